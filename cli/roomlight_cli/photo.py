@@ -125,7 +125,7 @@ def light_photo(
         light = session.light_at(position)
         files = (f"probe-{number:02d}.exr", f"probe-{number:02d}.png", f"probe-{number:02d}-spheres.png")
         write_exr(out / files[0], light.panorama)
-        write_png(out / files[1], light.panorama)
+        write_png(out / files[1], light.reflection)
         write_png(out / files[2], _spheres(light, view_toward(frame.camera_to_world, position)))
         lights.append(PhotoLight(position, light, session.grid.contains(position), files))
     report = {"model": session.model, "source": frame.source, "intrinsics": asdict(frame.intrinsics)}
@@ -140,5 +140,6 @@ def _spheres(light: Light, view: tuple[float, float, float]) -> np.ndarray:
     materials: tuple[Material, Material] = ("mirror", "glossy")
     for left, material in zip((_GAP, _SPHERE + 2 * _GAP), materials, strict=True):
         canvas.text((left, _GAP), f"{material} sphere", width=_SPHERE)
-        canvas.sphere((left, _GAP + LABEL_ROWS), light.panorama, spheres, material)
+        panorama = light.reflection if material == "mirror" else light.panorama
+        canvas.sphere((left, _GAP + LABEL_ROWS), panorama, spheres, material)
     return canvas.image

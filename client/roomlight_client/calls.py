@@ -45,8 +45,13 @@ _Model = TypeVar("_Model", bound=BaseModel)
 PositionOrName = Position | str
 """A point in world metres (y up), or the name of a tracked probe."""
 
-DEFAULT_FORMS: Final[tuple[LightFormat, ...]] = ("npy", "sh", "main_light")
-"""Forms of `light_at` by default: the panorama exactly as the engine has it, harmonics, the main light."""
+DEFAULT_FORMS: Final[tuple[LightFormat | LightForm, ...]] = (
+    "npy",
+    LightForm(format="npy", use="reflection"),
+    "sh",
+    "main_light",
+)
+"""Forms of `light_at` by default: both panoramas exactly as the engine has them, harmonics, the main light."""
 
 FRAME_MEDIA_TYPE: Final = "application/vnd.roomlight.frame"
 

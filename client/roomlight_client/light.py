@@ -15,11 +15,11 @@ from roomlight.conventions import Position
 from roomlight.errors import ImageError, RoomLightError, WireError
 from roomlight.images import decode_colour, decode_grey8
 from roomlight.light.cube import CubeMap
-from roomlight.light.light import FileFormat, Light
+from roomlight.light.light import FileFormat, Light, use_of
 from roomlight.light.main_light import MainLight
 from roomlight.light.spherical_harmonics import HarmonicsKind, SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
-from roomlight.wire.messages import EncodedLight, LightFormat, LightResponse
+from roomlight.wire.messages import EncodedLight, LightFormat, LightResponse, LightUse
 from roomlight_client.errors import BadReplyError
 
 
@@ -41,15 +41,15 @@ class ReceivedForms:
 
     forms: tuple[tuple[EncodedLight, bytes], ...]
 
-    def panorama(self) -> Float32[np.ndarray, "h w 3"] | None:
+    def panorama(self, use: LightUse) -> Float32[np.ndarray, "h w 3"] | None:
         """Read `npy` (exact), else `exr` (half floats): linear RGB [H, 2H, 3]."""
-        for form, data in self._of("npy"):
+        for form, data in self._of("npy", use):
             with _reading(form):
                 panorama = np.load(io.BytesIO(data), allow_pickle=False)
                 if panorama.dtype != np.float32 or panorama.ndim != 3 or panorama.shape[2] != 3:
                     raise ValueError(f"an array of {panorama.dtype} {panorama.shape}")
                 return panorama
-        for form, data in self._of("exr"):
+        for form, data in self._of("exr", use):
             with _reading(form):
                 return decode_colour(data, "the panorama")[0]
         return None
@@ -61,24 +61,24 @@ class ReceivedForms:
                 return decode_grey8(data, "the confidence panorama") / np.float32(255)
         return None
 
-    def main_light(self) -> MainLight | None:
+    def main_light(self, use: LightUse) -> MainLight | None:
         """Read `main_light`."""
-        for form, _ in self._of("main_light"):
+        for form, _ in self._of("main_light", use):
             with _reading(form):
                 return _main_light(form.values or {})
         return None
 
-    def lights(self) -> tuple[MainLight, ...] | None:
+    def lights(self, use: LightUse) -> tuple[MainLight, ...] | None:
         """Read the lights beside the main light in `main_light`; the main light alone if the server sends no others."""
-        for form, _ in self._of("main_light"):
+        for form, _ in self._of("main_light", use):
             with _reading(form):
                 values = form.values or {}
                 return tuple(_main_light(one) for one in values.get("lights", [values]))
         return None
 
-    def harmonics(self, kind: HarmonicsKind) -> SphericalHarmonics | None:
+    def harmonics(self, kind: HarmonicsKind, use: LightUse) -> SphericalHarmonics | None:
         """Read `sh` of this kind."""
-        for form, _ in self._of("sh"):
+        for form, _ in self._of("sh", use):
             values = form.values or {}
             if values.get("kind", "total") != kind:
                 continue
@@ -89,9 +89,9 @@ class ReceivedForms:
                 )
         return None
 
-    def cube(self, size: int | None) -> CubeMap | None:
+    def cube(self, size: int | None, use: LightUse) -> CubeMap | None:
         """Read the first `cube` whose faces are `size` pixels wide (None: any); `observed` in its alpha is left out."""
-        for form, data in self._of("cube"):
+        for form, data in self._of("cube", use):
             with _reading(form):
                 texels = np.frombuffer(data, "<f2")
                 side = round((len(texels) / 24) ** 0.5)
@@ -99,17 +99,19 @@ class ReceivedForms:
                     return CubeMap(texels.reshape(6, side, side, 4)[..., :3].astype(np.float32))
         return None
 
-    def file(self, file_format: FileFormat) -> bytes | None:
+    def file(self, file_format: FileFormat, use: LightUse) -> bytes | None:
         """Return the bytes of the first form of this format."""
-        return next((data for _, data in self._of(file_format)), None)
+        return next((data for _, data in self._of(file_format, use)), None)
 
     def missing(self, form: str, request: str) -> RoomLightError:
         """Return the error for a form that can neither be read nor computed, with what to request."""
         sent = ", ".join(form.format for form, _ in self.forms) or "nothing"
         return RoomLightError(f"this light has no {form}: requested was {sent}; request it with forms=({request}, ...)")
 
-    def _of(self, light_format: LightFormat) -> list[tuple[EncodedLight, bytes]]:
-        return [(form, data) for form, data in self.forms if form.format == light_format]
+    def _of(self, light_format: LightFormat, use: LightUse | None = None) -> list[tuple[EncodedLight, bytes]]:
+        """Return the forms of a format and a use; None: of any."""
+        of_format = [(form, data) for form, data in self.forms if form.format == light_format]
+        return [(form, data) for form, data in of_format if use in (None, use_of(form.format, form.use))]
 
 
 def parse_lights(body: bytes, media_type: str) -> list[Light]:

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from roomlight.compositing.light.object_light import OBJECT_PANELS
+from roomlight.engine.lighting import LIGHTING_PANELS
 from roomlight.engine.networks.clipping import CHANNELS, SIDE
 from roomlight.engine.panorama.panels import HEIGHT
 from roomlight_model.checkpoint import Network
@@ -93,7 +93,7 @@ def graphs_of(model: Network) -> list[Graph]:
     if isinstance(model, ClippingNetwork):
         shapes = {"planes": (1, CHANNELS, SIDE, SIDE)}, {"log_radiance": (1, 3, SIDE // 2, SIDE // 2)}
     else:
-        shapes = {"panels": (1, OBJECT_PANELS, *panorama)}, {"changes": (1, 6, *panorama)}
+        shapes = {"panels": (1, LIGHTING_PANELS, *panorama)}, {"changes": (1, 6, *panorama)}
     return [Graph(model.form, model, *shapes)]
 
 

@@ -1,6 +1,6 @@
 """The network that gives the light of virtual objects: a 2D encoder-decoder on a probe's panorama.
 
-Panels are `roomlight.compositing.light.object_light.object_panels`, linear radiance in units of white: what the frames
+Panels are `roomlight.engine.lighting.lighting_panels`, linear radiance in units of white: what the frames
 have shown together. All layers wrap around at the left and right edge; the elevation is an input, because ceilings are
 brighter than floors.
 """

@@ -9,7 +9,7 @@ from light_rooms import room
 
 import roomlight as rl
 import roomlight_client as sdk
-from roomlight.light.light import FileFormat, FormReader
+from roomlight.light.light import FileFormat, FormReader, LightPanoramas
 from roomlight.light.spherical_harmonics import SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, pack_light
 from roomlight.wire.messages import EncodedLight, LightResponse, ProbeLight
@@ -17,19 +17,34 @@ from roomlight_client.light import ReceivedForms, parse_lights
 
 ROOM = room(24)
 OBSERVED = np.tile(np.array([0, 1], np.float32), (24, 24))
-ENGINE = rl.Light((1.0, 0.5, -2.0), ROOM, OBSERVED, frame=7, name="table")
+MIRRORED = room(24)[::-1].copy()
+
+
+class TwoUses:
+    """Other light is seen than lights things, as from a session."""
+
+    def panoramas(self) -> LightPanoramas:
+        return LightPanoramas(ROOM, MIRRORED)
+
+    def digest(self) -> str:
+        return "two"
+
+
+ENGINE = rl.Light((1.0, 0.5, -2.0), observed=OBSERVED, frame=7, name="table", source=TwoUses())
+BOTH = ("npy", ("npy", "reflection"), "confidence")
 FILES: tuple[FileFormat, ...] = ("exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular")
 
 
 def received(*forms: Any) -> rl.Light:
-    """Return `ENGINE` as a server sends it in these forms: file formats, or (format, values)."""
+    """Return `ENGINE` as a server sends it in these forms: file formats, (format, values) or (format, use)."""
     encoded, parts = [], []
     for form in forms:
-        if isinstance(form, tuple):
+        if isinstance(form, tuple) and isinstance(form[1], dict):
             encoded.append(EncodedLight(format=form[0], media_type="application/json", values=form[1]))
         else:
-            parts.append(ENGINE.file(form))
-            encoded.append(EncodedLight(format=form, media_type="x", bytes=len(parts[-1])))
+            name, use = form if isinstance(form, tuple) else (form, None)
+            parts.append(ENGINE.file(name, use=use))
+            encoded.append(EncodedLight(format=name, media_type="x", use=use, bytes=len(parts[-1])))
     result = ProbeLight(position=[1.0, 0.5, -2.0], name="table", coverage=ENGINE.coverage, etag="e", forms=encoded)
     (light,) = parse_lights(pack_light(LightResponse(frame=7, results=[result]), parts), MEDIA_TYPE)
     return light
@@ -43,8 +58,8 @@ def test_engine_and_client_have_one_class():
 @pytest.mark.parametrize(
     "forms",
     [
-        ("npy", "confidence"),
-        ("npy", "confidence", *((kind, values) for kind, values in (
+        BOTH,
+        (*BOTH, *((kind, values) for kind, values in (
             ("sh", ENGINE.harmonics.to_json()),
             ("sh", ENGINE.ambient.to_json("planar")),
             ("main_light", ENGINE.main_light.to_json()),
@@ -54,7 +69,8 @@ def test_engine_and_client_have_one_class():
 )  # fmt: skip
 def test_the_same_light_comes_through_the_client(forms):
     light = received(*forms)
-    assert (light.panorama == ENGINE.panorama).all()
+    assert (light.panorama == ROOM).all()
+    assert (light.reflection == MIRRORED).all()
     assert (light.observed == ENGINE.observed).all()
     assert (light.position, light.frame, light.name, light.etag) == ((1.0, 0.5, -2.0), 7, "table", "e")
     assert light.coverage == ENGINE.coverage
@@ -73,7 +89,7 @@ def test_the_same_light_comes_through_the_client(forms):
 
 @pytest.mark.parametrize("name", FILES)
 def test_files_are_computed_if_the_panorama_was_sent(name):
-    assert received("npy", "confidence").file(name) == ENGINE.file(name)
+    assert received(*BOTH).file(name) == ENGINE.file(name)
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -84,7 +100,7 @@ def test_a_file_that_was_sent_comes_as_it_is(name):
 @pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png", ".ktx2", ".json"])
 def test_both_save_the_same_file(suffix, tmp_path):
     ENGINE.save(tmp_path / f"engine{suffix}")
-    received("npy", "confidence").save(tmp_path / f"client{suffix}")
+    received(*BOTH).save(tmp_path / f"client{suffix}")
     assert (tmp_path / f"client{suffix}").read_bytes() == (tmp_path / f"engine{suffix}").read_bytes()
 
 
@@ -133,6 +149,8 @@ def test_without_confidence_the_alpha_is_one():
         (lambda light: light.ambient, "LightForm(format='sh', kind='ambient')"),
         (lambda light: light.cube(), "LightForm(format='cube', size=32)"),
         (lambda light: light.file("hdr"), "'hdr'"),
+        (lambda light: light.reflection, "LightForm(format='npy', use='reflection')"),
+        (lambda light: light.file("hdr", use="reflection"), "LightForm(format='hdr', use='reflection')"),
         (lambda light: light.to_json(), "'main_light'"),
     ],
 )

@@ -1,5 +1,6 @@
 """`Light` as the engine makes it: its forms, files, errors and notebook picture."""
 
+import inspect
 import io
 import json
 
@@ -13,7 +14,7 @@ from roomlight.errors import OptionError, OutputError
 from roomlight.images import decode_colour, decode_grey8
 from roomlight.light.coverage import coverage
 from roomlight.light.cube import CubeMap, observed_cube
-from roomlight.light.light import SAVED_AS, Light
+from roomlight.light.light import SAVED_AS, Light, LightPanoramas
 from roomlight.light.main_light import main_light
 from roomlight.light.prefilter import prefilter
 from roomlight.light.spherical_harmonics import SphericalHarmonics, project
@@ -56,7 +57,7 @@ def test_a_panorama_alone_counts_as_observed():
 
 
 def test_a_light_needs_a_panorama_or_forms():
-    with pytest.raises(ValueError, match="got neither"):
+    with pytest.raises(ValueError, match="got none of them"):
         Light((0.0, 0.0, 0.0))
 
 
@@ -154,3 +155,49 @@ def test_a_notebook_shows_the_tone_mapped_panorama(light):
 def test_repr_is_one_short_line(light):
     assert repr(light) == "Light(position=(1, 0.5, -2), frame=7, coverage=0.500, name='table')"
     assert "name" not in repr(Light((0.0, 0.0, 0.0), ROOM))
+
+
+class TwoUses:
+    """A source of two panoramas that counts how often it computes them."""
+
+    def __init__(self) -> None:
+        self.runs = 0
+
+    def panoramas(self) -> LightPanoramas:
+        self.runs += 1
+        return LightPanoramas(ROOM, 2 * ROOM)
+
+    def digest(self) -> str:
+        return "source"
+
+
+def test_a_light_is_computed_when_it_is_asked_for_and_once_for_both_uses():
+    source = TwoUses()
+    light = Light((0.0, 0.0, 0.0), observed=OBSERVED, source=source)
+    assert light.digest()
+    assert source.runs == 0
+    mirrored = light.used_for("reflection")
+    assert (mirrored.panorama == 2 * light.panorama).all()
+    assert (light.reflection == mirrored.panorama).all()
+    assert source.runs == 1
+
+
+def test_forms_are_of_lighting_but_for_pictures():
+    light = Light((0.0, 0.0, 0.0), observed=OBSERVED, source=TwoUses())
+    mirrored = light.used_for("reflection")
+    for name in ("exr", "hdr", "npy", "cube", "ktx2", "specular"):
+        assert light.file(name) == light.file(name, use="lighting") != mirrored.file(name)
+        assert mirrored.file(name) == light.file(name, use="reflection")
+    assert light.file("png") == mirrored.file("png") != light.file("png", use="lighting")
+    assert mirrored.harmonics.coefficients == pytest.approx(2 * light.harmonics.coefficients)
+    assert mirrored.main_light.intensity == pytest.approx(2 * light.main_light.intensity, rel=1e-3)
+
+
+def test_an_unknown_use_is_refused_with_those_that_exist():
+    with pytest.raises(OptionError, match="lighting, reflection; got 'mirror'"):
+        inspect.unwrap(Light.used_for)(Light((0.0, 0.0, 0.0), ROOM), "mirror")  # past the checks of the test run
+
+
+def test_equal_sources_have_equal_digests():
+    assert Light((0.0, 0.0, 0.0), ROOM).digest() == Light((1.0, 0.0, 0.0), ROOM.copy()).digest()
+    assert Light((0.0, 0.0, 0.0), ROOM).digest() != Light((0.0, 0.0, 0.0), 2 * ROOM).digest()

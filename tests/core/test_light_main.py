@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import strategies as st
 from light_rooms import cap_solid_angle, lit, mean_light, room, rotate_directions_90, rotate_panorama_90, unit
 
 from roomlight.conventions import LUMINANCE, panorama_directions
-from roomlight.light.main_light import MAX_LIGHTS, find_lights, main_light
+from roomlight.light.main_light import MAX_LIGHTS, TrackedLights, find_lights, main_light, relit
 
 
 def angle_deg(a, b):
@@ -199,3 +200,18 @@ def test_a_light_is_saved_with_all_its_values() -> None:
     assert set(values) == {"direction", "intensity", "radius_deg", "shadow_strength", "emitted", "number"}
     assert values["number"] == 0
     assert 0 < values["shadow_strength"] < 1
+
+
+def test_lights_are_as_strong_as_in_the_light_that_they_are_measured_in():
+    before = room(48)
+    lights = find_lights(before)
+    tracked = TrackedLights(replace(lights[0], intensity=0.5 * lights[0].intensity), lights)
+    brighter = relit(tracked, before=before, after=2 * before)
+    for light, stronger in zip(lights, brighter.sources, strict=True):
+        assert stronger.intensity == pytest.approx(2 * light.intensity, rel=0.05)
+        assert stronger.shadow_strength == pytest.approx(light.shadow_strength, abs=0.03)
+        assert (stronger.direction == light.direction).all()
+        assert stronger.number == light.number
+    assert brighter.main.intensity == pytest.approx(lights[0].intensity, rel=0.05)  # half faded in, twice as bright
+    dark = relit(tracked, before=before, after=np.full_like(before, 0.1))
+    assert all(light.intensity.max() < 1e-3 for light in (dark.main, *dark.sources))

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 import lamp_rooms
-from roomlight.compositing.light.object_light import OBJECT_PANELS
 from roomlight.conventions import panorama_directions
 from roomlight.dataset.loader import Dataset
+from roomlight.engine.lighting import LIGHTING_PANELS
 from roomlight.engine.panorama.panels import HEIGHT
 from roomlight.errors import ModelError
 from roomlight_evaluation.objects.lit_objects import LOOKS as EVALUATED
@@ -36,7 +36,7 @@ SHORT = ObjectsOptions(steps=20, batch=2, learning_rate=1.2e-2, warm_up=12, ema=
 def half_rooms(count):
     """Panoramas of which one half is observed; the other is half as bright in log(1 + L) as the fill says."""
     rng = np.random.default_rng(3)
-    panels = np.zeros((count, OBJECT_PANELS, HEIGHT, 2 * HEIGHT), np.float16)
+    panels = np.zeros((count, LIGHTING_PANELS, HEIGHT, 2 * HEIGHT), np.float16)
     truth = np.zeros((count, 3, HEIGHT, 2 * HEIGHT), np.float16)
     for number in range(count):
         light = rng.uniform(0.5, 2.0)

@@ -2,7 +2,7 @@
 
 import torch
 
-from roomlight.compositing.light.object_light import OBJECT_PANELS
+from roomlight.engine.lighting import LIGHTING_PANELS
 from roomlight.engine.networks.clipping import SIDE
 from roomlight.engine.panorama.panels import HEIGHT
 from roomlight_model.clipping_network import LOG_RANGE, ClippingNetwork, clipping_input_shape
@@ -21,7 +21,7 @@ def test_clipped_radiance_stays_in_its_range():
 
 
 def test_the_light_of_objects_begins_without_a_change():
-    assert (ObjectLightNetwork()(torch.rand(2, OBJECT_PANELS, HEIGHT, 2 * HEIGHT)) == 0).all()
+    assert (ObjectLightNetwork()(torch.rand(2, LIGHTING_PANELS, HEIGHT, 2 * HEIGHT)) == 0).all()
 
 
 def test_the_light_of_objects_rotates_with_the_panorama():
@@ -29,7 +29,7 @@ def test_the_light_of_objects_rotates_with_the_panorama():
     torch.manual_seed(1)
     network = ObjectLightNetwork()
     torch.nn.init.normal_(network.head.conv.weight, std=0.1)
-    panels = torch.rand(1, OBJECT_PANELS, HEIGHT, 2 * HEIGHT)
+    panels = torch.rand(1, LIGHTING_PANELS, HEIGHT, 2 * HEIGHT)
     with torch.no_grad():
         rolled, expected = network(panels.roll(8, 3)), network(panels).roll(8, 3)
     inner = torch.ones(2 * HEIGHT, dtype=torch.bool)

@@ -83,7 +83,11 @@ def compare(server, model, bodies, expected, tmp_path):
         assert server.state()["coverage"]["table"] == round(light.coverage, 4)
     x, y, z = PROBES[1]
     exr = server.call("GET", f"/v1/sessions/room/probe?x={x}&y={y}&z={z}&format=exr").body
-    write_exr(tmp_path / "late.exr", late.panorama, metadata={"roomlight:coverage": f"{late.coverage:.4f}"})
+    write_exr(
+        tmp_path / "late.exr",
+        late.panorama,
+        metadata={"roomlight:coverage": f"{late.coverage:.4f}", "roomlight:use": "lighting"},
+    )
     assert exr == (tmp_path / "late.exr").read_bytes()
 
 

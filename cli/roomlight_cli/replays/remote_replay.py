@@ -16,6 +16,7 @@ from roomlight.engine.session import FrameReport, SessionOptions
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import FrameError, WireError
 from roomlight.frame import Frame
+from roomlight.wire.messages import LightForm
 from roomlight_cli.replays.replay import ProgressCallback, ReplayResult, replay
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_client import BadReplyError, Client, InvalidError, Light, RecoveryEvent, UnreachableError
@@ -23,8 +24,8 @@ from roomlight_client import BadReplyError, Client, InvalidError, Light, Recover
 _T = TypeVar("_T")
 _PROBES_PER_CALL: Final = 16
 """5 MB of floats at 120 rows."""
-_FORMS: Final = ("npy", "confidence")
-"""The panorama, and how far each direction of it was observed."""
+_FORMS: Final = ("npy", LightForm(format="npy", use="reflection"), "confidence")
+"""The panoramas of both uses, and how far each direction was observed."""
 
 
 class RemoteSession:

@@ -26,6 +26,7 @@ from roomlight.errors import CaptureError, FrameError
 from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr
+from roomlight.light.light import LightUse
 from roomlight.placement import point_at_pixel, point_in_view
 from roomlight_cli.replays.pictures import ReplayPictures, Titles
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
@@ -55,7 +56,12 @@ class ReplayLight(Protocol):
 
     @property
     def panorama(self) -> Float[np.ndarray, "h w 3"]:
-        """Linear RGB radiance, float32."""
+        """Linear RGB radiance that lights things, float32."""
+        ...
+
+    @property
+    def reflection(self) -> Float[np.ndarray, "h w 3"]:
+        """Linear RGB radiance that is seen, float32."""
         ...
 
     @property
@@ -152,7 +158,7 @@ def replay(
                         tracked = True
                     report = session.push(frame)
                     claim(out, intent, overwrite=options.overwrite)  # only now: a mistaken command leaves nothing
-                    writer = _Writer(out, len(positions))
+                    writer = _Writer(out, len(positions), options.use)
                     pictures = ReplayPictures(
                         out,
                         positions,
@@ -174,7 +180,7 @@ def replay(
             writer.write(frame, lights)
             pictures.add(
                 frame,
-                [light.panorama for light in lights],
+                panoramas_of(lights, "reflection"),
                 [light.coverage for light in lights],
                 [light.observed for light in lights],
             )
@@ -185,8 +191,8 @@ def replay(
         if writer is None or pictures is None:
             raise CaptureError(f"{path}: no frame can start a session; the first: {unusable[0]['reason']}")
         for frame in waiting:  # after the last session frame there is nothing to interpolate towards: the light stays
-            writer.hold(frame)
-            pictures.add(frame, writer.held)
+            writer.repeat(frame)
+            pictures.add(frame, writer.last_seen)
         pictures.close(session if isinstance(session, Session) else None)
     except BaseException as error:
         if pictures is not None:
@@ -245,50 +251,62 @@ def _report(
 class _Writer:
     """Writes panoramas as EXR, a folder per probe; files of an interrupted run are kept."""
 
-    def __init__(self, out: Path, probes: int) -> None:
+    def __init__(self, out: Path, probes: int, use: LightUse) -> None:
         self._folders = [out / f"probe-{n:02d}" for n in range(probes)]
-        self._before: tuple[int, list[Float[np.ndarray, "h w 3"]]] | None = None
+        self._use: LightUse = use
+        self._before: tuple[int, Sequence[ReplayLight]] | None = None
         self.count_interpolated = 0
 
     def write(self, frame: Frame, lights: Sequence[ReplayLight]) -> None:
         """Write the panoramas of one session frame."""
-        self._before = (frame.index, [light.panorama for light in lights])
+        self._before = frame.index, lights
         for folder, light in zip(self._folders, lights, strict=True):
             coverage = f"{light.coverage:.4f}"
-            self._save(folder, frame.index, light.panorama, {"roomlight:coverage": coverage})
+            panorama = light.panorama if self._use == "lighting" else light.reflection
+            self._save(folder, frame.index, panorama, {"roomlight:coverage": coverage, "roomlight:use": self._use})
 
     def interpolated(
         self, between: Sequence[Frame], frame: Frame, lights: Sequence[ReplayLight]
     ) -> Iterator[tuple[Frame, list[Float[np.ndarray, "h w 3"]]]]:
-        """Write and yield the frames between the last session frame and this one."""
+        """Write the frames between the last session frame and this one; yield them with what is seen at the probes."""
         if self._before is None:
             return
-        start, panoramas = self._before
+        start, before = self._before
         for middle in between:
             share = np.float32((middle.index - start) / (frame.index - start))
-            mixed = [(1 - share) * a + share * light.panorama for a, light in zip(panoramas, lights, strict=True)]
-            self._save_interpolated(middle.index, mixed)
-            yield middle, mixed
+
+            def mixed(use: LightUse, share: np.float32 = share) -> list[Float[np.ndarray, "h w 3"]]:
+                pairs = zip(panoramas_of(before, use), panoramas_of(lights, use), strict=True)
+                return [(1 - share) * old + share * new for old, new in pairs]
+
+            self._save_interpolated(middle.index, mixed(self._use))
+            yield middle, mixed("reflection")
 
     @property
-    def held(self) -> list[Float[np.ndarray, "h w 3"]]:
-        """Panoramas of the last session frame; empty before the first."""
-        return self._before[1] if self._before is not None else []
+    def last_seen(self) -> list[Float[np.ndarray, "h w 3"]]:
+        """What is seen at the probes after the last session frame; empty before the first."""
+        return [] if self._before is None else panoramas_of(self._before[1], "reflection")
 
-    def hold(self, frame: Frame) -> None:
+    def repeat(self, frame: Frame) -> None:
         """Write a frame after the last session frame, with that frame's light."""
-        self._save_interpolated(frame.index, self.held)
+        lights = () if self._before is None else self._before[1]
+        self._save_interpolated(frame.index, panoramas_of(lights, self._use))
 
     def _save_interpolated(self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]]) -> None:
         self.count_interpolated += 1
         for folder, panorama in zip(self._folders, panoramas, strict=True):
-            self._save(folder, index, panorama, {"roomlight:interpolated": "true"})
+            self._save(folder, index, panorama, {"roomlight:interpolated": "true", "roomlight:use": self._use})
 
     @staticmethod
     def _save(folder: Path, index: int, panorama: Float[np.ndarray, "h w 3"], metadata: dict[str, str]) -> None:
         path = folder / f"{index:06d}.exr"
         if not path.exists():
             write_exr(path, panorama, metadata=metadata)
+
+
+def panoramas_of(lights: Sequence[ReplayLight], use: LightUse) -> list[Float[np.ndarray, "h w 3"]]:
+    """Return the panorama of each light for a use."""
+    return [light.panorama if use == "lighting" else light.reflection for light in lights]
 
 
 def _titles(capture: Capture, model: str) -> Titles:

@@ -10,6 +10,7 @@ from roomlight.conventions import Position
 from roomlight.engine.session import SessionOptions
 from roomlight.engine.volume.sglv import check_position
 from roomlight.errors import OptionError
+from roomlight.light.light import LightUse
 from roomlight.placement import ABOVE_M
 from roomlight.rules import check_options
 from roomlight_cli.options import Flag, Without
@@ -31,6 +32,8 @@ class ReplayOptions:
         probes_from_capture: Light the positions of the capture's own probes.
         every: Process every n-th frame only.
         interpolate: With `--every`: interpolate the frames in between, linearly in radiance (paper, section 5.2).
+        use: Write panoramas of this use as EXR: lighting, to light a scene with as a dome light, or reflection, what a
+            mirror shows. Pictures and the video show reflection.
         overwrite: Replace what the output folder holds, also this replay if it is finished.
         server: Let the `roomlight serve` at this address do the work, e.g. http://host:8090.
 
@@ -47,6 +50,7 @@ class ReplayOptions:
     probes_from_capture: Annotated[bool, Flag(panel=POINTS)] = False
     every: Annotated[int, Ge(1)] = 1
     interpolate: bool = False
+    use: LightUse = "lighting"
     overwrite: bool = False
     server: Annotated[str | None, Flag(metavar="URL")] = None
 

@@ -6,7 +6,7 @@ export { Harmonics, type HarmonicsValues, type LightSourceValues, type MainLight
 export type { ClientOptions } from "./http.js";
 export { parseHdr, type Panorama } from "./hdr.js";
 export { parseCube, type Cube } from "./cube.js";
-export { decodeLights, findForm, parseLights, type Light, type LightData, type Lights } from "./light.js";
+export { decodeLights, findForm, findFormFor, parseLights, useOf, type Light, type LightData, type Lights } from "./light.js";
 export type { BufferOptions } from "./memory.js";
 export type { ReconnectOptions } from "./reconnect.js";
 export { RoomLight, Session, type CallOptions, type CompositeFile, type LightFile, type SessionOptions } from "./session.js";

@@ -1,6 +1,13 @@
 // Light messages: JSON with base64, or binary: "RLL1", length of the JSON (u32, little-endian), the JSON, the parts.
 
-import { LIGHT_MAGIC, type LightFormat, type EncodedLight, type LightResponse, type ProbeLight } from "./wire.js";
+import {
+  LIGHT_MAGIC,
+  type EncodedLight,
+  type LightFormat,
+  type LightResponse,
+  type LightUse,
+  type ProbeLight,
+} from "./wire.js";
 
 /** One form of a probe's light: `values` for sh and main_light, `data` for the other formats. */
 export interface LightData extends Omit<EncodedLight, "data" | "bytes"> {
@@ -17,9 +24,19 @@ export interface Lights extends Omit<LightResponse, "results"> {
   results: readonly Light[];
 }
 
-/** The light's first form with one of these formats. */
+/** The light's first form with one of these formats, of any use. */
 export function findForm(light: Light, ...formats: readonly LightFormat[]): LightData | undefined {
   return light.forms.find((form) => formats.includes(form.format));
+}
+
+/** The light's first form with one of these formats that is for a use: it lights things, or is seen in a mirror. */
+export function findFormFor(use: LightUse, light: Light, ...formats: readonly LightFormat[]): LightData | undefined {
+  return light.forms.find((form) => formats.includes(form.format) && useOf(form) === use);
+}
+
+/** What a form is for: as it was requested, else `reflection` for a PNG and `lighting` for all others. */
+export function useOf(form: Pick<LightData, "format" | "use">): LightUse {
+  return form.use ?? (form.format === "png" ? "reflection" : "lighting");
 }
 
 /** Lights of a JSON message. */

@@ -164,11 +164,13 @@ export interface components {
          *         values: the numbers of sh and main_light.
          *         data: the bytes of the other formats in base64, in plain JSON.
          *         bytes: the number of bytes of the other formats, in a binary light message.
+         *         use: lighting or reflection; null: that of the format, see `LightForm`.
          */
         readonly EncodedLight: {
             /** @enum {string} */
             readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence";
             readonly media_type: string;
+            readonly use?: ("lighting" | "reflection") | null;
             readonly values?: {
                 readonly [key: string]: unknown;
             } | null;
@@ -378,6 +380,8 @@ export interface components {
          *         basis: for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
          *             phase), threejs (27 interleaved, all signs positive).
          *         exposure_ev: for png: radiance 2^-exposure_ev is white.
+         *         use: lighting, what lights a thing, or reflection, what is seen in a mirror and behind things (default: reflection
+         *             for png, lighting for all others).
          */
         readonly LightForm: {
             /** @enum {string} */
@@ -399,6 +403,7 @@ export interface components {
              * @default 0
              */
             readonly exposure_ev?: number;
+            readonly use?: ("lighting" | "reflection") | null;
         };
         /** @description Request for light at several points after the same frame, each in every form; 1 to 64 probes, 1 to 16 forms. */
         readonly LightRequest: {

@@ -22,7 +22,7 @@ import {
 import { parseCube } from "./cube.js";
 import { Harmonics, type HarmonicsValues, type MainLightValues } from "./harmonics.js";
 import { parseHdr } from "./hdr.js";
-import { findForm, type Light, type LightData } from "./light.js";
+import { findForm, findFormFor, type Light, type LightData } from "./light.js";
 
 /** The objects that `applyToScene` adds to a scene; use `directional` for shadows. */
 export interface SceneLights {
@@ -45,7 +45,7 @@ const TEXTURE_MAKERS = { cube: cubeTexture, ktx2: cubeTexture, hdr: equirectText
 /**
  * Light a scene with the forms of a light. Call it again with each newer light.
  *
- * - `cube`, `ktx2` or `hdr`: sets `scene.environment`, which lights everything. The directional light of a `main_light`
+ * - `cube`, `ktx2` or `hdr` (of the use lighting): sets `scene.environment`, which lights everything. The directional light of a `main_light`
  *   then has intensity 0: it casts its shadow on a `ShadowMaterial`, as strong as `shadow_strength`, and adds no light.
  * - otherwise `sh`: a `LightProbe`; with `main_light` also a `DirectionalLight`, subtracted from the harmonics.
  *
@@ -54,11 +54,11 @@ const TEXTURE_MAKERS = { cube: cubeTexture, ktx2: cubeTexture, hdr: equirectText
 export function applyToScene(scene: Scene, light: Light, options: ApplyOptions = {}): SceneLights {
   const { intensity = 1, distance_m = 5 } = options;
   const lights = scenes.get(scene) ?? addLights(scene);
-  const key = `${light.etag} ${light.forms.map((form) => form.format)} ${intensity} ${distance_m}`;
+  const key = `${light.etag} ${light.forms.map((form) => `${form.format}-${form.use ?? ""}`)} ${intensity} ${distance_m}`;
   if (key === lights.appliedKey) {
     return lights;
   }
-  const form = findForm(light, "cube", "ktx2", "hdr");
+  const form = findFormFor("lighting", light, "cube", "ktx2", "hdr");
   const environment = form ? environmentTexture(form) : null;
   if (environment || scene.environment === lights.environment) {
     scene.environment = environment; // without a new one, the app's own environment stays

@@ -19,6 +19,7 @@ export type TrackingState = NonNullable<FrameHeader["tracking_state"]>;
 export type FrameStatus = FrameResult["status"];
 export type ModelName = NonNullable<SessionRequest["model"]>;
 export type LightFormat = LightForm["format"];
+export type LightUse = NonNullable<LightForm["use"]>;
 export type HarmonicsKind = NonNullable<LightForm["kind"]>;
 export type HarmonicsBasis = NonNullable<LightForm["basis"]>;
 

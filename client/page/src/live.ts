@@ -96,7 +96,7 @@ export class LiveSession {
   async lightAt(positions: readonly Position[]): Promise<readonly Light[] | null> {
     const probes = positions.map((position) => ({ position }));
     return this.stream?.status.state === "open"
-      ? (await this.stream.light({ probes, forms: [{ format: "hdr" }] })).results
+      ? (await this.stream.light({ probes, forms: [{ format: "hdr" }, { format: "hdr", use: "reflection" }] })).results
       : null;
   }
 

@@ -1,10 +1,12 @@
 """A tracked position: its panorama, the model's state of it, its lights."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roomlight.conventions import Position
+from roomlight.engine.lighting import LightingModel, ProbeLightSource
 from roomlight.engine.models.interface import ProbeEstimator, Rendered
 from roomlight.engine.panorama.blend import PanoramaState, accumulate, farthest_depth_m
 from roomlight.engine.panorama.light_tracking import LightTracker
@@ -12,7 +14,7 @@ from roomlight.engine.room import Room
 from roomlight.engine.state.snapshot import ProbeSnapshot
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.sglv import render_panorama
-from roomlight.light.light import Light
+from roomlight.light.light import GivenPanorama, Light
 from roomlight.light.main_light import find_lights
 
 
@@ -84,11 +86,17 @@ class Probe:
         """Let the tracker see the panorama after a frame."""
         self.tracker.update(find_lights(self.panorama.radiance))
 
-    def light(self, index: int) -> Light:
-        """Return the light after the frame `index`: copies that later frames do not change."""
+    def light(self, index: int, load: Callable[[], LightingModel]) -> Light:
+        """Return the light after the frame `index`; later frames do not change it, and it is computed on first use."""
+        state = self.panorama.copy()
+        source = ProbeLightSource(state, self.tracker.lights if self.tracker.frames else None, load)
+        return Light(self.position, observed=state.seen, coverage=state.coverage(), frame=index, source=source)
+
+    def estimate(self, index: int) -> Light:
+        """Return the model's own estimate after the frame `index`: without the network that makes light of it."""
         radiance, observed = self.panorama.radiance.copy(), self.panorama.seen.copy()
-        light = Light(self.position, radiance, observed, self.panorama.coverage(), frame=index)
-        return light.with_lights(self.tracker.lights) if self.tracker.frames else light
+        source = GivenPanorama(radiance, self.tracker.lights if self.tracker.frames else None)
+        return Light(self.position, observed=observed, coverage=self.panorama.coverage(), frame=index, source=source)
 
     def snapshot(self, handle: int) -> ProbeSnapshot:
         """Return a copy that later frames do not change."""

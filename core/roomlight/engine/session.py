@@ -13,12 +13,14 @@ import time
 from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import NO_FRAME, Position
+from roomlight.engine.lighting import shipped_lighting
 from roomlight.engine.models.choosing import lighting_model
 from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.networks.graphs import SHIPPED, LightingGraphs
@@ -82,7 +84,9 @@ class Session:
         """
         self.options = options or SessionOptions()
         self._model = lighting_model(self.options, graphs)
-        self._clipping = shipped_clipping(self.options.provider, (self.options.parts or SHIPPED) / "clipping")
+        parts = self.options.parts or SHIPPED
+        self._clipping = shipped_clipping(self.options.provider, parts / "clipping")
+        self._lighting = partial(shipped_lighting, self.options.provider, parts / "objects")
         self._room: Room | None = None  # from the first frame on
         self._probes: dict[int, Probe] = {}  # by handle
         self._pending: dict[int, Position] = {}  # tracked before the first frame, by handle
@@ -201,11 +205,11 @@ class Session:
         Raises:
             ProbeError: No tracked probe has this handle, or no frame was pushed yet.
         """
-        return self._probe(handle, "light").light(self._last_index)
+        return self._probe(handle, "light").light(self._last_index, self._lighting)
 
     def lights(self) -> Sequence[Light]:
         """Return the light at every tracked position, in the order of `handles`."""
-        return [probe.light(self._last_index) for probe in self._probes.values()]
+        return [probe.light(self._last_index, self._lighting) for probe in self._probes.values()]
 
     def light_at(self, position: Position) -> Light:
         """Return the light at any position, from the keyframes and the last frame.
@@ -219,7 +223,16 @@ class Session:
         if self._room is None:
             raise ProbeError(f"no light at {position} yet: push a frame first")
         x, y, z = check_position(position).tolist()
-        return Probe.of_keyframes((x, y, z), self._room, height=self.options.height).light(self._last_index)
+        probe = Probe.of_keyframes((x, y, z), self._room, height=self.options.height)
+        return probe.light(self._last_index, self._lighting)
+
+    def estimate(self, handle: int) -> Light:
+        """Return the model's own estimate at a tracked position: cheaper than `light`, and too dark to light things.
+
+        Raises:
+            ProbeError: No tracked probe has this handle, or no frame was pushed yet.
+        """
+        return self._probe(handle, "estimate").estimate(self._last_index)
 
     def panorama_state(self, handle: int) -> PanoramaState:
         """Return what a tracked position has accumulated up to the last frame; the next frame overwrites it.

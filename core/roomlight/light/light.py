@@ -5,14 +5,22 @@
     light.main_light, light.lights, light.harmonics, light.ambient
     light.cube(size=64), light.specular(size=64)
     light.save("light.exr")                       # or .hdr, .png, .ktx2, .json
+    light.reflection                              # the panorama that a mirror shows
 
-The engine gives a panorama, and the other forms are computed from it on first use. A server sends the forms that were
+A light has two uses (`LightUse`). `lighting` is what lights a thing: sums over many directions, such as what a matte
+surface receives, are as right as they can be. `reflection` is what is seen in a mirror or behind things: each single
+direction is the best guess. Where frames measured a direction the two are equal. Forms are of lighting, but for
+pictures to look at (`DEFAULT_USES`); `Light.used_for` gives all forms of the other use.
+
+The engine gives panoramas, and the other forms are computed from them on first use. A server sends the forms that were
 requested; what it did not send is computed from the panorama if that was sent. Conventions: `roomlight.conventions`.
 """
 
+import hashlib
 import io
 from copy import copy
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, get_args, runtime_checkable
 
@@ -35,6 +43,17 @@ from roomlight.spheres import resize_panorama
 FileFormat = Literal["exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular"]
 """Encodings that are bytes: the panorama as exr, hdr, png or npy; `observed` as a grey PNG (confidence); a cube map as
 raw half floats (cube) or KTX2; specular mips as KTX2."""
+
+LightUse = Literal["lighting", "reflection"]
+"""What light is for: it lights a thing, or it is seen in a mirror and behind things."""
+DEFAULT_USES: Final[dict[str, LightUse]] = {"png": "reflection"}
+"""Uses of formats that are not of lighting unless another use is asked for: a PNG is looked at."""
+
+
+def use_of(light_format: str, use: LightUse | None = None) -> LightUse:
+    """Return the use of a form: the one that is asked for, or the format's own."""
+    return use or DEFAULT_USES.get(light_format, "lighting")
+
 
 SAVED_AS: Final[dict[str, FileFormat | Literal["json"]]] = {
     ".exr": "exr",
@@ -64,7 +83,7 @@ _CONVENTIONS: Final = {
 class FormReader(Protocol):
     """Reader of the forms that a server sent; each method returns None for a form that is not there."""
 
-    def panorama(self) -> Float32[np.ndarray, "h w 3"] | None:
+    def panorama(self, use: LightUse) -> Float32[np.ndarray, "h w 3"] | None:
         """Return linear RGB [H, 2H, 3]."""
         ...
 
@@ -72,29 +91,73 @@ class FormReader(Protocol):
         """Return how far each direction was observed, 0 to 1, [H, 2H]."""
         ...
 
-    def main_light(self) -> MainLight | None:
+    def main_light(self, use: LightUse) -> MainLight | None:
         """Return the main directional light."""
         ...
 
-    def lights(self) -> tuple[MainLight, ...] | None:
+    def lights(self, use: LightUse) -> tuple[MainLight, ...] | None:
         """Return the lights, the strongest first."""
         ...
 
-    def harmonics(self, kind: HarmonicsKind) -> SphericalHarmonics | None:
+    def harmonics(self, kind: HarmonicsKind, use: LightUse) -> SphericalHarmonics | None:
         """Return the L2 harmonics of this kind."""
         ...
 
-    def cube(self, size: int | None) -> CubeMap | None:
+    def cube(self, size: int | None, use: LightUse) -> CubeMap | None:
         """Return the cube map, if its faces have this size (None: any)."""
         ...
 
-    def file(self, file_format: FileFormat) -> bytes | None:
+    def file(self, file_format: FileFormat, use: LightUse) -> bytes | None:
         """Return the bytes of a form."""
         ...
 
     def missing(self, form: str, request: str) -> RoomLightError:
         """Return the error for a form that is not there; `request` is how to ask for it."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class LightPanoramas:
+    """The panoramas of one light by use, and its main lights where a session followed them.
+
+    Attributes:
+        lighting: float32 linear RGB [H, 2H, 3].
+        reflection: the same for what is seen.
+        tracked: the main lights that a session has seen, as strong as in `lighting`; None: to be found in the panorama.
+    """
+
+    lighting: Float[np.ndarray, "h w 3"]
+    reflection: Float[np.ndarray, "h w 3"]
+    tracked: TrackedLights | None = None
+
+
+@runtime_checkable
+class LightSource(Protocol):
+    """What a light is computed from when it is asked for."""
+
+    def panoramas(self) -> LightPanoramas:
+        """Compute the panoramas."""
+        ...
+
+    def digest(self) -> str:
+        """Return an identity, without computing the panoramas: equal sources give equal light, to the bit."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPanorama:
+    """A panorama that is used for everything, and its main lights where a session followed them."""
+
+    panorama: Float[np.ndarray, "h w 3"]
+    tracked: TrackedLights | None = None
+
+    def panoramas(self) -> LightPanoramas:
+        """Return it for both uses."""
+        return LightPanoramas(self.panorama, self.panorama, self.tracked)
+
+    def digest(self) -> str:
+        """Hash its values."""
+        return hashlib.sha256(np.ascontiguousarray(self.panorama).tobytes()).hexdigest()[:24]
 
 
 class Light:
@@ -118,43 +181,78 @@ class Light:
         name: str | None = None,
         etag: str | None = None,
         forms: FormReader | None = None,
+        source: LightSource | None = None,
     ) -> None:
-        """Make a light from a panorama [H, 2H, 3], or from `forms` that a server sent.
+        """Make a light from a panorama [H, 2H, 3] of both uses, from `forms` that a server sent, or from a `source`.
 
-        observed:  1 = observed, 0 = inferred, [H, 2H]; everything, unless given with the panorama.
-        coverage:  computed from `observed` unless given.
+        Args:
+            position: world metres, y up.
+            panorama: linear RGB for both uses.
+            observed: 1 = observed, 0 = inferred, [H, 2H]; everything, unless given with the panorama.
+            coverage: computed from `observed` unless given.
+            frame: index of the last frame that contributed.
+            name: of a tracked probe.
+            etag: a server's identity of this light.
+            forms: what a server sent.
+            source: computes the panoramas once, when the first is needed.
 
         Raises:
-            ValueError: neither `panorama` nor `forms` is given.
+            ValueError: none of `panorama`, `forms` and `source` is given.
         """
-        if panorama is None and forms is None:
-            raise ValueError("a light is made from a panorama or from forms; got neither")
+        if panorama is None and forms is None and source is None:
+            raise ValueError("a light is made from a panorama, from forms or from a source; got none of them")
         if panorama is not None and observed is None:
             observed = np.ones(panorama.shape[:2], np.float32)
         if coverage is None:
             coverage = 0.0 if observed is None else coverage_of(observed)
         self.position: Final = position
         self.coverage: Final = coverage
-        self.frame: Final = frame
-        self.name: Final = name
-        self.etag: Final = etag
+        self.frame, self.name, self.etag = frame, name, etag
+        self.use: LightUse = "lighting"
         self._forms = forms
-        self._panorama = panorama
+        self._source = source if panorama is None else GivenPanorama(panorama)
+        self._compute = None if self._source is None else cache(self._source.panoramas)  # one run for both uses
+        self._received: dict[LightUse, Float[np.ndarray, "h w 3"]] = {}
         self._observed = observed
-        self._tracked: TrackedLights | None = None
 
-    def with_lights(self, tracked: TrackedLights) -> "Light":
-        """Return this light with the main light and lights that a session followed from frame to frame."""
+    def used_for(self, use: LightUse) -> "Light":
+        """Return this light with all forms of a use: `lighting`, or `reflection` for what is seen in a mirror.
+
+            light.used_for("reflection").cube(size=128)  # a cube map for sharp reflections
+
+        Raises:
+            OptionError: there is no such use.
+        """
+        if use not in get_args(LightUse):
+            raise OptionError(f"use must be one of {', '.join(get_args(LightUse))}; got {use!r}")
+        if use == self.use:
+            return self
         result = copy(self)
-        for name in ("main_light", "lights", "ambient"):  # computed from the panorama before
+        for name in ("main_light", "lights", "harmonics", "ambient"):  # computed for the other use
             result.__dict__.pop(name, None)
-        result._tracked = tracked
+        result.use = use
         return result
 
+    def labelled(self, *, frame: int, name: str | None, etag: str | None) -> "Light":
+        """Return this light with another frame index, name and ETag, as a server answers it."""
+        result = copy(self)
+        result.frame, result.name, result.etag = frame, name, etag
+        return result
+
+    def digest(self) -> str:
+        """Return an identity of this light, without computing it: equal light has the same, to the bit.
+
+        Raises:
+            ValueError: the light came from a server; its `etag` is its identity.
+        """
+        if self._source is None:
+            raise ValueError("a light from a server has its etag for an identity, and no digest")
+        observed = b"" if self._observed is None else np.ascontiguousarray(self._observed).tobytes()
+        return hashlib.sha256(self._source.digest().encode() + observed).hexdigest()[:24]
+
     @property
-    def tracked_lights(self) -> TrackedLights | None:
-        """What `with_lights` set; None for a point that is not tracked."""
-        return self._tracked
+    def _tracked(self) -> TrackedLights | None:
+        return None if self._compute is None or self.use != "lighting" else self._compute().tracked
 
     @property
     def is_prior(self) -> bool:
@@ -163,15 +261,21 @@ class Light:
 
     @property
     def panorama(self) -> Float[np.ndarray, "h w 3"]:
-        """Equirectangular radiance [H, 2H, 3], float32 linear RGB, world-aligned.
+        """Equirectangular radiance [H, 2H, 3], float32 linear RGB, world-aligned: what lights a thing (`use`).
 
         Raises:
             RoomLightError: it was not requested from the server.
         """
-        panorama = self._find_panorama()
-        if panorama is None:
-            raise self._missing("npy", "'npy'")
-        return panorama
+        return self._panorama_for("npy")
+
+    @property
+    def reflection(self) -> Float[np.ndarray, "h w 3"]:
+        """The radiance that is seen from here, in a mirror or behind things: the best guess of each direction.
+
+        Raises:
+            RoomLightError: it was not requested from the server.
+        """
+        return self.used_for("reflection")._panorama_for("npy")
 
     @property
     def observed(self) -> Float[np.ndarray, "h w"]:
@@ -184,7 +288,7 @@ class Light:
         """
         observed = self._find_observed()
         if observed is None:
-            raise self._missing("confidence", "'confidence'")
+            raise self._missing("confidence", self._request("confidence"))
         return observed
 
     @cached_property
@@ -197,12 +301,12 @@ class Light:
         Raises:
             RoomLightError: neither it nor the panorama was requested from the server.
         """
-        received = None if self._forms is None else self._forms.main_light()
+        received = None if self._forms is None else self._forms.main_light(self.use)
         if received is not None:
             return received
         if self._tracked is not None:
             return self._tracked.main
-        self._panorama_for("main_light", "'main_light'")
+        self._panorama_for("main_light")
         return self.lights[0] if self.lights else no_light()
 
     @cached_property
@@ -215,12 +319,12 @@ class Light:
         Raises:
             RoomLightError: neither the main light nor the panorama was requested from the server.
         """
-        received = None if self._forms is None else self._forms.lights()
+        received = None if self._forms is None else self._forms.lights(self.use)
         if received is not None:
             return received
         if self._tracked is not None:
             return self._tracked.sources
-        return find_lights(self._panorama_for("lights", "'main_light'"))
+        return find_lights(self._panorama_for("main_light", "lights"))
 
     @cached_property
     def harmonics(self) -> SphericalHarmonics:
@@ -249,11 +353,11 @@ class Light:
             OptionError: no cube map of this size is made.
             RoomLightError: neither it nor the panorama was requested from the server.
         """
-        received = None if self._forms is None else self._forms.cube(size)
+        received = None if self._forms is None else self._forms.cube(size, self.use)
         if received is not None:
             return received
         size = DEFAULT_SIZE if size is None else size
-        return CubeMap.from_panorama(self._panorama_for("cube", f"LightForm(format='cube', size={size})"), size=size)
+        return CubeMap.from_panorama(self._panorama_for("cube", size=size), size=size)
 
     def specular(self, *, size: int | None = None) -> SpecularMips:
         """Return the cube map prefiltered for rough surfaces, a level per roughness; 10 ms at size 32, 1 s at 256.
@@ -264,24 +368,38 @@ class Light:
         """
         return prefilter(self.cube(size=size))
 
-    def file(self, file_format: FileFormat, *, size: int | None = None, exposure_ev: float = 0.0) -> bytes:
+    def file(
+        self,
+        file_format: FileFormat,
+        *,
+        size: int | None = None,
+        exposure_ev: float = 0.0,
+        use: LightUse | None = None,
+    ) -> bytes:
         """Encode the light as the bytes of a file.
 
-        size:         rows of the panorama for exr, hdr, png, npy and confidence (default: as computed); pixels of a
-                      face for cube, ktx2 and specular (default 32).
-        exposure_ev:  for png: radiance 2^-exposure_ev is white.
+        Args:
+            file_format: see `FileFormat`.
+            size: rows of the panorama for exr, hdr, png, npy and confidence (default: as computed); pixels of a face
+                for cube, ktx2 and specular (default 32).
+            exposure_ev: for png: radiance 2^-exposure_ev is white.
+            use: lighting or reflection; default: this light's own (lighting), and reflection for png.
 
-        Without these two options, a form that a server sent is returned as it came. The alpha channel of cube and ktx2
+        Without size and exposure, a form that a server sent is returned as it came. The alpha channel of cube and ktx2
         is `observed`, and 1 if the light came without it.
 
         Raises:
-            OptionError: no such format, size or exposure.
+            OptionError: no such format, size, exposure or use.
             RoomLightError: neither this form nor the panorama was requested from the server.
         """
         if file_format not in get_args(FileFormat):
             raise OptionError(f"file format must be {', '.join(get_args(FileFormat))}; got {file_format!r}")
+        wanted = use or (use_of(file_format) if self.use == "lighting" else self.use)
+        return self.used_for(wanted)._file(file_format, size, exposure_ev)
+
+    def _file(self, file_format: FileFormat, size: int | None, exposure_ev: float) -> bytes:
         if self._forms is not None and size is None and exposure_ev == 0:
-            received = self._forms.file(file_format)
+            received = self._forms.file(file_format, self.use)
             if received is not None:
                 return received
         if file_format == "specular":
@@ -297,10 +415,10 @@ class Light:
             observed = np.repeat(self.observed[..., None], 3, axis=-1)
             observed = resize_panorama(observed, len(observed) if size is None else size)[..., 0]
             return confidence_png(np.clip(observed, 0, 1))
-        panorama = self._panorama_for(file_format, f"'{file_format}'")
+        panorama = self._panorama_for(file_format)
         panorama = resize_panorama(panorama, len(panorama) if size is None else size)
         if file_format == "exr":
-            return to_exr(panorama, metadata={"roomlight:coverage": f"{self.coverage:.4f}"})
+            return to_exr(panorama, metadata={"roomlight:coverage": f"{self.coverage:.4f}", "roomlight:use": self.use})
         if file_format == "hdr":
             return to_hdr(panorama)
         if file_format == "png":
@@ -323,16 +441,20 @@ class Light:
             "conventions": _CONVENTIONS,
         }
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, *, use: LightUse | None = None) -> None:
         """Write the light to a file; its suffix says how. The file appears complete or not at all.
 
-        .exr, .hdr:  the panorama for renderers: half floats, or Radiance RGBE.
-        .png:        the panorama to look at: 8-bit sRGB, 1.0 is white.
+        .exr, .hdr:  the panorama for renderers, as a dome light: half floats, or Radiance RGBE.
+        .png:        the panorama that is seen, to look at: 8-bit sRGB, 1.0 is white.
         .ktx2:       a cube map of half floats with faces of 32 pixels.
         .json:       `to_json`.
 
+        Args:
+            path: of the file.
+            use: lighting or reflection instead of the suffix's own.
+
         Raises:
-            OptionError: the suffix is none of these.
+            OptionError: the suffix or the use is none of these.
             OutputError: the file cannot be written.
             RoomLightError: neither this form nor the panorama was requested from the server.
         """
@@ -341,9 +463,9 @@ class Light:
         if file_format is None:
             raise OptionError(f"{path}: light is saved as {', '.join(SAVED_AS)}; got the suffix {path.suffix!r}")
         if file_format == "json":
-            write_json(path, self.to_json())
+            write_json(path, (self if use is None else self.used_for(use)).to_json())
         else:
-            write_atomic(path, self.file(file_format))
+            write_atomic(path, self.file(file_format, use=use))
 
     def __repr__(self) -> str:
         x, y, z = self.position
@@ -353,13 +475,18 @@ class Light:
 
     def _repr_png_(self) -> bytes | None:
         """Return the tone-mapped panorama for a notebook; None where there is no panorama to show."""
-        panorama = self._find_panorama()
+        panorama = self.used_for("reflection")._find_panorama()
         return None if panorama is None else to_png(panorama)
 
     def _find_panorama(self) -> Float[np.ndarray, "h w 3"] | None:
-        if self._panorama is None and self._forms is not None:
-            self._panorama = self._forms.panorama()
-        return self._panorama
+        if self._compute is not None:
+            computed = self._compute()
+            return computed.lighting if self.use == "lighting" else computed.reflection
+        if self.use not in self._received and self._forms is not None:
+            received = self._forms.panorama(self.use)
+            if received is not None:
+                self._received[self.use] = received
+        return self._received.get(self.use)
 
     def _find_observed(self) -> Float[np.ndarray, "h w"] | None:
         if self._observed is None and self._forms is not None:
@@ -367,17 +494,23 @@ class Light:
         return self._observed
 
     def _harmonics(self, kind: HarmonicsKind) -> SphericalHarmonics:
-        received = None if self._forms is None else self._forms.harmonics(kind)
+        received = None if self._forms is None else self._forms.harmonics(kind, self.use)
         if received is not None:
             return received
-        panorama = self._panorama_for(f"sh of kind {kind}", f"LightForm(format='sh', kind='{kind}')")
+        panorama = self._panorama_for("sh", f"sh of kind {kind}", kind=kind)
         return project(panorama, kind=kind, light=self.main_light if kind == "ambient" else None)
 
-    def _panorama_for(self, form: str, request: str) -> Float[np.ndarray, "h w 3"]:
+    def _panorama_for(self, form: str, label: str | None = None, **options: object) -> Float[np.ndarray, "h w 3"]:
+        """Return the panorama, or raise the error that names the form (`label`) and says how to request it."""
         panorama = self._find_panorama()
         if panorama is None:
-            raise self._missing(form, request)
+            raise self._missing(label or form, self._request(form, **options))
         return panorama
+
+    def _request(self, form: str, **options: object) -> str:
+        options |= {} if use_of(form) == self.use else {"use": self.use}
+        named = "".join(f", {name}={value!r}" for name, value in options.items())
+        return f"LightForm(format={form!r}{named})" if named else repr(form)
 
     def _missing(self, form: str, request: str) -> RoomLightError:
         assert self._forms is not None, "a light without forms has a panorama and what was observed of it"

@@ -143,6 +143,35 @@ def find_lights(panorama: Float[np.ndarray, "h w 3"]) -> tuple[MainLight, ...]:
     return rank(found)
 
 
+def lights_of(panorama: Float[np.ndarray, "h w 3"]) -> TrackedLights:
+    """Return the lights of one panorama, the first of them as the main light."""
+    lights = find_lights(panorama)
+    return TrackedLights(next(iter(lights), no_light()), lights)
+
+
+def relit(
+    tracked: TrackedLights, *, before: Float[np.ndarray, "h w 3"], after: Float[np.ndarray, "h w 3"]
+) -> TrackedLights:
+    """Return tracked lights as strong as another panorama of the same place has them.
+
+    Directions, sizes and numbers stay. Where a light was fading in or out, it fades as much in the other panorama.
+
+    Args:
+        tracked: lights followed in `before`.
+        before: linear RGB [H, 2H, 3].
+        after: the same place in other light, [H, 2H, 3].
+    """
+    seen, lit = _Surroundings.of(before), _Surroundings.of(after)
+
+    def measured(light: MainLight) -> MainLight:
+        full = float(seen.intensity(light.direction) @ LUMINANCE)
+        share = min(float(light.intensity @ LUMINANCE) / full, 1.0) if full > 0 else 0.0
+        changed = replace(light, intensity=share * lit.intensity(light.direction))
+        return replace(changed, shadow_strength=lit.shadow_strength(changed))
+
+    return TrackedLights(measured(tracked.main), tuple(measured(light) for light in tracked.sources))
+
+
 def rank(lights: list[MainLight]) -> tuple[MainLight, ...]:
     """Order lights by weight and number them."""
     ordered = sorted(lights, key=lambda light: -light.weight)
@@ -191,6 +220,35 @@ class _Pixels:
         """Return the pixel of a panorama of `rows` rows that each pixel lies in."""
         row, column = np.divmod(self.index, 2 * self.rows)
         return row * rows // self.rows * 2 * rows + column * rows // self.rows
+
+
+@dataclass(frozen=True)
+class _Surroundings:
+    """A panorama as light about given directions."""
+
+    pixels: _Pixels
+    coarse: Float[np.ndarray, " n"]
+    search: "_Search"
+
+    @staticmethod
+    def of(panorama: Float[np.ndarray, "h w 3"]) -> "_Surroundings":
+        panorama = np.maximum(check_panorama(panorama), 0)
+        coarse = resize_panorama(panorama, min(len(panorama), _SEARCH_ROWS)) @ LUMINANCE
+        search = _Search.of_rows(len(coarse))
+        coarse = coarse.reshape(-1)
+        mean = float(_dot(coarse, search.solid_angle)) / (4 * np.pi)
+        return _Surroundings(
+            _Pixels.above(panorama, level=_median(coarse, search.solid_angle), mean=mean), coarse, search
+        )
+
+    def intensity(self, direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Return the irradiance RGB of the lobe about a direction, on a surface that faces it."""
+        share = _lobe(_along(self.pixels.rays, direction))
+        return np.einsum("i,ij->j", share * self.pixels.excess, self.pixels.radiance)
+
+    def shadow_strength(self, light: MainLight) -> float:
+        """Return the light's share of the irradiance on a surface that faces it."""
+        return self.search.shadow_strength(light, self.coarse)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ WirePosition = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 ModelName = Literal["auto", "classical", "single", "video"]
 LightFormat = Literal["exr", "hdr", "png", "npy", "cube", "ktx2", "specular", "sh", "main_light", "confidence"]
 HarmonicsKind = Literal["total", "ambient"]
+LightUse = Literal["lighting", "reflection"]
 HarmonicsBasis = Literal["arcore", "arkit", "threejs"]
 CUBE_FORMATS: Final = ("cube", "ktx2", "specular")
 FACE_SIZES: Final = (16, 32, 64, 128, 256)
@@ -92,6 +93,8 @@ class LightForm(WireModel):
         basis: for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
             phase), threejs (27 interleaved, all signs positive).
         exposure_ev: for png: radiance 2^-exposure_ev is white.
+        use: lighting, what lights a thing, or reflection, what is seen in a mirror and behind things; default:
+            reflection for png, lighting for all others.
     """
 
     format: LightFormat
@@ -99,6 +102,7 @@ class LightForm(WireModel):
     kind: HarmonicsKind = "total"
     basis: HarmonicsBasis = "arcore"
     exposure_ev: Annotated[float, Field(ge=-16, le=16, allow_inf_nan=False)] = 0.0
+    use: LightUse | None = None
 
     @model_validator(mode="after")
     def _check_face_size(self) -> "LightForm":
@@ -137,10 +141,12 @@ class EncodedLight(WireModel):
         values: the numbers of sh and main_light.
         data: the bytes of the other formats in base64, in plain JSON.
         bytes: the number of bytes of the other formats, in a binary light message.
+        use: lighting or reflection; null: that of the format, see `LightForm`.
     """
 
     format: LightFormat
     media_type: str
+    use: LightUse | None = None
     values: dict[str, Any] | None = None
     data: str | None = None
     bytes: int | None = None

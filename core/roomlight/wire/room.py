@@ -74,7 +74,7 @@ class CameraView(WireModel):
 
 
 class HistoryLight(WireModel):
-    """A light at a probe, with the values of the form `main_light`."""
+    """A light at a probe, with the fields of the form `main_light`, as strong as in the session's own estimate."""
 
     direction: list[FiniteNumber]
     intensity: list[FiniteNumber]

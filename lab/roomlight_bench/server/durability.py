@@ -34,7 +34,6 @@ from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_message import FrameLimits
 from roomlight.wire.messages import ModelName
 from roomlight_bench.server.server_process import ServerProcess
-from roomlight_server.answers.light_forms import digest_of_light
 from roomlight_server.work.decode_worker import decode_to_box
 from roomlight_server.work.intake import parse_frame
 
@@ -171,8 +170,7 @@ class _Uninterrupted:
         self._next = index + 1
         found: dict[str, str] = {}
         for name, handle in self._handles.items():
-            light = self._session.light(handle)
-            found[name] = digest_of_light(light.panorama, light.observed, light.tracked_lights)
+            found[name] = self._session.light(handle).digest()
         return found
 
 

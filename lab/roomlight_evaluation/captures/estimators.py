@@ -61,7 +61,7 @@ class EngineEstimator:
     def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
         """Return the panorama [h, 2h, 3] at a point after the frames so far."""
         if self._late:
-            return self._session.light_at(position).panorama
+            return self._session.light_at(position).reflection
         return self._tracked(position, self._handles)
 
     def late_light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
@@ -71,7 +71,7 @@ class EngineEstimator:
     def _tracked(self, position: Position, handles: dict[Position, int]) -> Float[np.ndarray, "h w 3"]:
         if position not in handles:
             handles[position] = self._session.track(position)
-        return self._session.light(handles[position]).panorama
+        return self._session.light(handles[position]).reflection
 
 
 class PredictionFolder:

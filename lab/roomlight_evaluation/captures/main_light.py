@@ -193,7 +193,7 @@ def _score_capture(
             cube = CubeMap.from_panorama(np.minimum(baseline.light_at(position), 1), size=CUBE_PIXELS)
             directions = (
                 light.main_light.direction,
-                main_light(light.panorama).direction,
+                main_light(light.reflection).direction,
                 harmonics_direction(cube),
                 peak_direction(cube),
             )

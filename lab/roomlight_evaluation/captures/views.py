@@ -230,7 +230,7 @@ def _score_view(name: str, frame: Frame, reference: Session, estimators: Sequenc
     x, y, z = (float(value) for value in frame.camera_to_world[:3, 3])
     light = reference.light_at((x, y, z))
     panoramas = {estimator.name: estimator.light_at((x, y, z)) for estimator in estimators}
-    panoramas[REFERENCE] = light.panorama
+    panoramas[REFERENCE] = light.reflection
     seen = light.observed >= 0.5
     scores: list[ViewScore] = []
     for region, where in zip(REGIONS, (view.shown & seen, view.shown & ~seen), strict=True):

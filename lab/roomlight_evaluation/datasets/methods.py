@@ -88,7 +88,7 @@ class EngineMethod:
         """Estimate panoramas at the positions from this frame alone, in a new session."""
         session = Session(self.options, graphs=self.graphs)
         session.push(frame)
-        lights = {self.name: [session.light_at(position).panorama for position in positions]}
+        lights = {self.name: [session.light_at(position).reflection for position in positions]}
         if self.unblended_name is not None:
             assert session.sglv is not None  # a session has its volume from the first frame on
             lights[self.unblended_name] = [

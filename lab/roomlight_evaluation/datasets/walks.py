@@ -118,7 +118,7 @@ class FrameAlone:
     def light_at(self, position: Position) -> Panorama:
         """Return the panorama [h, 2h, 3] at a point, of the last frame alone."""
         if position not in self._answers:
-            self._answers[position] = self._session.light_at(position).panorama
+            self._answers[position] = self._session.light_at(position).reflection
         return self._answers[position]
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.captures import open_capture
-from roomlight.compositing.light.object_light import object_light
 from roomlight.conventions import Position
 from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
@@ -172,10 +171,10 @@ def _score(
         }
         found = {method: objects.errors(panorama) for method, panorama in lights.items()}
         for model, own in zip(models, handles, strict=True):
-            found[model.model] = objects.errors(model.light(own[number]).panorama)
-            light = object_light(model, own[number])
-            lit, casting = objects.errors(light.shown), objects.errors(light.casting)
-            found[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": casting["mirror"], SHADOW: casting[SHADOW]}
+            found[model.model] = objects.errors(model.panorama_state(own[number]).radiance)
+            light = model.light(own[number])
+            lit, mirrored = objects.errors(light.panorama), objects.errors(light.reflection)
+            found[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": mirrored["mirror"], SHADOW: mirrored[SHADOW]}
         for method, one in found.items():
             errors.setdefault(method, []).append(one)
     means = {

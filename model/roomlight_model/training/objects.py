@@ -18,9 +18,9 @@ from jaxtyping import Float, Float16, Float32
 from torch import Tensor
 from torch.nn import functional
 
-from roomlight.compositing.light.object_light import OBJECT_PANELS, object_panels
 from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.dataset.loader import Dataset
+from roomlight.engine.lighting import LIGHTING_PANELS, lighting_panels
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.options import ModelName
 from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
@@ -84,7 +84,7 @@ class ProbePanels:
     """What streams have shown probes, and the true light there, at the network's resolution.
 
     Attributes:
-        panels: As `roomlight.compositing.light.object_light.object_panels`.
+        panels: As `roomlight.engine.lighting.lighting_panels`.
         truth: Linear RGB in the units of the panels.
     """
 
@@ -249,13 +249,13 @@ def panels_batch(examples: ProbePanels, rng: np.random.Generator | None = None) 
             both[:, first : first + 3] *= gains
         both[:, 9:10] *= gains.mean(axis=1, keepdims=True)
     stacked = torch.from_numpy(np.ascontiguousarray(both))
-    return PanelsBatch(stacked[:, :OBJECT_PANELS], stacked[:, OBJECT_PANELS:])
+    return PanelsBatch(stacked[:, :LIGHTING_PANELS], stacked[:, LIGHTING_PANELS:])
 
 
 def object_lights(
     network: torch.nn.Module, panels: Float32[Tensor, "b 10 h w"]
 ) -> tuple[Float32[Tensor, "b 3 h w"], Float32[Tensor, "b 3 h w"]]:
-    """Return the light of objects, and that of their shadows, as the engine's (`ObjectLightModel.light`)."""
+    """Return the light of objects, and that of their shadows, as the engine's (`LightingModel.light`)."""
     with torch.autocast("cpu", dtype=torch.bfloat16, enabled=torch.is_grad_enabled()):
         changes = network(panels)
     known, guessed, light = panels[:, 3:4], panels[:, 9:10], panels[:, 6:9]
@@ -348,7 +348,9 @@ def _stream(
             return panels
         if number in moments:
             for handle, truth in zip(handles, example.truth, strict=True):
-                panels.append((object_panels(session.panorama_state(handle)).astype(np.float16), reduced_truth(truth)))
+                panels.append(
+                    (lighting_panels(session.panorama_state(handle)).astype(np.float16), reduced_truth(truth))
+                )
     return panels
 
 

@@ -17,6 +17,7 @@ from roomlight.wire.messages import (
     LightFormat,
     LightRequest,
     LightResponse,
+    LightUse,
     ProbeBody,
     ProbeLight,
     ProbeQuery,
@@ -79,6 +80,10 @@ _BATCH: Final[dict[str, Any]] = {
 _Metres = Annotated[float, Query(ge=-1000, le=1000, allow_inf_nan=False, description="World coordinate in metres.")]
 _Format = Annotated[LightFormat, Query()]
 _Size = Annotated[int | None, Query(ge=8, le=512, description="Panorama height, or width of a cube face.")]
+_Use = Annotated[
+    LightUse | None,
+    Query(description="Lights a thing, or is seen in a mirror; default: reflection for png, else lighting."),
+]
 _Ev = Annotated[float, Query(ge=-16, le=16, allow_inf_nan=False, description="png: radiance 2^-ev is white.")]
 
 
@@ -101,12 +106,13 @@ async def probe(
     kind: HarmonicsKind = "total",
     basis: HarmonicsBasis = "arcore",
     exposure_ev: _Ev = 0.0,
+    use: _Use = None,
 ) -> Response:
     """Return the light at any position, computed from the keyframes of the session.
 
     Before the first frame this is the default light: grey, brighter from above, coverage 0, frame -1.
     """
-    form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev)
+    form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev, use=use)
     held.add(memory_of(live, 1, max_bytes(form, live.request.height)))
     answer = _answer_one(live, context.workers, request, ProbeQuery(position=[x, y, z]), form)
     return await until_gone(request, answer)
@@ -129,9 +135,10 @@ async def named_probe(
     kind: HarmonicsKind = "total",
     basis: HarmonicsBasis = "arcore",
     exposure_ev: _Ev = 0.0,
+    use: _Use = None,
 ) -> Response:
     """Return the light at a named probe. It is updated with every frame, so this is the best light, without delay."""
-    form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev)
+    form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev, use=use)
     held.add(memory_of(live, 1, max_bytes(form, live.request.height)))
     return await until_gone(request, _answer_one(live, context.workers, request, ProbeQuery(name=name), form))
 

@@ -9,10 +9,10 @@ from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.session import FrameReport, Session
 from roomlight.light.light import Light
 from roomlight.wire.messages import ProbeQuery
-from roomlight_server.answers.light_forms import default_panorama, digest_of_light
+from roomlight_server.answers.light_forms import default_panorama
 from roomlight_server.base.problems import ProblemError, convert_probe_errors
 from roomlight_server.sessions.engine_access import EngineAccess
-from roomlight_server.sessions.session_parts import LightCache, Limits, NamedProbe, finished_light
+from roomlight_server.sessions.session_parts import LightCache, Limits, NamedProbe
 from roomlight_server.state.live_state import SavedProbe
 from roomlight_server.work.workers import Workers
 
@@ -106,9 +106,8 @@ class SessionLighting:
         else:
             async with self._workers.engine_slot():
                 found = await convert_probe_errors(self._workers.read_in_engine_pool(engine.light_at, position))
-        tracked = found.tracked_lights
-        etag = await self._workers.run_in_decode_pool(digest_of_light, found.panorama, found.observed, tracked)
-        light = finished_light(found, name=name, frame=self.frame, etag=etag)
+        etag = await self._workers.run_in_decode_pool(found.digest)
+        light = found.labelled(name=name, frame=self.frame, etag=etag)
         self._cache.put(light)
         return light
 
@@ -158,7 +157,7 @@ class SessionLighting:
     @property
     def light_bytes(self) -> int:
         """Memory of one light."""
-        return 16 * 2 * self._height**2  # float32 radiance and observed
+        return 68 * 2 * self._height**2  # float32: what the probe has accumulated, and two panoramas
 
     @property
     def cached_bytes(self) -> int:

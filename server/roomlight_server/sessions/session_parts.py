@@ -125,12 +125,6 @@ class LightCache:
         self._lights.clear()
 
 
-def finished_light(found: Light, *, name: str | None, frame: int, etag: str) -> Light:
-    """Return a light of the engine with its name, its frame and its identity."""
-    light = Light(found.position, found.panorama, found.observed, found.coverage, frame=frame, name=name, etag=etag)
-    return light if found.tracked_lights is None else light.with_lights(found.tracked_lights)
-
-
 def volume_of(engine: Session | None) -> Volume | None:
     """Return the box of a session's volume; None before the first frame and after the end."""
     grid = None if engine is None else engine.grid

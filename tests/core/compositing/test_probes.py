@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from roomlight.compositing.light.object_light import object_light
 from roomlight.compositing.light.probes import ObjectProbes
 from roomlight.compositing.light.temporal import LIGHT_S
 from roomlight.engine.session import Session, SessionOptions
@@ -34,10 +33,10 @@ def test_objects_and_their_shadows_have_a_light_each(session):
     probes = ObjectProbes(session)
     probes.add(PLACES[:1])
     at = position(PLACES[0])
-    light = object_light(session, session.track(at))
-    shown, casting = probes.at(at).panorama, probes.casting_at(at).panorama
-    assert_array_equal(casting, light.casting)
-    assert_array_equal(shown, light.shown)
+    light = session.light(session.track(at))
+    shown, casting = probes.at(at).panorama, probes.reflection_at(at).panorama
+    assert_array_equal(casting, light.reflection)
+    assert_array_equal(shown, light.panorama)
     assert shown.mean() > 1.1 * casting.mean()  # the floor is seen, and the lamp is not
 
 
@@ -51,7 +50,7 @@ def test_mirrors_show_the_light_that_casts_shadows(session, room):
     for lights in (first, probes.lights()):
         environment = lights.environment
         assert (environment.radiance != environment.mirrored).any()
-    assert_array_equal(environment.mirrored[0], probes.casting_at(position(PLACES[0])).panorama)
+    assert_array_equal(environment.mirrored[0], probes.reflection_at(position(PLACES[0])).panorama)
     assert_array_equal(environment.radiance[0], probes.at(position(PLACES[0])).panorama)
 
 
@@ -62,9 +61,9 @@ def test_both_follow_the_session(session, room):
     session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=25.0), width=64, height=48))
     assert probes.advance(20 * LIGHT_S)
     for place, handle in zip(PLACES, handles, strict=True):
-        at, light = position(place), object_light(session, handle)
-        assert_allclose(probes.casting_at(at).panorama, light.casting, rtol=1e-3, atol=1e-3)
-        assert_allclose(probes.at(at).panorama, light.shown, rtol=1e-3, atol=1e-3)
+        at, light = position(place), session.light(handle)
+        assert_allclose(probes.reflection_at(at).panorama, light.reflection, rtol=1e-3, atol=1e-3)
+        assert_allclose(probes.at(at).panorama, light.panorama, rtol=1e-3, atol=1e-3)
     assert not probes.advance(20 * LIGHT_S)
 
 
@@ -73,12 +72,12 @@ def test_light_that_is_given_lights_objects_and_casts_their_shadows(session):
     probes = ObjectProbes(session, lambda _: given)
     probes.add(PLACES[:1])
     at = position(PLACES[0])
-    assert probes.at(at) is probes.casting_at(at)
+    assert probes.at(at) is probes.reflection_at(at)
     assert_array_equal(probes.at(at).panorama, given)
     assert_array_equal(probes.lights().environment.mirrored[0], given)
     probes.close()
     probes.add(PLACES[:1])
-    assert probes.at(at) is probes.casting_at(at)
+    assert probes.at(at) is probes.reflection_at(at)
 
 
 def test_probes_are_given_back(session):

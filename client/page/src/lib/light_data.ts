@@ -6,7 +6,7 @@ import type { ProbeLight } from "../state";
 
 /** The forms of each probe that the page asks for. */
 export const FORMS: readonly LightForm[] = [
-  { format: "hdr" },
+  { format: "hdr", use: "reflection" }, // shown as a panorama and in mirror spheres
   { format: "confidence" },
   { format: "main_light" },
   { format: "sh", basis: "threejs" },

@@ -1,6 +1,6 @@
 // The virtual objects in the 3D view, each lit by the server's panorama at its place.
 
-import { findForm, parseHdr, type Light, type Position } from "roomlight";
+import { findFormFor, parseHdr, type Light, type Position } from "roomlight";
 import { environmentTexture } from "roomlight/three";
 import { MeshStandardMaterial, type Group, type Texture } from "three";
 import { timed } from "../lib/parts";
@@ -110,12 +110,13 @@ export class RoomObjects {
   }
 
   private apply(one: Shown, light: Light): void {
-    const form = findForm(light, "hdr");
-    if (!form?.data || light.etag === one.etag || this.shown.get(one.object.name) !== one) {
+    const form = findFormFor("lighting", light, "hdr");
+    const seen = findFormFor("reflection", light, "hdr");
+    if (!form?.data || !seen?.data || light.etag === one.etag || this.shown.get(one.object.name) !== one) {
       return;
     }
     one.etag = light.etag;
-    const { data } = form;
+    const { data } = seen;
     timed("light of an object", () => {
       const materials = [...materialsOf(one.group)];
       if (materials.some((material) => material instanceof MeshStandardMaterial)) {

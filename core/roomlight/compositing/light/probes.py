@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.compositing.light.lighting import LightSampler, ProbeSet
-from roomlight.compositing.light.object_light import object_light
 from roomlight.compositing.light.temporal import EasedLight
 from roomlight.conventions import Position
 from roomlight.engine.session import Session
@@ -54,14 +53,17 @@ def path_probes(positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]
 
 
 class ObjectProbes:
-    """Tracked probes of all objects of a scene, with the light of `object_light`."""
+    """Tracked probes of all objects of a scene, with a session's light for both uses.
+
+    Matte and glossy surfaces are lit by `Light.panorama`; mirrors show `Light.reflection`, which also casts shadows.
+    """
 
     def __init__(self, session: Session, light: LightAt | None = None) -> None:
         """Begin without probes; `light` replaces the session's, does not change over time and is used as it is."""
         self._session, self._light = session, light
         self._handles: list[int] = []
-        self._shown = _EasedLights()
-        self._casting = self._shown if light is not None else _EasedLights()
+        self._lighting = _EasedLights()
+        self._reflection = self._lighting if light is not None else _EasedLights()
         self._joined: tuple[ProbeSet, ProbeSet, ProbeSet] | None = None
         self._frames = 0
         self._waiting_s = 0.0
@@ -76,11 +78,11 @@ class ObjectProbes:
             handle = self._session.track((x, y, z))
             self._handles.append(handle)
             if self._light is not None:
-                self._shown.add((x, y, z), self._light((x, y, z)))
+                self._lighting.add((x, y, z), self._light((x, y, z)))
             else:
-                found = object_light(self._session, handle)
-                self._shown.add((x, y, z), found.shown)
-                self._casting.add((x, y, z), found.casting)
+                light = self._session.light(handle)
+                self._lighting.add((x, y, z), light.panorama)
+                self._reflection.add((x, y, z), light.reflection)
         self._frames = self._session.frames
 
     def advance(self, elapsed_s: float, *, every_s: float = 0.0) -> bool:
@@ -94,40 +96,40 @@ class ObjectProbes:
             return False
         if self._session.frames != self._frames and self._light is None:
             for number, handle in enumerate(self._handles):
-                found = object_light(self._session, handle)
-                self._shown.aim(number, found.shown)
-                self._casting.aim(number, found.casting)
+                light = self._session.light(handle)
+                self._lighting.aim(number, light.panorama)
+                self._reflection.aim(number, light.reflection)
             self._frames = self._session.frames
-        changed = self._shown.advance(self._waiting_s)
-        if self._casting is not self._shown:
-            changed |= self._casting.advance(self._waiting_s)
+        changed = self._lighting.advance(self._waiting_s)
+        if self._reflection is not self._lighting:
+            changed |= self._reflection.advance(self._waiting_s)
         self._waiting_s = 0.0
         return changed
 
     def lights(self) -> ProbeSet:
         """Return the probes as the renderer takes them."""
-        shown, casting = self._shown.lights(), self._casting.lights()
-        if shown is casting:
-            return shown
-        if self._joined is None or self._joined[0] is not shown or self._joined[1] is not casting:
-            self._joined = shown, casting, ProbeSet(shown.samplers, mirrored=casting.samplers)
+        lighting, reflection = self._lighting.lights(), self._reflection.lights()
+        if lighting is reflection:
+            return lighting
+        if self._joined is None or self._joined[0] is not lighting or self._joined[1] is not reflection:
+            self._joined = lighting, reflection, ProbeSet(lighting.samplers, mirrored=reflection.samplers)
         return self._joined[2]
 
     def at(self, position: Position) -> LightSampler:
         """Return the light at a position, mixed from the probes around it."""
-        return self._shown.at(position)
+        return self._lighting.at(position)
 
-    def casting_at(self, position: Position) -> LightSampler:
+    def reflection_at(self, position: Position) -> LightSampler:
         """Return the light that casts the shadows of objects at a position."""
-        return self._casting.at(position)
+        return self._reflection.at(position)
 
     def close(self) -> None:
         """Stop tracking."""
         for handle in self._handles:
             self._session.untrack(handle)
         self._handles.clear()
-        self._shown.clear()
-        self._casting.clear()
+        self._lighting.clear()
+        self._reflection.clear()
 
 
 class _EasedLights:

@@ -1,4 +1,4 @@
-"""Panels of a probe's panorama: the input of a network that changes its light (`compositing.light.object_light`).
+"""Panels of a probe's panorama: the input of a network that changes its light (`engine.lighting`).
 
 A network sees the panorama that the frames of the stream make together, never its own results, so that nothing that it
 inferred can grow by being looked at. Its output is the change of log(1 + L), per channel, at the panels' size. One run

@@ -1,4 +1,4 @@
-"""The light of objects: what was measured stays, the rest is changed by the network, twice."""
+"""Light by its use: what was measured stays, the rest is changed by the network, once for each use."""
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -9,19 +9,19 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from part_models import write_part
 from roomlight.captures import open_capture
-from roomlight.compositing.light.object_light import (
-    OBJECT_PANELS,
-    ObjectLightModel,
-    free_share,
-    object_light,
-    object_panels,
-)
 from roomlight.conventions import LUMINANCE
+from roomlight.engine.lighting import (
+    LIGHTING_PANELS,
+    LightingModel,
+    lighting_panels,
+    unmeasured_share,
+)
 from roomlight.engine.networks.graphs import load_part
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError
+from roomlight.light.main_light import main_light
 from roomlight.sample import sample_capture
 from roomlight_evaluation.objects.lit_objects import SPHERES, LitObjects
 from rooms import BoxRoom, camera_at
@@ -40,17 +40,17 @@ def state_of(rows: int = 120, *, seed: int = 0) -> PanoramaState:
     return state
 
 
-def known_model(folder: Path, *, constant: float = 0.0, image: float = 0.0) -> ObjectLightModel:
+def known_model(folder: Path, *, constant: float = 0.0, image: float = 0.0) -> LightingModel:
     path = write_part(folder / f"objects-{len(list(folder.iterdir()))}", "objects", constant=constant, image=image)
-    return ObjectLightModel(load_part(path, "objects", provider="cpu"))
+    return LightingModel(load_part(path, "objects", provider="cpu"))
 
 
 @pytest.mark.parametrize("rows", [16, 32, 60, 120, 200])
 def test_measured_light_keeps_its_bits(rows: int, tmp_path: Path) -> None:
     state = state_of(rows)
-    light = known_model(tmp_path, constant=0.7).light(state)
+    light = known_model(tmp_path, constant=0.7).panoramas(state)
     measured = (state.seen == 1) & (state.guessed == 0)
-    for panorama in (light.shown, light.casting):
+    for panorama in (light.lighting, light.reflection):
         assert panorama.dtype == np.float32
         assert_array_equal(panorama[measured], state.radiance[measured])
         gain = np.log1p(panorama) - np.log1p(state.radiance)
@@ -61,10 +61,10 @@ def test_measured_light_keeps_its_bits(rows: int, tmp_path: Path) -> None:
 def test_objects_and_shadows_have_changes_of_their_own(tmp_path: Path) -> None:
     """The known graph changes objects by the light that was seen, and shadows by shares and distances."""
     state = state_of()
-    light = known_model(tmp_path, image=0.1).light(state)
-    panels = object_panels(state)
+    light = known_model(tmp_path, image=0.1).panoramas(state)
+    panels = lighting_panels(state)
     unseen = state.seen == 0
-    for panorama, planes in ((light.shown, panels[:3]), (light.casting, panels[3:6])):
+    for panorama, planes in ((light.lighting, panels[:3]), (light.reflection, panels[3:6])):
         expected = 0.1 * np.moveaxis(planes, 0, -1).repeat(2, axis=0).repeat(2, axis=1)
         gain = np.log1p(panorama) - np.log1p(state.radiance)
         inside = unseen.copy()
@@ -74,18 +74,18 @@ def test_objects_and_shadows_have_changes_of_their_own(tmp_path: Path) -> None:
 
 def test_panels_are_what_frames_have_shown_and_the_estimate_for_clipped_pixels() -> None:
     state = state_of()
-    panels = object_panels(state)
-    assert panels.shape == (OBJECT_PANELS, HEIGHT, 2 * HEIGHT)
+    panels = lighting_panels(state)
+    assert panels.shape == (LIGHTING_PANELS, HEIGHT, 2 * HEIGHT)
     assert_allclose(panels[9], state.guessed.reshape(60, 2, 120, 2).mean(axis=(1, 3)), rtol=1e-4, atol=1e-6)
     assert_allclose(panels[3], np.repeat([[1.0] * 60 + [0.0] * 60], 60, axis=0))
     state.guessed[:] = 1e9
-    assert object_panels(state)[9].max() == BRIGHTEST
+    assert lighting_panels(state)[9].max() == BRIGHTEST
 
 
-def test_free_share_is_what_was_not_measured() -> None:
+def test_unmeasured_share_is_what_was_not_measured() -> None:
     state = state_of()
     state.seen[-1, 0] = 0.25
-    share = free_share(state)
+    share = unmeasured_share(state)
     assert share[-1, 0] == 0.75
     assert share[-1, 1] == 0
     assert share[-1, -1] == 1
@@ -97,8 +97,8 @@ def test_free_share_is_what_was_not_measured() -> None:
 def test_light_is_finite_for_black_and_bright(constant: float, radiance: float, tmp_path: Path) -> None:
     state = state_of()
     state.radiance[:] = radiance
-    light = known_model(tmp_path, constant=constant).light(state)
-    for panorama in (light.shown, light.casting):
+    light = known_model(tmp_path, constant=constant).panoramas(state)
+    for panorama in (light.lighting, light.reflection):
         assert np.isfinite(panorama).all()
         assert panorama.min() >= 0
         assert panorama[state.seen == 0].max() <= BRIGHTEST * 1.001
@@ -107,9 +107,9 @@ def test_light_is_finite_for_black_and_bright(constant: float, radiance: float, 
 def test_threads_share_the_network(tmp_path: Path) -> None:
     model = known_model(tmp_path, image=0.1, constant=0.1)
     states = [state_of(seed=seed) for seed in range(6)]
-    alone = [model.light(state).shown for state in states]
+    alone = [model.panoramas(state).lighting for state in states]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda number: model.light(states[number % 6]).shown, range(24)))
+        together = list(pool.map(lambda number: model.panoramas(states[number % 6]).lighting, range(24)))
     for number, panorama in enumerate(together):
         assert_array_equal(panorama, alone[number % 6])
 
@@ -120,18 +120,43 @@ def room() -> BoxRoom:
 
 
 @pytest.mark.parametrize("model", ["classical", "single"])
-def test_every_model_has_light_for_objects(model: str, room: BoxRoom) -> None:
+def test_every_model_has_light_of_both_uses(model: str, room: BoxRoom) -> None:
     session = Session(SessionOptions(model=model, height=32))  # pyright: ignore[reportArgumentType]
     session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=-35.0), width=64, height=48))
     handle = session.track(PLACE)
-    before = session.light(handle).panorama.copy()
-    light = object_light(session, handle)
-    assert_array_equal(session.light(handle).panorama, before)  # the session's own light stays
+    own = session.estimate(handle).panorama.copy()
+    light = session.light(handle)
     unseen = session.panorama_state(handle).seen < 0.01
     assert unseen.any()
-    for panorama in (light.shown, light.casting):
-        assert (panorama[unseen] != before[unseen]).any(axis=-1).mean() > 0.9
-    assert (light.shown[unseen] != light.casting[unseen]).any()
+    for panorama in (light.panorama, light.reflection):
+        assert (panorama[unseen] != own[unseen]).any(axis=-1).mean() > 0.9
+    assert (light.panorama[unseen] != light.reflection[unseen]).any()
+    assert_array_equal(session.estimate(handle).panorama, own)  # the session's own estimate stays
+
+
+def test_light_is_that_of_its_frame_however_late_it_is_asked_for(room: BoxRoom) -> None:
+    session = Session(SessionOptions(model="classical", height=32))
+    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=-35.0), width=64, height=48))
+    handle = session.track(PLACE)
+    asked, waiting = session.light(handle), session.light(handle)
+    before, lights = asked.panorama.copy(), asked.main_light.to_json()
+    session.push(room.frame(camera_at((0.2, 1.4, 1.2), 90.0), index=1, width=64, height=48))
+    assert_array_equal(waiting.panorama, before)
+    assert waiting.main_light.to_json() == lights
+    assert waiting.digest() == asked.digest() != session.light(handle).digest()
+
+
+def test_the_main_light_is_as_strong_as_in_the_light_that_lights_things(room: BoxRoom) -> None:
+    session = Session(SessionOptions(model="classical", height=32))
+    handle = session.track(PLACE)
+    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=20.0), width=64, height=48))
+    light, own = session.light(handle), session.estimate(handle)
+    assert own.main_light.intensity.max() > 0
+    assert_array_equal(light.main_light.direction, own.main_light.direction)
+    free = main_light(light.panorama)
+    if np.degrees(np.arccos(free.direction @ light.main_light.direction)) < 5:
+        assert_allclose(light.main_light.intensity, free.intensity, rtol=0.15)
+    assert_allclose(light.main_light.intensity, light.lights[0].intensity, rtol=1e-6)
 
 
 def test_the_network_comes_from_the_folder_of_the_options(room: BoxRoom, tmp_path: Path) -> None:
@@ -140,10 +165,10 @@ def test_the_network_comes_from_the_folder_of_the_options(room: BoxRoom, tmp_pat
     session.push(room.frame(camera_at((0.2, 1.4, 1.2)), width=64, height=48))
     handle = session.track(PLACE)
     with pytest.raises(ModelError, match=r"parts/objects/model\.json: cannot be read"):
-        object_light(session, handle)
+        _ = session.light(handle).panorama
     write_part(tmp_path / "parts" / "objects", "objects", constant=0.5)
     state = session.panorama_state(handle)
-    gain = np.log1p(object_light(session, handle).shown) - np.log1p(state.radiance)
+    gain = np.log1p(session.light(handle).panorama) - np.log1p(state.radiance)
     assert_allclose(gain[state.seen == 0], 0.5, rtol=1e-4, atol=1e-5)
 
 
@@ -160,8 +185,7 @@ def test_objects_are_lit_better_than_by_the_session(model: str) -> None:
     for probe, handle in zip(probes, handles, strict=True):
         objects = LitObjects(probe.panorama(), (0.0, -0.5, -0.866))
         before, after = (
-            objects.errors(panorama)
-            for panorama in (session.light(handle).panorama, object_light(session, handle).shown)
+            objects.errors(panorama) for panorama in (session.estimate(handle).panorama, session.light(handle).panorama)
         )
         for look in SPHERES:
             own[look] += before[look]
