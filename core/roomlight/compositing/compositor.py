@@ -326,7 +326,7 @@ class Compositor:
             light=self._probes.at((x, y, z)),
             casting=self._probes.reflection_at((x, y, z)),
             support=next((plane for member in members if (plane := posed.supports[member]) is not None), None),
-            room=None if self.quality == "preview" else self.geometry,
+            room=self.geometry,
         )
 
     def _layer(

@@ -36,8 +36,8 @@ def ratio(grid, room):
     move = np.eye(4)
     move[:3, 3] = CENTRE
     held = TracedObjects([sphere(0.3, diffuse((0.0, 0.0, 0.0))).transformed(move)])
-    spheres = np.array([[*CENTRE, 0.3]], np.float32)
-    caster = Caster(held, spheres, np.array([0], np.int32), LightSampler(SUN), LightSampler(SUN), None, room)
+    spheres, light = np.array([[*CENTRE, 0.3]], np.float32), LightSampler(SUN, CENTRE)
+    caster = Caster(held, spheres, np.array([0], np.int32), light, light, None, room)
     return coarse_ratio(caster, grid, ShadowQuality(step=1, samples=64, bounces=0)).mean(axis=-1)
 
 

@@ -12,7 +12,9 @@ from roomlight.compositing.objects.primitives import cube, sphere
 from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.picture.crop import CropCamera
 from roomlight.compositing.placement.places import Plane
+from roomlight.compositing.placement.room_geometry import Hits, RoomGeometry
 from roomlight.compositing.rendering.shadows import (
+    QUALITIES,
     Caster,
     ShadowQuality,
     coarse_ratio,
@@ -21,6 +23,7 @@ from roomlight.compositing.rendering.shadows import (
     surface_grid,
 )
 from roomlight.compositing.rendering.tracer import TracedObjects
+from roomlight.conventions import panorama_directions
 from rooms import camera_at, pinhole
 
 POSE = camera_at((0.0, 1.6, 1.6), pitch_degrees=-45)
@@ -180,6 +183,48 @@ def test_an_emissive_texture_dims_the_light_that_an_object_gives():
     below = grid.known & (np.linalg.norm(grid.points, axis=-1) < 0.15)
     assert lamp[below].mean() > dark[below].mean() + 0.3
     assert faint[below].mean() == pytest.approx(dark[below].mean(), abs=0.002)
+
+
+class Ceiling(RoomGeometry):
+    """A ceiling 2 m above the floor and nothing else."""
+
+    def cast(self, origins, directions):
+        up = directions[:, 1] > 0.01
+        distance_m = np.where(up, (2 - origins[:, 1]) / np.where(up, directions[:, 1], 1), np.inf)
+        normals = np.where(up[:, None], np.array([0.0, -1, 0]), 0)
+        return Hits(distance_m.astype(np.float32), normals.astype(np.float32))
+
+
+def test_a_lamp_on_a_near_ceiling_casts_a_wider_shadow():
+    far = ball(lit(240, [((0.0, 1.0, 0.0), 2.0, 200.0)], level=0.0), radius=0.1)
+    light = LightSampler(far.light.panorama, (0.0, 0.5, 0.0))
+    near = replace(far, light=light, casting=light, room=Ceiling())
+    parallel, grid = ratio_of(far, replace(FINE, room_shade=False))
+    widened, _ = ratio_of(near, replace(FINE, room_shade=False))
+    beside = np.hypot(grid.points[..., 0], grid.points[..., 2])
+    # the lamp is 1.5 m above the ball: its shadow on the floor is 2 / 1.5 times as wide, 13 cm; the lamp is 10 cm wide
+    assert widened[beside < 0.10].max() < 0.2
+    ring = (beside > 0.108) & (beside < 0.118)
+    assert widened[ring].mean() < 0.5
+    assert parallel[(beside > 0.13) & (beside < 0.16)].min() > 0.9
+    assert widened[(beside > 0.16) & grid.known].min() > 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("albedo", "sides"), [(0.0, (0.75, 0.84, 0.92)), (0.8, (0.86, 0.92, 0.96))])
+def test_ratios_around_a_ball_on_a_grey_floor_are_those_of_mitsuba(albedo, sides):
+    """Mitsuba 3: a sphere of radius 0.2 on a floor of albedo 0.5 under a white sky, path tracing of depth 8.
+
+    Means of the ratio at 0.22 to 0.27, 0.27 to 0.35 and 0.35 to 0.5 m from the point of contact.
+    """
+    sky = np.where(panorama_directions(60)[..., 1:2] > 0, 1.0, 0.5).repeat(3, axis=-1)
+    for quality in QUALITIES.values():
+        held = ball(sky.astype(np.float32), height=0.2, material=diffuse((albedo,) * 3))
+        ratio = shadow_ratio([held], floor_depth(), CAMERA, POSE, quality)[..., 1]
+        _, grid = ratio_of(held, quality)
+        beside = np.hypot(grid.points[..., 0], grid.points[..., 2])
+        for (begin, end), expected in zip(((0.22, 0.27), (0.27, 0.35), (0.35, 0.5)), sides, strict=True):
+            assert ratio[(beside > begin) & (beside < end)].mean() == pytest.approx(expected, abs=0.05)
 
 
 def test_noise_of_depth_leaves_the_support_flat():

@@ -40,6 +40,20 @@ class LightSamples(NamedTuple):
     weights: np.ndarray
 
 
+class LightPlaces(NamedTuple):
+    """Where the light of `LightSamples` comes from: it has parallax.
+
+    Attributes:
+        position: [3] from which the samples' directions point, world metres.
+        inverse_m: [s, m] 1 / distance of the surface that sends the light, 0 for far away.
+        normals: [s, m, 3] unit normals of these surfaces, toward `position`.
+    """
+
+    position: np.ndarray
+    inverse_m: np.ndarray
+    normals: np.ndarray
+
+
 class Rays(NamedTuple):
     """Rays of a block of points; `weight` is the irradiance [n, 3] or [n, 1] that a ray stands for."""
 
@@ -88,6 +102,10 @@ class Ground(NamedTuple):
     spheres: np.ndarray
 
 
+_MOST_NEARER = np.float32(4.0)
+"""Light of a near surface counts at most this much more than from the panorama's position."""
+
+
 @njit(**JIT)
 def _look_up(panorama, x, y, z):
     """Return row and column of a unit direction."""
@@ -97,10 +115,13 @@ def _look_up(panorama, x, y, z):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def light_rays(receivers, light, of_lamp, spheres, lift_m, matte, unblocked, irradiance, rays, start, stop):
+def light_rays(receivers, light, places, of_lamp, spheres, lift_m, matte, unblocked, irradiance, rays, start, stop):
     """Sum the irradiance of points start..stop; store the rays to the light that meet a bounding sphere.
 
     Args:
+        receivers: [n] the points.
+        light: [s, m] directions and weights.
+        places: [s, m] where this light comes from.
         of_lamp: [s, m] directions whose light comes where `seen` says alone.
         spheres: [k, 4] centre and radius.
         matte: [h, w, 3] panorama of irradiance / pi.
@@ -110,7 +131,7 @@ def light_rays(receivers, light, of_lamp, spheres, lift_m, matte, unblocked, irr
     Returns:
         The number of rays; their points count from start.
     """
-    zero = np.float32(0)
+    zero, one = np.float32(0), np.float32(1)
     count = 0
     for i in range(start, stop):
         s = receivers.subset[i]
@@ -121,20 +142,34 @@ def light_rays(receivers, light, of_lamp, spheres, lift_m, matte, unblocked, irr
         px = receivers.points[i, 0] + lift_m * nx
         py = receivers.points[i, 1] + lift_m * ny
         pz = receivers.points[i, 2] + lift_m * nz
+        qx, qy, qz = px - places.position[0], py - places.position[1], pz - places.position[2]
         red, green, blue = zero, zero, zero
         for j in range(light.directions.shape[1]):
+            # 1. The direction of the light from here, and how large its surface looks beside from `places.position`.
             dx, dy, dz = light.directions[s, j, 0], light.directions[s, j, 1], light.directions[s, j, 2]
             cosine = nx * dx + ny * dy + nz * dz
+            inverse = places.inverse_m[s, j]
+            if inverse > zero:
+                ux, uy, uz = places.normals[s, j, 0], places.normals[s, j, 1], places.normals[s, j, 2]
+                facing = ux * dx + uy * dy + uz * dz
+                dx, dy, dz = dx - qx * inverse, dy - qy * inverse, dz - qz * inverse
+                scale = one / max(dx * dx + dy * dy + dz * dz, np.float32(0.01))
+                root = math.sqrt(scale)
+                dx, dy, dz = dx * root, dy * root, dz * root
+                facing = (ux * dx + uy * dy + uz * dz) / min(facing, np.float32(-0.1))
+                cosine = (nx * dx + ny * dy + nz * dz) * min(max(facing, zero) * scale, _MOST_NEARER)
             if of_lamp[s, j]:
                 cosine *= receivers.seen[i]
             if cosine <= zero:
                 continue
+            # 2. Its irradiance.
             r, g, b = (
                 light.weights[s, j, 0] * cosine,
                 light.weights[s, j, 1] * cosine,
                 light.weights[s, j, 2] * cosine,
             )
             red, green, blue = red + r, green + g, blue + b
+            # 3. A ray, where an object may be in the way.
             for k in range(spheres.shape[0]):
                 ox, oy, oz = spheres[k, 0] - px, spheres[k, 1] - py, spheres[k, 2] - pz
                 along = ox * dx + oy * dy + oz * dz
@@ -152,13 +187,16 @@ def light_rays(receivers, light, of_lamp, spheres, lift_m, matte, unblocked, irr
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def add_blocked(rays, share, blocked, squares):
+def add_blocked(rays, share, distance, blocked, squares, nearness):
     """Add the light that each ray's point loses.
 
     Args:
+        rays: [n] to the light.
         share: [n] 1 where an object blocks the ray, less where it lets light through.
+        distance: [n] metres to the object.
         blocked: [points, 3] must begin at 0.
         squares: [points] sum of squares of the blocked mean of the channels, for its variance; must begin at 0.
+        nearness: [points] sum of the blocked mean of the channels / distance; must begin at 0.
     """
     for p in range(len(share)):
         if share[p] == 0:
@@ -169,7 +207,9 @@ def add_blocked(rays, share, blocked, squares):
             value = rays.weight[p, c] * share[p]
             blocked[i, c] += value
             lost += value
-        squares[i] += lost * lost / np.float32(9)
+        lost /= np.float32(3)
+        squares[i] += lost * lost
+        nearness[i] += lost / max(distance[p], np.float32(1e-3))
 
 
 @njit(nogil=True, cache=True, fastmath=True)

@@ -30,22 +30,29 @@ class Change(NamedTuple):
     Attributes:
         dark: [h, w, 3] share of the light that they leave.
         noise: [h, w] standard deviation of the mean of `dark`'s channels.
+        occluder_m: [h, w] mean distance of what takes the light; large where nothing does.
         glow: [h, w, 3] light that they reflect, as a share.
         near: [h, w] where they change anything.
     """
 
     dark: np.ndarray
     noise: np.ndarray
+    occluder_m: np.ndarray
     glow: np.ndarray
     near: np.ndarray
+
+
+_SPREAD = np.float32(0.5)
+"""Width of the filter over the distance of what takes the light."""
 
 
 @njit(nogil=True, cache=True, fastmath=True)
 def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
     """Smooth rows start..stop over one surface, and write dark + glow.
 
-    `dark` is smoothed as far as its sampling noise allows, `glow`, which has no sharp borders, wherever `dark` changes
-    slowly: at a contact both change together.
+    `dark` is smoothed as far as its sampling noise allows, and over less than the distance of the objects that take the
+    light, but a pixel at least: a shadow is sharp where they touch the surface (Mehta 2012). `glow`, which has no
+    sharp borders, is smoothed wherever `dark` changes slowly: at a contact both change together.
 
     Args:
         plane_m: distance from a pixel's plane at which a neighbour's weight falls to 1/e.
@@ -69,9 +76,11 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
                         continue
                     # half the weight on the rim: over 2 radius pixels every subset of samples counts the same
                     rim = rim_y * np.float32(0.5) if abs(x - j) == radius else rim_y
-                    off, facing = np.float32(0), np.float32(0)
+                    off, facing, apart = np.float32(0), np.float32(0), np.float32(0)
                     for axis in range(3):
-                        off += (grid.points[y, x, axis] - grid.points[i, j, axis]) * grid.normals[i, j, axis]
+                        step = grid.points[y, x, axis] - grid.points[i, j, axis]
+                        apart += step * step
+                        off += step * grid.normals[i, j, axis]
                         facing += grid.normals[y, x, axis] * grid.normals[i, j, axis]
                     off = off * off / (plane_m * plane_m)
                     if off > 9 or facing < np.float32(0.5):
@@ -84,6 +93,9 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
                         near *= math.exp(-off)
                     weight = near * math.exp(-min(step / (np.float32(8) * spread + np.float32(1e-8)), np.float32(30)))
                     near *= math.exp(-min(step / (np.float32(8) * spread + np.float32(0.02)), np.float32(30)))
+                    blur_m = _SPREAD * min(change.occluder_m[i, j], change.occluder_m[y, x])
+                    close = math.exp(-np.float32(0.5) * np.float32((y - i) * (y - i) + (x - j) * (x - j)))
+                    weight *= max(math.exp(-min(apart / (blur_m * blur_m + np.float32(1e-9)), np.float32(30))), close)
                     glow_total += near
                     glow_red += near * glow[y, x, 0]
                     glow_green += near * glow[y, x, 1]

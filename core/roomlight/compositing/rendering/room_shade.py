@@ -79,7 +79,12 @@ def lamp_seen(
         return seen
     own = float(room.cast(position[None].astype(np.float32), lamp.direction[None]).distance_m[0])
     origins = grid.points[tested] + np.float32(_LIFT_M) * grid.normals[tested]
-    along = np.ascontiguousarray(np.broadcast_to(lamp.direction, origins.shape))
+    if np.isfinite(own):
+        along = position.astype(np.float32) + np.float32(own) * lamp.direction - origins
+        far_m = np.linalg.norm(along, axis=1)
+        along /= far_m[:, None]
+    else:
+        along, far_m = np.ascontiguousarray(np.broadcast_to(lamp.direction, origins.shape)), np.float32(np.inf)
     met = room.cast(origins, along).distance_m
-    seen[tested] = ~((met > _LIFT_M) & (met < _NEARER * own))
+    seen[tested] = ~((met > _LIFT_M) & (met < _NEARER * far_m))
     return cv2.blur(seen, (3, 3), borderType=cv2.BORDER_REPLICATE)

@@ -3,9 +3,11 @@
 A real surface shows frame = albedo E / pi. With objects its irradiance is E - E_blocked + E_bounced, so the picture
 changes by the ratio (E - E_blocked + E_bounced) / E in each channel; the albedo cancels. E and E_blocked are sums over
 the same directions, sampled from the panorama at the objects' position, so that the ratio is exactly 1 where no object
-is in the way. E_bounced is light that an object's hit surface reflects: diffuse by the panorama's irradiance there,
-metals by the panorama blurred as by a roughness of 0.3 or more. The panorama shows the support without the objects:
-what an object sees of it is reduced by the shade of a sphere as large as the object.
+is in the way. The light has parallax: it comes from the room's surfaces in these directions, as far as they are known.
+
+E_bounced is light that an object's hit surface reflects: diffuse by the panorama's irradiance there, metals by the
+panorama blurred as by a roughness of 0.3 or more. The panorama shows the support without the objects: what an object
+sees of it is reduced by the shade of a sphere as large as the object.
 
 Every 4 x 4 pixels share 16 subsets of samples, fixed in time; a filter over the surface joins them, as far as each
 pixel's own samples disagree: borders of hard shadows stay sharp. World metres.
@@ -23,6 +25,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from roomlight.compositing.kernels.grid import fill_points, fill_surfaces
 from roomlight.compositing.kernels.shadow_rays import (
     Ground,
+    LightPlaces,
     LightSamples,
     Looks,
     Rays,
@@ -62,6 +65,12 @@ _MOST_ALBEDO: Final = 0.8
 _LEAST_ROUGHNESS: Final = 0.3
 """Of mirrors that light matte surfaces, as in the renderer's paths."""
 _BLOCK_RAYS: Final = 1 << 17
+_FAR_M: Final = 1e3
+_UNKNOWN_M: Final = 2.5
+"""Distance of light whose surface no frame has shown: lamps and ceilings of rooms. In Mitsuba's small room the error of
+the shadow under the true panorama was 0.068 with far light, 0.039 with true distances and 0.036 with this one."""
+_NEAREST_RADII: Final = 3.0
+"""Surfaces that send light count as at least this far from the object's centre, in its radii."""
 _THIRDS: Final = np.full(3, 1 / 3, np.float32)
 """Mean over channels, as a product: NumPy's mean of short rows is slow."""
 
@@ -84,6 +93,7 @@ class ShadowQuality:
         reach: shadows fade out between 0.8 and 1 times this distance from an object's centre, in radii of its bounding
             sphere. With 7 instead of 4 the error of shadows under the true light falls by a tenth: an object on a desk
             shades the wall behind it.
+        room_shade: whether real surfaces hide the strongest lamp.
     """
 
     step: int
@@ -91,10 +101,11 @@ class ShadowQuality:
     bounces: int
     radius: int = 2
     reach: float = 7.0
+    room_shade: bool = True
 
 
 QUALITIES: Final = {
-    "preview": ShadowQuality(step=4, samples=16, bounces=2, reach=4.0),
+    "preview": ShadowQuality(step=4, samples=16, bounces=2, reach=4.0, room_shade=False),
     "good": ShadowQuality(step=2, samples=32, bounces=6, radius=4),
     "final": ShadowQuality(step=1, samples=64, bounces=8, radius=4),
 }
@@ -111,7 +122,7 @@ class Caster:
         light: at their position: what they reflect.
         casting: the light that casts their shadows.
         support: plane that they stand on, if there is one.
-        room: real surfaces that may hide the strongest lamp; None: they hide nothing.
+        room: real surfaces, which send the light and may hide the strongest lamp; None: the light is far away.
     """
 
     scene: TracedObjects
@@ -195,7 +206,7 @@ def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> F
     if len(rows) == 0:
         return out
     subset = (rows % TILE * TILE + columns % TILE).astype(np.int32)
-    lamp = None if caster.room is None else lamp_of(caster.casting)
+    lamp = lamp_of(caster.casting) if caster.room is not None and quality.room_shade else None
     seen = np.ones(len(rows), np.float32)
     if lamp is not None and caster.room is not None:
         seen = lamp_seen(lamp, grid, near, caster.room, caster.spheres[0, :3])[near]
@@ -204,13 +215,16 @@ def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> F
     share = fade[near]
     floor = np.float32(1e-6) + np.float32(1e-3) * found.unblocked.max(initial=0)
     dark, glow = np.ones_like(out), np.zeros_like(out)
-    noise = np.zeros((height, width), np.float32)
+    noise, lost, nearness = np.zeros((3, height, width), np.float32)
     dark[near] = 1 - share[:, None] * np.clip(found.blocked / np.maximum(found.unblocked, floor), 0, 1 - RATIO_RANGE[0])
     # by the smooth irradiance: divided by a noisy one, the mean would be too bright
     reflected = found.bounced / np.maximum(found.irradiance, floor)
     glow[near] = share[:, None] * np.minimum(reflected, _MOST_REFLECTED)
     noise[near] = share * found.doubt / (np.maximum(found.unblocked, floor) @ _THIRDS)
-    change = Change(dark, noise, glow, near)
+    lost[near], nearness[near] = found.blocked @ _THIRDS, found.nearness
+    occluder_m = cv2.blur(lost, (5, 5)) / np.maximum(cv2.blur(nearness, (5, 5)), np.float32(1e-9))
+    occluder_m[occluder_m <= 0] = _FAR_M
+    change = Change(dark, noise, occluder_m, glow, near)
     arguments = (change, grid, quality.radius, np.float32(0.02), np.float32(RATIO_RANGE[1]), out)
     parallel_for(lambda start, stop: filter_change(*arguments, start, stop), height)
     return out
@@ -293,12 +307,21 @@ def _subset_points(count: int) -> Float[np.ndarray, "n 2"]:
 
 @dataclass(frozen=True)
 class _LightChange:
-    """Irradiance at points: unblocked [n, 3] and blocked by the same samples; `doubt` [n] is the standard deviation of
-    the latter's mean over channels; without their noise [n, 3]; reflected by objects [n, 3]."""
+    """What objects do to the irradiance at points.
+
+    Attributes:
+        unblocked: by the samples, without the objects.
+        blocked: what the objects take of it.
+        doubt: standard deviation of the mean of its channels.
+        nearness: sum of what they take / their distance.
+        irradiance: without the objects and without the samples' noise.
+        bounced: what the objects reflect.
+    """
 
     unblocked: Float32[np.ndarray, "n 3"]
     blocked: Float32[np.ndarray, "n 3"]
     doubt: Float32[np.ndarray, " n"]
+    nearness: Float32[np.ndarray, " n"]
     irradiance: Float32[np.ndarray, "n 3"]
     bounced: Float32[np.ndarray, "n 3"]
 
@@ -308,18 +331,20 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     light = light_samples(caster.casting, samples, toward=None if caster.support is None else caster.support.normal)
     levels = caster.light.prefiltered
     unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    blocked, squares = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+    blocked, squares, nearness = np.zeros((count, 3), np.float32), *np.zeros((2, count), np.float32)
     bounced = np.zeros((count, 3), np.float32)
     spheres, lift, reach = caster.spheres, np.float32(LIFT_M), np.float32(GLOW_REACH)
     numbers = _subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
     of_lamp = np.zeros(light.directions.shape[:2], bool) if lamp is None else lamp.holds(light.directions)
-    looks, ground = _looks(caster.scene, len(levels)), _ground(caster)
+    places = _light_places(caster, light)
+    looks, ground, opacity = _looks(caster.scene, len(levels)), _ground(caster), _opacity(caster.scene)
 
     def work(start: int, stop: int) -> None:
         rays = _rays((stop - start) * samples, 3)
-        arguments = (receivers, light, of_lamp, spheres, lift, levels[-1], unblocked, irradiance, rays)
+        arguments = (receivers, light, places, of_lamp, spheres, lift, levels[-1], unblocked, irradiance, rays)
         met = _first(rays, light_rays(*arguments, start, stop))
-        add_blocked(met, _opacity(caster.scene, met), blocked, squares)
+        hits = caster.scene.trace(met.origin, met.direction)
+        add_blocked(met, opacity[hits.face], hits.distance_m, blocked, squares, nearness)
         if quality.bounces:
             rays = _rays((stop - start) * quality.bounces * len(spheres), 1)
             met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
@@ -333,7 +358,8 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     variance = squares - (blocked @ _THIRDS) ** 2 / np.float32(samples)
     # All of a few samples agreeing still leaves doubt: half a sample.
     least = np.where(squares > 0, np.float32(0.2 / samples), np.float32(0.05 / samples)) * (unblocked @ _THIRDS)
-    return _LightChange(unblocked, blocked, np.sqrt(np.maximum(variance, 0) + least**2), irradiance, bounced)
+    doubt = np.sqrt(np.maximum(variance, 0) + least**2)
+    return _LightChange(unblocked, blocked, doubt, nearness, irradiance, bounced)
 
 
 def _at_least_seen(
@@ -366,14 +392,26 @@ def _first(rays: Rays, count: int) -> Rays:
     return Rays(*(column[:count] for column in rays))
 
 
-def _opacity(scene: TracedObjects, rays: Rays) -> Float32[np.ndarray, " n"]:
-    """Return the share of light that the first object along each ray takes: glass and openings let light through."""
+def _opacity(scene: TracedObjects) -> Float32[np.ndarray, " f1"]:
+    """Return the share of light that each face takes, then a 0 that the face -1 reads: glass lets light through."""
     table = scene.materials
     clear = (1 - table.transmission * table.base.mean(axis=1)) * table.opacity
-    if (clear > 0.999).all():
-        return scene.blocked(rays.origin, rays.direction).astype(np.float32)
-    face = scene.trace(rays.origin, rays.direction).face
-    return np.where(face >= 0, clear[scene.surfaces.material[face]], np.float32(0)).astype(np.float32)
+    return np.append(clear[scene.surfaces.material], 0).astype(np.float32)
+
+
+def _light_places(caster: Caster, light: LightSamples) -> LightPlaces:
+    """Return which surfaces of the room send the light of the samples; unknown ones are `_UNKNOWN_M` away."""
+    position = np.array(caster.casting.position, np.float32)
+    shape, directions = light.directions.shape, np.ascontiguousarray(light.directions.reshape(-1, 3))
+    if caster.room is None:
+        return LightPlaces(position, np.zeros(shape[:2], np.float32), np.zeros(shape, np.float32))
+    hits = caster.room.cast(np.broadcast_to(position, directions.shape), directions)
+    unknown = ~np.isfinite(hits.distance_m)
+    distance_m = np.where(unknown, np.float32(_UNKNOWN_M), hits.distance_m)
+    # the panorama says nothing about surfaces that are nearer than the objects are wide
+    inverse_m = 1 / np.maximum(distance_m, np.float32(_NEAREST_RADII) * caster.spheres[0, 3])
+    normals = np.where(unknown[:, None], -directions, hits.normals).astype(np.float32)
+    return LightPlaces(position, inverse_m.astype(np.float32).reshape(shape[:2]), normals.reshape(shape))
 
 
 def _looks(scene: TracedObjects, levels: int) -> Looks:
