@@ -45,7 +45,17 @@ def render_room(
     panoramas: Path,
     furniture_share: float,
 ) -> Iterator[Recording]:
-    """Yield `count` sequences of `frames` frames in one room; the same arguments give the same recordings.
+    """Yield sequences of a room; the same arguments give the same recordings.
+
+    Args:
+        room_index: Number of the room in its split.
+        seed: Seed of the dataset.
+        split: Split of the room.
+        furniture: Furniture library or cache; None: the installed libraries.
+        count: Number of sequences.
+        frames: Frames of a sequence.
+        panoramas: Folder of panoramas.
+        furniture_share: Share of the rooms that have furniture.
 
     Raises:
         DatasetError: if the folder `panoramas` cannot be read or has none for this split.

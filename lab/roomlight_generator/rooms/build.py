@@ -38,12 +38,19 @@ class Room:
 
 
 def room_generator(index: int, *, seed: int, split: Split, purpose: int = 0) -> np.random.Generator:
-    """Return the random generator of one room; its stream is unique to (seed, split, index, purpose)."""
+    """Return the random generator of a room; its stream is unique to (seed, split, index, purpose)."""
     return np.random.default_rng(np.random.SeedSequence([seed, _SPLIT_KEYS[split], index, purpose]))
 
 
 def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> Room:
-    """Build the room with this index. The same arguments give a byte-identical room."""
+    """Build the room with this index. The same arguments give a byte-identical room.
+
+    Args:
+        index: Number of the room in its split.
+        seed: Seed of the dataset.
+        split: Decides which room types and furniture models may be used.
+        catalogue: Furniture models.
+    """
     rng = room_generator(index, seed=seed, split=split)
     room_type = _choose_type(split, rng)
     finishes = shell_finishes(

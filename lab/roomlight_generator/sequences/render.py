@@ -82,7 +82,15 @@ class CameraPath:
 def render_room(
     room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int, frames: int
 ) -> Iterator[Recording]:
-    """Yield `count` sequences of `frames` frames in one room; the same arguments give the same recordings.
+    """Yield sequences of a room; the same arguments give the same recordings.
+
+    Args:
+        room_index: Number of the room in its split.
+        seed: Seed of the dataset.
+        split: Split of the room.
+        furniture: Furniture library or cache; None: the installed libraries.
+        count: Number of sequences.
+        frames: Frames of a sequence.
 
     Raises:
         ValueError: if no walk through the room is found; the generator then takes another room.
@@ -155,10 +163,16 @@ def record(
 ) -> Recording:
     """Render a recording: frames as a phone would give them, exact depth, the light at the probes.
 
-    `expose` chooses exposure and white balance from the radiance of the frames (kcd/m2).
-
     The world is rotated about the vertical by whole columns of the panoramas, so that walls are not aligned with the
     axes: a phone's session begins in any direction.
+
+    Args:
+        views: Renderer of the room.
+        path: Camera, poses and probes.
+        rng: Random numbers.
+        name: Name of the recording.
+        facts: Metadata of the recording.
+        expose: Chooses exposure and white balance from the radiance of the frames (kcd/m2).
     """
     seeds = [int(value) for value in rng.integers(2**31, size=len(path.poses) + len(path.probes))]
     seen = [views.frame(path.intrinsics, pose, seed=seed) for pose, seed in zip(path.poses, seeds, strict=False)]

@@ -109,10 +109,18 @@ def find_resting_place(
     radius_m: float,
     height_m: float,
 ) -> RestingPlace | None:
-    """Find a place in view for an upright cylinder on a floor or a table; None if there is none.
+    """Find a place in view for an upright cylinder on a floor or a table; None if there is no such place.
 
     The surface under the whole foot is level, the cylinder and a margin around it are empty, and the camera sees its
     bottom, middle and top inside the picture. Places near the picture's middle are preferred.
+
+    Args:
+        tracer: The room.
+        intrinsics: The camera.
+        camera_to_world: Its pose.
+        rng: Random numbers.
+        radius_m: Radius of the cylinder.
+        height_m: Height of the cylinder.
     """
     count = _CANDIDATES
     u, v = rng.uniform(0.12, 0.88, count) * intrinsics.width, rng.uniform(0.2, 0.92, count) * intrinsics.height

@@ -43,7 +43,14 @@ class Rays(NamedTuple):
 
 @njit(**JIT)
 def nodes(shell, position, normal, face):
-    """Write the nodes of all light maps, moved a little into their faces' rectangles."""
+    """Write the nodes of all light maps, moved a little into their faces' rectangles.
+
+    Args:
+        shell: The shell's triangles and light maps.
+        position: Receives the nodes' positions, [n, 3].
+        normal: Receives their normals, [n, 3].
+        face: Receives their faces, [n].
+    """
     for f in range(len(shell.start)):
         rows, columns = shell.shape[f, 0], shell.shape[f, 1]
         o, axes = shell.origin[f], shell.axes[f]
@@ -63,9 +70,16 @@ def nodes(shell, position, normal, face):
 
 @njit(**JIT)
 def light_samples(shell, panorama, pixels, power, position, normal, weighted, area):
-    """Place samples on the shell at pixels (row, column) of the panorama.
+    """Place samples on the shell at pixels of the panorama.
 
-    power is radiance times solid angle from the centre; it becomes radiance times area.
+    Args:
+        shell: The shell.
+        panorama: The panorama.
+        pixels: Row and column of each sample, [m, 2].
+        power: Radiance times solid angle from the panorama's centre, [m, 3].
+        position, normal: Receive the samples' positions and normals, [m, 3].
+        weighted: Receives radiance times area, [m, 3].
+        area: Solid angle of each sample from the centre; becomes its area, [m].
     """
     height, width = panorama.kinds.shape
     ox, oy, oz = panorama.centre
@@ -85,9 +99,17 @@ def light_samples(shell, panorama, pixels, power, position, normal, weighted, ar
 
 @njit(**JIT)
 def light_rays(shell, lights, position, normal, weight, rays):
-    """Write the rays from points to all light samples, and their weights: irradiance per radiance times area.
+    """Write the rays from points to all light samples, and their weights.
 
-    The weight is that of a disc of the sample's area facing the point, and 0 if the shell hides the sample.
+    The weight is irradiance per radiance times area: that of a disc of the sample's area that faces the point, and 0 if
+    the shell hides the sample.
+
+    Args:
+        shell: The shell.
+        lights: The samples, m of them.
+        position, normal: The points, [n, 3].
+        weight: Receives the weights, [n, m].
+        rays: Receives the rays, [n * m].
     """
     count = len(lights.area)
     for i in range(len(position)):
@@ -112,7 +134,17 @@ def light_rays(shell, lights, position, normal, weight, rays):
 
 @njit(**JIT)
 def gather_rays(shell, shade, panorama, position, normal, samples, radiance, rays):
-    """Write cosine-distributed rays from points, and the radiance of the shell where each meets it."""
+    """Write cosine-distributed rays from points, and the radiance of the shell where each ray meets it.
+
+    Args:
+        shell: The shell.
+        shade: Factors of the light that the shell reflects, by node of its light maps; empty: 1 everywhere.
+        panorama: The panorama.
+        position, normal: The points, [n, 3].
+        samples: Rays of a point.
+        radiance: Receives the radiance, [n * samples, 3].
+        rays: Receives the rays, [n * samples].
+    """
     for i in range(len(position)):
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
         x, y, z = position[i, 0] + OFF_M * nx, position[i, 1] + OFF_M * ny, position[i, 2] + OFF_M * nz

@@ -137,7 +137,7 @@ def place(panorama, x, y, z):
 
 @njit(**JIT)
 def shade_at(shell, shade, face, x, y, z):
-    """Interpolate a face's light map at a point of it: the factor of reflected light, of one channel each."""
+    """Interpolate a face's light map at a point of the face: the factor of reflected light of each channel."""
     rows, columns = shell.shape[face, 0], shell.shape[face, 1]
     o, axes = shell.origin[face], shell.axes[face]
     x, y, z = x - o[0], y - o[1], z - o[2]
@@ -181,9 +181,14 @@ def radiance_at(shell, shade, panorama, face, column, row, x, y, z):
 
 @njit(**JIT)
 def trace_corners(shell, panorama, camera, triangle, corner):
-    """Trace rays through the corners of all pixels, [h + 1, w + 1].
+    """Trace rays through the corners of all pixels.
 
-    Writes the triangles; and direction, point met and its place (column, row) in the panorama: 8 numbers.
+    Args:
+        shell: The shell.
+        panorama: The panorama.
+        camera: The camera.
+        triangle: Receives the triangle at each corner, [h + 1, w + 1].
+        corner: Receives direction, point and the point's place (column, row) in the panorama, [h + 1, w + 1, 8].
     """
     ox, oy, oz = camera.position
     for i in range(camera.height + 1):
@@ -198,7 +203,7 @@ def trace_corners(shell, panorama, camera, triangle, corner):
 
 @njit(**JIT)
 def apart(corner, other, size):
-    """Return how many of the panorama's pixels (size: height, width) lie between two corners of a pixel."""
+    """Return the number of the panorama's pixels between two corners of a pixel; size is (height, width)."""
     across = abs(corner[6] - other[6])
     across = min(across, size[1] - across) * math.sin(0.5 * (corner[7] + other[7]) / size[0] * math.pi)
     return max(across, abs(corner[7] - other[7]))
@@ -206,7 +211,7 @@ def apart(corner, other, size):
 
 @njit(**JIT)
 def samples(length):
-    """Return how many samples a side of so many of the panorama's pixels gets."""
+    """Return the number of samples along a side that is `length` of the panorama's pixels long."""
     return min(MAX_SAMPLES, max(1, math.ceil(length / SPACING)))
 
 

@@ -31,12 +31,18 @@ SUFFIXES: Final = (".sh3f", ".sh3t", ".jar")
 def build_cache(
     sources: Sequence[Path], out: Path, *, warn: WarningCallback, progress: ProgressCallback | None = None
 ) -> None:
-    """Write the cache file `out` from libraries (about a minute for the five of Debian, on one core).
+    """Write a cache file from libraries (about a minute for the five of Debian, on one core).
 
     A model that cannot be read, or whose id was in an earlier library, is left out with a warning.
 
+    Args:
+        sources: Libraries.
+        out: The cache file.
+        warn: Called with each warning.
+        progress: Called with the numbers of finished models and of all models.
+
     Raises:
-        FurnitureError: a source is not a library, or the sources hold neither models nor textures.
+        FurnitureError: a source is not a library, or the sources contain neither models nor textures.
         OutputError: `out` cannot be written.
     """
     writer = CacheWriter()

@@ -59,9 +59,18 @@ class Catalogue:
         *,
         fits: Callable[[FurnitureModel], bool] | None = None,
     ) -> FurnitureModel | None:
-        """Choose a model of that role that fits, or None; a fallback only if the library has none.
+        """Choose a model of a role at random; a fallback only if the library has no model that fits.
 
-        The number of random values drawn does not depend on what fits.
+        The number of random values drawn does not depend on which models fit.
+
+        Args:
+            role: Role of the model.
+            split: Split of the room.
+            rng: Random numbers.
+            fits: Accepts a model; None: all models fit.
+
+        Returns:
+            The model, or None if no model fits.
         """
         library, fallbacks = (
             [model for model in models if fits is None or fits(model)]

@@ -42,10 +42,17 @@ def free_wall_spans(
     walls: Iterable[int] | None = None,
     lower_walls: bool = False,
 ) -> list[WallSpan]:
-    """Return the parts of the walls in front of which a box of that depth, from low to high, is free.
+    """Return the parts of the walls in front of which a box is free.
 
     Rotated neighbours count with their bounding box in the wall's frame, so that a span is free over its whole depth.
-    Walls that end below `high` under a slanted ceiling count only with lower_walls.
+
+    Args:
+        arrangement: The room.
+        depth: Depth of the box, metres.
+        low, high: Heights of the box's bottom and top.
+        layer: Layer of the box.
+        walls: Indices of the walls; None: all walls.
+        lower_walls: Include walls that end below `high` under a slanted ceiling.
     """
     spans: list[WallSpan] = []
     everything = [
@@ -144,7 +151,20 @@ def place_at_wall(
     accept: Callable[[int, float], bool] | None = None,
     tries: int = 8,
 ) -> Piece | None:
-    """Place a model with its back to a wall, 1 to 5 cm from it, and reserve clear_m of floor in front of it."""
+    """Place a model with its back to a wall, 1 to 5 cm from it.
+
+    Args:
+        arrangement: The room.
+        model: The model; None: nothing is placed.
+        where: Preferred positions along the wall.
+        clear_m: Depth of floor in front of the model to reserve.
+        walls: Indices of the walls; None: all walls.
+        accept: Called with wall and position; a position that it refuses is skipped.
+        tries: Positions tried.
+
+    Returns:
+        The piece, or None if there is no place.
+    """
     if model is None:
         return None
     away = arrangement.uniform(0.01, 0.05)

@@ -48,16 +48,16 @@ def gather_rays(lights, visibility, points, through, sampling, scratch, out):
     origin, direction, weight, passed = out
     rays = cosine_rays + cone_rays
     clusters = lights.real
-    estimate, cone, chance = scratch
+    estimated, cone, chance = scratch
     for i in range(len(position)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
         gx, gy, gz = geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]
         # 1. Make a cone about each cluster that may shine on the point, with a chance in proportion to its estimate.
         cones, total = 0, 0.0
-        estimates(lights, clusters, visibility, row[i], LEAST_SEEN, (px, py, pz), (nx, ny, nz), estimate)
+        estimates(lights, clusters, visibility, row[i], LEAST_SEEN, (px, py, pz), (nx, ny, nz), estimated)
         for which in range(clusters):
-            share = np.float64(estimate[which])
+            share = np.float64(estimated[which])
             x, y, z = lights.centre[0, which] - px, lights.centre[1, which] - py, lights.centre[2, which] - pz
             d = math.sqrt(x * x + y * y + z * z)
             r = WIDER * lights.radius[which] + WIDER_M

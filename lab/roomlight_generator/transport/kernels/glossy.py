@@ -127,7 +127,7 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
     owner, origin, direction, reach, weight, _, _ = shadow
     hole, parts = outdoors.hole, outdoors.parts
     clusters = len(lights.start)
-    estimate, running, drawn, _ = scratch
+    estimated, running, drawn, _ = scratch
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
     tax, tay, taz, tbx, tby, tbz = tangents(sx, sy, sz)
@@ -148,7 +148,7 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
         total = 0.0
         if clusters > 0:
             total = cumulate_estimates(
-                lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), estimate, running
+                lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), estimated, running
             )
         totals[i] = total
         if total > 0:
@@ -310,10 +310,16 @@ def pane_rays(geometry, ends, out):
 
 @njit(**JIT)
 def splat_rays(sources, shown, samples, point, seed, rays):
-    """Write rays from a point to `samples` points on each shown cluster; returns how many.
+    """Write rays from a point to samples on each cluster of lights with a shown piece; returns the number of rays.
 
-    Of the rays (`ShadowRays`) origin, direction, reach and weight are written; weight is radiance times solid angle.
-    Pieces that are not `shown` send nothing.
+    Args:
+        sources: Lights and surfaces of lights.
+        shown: Which pieces are shown, [p]; the others send nothing.
+        samples: Rays to each cluster.
+        point: World position (x, y, z).
+        seed: Seed of the random numbers.
+        rays: The rays (`ShadowRays`), of which origin, direction, reach and weight are written; weight is radiance
+            times solid angle.
     """
     lights, _, surfaces = sources
     x, y, z = point

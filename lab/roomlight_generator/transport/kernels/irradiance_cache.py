@@ -240,9 +240,16 @@ def subtract_spots(light, sun, distance, area):
 
 @njit(**JIT)
 def reflected_light(irradiance, coated, albedo, alpha, cosine, coat, out):
-    """Write the radiance that surfaces send along rays that leave at a cosine, as if a coat's lobe were even.
+    """Write the radiance that surfaces send along rays, as if the light of a coat's lobe were even.
 
-    coated is the irradiance that the coat lets through.
+    Args:
+        irradiance: Irradiance of the surfaces, [n, 3].
+        coated: Irradiance that the coat lets through, [n, 3].
+        albedo: Reflectance of the base, [n, 3].
+        alpha: Roughness of the coat (0: none), [n].
+        cosine: Cosine at which the ray leaves, [n].
+        coat: The coat's tables.
+        out: Receives the radiance, [n, 3].
     """
     through, reflected, scale, _, mean_through = coat
     for i in range(len(alpha)):
@@ -258,9 +265,16 @@ def reflected_light(irradiance, coated, albedo, alpha, cosine, coat, out):
 
 @njit(**JIT)
 def diffuse_light(received, albedo, alpha, cosine, coat, with_lobe, out):
-    """Write the radiance that surfaces send out, from the irradiance received (as let through by a coat, if any).
+    """Write the radiance that surfaces send out.
 
-    with_lobe adds the coat's own reflection as if light arrived evenly from all sides.
+    Args:
+        received: Irradiance, as let through by a coat, if any, [n, 3].
+        albedo: Reflectance of the base, [n, 3].
+        alpha: Roughness of the coat (0: none), [n].
+        cosine: Cosine at which the ray leaves, [n].
+        coat: The coat's tables.
+        with_lobe: Add the coat's own reflection as if light arrived evenly from all sides, [n].
+        out: Receives the radiance, [n, 3].
     """
     through, reflected, scale, _, mean_through = coat
     for i in range(len(alpha)):

@@ -131,9 +131,16 @@ def estimate(lights, which, point, normal):
 
 @njit(**JIT)
 def estimates(lights, clusters, visibility, row, least, point, normal, out):
-    """Write `estimate` for the first clusters, times their visibility where it was measured (row >= 0).
+    """Write `estimate` for the first clusters, times their visibility where it was measured.
 
-    Visibilities of less than `least` 255ths count as `least`.
+    Args:
+        lights: Clusters of lights (`Lights`).
+        clusters: Number of clusters.
+        visibility: Share of each cluster that each row sees, in 255ths, [rows, l].
+        row: Row of the point; below 0: not measured.
+        least: Visibilities below this count as this, in 255ths.
+        point, normal: The point (x, y, z) and its normal.
+        out: Receives the estimates, [l].
     """
     for which in range(clusters):
         out[which] = estimate(lights, which, point, normal)
@@ -169,14 +176,14 @@ def add_lobes(lights, clusters, visibility, row, point, normal, out):
 
 
 @njit(**JIT)
-def cumulate_estimates(lights, clusters, visibility, row, point, normal, estimate, running):
+def cumulate_estimates(lights, clusters, visibility, row, point, normal, estimated, running):
     """Write the first clusters' estimates times their visibility, and their running sum; returns the total."""
-    estimates(lights, clusters, visibility, row, LEAST_SEEN, point, normal, estimate)
+    estimates(lights, clusters, visibility, row, LEAST_SEEN, point, normal, estimated)
     if clusters > lights.real:
-        add_lobes(lights, clusters, visibility, row, point, normal, estimate)
+        add_lobes(lights, clusters, visibility, row, point, normal, estimated)
     total = 0.0
     for which in range(clusters):
-        total += estimate[which]
+        total += estimated[which]
         running[which] = total
     return total
 
@@ -301,7 +308,7 @@ def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
     owner, origin, direction, reach, weight, passed, cluster = rays
     hole, parts = outdoors.hole, outdoors.parts
     clusters = len(lights.start)
-    estimate, running, drawn, light = scratch
+    estimated, running, drawn, light = scratch
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
     tax, tay, taz, tbx, tby, tbz = tangents(sx, sy, sz)
@@ -321,7 +328,7 @@ def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
         total = 0.0
         if clusters > 0:
             total = cumulate_estimates(
-                lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), estimate, running
+                lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), estimated, running
             )
         if total > 0:
             # 3. Draw candidates on the lights, each weighted by its unshadowed contribution.
@@ -405,9 +412,15 @@ def add_visible(rays, seen, count, outside, out):
 
 @njit(**JIT)
 def sun_rays(outdoors, through, points, seed, rays):
-    """Write one shadow ray toward the sun's disc for each point that it may reach; returns how many.
+    """Write a shadow ray toward the sun's disc for each point that the sun may reach; returns the number of rays.
 
-    weight is the irradiance that the point's coat lets through. reach, passed and cluster of the rays are not written.
+    Args:
+        outdoors: Openings and the sun (`Outdoors`).
+        through: The coat's table: the share of light let through, by roughness and cosine.
+        points: The points (`Points`).
+        seed: Seed of the random numbers.
+        rays: The rays (`ShadowRays`). weight is the irradiance that the point's coat lets through; reach, passed and
+            cluster are not written.
     """
     position, normal, geometric_normal, alpha, _, stream = points
     owner, origin, direction, _, weight, _, _ = rays

@@ -72,7 +72,7 @@ class LightScratch(NamedTuple):
     Allocated by the caller: a kernel that allocates counts references to its arrays at each call of another.
     """
 
-    estimate: Float32[np.ndarray, " l"]
+    estimated: Float32[np.ndarray, " l"]
     running: Float64[np.ndarray, " l"]
     drawn: Float64[np.ndarray, "c 9"]
     cluster: Int32[np.ndarray, " c"]
@@ -91,7 +91,7 @@ class LightScratch(NamedTuple):
 class ConeScratch(NamedTuple):
     """Work space of `gather_rays`: clusters' estimates; cones' directions, cosines and densities; their shares."""
 
-    estimate: Float32[np.ndarray, " l"]
+    estimated: Float32[np.ndarray, " l"]
     cones: Float32[np.ndarray, "5 l"]
     chance: Float64[np.ndarray, " l"]
 
