@@ -9,6 +9,7 @@ import codecs
 import csv
 import json
 import math
+import re
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -194,6 +195,13 @@ def matrix_of_text(data: bytes, size: int, label: str) -> Float[np.ndarray, "{si
         raise ValueError(f"has {len(lines)} rows of numbers where {size} are needed")
     rows = [numbers_of_line(line, size, f"row {row}") for row, line in enumerate(lines[:size])]
     return np.stack([coordinates(values, f"row {row}") for row, values in enumerate(rows)])
+
+
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Return a sort key that puts `9.jpg` before `10.jpg`: digits by length, then by digit; other text as is."""
+    parts = re.findall(r"\d+|\D+", name)
+    digits = [part.lstrip("0") if part[0].isdigit() else None for part in parts]
+    return [(-1, part) if value is None else (len(value), value) for part, value in zip(parts, digits, strict=True)]
 
 
 def _short(value: object) -> str:

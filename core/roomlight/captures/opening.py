@@ -8,9 +8,14 @@ from typing import Final
 
 from roomlight.captures.capture import Capture, Reader
 from roomlight.captures.formats import native, nerfstudio, record3d, stray_scanner
+from roomlight.captures.formats.arkit_scenes import TRAJECTORY, ArkitScenesReader
+from roomlight.captures.formats.colmap import ColmapReader, model_folder
 from roomlight.captures.formats.native import NativeReader
 from roomlight.captures.formats.nerfstudio import NerfstudioReader
+from roomlight.captures.formats.polycam import PolycamReader, is_polycam
 from roomlight.captures.formats.record3d import Record3DReader
+from roomlight.captures.formats.scanner_app import ScannerAppReader, is_scanner_app
+from roomlight.captures.formats.scannet import ScanNetReader
 from roomlight.captures.formats.seven_scenes import SevenScenesReader
 from roomlight.captures.formats.stray_scanner import StrayScannerReader
 from roomlight.captures.formats.tum import TumReader
@@ -25,7 +30,15 @@ _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
     "record3d": Record3DReader,
     "tum": TumReader,
     "seven-scenes": SevenScenesReader,
+    "polycam": PolycamReader,
+    "3d-scanner-app": ScannerAppReader,
+    "arkitscenes": ArkitScenesReader,
+    "scannet": ScanNetReader,
+    "colmap": ColmapReader,
 }
+_FILES: Final = ("record3d", "scannet")
+"""Formats that are one file."""
+
 
 FORMATS: Final = tuple(_READERS)
 """The names that `CaptureOptions.format` takes."""
@@ -33,7 +46,9 @@ FORMATS: Final = tuple(_READERS)
 _SIGNS: Final = (
     f"{native.INDEX} (roomlight), {nerfstudio.INDEX} (nerfstudio), {stray_scanner.ODOMETRY} with "
     f"{stray_scanner.VIDEO} (stray-scanner), metadata with rgbd/ or metadata.json with rgb/ and depth/, or a .r3d "
-    "file (record3d), rgb.txt with groundtruth.txt (tum), frame-XXXXXX.color.png (seven-scenes)"
+    "file (record3d), rgb.txt with groundtruth.txt (tum), frame-XXXXXX.color.png (seven-scenes), "
+    "keyframes/cameras (polycam), frame_00000.jpg with frame_00000.json (3d-scanner-app), lowres_wide.traj "
+    "(arkitscenes), a .sens file (scannet), sparse/0/cameras.bin or .txt (colmap)"
 )
 
 _IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr")
@@ -66,7 +81,7 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
         if chosen.format is None:
             path = _innermost(path)
         name = chosen.format or _detect(path)
-        if path.is_file() and name != "record3d":
+        if path.is_file() and name not in _FILES:
             raise CaptureError(f"{path}: is a file; the {name} format is a folder")
     except (OSError, ValueError) as error:  # a name too long, no permission, a NUL byte
         raise CaptureError(f"{path}: cannot be opened ({error})") from error
@@ -84,6 +99,8 @@ def _detect(path: Path) -> str:
     if path.is_file():
         if path.suffix.lower() == ".r3d":
             return "record3d"
+        if path.suffix.lower() == ".sens":
+            return "scannet"
         if zipfile.is_zipfile(path):
             return _detect_zip(path)
     elif has(native.INDEX):
@@ -98,6 +115,14 @@ def _detect(path: Path) -> str:
         return "tum"
     elif any(path.glob("frame-*.*.*")):
         return "seven-scenes"
+    elif is_polycam(source):
+        return "polycam"
+    elif has(TRAJECTORY):
+        return "arkitscenes"
+    elif model_folder(source) is not None:
+        return "colmap"
+    elif is_scanner_app(source):
+        return "3d-scanner-app"
     raise UnknownFormatError(
         f"{path}: no capture format recognised; looked for {_SIGNS}. {_bare_images(path)}Set `format` to force one"
     )

@@ -218,7 +218,10 @@ def damaged(original: Path, scratch: Path, rng: random.Random) -> Path:
     if original.is_file():
         path.parent.mkdir()
         shutil.copy(original, path)
-        damaged_archive(path, scratch / "members", rng)
+        if path.suffix == ".r3d":
+            damaged_archive(path, scratch / "members", rng)
+        else:
+            rng.choice([truncated, flipped, flipped, emptied, noise, extended, zeroed, zeroed])(path, rng)
     else:
         shutil.copytree(original, path)
         damaged_folder(path, DAMAGE, rng)

@@ -254,6 +254,118 @@ def roomlight(path: Path, views: list[View]) -> Path:
     return path
 
 
+def polycam(path: Path, views: list[View]) -> Path:
+    """A raw export with closed loops: the uncorrected images are there too, and would be read wrongly."""
+    for index, view in enumerate(views):
+        stem = f"{round(view.time_s * 1e6)}"
+        root = path / "keyframes"
+        save(root / f"corrected_images/{stem}.jpg", image(".jpg", view.srgb8))
+        save(root / f"images/{stem}.jpg", image(".jpg", 255 - view.srgb8))
+        save(root / f"depth/{stem}.png", image(".png", millimetres(view)))
+        save(root / f"confidence/{stem}.png", image(".png", (view.confidence.astype(int) * 255 // 2).astype(np.uint8)))
+        camera = {"fx": FX, "fy": FY, "cx": CX, "cy": CY, "width": WIDTH, "height": HEIGHT, "blur_score": 90.0 + index}
+        camera |= {f"t_{row}{column}": view.pose[row, column] for row in range(3) for column in range(4)}
+        save(root / f"corrected_cameras/{stem}.json", json.dumps(camera).encode())
+        save(root / f"cameras/{stem}.json", json.dumps(camera | {"t_03": 99.0}).encode())
+    return path
+
+
+def scanner_app(path: Path, views: list[View]) -> Path:
+    """Images of every fourth pose."""
+    for index, view in enumerate(views):
+        number = f"{4 * index:05d}"
+        save(path / f"frame_{number}.jpg", image(".jpg", view.srgb8))
+        save(path / f"depth_{number}.png", image(".png", millimetres(view)))
+        save(path / f"conf_{number}.png", image(".png", view.confidence))
+        stated = {
+            "cameraPoseARFrame": view.pose.reshape(-1).tolist(),
+            "intrinsics": [FX, 0, CX, 0, FY, CY, 0, 0, 1],
+            "time": view.time_s,
+        }
+        save(path / f"frame_{number}.json", json.dumps(stated).encode())
+        save(path / f"frame_{4 * index + 1:05d}.json", json.dumps(stated).encode())
+    save(path / "info.json", b"{}")
+    return path
+
+
+def arkit_scenes(path: Path, views: list[View]) -> Path:
+    lines = []
+    for view in views:
+        stem = f"41069021_{view.time_s:.6f}"
+        save(path / f"lowres_wide/{stem}.png", image(".png", view.srgb8))
+        save(path / f"lowres_depth/{stem}.png", image(".png", millimetres(view)))
+        save(path / f"confidence/{stem}.png", image(".png", view.confidence))
+        pincam = f"{WIDTH} {HEIGHT} {FX} {FY} {CX} {CY}"
+        save(path / f"lowres_wide_intrinsics/41069021_{view.time_s + 0.001:.3f}.pincam", pincam.encode())
+        inverse = np.linalg.inv(Y_UP_TO_Z_UP @ view.pose @ FLIP)
+        angle = cv2.Rodrigues(inverse[:3, :3])[0].reshape(-1)
+        lines.append(" ".join(str(value) for value in [view.time_s + 0.002, *angle, *inverse[:3, 3]]))
+    save(path / "lowres_wide.traj", "\n".join(lines).encode())
+    return path
+
+
+def scannet(path: Path, views: list[View]) -> Path:
+    """Depth compressed by zlib, in millimetres; K with whole-number pixel centres."""
+    k = np.eye(4, dtype="<f4")
+    k[:2, :3] = [[FX, 0, CX - 0.5], [0, FY, CY - 0.5]]
+    same = np.eye(4, dtype="<f4").tobytes()
+    head = struct.pack("<IQ", 4, 15) + b"StructureSensor" + k.tobytes() + same + k.tobytes() + same
+    head += struct.pack("<2i4IfQ", 2, 1, WIDTH, HEIGHT, WIDTH, HEIGHT, 1000.0, len(views))
+    body = b""
+    for view in views:
+        colour, depth = image(".jpg", view.srgb8), zlib.compress(millimetres(view).tobytes())
+        pose = (Y_UP_TO_Z_UP @ view.pose @ FLIP).astype("<f4").tobytes()
+        time_us = round(view.time_s * 1e6)
+        body += pose + struct.pack("<4Q", time_us, time_us, len(colour), len(depth)) + colour + depth
+    path = path.with_suffix(".sens")
+    save(path, head + body)
+    return path
+
+
+COLMAP_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""COLMAP's world as a camera that is held level sees it: y down."""
+
+
+def colmap_files(path: Path, views: list[View]) -> tuple[list[str], list[list[float]]]:
+    names, poses = [], []
+    for index, view in enumerate(views):
+        names.append(f"frame_{index + 1:05d}.png")
+        save(path / "images" / names[-1], image(".png", view.srgb8))
+        save(path / "depth" / names[-1], image(".png", millimetres(view)))
+        inverse = np.linalg.inv(COLMAP_UP @ view.pose @ FLIP)
+        x, y, z, w = quaternion_of_any(inverse[:3, :3])
+        poses.append([w, x, y, z, *inverse[:3, 3]])
+    return names, poses
+
+
+def quaternion_of_any(rot: np.ndarray) -> list[float]:
+    angle = cv2.Rodrigues(rot)[0].reshape(-1)
+    turn = float(np.linalg.norm(angle))
+    axis = angle / max(turn, 1e-12)
+    return [*(axis * np.sin(turn / 2)), float(np.cos(turn / 2))]
+
+
+def colmap(path: Path, views: list[View]) -> Path:
+    names, poses = colmap_files(path, views)
+    save(path / "sparse/0/cameras.bin", struct.pack("<QiiQQ4d", 1, 1, 1, WIDTH, HEIGHT, FX, FY, CX, CY))
+    data = struct.pack("<Q", len(names))
+    for index, (name, pose) in enumerate(zip(names, poses, strict=True)):
+        data += struct.pack("<i7di", index + 1, *pose, 1) + name.encode() + b"\0"
+        data += struct.pack("<Q", 1) + struct.pack("<ddq", 1.0, 2.0, -1)
+    save(path / "sparse/0/images.bin", data)
+    return path
+
+
+def colmap_text(path: Path, views: list[View]) -> Path:
+    names, poses = colmap_files(path, views)
+    save(path / "sparse/cameras.txt", f"# cameras\n7 PINHOLE {WIDTH} {HEIGHT} {FX} {FY} {CX} {CY}\n".encode())
+    lines = ["# images"]
+    for index, (name, pose) in reversed(list(enumerate(zip(names, poses, strict=True)))):
+        lines += [f"{index + 1} " + " ".join(map(str, pose)) + f" 7 {name}", "1.0 2.0 -1"]
+    save(path / "sparse/images.txt", "\n".join(lines).encode())
+    return path
+
+
 BUILDERS = {
     "nerfstudio": nerfstudio,
     "nerfcapture": nerfcapture,
@@ -263,8 +375,17 @@ BUILDERS = {
     "record3d-export": record3d_export,
     "tum": tum,
     "roomlight": roomlight,
+    "polycam": polycam,
+    "3d-scanner-app": scanner_app,
+    "arkitscenes": arkit_scenes,
+    "scannet": scannet,
+    "colmap": colmap,
+    "colmap-text": colmap_text,
 }
-FORMAT_OF = {name: {"nerfcapture": "nerfstudio", "record3d-export": "record3d"}.get(name, name) for name in BUILDERS}
+FORMAT_OF = {
+    name: {"nerfcapture": "nerfstudio", "record3d-export": "record3d", "colmap-text": "colmap"}.get(name, name)
+    for name in BUILDERS
+}
 
 
 def png_with_size(data: bytes, width: int, height: int) -> bytes:

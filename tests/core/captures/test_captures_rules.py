@@ -420,3 +420,55 @@ def test_frame_errors_are_frame_errors(transforms: Path) -> None:
     edit(transforms / "transforms.json", lambda index: index["frames"][0].update(camera_model="EQUIRECTANGULAR"))
     with pytest.raises(FrameError, match="EQUIRECTANGULAR"):
         open_capture(transforms).frame_at(0)
+
+
+# Formats of other tools
+
+
+def test_polycam_without_loops_and_in_its_other_layout(tmp_path: Path) -> None:
+    path = formats.polycam(tmp_path / "a", VIEWS)
+    shutil.rmtree(path / "keyframes/corrected_images")
+    assert (
+        next(iter(open_capture(path))).camera_to_world[0, 3] == 99.0
+    )  # the uncorrected cameras belong to these images
+    path = formats.polycam(tmp_path / "b", VIEWS)
+    for folder in (path / "keyframes").iterdir():
+        folder.rename(path / folder.name)
+    np.testing.assert_allclose(next(iter(open_capture(path))).camera_to_world, VIEWS[0].pose, atol=1e-9)
+
+
+def test_arkitscenes_without_a_pose_near_in_time(tmp_path: Path) -> None:
+    path = formats.arkit_scenes(tmp_path / "capture", VIEWS)
+    lines = (path / "lowres_wide.traj").read_text().splitlines()
+    (path / "lowres_wide.traj").write_text("\n".join([lines[0], *lines[3:]]))
+    capture = open_capture(path)
+    assert [frame.index for frame in capture] == [0, 3] or len(capture.skipped) == 0
+    (path / "lowres_wide.traj").write_text(lines[0])
+    capture = open_capture(path)
+    assert [frame.index for frame in capture] == [0, 1]
+    assert "the nearest pose is" in capture.skipped[0].reason
+
+
+def test_a_truncated_sens_keeps_its_whole_frames(tmp_path: Path) -> None:
+    path = formats.scannet(tmp_path / "capture", VIEWS)
+    path.write_bytes(path.read_bytes()[:-100])
+    capture = open_capture(path)
+    assert len(list(capture)) == 3
+    assert "3 of them are whole" in capture.notes[0].effect
+    lost = bytearray(formats.scannet(tmp_path / "lost", VIEWS).read_bytes())
+    at = lost.index(np.asarray((formats.Y_UP_TO_Z_UP @ VIEWS[1].pose @ formats.FLIP), "<f4").tobytes())
+    lost[at : at + 64] = np.full(16, -np.inf, "<f4").tobytes()
+    (tmp_path / "lost.sens").write_bytes(lost)
+    one_skipped(tmp_path / "lost.sens", 1, "lost tracking")
+
+
+def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:
+    path = formats.colmap_text(tmp_path / "capture", VIEWS)
+    text = (path / "sparse/cameras.txt").read_text()
+    (path / "sparse/cameras.txt").write_text(text.replace("PINHOLE", "OPENCV_FISHEYE").rstrip() + " 0 0 0 0\n")
+    capture = open_capture(path)
+    assert next(iter(capture)).intrinsics.fx < 0.98 * formats.FX
+    assert "scale and up direction" in capture.notes[0].left_out
+    (path / "sparse/cameras.txt").write_text(text.replace("PINHOLE", "FOV").rstrip() + " 0.9\n")
+    with pytest.raises(CaptureError, match="FOV"):
+        list(open_capture(path))

@@ -19,7 +19,6 @@ nerfstudio does. `probes: [{position, file_path}]` are ground-truth panoramas in
 """
 
 import math
-import re
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -262,12 +261,5 @@ def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
     if all(_time(frame) is not None for frame in frames):
         return sorted(frames, key=lambda frame: frame["timestamp"])
     if all(isinstance(frame.get("file_path"), str) for frame in frames):
-        return sorted(frames, key=lambda frame: natural_key(frame["file_path"]))
+        return sorted(frames, key=lambda frame: fields.natural_key(frame["file_path"]))
     return frames
-
-
-def natural_key(name: str) -> list[tuple[int, str]]:
-    """Return a sort key that puts `9.jpg` before `10.jpg`: digits by length, then by digit; other text as is."""
-    parts = re.findall(r"\d+|\D+", name)
-    digits = [part.lstrip("0") if part[0].isdigit() else None for part in parts]
-    return [(-1, part) if value is None else (len(value), value) for part, value in zip(parts, digits, strict=True)]

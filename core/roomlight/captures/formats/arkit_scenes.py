@@ -1,0 +1,130 @@
+"""ARKitScenes: `lowres_wide/ID_TIME.png`, `lowres_depth`, `confidence`, `lowres_wide_intrinsics/ID_TIME.pincam` and
+`lowres_wide.traj`.
+
+Each image takes the pose nearest in time, at most 0.05 s away, and the intrinsics nearest in time: their names differ
+by a millisecond.
+
+Conventions: a line of the trajectory is `time, axis-angle, translation` of the world-to-camera transform, OpenCV axes,
+world z-up. A `.pincam` holds `width height fx fy cx cy`, used unchanged. Depth is in uint16 millimetres, confidence is
+0, 1 or 2.
+"""
+
+import bisect
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import Intrinsics
+from roomlight.captures import fields
+from roomlight.captures.capture import PoseConventions, RawFrame
+from roomlight.captures.decoding import read_rgbd
+from roomlight.captures.formats.listed import ListedReader, files_of
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import FolderSource, read_index
+from roomlight.errors import CaptureError, FrameError
+
+TRAJECTORY = "lowres_wide.traj"
+MAX_GAP_S = 0.05
+
+
+class ArkitScenesReader(ListedReader):
+    """Reads the folder of one video of ARKitScenes."""
+
+    format = "arkitscenes"
+    conventions = PoseConventions("opencv", "world-to-camera", (0.0, 0.0, 1.0))
+
+    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        """List the images and read the trajectory.
+
+        Raises:
+            CaptureError: There is no image, or the trajectory is missing or damaged.
+        """
+        source = FolderSource(folder)
+        colour = files_of(source, "lowres_wide", (".png", ".jpg"))
+        super().__init__(folder, options, colour, expected="lowres_wide/*.png")
+        label = source.label(TRAJECTORY)
+        self._poses: list[tuple[float, list[float]]] = []
+        for row, line in enumerate(fields.parse_text(read_index(source, TRAJECTORY), label), start=1):
+            if line.strip():
+                with fields.naming(f"{label}: line {row}", CaptureError):
+                    values = fields.numbers_of_line(line, 7, "the pose")
+                    self._poses.append((fields.number(values[0], "the time"), values[1:]))
+        self._poses.sort(key=lambda pose: pose[0])
+        if not self._poses:
+            raise CaptureError(f"{label}: has no pose")
+        pincams = files_of(source, "lowres_wide_intrinsics", (".pincam",))
+        self._pincams = sorted((time, name) for name in pincams if (time := _time_of(name)) is not None)
+
+    def timestamps(self) -> list[float | None]:
+        """Return the times in the images' names."""
+        return [_time_of(name) for name in self._colour]
+
+    def _read(self, index: int) -> RawFrame:
+        colour_name, label = self._colour[index], self.name_of(index)
+        file = Path(colour_name).name
+        depth_name = f"lowres_depth/{file}"
+        with fields.naming(label, FrameError):
+            time_s = _time_of(colour_name)
+            if time_s is None:
+                raise ValueError("its name has no time (ID_TIME.png)")
+            at = _nearest([pose[0] for pose in self._poses], time_s)
+            gap_s = abs(self._poses[at][0] - time_s)
+            if gap_s > MAX_GAP_S:
+                raise ValueError(f"the nearest pose is {gap_s:.3f} s away; at most {MAX_GAP_S} s is allowed")
+            pose = _transform(self._poses[at][1])
+        return self._frame(label, colour_name, depth_name, self._intrinsics(time_s, label), pose, file)
+
+    def _frame(
+        self,
+        label: str,
+        colour_name: str,
+        depth_name: str,
+        intrinsics: Intrinsics,
+        pose: Float[np.ndarray, "4 4"],
+        file: str,
+    ) -> RawFrame:
+        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        return RawFrame(
+            name=label,
+            picture=read.picture,
+            depth_m=read.depth_m,
+            depth_name=self._source.label(depth_name),
+            intrinsics=intrinsics,
+            pose=pose,
+            confidence=self._confidence(f"confidence/{file}"),
+        )
+
+    def _intrinsics(self, time_s: float, label: str) -> Intrinsics:
+        if not self._pincams:
+            raise FrameError(f"{label}: there is no lowres_wide_intrinsics/*.pincam")
+        name = self._pincams[_nearest([time for time, _ in self._pincams], time_s)][1]
+        pincam = self._source.label(name)
+        lines = fields.parse_text(self._source.read(name, max_bytes=4096), pincam)
+        with fields.naming(pincam, FrameError):
+            values = [fields.number(v, "a value") for v in fields.numbers_of_line(" ".join(lines), 6, "the camera")]
+            width, height = fields.pixels(values[0], "width"), fields.pixels(values[1], "height")
+            return Intrinsics(values[2], values[3], values[4], values[5], width, height)
+
+
+def _time_of(name: str) -> float | None:
+    try:
+        return fields.number(float(Path(name).name.rpartition(".")[0].rpartition("_")[2]), "the time")
+    except ValueError:
+        return None
+
+
+def _nearest(times: list[float], time_s: float) -> int:
+    at = bisect.bisect_left(times, time_s)
+    return min(range(max(0, at - 1), min(len(times), at + 1)), key=lambda index: abs(times[index] - time_s))
+
+
+def _transform(values: list[float]) -> Float[np.ndarray, "4 4"]:
+    numbers = fields.coordinates(values, "the pose")
+    if not np.isfinite(numbers).all() or np.abs(numbers[:3]).max() > 100:
+        raise ValueError("the pose holds NaN, infinity or an impossible rotation (lost tracking)")
+    pose = np.eye(4)
+    pose[:3, :3], _ = cv2.Rodrigues(numbers[:3])
+    pose[:3, 3] = numbers[3:]
+    return pose

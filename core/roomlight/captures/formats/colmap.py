@@ -1,0 +1,212 @@
+"""A COLMAP model with images and depth: `sparse/0/{cameras,images}.{bin,txt}`, `images/NAME` and `depth/STEM.png`.
+
+COLMAP knows neither metres nor gravity: a capture must have been scaled to metres, and its up direction is assumed to
+be -y, that of a camera held level; both are noted. Depth maps lie in `depth`, `depths` or `depth_maps`, named like
+the image, in the model's unit (integers: a thousandth of it).
+
+Conventions: world-to-camera quaternions (w, x, y, z), OpenCV camera. Principal points have pixel centres at half
+integers and are used unchanged. Lens models are those of `roomlight.captures.lenses`.
+"""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import Intrinsics, pose_from_quaternion
+from roomlight.captures import fields
+from roomlight.captures.capture import PoseConventions, RawFrame
+from roomlight.captures.decoding import read_rgbd
+from roomlight.captures.formats.listed import ListedReader
+from roomlight.captures.lenses import Lens, lens_of, straightened
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.errors import CaptureError, FrameError
+from roomlight.notes import Note
+
+FOLDERS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
+_DEPTH: Final = ("depth", "depths", "depth_maps")
+_MODELS: Final = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "FOV": ("fx", "fy", "cx", "cy", "omega"),
+    "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
+    "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
+    "THIN_PRISM_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"),
+}
+_NAMES: Final = tuple(_MODELS)
+
+
+@dataclass(frozen=True)
+class _Camera:
+    intrinsics: Intrinsics
+    lens: Lens
+
+
+@dataclass(frozen=True)
+class _Image:
+    name: str
+    camera: int
+    pose: Float[np.ndarray, "4 4"] | str
+    """World-to-camera; a text says why there is none."""
+
+
+def model_folder(source: FolderSource) -> str | None:
+    """Return the folder that holds a model; None without one."""
+    for folder in FOLDERS:
+        prefix = f"{folder}/" if folder else ""
+        if any(source.has(f"{prefix}cameras.{end}") and source.has(f"{prefix}images.{end}") for end in ("bin", "txt")):
+            return folder
+    return None
+
+
+class ColmapReader(ListedReader):
+    """Reads a folder with a COLMAP model, its images and depth maps."""
+
+    format = "colmap"
+    conventions = PoseConventions("opencv", "world-to-camera", (0.0, -1.0, 0.0))
+
+    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        """Read the model.
+
+        Raises:
+            CaptureError: There is no model, or it is damaged.
+        """
+        source = FolderSource(folder)
+        found = model_folder(source)
+        if found is None:
+            raise CaptureError(f"{folder}: has no COLMAP model (sparse/0/cameras.bin and images.bin, or .txt)")
+        prefix = f"{found}/" if found else ""
+        binary = source.has(f"{prefix}cameras.bin") and source.has(f"{prefix}images.bin")
+        end = "bin" if binary else "txt"
+        cameras, images = (read_index(source, f"{prefix}{name}.{end}") for name in ("cameras", "images"))
+        label = source.label(f"{prefix}images.{end}")
+        try:
+            with fields.naming(source.label(f"{prefix}cameras.{end}"), CaptureError):
+                self._cameras = _cameras_of_bytes(cameras) if binary else _cameras_of_text(cameras, label)
+            with fields.naming(label, CaptureError):
+                listed = _images_of_bytes(images) if binary else _images_of_text(images, label)
+        except (struct.error, UnicodeDecodeError) as error:
+            raise CaptureError(f"{label}: the model is truncated or damaged ({error})") from error
+        self._images = sorted(listed, key=lambda image: fields.natural_key(image.name))
+        root = next((name for name in ("images", "colmap/images", "dense/images") if source.has(name)), "")
+        colour = [f"{root}/{image.name}" if root else image.name for image in self._images]
+        super().__init__(folder, options, colour, expected=f"image in {label}")
+        self._depth = next((name for name in _DEPTH if source.has(name)), "depth")
+        note = Note(
+            f"{folder}: COLMAP's scale and up direction",
+            "the model is taken for metres, and up for the opposite of its y axis",
+            "scale the model to metres and state world_up",
+        )
+        self.notes = [note]
+
+    def _read(self, index: int) -> RawFrame:
+        image, label = self._images[index], self.name_of(index)
+        stem = str(PurePosixPath(image.name).with_suffix(""))
+        depth_name = self._source.with_suffix(f"{self._depth}/{stem}", (".png", ".exr", ".npy"))
+        with fields.naming(label, FrameError):
+            if isinstance(image.pose, str):
+                raise ValueError(image.pose)
+            camera = self._cameras.get(image.camera)
+            if camera is None:
+                raise ValueError(f"its camera {image.camera} is not in the model, or its lens is not read")
+            if isinstance(camera, str):
+                raise ValueError(camera)
+        read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
+        picture, depth_m, intrinsics = read.picture, read.depth_m, camera.intrinsics
+        with fields.naming(label, FrameError):
+            if not camera.lens.straight and picture.image.shape[:2] == (intrinsics.height, intrinsics.width):
+                picture, depth_m, intrinsics = straightened(picture, depth_m, intrinsics, camera.lens)
+        return RawFrame(
+            name=label,
+            picture=picture,
+            depth_m=depth_m,
+            depth_name=self._source.label(depth_name),
+            intrinsics=intrinsics,
+            pose=image.pose,
+        )
+
+
+def _camera(model: str, width: int, height: int, parameters: list[float]) -> _Camera | str:
+    """Return a camera, or why it cannot be used."""
+    try:
+        names = _MODELS.get(model)
+        if names is None or len(names) != len(parameters):
+            raise ValueError(f"has {len(parameters)} parameters")
+        values = dict(zip(names, parameters, strict=True))
+        fx, fy = values.get("fx", values.get("f", 0.0)), values.get("fy", values.get("f", 0.0))
+        distortion = {key: value for key, value in values.items() if key[0] in "kp"}
+        lens = lens_of({"camera_model": model, **distortion}, {})
+        return _Camera(Intrinsics(fx, fy, values["cx"], values["cy"], width, height), lens)
+    except ValueError as error:
+        return f"its camera model {model[:40]} cannot be used: {error}"
+
+
+def _pose(quaternion_wxyz: list[float], translation: list[float]) -> Float[np.ndarray, "4 4"] | str:
+    try:
+        numbers = fields.coordinates([*quaternion_wxyz, *translation], "the pose")
+        return pose_from_quaternion(numbers[[1, 2, 3, 0]], numbers[4:])
+    except ValueError as error:
+        return str(error)
+
+
+def _cameras_of_text(data: bytes, label: str) -> dict[int, _Camera | str]:
+    found: dict[int, _Camera | str] = {}
+    for line in fields.parse_text(data, label):
+        words = line.split()
+        if words and not words[0].startswith("#"):
+            if len(words) < 5:
+                raise ValueError(f"has a line that is no camera: {line[:60]!r}")
+            width, height = fields.pixels(float(words[2]), "width"), fields.pixels(float(words[3]), "height")
+            found[int(words[0])] = _camera(words[1], width, height, [float(word) for word in words[4:]])
+    return found
+
+
+def _images_of_text(data: bytes, label: str) -> list[_Image]:
+    lines = [line for line in fields.parse_text(data, label) if not line.startswith("#")]
+    found: list[_Image] = []
+    for line in lines[::2]:  # each image has a second line of points
+        words = line.split(maxsplit=9)
+        if not words:
+            continue
+        if len(words) < 10:
+            raise ValueError(f"has a line that is no image: {line[:60]!r}")
+        values = [float(word) for word in words[1:8]]
+        found.append(_Image(words[9].strip(), int(words[8]), _pose(values[:4], values[4:])))
+    return found
+
+
+def _cameras_of_bytes(data: bytes) -> dict[int, _Camera | str]:
+    found: dict[int, _Camera | str] = {}
+    (count,), at = struct.unpack_from("<Q", data), 8
+    for _ in range(min(count, MAX_FRAMES)):
+        number, kind, width, height = struct.unpack_from("<iiQQ", data, at)
+        if not 0 <= kind < len(_NAMES):
+            raise ValueError(f"has a camera model of number {kind}, which is not read")
+        names = _MODELS[_NAMES[kind]]
+        parameters = list(struct.unpack_from(f"<{len(names)}d", data, at + 24))
+        size = fields.pixels(width, "width"), fields.pixels(height, "height")
+        found[number] = _camera(_NAMES[kind], *size, parameters)
+        at += 24 + 8 * len(names)
+    return found
+
+
+def _images_of_bytes(data: bytes) -> list[_Image]:
+    found: list[_Image] = []
+    (count,), at = struct.unpack_from("<Q", data), 8
+    for _ in range(min(count, MAX_FRAMES + 1)):
+        values = struct.unpack_from("<i7di", data, at)
+        end = data.index(b"\0", at + 64)
+        name = data[at + 64 : end].decode()
+        (points,) = struct.unpack_from("<Q", data, end + 1)
+        found.append(_Image(name, values[8], _pose(list(values[1:5]), list(values[5:8]))))
+        at = end + 9 + 24 * points
+    return found

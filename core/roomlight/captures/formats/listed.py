@@ -1,0 +1,88 @@
+"""What readers of formats with one file of each kind a frame share: a list of names, read one by one."""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from roomlight.captures import fields
+from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.decoding import decode_confidence
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import MAX_FRAMES, FolderSource
+from roomlight.errors import CaptureError
+from roomlight.notes import Note
+
+ARKIT = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
+
+
+class ListedReader:
+    """Base of readers whose records are names of colour files in a folder; a format implements `_read`."""
+
+    format = ""
+    conventions = ARKIT
+
+    def __init__(self, folder: Path, options: CaptureOptions, colour: list[str], *, expected: str) -> None:
+        """Take the names of the colour files.
+
+        Raises:
+            CaptureError: There is none, or more than `MAX_FRAMES`.
+        """
+        self._source = FolderSource(folder)
+        self._unit_m = options.depth_unit_m
+        self._colour = colour
+        self.probes: list[RawProbe] = []
+        self.notes: list[Note] = []
+        self.count = len(colour)
+        if self.count == 0:
+            raise CaptureError(f"{folder}: has no {expected}")
+        if self.count > MAX_FRAMES:
+            raise CaptureError(f"{folder}: has {self.count} frames; up to {MAX_FRAMES} are read")
+
+    def name_of(self, index: int) -> str:
+        """Return the colour file."""
+        return self._source.label(self._colour[index])
+
+    def timestamps(self) -> list[float | None]:
+        """Return no times; formats that store some override this."""
+        return []
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Return the function that reads a record; no file is held open."""
+        yield self._read
+
+    def _read(self, index: int) -> RawFrame:
+        raise NotImplementedError
+
+    def _json(self, name: str) -> dict[str, Any]:
+        """Read a JSON object of one frame. Raises FrameError and CaptureError."""
+        return fields.parse_json(self._source.read(name, max_bytes=1 << 20), self._source.label(name))
+
+    def _confidence(self, name: str) -> UInt8[np.ndarray, "h w"] | None:
+        """Read confidence if the file exists; levels of 0, 127 and 255 become 0, 1 and 2."""
+        if not self._source.has(name):
+            return None
+        levels = decode_confidence(self._source.read(name), self._source.label(name))
+        if levels.max(initial=0) <= 2:
+            return levels
+        return np.digitize(levels, [1, 200]).astype(np.uint8)
+
+
+def files_of(source: FolderSource, folder: str, suffixes: tuple[str, ...]) -> list[str]:
+    """Return a folder's files of these endings in any case, in natural order."""
+    names = [name for name in source.names(folder) if name.lower().endswith(suffixes) and "/._" not in f"/{name}"]
+    return sorted(names, key=fields.natural_key)
+
+
+def first_folder(source: FolderSource, *folders: str) -> str:
+    """Return the first of these folders that has an entry; the first if none has."""
+    return next((folder for folder in folders if next(iter(source.names(folder)), None) is not None), folders[0])
+
+
+def row_major(values: object, rows: int, what: str) -> Float[np.ndarray, "{rows} {rows}"]:
+    """Return a square matrix from a flat list, row by row. Raises ValueError."""
+    return fields.vector(values, rows * rows, what).reshape(rows, rows)

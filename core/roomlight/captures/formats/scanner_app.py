@@ -1,0 +1,73 @@
+"""3D Scanner App's "all data" export: `frame_00000.jpg`, `frame_00000.json`, `depth_00000.png`, `conf_00000.png`.
+
+A record is a colour image; the app writes poses more often than images, and depth for each image.
+
+Conventions: `cameraPoseARFrame` holds the rows of the camera-to-world pose, ARKit's (OpenGL camera, world y-up);
+`intrinsics` the rows of K for the image, used unchanged. Depth is uint16 millimetres, confidence 0, 1, 2.
+"""
+
+import re
+from pathlib import Path
+
+from roomlight.camera import Intrinsics
+from roomlight.captures import fields
+from roomlight.captures.capture import RawFrame
+from roomlight.captures.decoding import read_rgbd
+from roomlight.captures.formats.listed import ListedReader, files_of, row_major
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import FolderSource
+from roomlight.errors import CaptureError, FrameError
+
+_COLOUR = re.compile(r"frame_(\d{1,9})\.(?:jpg|jpeg|png)", re.IGNORECASE)
+
+
+def is_scanner_app(source: FolderSource) -> bool:
+    """Whether the folder has the app's images with their JSON."""
+    return any(_COLOUR.fullmatch(name) and source.has(Path(name).stem + ".json") for name in source.names())
+
+
+class ScannerAppReader(ListedReader):
+    """Reads a folder that 3D Scanner App exported."""
+
+    format = "3d-scanner-app"
+
+    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        """List the images.
+
+        Raises:
+            CaptureError: There is no image.
+        """
+        source = FolderSource(folder)
+        colour = [name for name in files_of(source, "", (".jpg", ".jpeg", ".png")) if _COLOUR.fullmatch(name)]
+        super().__init__(folder, options, colour, expected="frame_00000.jpg")
+
+    def timestamps(self) -> list[float | None]:
+        """Return the times that the frames' JSON states."""
+        times: list[float | None] = []
+        for name in self._colour:
+            try:
+                times.append(fields.number(self._json(Path(name).stem + ".json").get("time"), "time"))
+            except (FrameError, CaptureError, ValueError):
+                times.append(None)
+        return times
+
+    def _read(self, index: int) -> RawFrame:
+        colour_name = self._colour[index]
+        number = Path(colour_name).stem.partition("_")[2]
+        depth_name, json_name = f"depth_{number}.png", f"frame_{number}.json"
+        stated = self._json(json_name)
+        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        height, width = read.picture.image.shape[:2]
+        with fields.naming(self._source.label(json_name), FrameError):
+            pose = row_major(stated.get("cameraPoseARFrame"), 4, "cameraPoseARFrame")
+            k = row_major(stated.get("intrinsics"), 3, "intrinsics")
+            intrinsics = Intrinsics(float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), width, height)
+        return RawFrame(
+            name=self.name_of(index),
+            picture=read.picture,
+            depth_m=read.depth_m,
+            depth_name=self._source.label(depth_name),
+            intrinsics=intrinsics,
+            pose=pose,
+            confidence=self._confidence(f"conf_{number}.png"),
+        )
