@@ -10,7 +10,7 @@ from light_rooms import lit, room
 from roomlight.conventions import linear_to_srgb8, panorama_directions
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.images import decode_colour, decode_grey8, write_exr
-from roomlight.light.coverage import confidence_bytes, confidence_png, coverage, light_coverage
+from roomlight.light.coverage import confidence_png, coverage
 from roomlight.light.encode import to_exr, to_hdr, to_png
 
 
@@ -109,23 +109,12 @@ def test_coverage_is_by_solid_angle(height: int) -> None:
     assert coverage(cap) == pytest.approx(0.25, rel=0.01)
 
 
-def test_light_coverage_counts_light_not_sphere() -> None:
-    lamp = lit(60, [((0, 1, 0), 15, 100.0)], level=0.1)
-    above = (panorama_directions(60)[..., 1] > 0.5).astype(np.float32)
-    assert light_coverage(lamp, above) > 0.7
-    assert light_coverage(lamp, 1 - above) == pytest.approx(1 - light_coverage(lamp, above), rel=1e-5)
-    even = lit(60, [], level=2.0)
-    assert light_coverage(even, above) == pytest.approx(coverage(above), rel=1e-5)
-    assert light_coverage(lit(60, [], level=0.0), above) == 1.0
-
-
-def test_confidence_as_png_and_floats() -> None:
+def test_confidence_as_png() -> None:
     observed = np.random.default_rng(0).random((24, 48)).astype(np.float32)
     observed[0, :2] = 0, 1
     grey = decode_grey8(confidence_png(observed), "confidence.png")
     assert grey[0, :2].tolist() == [0, 255]
     assert np.abs(grey / 255 - observed).max() <= 0.5 / 255 + 1e-6
-    np.testing.assert_array_equal(np.frombuffer(confidence_bytes(observed), "<f4").reshape(24, 48), observed)
 
 
 @pytest.mark.parametrize(
@@ -139,11 +128,6 @@ def test_confidence_as_png_and_floats() -> None:
     ],
 )
 def test_invalid_observed_shares(observed, rule: str) -> None:
-    for function in (coverage, confidence_png, confidence_bytes):
+    for function in (coverage, confidence_png):
         with pytest.raises(ValueError, match=rule):
             function(observed)
-
-
-def test_panorama_and_observed_of_two_sizes() -> None:
-    with pytest.raises(ValueError, match="got 32 x 16 and 16 x 8"):
-        light_coverage(room(16), np.zeros((8, 16), np.float32))

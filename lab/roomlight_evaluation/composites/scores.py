@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roomlight.conventions import LUMINANCE, linear_to_srgb
-from roomlight_evaluation.composites.methods import HARMONICS, METHODS
+from roomlight_evaluation.composites.methods import HARMONICS
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 
 METRICS: Final = ("rmse", "srgb", "log")
@@ -120,8 +120,3 @@ def read_lines(path: Path) -> list[SceneScore]:
     if not path.is_file():
         return []
     return [SceneScore(**json.loads(line)) for line in path.read_text().splitlines() if line.strip()]
-
-
-def worst_methods_first(scores: CompositeScores, region: str, metric: str) -> list[str]:
-    """Return the methods by falling mean error."""
-    return sorted(METHODS, key=lambda method: -scores.mean(method, region, metric).mean)
