@@ -1,7 +1,6 @@
 """A recipe on a terminal: missing datasets, the stages one after the other, the export of the weights."""
 
 import ctypes
-import json
 import sys
 import time
 from dataclasses import fields, replace
@@ -9,20 +8,19 @@ from pathlib import Path
 
 import cv2
 import torch
-from pydantic import TypeAdapter, ValidationError
 from rich.console import Console
 
 from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, OptionError
-from roomlight_cli.generation import show_generation
+from roomlight_cli.datasets.generation import show_generation
 from roomlight_cli.progress import Progress
 from roomlight_export.exporting import export_checkpoint
 from roomlight_export.importing import load_weights
 from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_model.training.loop import Run, TrainingProgress
-from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage
+from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage, read_options
 from roomlight_model.training.run_folder import RunFolder
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -146,14 +144,7 @@ def _generation(recipe: Recipe, name: str, data: Path) -> GenerateOptions | None
     unknown = sorted(set(values) - {option.name for option in fields(GenerateOptions)})
     if unknown:
         raise OptionError(f"{where}: there is no option {unknown[0]}")
-    try:
-        options = TypeAdapter(GenerateOptions).validate_json(json.dumps(dict(values)), strict=True)
-    except ValidationError as error:
-        first = error.errors()[0]
-        option = ".".join(str(part) for part in first["loc"])
-        raise OptionError(f"{where}: {option} is {first['input']!r}; {first['msg']}") from error
-    except DatasetError as error:
-        raise OptionError(f"{where}: {error}") from error
+    options = read_options(GenerateOptions, values, where)
     return options if options.panoramas is None else replace(options, panoramas=data / options.panoramas)
 
 

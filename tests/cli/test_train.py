@@ -140,8 +140,8 @@ def test_a_stopped_run_continues_and_a_finished_one_is_kept(
         (("cats",), 1, "one of clipping, objects, single, video"),
         (("recipe.toml", "--set", "colour=3"), 1, "no stage has an option colour"),
         (("recipe.toml", "--set", "steps"), 2, "--set takes NAME=VALUE"),
-        (("recipe.toml", "--set", "steps=0"), 1, "steps is 0; it must be 1 or more"),
-        (("recipe.toml", "--set", "steps=soon"), 1, "steps: Input should be a valid integer"),
+        (("recipe.toml", "--set", "steps=0"), 1, "steps is 0: Input should be greater than or equal to 1"),
+        (("recipe.toml", "--set", "steps=soon"), 1, "steps is 'soon': Input should be a valid integer"),
         (("recipe.toml", "--device", "cuda"), 1, "use 'cpu'"),
     ],
 )
@@ -164,9 +164,9 @@ def test_wrong_commands_are_refused_before_any_work(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("sequences = 6", "sequences = 0", "data lamps: sequences is 0; Input should be greater than or equal to 1"),
+        ("sequences = 6", "sequences = 0", "data lamps: sequences is 0: Input should be"),
         ("sequences = 6", "rooms = 6", "data lamps: there is no option rooms"),
-        ("sequences = 6", 'sequences = "6"', "data lamps: .*sequences"),
+        ("sequences = 6", 'sequences = "6"', "data lamps: sequences is '6': Input should be"),
         ("steps = 3", 'start_from = "shipped/cats"', "stage run: start_from is 'shipped/cats', but there is no"),
         ("steps = 3", 'start_from = "run/best.pt"', "stage run: start_from is 'run/best.pt', but there is no"),
     ],
@@ -177,7 +177,7 @@ def test_wrong_recipes_are_refused_before_any_work(
     write(tmp_path, CLIPPING.replace(old, new))
     refused = roomlight("train", "recipe.toml", "--out", "out", cwd=tmp_path)
     assert refused.code == 1
-    assert message.partition(".*")[0] in " ".join(refused.err.split())
+    assert message in " ".join(refused.err.split())
     assert not (tmp_path / "out").exists()
 
 

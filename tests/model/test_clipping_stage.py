@@ -77,6 +77,7 @@ def test_held_out_frames_need_clipped_pixels() -> None:
         ClippingStage(SHORT, lamp_frames(2), dark)
 
 
+@pytest.mark.slow
 def test_it_learns_what_its_frames_show(tmp_path: Path) -> None:
     stage = ClippingStage(SHORT, lamp_frames(8, bright=40.0), lamp_frames(3, bright=40.0))
     run = Run(stage, tmp_path / "run")

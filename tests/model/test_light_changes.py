@@ -75,7 +75,7 @@ def test_images_and_truth_change_at_the_same_frame(lamp_share: float, monkeypatc
     monkeypatch.setattr(light_changes, "LAMP_SHARE", lamp_share)
     monkeypatch.setattr(light_changes, "_NEAREST_LAMP_M", 0.3)
     brighter, lamps = set(), 0
-    for seed in range(12):
+    for seed in range(8):
         plain, walk = walk_of(seed), walk_of(seed, change_light=LightChanges(1.0))
         at = int(walk.light_of.argmax())
         assert walk.light_of.tolist() == [0] * at + [1] * (5 - at)
@@ -89,13 +89,13 @@ def test_images_and_truth_change_at_the_same_frame(lamp_share: float, monkeypatc
         gain = walk.lights.max(axis=0) / np.maximum(plain.lights[0], 1e-6)
         lamps += bool(gain.max() > 1.5 * np.median(gain))
     assert brighter == {True, False}
-    assert lamps == 0 if lamp_share == 0 else lamps >= 3
+    assert lamps == 0 if lamp_share == 0 else lamps >= 2
 
 
 def test_all_sequences_have_two_lights_and_a_share_changes():
-    changed = [walk_of(seed, change_light=LightChanges(0.5)) for seed in range(40)]
+    changed = [walk_of(seed, change_light=LightChanges(0.5)) for seed in range(16)]
     assert all(len(walk.lights) == 2 for walk in changed)
-    assert 10 <= sum(bool(walk.light_of.any()) for walk in changed) <= 30
+    assert 4 <= sum(bool(walk.light_of.any()) for walk in changed) <= 12
 
 
 def test_the_same_generator_repeats_a_change():

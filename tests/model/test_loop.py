@@ -22,7 +22,7 @@ from roomlight_model.training.loop import Run, learning_rate
 from roomlight_model.training.run_folder import LAST, RunFolder
 from tiny_stages import logged
 
-SMALL = ClippingOptions(steps=8, batch=2, learning_rate=0.005, seed=5, validate_steps=2)
+SMALL = ClippingOptions(steps=6, batch=2, learning_rate=0.005, seed=5, validate_steps=3)
 
 
 class SmallStage:
@@ -93,13 +93,13 @@ def test_a_run_leaves_weights_scores_curves_and_pictures(finished):
     assert names == {
         "best.pt", "last.pt", "log.jsonl", "model.pt", "options.json", "pictures", "tensorboard",
     }  # fmt: skip
-    assert [path.name for path in sorted((folder / "pictures").iterdir())] == [f"000000{k}.png" for k in (2, 4, 6, 8)]
+    assert [path.name for path in sorted((folder / "pictures").iterdir())] == [f"000000{k}.png" for k in (3, 6)]
     assert any((folder / "tensorboard").iterdir())
     scored = [entry["scores"]["loss"] for entry in logged(folder) if "scores" in entry]
-    assert len(scored) == 4
+    assert len(scored) == 2
     assert scored[-1] < scored[0]
     card = load_checkpoint(folder / "model.pt").card
-    assert (card["stage"], card["steps"], card["examples"], card["seed"]) == ("clipping", 8, 6, 5)
+    assert (card["stage"], card["steps"], card["examples"], card["seed"]) == ("clipping", 6, 6, 5)
     assert card["data"] == [{"seed": 3, "sequences": 6}]
     assert card["before"] == {"steps": 1}
     assert card["scores"]["loss"] == scored[-1]
@@ -116,14 +116,14 @@ def test_what_needs_no_gradient_stays(finished):
     assert changed == {"down", "up", "head"}
 
 
-@pytest.mark.parametrize("stop_after", [1, 3, 4])
+@pytest.mark.parametrize("stop_after", [2, 3])
 def test_a_stopped_run_goes_on_to_the_same_weights(finished, tmp_path, stop_after):
     assert run_of(tmp_path / "run", stop_after=stop_after).step == stop_after
     card = load_checkpoint(tmp_path / "run" / "model.pt").card
     assert card["steps"] == stop_after
     assert card["scores"]["loss"] > 0
     resumed = run_of(tmp_path / "run")
-    kept = [entry for entry in logged(tmp_path / "run") if entry["step"] != stop_after or stop_after % 2 == 0]
+    kept = [entry for entry in logged(tmp_path / "run") if entry["step"] != stop_after or stop_after == 3]
     assert kept == logged(finished.folder.path)
     for name, value in resumed.network.state_dict().items():
         assert value.equal(finished.network.state_dict()[name]), name
@@ -144,7 +144,7 @@ SCRIPT = textwrap.dedent("""
 
     class Waiting(t.SmallStage):
         def batch(self, step, clock):
-            if step == 5:
+            if step == 4:
                 print("waiting", flush=True)
                 sys.stdin.readline()
             return super().batch(step, clock)
@@ -156,7 +156,7 @@ SCRIPT = textwrap.dedent("""
 
 
 def start_and_send(folder, number):
-    """Start a run in a process of its own, send it a signal while step 5 waits for its batch, let it go on."""
+    """Start a run in a process of its own, send it a signal while step 4 waits for its batch, let it go on."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     process = subprocess.Popen(
         [sys.executable, "-c", SCRIPT, str(folder)],
@@ -191,7 +191,7 @@ def test_sigterm_saves_scores_and_ends(finished, tmp_path):
     code, ended = start_and_send(tmp_path / "run", signal.SIGTERM)
     assert code == 0
     step = int(ended.split()[1])
-    assert 0 < step < 8
+    assert 0 < step < 6
     card = load_checkpoint(tmp_path / "run" / "model.pt").card
     assert card["steps"] == step
     assert "loss" in card["scores"]
@@ -204,20 +204,20 @@ def test_sigterm_ends_the_run_of_this_process(tmp_path):
     before = signal.getsignal(signal.SIGTERM)
 
     def send(progress):
-        if progress.step == 4:
+        if progress.step == 3:
             signal.raise_signal(signal.SIGTERM)
 
     run.train(report=send)
-    assert run.step == 4
+    assert run.step == 3
     assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_lost_steps_are_logged_once(finished, tmp_path):
     """Steps after the last saved state run again: their earlier lines, the last one cut off, are left out."""
     folder = tmp_path / "run"
-    run_of(folder, stop_after=2)
+    run_of(folder, stop_after=3)
     with (folder / "log.jsonl").open("a") as log:
-        log.write('{"step": 4, "loss": 9}\n{"step": 6, "lo')
+        log.write('{"step": 4, "loss": 9}\n{"step": 5, "lo')
     run_of(folder)
     assert logged(folder) == logged(finished.folder.path)
 
@@ -243,12 +243,12 @@ def test_a_run_out_of_time_stops_and_continues(tmp_path):
     run = Run(SmallStage(), tmp_path / "run")
     run.train(minutes=0.0)
     assert run.step == 0
-    assert run_of(tmp_path / "run").step == 8
+    assert run_of(tmp_path / "run").step == 6
 
 
 def test_a_run_without_held_out_examples_has_no_best_weights(tmp_path):
     run_of(tmp_path / "run", scored=False)
-    assert load_checkpoint(tmp_path / "run" / "model.pt").card["steps"] == 8
+    assert load_checkpoint(tmp_path / "run" / "model.pt").card["steps"] == 6
     assert not (tmp_path / "run" / "best.pt").exists()
 
 
@@ -342,15 +342,14 @@ def test_an_epoch_has_every_example_once():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"steps": 0}, "steps is 0; it must be 1 or more in clipping"),
+        ({"steps": 0}, "steps is 0; it must be 1 or more"),
         ({"batch": 0}, "batch is 0; it must be 1 or more"),
-        ({"learning_rate": 0.0}, r"learning_rate is 0\.0; it must be above 0 and at most 1"),
+        ({"learning_rate": 0.0}, r"learning_rate is 0\.0; it must be above 0 to 1"),
         ({"learning_rate": 2.0}, r"learning_rate is 2\.0"),
-        ({"ema": 1.1}, r"ema is 1\.1; it must be between 0 and 1"),
+        ({"ema": 1.1}, r"ema is 1\.1; it must be 0 to 1"),
         ({"seed": -1}, "seed is -1; it must be 0 or more"),
         ({"warm_up": -1}, "warm_up is -1"),
         ({"validate_steps": 0}, "validate_steps is 0"),
-        ({"stage": "cats"}, "stage is 'cats'; it must be one of clipping"),
     ],
 )
 def test_options_out_of_range_are_refused(change, message):

@@ -30,7 +30,7 @@ def losses_of(stage, model, batch):
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_stage_changes_only_its_own_networks(tmp_path, stage):
-    run = Run(view_stage(replace(VIEWS, stage=stage, steps=2)), tmp_path / "run")
+    run = Run(view_stage(replace(VIEWS, stage=stage, steps=1, batch=1)), tmp_path / "run")
     before = {name: value.clone() for name, value in run.network.state_dict().items()}
     run.train()
     moved = {name.split(".")[0] for name, value in run.network.state_dict().items() if not value.equal(before[name])}
@@ -42,6 +42,7 @@ def test_a_stage_changes_only_its_own_networks(tmp_path, stage):
     }[stage]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_it_learns_two_rooms(tmp_path):
     """The error on fixed rays falls to 0.60 to 0.71 of its start over seeds 0 to 4; half of that fall must be met."""
     options = replace(VIEWS, steps=20, batch=2, learning_rate=1e-2, augment=False, depth="exact", rays=128)
@@ -62,7 +63,7 @@ def test_it_learns_two_rooms(tmp_path):
 
 @pytest.mark.parametrize("stage", [STAGES[0], pytest.param(STAGES[2], marks=pytest.mark.slow)])
 def test_a_stopped_run_goes_on_to_the_same_weights(tmp_path, stage):
-    options = replace(VIEWS, stage=stage, steps=4, frames=1 if stage == STAGES[0] else 3)
+    options = replace(VIEWS, stage=stage, steps=3, batch=2, frames=1 if stage == STAGES[0] else 3)
     whole = Run(view_stage(options), tmp_path / "whole")
     whole.train()
     first = Run(view_stage(options), tmp_path / "parts")
@@ -92,7 +93,7 @@ def test_weights_of_other_networks_are_refused(form):
 
 def test_checkpoints_store_the_sizes_of_training(tmp_path):
     """Opacity is per voxel: a graph of another resolution would show another room."""
-    Run(view_stage(replace(VIEWS, steps=1)), tmp_path / "run").train()
+    Run(view_stage(replace(VIEWS, steps=1, batch=1)), tmp_path / "run").train()
     config = load_checkpoint(tmp_path / "run" / "model.pt").config
     assert config.sg.volume_shape == SHAPE
     assert config.blend.height == HEIGHT
@@ -211,11 +212,10 @@ def test_without_held_out_rooms_nothing_is_scored(tmp_path):
         ({"held_out": -1}, "held_out is -1; it must be 0 or more"),
         ({"sphere_pixels": -1}, "sphere_pixels is -1; it must be 0 or more"),
         ({"sphere_samples": 1}, "sphere_samples is 1; it must be 2 or more"),
-        ({"surround_max": -0.1}, r"surround_max is -0\.1; it must be between 0 and 100"),
+        ({"surround_max": -0.1}, r"surround_max is -0\.1; it must be 0 to 100"),
         ({"volume_shape": (4, 30, 42)}, "volume_shape"),
-        ({"panorama_height": 61}, "panorama_height is 61; it must be even and 8 or more"),
-        ({"panorama_height": 6}, "panorama_height is 6; it must be even and 8 or more"),
-        ({"stage": "video-sglv"}, "stage is 'video-sglv'; it must be one of single-sglv"),
+        ({"panorama_height": 61}, "panorama_height is 61; it must be even"),
+        ({"panorama_height": 6}, "panorama_height is 6; it must be 8 or more"),
     ],
 )
 def test_options_out_of_range_are_refused(changes, message):

@@ -38,13 +38,13 @@ def test_augmented_image_and_truth_show_one_room():
     """Contrast, gains, swapped channels and mirroring apply to both; white pixels stay white."""
     rng = np.random.default_rng(2)
     brightness = set()
-    for _ in range(12):
+    for _ in range(8):
         example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True)
         batch = blending_batch([example])
         seen = (batch.mask.expand_as(batch.truth) > 0) & (batch.partial < 0.95)
         assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.03
         brightness.add(round(float(example.frame.image.mean()), 3))
-    assert len(brightness) > 6
+    assert len(brightness) > 4
 
 
 def test_examples_follow_their_generator_and_frames_vary():
@@ -118,7 +118,7 @@ def test_frames_shown_together_have_one_exposure():
 def test_the_number_of_frames_varies_from_one_to_all():
     recordings = BoxRecordings(1)
     rng = np.random.default_rng(0)
-    drawn = [read_example(recordings, 0, rng, depth="both", augment=True, frames=5) for _ in range(40)]
+    drawn = [read_example(recordings, 0, rng, depth="both", augment=True, frames=5) for _ in range(24)]
     assert {1 + len(example.later) for example in drawn} == {1, 2, 3, 4, 5}
     assert all(len({frame.depth_m.shape for frame in (one.frame, *one.later)}) == 1 for one in drawn)
     plain = read_example(recordings, 0, rng, depth="exact", augment=False, frames=5)
@@ -129,7 +129,7 @@ def test_the_number_of_frames_varies_from_one_to_all():
 
 def test_augmented_frames_and_truth_show_one_room():
     rng = np.random.default_rng(4)
-    for _ in range(8):
+    for _ in range(4):
         example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True, frames=4)
         batch = blending_batch([example])
         seen = torch.where(batch.kept > 0, batch.before, batch.partial)

@@ -16,7 +16,7 @@ from tiny_stages import SHAPE, WALKS, dimmed, video_stage
 STAGES = ["video-sglv", "video-blend", "video-joint"]
 
 
-def batch_of(options, *, length=4, count=1, change_light=None):
+def batch_of(options, *, length=3, count=1, change_light=None):
     walks = [
         PreparedWalk.of(
             read_walk(
@@ -55,7 +55,7 @@ def gradients(model, batch, options):
     return sums, dict(zip(names, found, strict=True))
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", STAGES[1:])
 def test_recomputed_gradients_are_those_of_a_plain_pass(stage, monkeypatch):
     options = replace(WALKS, stage=stage)
     model, batch = video_model(), batch_of(options)
@@ -68,7 +68,7 @@ def test_recomputed_gradients_are_those_of_a_plain_pass(stage, monkeypatch):
         torch.testing.assert_close(recomputed[name], gradient, rtol=1e-4, atol=1e-8)
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", STAGES[1:])
 def test_a_shorter_window_has_the_same_losses_and_other_gradients(stage):
     """The recursion is the same; only the way back in time ends at the window."""
     options = replace(WALKS, stage=stage)
@@ -101,7 +101,8 @@ def test_gradients_agree_with_finite_differences():
 def test_the_loss_is_the_sum_of_its_three_parts():
     for stage in STAGES:
         options = replace(WALKS, stage=stage, smoothness_weight=2.0)
-        losses, _ = gradients(video_model(), batch_of(options), options)
+        with torch.no_grad():
+            losses = unroll_of(video_model(), batch_of(options, length=2), options).advance(1)
         assert losses["smoothness"] > 0
         total = losses["log_l2"] + 0.3 * losses["rendering"] + 2 * losses["smoothness"]
         torch.testing.assert_close(losses["loss"], total, rtol=1e-5, atol=0)
@@ -123,7 +124,7 @@ def test_smoothness_compares_consecutive_panoramas():
 def test_a_frame_is_compared_with_its_own_light():
     """Where the light changes, so does the truth of the loss."""
     options = replace(WALKS, stage="video-blend")
-    batch = batch_of(options, change_light=dimmed)
+    batch = batch_of(options, length=4, change_light=dimmed)
     model = video_model()
     constant = replace(batch, light_of=torch.zeros_like(batch.light_of))
     logs = []

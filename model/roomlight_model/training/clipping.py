@@ -7,11 +7,12 @@ frame anew: other pixels clip, and their truth is known too.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, Final, Literal
 
 import cv2
 import numpy as np
 import torch
+from annotated_types import Ge, Interval
 from jaxtyping import Float, Float16, Float32
 from torch import Tensor
 
@@ -48,15 +49,13 @@ class ClippingOptions(RunOptions):
         OptionError: A value is out of range.
     """
 
-    stages: ClassVar[tuple[str, ...]] = ("clipping",)
-
-    stage: str = "clipping"
-    steps: int = 3000
-    batch: int = 16
-    warm_up: int = 100
-    weight_decay: float = 0.02
-    ema: float = 0.998
-    validate_steps: int = 250
+    stage: Literal["clipping"] = "clipping"
+    steps: Annotated[int, Ge(1)] = 3000
+    batch: Annotated[int, Ge(1)] = 16
+    warm_up: Annotated[int, Ge(0)] = 100
+    weight_decay: Annotated[float, Ge(0)] = 0.02
+    ema: Annotated[float, Interval(ge=0, le=1)] = 0.998
+    validate_steps: Annotated[int, Ge(1)] = 250
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,8 +119,8 @@ class BatchGradients:
         gradients: list[Tensor | None] = [None for _ in self._parameters]
         for losses in self._losses(batch.to(self._device), generator, spent):
             with spent.part("backward"):
-                found = torch.autograd.grad(losses["loss"], self._parameters, allow_unused=True)
-            gradients = [_added(one, other) for one, other in zip(gradients, found, strict=True)]
+                window = torch.autograd.grad(losses["loss"], self._parameters, allow_unused=True)
+            gradients = [_added(total, added) for total, added in zip(gradients, window, strict=True)]
             for name, value in losses.items():
                 sums[name] = sums.get(name, 0.0) + float(value.detach())
         clock.add_sums(spent)

@@ -129,7 +129,9 @@ class LightChanges:
             bright_light = lamp.added_to(bright_light[0], positions, shown_by)[None]
         later = np.arange(length) >= changes_at
         bright = later == becomes_brighter
-        first, *others = (lit if one else dim for one, lit, dim in zip(bright, bright_frames, walk.frames, strict=True))
+        first, *others = (
+            lit if is_bright else dim for is_bright, lit, dim in zip(bright, bright_frames, walk.frames, strict=True)
+        )
         lights = [walk.lights[0], bright_light[0]]
         return replace(
             walk,

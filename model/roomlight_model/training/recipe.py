@@ -32,7 +32,8 @@ import torch
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from roomlight.dataset.loader import Dataset
-from roomlight.errors import ModelError, OptionError
+from roomlight.errors import OptionError, RoomLightError
+from roomlight.rules import rules_of
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.training.clipping import ClippingFrames, ClippingOptions, ClippingStage
 from roomlight_model.training.loop import Stage
@@ -47,7 +48,7 @@ RECIPES: Final = Path(__file__).parent / "recipes"
 _OPTIONS: Final[Mapping[str, type[RunOptions]]] = {
     stage: options
     for options in (SingleViewOptions, VideoOptions, ClippingOptions, ObjectsOptions)
-    for stage in options.stages
+    for stage in rules_of(options)["stage"].choices
 }
 STAGES: Final = tuple(_OPTIONS)
 _STAGE_KEYS: Final = ("name", "data", "start_from")
@@ -145,13 +146,37 @@ def read_recipe(name_or_path: str) -> Recipe:
         ) from error
     except ValueError as error:
         raise OptionError(f"{path}: is not TOML ({error})") from error
-    file = _validated(_File, table, str(path))
+    file = read_options(_File, table, str(path))
     stages: list[StageRecipe] = []
     for number, values in enumerate(file.stages, 1):
         stages.append(_stage(values, f"{path}: stage {values.get('name', number)}", list(file.data), stages))
     if file.ships not in _weights(stages):
         raise OptionError(f"{path}: ships is {file.ships!r}; it must be one of {', '.join(_weights(stages))}")
     return Recipe(path, file.ships, file.data, tuple(stages))
+
+
+def read_options(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
+    """Read plain values into a dataclass.
+
+    Args:
+        kind: The dataclass.
+        values: Its fields, as in TOML.
+        where: The file and the table, for messages.
+
+    Raises:
+        OptionError: A field is missing, of the wrong type or out of range; the message names it and its value.
+    """
+    try:
+        return TypeAdapter(kind).validate_json(json.dumps(dict(values), default=str), strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        fault = first.get("ctx", {}).get("error")
+        key = ".".join(str(part) for part in first["loc"])
+        raise OptionError(
+            f"{where}: {fault}" if fault else f"{where}: {key} is {first['input']!r}: {first['msg']}"
+        ) from error
+    except RoomLightError as error:  # of the dataclass itself
+        raise OptionError(f"{where}: {error}") from error
 
 
 def build_stage(
@@ -192,21 +217,21 @@ def build_stage(
     test = test_split(datasets)
     if isinstance(options, ClippingOptions):
         frames = ClippingFrames.read(datasets, seed=options.seed, progress=progress)
-        train, held = random_split(len(frames), options.seed)
+        train, split_off = random_split(len(frames), options.seed)
         return ClippingStage(
             options,
             frames if test else frames.take(train),
-            ClippingFrames.read(test, seed=options.seed) if test else frames.take(held),
+            ClippingFrames.read(test, seed=options.seed) if test else frames.take(split_off),
             start_from=start_from,
             data=data,
         )
     assert isinstance(options, ObjectsOptions)
     panels = ProbePanels.read(datasets, seed=options.seed, progress=progress)
-    train, held = random_split(len(panels), options.seed)
+    train, split_off = random_split(len(panels), options.seed)
     return ObjectsStage(
         options,
         panels if test else panels.take(train),
-        ProbePanels.read(test, seed=options.seed) if test else panels.take(held),
+        ProbePanels.read(test, seed=options.seed) if test else panels.take(split_off),
         start_from=start_from,
         data=data,
     )
@@ -237,20 +262,7 @@ def _options(values: Mapping[str, Any], where: str) -> RunOptions:
     options = _OPTIONS.get(str(values.get("stage")))
     if options is None:
         raise OptionError(f"{where}: stage is {values.get('stage')!r}; it must be one of {', '.join(STAGES)}")
-    return _validated(options, values, where)
-
-
-def _validated(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
-    """Read values into a dataclass; an error names the file and the option."""
-    try:
-        return TypeAdapter(kind).validate_json(json.dumps(dict(values), default=str), strict=True)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        fault = first.get("ctx", {}).get("error")
-        key = ".".join(str(part) for part in first["loc"])
-        raise OptionError(f"{where}: {fault}" if fault else f"{where}: {key}: {first['msg']}") from error
-    except ModelError as error:  # the widths of a network
-        raise OptionError(f"{where}: {error}") from error
+    return read_options(options, values, where)
 
 
 def _names(options: RunOptions) -> list[str]:

@@ -1,13 +1,15 @@
 """A run on disk: the options that all stages share, and the files of a run's folder.
 
-options.json      the options and the data; a resumed run must have the same ones
-last.pt           the state to resume from: written atomically every few minutes
-model.pt          the averaged (EMA) weights as a checkpoint that `roomlight export` reads, and their scores
-best.pt           likewise, with the lowest score on held-out examples
-log.jsonl         one line for every reported step and every validation
-tensorboard/      the same curves
-pictures/         panoramas of held-out rooms during training, of the stages that draw them
-cache/            prepared sequences (`video.VideoOptions.variants`); may be deleted
+    options.json      the options and the data; a resumed run must have the same ones
+    last.pt           the state to resume from: written atomically every few minutes
+    model.pt          the averaged (EMA) weights as a checkpoint that `roomlight export` reads, and their scores
+    best.pt           likewise, with the lowest score on held-out examples
+    log.jsonl         one line for every reported step and every validation
+    tensorboard/      the same curves
+    pictures/         panoramas of held-out rooms during training, of the stages that draw them
+    cache/            prepared sequences (`video.VideoOptions.variants`); may be deleted
+
+`loop.Run` writes them.
 """
 
 import json
@@ -15,15 +17,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final
 from zlib import crc32
 
 import numpy as np
 import torch
+from annotated_types import Ge, Interval
 from pydantic import ConfigDict, TypeAdapter
 
-from roomlight.errors import ModelError, OptionError, OutputError
+from roomlight.errors import ModelError, OutputError
 from roomlight.files import write_atomic
+from roomlight.rules import check_options
 from roomlight_model.checkpoint import Network, load_checkpoint, save_checkpoint
 
 FORMAT: Final = 2
@@ -55,34 +59,19 @@ class RunOptions:
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-    stages: ClassVar[tuple[str, ...]] = ()
 
     stage: str = ""
-    steps: int = 20_000
-    batch: int = 4
-    learning_rate: float = 1e-3
-    warm_up: int = 200
-    weight_decay: float = 1e-2
-    ema: float = 0.999
-    validate_steps: int = 1000
-    seed: int = 0
+    steps: Annotated[int, Ge(1)] = 20_000
+    batch: Annotated[int, Ge(1)] = 4
+    learning_rate: Annotated[float, Interval(gt=0, le=1)] = 1e-3
+    warm_up: Annotated[int, Ge(0)] = 200
+    weight_decay: Annotated[float, Ge(0)] = 1e-2
+    ema: Annotated[float, Interval(ge=0, le=1)] = 0.999
+    validate_steps: Annotated[int, Ge(1)] = 1000
+    seed: Annotated[int, Ge(0)] = 0
 
     def __post_init__(self) -> None:
-        if self.stage not in self.stages:
-            raise OptionError(f"stage is {self.stage!r}; it must be one of {', '.join(self.stages)}")
-        self.require(1, "steps", "batch", "validate_steps")
-        self.require(0, "warm_up", "weight_decay", "seed")
-        self.require(0, "ema", most=1)
-        if not 0 < self.learning_rate <= 1:
-            raise OptionError(f"learning_rate is {self.learning_rate}; it must be above 0 and at most 1")
-
-    def require(self, least: int, *names: str, most: int | None = None) -> None:
-        """Raise OptionError if an option is below `least` or above `most`."""
-        for name in names:
-            value = getattr(self, name)
-            if value < least or (most is not None and value > most):
-                rule = f"{least} or more" if most is None else f"between {least} and {most}"
-                raise OptionError(f"{name} is {value}; it must be {rule} in {self.stage}")
+        check_options(self)
 
     def rng(self, *keys: int) -> np.random.Generator:
         """Return the random stream of this run for some keys: the same in a resumed run."""

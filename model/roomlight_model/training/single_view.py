@@ -11,9 +11,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, Final, Literal
 
 import torch
+from annotated_types import Ge, Interval
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
@@ -41,6 +42,7 @@ from roomlight_model.training.run_folder import RunOptions
 from roomlight_model.training.validation import SingleViewValidation
 from roomlight_model.volume_networks import SGVolume
 
+SingleViewStageName = Literal["single-sglv", "single-blend", "single-joint"]
 HELD_OUT: Final = 48
 """Default number of held-out sequences: 12 rooms of four walks, 24 of two."""
 
@@ -72,34 +74,27 @@ class SingleViewOptions(RunOptions):
         OptionError: A value is out of range.
     """
 
-    stages: ClassVar[tuple[str, ...]] = ("single-sglv", "single-blend", "single-joint")
-
-    stage: str = "single-sglv"
-    rendering_weight: float = 0.3
-    rays: int = 384
-    sphere_pixels: int = 24
-    sphere_samples: int = 12
+    stage: SingleViewStageName = "single-sglv"
+    rendering_weight: Annotated[float, Interval(ge=0, le=100)] = 0.3
+    rays: Annotated[int, Ge(8)] = 384
+    sphere_pixels: Annotated[int, Ge(0)] = 24
+    sphere_samples: Annotated[int, Ge(2)] = 12
     volume_shape: tuple[int, int, int] = (32, 30, 42)
-    panorama_height: int = 60
+    panorama_height: Annotated[int, Ge(8)] = 60
     depth: DepthKind = "both"
-    frames: int = 1
+    frames: Annotated[int, Ge(1)] = 1
     augment: bool = True
-    surround_max: float = 0.0
-    held_out: int = HELD_OUT
+    surround_max: Annotated[float, Interval(ge=0, le=100)] = 0.0
+    held_out: Annotated[int, Ge(0)] = HELD_OUT
     bf16: bool = True
     model: ModelConfig = field(default_factory=ModelConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.require(1, "frames")
-        self.require(8, "rays")
-        self.require(2, "sphere_samples")
-        self.require(0, "held_out", "sphere_pixels")
-        self.require(0, "rendering_weight", "surround_max", most=100)
         if min(self.volume_shape) < 8:
             raise OptionError(f"volume_shape is {self.volume_shape}; every side must be 8 or more")
-        if self.panorama_height < 8 or self.panorama_height % 2:
-            raise OptionError(f"panorama_height is {self.panorama_height}; it must be even and 8 or more")
+        if self.panorama_height % 2:
+            raise OptionError(f"panorama_height is {self.panorama_height}; it must be even")
 
     @property
     def trained_model(self) -> ModelConfig:

@@ -207,7 +207,7 @@ class WalkValidation:
 
 
 def _mean(losses: Sequence[Losses], name: str) -> float:
-    return float(np.mean([float(one[name]) for one in losses]))
+    return float(np.mean([float(frame[name]) for frame in losses]))
 
 
 def _errors(panoramas: Float[Tensor, "p 3 h w"], batch: Batch) -> tuple[float, float]:

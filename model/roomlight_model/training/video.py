@@ -15,10 +15,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import torch
+from annotated_types import Ge, Interval
 from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
@@ -57,6 +58,7 @@ from roomlight_model.training.sequences import (
 from roomlight_model.training.single_view import SingleViewOptions, channels_last, train_only
 from roomlight_model.training.validation import WalkValidation
 
+VideoStageName = Literal["video-sglv", "video-blend", "video-joint"]
 _VALIDATION_RAYS: Final = 2048
 
 
@@ -80,25 +82,18 @@ class VideoOptions(SingleViewOptions):
         OptionError: A value is out of range.
     """
 
-    stages: ClassVar[tuple[str, ...]] = ("video-sglv", "video-blend", "video-joint")
-
-    stage: str = "video-sglv"
-    batch: int = 2
-    learning_rate: float = 3e-4
-    frames: int = 31
-    window: int = 31
-    variants: int = 0
-    smoothness_weight: float = 0.01
-    light_changes: float = 0.0
-    revisits: float = 0.0
+    stage: VideoStageName = "video-sglv"  # pyright: ignore[reportIncompatibleVariableOverride]
+    batch: Annotated[int, Ge(1)] = 2
+    learning_rate: Annotated[float, Interval(gt=0, le=1)] = 3e-4
+    frames: Annotated[int, Ge(2)] = 31
+    window: Annotated[int, Ge(1)] = 31
+    variants: Annotated[int, Ge(0)] = 0
+    smoothness_weight: Annotated[float, Interval(ge=0, le=100)] = 0.01
+    light_changes: Annotated[float, Interval(ge=0, le=1)] = 0.0
+    revisits: Annotated[float, Interval(ge=0, le=1)] = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.require(2, "frames")
-        self.require(1, "window")
-        self.require(0, "variants")
-        self.require(0, "light_changes", "revisits", most=1)
-        self.require(0, "smoothness_weight", most=100)
         if self.variants and self.stage != "video-blend":
             raise OptionError(f"variants is {self.variants}; only video-blend has fixed 3D networks, it must be 0")
 

@@ -68,7 +68,11 @@ def train(
         bf16: Number format of the networks: bfloat16 or float32.
         device: Where PyTorch runs.
     """
-    options = VideoOptions(stage=stage, window=window) if stage.startswith("video-") else SingleViewOptions(stage=stage)
+    options = (
+        VideoOptions(stage=stage, window=window)
+        if stage in ("video-sglv", "video-blend", "video-joint")
+        else SingleViewOptions(stage=stage)
+    )
     options = replace(
         options,
         batch=batch or options.batch,
