@@ -63,7 +63,7 @@ class ScanNetReader:
             with path.open("rb") as file:
                 self._header(file)
                 self._entries = self._listed(file, size)
-        except (OSError, struct.error, OverflowError) as error:
+        except (OSError, struct.error, ValueError, OverflowError) as error:
             raise CaptureError(f"{path}: is not a readable .sens file ({error})") from error
         self._unit_m = options.depth_unit_m or 1 / self._depth_shift
         self.count = len(self._entries)
