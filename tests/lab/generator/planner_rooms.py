@@ -123,7 +123,7 @@ class BoxCatalogue:
     ) -> FurnitureModel | None:
         if role in self.lacking:
             return None
-        fitting = [model for model in self.models[split].get(role, []) if fits is None or fits(model)]
+        fitting = [candidate for candidate in self.models[split].get(role, []) if fits is None or fits(candidate)]
         return fitting[int(rng.integers(len(fitting)))] if fitting else None
 
 

@@ -18,8 +18,8 @@ from roomlight_generator.rooms.furniture.files.surfaces import read_surfaces
 def load(path, *, role="chair", warn=None):
     warnings = []
     with Archive(path) as archive:
-        (entry,) = read_entries(archive, warnings.append)
-        return entry, build_mesh(archive, entry, role=role, warn=warn or warnings.append)
+        (library_entry,) = read_entries(archive, warnings.append)
+        return library_entry, build_mesh(archive, library_entry, role=role, warn=warn or warnings.append)
 
 
 def library(tmp_path, obj, *, mtl=MTL, files=None, **properties):
@@ -35,12 +35,12 @@ def two_part_obj():
 
 
 def test_models_stand_on_the_floor_in_metres_facing_plus_z(tmp_path):
-    entry, mesh = load(library(tmp_path, two_part_obj()))
+    library_entry, mesh = load(library(tmp_path, two_part_obj()))
     np.testing.assert_allclose(mesh.bounds(), [[-0.25, 0, -0.3], [0.25, 0.9, 0.3]], atol=1e-6)
     high = mesh.vertices[mesh.vertices[:, 1] > 0.5]
     assert high[:, 2].max() < -0.1
-    assert (entry.width_m, entry.depth_m, entry.height_m) == (0.5, 0.6, 0.9)
-    assert entry.attribution == "Chair: Ann Onymous, CC-BY 3.0"
+    assert (library_entry.width_m, library_entry.depth_m, library_entry.height_m) == (0.5, 0.6, 0.9)
+    assert library_entry.attribution == "Chair: Ann Onymous, CC-BY 3.0"
 
 
 def test_the_rotation_is_applied_before_the_size(tmp_path):
@@ -80,8 +80,8 @@ def test_lights_are_in_the_model_frame(tmp_path):
         lightSourceColor="#808080 #ff8000",
         lightSourceDiameter="6 4",
     )
-    entry, _ = load(path, role="table_lamp")
-    first, second = entry.lights
+    library_entry, _ = load(path, role="table_lamp")
+    first, second = library_entry.lights
     # x from the left, y from the front (20 of 60 cm behind it), z from the floor.
     np.testing.assert_allclose(first.position, [-0.15, 0.7, 0.1], atol=1e-6)
     assert first.diameter_m == pytest.approx(0.06)
@@ -97,8 +97,8 @@ def test_lights_around_a_lamp_merge_into_one_inside(tmp_path):
         "lightSourceZ": "40 40",
         "lightSourceColor": "#fff #fff",
     }
-    entry, _ = load(library(tmp_path, box_obj(), **sides))
-    (light,) = entry.lights
+    library_entry, _ = load(library(tmp_path, box_obj(), **sides))
+    (light,) = library_entry.lights
     np.testing.assert_allclose(light.position, [0, 0.4, 0], atol=1e-6)
 
 

@@ -12,7 +12,7 @@ from roomlight.conventions import direction_to_uv, panorama_directions, panorama
 from roomlight.dataset.folder import MANIFEST, read_manifest
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import GLASS, LIGHT, ORDINARY
-from roomlight.errors import DatasetError
+from roomlight.errors import DatasetError, OptionError
 from roomlight.frame import CLIPPED_SRGB8
 from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_generator.panoramas import render
@@ -251,5 +251,5 @@ def test_bare_rooms_do_not_depend_on_the_furniture(dataset):
 
 @pytest.mark.parametrize("share", [-0.1, 1.5])
 def test_a_share_outside_0_to_1_is_an_error(share):
-    with pytest.raises(DatasetError, match="give a share from 0 to 1"):
+    with pytest.raises(OptionError, match=r"furniture_share is .*; it must be 0 to 1"):
         GenerateOptions(1, shard_size=1, sequences_per_room=1, furniture_share=share)
