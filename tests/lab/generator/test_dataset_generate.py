@@ -14,7 +14,7 @@ from roomlight.dataset.folder import LOCK, MANIFEST, locked, read_manifest
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.shards import index_path
 from roomlight.dataset.verify import verify
-from roomlight.errors import DatasetError, OutputError
+from roomlight.errors import DatasetError, OptionError, OutputError
 from roomlight_generator.generate import GenerateOptions, generate
 
 
@@ -297,15 +297,15 @@ def test_a_damaged_manifest_is_an_error(manifest, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "error", "says"),
     [
-        ({"sequences": 0}, "must be 1 or more"),
-        ({"seed": -1}, "seed -1"),
-        ({"sequences_per_room": 3}, "whole rooms of 3"),
+        ({"sequences": 0}, OptionError, "sequences is 0; it must be 1 or more"),
+        ({"seed": -1}, OptionError, "seed is -1; it must be "),
+        ({"sequences_per_room": 3}, DatasetError, "whole rooms of 3"),
     ],
 )
-def test_options_out_of_range_are_refused(change, says):
-    with pytest.raises(DatasetError, match=says):
+def test_options_out_of_range_are_refused(change, error, says):
+    with pytest.raises(error, match=says):
         options(**change)
 
 
