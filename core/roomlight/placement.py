@@ -28,6 +28,11 @@ def point_in_view(frame: Frame) -> Position:
 
     Raises:
         ProbeError: The frame has no depth.
+
+    Example:
+        >>> import roomlight as rl
+        >>> frame = next(iter(rl.open_capture(rl.sample_capture())))
+        >>> x, y, z = rl.point_in_view(frame)
     """
     known = frame.depth_m[frame.depth_m > 0]
     if known.size == 0:
@@ -50,6 +55,11 @@ def point_at_pixel(frame: Frame, u: float, v: float, *, above_m: float = ABOVE_M
     Raises:
         OptionError: The pixel lies outside the image, or `above_m` is negative or not finite.
         ProbeError: The frame has no depth at the pixel.
+
+    Example:
+        >>> import roomlight as rl
+        >>> frame = next(iter(rl.open_capture(rl.sample_capture())))
+        >>> x, y, z = rl.point_at_pixel(frame, 160.0, 180.0, above_m=0.05)
     """
     height, width = frame.image.shape[:2]
     if not (0 <= u < width and 0 <= v < height):

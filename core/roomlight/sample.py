@@ -10,7 +10,12 @@ def sample_capture() -> Path:
     """Return the folder of the sample capture inside the installed package.
 
     Raises:
-        CaptureError: the installation lacks it.
+        CaptureError: The installation lacks it.
+
+    Example:
+        >>> import roomlight as rl
+        >>> rl.sample_capture().name
+        'sample'
     """
     path = Path(str(files("roomlight") / "data" / "sample"))
     if not (path / "capture.json").is_file():

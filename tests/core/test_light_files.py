@@ -101,7 +101,7 @@ def test_coverage_is_by_solid_angle(height: int) -> None:
     rng = np.random.default_rng(height)
     observed = rng.random((height, 2 * height)).astype(np.float32)
     state = PanoramaState.fresh(height, 3.0)
-    state.seen[:] = observed
+    state.observed[:] = observed
     assert coverage(observed) == pytest.approx(state.coverage(), rel=1e-5)
     assert coverage(np.zeros_like(observed)) == 0
     assert coverage(np.ones_like(observed)) == pytest.approx(1, rel=1e-6)

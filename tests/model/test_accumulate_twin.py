@@ -47,13 +47,13 @@ def planes(array):
 def test_agrees_with_serving(kernel):
     """Six frames from nothing seen. Tolerance: both are float32, the kernel with fast-math reordering."""
     kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
-    state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.seen))
+    state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.observed))
     for frame in frames(6):
         kernel(kept, **frame)
         depth = planes(frame["detail_depth_m"])
         weight = conservative(planes(frame["weight"]), depth, state.depth, margin=serving.CLOSER_M)
         state = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
-    for ours, theirs in zip(state[:3], (kept.radiance, kept.depth_m, kept.seen), strict=True):
+    for ours, theirs in zip(state[:3], (kept.radiance, kept.depth_m, kept.observed), strict=True):
         torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
 
 
@@ -64,10 +64,10 @@ def test_clipped_observations_give_way_as_in_serving():
         kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
         kept.radiance[:] = random.random((*shape, 3))
         kept.depth_m[:] = frame["detail_depth_m"] + random.uniform(-0.4, 0.2, shape)
-        kept.seen[:] = 1
+        kept.observed[:] = 1
         kept.clipped[:] = random.random(shape) * (random.random(shape) < 0.7)
         clipped = (random.random(shape) * (random.random(shape) < 0.5)).astype(np.float32)
-        state = Panorama(planes(kept.radiance.copy()), planes(kept.depth_m.copy()), planes(kept.seen.copy()))
+        state = Panorama(planes(kept.radiance.copy()), planes(kept.depth_m.copy()), planes(kept.observed.copy()))
         before = Clipping(planes(kept.clipped.copy()), planes(kept.radiance @ LUMINANCE))
         serving.accumulate(kept, **frame, detail_clipped=clipped, detail_guessed=np.zeros_like(clipped))
         depth, raw = planes(frame["detail_depth_m"]), planes(frame["weight"])
@@ -76,7 +76,7 @@ def test_clipped_observations_give_way_as_in_serving():
         assert 0.1 < float((better > 0).float().mean()) < 0.9
         weight = with_brackets(weight, raw, better, distance=state.depth - depth, margin=serving.CLOSER_M)
         after = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
-        for ours, theirs in zip(after[:3], (kept.radiance, kept.depth_m, kept.seen), strict=True):
+        for ours, theirs in zip(after[:3], (kept.radiance, kept.depth_m, kept.observed), strict=True):
             torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
 
 
@@ -89,7 +89,7 @@ def test_a_sequence_of_exposures_agrees_with_serving():
     light = random.uniform(0.2, 9, (*shape, 1)) * np.ones(3)
     kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
     nothing = planes(np.zeros(shape, np.float32))
-    state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.seen), nothing, nothing)
+    state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.observed), nothing, nothing)
     replaced = 0
     for white in (1, 4, 2, 8, 1, 8, 16, 4):
         clipped = (light[..., 0] >= white).astype(np.float32)
@@ -117,7 +117,7 @@ def test_a_sequence_of_exposures_agrees_with_serving():
             state, seen.hdr, seen.ldr, depth=seen.depth, weight=weight, clipped=seen.clipped, guessed=seen.guessed
         )
     assert replaced > 100
-    wanted = (kept.radiance, kept.depth_m, kept.seen, kept.clipped, kept.guessed)
+    wanted = (kept.radiance, kept.depth_m, kept.observed, kept.clipped, kept.guessed)
     for ours, theirs in zip(state, wanted, strict=True):
         torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-4)
 

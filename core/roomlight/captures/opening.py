@@ -68,6 +68,11 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
         OptionError: `options.format` is not one of `FORMATS`.
         UnknownFormatError: No reader recognises the files.
         CaptureError: The index is missing or damaged, so that no frame can be read.
+
+    Example:
+        >>> import roomlight as rl
+        >>> next(iter(rl.open_capture(rl.sample_capture()))).image.shape
+        (240, 320, 3)
     """
     chosen = CaptureOptions() if options is None else options
     path = Path(path)

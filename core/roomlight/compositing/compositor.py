@@ -400,6 +400,12 @@ def composite(
     Raises:
         OptionError: the quality is unknown.
         SceneError: the session has no frame, the scene or a place is refused, or an object is not in view.
+
+    Example:
+        >>> import roomlight as rl
+        >>> frame, session = next(iter(rl.open_capture(rl.sample_capture()))), rl.Session()
+        >>> report = session.push(frame)
+        >>> picture = rl.composite(session, frame, rl.scene_of_object("sphere", (160.0, 200.0)), quality="preview")
     """
     compositor = Compositor(session, scene, quality=quality, seed=seed)
     try:

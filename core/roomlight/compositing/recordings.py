@@ -43,6 +43,11 @@ def scene_of_object(
     Raises:
         SceneError: A value is refused; the message names its field.
         ObjectError: The file is refused.
+
+    Example:
+        >>> import roomlight as rl
+        >>> [item.name for item in rl.scene_of_object("sphere", (160.0, 200.0), material="mirror").objects]
+        ['sphere']
     """
     from roomlight.compositing.objects.loading import load_object  # the loader's libraries are slow to import
 
@@ -83,6 +88,12 @@ def composite_capture(
         OptionError: The quality is unknown, or an iterator is given without `online`.
         CaptureError: The recording cannot be read, or has no frame.
         SceneError: The scene or a place is refused.
+
+    Example:
+        >>> import roomlight as rl
+        >>> frames = list(rl.open_capture(rl.sample_capture()))[:2]
+        >>> scene = rl.scene_of_object("sphere", (160.0, 200.0))
+        >>> pictures = list(rl.composite_capture(frames, scene, quality="preview"))
     """
     frames = open_capture(Path(capture)) if isinstance(capture, str | Path) else capture
     if not online and iter(frames) is frames:

@@ -111,17 +111,19 @@ def decode(
     lens = Intrinsics(**listed[0]["intrinsics"])
     shape = (lens.height, lens.width)
     truths: list[dict[str, Any]] = index["probes"] if probes else []
-    panoramas = [decode_colour(bytes(_file(files, one["panorama"])), f"{label}/{one['panorama']}")[0] for one in truths]
+    panoramas = [
+        decode_colour(bytes(_file(files, probe["panorama"])), f"{label}/{probe['panorama']}")[0] for probe in truths
+    ]
     return Recording(
         name=index["name"],
-        colour=_stack([_colour(files, one["colour"], label) for one in entries], (*shape, 3), np.uint8),
-        depth_mm=_stack([_grey(files, one["depth"], label) for one in entries], shape, np.uint16),
-        surface=_stack([_grey(files, one["surface"], label) for one in entries], shape, np.uint8),
+        colour=_stack([_colour(files, entry["colour"], label) for entry in entries], (*shape, 3), np.uint8),
+        depth_mm=_stack([_grey(files, entry["depth"], label) for entry in entries], shape, np.uint16),
+        surface=_stack([_grey(files, entry["surface"], label) for entry in entries], shape, np.uint8),
         intrinsics=lens,
-        camera_to_world=np.array([one["camera_to_world"] for one in entries], np.float64).reshape(-1, 4, 4),
-        exposure=np.array([one["exposure"] for one in entries], np.float64),
-        timestamp_s=np.array([one["timestamp_s"] for one in entries], np.float64),
-        probe_positions=np.array([one["position"] for one in truths], np.float64).reshape(-1, 3),
+        camera_to_world=np.array([entry["camera_to_world"] for entry in entries], np.float64).reshape(-1, 4, 4),
+        exposure=np.array([entry["exposure"] for entry in entries], np.float64),
+        timestamp_s=np.array([entry["timestamp_s"] for entry in entries], np.float64),
+        probe_positions=np.array([probe["position"] for probe in truths], np.float64).reshape(-1, 3),
         probe_panoramas=np.stack(panoramas) if panoramas else np.zeros((0, 1, 2, 3), np.float32),
         facts=read_facts(files),
         clipped_radiance=_clipped(files, entries, shape, label) if clipped else None,
@@ -250,9 +252,9 @@ def _clipped(
     files: Mapping[str, bytes | memoryview], entries: Sequence[dict[str, Any]], shape: tuple[int, int], label: str
 ) -> Float16[np.ndarray, "f h w 3"] | None:
     """Decode the radiance of clipped pixels; None if a frame has none stored."""
-    if not entries or any("clipped" not in one for one in entries):
+    if not entries or any("clipped" not in entry for entry in entries):
         return None
-    names: list[str] = [one["clipped"] for one in entries]
+    names: list[str] = [entry["clipped"] for entry in entries]
     images = [decode_colour(bytes(_file(files, name)), f"{label}/{name}")[0].astype(np.float16) for name in names]
     return _stack(images, (*shape, 3), np.float16)
 

@@ -74,7 +74,7 @@ def shipped_lighting(provider: Provider = "auto", folder: Path = SHIPPED / "obje
 def lighting_panels(state: PanoramaState) -> Float32[np.ndarray, "10 ph pw"]:
     """Compute the network's input from what the frames have shown of a place."""
     panels = panorama_panels(
-        detail=state.radiance, known=state.seen, clipped=state.clipped, depth_m=state.depth_m, fill=state.radiance
+        detail=state.radiance, known=state.observed, clipped=state.clipped, depth_m=state.depth_m, fill=state.radiance
     )
     return np.concatenate([panels, panel(np.minimum(state.guessed, BRIGHTEST))[None]])
 
@@ -82,7 +82,7 @@ def lighting_panels(state: PanoramaState) -> Float32[np.ndarray, "10 ph pw"]:
 def unmeasured_share(state: PanoramaState) -> Float32[np.ndarray, "h w"]:
     """Return the share of each direction's light that was not measured: not seen, or an estimate for clipped pixels."""
     luminance = np.maximum(state.radiance @ LUMINANCE, np.float32(1e-6))
-    return np.maximum(1 - state.seen, np.clip(state.guessed / luminance, 0, 1)).astype(np.float32)
+    return np.maximum(1 - state.observed, np.clip(state.guessed / luminance, 0, 1)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ class ProbeLightSource:
         """Hash the network's input."""
         state = self.state
         sha = hashlib.sha256()
-        for plane in (state.radiance, state.seen, state.clipped, state.guessed, state.depth_m):
+        for plane in (state.radiance, state.observed, state.clipped, state.guessed, state.depth_m):
             sha.update(np.ascontiguousarray(plane).data)
         lights = () if self.tracked is None else (self.tracked.main, *self.tracked.sources)
         sha.update(json.dumps([light.to_json() for light in lights]).encode())

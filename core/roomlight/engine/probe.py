@@ -59,12 +59,12 @@ class Probe:
 
     def render(self) -> Rendered:
         """Ray trace the SGLV after the last frame."""
-        height = self.panorama.seen.shape[0]
+        height = self.panorama.observed.shape[0]
         return Rendered(*render_panorama(self.room.sglv, self.position, height=height, far=self.room.volume.far))
 
     def view(self, mesh: FrameMesh) -> PartialPanorama:
         """Render what the probe sees of a frame's mesh."""
-        partial = mesh.render_panorama(np.asarray(self.position), height=self.panorama.seen.shape[0])
+        partial = mesh.render_panorama(np.asarray(self.position), height=self.panorama.observed.shape[0])
         return partial.within(farthest_depth_m(self.room.grid.depth_max_m))
 
     def blend(self, rendered: Rendered, partial: PartialPanorama, mesh: FrameMesh) -> None:
@@ -90,11 +90,11 @@ class Probe:
         """Return the light after the frame `index`; later frames do not change it, and it is computed on first use."""
         state = self.panorama.copy()
         source = ProbeLightSource(state, self.tracker.lights if self.tracker.frames else None, load)
-        return Light(self.position, observed=state.seen, coverage=state.coverage(), frame=index, source=source)
+        return Light(self.position, observed=state.observed, coverage=state.coverage(), frame=index, source=source)
 
     def estimate(self, index: int) -> Light:
         """Return the model's own estimate after the frame `index`: without the network that makes light of it."""
-        radiance, observed = self.panorama.radiance.copy(), self.panorama.seen.copy()
+        radiance, observed = self.panorama.radiance.copy(), self.panorama.observed.copy()
         source = GivenPanorama(radiance, self.tracker.lights if self.tracker.frames else None)
         return Light(self.position, observed=observed, coverage=self.panorama.coverage(), frame=index, source=source)
 

@@ -68,7 +68,15 @@ class _Clock:
 
 
 class Session:
-    """The state of one stream: the room since the first frame, and the tracked probes."""
+    """The state of one stream: the room since the first frame, and the tracked probes.
+
+    Example:
+        >>> import roomlight as rl
+        >>> session = rl.Session(rl.SessionOptions(height=32))
+        >>> report = session.push(next(iter(rl.open_capture(rl.sample_capture()))))
+        >>> session.light_at((0.0, 0.0, -0.5)).panorama.shape
+        (32, 64, 3)
+    """
 
     def __init__(self, options: SessionOptions | None = None, *, graphs: LightingGraphs | None = None) -> None:
         """Begin without frames.

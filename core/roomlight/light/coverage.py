@@ -1,7 +1,7 @@
 """How much of the light was observed, and how much is inferred.
 
-`observed` [H, 2H] is the accumulated blending weight (`PanoramaState.seen`): 1 where frames showed a direction, 0 where
-the model inferred it, and values between.
+`observed` [H, 2H] is the accumulated blending weight (`PanoramaState.observed`): 1 where frames showed a direction, 0
+where the model inferred it, and values between.
 """
 
 import numpy as np

@@ -131,16 +131,16 @@ def find_lights(panorama: Float[np.ndarray, "h w 3"]) -> tuple[MainLight, ...]:
     pixels = _Pixels.above(panorama, level=_median(coarse, search.solid_angle), mean=total / (4 * np.pi))
     cell = pixels.cell_of(search.rows)
     left = np.ones(len(cell))  # share of each pixel's light that no lobe has yet
-    found: list[MainLight] = []
-    while len(cell) and len(found) < MAX_LIGHTS:
+    chosen: list[MainLight] = []
+    while len(cell) and len(chosen) < MAX_LIGHTS:
         peak = search.brightest(np.bincount(cell, pixels.power * left, minlength=len(coarse)))
         near = np.flatnonzero(_along(pixels.rays, peak) > np.cos(np.radians(_NEAR_DEG)))
         light, share = _light_near(pixels.select(near), left[near], peak)
-        if light.intensity @ LUMINANCE <= _FAINTEST * total or (found and light.weight < _WEAKEST * found[0].weight):
+        if light.intensity @ LUMINANCE <= _FAINTEST * total or (chosen and light.weight < _WEAKEST * chosen[0].weight):
             break
-        found.append(replace(light, shadow_strength=search.shadow_strength(light, coarse)))
+        chosen.append(replace(light, shadow_strength=search.shadow_strength(light, coarse)))
         left[near] -= share
-    return rank(found)
+    return rank(chosen)
 
 
 def lights_of(panorama: Float[np.ndarray, "h w 3"]) -> TrackedLights:

@@ -196,5 +196,5 @@ class _Projection:
 
 
 def _trigonometric(azimuth: Float[np.ndarray, " n"]) -> Float[np.ndarray, "5 n"]:
-    one = np.ones_like(azimuth)
-    return np.stack([one, np.cos(azimuth), np.sin(azimuth), np.cos(2 * azimuth), np.sin(2 * azimuth)])
+    constant = np.ones_like(azimuth)
+    return np.stack([constant, np.cos(azimuth), np.sin(azimuth), np.cos(2 * azimuth), np.sin(2 * azimuth)])

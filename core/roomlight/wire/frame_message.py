@@ -251,12 +251,12 @@ def _check_image(data: memoryview, encoding: str, size: tuple[int, int], field: 
     if bytes(data[: len(magic)]) != magic:
         raise _error(field, bytes(data[: len(magic)]).hex(), f"a {encoding} file must begin with {magic.hex()}")
     try:
-        found = peek_size(bytes(data), field)
+        image_size = peek_size(bytes(data), field)
     except ImageError as error:
         raise _error(field, f"{len(data)} bytes", str(error)) from error
-    if found != size:
+    if image_size != size:
         rule = f"the image must have the size stated in the header, {size[0]} x {size[1]}"
-        raise _error(field, f"{found[0]} x {found[1]}", rule)
+        raise _error(field, f"{image_size[0]} x {image_size[1]}", rule)
 
 
 def _integral_as_int(value: Any) -> Any:

@@ -139,7 +139,7 @@ def accumulate_by_tensors(
         planes = array if array.ndim == 3 else array[..., None]
         return _tensor(planes).permute(2, 0, 1)[None].contiguous()
 
-    before = Panorama(panel(state.radiance), panel(state.depth_m), panel(state.seen))
+    before = Panorama(panel(state.radiance), panel(state.depth_m), panel(state.observed))
     rendered, seen, depth, share = panel(hdr), panel(detail), panel(detail_depth_m), panel(weight)
 
     @torch.inference_mode()

@@ -287,7 +287,9 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchSt
         return to.radiance
 
     def fresh() -> PanoramaState:
-        return replace(state, radiance=state.radiance.copy(), depth_m=state.depth_m.copy(), seen=state.seen.copy())
+        return replace(
+            state, radiance=state.radiance.copy(), depth_m=state.depth_m.copy(), observed=state.observed.copy()
+        )
 
     torch = None
     if plain_torch.torch_installed():

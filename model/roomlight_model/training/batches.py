@@ -177,7 +177,7 @@ def _probe_detail(
             camera=mesh.camera_to_world[:3, 3] - position,
         )
     filled = filled_detail(state, last.radiance, last.depth_m, mask=last.mask, hdr=nothing)
-    kept = (state.seen > 0) & ~(last.mask & state.is_closer(last.depth_m))
+    kept = (state.observed > 0) & ~(last.mask & state.is_closer(last.depth_m))
     return _ProbeDetail(filled, last.mask[..., None], state.radiance, kept[..., None])
 
 
@@ -201,7 +201,7 @@ def fill_detail(
     if state is not None:
         accumulated.radiance[:] = _image(state.radiance)
         accumulated.depth_m[:] = _image(state.depth)[..., 0] * np.float32(depth_max_m)
-        accumulated.seen[:] = _image(state.weight)[..., 0]
+        accumulated.observed[:] = _image(state.weight)[..., 0]
     filled = filled_detail(
         accumulated, _image(detail), _image(distance_m)[..., 0], mask=_image(mask)[..., 0] > 0, hdr=_image(hdr)
     )

@@ -86,10 +86,10 @@ def test_the_kernel_equals_its_readable_reference(seed, binary):
 def test_observed_pixels_stay_observed_within_0_and_1(seed):
     state = PanoramaState.fresh(HEIGHT, 3.0)
     for step in range(6):
-        before = state.seen.copy()
+        before = state.observed.copy()
         accumulate(state, **_views(seed + step))
-        assert (state.seen >= before).all()
-        assert state.seen.max() <= 1
+        assert (state.observed >= before).all()
+        assert state.observed.max() <= 1
         assert 0 <= state.coverage() <= 1
 
 
@@ -131,7 +131,7 @@ def test_details_not_clearly_closer_change_nothing(depth_m):
     accumulate(state, **_constant(detail=0.9, depth_m=depth_m, hdr=30.0))
     assert (state.radiance == before.radiance).all()
     assert (state.depth_m == before.depth_m).all()
-    assert (state.seen == before.seen).all()
+    assert (state.observed == before.observed).all()
 
 
 @pytest.mark.parametrize("depth_m", [2.0 - CLOSER_M - 0.01, 0.1])
@@ -147,17 +147,17 @@ def test_half_weights_are_the_papers_sums():
     state = PanoramaState.fresh(HEIGHT, 3.0)
     accumulate(state, **_constant(hdr=2.0, detail=1.0, depth_m=4.0, weight=0.5))
     # L = .5 x 1 + .5 (1 x 2 + 0); D = .5 x 4 + .5 x 12; M = .5
-    assert (state.radiance[0, 0, 0], state.depth_m[0, 0], state.seen[0, 0]) == (1.5, 8.0, 0.5)
+    assert (state.radiance[0, 0, 0], state.depth_m[0, 0], state.observed[0, 0]) == (1.5, 8.0, 0.5)
     accumulate(state, **_constant(hdr=3.0, detail=1.0, depth_m=4.0, weight=0.5))
     # L = .5 x 1 + .5 (.5 x 3 + .5 x 1.5); D = .5 x 4 + .5 x 8; M = 1
-    assert (state.radiance[0, 0, 0], state.depth_m[0, 0], state.seen[0, 0]) == (1.625, 6.0, 1.0)
+    assert (state.radiance[0, 0, 0], state.depth_m[0, 0], state.observed[0, 0]) == (1.625, 6.0, 1.0)
 
 
 @pytest.mark.parametrize("height", [1, 16, 121])
 def test_all_seen_is_a_coverage_of_one(height):
     state = PanoramaState.fresh(height, 3.0)
     assert state.coverage() == 0
-    state.seen[:] = 1
+    state.observed[:] = 1
     assert state.coverage() == pytest.approx(1, abs=1e-5)
 
 
@@ -165,7 +165,7 @@ def test_all_seen_is_a_coverage_of_one(height):
 def test_the_first_surface_is_accepted_at_any_distance(depth_max_m):
     state = PanoramaState.fresh(HEIGHT, depth_max_m)
     accumulate(state, **_constant(detail=0.5, depth_m=farthest_depth_m(depth_max_m)))
-    assert (state.seen == 1).all()
+    assert (state.observed == 1).all()
     assert farthest_depth_m(depth_max_m) <= 3.2 * depth_max_m + 1e-9
 
 
@@ -233,7 +233,7 @@ CLIPPED = {"detail": 2.0, "clipped": 1.0, "guessed": 1.0, "depth_m": 2.0}
 def test_clipped_yields_only_to_what_knows_more(first, second, wanted):
     state = _after(first, second)
     np.testing.assert_allclose(state.radiance, wanted, rtol=1e-5)
-    assert (state.seen == 1).all()
+    assert (state.observed == 1).all()
 
 
 @settings(max_examples=30, deadline=None)
@@ -264,7 +264,7 @@ def test_nothing_clipped_gives_the_bits_of_the_papers_rule():
         view = _views(step) | {"detail_clipped": np.zeros(SHAPE, np.float32)}
         accumulate(with_planes, **view)
         accumulate(without, **{key: view[key] for key in ("hdr", "detail", "detail_depth_m", "weight", "camera")})
-    for name in ("radiance", "depth_m", "seen"):
+    for name in ("radiance", "depth_m", "observed"):
         np.testing.assert_array_equal(getattr(with_planes, name), getattr(without, name))
 
 
@@ -288,7 +288,7 @@ def test_changed_light_is_blended_as_if_it_were_seen_first():
     for view in (old, old, old, new, new):
         accumulate(state, **_constant(**view) | {"weight": np.full(SHAPE, 0.75, np.float32)})
     np.testing.assert_allclose(state.radiance, 0.75 * 0.2 + 0.25 * 0.3, rtol=1e-6)
-    np.testing.assert_array_equal(state.seen, 1)
+    np.testing.assert_array_equal(state.observed, 1)
 
 
 def test_a_flash_of_one_frame_is_no_change():

@@ -34,7 +34,7 @@ def state_of(rows: int = 120, *, seed: int = 0) -> PanoramaState:
     rng = np.random.default_rng(seed)
     state = PanoramaState.fresh(rows, 5.0)
     state.radiance[:] = rng.exponential(1, state.radiance.shape)
-    state.seen[:, :rows] = 1
+    state.observed[:, :rows] = 1
     state.clipped[: rows // 4, :rows] = 1
     state.guessed[: rows // 4, :rows] = 0.5 * (state.radiance @ LUMINANCE)[: rows // 4, :rows]
     return state
@@ -49,12 +49,12 @@ def known_model(folder: Path, *, constant: float = 0.0, image: float = 0.0) -> L
 def test_measured_light_keeps_its_bits(rows: int, tmp_path: Path) -> None:
     state = state_of(rows)
     light = known_model(tmp_path, constant=0.7).panoramas(state)
-    measured = (state.seen == 1) & (state.guessed == 0)
+    measured = (state.observed == 1) & (state.guessed == 0)
     for panorama in (light.lighting, light.reflection):
         assert panorama.dtype == np.float32
         assert_array_equal(panorama[measured], state.radiance[measured])
         gain = np.log1p(panorama) - np.log1p(state.radiance)
-        assert_allclose(gain[state.seen == 0], 0.7, rtol=1e-4, atol=1e-5)
+        assert_allclose(gain[state.observed == 0], 0.7, rtol=1e-4, atol=1e-5)
         assert_allclose(gain[state.guessed > 0], 0.35, rtol=1e-3, atol=1e-5)  # half of it is an estimate
 
 
@@ -63,7 +63,7 @@ def test_objects_and_shadows_have_changes_of_their_own(tmp_path: Path) -> None:
     state = state_of()
     light = known_model(tmp_path, image=0.1).panoramas(state)
     panels = lighting_panels(state)
-    unseen = state.seen == 0
+    unseen = state.observed == 0
     for panorama, planes in ((light.lighting, panels[:3]), (light.reflection, panels[3:6])):
         expected = 0.1 * np.moveaxis(planes, 0, -1).repeat(2, axis=0).repeat(2, axis=1)
         gain = np.log1p(panorama) - np.log1p(state.radiance)
@@ -84,7 +84,7 @@ def test_panels_are_what_frames_have_shown_and_the_estimate_for_clipped_pixels()
 
 def test_unmeasured_share_is_what_was_not_measured() -> None:
     state = state_of()
-    state.seen[-1, 0] = 0.25
+    state.observed[-1, 0] = 0.25
     share = unmeasured_share(state)
     assert share[-1, 0] == 0.75
     assert share[-1, 1] == 0
@@ -101,7 +101,7 @@ def test_light_is_finite_for_black_and_bright(constant: float, radiance: float, 
     for panorama in (light.lighting, light.reflection):
         assert np.isfinite(panorama).all()
         assert panorama.min() >= 0
-        assert panorama[state.seen == 0].max() <= BRIGHTEST * 1.001
+        assert panorama[state.observed == 0].max() <= BRIGHTEST * 1.001
 
 
 def test_threads_share_the_network(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_every_model_has_light_of_both_uses(model: str, room: BoxRoom) -> None:
     handle = session.track(PLACE)
     own = session.estimate(handle).panorama.copy()
     light = session.light(handle)
-    unseen = session.panorama_state(handle).seen < 0.01
+    unseen = session.panorama_state(handle).observed < 0.01
     assert unseen.any()
     for panorama in (light.panorama, light.reflection):
         assert (panorama[unseen] != own[unseen]).any(axis=-1).mean() > 0.9
@@ -169,7 +169,7 @@ def test_the_network_comes_from_the_folder_of_the_options(room: BoxRoom, tmp_pat
     write_part(tmp_path / "parts" / "objects", "objects", constant=0.5)
     state = session.panorama_state(handle)
     gain = np.log1p(session.light(handle).panorama) - np.log1p(state.radiance)
-    assert_allclose(gain[state.seen == 0], 0.5, rtol=1e-4, atol=1e-5)
+    assert_allclose(gain[state.observed == 0], 0.5, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("model", ["classical", pytest.param("single", marks=pytest.mark.slow)])

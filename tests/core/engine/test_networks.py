@@ -53,7 +53,7 @@ def _observation(sglv, frame, before):
     if before is not None:
         state.radiance[:] = np.moveaxis(before.radiance[0].numpy(), 0, -1)
         state.depth_m[:] = before.depth[0, 0].numpy() * GRID.depth_max_m
-        state.seen[:] = before.weight[0, 0].numpy()
+        state.observed[:] = before.weight[0, 0].numpy()
     ldr = filled_detail(state, partial.radiance, partial.depth_m, mask=partial.mask, hdr=hdr)
     depth = partial.depth_m / GRID.depth_max_m
     return Observation(batch(hdr), batch(ldr), batch(partial.mask), batch(depth))

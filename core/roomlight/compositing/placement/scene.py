@@ -2,7 +2,7 @@
 
     {"objects": [
       {"name": "pot", "file": "teapot.glb", "size_m": 0.25, "pixel": [320, 260], "yaw_degrees": 30},
-      {"name": "ball", "shape": "sphere", "size_m": 0.2, "material": {"kind": "mirror"}, "position": [0.4, 0, -1.2],
+      {"name": "sphere", "shape": "sphere", "size_m": 0.2, "material": {"kind": "mirror"}, "position": [0.4, 0, -1.2],
        "motion": {"unit": "seconds", "keys": [{"at": 0}, {"at": 2, "offset_m": [0.5, 0, 0], "scale": 1.2}]}}
     ]}
 
@@ -271,6 +271,14 @@ def load_scene(path: str | Path) -> Scene:
     Raises:
         SceneError: the file cannot be read, or a field is refused; the message names it.
         ObjectError: an object's file is refused.
+
+    Example:
+        >>> import roomlight as rl, pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "scene.json"
+        >>> sphere = '{"name": "sphere", "shape": "sphere", "size_m": 0.2, "pixel": [160, 200]}'
+        >>> _ = path.write_text(f'{{"objects": [{sphere}]}}')
+        >>> len(rl.load_scene(path).objects)
+        1
     """
     from roomlight.compositing.objects.loading import load_object  # the loader's libraries are slow to import
 

@@ -24,8 +24,11 @@ SAME_VIEW: Final = np.float32(np.cos(np.radians(5)))
 """Cosine of the angle, seen from the surface, up to which two cameras see the same of it. A hand-held camera that walks
 turns by 1 to 3 degrees about a surface from frame to frame."""
 APART, AGREES, DIFFERS, BEGINS = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
-"""A pixel of a frame against the accumulated one: not the same surface; not other light; other light; other light than
-a camera at the same place showed before."""
+"""How a pixel of a frame compares with the accumulated panorama.
+
+APART: the frame shows another surface there, or nothing. AGREES: the same surface with the same light. DIFFERS: the
+same surface with other light. BEGINS: as DIFFERS, and a camera at the same place showed the accumulated light before,
+so that the light has changed and no reflection explains it."""
 
 
 class StateArrays(NamedTuple):
@@ -33,7 +36,7 @@ class StateArrays(NamedTuple):
 
     radiance: Float32[np.ndarray, "h w 3"]
     depth: Float32[np.ndarray, "h w"]
-    seen: Float32[np.ndarray, "h w"]
+    observed: Float32[np.ndarray, "h w"]
     clipped: Float32[np.ndarray, "h w"]
     guessed: Float32[np.ndarray, "h w"]
     changed: Float32[np.ndarray, "h w"]
@@ -41,7 +44,14 @@ class StateArrays(NamedTuple):
 
 
 class DetailArrays(NamedTuple):
-    """What one frame shows (see `roomlight.engine.surface.mesh.PartialPanorama`), and the weight of it."""
+    """What one frame shows a probe.
+
+    radiance to guessed:         as in `roomlight.engine.surface.mesh.PartialPanorama`.
+    weight:                      of the frame, 0 where its mesh is not visible.
+    lowest, highest, brightest:  around each pixel, the least lower bound, the greatest possible luminance and the
+                                 greatest lower bound (`roomlight.engine.panorama.blend.extremes_around`).
+    camera:                      its position in metres from the probe, world axes.
+    """
 
     radiance: Float32[np.ndarray, "h w 3"]
     depth: Float32[np.ndarray, "h w"]
@@ -77,37 +87,49 @@ def luminance(red, green, blue):
 @njit(nogil=True, cache=True)
 def same_view(before, now, ray, distance):
     """Return whether two cameras, relative to the probe, see the point at `distance` along `ray` from one direction."""
-    one, other, both = np.float32(0), np.float32(0), np.float32(0)
+    before_squared, now_squared, dot = np.float32(0), np.float32(0), np.float32(0)
     for axis in range(3):
         point = distance * ray[axis]
         first, second = before[axis] - point, now[axis] - point
-        one, other, both = one + first * first, other + second * second, both + first * second
-    return both >= SAME_VIEW * np.sqrt(one * other)
+        before_squared, now_squared, dot = (
+            before_squared + first * first,
+            now_squared + second * second,
+            dot + first * second,
+        )
+    return dot >= SAME_VIEW * np.sqrt(before_squared * now_squared)
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def compare_rows(state, detail, rays, closer_m, found, start, stop):
-    """Write into `found` [h, w] how rows start..stop of a frame compare with the state; see `BEGINS`.
+def compare_rows(state, detail, rays, closer_m, comparison, start, stop):
+    """Write into `comparison` [h, w] how rows start..stop of a frame compare with the state; see `APART`.
 
-    Where it agrees, counts of changes are reset, and the camera becomes the one that the surface was seen from.
+    Where they agree, counts of changes are reset, and `viewed_from` becomes this camera if nothing around differs.
+
+    1. Another surface, or nothing observed before: APART.
+    2. Darker or brighter than the accumulated light allows: BEGINS if both cameras look from one direction, else
+       DIFFERS.
+    3. Otherwise: AGREES.
     """
     zero = np.float32(0)
     radiance, columns = state.radiance, state.depth.shape[1]
     for row in range(start, stop):
         for column in range(columns):
-            found[row, column] = APART
+            # 1. the surface
+            comparison[row, column] = APART
             away = state.depth[row, column] - detail.depth[row, column]
-            if abs(away) >= closer_m or detail.weight[row, column] <= zero or state.seen[row, column] <= zero:
+            if abs(away) >= closer_m or detail.weight[row, column] <= zero or state.observed[row, column] <= zero:
                 continue
+            # 2. its light
             shown = luminance(radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2])
             bound = shown - state.guessed[row, column]
             lowest, most = detail.lowest[row, column], CHANGED * shown + LEAST_CHANGE
             if lowest > most or CHANGED * detail.highest[row, column] + LEAST_CHANGE < bound:
                 ray = rays[row * columns + column]
                 same = same_view(state.viewed_from[row, column], detail.camera, ray, detail.depth[row, column])
-                found[row, column] = BEGINS if same else DIFFERS
+                comparison[row, column] = BEGINS if same else DIFFERS
                 continue
-            found[row, column] = AGREES
+            # 3. the same light
+            comparison[row, column] = AGREES
             state.changed[row, column] = zero
             if CHANGED * lowest + LEAST_CHANGE >= bound and detail.brightest[row, column] <= most:
                 for axis in range(3):
@@ -115,22 +137,29 @@ def compare_rows(state, detail, rays, closer_m, found, start, stop):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def accumulate_rows(state, hdr, detail, taken, closer_m, start, stop):
+def accumulate_rows(state, hdr, detail, replaced, closer_m, start, stop):
     """Update rows start..stop of the state (`StateArrays`); `detail` is `DetailArrays`, hdr [h, w, 3].
 
-    taken [h, w]:  whose light has changed: what was accumulated is forgotten, as if the frame were the first.
+    replaced [h, w]:  where light has changed: what was accumulated is forgotten, as if the frame were the first.
+
+    1. The conservative rule: a surface that is not closer than the accumulated one loses 1 of its weight.
+    2. A clipped observation of the same surface gives way to one that knows more (`better_share`).
+    3. Changed light replaces what was accumulated.
+    4. Radiance, depth, share observed, clipping: the frame's by the weight, the state's by the rest, inferred light
+       behind both.
     """
     one, zero = np.float32(1), np.float32(0)
     radiance, new = state.radiance, detail.radiance
     for row in range(start, stop):
         for column in range(state.depth.shape[1]):
             blend = detail.weight[row, column]
-            before = kept = state.seen[row, column]
+            before = kept = state.observed[row, column]
             clipped, known = state.clipped[row, column], state.guessed[row, column]
             nearer = state.depth[row, column] - detail.depth[row, column]
             fresh = blend > zero and nearer >= closer_m
-            if nearer < closer_m:
+            if nearer < closer_m:  # 1.
                 weight, blend = blend, max(blend - one, zero)
+                # 2.
                 if nearer > -closer_m and weight > zero and before > zero and clipped > zero:
                     shown = luminance(radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2])
                     bound = shown - state.guessed[row, column]
@@ -138,14 +167,14 @@ def accumulate_rows(state, hdr, detail, taken, closer_m, start, stop):
                     new_bound -= detail.guessed[row, column]
                     better = better_share(clipped, bound, detail.clipped[row, column], new_bound)
                     blend = max(blend, better * min(weight, one))
-                if taken[row, column]:
+                if replaced[row, column]:  # 3.
                     blend, kept, clipped, known = min(weight, one), zero, zero, zero
-            for c in range(3):
-                held = (one - kept) * hdr[row, column, c] + kept * radiance[row, column, c]
-                radiance[row, column, c] = blend * new[row, column, c] + (one - blend) * held
-                if fresh or taken[row, column]:
+            for c in range(3):  # 4.
+                background = (one - kept) * hdr[row, column, c] + kept * radiance[row, column, c]
+                radiance[row, column, c] = blend * new[row, column, c] + (one - blend) * background
+                if fresh or replaced[row, column]:
                     state.viewed_from[row, column, c] = detail.camera[c]
             state.depth[row, column] = blend * detail.depth[row, column] + (one - blend) * state.depth[row, column]
-            state.seen[row, column] = min(before + blend, one)
+            state.observed[row, column] = min(before + blend, one)
             state.clipped[row, column] = blend * detail.clipped[row, column] + (one - blend) * clipped
             state.guessed[row, column] = blend * detail.guessed[row, column] + (one - blend) * known

@@ -108,7 +108,7 @@ def accumulate_reference(
     blend = np.maximum(weight - ~state.is_closer(detail_depth_m), 0)
     bound, new_bound = state.radiance @ LUMINANCE - state.guessed, detail @ LUMINANCE - guessed
     better = better_share(state.clipped, bound, clipped, new_bound) * np.minimum(weight, 1)
-    same = (abs(state.depth_m - detail_depth_m) < CLOSER_M) & (weight > 0) & (state.seen > 0)
+    same = (abs(state.depth_m - detail_depth_m) < CLOSER_M) & (weight > 0) & (state.observed > 0)
     blend = np.where(same, np.maximum(blend, better), blend)
     lowest, highest, brightest = extremes_around(detail, clipped, guessed, weight=weight)
     shown = state.radiance @ LUMINANCE
@@ -125,14 +125,14 @@ def accumulate_reference(
     fresh = (weight > 0) & state.is_closer(detail_depth_m)
     state.viewed_from[fresh | replaced | (same & ~differs & confirmed)] = camera
     blend = np.where(replaced, np.minimum(weight, 1), blend)
-    known = np.where(replaced, 0, state.seen)[..., None]
+    known = np.where(replaced, 0, state.observed)[..., None]
     for forgotten in (state.clipped, state.guessed):
         forgotten[replaced] = 0
     background = (1 - known) * hdr + known * state.radiance
     state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * background
     for accumulated, new in ((state.depth_m, detail_depth_m), (state.clipped, clipped), (state.guessed, guessed)):
         accumulated[:] = blend * new + (1 - blend) * accumulated
-    state.seen[:] = np.minimum(state.seen + blend, 1)
+    state.observed[:] = np.minimum(state.observed + blend, 1)
 
 
 def _bilinear(image: Float[np.ndarray, "h w 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:

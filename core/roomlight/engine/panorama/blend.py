@@ -70,7 +70,7 @@ class PanoramaState:
     Attributes:
         radiance: [H, 2H, 3] linear RGB.
         depth_m: [H, 2H] distance along the ray.
-        seen: [H, 2H] accumulated weight: 1 = observed, 0 = inferred.
+        observed: [H, 2H] accumulated weight: 1 = shown by frames, 0 = inferred.
         clipped: [H, 2H] share of the observed surface whose pixels were clipped, 0 to 1.
         guessed: [H, 2H] luminance that the estimate for clipped pixels added to the observed radiance; the rest is a
             lower bound of the radiance.
@@ -80,7 +80,7 @@ class PanoramaState:
 
     radiance: Float[np.ndarray, "h w 3"]
     depth_m: Float[np.ndarray, "h w"]
-    seen: Float[np.ndarray, "h w"]
+    observed: Float[np.ndarray, "h w"]
     clipped: Float[np.ndarray, "h w"]
     guessed: Float[np.ndarray, "h w"]
     changed: Float[np.ndarray, "h w"]
@@ -91,13 +91,13 @@ class PanoramaState:
         """Return the state before the first frame: nothing observed."""
         shape = (height, 2 * height)
         unseen = np.full(shape, UNSEEN_DEPTH * depth_max_m, np.float32)
-        seen, clipped, guessed, changed = (np.zeros(shape, np.float32) for _ in range(4))
+        observed, clipped, guessed, changed = (np.zeros(shape, np.float32) for _ in range(4))
         radiance, viewed_from = (np.zeros((*shape, 3), np.float32) for _ in range(2))
-        return cls(radiance, unseen, seen, clipped, guessed, changed, viewed_from)
+        return cls(radiance, unseen, observed, clipped, guessed, changed, viewed_from)
 
     def copy(self) -> "PanoramaState":
         """Return a copy that later frames do not change."""
-        return PanoramaState(*(getattr(self, one.name).copy() for one in fields(self)))
+        return PanoramaState(*(getattr(self, plane.name).copy() for plane in fields(self)))
 
     def is_closer(self, depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
         """Return where a surface is closer by `CLOSER_M` than the accumulated one: the conservative rule."""
@@ -105,7 +105,7 @@ class PanoramaState:
 
     def coverage(self) -> float:
         """Return the share of the sphere that was observed, by solid angle, in [0, 1]."""
-        return float((self.seen * panorama_solid_angles(self.seen.shape[0])).sum() / (4 * np.pi))
+        return float((self.observed * panorama_solid_angles(self.observed.shape[0])).sum() / (4 * np.pi))
 
 
 def accumulate(
@@ -137,15 +137,15 @@ def accumulate(
     guessed = nothing if detail_guessed is None else detail_guessed
     assert clipped is not None
     assert guessed is not None
-    kept = StateArrays(*(getattr(state, one.name) for one in fields(state)))
+    accumulated = StateArrays(*(getattr(state, plane.name) for plane in fields(state)))
     around = extremes_around(detail, clipped, guessed, weight=weight)
     place = np.asarray(camera, np.float32)
-    shown = DetailArrays(detail, detail_depth_m, clipped, guessed, weight, *around, place)
-    height, closer_m = state.seen.shape[0], np.float32(CLOSER_M)
-    comparison = np.empty(state.seen.shape, np.uint8)
+    frame = DetailArrays(detail, detail_depth_m, clipped, guessed, weight, *around, place)
+    height, closer_m = state.observed.shape[0], np.float32(CLOSER_M)
+    comparison = np.empty(state.observed.shape, np.uint8)
     # One thread: both 0.1 ms for 120 x 240, more on a pool.
-    compare_rows(kept, shown, panorama_rays(height), closer_m, comparison, 0, height)
-    accumulate_rows(kept, hdr, shown, replaced_by_change(state, comparison), closer_m, 0, height)
+    compare_rows(accumulated, frame, panorama_rays(height), closer_m, comparison, 0, height)
+    accumulate_rows(accumulated, hdr, frame, replaced_by_change(state, comparison), closer_m, 0, height)
 
 
 def replaced_by_change(state: PanoramaState, comparison: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
@@ -197,7 +197,7 @@ def latest_detail(
     """Return (radiance, confidence 0 to 1): this frame's detail where the conservative rule accepts it, else the
     accumulated radiance."""
     fresh = mask & state.is_closer(detail_depth_m)
-    known = np.where(fresh, np.float32(1), state.seen)
+    known = np.where(fresh, np.float32(1), state.observed)
     return np.where(fresh[..., None], detail, state.radiance), known
 
 

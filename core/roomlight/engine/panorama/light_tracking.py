@@ -54,10 +54,10 @@ class LightTracker:
     _main: int | None = None  # number of the main light
     _challenged_frames: int = 0
 
-    def update(self, found: tuple[MainLight, ...]) -> None:
+    def update(self, lights: tuple[MainLight, ...]) -> None:
         """Take the lights found after the next frame."""
         settled = self.frames >= SETTLE_FRAMES
-        self._match(found, FOLLOW if settled else 1.0, MAX_TURN_DEG if settled else 180.0)
+        self._match(lights, FOLLOW if settled else 1.0, MAX_TURN_DEG if settled else 180.0)
         ordered = sorted((track.light for track in self._tracks.values()), key=lambda light: -light.weight)
         self._choose_main(ordered, settled=settled)
         self.lights = TrackedLights(self._turned_main(settled=settled), tuple(ordered[:MAX_LIGHTS]))
@@ -69,7 +69,7 @@ class LightTracker:
             "frames": self.frames,
             "main_light": self.lights.main.to_json(),
             "sources": [light.to_json() for light in self.lights.sources],
-            "tracks": [[number, one.missed, one.light.to_json()] for number, one in self._tracks.items()],
+            "tracks": [[number, track.missed, track.light.to_json()] for number, track in self._tracks.items()],
             "next_number": self._next_number,
             "main": self._main,
             "challenged_frames": self._challenged_frames,
@@ -88,21 +88,21 @@ class LightTracker:
             _challenged_frames=values["challenged_frames"],
         )
 
-    def _match(self, found: tuple[MainLight, ...], follow: float, limit_deg: float) -> None:
+    def _match(self, lights: tuple[MainLight, ...], follow: float, limit_deg: float) -> None:
         """Move each tracked light toward the one found near it; fade the others in and out."""
         before, self._tracks = self._tracks, {}
-        matches = _closest_pairs({number: track.light for number, track in before.items()}, found)
+        matches = _closest_pairs({number: track.light for number, track in before.items()}, lights)
         for number, track in before.items():
             if number in matches:
-                new = found[matches[number]]
+                new = lights[matches[number]]
                 angle_deg = min(follow * _angle_deg(track.light.direction, new.direction), limit_deg)
                 direction = _turned(track.light.direction, new.direction, angle_deg)
                 self._tracks[number] = _Track(replace(_mixed(track.light, new, follow), direction=direction))
             elif follow < 1 and track.missed + 1 < DROP_FRAMES:
                 self._tracks[number] = _Track(_faded(track.light, 1 - follow), track.missed + 1)
-        for index in sorted(set(range(len(found))) - set(matches.values())):
+        for index in sorted(set(range(len(lights))) - set(matches.values())):
             number, self._next_number = self._next_number, self._next_number + 1
-            self._tracks[number] = _Track(replace(_faded(found[index], follow), number=number))
+            self._tracks[number] = _Track(replace(_faded(lights[index], follow), number=number))
 
     def _choose_main(self, ordered: list[MainLight], *, settled: bool) -> None:
         strongest = ordered[0].number if ordered else None
@@ -127,12 +127,12 @@ class LightTracker:
         return replace(_mixed(last, _faded(light, aligned), FOLLOW), direction=direction, number=light.number)
 
 
-def _closest_pairs(tracked: dict[int, MainLight], found: tuple[MainLight, ...]) -> dict[int, int]:
-    """Return the index in `found` of each tracked number that has a light near it, the closest pairs first."""
+def _closest_pairs(tracked: dict[int, MainLight], lights: tuple[MainLight, ...]) -> dict[int, int]:
+    """Return the index in `lights` of each tracked number that has a light near it, the closest pairs first."""
     angles = [
         (_angle_deg(light.direction, other.direction), number, index)
         for number, light in tracked.items()
-        for index, other in enumerate(found)
+        for index, other in enumerate(lights)
     ]
     pairs: dict[int, int] = {}
     for angle_deg, number, index in sorted(angles):

@@ -28,7 +28,7 @@ from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import RoomLightError, StateError
 
 _ROLES = ("keyframe", "latest")
-_PLANES = ("radiance", "depth_m", "seen", "clipped", "guessed", "changed", "viewed_from")
+_PLANES = ("radiance", "depth_m", "observed", "clipped", "guessed", "changed", "viewed_from")
 
 
 class _Values(BaseModel):
@@ -115,7 +115,7 @@ class SavedSession:
 
     def _snapshot(self, bases: Mapping[int, FrameMesh]) -> SessionSnapshot:
         values = self.values
-        kept = {role: [self._kept(one, bases) for one in values.kept if one.role == role] for role in _ROLES}
+        kept = {role: [self._kept(frame, bases) for frame in values.kept if frame.role == role] for role in _ROLES}
         grid = None
         if values.grid is not None:
             pose = np.array(values.grid.volume_to_world, np.float64)
@@ -129,25 +129,25 @@ class SavedSession:
             grid=grid,
             volume=_under("volume", self.arrays),
             pending=values.pending,
-            probes=tuple(self._probe(one) for one in values.probes),
+            probes=tuple(self._probe(probe) for probe in values.probes),
             keyframes=tuple(kept["keyframe"]),
             latest=kept["latest"][0] if kept["latest"] else None,
         )
 
-    def _kept(self, one: _Kept, bases: Mapping[int, FrameMesh]) -> KeptFrame:
-        arrays = _under(f"kept/{one.index}", self.arrays)
-        source = f"{self.source}: frame {one.index}"
-        if one.base is None and one.index not in bases:
+    def _kept(self, frame: _Kept, bases: Mapping[int, FrameMesh]) -> KeptFrame:
+        arrays = _under(f"kept/{frame.index}", self.arrays)
+        source = f"{self.source}: frame {frame.index}"
+        if frame.base is None and frame.index not in bases:
             raise StateError(f"{source}: is missing")
-        base = bases[one.index] if one.base is None else base_of(one.base, arrays)
-        mesh = changed(base, arrays, one.checksum, source)
-        return KeptFrame(one.index, mesh, mesh.texture)
+        base = bases[frame.index] if frame.base is None else base_of(frame.base, arrays)
+        mesh = changed(base, arrays, frame.checksum, source)
+        return KeptFrame(frame.index, mesh, mesh.texture)
 
-    def _probe(self, one: _Probe) -> ProbeSnapshot:
-        planes = _under(f"probe/{one.handle}/panorama", self.arrays)
-        memory = _under(f"probe/{one.handle}/memory", self.arrays)
+    def _probe(self, probe: _Probe) -> ProbeSnapshot:
+        planes = _under(f"probe/{probe.handle}/panorama", self.arrays)
+        memory = _under(f"probe/{probe.handle}/memory", self.arrays)
         panorama = PanoramaState(**{name: planes[name] for name in _PLANES})
-        return ProbeSnapshot(one.handle, one.position, panorama, memory, LightTracker.from_json(one.tracker))
+        return ProbeSnapshot(probe.handle, probe.position, panorama, memory, LightTracker.from_json(probe.tracker))
 
 
 def records_of_snapshot(snapshot: SessionSnapshot, *, elsewhere: Collection[int] = ()) -> list[Record]:
@@ -176,16 +176,17 @@ def _values_of(snapshot: SessionSnapshot, elsewhere: Collection[int]) -> _Sessio
         else _Grid(volume_to_world=grid.volume_to_world.tolist(), depth_max_m=grid.depth_max_m, shape=grid.shape),
         pending=snapshot.pending,
         probes=[
-            _Probe(handle=one.handle, position=one.position, tracker=one.tracker.to_json()) for one in snapshot.probes
+            _Probe(handle=probe.handle, position=probe.position, tracker=probe.tracker.to_json())
+            for probe in snapshot.probes
         ],
         kept=[
             _Kept(
-                index=one.index,
-                role="latest" if one is snapshot.latest else "keyframe",
-                checksum=one.texture.checksum,
-                base=None if one.index in elsewhere else base_values(one.mesh),
+                index=frame.index,
+                role="latest" if frame is snapshot.latest else "keyframe",
+                checksum=frame.texture.checksum,
+                base=None if frame.index in elsewhere else base_values(frame.mesh),
             )
-            for one in snapshot.kept
+            for frame in snapshot.kept
         ],
     )
 
@@ -197,11 +198,11 @@ def session_of_records(records: Iterable[Record], source: str) -> SavedSession:
         StateError: There is none, or its values are invalid.
     """
     records = list(records)
-    found = [record for record in records if record.tag == "SESS"]
-    if len(found) != 1:
-        raise StateError(f"{source}: holds {len(found)} saved sessions instead of one")
+    sessions = [record for record in records if record.tag == "SESS"]
+    if len(sessions) != 1:
+        raise StateError(f"{source}: holds {len(sessions)} saved sessions instead of one")
     try:
-        values = _Session.model_validate(found[0].values)
+        values = _Session.model_validate(sessions[0].values)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         where = ".".join(str(part) for part in first["loc"])

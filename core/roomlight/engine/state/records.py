@@ -166,9 +166,9 @@ def arrays_of(records: Iterable[Record], source: str) -> Arrays:
 
 def _decompressed(data: bytes, size: int, name: str, source: str) -> bytearray:
     try:
-        found = zstandard.get_frame_parameters(data).content_size
-        if found != size:
-            raise StateError(f"{source}: the array {name} has {found} bytes; its shape needs {size}")
+        stated = zstandard.get_frame_parameters(data).content_size
+        if stated != size:
+            raise StateError(f"{source}: the array {name} has {stated} bytes; its shape needs {size}")
         return bytearray(zstandard.ZstdDecompressor().decompress(data))
     except zstandard.ZstdError as error:
         raise StateError(f"{source}: the array {name} cannot be decompressed ({error})") from error

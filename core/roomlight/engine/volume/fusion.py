@@ -36,12 +36,12 @@ class FusedVolume:
 
     def save(self) -> dict[str, np.ndarray]:
         """Return copies of the sums, by name."""
-        return {one.name: getattr(self, one.name).copy() for one in fields(self)}
+        return {plane.name: getattr(self, plane.name).copy() for plane in fields(self)}
 
     def restore(self, saved: dict[str, np.ndarray]) -> None:
         """Take over saved sums."""
-        for one in fields(self):
-            getattr(self, one.name)[:] = saved[one.name]
+        for plane in fields(self):
+            getattr(self, plane.name)[:] = saved[plane.name]
 
     def add(self, volume: Float[np.ndarray, "5 z y x"], clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
         """Add the initial volume of one more frame.
