@@ -14,7 +14,7 @@ from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, OptionError
-from roomlight_cli.datasets.generation import show_generation
+from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
 from roomlight_export.exporting import export_checkpoint
 from roomlight_export.importing import load_weights
