@@ -17,11 +17,11 @@ from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError, OutputError
 from roomlight.files import write_atomic
 from roomlight.frame import Frame
+from roomlight.imaging.video_writer import VideoWriter
 from roomlight.rules import check_options
 from roomlight_cli.console import print_notes
 from roomlight_cli.options import Flag
 from roomlight_cli.progress import Progress
-from roomlight_cli.video import VideoWriter
 
 DEFAULT_RATE: Final = 30.0
 """Frames a second of the film of a recording without timestamps."""

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.measure import Measurement
+from rich.table import Table
 
 from roomlight.errors import OptionError, RoomLightError
 from roomlight.files import write_json
@@ -82,11 +83,15 @@ def with_flags(error: RoomLightError, flags: Mapping[str, str]) -> str:
 
 
 def print_table(console: Console, table: RenderableType) -> None:
-    """Print a table at the width that it needs.
+    """Print a table at the width that it needs; columns that do not wrap show their cells whole.
 
     Rich cuts a table to the terminal's width, and to 80 columns in a pipe: numbers would become dots.
     """
     unlimited = console.options.update(max_width=1000)
+    for column in table.columns if isinstance(table, Table) else ():
+        if column.no_wrap:
+            cells = (column.header, *column.cells)
+            column.min_width = max(Measurement.get(console, unlimited, cell).maximum for cell in cells)
     console.width = max(console.width, Measurement.get(console, unlimited, table).minimum)
     console.print(table)
 

@@ -17,12 +17,12 @@ from PIL import Image
 
 from roomlight.captures import open_capture
 from roomlight.compositing.compositor import Compositor
-from roomlight.compositing.placement.scene import Scene
+from roomlight.compositing.placement.scene import Scene, load_scene
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session
 from roomlight.frame import Frame
 from roomlight.sample import sample_capture
-from roomlight_cli.demo_scene import demo_scene
+from roomlight_cli.commands.demo import SCENE
 from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_options import ReplayOptions
 
@@ -38,8 +38,8 @@ SUMMARY_COLUMNS = 1400
 def main() -> None:
     """Write two frames and a film of the sample room with the objects of the demo, and its light."""
     frames, session = recorded(sample_capture())
-    stills(session, frames, demo_scene(), STILLS).save(IMAGES / "composite.jpg", quality=88)
-    good = Compositor(session, demo_scene(), quality="good")
+    stills(session, frames, load_scene(SCENE), STILLS).save(IMAGES / "composite.jpg", quality=88)
+    good = Compositor(session, load_scene(SCENE), quality="good")
     film = [Image.fromarray(good.composite(frame).image) for frame in frames]
     film = [picture.resize(FILM_SIZE, Image.Resampling.LANCZOS) for picture in film]
     film[0].save(IMAGES / "composite.webp", save_all=True, append_images=film[1:], duration=FILM_MS, quality=55, loop=0)

@@ -48,8 +48,8 @@ class NoPictures:
 @pytest.fixture
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures with small frames and spheres: the tables of large spheres take seconds."""
-    monkeypatch.setattr("roomlight_cli.video._FRAME_ROWS", 96)
-    monkeypatch.setattr("roomlight_cli.video._PANORAMA_ROWS", (28, 60))
+    monkeypatch.setattr("roomlight_cli.replays.video._FRAME_ROWS", 96)
+    monkeypatch.setattr("roomlight_cli.replays.video._PANORAMA_ROWS", (28, 60))
     monkeypatch.setattr("roomlight_cli.replays.sheet.PANORAMA_COLUMNS", (192, 144))
     monkeypatch.setattr("roomlight_cli.replays.inserted_spheres._COLUMNS", 64)
     monkeypatch.setattr("roomlight_cli.photo._SPHERE", 64)

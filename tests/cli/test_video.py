@@ -1,83 +1,11 @@
-from pathlib import Path
+"""The pictures of a replay's video."""
 
-import av
 import numpy as np
 import pytest
 
-from roomlight.errors import OptionError, OutputError
-from roomlight_cli.video import MAX_PROBES, ReplayPicture, VideoWriter
+from roomlight_cli.replays.video import MAX_PROBES, ReplayPicture
 
 VIEW = (0.0, 0.0, -1.0)
-
-
-def picture(value: int, height: int = 48, width: int = 64) -> np.ndarray:
-    return np.full((height, width, 3), value, np.uint8)
-
-
-def write_video(path: Path, *pictures: np.ndarray, ends_with: BaseException | None = None) -> None:
-    with VideoWriter(path) as video:
-        for image in pictures:
-            video.write(image)
-        if ends_with is not None:
-            raise ends_with
-
-
-def test_a_video_plays_back_what_was_written(tmp_path: Path) -> None:
-    path = tmp_path / "out" / "replay.mp4"
-    levels = [30, 90, 150, 210, 120]
-    with VideoWriter(path, frames_per_second=5.0) as video:
-        for level in levels:
-            video.write(picture(level))
-        assert not path.exists()
-    assert [entry.name for entry in path.parent.iterdir()] == ["replay.mp4"]
-    with av.open(str(path)) as container:
-        stream = container.streams.video[0]
-        assert stream.codec_context.name == "h264"
-        assert stream.codec_context.pix_fmt == "yuv420p"
-        assert stream.average_rate == 5
-        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
-    assert [frame.shape for frame in frames] == [(48, 64, 3)] * len(levels)
-    # grey through limited-range YUV and back at crf 18 moves by a few levels
-    assert [float(frame.mean()) for frame in frames] == pytest.approx(levels, abs=4)
-
-
-def test_an_exception_leaves_no_file(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        write_video(tmp_path / "replay.mp4", picture(10), ends_with=KeyboardInterrupt())
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_old_video_stays_until_the_new_one_is_complete(tmp_path: Path) -> None:
-    path = tmp_path / "replay.mp4"
-    path.write_bytes(b"old")
-    with pytest.raises(RuntimeError):
-        write_video(path, picture(10), ends_with=RuntimeError())
-    assert path.read_bytes() == b"old"
-
-
-def test_without_pictures_there_is_no_file(tmp_path: Path) -> None:
-    write_video(tmp_path / "replay.mp4")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_pictures_of_odd_or_changing_sizes_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="even sides"):
-        write_video(tmp_path / "a.mp4", picture(10, 47))
-    with pytest.raises(ValueError, match="the video is 64 x 48"):
-        write_video(tmp_path / "b.mp4", picture(10), picture(10, 48, 32))
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), 1e6])
-def test_absurd_rates_are_refused(tmp_path: Path, rate: float) -> None:
-    with pytest.raises(OptionError, match="frames_per_second"):
-        VideoWriter(tmp_path / "a.mp4", frames_per_second=rate)
-
-
-def test_a_place_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match=r"replay\.mp4"):
-        write_video(tmp_path / "file" / "replay.mp4", picture(10))
 
 
 @pytest.mark.usefixtures("small_pictures")

@@ -6,17 +6,19 @@ from typing import Annotated, Final
 from annotated_types import Interval
 
 from roomlight.captures import CaptureOptions
+from roomlight.compositing.placement.scene import load_scene
 from roomlight.engine.session import SessionOptions
 from roomlight.sample import sample_capture
 from roomlight_cli.compositing import CompositeOptions, composite_recording
 from roomlight_cli.console import say
-from roomlight_cli.demo_scene import demo_scene
 from roomlight_cli.live_demo import find_browser, page_is_built, run_live_demo
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_cli.replays.replay_run import run_replay
 from roomlight_evaluation.captures.evaluation import evaluate_predictions
 
 DEFAULT_OUT: Final = Path("roomlight-demo")
+SCENE: Final = Path(__file__).parents[1] / "demo-scene.json"
+"""A mirror sphere and a teapot on the low table, a chair, and two objects that move."""
 FILM: Final = "composite.mp4"
 FILM_RATE: Final = 6.0
 """Frames a second: the sample's 31 frames take five seconds."""
@@ -56,7 +58,7 @@ def write_pictures(capture: Path, out: Path) -> None:
     run_replay(capture, out, ReplayOptions(probes_from_capture=True, overwrite=True))
     say(score_line(capture, out))
     film = CompositeOptions(out / FILM, quality="preview", fps=FILM_RATE, overwrite=True)
-    done = composite_recording(capture, demo_scene(), film, light=SessionOptions(), reading=CaptureOptions())
+    done = composite_recording(capture, load_scene(SCENE), film, light=SessionOptions(), reading=CaptureOptions())
     say(f"A chair, a mirror sphere and two moving objects in the room: {done}")
 
 

@@ -12,11 +12,12 @@ from roomlight.conventions import Position
 from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session
 from roomlight.frame import Frame
+from roomlight.imaging.video_writer import VideoWriter
 from roomlight.spheres import view_toward
 from roomlight_cli.probe_notes import position_text
 from roomlight_cli.replays.inserted_spheres import ProbeView, insert_spheres
 from roomlight_cli.replays.sheet import Sheet, SheetProbe, SheetTime, mean_light, sheet_times, write_sheet
-from roomlight_cli.video import MAX_PROBES, ReplayPicture, VideoWriter
+from roomlight_cli.replays.video import MAX_PROBES, ReplayPicture
 
 SUMMARY: Final = "summary.png"
 VIDEO: Final = "replay.mp4"

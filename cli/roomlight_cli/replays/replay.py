@@ -26,7 +26,7 @@ from roomlight.errors import CaptureError, FrameError
 from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr
-from roomlight.light.light import LightUse
+from roomlight.light.light import Light, LightUse
 from roomlight.placement import point_at_pixel, point_in_view
 from roomlight_cli.replays.pictures import ReplayPictures, Titles
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
@@ -46,36 +46,6 @@ ProgressCallback = Callable[[int, int], None]
 
 
 @runtime_checkable  # the test run checks annotations with isinstance
-class ReplayLight(Protocol):
-    """What a replay needs of the light at a probe; the engine's `Light` has it."""
-
-    @property
-    def position(self) -> Position:
-        """Position in world metres."""
-        ...
-
-    @property
-    def panorama(self) -> Float[np.ndarray, "h w 3"]:
-        """Linear RGB radiance that lights things, float32."""
-        ...
-
-    @property
-    def reflection(self) -> Float[np.ndarray, "h w 3"]:
-        """Linear RGB radiance that is seen, float32."""
-        ...
-
-    @property
-    def coverage(self) -> float:
-        """Share of the sphere that was observed."""
-        ...
-
-    @property
-    def observed(self) -> Float[np.ndarray, "h w"] | None:
-        """How far each direction of the panorama was observed, 0 to 1; None where that is unknown."""
-        ...
-
-
-@runtime_checkable
 class ReplaySession(Protocol):
     """What a replay needs of a session; `roomlight.engine.session.Session` has it."""
 
@@ -102,7 +72,7 @@ class ReplaySession(Protocol):
         """Process the next frame. Raises FrameError if it cannot be used."""
         ...
 
-    def lights(self) -> Sequence[ReplayLight]:
+    def lights(self) -> Sequence[Light]:
         """Return the light at every tracked position."""
         ...
 
@@ -254,10 +224,10 @@ class _Writer:
     def __init__(self, out: Path, probes: int, use: LightUse) -> None:
         self._folders = [out / f"probe-{n:02d}" for n in range(probes)]
         self._use: LightUse = use
-        self._before: tuple[int, Sequence[ReplayLight]] | None = None
+        self._before: tuple[int, Sequence[Light]] | None = None
         self.count_interpolated = 0
 
-    def write(self, frame: Frame, lights: Sequence[ReplayLight]) -> None:
+    def write(self, frame: Frame, lights: Sequence[Light]) -> None:
         """Write the panoramas of one session frame."""
         self._before = frame.index, lights
         for folder, light in zip(self._folders, lights, strict=True):
@@ -266,7 +236,7 @@ class _Writer:
             self._save(folder, frame.index, panorama, {"roomlight:coverage": coverage, "roomlight:use": self._use})
 
     def interpolated(
-        self, between: Sequence[Frame], frame: Frame, lights: Sequence[ReplayLight]
+        self, between: Sequence[Frame], frame: Frame, lights: Sequence[Light]
     ) -> Iterator[tuple[Frame, list[Float[np.ndarray, "h w 3"]]]]:
         """Write the frames between the last session frame and this one; yield them with what is seen at the probes."""
         if self._before is None:
@@ -304,7 +274,7 @@ class _Writer:
             write_exr(path, panorama, metadata=metadata)
 
 
-def panoramas_of(lights: Sequence[ReplayLight], use: LightUse) -> list[Float[np.ndarray, "h w 3"]]:
+def panoramas_of(lights: Sequence[Light], use: LightUse) -> list[Float[np.ndarray, "h w 3"]]:
     """Return the panorama of each light for a use."""
     return [light.panorama if use == "lighting" else light.reflection for light in lights]
 

@@ -16,9 +16,9 @@ from jaxtyping import Float, UInt8
 from roomlight.conventions import LUMINANCE, panorama_solid_angles
 from roomlight.images import write_png
 from roomlight.imaging.drawing import BACKGROUND, HEADING, LABEL_ROWS, Canvas, Colour, text_width
+from roomlight.imaging.plots import Plot, Series, draw_plot
 from roomlight.spheres import SphereRenderer
 from roomlight_cli.probe_notes import percent
-from roomlight_cli.replays.plots import Plot, Series, draw_plot
 
 COLUMNS: Final = 6
 """Times shown: enough to see a room filling up, few enough to see details of each panorama."""

@@ -2,32 +2,26 @@
 
 import math
 
-from rich import box
 from rich.table import Table
 
 from roomlight_evaluation.captures.main_light import JUMP_DEG, METHODS, SETTLED_FRAME, MainLightScores
 from roomlight_evaluation.confidence import MeanWithInterval
+from roomlight_evaluation.tables import figure_table
 
 
 def main_light_table(scores: MainLightScores) -> Table:
     """Return the table: jumps after the fifth frame, share from below, mean errors with 95 % intervals over probes."""
     sequences = len({(track.capture, track.probe) for track in scores.tracks})
     known = len({(track.capture, track.probe) for track in scores.tracks if track.truth is not None})
-    table = Table(
-        title=f"Main light, probes: {sequences}",
-        title_justify="left",
+    table = figure_table(
+        f"Main light, probes: {sequences}",
+        ("largest\njump", f"over {JUMP_DEG:g}", "below", "error", "last\nframe", "error,\nregion"),
         caption=(
             f"degrees; jumps: angle between frames after frame {SETTLED_FRAME}; below: share of the frames; errors and "
             f"95 % intervals over probes with ground truth ({known}), against its main light and the centroid of its "
             "brightest region"
         ),
-        caption_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),  # the whole within 80 columns
     )
-    table.add_column("", no_wrap=True, min_width=max(map(len, METHODS)))
-    for column in ("largest\njump", f"over {JUMP_DEG:g}", "below", "error", "last\nframe", "error,\nregion"):
-        table.add_column(column, justify="right", no_wrap=True)
     for method in METHODS:
         row = scores.summary(method)
         table.add_row(

@@ -2,13 +2,12 @@
 
 import math
 
-from rich import box
-from rich.markup import escape
 from rich.table import Table
 
 from roomlight.metrics import METRICS, Metric
 from roomlight_evaluation.captures.scores import CaptureScores
 from roomlight_evaluation.confidence import MeanWithInterval
+from roomlight_evaluation.tables import figure_table
 
 
 def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[Table]:
@@ -30,19 +29,8 @@ def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[
 
 
 def _table(scores: CaptureScores, title: str, *, capture: str | None = None, caption: str = "") -> Table:
-    table = Table(
-        title=escape(title),
-        title_justify="left",
-        caption=caption,
-        caption_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=0,  # with a metric's name on a line of its own: the whole within 80 columns
-    )
-    labels = [*(f" {method}" for method in scores.methods), *(metric.title for metric in METRICS)]
-    table.add_column("", no_wrap=True, min_width=max(map(len, labels)))
-    for column in scores.columns:
-        table.add_column(column, justify="right", no_wrap=True)
-    table.add_column("95 %", justify="right", no_wrap=True)
+    # with a metric's name on a line of its own and no gap: the whole within 80 columns
+    table = figure_table(title, [*scores.columns, "95 %"], caption=caption, gap=0)
     for metric in METRICS:
         rows = {method: scores.means(method, metric.key, capture=capture) for method in scores.methods}
         best = [min(cell.mean for cell in column) for column in zip(*rows.values(), strict=True)]

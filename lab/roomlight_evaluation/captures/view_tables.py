@@ -2,11 +2,11 @@
 
 import math
 
-from rich import box
 from rich.table import Table
 
 from roomlight_evaluation.captures.views import REFERENCE, REGIONS, ViewScores
 from roomlight_evaluation.confidence import MeanWithInterval
+from roomlight_evaluation.tables import figure_table
 
 SHOWN_TIMES = 100
 """Errors are shown times this."""
@@ -15,21 +15,15 @@ SHOWN_TIMES = 100
 def view_table(scores: ViewScores) -> Table:
     """Return the table: the error in seen and in unseen directions, and its ratio to the classical model's."""
     views = len({(score.capture, score.frame) for score in scores.scores})
-    table = Table(
-        title=f"Views predicted from the frames up to {scores.ahead} before them: {views}",
-        title_justify="left",
+    headings = [(f"{region},\n{100 * scores.share(region):.0f} %", "\nratio") for region in REGIONS]
+    table = figure_table(
+        f"Views predicted from the frames up to {scores.ahead} before them: {views}",
+        [heading for pair in headings for heading in pair],
         caption=(
             f"log-L2 x {SHOWN_TIMES}, less is better; {REFERENCE} = 1 in the ratios; 95 % intervals resample views, "
             "which overlap in one capture"
         ),
-        caption_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),  # the whole within 80 columns
     )
-    table.add_column("", no_wrap=True)
-    for region in REGIONS:
-        table.add_column(f"{region},\n{100 * scores.share(region):.0f} %", justify="right", no_wrap=True)
-        table.add_column("\nratio", justify="right", no_wrap=True)
     for method in scores.methods:
         cells: list[str] = []
         for region in REGIONS:

@@ -1,4 +1,4 @@
-"""Errors of composites as tables: for a terminal, and as Markdown for the documentation."""
+"""Errors of composites as tables, and in sentences."""
 
 from rich.table import Table
 
@@ -6,40 +6,47 @@ from roomlight_evaluation.composites.methods import HARMONICS, METHODS, NO_SHADO
 from roomlight_evaluation.composites.regions import ELSEWHERE, OBJECT, REGIONS, SHADOW
 from roomlight_evaluation.composites.scenes import MATERIALS
 from roomlight_evaluation.composites.scores import CompositeScores
-from roomlight_evaluation.error_tables import cell, error_markdown, error_table
+from roomlight_evaluation.tables import figure_table, mean_cell
 
 TARGET = 0.6
 """Largest error in the object and in the shadow, relative to SH + directional light's."""
+_TITLES = {"rmse": "RMSE, linear light", "srgb": "RMSE, sRGB", "log": "mean absolute log error"}
 
 
-def composite_table(scores: CompositeScores, metric: str) -> Table:
-    """Return the mean errors of all methods in all regions with 95 % intervals over scenes."""
-    return error_table(
-        f"Composites against the truth, {metric}, scenes: {len(scores.scenes)}",
-        "mean over scenes (95 % bootstrap interval); linear light is clipped at white",
-        REGIONS,
-        {method: [cell(scores.mean(method, region, metric)) for region in REGIONS] for method in METHODS},
+def composite_tables(scores: CompositeScores) -> list[Table]:
+    """Return tables of the errors, of the ratios to SH + directional light by material, and of the shadows' depth.
+
+    Errors are those of all methods in all regions, with 95 % intervals over scenes.
+    """
+    tables = [
+        figure_table(
+            f"Composites against the truth, {title}, scenes: {len(scores.scenes)}",
+            REGIONS,
+            ([method, *(mean_cell(scores.mean(method, region, metric)) for region in REGIONS)] for method in METHODS),
+            caption="mean over scenes (95 % bootstrap interval); linear light is clipped at white",
+        )
+        for metric, title in (
+            ("rmse", "RMSE, linear light"),
+            ("srgb", "RMSE, sRGB"),
+            ("log", "mean absolute log error"),
+        )
+    ]
+    compared = [(method, region) for method in (OURS, TRUE_LIGHT) for region in (OBJECT, SHADOW)]
+    ratios = figure_table(
+        f"RMSE relative to {HARMONICS}, by material",
+        [f"{method}: {region}" for method, region in compared],
+        (
+            [
+                material or "all",
+                *(mean_cell(scores.ratio(method, region, "rmse", material), 2) for method, region in compared),
+            ]
+            for material in (None, *MATERIALS)
+        ),
     )
-
-
-def composite_markdown(scores: CompositeScores) -> str:
-    """Return tables of the errors, of the ratios to SH + directional light by material, and of the shadows' depth."""
-    lines = [f"Scenes: {len(scores.scenes)}", ""]
-    for metric, title in (("rmse", "RMSE, linear light"), ("srgb", "RMSE, sRGB"), ("log", "mean absolute log error")):
-        rows = {method: [cell(scores.mean(method, region, metric)) for region in REGIONS] for method in METHODS}
-        lines += [*error_markdown(title, REGIONS, rows), ""]
-    lines += [f"| RMSE of {OURS} / {HARMONICS} | object | shadow | true panorama: object | shadow |"]
-    lines += ["| --- | --- | --- | --- | --- |"]
-    for material in (None, *MATERIALS):
-        cells = [
-            cell(scores.ratio(method, region, "rmse", material), 2)
-            for method in (OURS, TRUE_LIGHT)
-            for region in (OBJECT, SHADOW)
-        ]
-        lines.append(f"| {material or 'all'} | " + " | ".join(cells) + " |")
-    lines += ["", "| Light in shadows, log | mean |", "| --- | --- |"]
-    lines += [f"| {name} | {cell(scores.darkening(name))} |" for name in ("truth", *METHODS)]
-    return "\n".join(lines) + "\n"
+    depth = figure_table(
+        "Light in shadows, log", ["mean"], ([name, mean_cell(scores.darkening(name))] for name in ("truth", *METHODS))
+    )
+    return [*tables, ratios, depth]
 
 
 def targets_met(scores: CompositeScores) -> dict[str, bool]:
@@ -51,13 +58,13 @@ def summary(scores: CompositeScores) -> list[str]:
     """Return sentences: each target with its ratio, and the gap to the true panorama."""
     met = targets_met(scores)
     lines = [
-        f"{region}: {cell(scores.ratio(OURS, region, 'rmse'), 2)} of {HARMONICS}'s error, target {TARGET}: "
+        f"{region}: {mean_cell(scores.ratio(OURS, region, 'rmse'), 2)} of {HARMONICS}'s error, target {TARGET}: "
         + ("met" if met[region] else "missed")
-        + f"; {cell(scores.ratio(OURS, region, 'rmse', to=TRUE_LIGHT), 2)} of the true panorama's"
+        + f"; {mean_cell(scores.ratio(OURS, region, 'rmse', to=TRUE_LIGHT), 2)} of the true panorama's"
         for region in (OBJECT, SHADOW)
     ]
     lines.append(
-        f"shadow: {cell(scores.ratio(OURS, SHADOW, 'rmse', to=NO_SHADOW), 2)} of the error without shadows; "
-        f"{ELSEWHERE}: {cell(scores.mean(OURS, ELSEWHERE, 'rmse'))}"
+        f"shadow: {mean_cell(scores.ratio(OURS, SHADOW, 'rmse', to=NO_SHADOW), 2)} of the error without shadows; "
+        f"{ELSEWHERE}: {mean_cell(scores.mean(OURS, ELSEWHERE, 'rmse'))}"
     )
     return lines

@@ -1,32 +1,24 @@
-"""Scores on a dataset as tables: for a terminal, and as Markdown."""
+"""Scores on a dataset as tables."""
 
 import math
 
-from rich import box
 from rich.markup import escape
 from rich.table import Table
 
 from roomlight_evaluation.confidence import MeanWithInterval
 from roomlight_evaluation.datasets.scores import KEYS, TITLES, DatasetScores, MetricKey, Ratio
+from roomlight_evaluation.tables import figure_table
 
 _DEPTHS = {"exact": "exact depth", "arkit": "ARKit-like"}
 
 
 def dataset_tables(scores: DatasetScores) -> list[Table]:
     """Return a table with a row per method and a column per metric and kind of depth, then the ratios, if any."""
-    table = Table(
-        title=escape(_heading(scores)),
-        title_justify="left",
+    table = figure_table(
+        _heading(scores),
+        [f"{TITLES[metric][0]}\n{_DEPTHS[depth]}" for metric, depth in _columns(scores)],
         caption="mean and 95 % interval over rooms; less is better, the best of each column is bold",
-        caption_justify="left",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
     )
-    table.add_column("", min_width=max(map(len, scores.methods)))
-    for metric, depth in _columns(scores):
-        widths = [len(_scaled(scores.mean(method, depth, metric), metric)) for method in scores.methods]
-        title = TITLES[metric][0]
-        table.add_column(f"{title}\n{_DEPTHS[depth]}", justify="right", min_width=max(len(title), *widths))
     best = _best(scores)
     for method in scores.methods:
         cells = [
@@ -36,29 +28,6 @@ def dataset_tables(scores: DatasetScores) -> list[Table]:
         table.add_row(escape(method), *cells)
     ratios = scores.ratios()
     return [table, _ratio_table(ratios)] if ratios else [table]
-
-
-def dataset_markdown(scores: DatasetScores) -> str:
-    """Return the content of `dataset_tables` as Markdown."""
-    columns = _columns(scores)
-    lines = [
-        "| " + " | ".join(["", *(f"{TITLES[metric][0]}, {_DEPTHS[depth]}" for metric, depth in columns)]) + " |",
-        "| --- |" + " ---: |" * len(columns),
-    ]
-    best = _best(scores)
-    for method in scores.methods:
-        cells = [_scaled(scores.mean(method, depth, metric), metric) for metric, depth in columns]
-        marked = [
-            f"**{cell}**" if method in best[column] else cell for cell, column in zip(cells, columns, strict=True)
-        ]
-        lines.append("| " + " | ".join([method, *marked]) + " |")
-    lines += ["", f"{_heading(scores)}; in brackets 95 % intervals over rooms."]
-    if ratios := scores.ratios():
-        lines += ["", "| ratio | measured | target | |", "| --- | ---: | ---: | --- |"]
-        lines += [
-            f"| {ratio.title} | {_interval(ratio.value)} | {_limit(ratio)} | {_verdict(ratio)} |" for ratio in ratios
-        ]
-    return "\n".join(lines) + "\n"
 
 
 def _heading(scores: DatasetScores) -> str:
@@ -86,11 +55,7 @@ def _best(scores: DatasetScores) -> dict[tuple[MetricKey, str], set[str]]:
 
 
 def _ratio_table(ratios: tuple[Ratio, ...]) -> Table:
-    table = Table(title="Ratios on the same rooms", title_justify="left", box=box.SIMPLE_HEAD, show_edge=False)
-    table.add_column("", min_width=max(len(ratio.title) for ratio in ratios))
-    table.add_column("measured", justify="right", min_width=max(len(_interval(ratio.value)) for ratio in ratios))
-    table.add_column("target", justify="right", min_width=len("<= 0.65"))
-    table.add_column("", min_width=len("does not hold"))
+    table = figure_table("Ratios on the same rooms", ("measured", "target", "verdict"))
     colours = {True: "green", False: "red", None: "dim"}
     for ratio in ratios:
         verdict = f"[{colours[ratio.holds]}]{_verdict(ratio)}[/]"

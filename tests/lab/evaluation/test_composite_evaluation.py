@@ -29,7 +29,8 @@ from roomlight_evaluation.composites.scores import (
     read_lines,
     write_line,
 )
-from roomlight_evaluation.composites.tables import composite_markdown, summary, targets_met
+from roomlight_evaluation.composites.tables import composite_tables, summary, targets_met
+from roomlight_evaluation.tables import markdown
 from rooms import BoxRoom, camera_at
 
 FLOOR = np.full((60, 80, 3), 0.5, np.float32)
@@ -196,4 +197,4 @@ def test_ratios_are_of_means_over_the_same_scenes():
     assert mean.low < mean.mean < mean.high
     assert targets_met(scores) == {OBJECT: True, SHADOW: True}
     assert "0.50" in summary(scores)[0]
-    assert "| diffuse |" in composite_markdown(scores)
+    assert "| diffuse |" in markdown(composite_tables(scores))

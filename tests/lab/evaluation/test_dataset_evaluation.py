@@ -20,7 +20,8 @@ from roomlight_evaluation.datasets.evaluation import evaluate_dataset, first_fra
 from roomlight_evaluation.datasets.methods import BLENDED, UNBLENDED, BaselineMethod, EngineMethod
 from roomlight_evaluation.datasets.picture import compose_picture, write_picture
 from roomlight_evaluation.datasets.scores import DatasetScores, SequenceScores
-from roomlight_evaluation.datasets.tables import dataset_markdown, dataset_tables
+from roomlight_evaluation.datasets.tables import dataset_tables
+from roomlight_evaluation.tables import markdown
 
 
 class Boxes(BoxRecordings):
@@ -135,7 +136,7 @@ def test_tables_json_and_markdown_say_the_same(evaluated):
     with console.capture() as shown:
         for table in dataset_tables(scores):
             print_table(console, table)
-    text = dataset_markdown(scores)
+    text = markdown(dataset_tables(scores))
     plain = json.loads(json.dumps(scores.to_json()))
     assert plain["rooms"] == 2
     assert len(plain["sequences"]) == 4

@@ -14,7 +14,8 @@ from roomlight.errors import CaptureError
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
 from roomlight_evaluation.objects.evaluation import COMPOSITED, evaluate_objects
 from roomlight_evaluation.objects.lit_objects import LOOKS, SHADOW, LitObjects
-from roomlight_evaluation.objects.tables import object_markdown, object_table
+from roomlight_evaluation.objects.tables import object_tables
+from roomlight_evaluation.tables import markdown
 from roomlight_model.sphere_shadow import shadow_of_sphere
 from rooms import BoxRoom, camera_at
 
@@ -111,10 +112,10 @@ def test_networks_are_scored_beside_the_classical_model(tiny_video, tmp_path):
 
 
 def test_tables_and_json_show_every_method(scores, tmp_path):
-    markdown = object_markdown(scores)
+    text = markdown(object_tables(scores))
     for method in scores.methods:
-        assert markdown.count(f"| {method} | ") == 2
-    assert object_table(scores).row_count == len(scores.methods)
+        assert text.count(f"| {method} | ") == 2
+    assert object_tables(scores)[0].row_count == len(scores.methods)
     scores.write(tmp_path / "scores.json")
     assert json.loads((tmp_path / "scores.json").read_text())[0]["errors"][HARMONICS].keys() == set(LOOKS)
 

@@ -13,10 +13,11 @@ from roomlight_cli.console import print_tables, say
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoresJson
 from roomlight_evaluation.composites.evaluation import evaluate_composites, evaluate_mitsuba
-from roomlight_evaluation.composites.scores import METRICS, write_line
-from roomlight_evaluation.composites.tables import composite_markdown, composite_table, summary
+from roomlight_evaluation.composites.scores import write_line
+from roomlight_evaluation.composites.tables import composite_tables, summary
 from roomlight_evaluation.objects.evaluation import evaluate_objects
-from roomlight_evaluation.objects.tables import object_markdown, object_table
+from roomlight_evaluation.objects.tables import object_tables
+from roomlight_evaluation.tables import markdown as markdown_of
 
 
 @dataclass(frozen=True)
@@ -65,14 +66,15 @@ def composite(out: Path, options: CompositeScoreOptions, light: ScoredLight) -> 
                 pictures=options.pictures,
                 progress=lambda done, total, note: progress.count_of(note, done, total),
             )
-    print_tables(*(composite_table(scores, metric) for metric in METRICS))
+    tables = composite_tables(scores)
+    print_tables(*tables)
     for line in summary(scores):
         say(line)
     if options.mitsuba:
         for score in scores.scenes:
             write_line(out, score)
     if options.markdown:
-        write_atomic(options.markdown, composite_markdown(scores).encode())
+        write_atomic(options.markdown, markdown_of(tables).encode())
 
 
 def objects(
@@ -101,9 +103,10 @@ def objects(
     with Progress("compiling kernels (first run only)") as progress:
         warm_up()
         scores = evaluate_objects(sources, light, frames=frames, split=split, limit=limit, progress=progress.count_of)
-    print_tables(object_table(scores))
+    tables = object_tables(scores)
+    print_tables(*tables)
     if json:
         scores.write(json)
         say(f"Scores: {json}")
     if markdown:
-        write_atomic(markdown, object_markdown(scores).encode())
+        write_atomic(markdown, markdown_of(tables).encode())

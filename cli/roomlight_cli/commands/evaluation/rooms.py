@@ -20,8 +20,9 @@ from roomlight_evaluation.captures.tables import capture_tables
 from roomlight_evaluation.datasets.evaluation import DEPTHS, evaluate_dataset
 from roomlight_evaluation.datasets.methods import BLENDED, UNBLENDED, BaselineMethod, EngineMethod, Method
 from roomlight_evaluation.datasets.picture import write_picture
-from roomlight_evaluation.datasets.tables import dataset_markdown, dataset_tables
+from roomlight_evaluation.datasets.tables import dataset_tables
 from roomlight_evaluation.datasets.walks import WalkModels, evaluate_walks
+from roomlight_evaluation.tables import markdown
 
 _SCORED_ANYWAY: Final = ("mean colour", "warp and fill", "classical", BLENDED, UNBLENDED)
 
@@ -88,13 +89,14 @@ def dataset(data: Path, options: DatasetScoreOptions, light: ScoredNetworks, *, 
             picture_rows=options.pictured if options.picture else 0,
             progress=progress.count,
         )
-    print_tables(*dataset_tables(scores))
+    tables = dataset_tables(scores)
+    print_tables(*tables)
     for reason in scores.skipped[:5]:
         err.print(f"skipped {reason}", soft_wrap=True, markup=False)
     if json:
         write_json(json, scores.to_json())
     if options.markdown:
-        write_atomic(options.markdown, dataset_markdown(scores).encode())
+        write_atomic(options.markdown, markdown(tables).encode())
     if options.picture:
         write_picture(options.picture, rows)
         say(f"Picture: {options.picture}")

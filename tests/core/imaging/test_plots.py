@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from roomlight.imaging.drawing import BACKGROUND, Canvas
-from roomlight_cli.replays.plots import Plot, Series, draw_plot, round_up
+from roomlight.imaging.plots import Plot, Series, draw_plot, round_up
 
 RED = (1.0, 0.0, 0.0)
 GREEN = (0.0, 1.0, 0.0)
