@@ -52,6 +52,14 @@ test("a file that is no recording is refused with the reason", async () => {
   assert.match(await error.innerText(), /r3d|archive|zip|recording/i);
 });
 
+test("markup in the name of a file is shown as text", async () => {
+  const name = `<img src=x onerror="document.body.dataset.taken=1">.r3d`;
+  await page.setInputFiles("#file-input", { name, mimeType: "application/octet-stream", buffer: Buffer.from("no archive") });
+  await page.waitForFunction((name) => [...document.querySelectorAll(".upload")].some(({ textContent }) => textContent.includes(name)), name);
+  assert.equal(await page.locator("img[src=x]").count(), 0);
+  assert.equal(await page.evaluate(() => document.body.dataset.taken), undefined);
+});
+
 test("an upload can be cancelled", async () => {
   let release;
   const held = new Promise((resolve) => (release = resolve));
