@@ -51,7 +51,7 @@ def upload(server, folder: Path, **more):
 
 def finished(server, url, status="finished", **more):
     """Wait for the end of a replay on the event loop itself, and return the recording."""
-    held = next(iter(server.app.state.context.recordings._held.values()))
+    held = next(iter(server.app.state.context.recordings._recordings.values()))
     done = held.task
     while not done.done():
         server.call("GET", "/healthz")

@@ -56,15 +56,15 @@ def scene_of(request: CompositeRequest, files: Mapping[str, VirtualObject], scal
         ProblemError: A field is refused (422).
     """
     specs: list[dict[str, Any]] = []
-    for number, one in enumerate(request.objects):
-        spec = one.model_dump(exclude_none=True)
-        spec["name"] = one.name or f"object-{number}"
-        if one.object is not None:
+    for number, requested in enumerate(request.objects):
+        spec = requested.model_dump(exclude_none=True)
+        spec["name"] = requested.name or f"object-{number}"
+        if requested.object is not None:
             spec["file"] = spec.pop("object")
-        if one.pixel is not None:
-            spec["pixel"] = [value * scale for value in one.pixel]
-        if one.pose is not None:
-            spec["pose"] = np.reshape(one.pose, (4, 4)).T.tolist()
+        if requested.pixel is not None:
+            spec["pixel"] = [value * scale for value in requested.pixel]
+        if requested.pose is not None:
+            spec["pose"] = np.reshape(requested.pose, (4, 4)).T.tolist()
         specs.append(spec)
     try:
         return parse_scene({"objects": specs}, load=files.__getitem__)
@@ -88,8 +88,9 @@ def make(engine: Session, frame: Frame, scene: Scene, quality: CompositeQuality)
     try:
         picture = compositor.composite(frame)
         check_in_view(compositor, frame)
-        placed = {held.name: compositor.placement(held.name).object_to_world for held in scene.objects}
-        return Made(picture, {name: column_major(pose) for name, pose in placed.items()})
+        names = [placed.name for placed in scene.objects]
+        poses = {name: column_major(compositor.placement(name).object_to_world) for name in names}
+        return Made(picture, poses)
     finally:
         compositor.close()
 

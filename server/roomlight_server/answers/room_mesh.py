@@ -87,11 +87,11 @@ def _clustered(
     vertices, colours, weights = vertices[used], colours[used], weights[used]
     cells = np.floor(vertices / cell_m).astype(np.int64) + 2**20  # positions are within 1 km
     key = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-    found, cluster = np.unique(key, return_inverse=True)
-    total = np.bincount(cluster, weights, len(found))
+    keys, cluster = np.unique(key, return_inverse=True)
+    total = np.bincount(cluster, weights, len(keys))
 
     def mean(values: Float32[np.ndarray, "v 3"]) -> Float32[np.ndarray, "w 3"]:
-        sums = [np.bincount(cluster, weights * values[:, axis], len(found)) for axis in range(3)]
+        sums = [np.bincount(cluster, weights * values[:, axis], len(keys)) for axis in range(3)]
         return (np.stack(sums, axis=-1) / total[:, None]).astype(np.float32)
 
     moved = cluster[faces]

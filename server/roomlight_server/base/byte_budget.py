@@ -34,11 +34,11 @@ class ByteBudget:
     @contextmanager
     def reservation(self) -> Generator["Reservation"]:
         """Yield an empty reservation of the current owner and release it at the end of the context."""
-        held = Reservation(self, current_flow.get().owner)
+        reserved = Reservation(self, current_flow.get().owner)
         try:
-            yield held
+            yield reserved
         finally:
-            self.release(held.owner, held.size)
+            self.release(reserved.owner, reserved.size)
 
     def reserve(self, owner: str, size: int) -> None:
         """Reserve bytes.

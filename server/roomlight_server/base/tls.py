@@ -136,10 +136,10 @@ def fingerprint(certificate: Path) -> str:
         ServerError: The file is not a certificate.
     """
     try:
-        found = x509.load_pem_x509_certificate(certificate.read_bytes())
+        first = x509.load_pem_x509_certificate(certificate.read_bytes())
     except (OSError, ValueError) as error:
         raise ServerError(f"tls_cert: {certificate} is not a readable certificate ({error})") from error
-    return found.fingerprint(hashes.SHA256()).hex(":").upper()
+    return first.fingerprint(hashes.SHA256()).hex(":").upper()
 
 
 def check_certificate(certificate: Path, key: Path | None) -> None:

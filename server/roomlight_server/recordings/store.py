@@ -27,7 +27,7 @@ SPARE_DISK_BYTES: Final = 256 * 2**20
 """Bytes that an upload leaves free on the disk."""
 
 
-class HeldRecording:
+class StoredRecording:
     """An uploaded recording, its replay, and when it was last used."""
 
     def __init__(self, owner: str, files: RecordingFiles, now_s: float) -> None:
@@ -60,7 +60,7 @@ class RecordingStore:
     def __init__(self, settings: ServerSettings, registry: Registry, clock: Callable[[], float]) -> None:
         """Create an empty store; its folder is made with the first recording."""
         self._settings, self._registry, self._clock = settings, registry, clock
-        self._held: dict[str, HeldRecording] = {}
+        self._recordings: dict[str, StoredRecording] = {}
         self._root: LockedFolder | None = None
         remove_left_folders(settings.recordings_folder)
 
@@ -70,7 +70,7 @@ class RecordingStore:
         Raises:
             ProblemError: It is too large (422), or the quota of the token (409) or of the server (503) is used up.
         """
-        settings, own = self._settings, [each for each in self._held.values() if each.owner == owner]
+        settings, own = self._settings, [each for each in self._recordings.values() if each.owner == owner]
         for field, value, most in (
             ("bytes", announced.bytes, settings.max_recording_bytes),
             ("files", announced.files, MAX_FILES),
@@ -84,8 +84,8 @@ class RecordingStore:
             detail = f"{len(own)} recordings take {_announced(own)} bytes: {rule}; delete one first"
             raise ProblemError("too-many-recordings", detail, field="bytes", value=announced.bytes, rule=rule)
         root = self._folder()
-        total = _announced(self._held.values())
-        missing = sum(each.files.announced.bytes - each.files.received for each in self._held.values())
+        total = _announced(self._recordings.values())
+        missing = sum(each.files.announced.bytes - each.files.received for each in self._recordings.values())
         free = shutil.disk_usage(root).free - SPARE_DISK_BYTES - missing
         if announced.bytes > min(settings.max_all_recording_bytes - total, free):
             rule = f"at most {settings.max_all_recording_bytes} bytes of all recordings, and what the disk has free"
@@ -94,47 +94,47 @@ class RecordingStore:
                 "recording-memory", detail, field="bytes", value=announced.bytes, rule=rule, retry_after_s=60
             )
         files = RecordingFiles(root / f"r-{secrets.token_hex(8)}", announced)
-        held = HeldRecording(owner, files, self._clock())
-        self._held[held.id] = held
-        return self.describe(held)
+        recording = StoredRecording(owner, files, self._clock())
+        self._recordings[recording.id] = recording
+        return self.describe(recording)
 
-    def find(self, owner: str, recording_id: str) -> HeldRecording:
+    def find(self, owner: str, recording_id: str) -> StoredRecording:
         """Return a recording, which counts as a use.
 
         Raises:
             ProblemError: The owner has no such recording (404).
         """
         self.expire()
-        held = self._held.get(recording_id)
-        if held is None or held.owner != owner:
+        recording = self._recordings.get(recording_id)
+        if recording is None or recording.owner != owner:
             detail = "there is no recording of this id; it may have expired; upload it again"
             raise ProblemError("recording-not-found", detail, field="id", value=recording_id)
-        held.last_used_s = self._clock()
-        return held
+        recording.last_used_s = self._clock()
+        return recording
 
     def listed(self, owner: str) -> RecordingList:
         """Return the recordings of an owner, the newest first."""
         self.expire()
-        own = [each for each in self._held.values() if each.owner == owner]
+        own = [each for each in self._recordings.values() if each.owner == owner]
         return RecordingList(
             recordings=[self.describe(each) for each in reversed(own)],
             bytes=_announced(own),
             limit_bytes=self._settings.max_owner_recording_bytes,
         )
 
-    def describe(self, held: HeldRecording) -> Recording:
+    def describe(self, recording: StoredRecording) -> Recording:
         """Return a recording as clients see it."""
-        files, progress = held.files, None if held.player is None else held.player.progress
+        files, progress = recording.files, None if recording.player is None else recording.player.progress
         expiry_s = self._settings.recording_expiry_s
-        idle_s = 0.0 if held.playing else self._clock() - held.last_used_s
+        idle_s = 0.0 if recording.playing else self._clock() - recording.last_used_s
         return Recording(
-            id=held.id,
+            id=recording.id,
             name=files.announced.name,
             bytes=files.announced.bytes,
             received=files.received,
             files=files.announced.files,
             files_received=files.files,
-            status=held.status,
+            status=recording.status,
             session=None if progress is None else progress.session,
             frame=0 if progress is None else progress.frame,
             frames=None if progress is None else progress.frames,
@@ -143,67 +143,67 @@ class RecordingStore:
             expires_in_s=round(max(0.0, expiry_s - idle_s), 1),
         )
 
-    async def play(self, held: HeldRecording, request: ReplayRequest) -> None:
+    async def play(self, recording: StoredRecording, request: ReplayRequest) -> None:
         """Begin a replay into a new session.
 
         Raises:
             ProblemError: The upload is not complete, a replay runs, or the session has frames (409); or the session
                 cannot be opened.
         """
-        if held.playing:
+        if recording.playing:
             raise ProblemError("recording-playing", "the recording is being played; stop it first with DELETE")
-        if not held.files.complete:
-            files = held.files
+        if not recording.files.complete:
+            files = recording.files
             state = f"{files.received} of {files.announced.bytes} bytes, {files.files} of {files.announced.files} files"
             raise ProblemError("recording-not-ready", f"the upload is not complete: {state}")
         options = SessionRequest(model=request.model, height=request.height)
-        live, _ = await self._registry.open(held.owner, request.session, options)
+        live, _ = await self._registry.open(recording.owner, request.session, options)
         if live.state().frames.accepted:
             rule = "must have no frame yet; the worlds of two recordings do not fit together"
             detail = f"the session {request.session!r} has frames: {rule}"
             raise ProblemError("session-conflict", detail, field="session", value=request.session, rule=rule)
-        if held.playing:  # another request was faster
+        if recording.playing:  # another request was faster
             raise ProblemError("recording-playing", "the recording is being played; stop it first with DELETE")
         probes = self._settings.max_probes
-        held.player = Player(held.files.folder, request, live, max_probes=probes, clock=self._clock)
-        held.task = asyncio.create_task(self._run(held, held.player, request.session))
+        recording.player = Player(recording.files.folder, request, live, max_probes=probes, clock=self._clock)
+        recording.task = asyncio.create_task(self._run(recording, recording.player, request.session))
 
-    async def _run(self, held: HeldRecording, player: Player, session: str) -> None:
-        current_flow.set(Flow(held.owner, session))
+    async def _run(self, recording: StoredRecording, player: Player, session: str) -> None:
+        current_flow.set(Flow(recording.owner, session))
         try:
-            with self._registry.use(held.owner, session):  # it does not expire meanwhile
+            with self._registry.use(recording.owner, session):  # it does not expire meanwhile
                 await player.run()
         except ProblemError as error:
             player.progress.problem = error.problem
         finally:
-            held.last_used_s = self._clock()
+            recording.last_used_s = self._clock()
 
-    async def stop(self, held: HeldRecording) -> None:
+    async def stop(self, recording: StoredRecording) -> None:
         """Stop the replay, if one runs; the session stays."""
-        if held.task is not None and not held.task.done():
-            held.task.cancel()
-            await asyncio.wait([held.task])
+        if recording.task is not None and not recording.task.done():
+            recording.task.cancel()
+            await asyncio.wait([recording.task])
 
-    async def delete(self, held: HeldRecording) -> None:
+    async def delete(self, recording: StoredRecording) -> None:
         """Stop the replay and delete the files; an upload in progress is cancelled."""
-        self._held.pop(held.id, None)
-        await self.stop(held)
-        await asyncio.to_thread(held.files.delete)
+        self._recordings.pop(recording.id, None)
+        await self.stop(recording)
+        await asyncio.to_thread(recording.files.delete)
 
     def expire(self) -> None:
         """Delete the recordings that are unused for too long."""
         limit_s = self._clock() - self._settings.recording_expiry_s
-        for held in tuple(self._held.values()):
-            if not held.playing and held.last_used_s < limit_s:
-                del self._held[held.id]
-                held.files.delete()
-                _log.info("recording deleted", extra={"recording": held.id, "reason": "expired"})
+        for recording in tuple(self._recordings.values()):
+            if not recording.playing and recording.last_used_s < limit_s:
+                del self._recordings[recording.id]
+                recording.files.delete()
+                _log.info("recording deleted", extra={"recording": recording.id, "reason": "expired"})
 
     async def close(self) -> None:
         """Stop all replays and delete all files."""
-        for held in tuple(self._held.values()):
-            await self.stop(held)
-        self._held.clear()
+        for recording in tuple(self._recordings.values()):
+            await self.stop(recording)
+        self._recordings.clear()
         if self._root is not None:
             self._root.remove()
             self._root = None
@@ -214,5 +214,5 @@ class RecordingStore:
         return self._root.path
 
 
-def _announced(recordings: Iterable[HeldRecording]) -> int:
+def _announced(recordings: Iterable[StoredRecording]) -> int:
     return sum(each.files.announced.bytes for each in recordings)

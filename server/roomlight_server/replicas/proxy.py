@@ -47,11 +47,11 @@ class SessionRouting:
 def routed_headers(path: str, headers: list[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
     """Return headers with the session id of the path, if it has one, in place of the client's."""
     kept = [(name, value) for name, value in headers if name.replace(b"_", b"-") not in _RAY_HEADERS]
-    found = _SESSION_PATH.match(path)
-    if found is None:
+    session = _SESSION_PATH.match(path)
+    if session is None:
         return kept
     own = [(name, value) for name, value in kept if name.replace(b"_", b"-") != SESSION_HEADER]
-    return [*own, (SESSION_HEADER, found[1].encode())]
+    return [*own, (SESSION_HEADER, session[1].encode())]
 
 
 class _Answer:

@@ -106,10 +106,10 @@ class BodyMiddleware:
         return limited
 
 
-async def read_frame(request: Request, held: Reservation) -> bytes:
+async def read_frame(request: Request, reserved: Reservation) -> bytes:
     """Return the frame message in a request's body, assembled from its parts if the body is multipart.
 
-    `held` reserves the memory as the body arrives.
+    The memory of the body is added to `reserved` as it arrives.
 
     Raises:
         ProblemError: The multipart body cannot be parsed or is not UTF-8 (400), or the memory budget is used up (503).
@@ -118,7 +118,7 @@ async def read_frame(request: Request, held: Reservation) -> bytes:
     if not content_type.startswith("multipart/form-data"):
         chunks: list[bytes] = []
         async for chunk in request.stream():
-            held.add(len(chunk))
+            reserved.add(len(chunk))
             chunks.append(chunk)
         return b"".join(chunks)
     charset = parse_options_header(content_type)[1].get(b"charset", b"utf-8").decode("latin-1")
@@ -129,7 +129,7 @@ async def read_frame(request: Request, held: Reservation) -> bytes:
         async with request.form(max_files=4, max_fields=4, max_part_size=MAX_HEADER_BYTES) as form:
             parts: dict[str, bytes] = {}
             for name, value in form.multi_items():
-                held.add(2 * (value.size or 0) if isinstance(value, UploadFile) else len(value))
+                reserved.add(2 * (value.size or 0) if isinstance(value, UploadFile) else len(value))
                 parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode()
     except MultiPartException as error:
         raise ProblemError("bad-request", f"the multipart body cannot be parsed: {error.message}") from error

@@ -62,7 +62,7 @@ async def composite(
     live: SessionDep,
     context: ContextDep,
     owner: OwnerDep,
-    held: ReservationDep,
+    reserved: ReservationDep,
     body: Annotated[CompositeRequest, Body(openapi_examples=_EXAMPLES)],
     request: Request,
 ) -> Response:
@@ -71,15 +71,15 @@ async def composite(
     Frames are reduced to fit into 1920 x 1440 pixels, 1280 x 960 for good and final. Frames of this session wait for
     a preview, not for other qualities. Previews come first; the others give way to them and to frames.
     """
-    return await until_gone(request, _composite(live, context, owner, held, body))
+    return await until_gone(request, _composite(live, context, owner, reserved, body))
 
 
 async def _composite(
-    live: LiveSession, context: Context, owner: str, held: Reservation, body: CompositeRequest
+    live: LiveSession, context: Context, owner: str, reserved: Reservation, body: CompositeRequest
 ) -> Response:
     with live.composite_turn() as latest:
         lens = latest.message.intrinsics
-        held.add(memory_of(lens.width, lens.height, body.quality))
+        reserved.add(memory_of(lens.width, lens.height, body.quality))
         files = {one.object: context.objects.find(owner, one.object) for one in body.objects if one.object is not None}
         frame = await live.decode_latest(latest, BOXES[body.quality])
         scene = scene_of(body, files, frame.intrinsics.width / lens.width)

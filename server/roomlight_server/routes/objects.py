@@ -48,7 +48,7 @@ _BODY: Final[dict[str, Any]] = {
 async def upload_object(
     context: ContextDep,
     owner: OwnerDep,
-    held: ReservationDep,
+    reserved: ReservationDep,
     request: Request,
     response: Response,
     kind: Annotated[
@@ -61,7 +61,7 @@ async def upload_object(
     """
     chunks: list[bytes] = []
     async for chunk in request.stream():
-        held.add(2 * len(chunk))  # as received, and joined
+        reserved.add(2 * len(chunk))  # as received, and joined
         chunks.append(chunk)
     body = b"".join(chunks)
     digest = digest_of(body)

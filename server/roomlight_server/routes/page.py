@@ -137,15 +137,15 @@ async def asset(request: Request, name: str) -> Response:
 
 
 def _answer(request: Request, path: str, cache: str) -> Response:
-    found = page_files(page_folder()).get(path)
-    if found is None:
+    file = page_files(page_folder()).get(path)
+    if file is None:
         if path in PAGES:
             advice = "run `npm ci` and `npm run build` in client/page"
             raise ProblemError("page-not-built", f"this installation has no built page; {advice}")
         raise ProblemError("not-found", f"the page has no file {path[:200]}")
-    headers = {**_HEADERS, "ETag": found.etag, "Cache-Control": cache, "Vary": "Accept-Encoding"}
-    if etag_matches(request.headers.get("if-none-match", ""), found.etag):
+    headers = {**_HEADERS, "ETag": file.etag, "Cache-Control": cache, "Vary": "Accept-Encoding"}
+    if etag_matches(request.headers.get("if-none-match", ""), file.etag):
         return Response(status_code=304, headers=headers)
-    if found.packed is not None and "gzip" in request.headers.get("accept-encoding", ""):
-        return Response(found.packed, media_type=found.media_type, headers=headers | {"Content-Encoding": "gzip"})
-    return Response(found.data, media_type=found.media_type, headers=headers)
+    if file.packed is not None and "gzip" in request.headers.get("accept-encoding", ""):
+        return Response(file.packed, media_type=file.media_type, headers=headers | {"Content-Encoding": "gzip"})
+    return Response(file.data, media_type=file.media_type, headers=headers)

@@ -73,7 +73,7 @@ async def delete_recording(context: ContextDep, owner: OwnerDep, recording_id: R
 async def put_piece(
     context: ContextDep,
     owner: OwnerDep,
-    held: ReservationDep,
+    reserved: ReservationDep,
     request: Request,
     recording_id: RecordingPath,
     path: Annotated[str, Path(description="Relative path of the file, parts separated by `/`.")],
@@ -86,7 +86,7 @@ async def put_piece(
     recording = context.recordings.find(owner, recording_id)
     chunks: list[bytes] = []
     async for chunk in request.stream():
-        held.add(2 * len(chunk))  # as received, and joined
+        reserved.add(2 * len(chunk))  # as received, and joined
         chunks.append(chunk)
     data = b"".join(chunks)
     try:

@@ -114,7 +114,7 @@ def _saved_summary(head: SavedHead) -> SessionSummary:
     response_class=Response,
     responses=_binary("image/jpeg", "image/png") | documented(*_PROBLEMS, "no-frame", "server-busy"),
 )
-async def colour(live: SessionDep, context: ContextDep, held: ReservationDep, request: Request) -> Response:
+async def colour(live: SessionDep, context: ContextDep, reserved: ReservationDep, request: Request) -> Response:
     """Return the picture of the last processed frame: JPEG or PNG as it was sent, anything else as JPEG."""
     live.check_open()
     latest = live.latest
@@ -126,9 +126,9 @@ async def colour(live: SessionDep, context: ContextDep, held: ReservationDep, re
     if unchanged is not None:
         return unchanged
     if encoding in ("jpeg", "png"):
-        held.add(len(latest.message.colour))
+        reserved.add(len(latest.message.colour))
         return Response(bytes(latest.message.colour), media_type=f"image/{encoding}", headers=headers)
-    held.add(16 * _PICTURE_BOX[0] * _PICTURE_BOX[1])
+    reserved.add(16 * _PICTURE_BOX[0] * _PICTURE_BOX[1])
     frame = await live.decode_latest(latest, _PICTURE_BOX)
     data = await context.workers.run_in_encode_pool(_jpeg, frame.image)
     return Response(data, media_type="image/jpeg", headers=headers)
@@ -180,7 +180,7 @@ def _box(grid: VolumeGrid) -> VolumeBox:
 async def mesh(
     live: SessionDep,
     context: ContextDep,
-    held: ReservationDep,
+    reserved: ReservationDep,
     request: Request,
     triangles: Annotated[int, Query(ge=1000, le=MAX_TRIANGLES, description="Most triangles.")] = MAX_TRIANGLES,
 ) -> Response:
@@ -198,7 +198,7 @@ async def mesh(
         return unchanged
     made = context.meshes.get(etag)
     if made is None:
-        held.add(_MESH_BYTES)
+        reserved.add(_MESH_BYTES)
         made = await context.workers.run_in_encode_pool(lambda: to_glb(room_mesh(meshes, max_triangles=triangles)))
         context.meshes[etag] = made
         while len(context.meshes) > _MESHES_KEPT:
@@ -262,7 +262,7 @@ async def history_panorama(live: SessionDep, request: Request, index: _Index, na
 async def light_usdz(
     live: SessionDep,
     context: ContextDep,
-    held: ReservationDep,
+    reserved: ReservationDep,
     request: Request,
     name: Annotated[Id | None, Query(description="A named probe.")] = None,
     x: _Metres = None,
@@ -275,7 +275,7 @@ async def light_usdz(
         rule = "must have either name, or x, y and z"
         raise ProblemError("invalid", f"query: {rule}", field="query", value=request.url.query, rule=rule)
     query = ProbeQuery(name=name) if name is not None else ProbeQuery(position=point)
-    held.add(memory_of(live, 1, max_bytes(LightForm(format="exr"), live.request.height)))
+    reserved.add(memory_of(live, 1, max_bytes(LightForm(format="exr"), live.request.height)))
     light = (await live.lighting.at([query]))[0]
     headers = {
         "ETag": f'"{light.etag}-usdz"',

@@ -167,8 +167,8 @@ class _Connection:
 
     async def _process_frame(self, data: bytes) -> None:
         async with self._answering_errors(frame=data):
-            with self._context.budget.reservation() as held:
-                held.add(len(data))
+            with self._context.budget.reservation() as reserved:
+                reserved.add(len(data))
                 await self._accept_frame(data)
 
     async def _accept_frame(self, data: bytes) -> None:
@@ -189,10 +189,10 @@ class _Connection:
             await self._live.lease.check()
         if isinstance(message, LightCall):
             async with self._answering_errors(request=message.request):
-                with self._context.budget.reservation() as held:
+                with self._context.budget.reservation() as reserved:
                     size = self._answer_bytes(len(message.probes), message.forms)
                     check_size(size)
-                    held.add(memory_of(self._live, len(message.probes), size))
+                    reserved.add(memory_of(self._live, len(message.probes), size))
                     frame, results, parts = await self._encoded_lights(message.probes, message.forms)
                     await self._send(LightAnswer(request=message.request, frame=frame, results=results), parts)
         elif isinstance(message, Subscribe):
@@ -245,9 +245,9 @@ class _Connection:
 
     async def _send_update(self, named: list[ProbeQuery]) -> None:
         try:
-            with self._context.budget.reservation() as held:
+            with self._context.budget.reservation() as reserved:
                 size = self._answer_bytes(len(named), self._subscribed_forms)
-                held.add(memory_of(self._live, len(named), size))
+                reserved.add(memory_of(self._live, len(named), size))
                 frame, results, parts = await self._encoded_lights(named, self._subscribed_forms)
                 await self._send(LightingUpdate(frame=frame, results=results), parts)
         except ProblemError:

@@ -154,10 +154,10 @@ class History:
         return await self._drawn(index, name)
 
     async def _drawn(self, index: int, name: str | None) -> bytes:
-        found = next((moment for moment in self._moments if moment.entry.index == index), None)
-        if found is not None:
-            await found.drawn()
-        data = b"" if found is None else found.colour if name is None else found.panoramas.get(name, b"")
+        shown = next((moment for moment in self._moments if moment.entry.index == index), None)
+        if shown is not None:
+            await shown.drawn()
+        data = b"" if shown is None else shown.colour if name is None else shown.panoramas.get(name, b"")
         if not data:
             probe = "" if name is None else f" with the probe {name!r}"
             detail = f"the history has no frame {index}{probe}; read the entries again, it may have been thinned out"

@@ -82,7 +82,7 @@ class LiveSession:
             ProblemError: All slots are taken (429), or the session has ended.
         """
         self.check_open()
-        async with self._slots.held():
+        async with self._slots.slot():
             yield
 
     async def acquire_frame_slot(self) -> None:
@@ -249,7 +249,7 @@ class LiveSession:
             ProblemError: A composite is being made (429), there is no frame yet (409), or the session has ended.
         """
         self.check_open()
-        with self._composite_turn.held():
+        with self._composite_turn.turn():
             if self._latest is None:
                 raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
             yield self._latest
@@ -383,8 +383,8 @@ class LiveSession:
         engine = self._access.engine
         volume = volume_of(engine)
         keyframes = 0 if engine is None else engine.keyframes
-        held = self._footprint.total(keyframes=keyframes, probes=self.probe_count, started=volume is not None)
-        kept = held + self.lighting.cached_bytes + (0 if self._latest is None else self._latest.size)
+        engine_bytes = self._footprint.total(keyframes=keyframes, probes=self.probe_count, started=volume is not None)
+        kept = engine_bytes + self.lighting.cached_bytes + (0 if self._latest is None else self._latest.size)
         kept += self.history.size
         return SessionState(
             id=self.name,

@@ -107,19 +107,19 @@ class Registry:
             ProblemError: The saved state cannot be used (409) or not be read now (503), there is no room (429, 503), or
                 another server has owned the session in the meantime (503): the next request restores it.
         """
-        found = self._current(owner, name)
-        if found is not None and found.lease is not None:
+        known = self._current(owner, name)
+        if known is not None and known.lease is not None:
             try:
-                await found.lease.check()
+                await known.lease.check()
             except ProblemError:
-                self.end_moved((owner, name), found)
+                self.end_moved((owner, name), known)
                 raise
-        if found is not None or self._states is None or self._restorer is None or not self._states.has(owner, name):
-            return found
+        if known is not None or self._states is None or self._restorer is None or not self._states.has(owner, name):
+            return known
         async with self._states.lock(owner, name):
-            found = self._current(owner, name)  # another request may have restored it in the meantime
-            if found is not None or not self._states.has(owner, name):
-                return found
+            known = self._current(owner, name)  # another request may have restored it in the meantime
+            if known is not None or not self._states.has(owner, name):
+                return known
             self._check_capacity()
             lease = await self._states.claim(owner, name)  # before it is read: nobody else writes it any more
             reading = await self._states.read(owner, name)
@@ -224,14 +224,14 @@ class Registry:
 
     def end_moved(self, key: tuple[str, str], live: Saveable) -> None:
         """End a session that another server owns; what is not saved of it is lost."""
-        found = self._sessions.get(key)
-        if found is None or found is not live or found.lease is None:
+        known = self._sessions.get(key)
+        if known is None or known is not live or known.lease is None:
             return
         del self._sessions[key]
-        found.close(found.lease.problem)
-        if found.journal is not None:
-            found.journal.closed = True
-        self._record_end(found.name, "moved")
+        known.close(known.lease.problem)
+        if known.journal is not None:
+            known.journal.closed = True
+        self._record_end(known.name, "moved")
 
     def items(self) -> list[tuple[tuple[str, str], LiveSession]]:
         """Return the sessions in memory by (owner, id)."""

@@ -49,7 +49,7 @@ class FrameSlots:
         self.taken = 0
 
     @asynccontextmanager
-    async def held(self) -> AsyncGenerator[None]:
+    async def slot(self) -> AsyncGenerator[None]:
         """Hold a slot. Raises ProblemError if all are taken (429)."""
         if self._free.locked():
             limit = self._limit
@@ -80,7 +80,7 @@ class CompositeTurn:
         self._taken = False
 
     @contextmanager
-    def held(self) -> Generator[None]:
+    def turn(self) -> Generator[None]:
         """Take the turn. Raises ProblemError if it is taken (429)."""
         if self._taken:
             rule = "one composite a session at a time"

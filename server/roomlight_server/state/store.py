@@ -312,15 +312,15 @@ class StateStore:
         """
         folder = self._folder(owner, name)
         try:
-            found = folder.exists()
-            lease = await self.claim(owner, name) if found else None  # its owner writes nothing afterwards
+            existed = folder.exists()
+            lease = await self.claim(owner, name) if existed else None  # its owner writes nothing afterwards
             await self._in_thread(erase if lease is None else lease.guarded(erase), folder)
         except (OSError, LeaseLostError) as error:
             _log.error("a saved session cannot be removed: %s", error, extra={"session": name})
             reason = error.strerror if isinstance(error, OSError) else "another server has just restored it"
             detail = f"the saved state cannot be removed ({reason}); retry later"
             raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
-        return found
+        return existed
 
     def left_memory(self, owner: str, live: Saveable) -> None:
         """Begin the time to expiry of a saved session again, and let another server own it."""

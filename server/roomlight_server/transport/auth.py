@@ -133,8 +133,8 @@ class AuthMiddleware:
         """Count the work and the unsent answers of the request for its owner and session."""
         state = scope.get("state", {})
         owner = state.get("owner", "")
-        found = _SESSION_PATH.match(scope["path"])
-        current_flow.set(Flow(owner, found[1] if found else ""))
+        path = _SESSION_PATH.match(scope["path"])
+        current_flow.set(Flow(owner, path[1] if path else ""))
         if owner and TRANSPORT in state:
             self._guard.assign(state[TRANSPORT], owner)
 

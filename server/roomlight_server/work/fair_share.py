@@ -25,15 +25,15 @@ PATIENCE_S: Final = 20.0
 MAX_PAUSED: Final = 8
 """Jobs that may be paused at once; each holds a thread and its intermediate data."""
 _FORGET_AFTER: Final = 1024
-"""Accounts at which those of idle owners and sessions are dropped."""
+"""Owners, or sessions of one, whose used time is kept; beyond it, that of idle ones is forgotten."""
 
 
 class AbandonedError(Exception):
     """Raised by `Turn.pause` in a job whose client is gone."""
 
 
-class _Accounts:
-    """Used time of each name, comparable between names."""
+class _UsedTime:
+    """The time that each owner or session has used, comparable between them."""
 
     def __init__(self) -> None:
         self._used_s: dict[str, float] = {}
@@ -119,8 +119,8 @@ class FairShare:
             waited: Called with the waiting time of each job, in seconds.
         """
         self._free, self._per_owner, self._clock, self._waited = slots, slots_per_owner or slots, clock, waited
-        self._owners = _Accounts()
-        self._sessions: dict[str, _Accounts] = {}  # by owner
+        self._owners = _UsedTime()
+        self._sessions: dict[str, _UsedTime] = {}  # by owner
         self._running: dict[str, int] = {}
         self._waiting: list[Turn] = []
         self._count = self._paused = 0
@@ -146,7 +146,7 @@ class FairShare:
         turn = Turn(current_flow.get(), self._count, self, order, self._clock())
         if len(self._sessions) > _FORGET_AFTER:
             self._sessions = {owner: kept for owner, kept in self._sessions.items() if kept.are_active}
-        sessions = self._sessions.setdefault(turn.flow.owner, _Accounts())
+        sessions = self._sessions.setdefault(turn.flow.owner, _UsedTime())
         self._owners.enter(turn.flow.owner)
         sessions.enter(turn.flow.session)
         try:

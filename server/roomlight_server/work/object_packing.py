@@ -22,11 +22,11 @@ def pack_object(body: bytes, kind: str | None, limits: dict[str, int]) -> tuple[
     Raises:
         ObjectError: The file is refused.
     """
-    held = load_object(body, kind, ObjectLimits(**limits))  # pyright: ignore[reportArgumentType]  (it checks the kind)
+    virtual = load_object(body, kind, ObjectLimits(**limits))  # pyright: ignore[reportArgumentType]  (it checks the kind)
     textures: dict[Texture, int] = {}
     parts: list[dict[str, Any]] = []
     arrays: list[np.ndarray] = []
-    for mesh, material in held.parts:
+    for mesh, material in virtual.parts:
         arrays += [np.ascontiguousarray(getattr(mesh, name), kind) for name, kind, _ in _MESH]
         if mesh.tangents is not None:
             arrays.append(np.ascontiguousarray(mesh.tangents, "<f4"))
@@ -61,9 +61,9 @@ def unpack_object(text: dict[str, Any], data: bytearray) -> VirtualObject:
     meshes: list[TriangleMesh] = []
     for part in text["parts"]:
         vertices, faces = part["counts"]
-        held = {name: take(kind, faces if name == "faces" else vertices, width) for name, kind, width in _MESH}
+        virtual = {name: take(kind, faces if name == "faces" else vertices, width) for name, kind, width in _MESH}
         tangents = take("<f4", vertices, 4) if part["tangents"] else None
-        meshes.append(TriangleMesh(**held, tangents=tangents))
+        meshes.append(TriangleMesh(**virtual, tangents=tangents))
     textures = [Texture(take("<u2", height, width, 4)) for height, width in text["textures"]]
     materials = [_material(part["material"], textures) for part in text["parts"]]
     notes = tuple(Note(**note) for note in text["notes"])
@@ -80,11 +80,11 @@ def _material(values: dict[str, Any], textures: list[Texture]) -> Material:
     return Material(**made)
 
 
-def object_bytes(held: VirtualObject) -> int:
+def object_bytes(virtual: VirtualObject) -> int:
     """Return the memory of an object's arrays."""
     total = 0
     seen: set[int] = set()
-    for mesh, material in held.parts:
+    for mesh, material in virtual.parts:
         arrays = [mesh.vertices, mesh.normals, mesh.uvs, mesh.faces, mesh.tangents]
         total += sum(array.nbytes for array in arrays if array is not None)
         for name in _TEXTURES:
