@@ -38,7 +38,7 @@ def pack_object(body: bytes, kind: str | None, limits: dict[str, int]) -> tuple[
         parts.append({"counts": counts, "tangents": mesh.tangents is not None, "material": values})
     arrays += [np.ascontiguousarray(texture.texels, "<u2") for texture in textures]
     sizes = [texture.texels.shape[:2] for texture in textures]
-    notes = [asdict(note) for note in held.notes]
+    notes = [asdict(note) for note in virtual.notes]
     return {"parts": parts, "textures": sizes, "notes": notes}, b"".join(array.tobytes() for array in arrays)
 
 
