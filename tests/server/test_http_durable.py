@@ -10,6 +10,7 @@ import time
 import pytest
 
 from http_servers import SMALL, HeldSession, InThread, RunningServer, frame
+from roomlight.engine.state.records import FORMAT
 from roomlight.errors import ServerError
 from roomlight_server.app import create_app
 from roomlight_server.base.settings import ServerSettings
@@ -202,7 +203,7 @@ def _other_version(path):
         ("state", _flip, "is damaged"),
         ("state", lambda path: path.write_bytes(path.read_bytes()[:-7]), "is truncated"),
         ("state", lambda path: path.write_bytes(b""), "is not a saved state"),
-        ("state", _other_version, "version '9'; this release reads version 1"),
+        ("state", _other_version, f"version '9'; this release reads version {FORMAT}"),
         ("state", _other_weights, "saved with a network for clipped pixels 0000000000000000"),
         ("*.frame", _flip, "is damaged (its checksum differs)"),
         ("*.frame", lambda path: path.unlink(), "is missing"),
