@@ -218,10 +218,11 @@ def test_objects_belong_to_their_token_and_have_limits():
         assert server.call("GET", "/v1/objects", token=OTHER).json["objects"] == []
         too_large = upload(server, bytes(2**16 + 1), token=TOKEN)
         assert (too_large.status, too_large.kind) == (413, "too-large")
-        points = b"".join(b"v %d 0 %d\n" % (n, n % 7) for n in range(1202)) + b"s 1\n"  # corners share vertices
-        wide = points + b"".join(b"f %d %d %d\n" % (n, n + 1, n + 2) for n in range(1, 1201))
+        points = b"".join(b"v %d 0 %d\n" % (n, n % 2) for n in range(1202))
+        # a flat strip, so that corners share vertices
+        wide = points + b"".join(b"f %d %d %d\n" % (n, n + 1 + n % 2, n + 2 - n % 2) for n in range(1, 1201))
         assert upload(server, wide, token=TOKEN).status == 201
-        other = wide + b"f 5 6 9\n"  # 53 kB each
+        other = wide + b"f 5 8 7\n"  # 53 kB each
         full = upload(server, other, token=TOKEN)
         assert (full.status, full.kind) == (409, "too-many-objects")
         busy = upload(server, other, token=OTHER)
