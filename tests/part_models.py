@@ -10,12 +10,11 @@ from onnx import ModelProto, TensorProto, helper, numpy_helper
 
 from roomlight.engine.lighting import LIGHTING_PANELS
 from roomlight.engine.networks.clipping import CHANNELS, SIDE
-from roomlight.engine.panorama.panels import HEIGHT, PANELS
+from roomlight.engine.panorama.panels import HEIGHT
 
-Form = Literal["clipping", "completion", "objects"]
+Form = Literal["clipping", "objects"]
 SHAPES = {
     "clipping": ("planes", (1, CHANNELS, SIDE, SIDE), "log_radiance", (1, 3, SIDE // 2, SIDE // 2)),
-    "completion": ("panels", (1, PANELS, HEIGHT, 2 * HEIGHT), "change", (1, 3, HEIGHT, 2 * HEIGHT)),
     "objects": ("panels", (1, LIGHTING_PANELS, HEIGHT, 2 * HEIGHT), "changes", (1, 6, HEIGHT, 2 * HEIGHT)),
 }
 

@@ -25,14 +25,14 @@ def clipped_frames(count):
 
 
 def test_a_complete_folder_loads(tmp_path):
-    graph = load_part(write_part(tmp_path / "part", "completion"), "completion", provider="cpu")
-    assert graph.inputs == {"panels": (1, 9, 60, 120)}
-    assert graph.outputs == {"change": (1, 3, 60, 120)}
+    graph = load_part(write_part(tmp_path / "part", "objects"), "objects", provider="cpu")
+    assert graph.inputs == {"panels": (1, 10, 60, 120)}
+    assert graph.outputs == {"changes": (1, 6, 60, 120)}
 
 
 def test_another_form_is_named(tmp_path):
-    folder = write_part(tmp_path / "part", "completion")
-    with pytest.raises(ModelError, match="networks of the form completion, not clipping"):
+    folder = write_part(tmp_path / "part", "objects")
+    with pytest.raises(ModelError, match="networks of the form objects, not clipping"):
         load_part(folder, "clipping", provider="cpu")
 
 
@@ -43,8 +43,8 @@ def test_a_part_alone_is_no_model(tmp_path):
 
 
 def test_networks_of_a_model_are_no_part():
-    with pytest.raises(ModelError, match="of the form single, not completion"):
-        load_part(SHIPPED / "single", "completion", provider="cpu")
+    with pytest.raises(ModelError, match="of the form single, not objects"):
+        load_part(SHIPPED / "single", "objects", provider="cpu")
 
 
 def test_a_missing_folder_is_named(tmp_path):
@@ -68,17 +68,17 @@ def test_a_changed_part_graph_is_refused(tmp_path):
 
 
 def test_an_untrained_part_is_refused(tmp_path):
-    folder = write_part(tmp_path / "part", "completion", steps=0)
-    with pytest.raises(ModelError, match=r"never trained.*--stage completion"):
-        load_part(folder, "completion", provider="cpu")
+    folder = write_part(tmp_path / "part", "objects", steps=0)
+    with pytest.raises(ModelError, match=r"never trained.*roomlight train objects"):
+        load_part(folder, "objects", provider="cpu")
 
 
 def test_a_graph_of_another_size_is_refused_when_it_runs(tmp_path):
-    folder = write_part(tmp_path / "part", "completion")
+    folder = write_part(tmp_path / "part", "objects")
     described = json.loads((folder / "model.json").read_text())
-    described["form"], described["graphs"] = "clipping", {"clipping": described["graphs"]["completion"]}
+    described["form"], described["graphs"] = "clipping", {"clipping": described["graphs"]["objects"]}
     (folder / "model.json").write_text(json.dumps(described))
-    (folder / "completion.onnx").rename(folder / "clipping.onnx")
+    (folder / "objects.onnx").rename(folder / "clipping.onnx")
     model = ClippingModel(load_part(folder, "clipping", provider="cpu"))
     (frame,) = clipped_frames(1)
     with pytest.raises(ModelError, match=r"graph clipping has \['panels'\], the engine gives \['planes'\]"):
@@ -135,6 +135,7 @@ def test_a_panorama_needs_a_frame_and_a_handle():
 
 def test_learned_parts_run_without_torch(tmp_path):
     write_part(tmp_path / "clipping", "clipping", constant=1.0)
+    write_part(tmp_path / "objects", "objects", constant=0.1)
     code = (
         "import sys; sys.modules['torch'] = None; sys.modules['onnx'] = None\n"
         "import numpy as np; from pathlib import Path\n"
