@@ -127,7 +127,9 @@ def test_a_decoding_process_has_a_limit_on_memory(one_decoder):
     server, pid = one_decoder
     assert resource.prlimit(pid, resource.RLIMIT_AS) == (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES)
     status = Path(f"/proc/{pid}/status").read_text("utf-8")
-    now = 1024 * int(re.search(r"VmSize:\s+(\d+) kB", status)[1])
+    size = re.search(r"VmSize:\s+(\d+) kB", status)
+    assert size is not None
+    now = 1024 * int(size[1])
     resource.prlimit(pid, resource.RLIMIT_AS, (now + 2**24, MAX_MEMORY_BYTES))
     answer = server.push(1, colour_frame("jpeg", jpeg(4000, 3000), 4000, 3000))
     assert (answer.status, answer.json["rule"]) == (422, "must decode within the memory of a decoding process")

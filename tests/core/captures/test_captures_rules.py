@@ -156,7 +156,7 @@ def test_nanoseconds_in_a_capture(transforms: Path) -> None:
 
     edit(transforms / "transforms.json", stamp)
     capture = open_capture(transforms)
-    times = [frame.timestamp_s for frame in capture]
+    times = [frame.timestamp_s or 0.0 for frame in capture]
     assert times[-1] - times[0] == pytest.approx(0.1, rel=0.01)
     assert any("nanoseconds" in note.effect for note in capture.notes)
 

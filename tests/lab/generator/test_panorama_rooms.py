@@ -138,9 +138,9 @@ def test_the_first_frames_80th_percentile_is_aimed_at():
     for _ in range(20):
         radiance = rng.lognormal(0, 1, (2, 24, 32, 3)).astype(np.float32)
         exposure = render.expose(radiance, rng)
-        shown = (radiance[0] * exposure.gains * exposure.multiplier[0]) @ render.LUMINANCE
+        shown = (radiance[0] * exposure.gains * exposure.multiplier[0]) @ LUMINANCE
         assert 0.3 <= np.percentile(shown, 80) <= 0.6
-        assert exposure.gains @ render.LUMINANCE == pytest.approx(1)
+        assert exposure.gains @ LUMINANCE == pytest.approx(1)
 
 
 def test_each_panorama_is_used_once_before_any_again(tmp_path):
