@@ -34,6 +34,7 @@ class RunningServer:
         self.settings = ServerSettings(**settings)
         self.app = create_app(self.settings, **({} if clock is None else {"clock": clock}))
         self._up = threading.Event()
+        self.loop: asyncio.AbstractEventLoop | None = None  # from the start on
         self._server = make_server(self.settings, self.app)
         self._thread = threading.Thread(target=self._run, daemon=True)
 

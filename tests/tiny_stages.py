@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -39,7 +40,13 @@ def view_stage(options=VIEWS, *, rooms=3, held_out=NO_ROOMS, start_from=None):
 
 
 def video_stage(
-    options=WALKS, *, rooms=3, held_out=NO_ROOMS, start_from="fresh", cache=Path("unused"), change_light=None
+    options=WALKS,
+    *,
+    rooms: int | BoxRecordings = 3,
+    held_out=NO_ROOMS,
+    start_from: Checkpoint | Literal["single-view"] | None = "single-view",
+    cache=Path("unused"),
+    change_light=None,
 ):
     """A video stage on walks through `rooms` box rooms, from `single_view_weights` unless others are given."""
     return VideoStage(
@@ -47,7 +54,7 @@ def video_stage(
         rooms if isinstance(rooms, BoxRecordings) else BoxRecordings(rooms),
         held_out,
         device=CPU,
-        start_from=single_view_weights() if start_from == "fresh" else start_from,
+        start_from=single_view_weights() if start_from == "single-view" else start_from,
         cache=cache,
         change_light=change_light,
     )

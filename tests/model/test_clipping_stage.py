@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -81,7 +82,7 @@ def test_held_out_frames_need_clipped_pixels() -> None:
 def test_it_learns_what_its_frames_show(tmp_path: Path) -> None:
     stage = ClippingStage(SHORT, lamp_frames(8, bright=40.0), lamp_frames(3, bright=40.0))
     run = Run(stage, tmp_path / "run")
-    before = stage.scores(run.averaged())["loss"]
+    before = stage.scores(cast(ClippingNetwork, run.averaged()))["loss"]
     run.train()
     after = load_checkpoint(tmp_path / "run" / "best.pt").card["scores"]
     assert after["loss"] < 0.6 * before

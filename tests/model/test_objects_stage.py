@@ -1,6 +1,7 @@
 """The stage `objects`: its examples, its errors beside the evaluation's, that it learns."""
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.config import ModelConfig
+from roomlight_model.object_light_network import ObjectLightNetwork
 from roomlight_model.training.loop import Run
 from roomlight_model.training.objects import (
     MATERIALS,
@@ -106,7 +108,7 @@ def test_augmented_panoramas_stay_consistent():
 def test_it_learns_what_its_examples_show(tmp_path):
     stage = ObjectsStage(SHORT, half_rooms(6), half_rooms(2))
     run = Run(stage, tmp_path / "run")
-    before = stage.scores(run.averaged())["loss"]
+    before = stage.scores(cast(ObjectLightNetwork, run.averaged()))["loss"]
     run.train()
     after = load_checkpoint(tmp_path / "run" / "best.pt").card["scores"]
     assert set(after) == {"loss", *MATERIALS}

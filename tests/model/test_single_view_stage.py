@@ -185,6 +185,7 @@ def test_held_out_rooms_are_scored_and_drawn(frames, tmp_path):
     options = replace(VIEWS, stage="single-joint", frames=frames)
     stage = view_stage(options, held_out=BoxRecordings(1))
     model = single_view_weights().model
+    assert isinstance(model, SingleModel)
     scores = stage.scores(model)
     kinds = ["blended"] if frames == 1 else ["blended", "blended_walk"]
     assert {name.removeprefix("log_l2_") for name in scores if name.startswith("log_l2_")} == {

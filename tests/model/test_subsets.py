@@ -9,14 +9,15 @@ import stub_rooms
 from recordings import BoxRecordings
 from roomlight.conventions import srgb8_to_linear
 from roomlight.dataset.loader import Dataset
+from roomlight.dataset.recording import Split
 from roomlight.errors import DatasetError
 from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_model.training.subsets import describe, random_split, surround, test_split, train_val_split
 
-test_split.__test__ = False  # a function of the package, no test
+setattr(test_split, "__test__", False)  # noqa: B010  (a function of the package, no test)
 
 
-def make(folder, sequences, *, split="train"):
+def make(folder, sequences, *, split: Split = "train"):
     options = GenerateOptions(
         sequences, seed=3, split=split, shard_size=4, sequences_per_room=2, frames=2, renderer=stub_rooms.NAME
     )

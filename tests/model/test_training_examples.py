@@ -29,6 +29,8 @@ def test_truth_and_image_agree_in_units_and_place():
     """The frame's mesh rendered at a probe equals the truth: poses, units and mirroring agree."""
     example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
     batch = blending_batch([example])
+    assert batch.mask is not None
+    assert batch.partial is not None
     seen = batch.mask.expand_as(batch.truth) > 0
     assert seen.float().mean() > 0.05
     assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.02
@@ -41,6 +43,8 @@ def test_augmented_image_and_truth_show_one_room():
     for _ in range(8):
         example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True)
         batch = blending_batch([example])
+        assert batch.mask is not None
+        assert batch.partial is not None
         seen = (batch.mask.expand_as(batch.truth) > 0) & (batch.partial < 0.95)
         assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.03
         brightness.add(round(float(example.frame.image.mean()), 3))
@@ -96,6 +100,8 @@ def test_several_frames_are_fused_as_in_the_serving_engine():
     batch = collate([whole], volume_shape=session.grid.shape, panorama_height=60)
     np.testing.assert_allclose(batch.lower_m[0], session.grid.lower_m, atol=1e-6)
     assert session._room is not None
+    assert batch.mask is not None
+    assert batch.kept is not None
     np.testing.assert_array_equal(batch.volume[0].numpy(), vars(session._room.volume)["_mean"])
     seen = ((batch.mask > 0) | (batch.kept > 0))[0, :, 0].numpy()
     for handle, mask in zip(handles, seen, strict=True):
@@ -132,6 +138,10 @@ def test_augmented_frames_and_truth_show_one_room():
     for _ in range(4):
         example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True, frames=4)
         batch = blending_batch([example])
+        assert batch.mask is not None
+        assert batch.kept is not None
+        assert batch.before is not None
+        assert batch.partial is not None
         seen = torch.where(batch.kept > 0, batch.before, batch.partial)
         known = ((batch.mask > 0) | (batch.kept > 0)).expand_as(seen) & (seen < 0.95)
         assert (seen[known] - batch.truth[known]).abs().median() < 0.03

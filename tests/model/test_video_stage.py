@@ -1,6 +1,7 @@
 """The video stages: what they train, how they resume, what they start from, their data and validation."""
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from recordings import BoxRecordings
 from roomlight.errors import ModelError, OptionError
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.clipping_network import ClippingNetwork
+from roomlight_model.networks import VideoModel
 from roomlight_model.training.gradients import StepClock
 from roomlight_model.training.loop import Run
 from roomlight_model.training.video import Unroll
@@ -52,9 +54,9 @@ def test_a_run_of_the_recurrent_form_learns(tmp_path):
     options = replace(WALKS, stage="video-sglv", steps=12, learning_rate=1e-2, frames=3, augment=False, ema=0.0)
     stage = video_stage(options, held_out=BoxRecordings(2))
     run = Run(stage, tmp_path / "run")
-    before = stage.scores(run.averaged())
+    before = stage.scores(cast(VideoModel, run.averaged()))
     run.train()
-    after = stage.scores(run.averaged())
+    after = stage.scores(cast(VideoModel, run.averaged()))
     assert after["loss"] < 0.93 * before["loss"]
     assert after["log_l2_no_rnn"] == before["log_l2_no_rnn"]
 

@@ -76,7 +76,9 @@ def test_a_shorter_window_has_the_same_losses_and_other_gradients(stage):
     losses, whole = gradients(model, batch, options)
     short_losses, short = gradients(model, batch, replace(options, window=1))
     torch.testing.assert_close(losses, short_losses)
-    pairs = [(whole[name], short[name]) for name in whole if whole[name] is not None and short[name] is not None]
+    pairs = [
+        (before, after) for name, before in whole.items() if before is not None and (after := short[name]) is not None
+    ]
     assert any(not torch.allclose(one, other, rtol=1e-3, atol=1e-9) for one, other in pairs)
 
 

@@ -14,7 +14,6 @@ from roomlight_generator.rooms.scene import Item, Material, Mesh, Opening, Scene
 from roomlight_generator.rooms.shapes import rectangle, sphere, with_material
 from roomlight_generator.transport.kernels.common import in_row, in_table
 from roomlight_generator.transport.lights.coat import coat_table
-from roomlight_generator.verification import reference
 from roomlight_generator.verification.reference import Reference, usable_variant
 
 BLACK = Sky(np.zeros((8, 16, 3), np.float32))
@@ -192,7 +191,7 @@ def test_without_llvm_the_scalar_variant_runs(monkeypatch: pytest.MonkeyPatch) -
     usable_variant.cache_clear()
     monkeypatch.setattr(drjit, "has_backend", lambda _: True)
     ended = subprocess.CompletedProcess([], returncode=-6)
-    monkeypatch.setattr(reference.subprocess, "run", lambda *_, **__: ended)
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: ended)
     assert usable_variant() == "scalar_rgb"
     usable_variant.cache_clear()
     wall = with_material(sphere(2), Material("wall", (0.0, 0.0, 0.0), emission=(1.0, 1.0, 1.0)))

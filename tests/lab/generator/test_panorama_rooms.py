@@ -8,7 +8,7 @@ import pytest
 from panorama_files import CATALOGUE, folder_of, panorama
 
 from roomlight.camera import Intrinsics, transform_points
-from roomlight.conventions import direction_to_uv, panorama_directions, panorama_solid_angles
+from roomlight.conventions import LUMINANCE, direction_to_uv, panorama_directions, panorama_solid_angles
 from roomlight.dataset.folder import MANIFEST, read_manifest
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import GLASS, LIGHT, ORDINARY
