@@ -12,12 +12,8 @@ from typer.testing import CliRunner
 from roomlight.compositing.recordings import SHAPE_SIZE_M
 from roomlight.errors import FrameError, OptionError
 from roomlight.rules import check_options
-from roomlight_cli import main
-from roomlight_cli.commands.bench import BENCHMARKS
-from roomlight_cli.commands.evaluation import EVALUATIONS
 from roomlight_cli.commands.serve import FLAGS
 from roomlight_cli.compositing import ObjectOptions
-from roomlight_cli.lazy import load_command
 from roomlight_cli.options import Check, Flag, Without, command_app, described
 from roomlight_server.base.settings import ServerSettings
 
@@ -191,11 +187,6 @@ def test_two_options_of_one_name_are_refused():
 def test_texts_of_a_section_end_with_it():
     assert described(make, "Args").keys() == {"source", "options", "out", "online"}
     assert described(Options, "Attributes")["probes"] == "Light this point, in metres."
-
-
-@pytest.mark.parametrize("entry", [*main.COMMANDS, *EVALUATIONS, *BENCHMARKS], ids=lambda entry: entry.target)
-def test_every_command_has_help(entry):
-    assert load_command(entry.target).help
 
 
 def test_shapes_are_named_where_they_are_chosen():

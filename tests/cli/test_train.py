@@ -84,6 +84,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_one_command_makes_data_weights_and_a_model(tmp_path: Path, roomlight: RunCommand) -> None:
     write(tmp_path, CLIPPING)
     done = roomlight("train", "recipe.toml", "--out", "out", cwd=tmp_path)
@@ -103,6 +104,7 @@ def test_one_command_makes_data_weights_and_a_model(tmp_path: Path, roomlight: R
         assert value.allclose(best.model.state_dict()[name], rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_stopped_run_continues_and_a_finished_one_is_kept(
     tmp_path: Path, roomlight: RunCommand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
