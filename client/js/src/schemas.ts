@@ -316,7 +316,7 @@ export interface components {
             readonly refused: number;
             readonly probes: readonly components["schemas"]["HistoryProbe"][];
         };
-        /** @description A light at a probe, with the values of the form `main_light`. */
+        /** @description A light at a probe, with the fields of the form `main_light`, as strong as in the session's own estimate. */
         readonly HistoryLight: {
             readonly direction: readonly number[];
             readonly intensity: readonly number[];
@@ -380,8 +380,8 @@ export interface components {
          *         basis: for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
          *             phase), threejs (27 interleaved, all signs positive).
          *         exposure_ev: for png: radiance 2^-exposure_ev is white.
-         *         use: lighting, what lights a thing, or reflection, what is seen in a mirror and behind things (default: reflection
-         *             for png, lighting for all others).
+         *         use: lighting, what lights a thing, or reflection, what is seen in a mirror and behind things; default:
+         *             reflection for png, lighting for all others.
          */
         readonly LightForm: {
             /** @enum {string} */
@@ -446,6 +446,7 @@ export interface components {
          *         triangles: number of triangles.
          *         size_m: sides of its bounding box in the file's own metres.
          *         bytes: memory that it takes on the server.
+         *         notes: what its file states and was left out or changed.
          */
         readonly ObjectInfo: {
             /** @description ^[0-9a-f]{64}$ */
