@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from fastapi import Request
 from pydantic import ValidationError
+from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import parse_options_header
 from starlette.datastructures import Headers, UploadFile
 from starlette.exceptions import HTTPException
@@ -131,8 +132,9 @@ async def read_frame(request: Request, reserved: Reservation) -> bytes:
             for name, value in form.multi_items():
                 reserved.add(2 * (value.size or 0) if isinstance(value, UploadFile) else len(value))
                 parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode()
-    except MultiPartException as error:
-        raise ProblemError("bad-request", f"the multipart body cannot be parsed: {error.message}") from error
+    except (MultiPartException, FormParserError) as error:  # Starlette converts some of the parser's errors
+        reason = error.message if isinstance(error, MultiPartException) else str(error)
+        raise ProblemError("bad-request", f"the multipart body cannot be parsed: {reason}") from error
     try:
         return _from_parts(parts)
     except WireError as error:
