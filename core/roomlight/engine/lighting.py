@@ -90,7 +90,7 @@ class ProbeLightSource:
     """What a probe has accumulated up to a frame, from which its light is computed when somebody asks.
 
     Attributes:
-        state: a copy that later frames do not change.
+        state: a copy that later frames do not change; see `PanoramaState.for_lighting`.
         tracked: the main lights in `state`; None at a point that is not tracked.
         load: returns the network; called when the light is computed.
     """

@@ -88,7 +88,7 @@ class Probe:
 
     def light(self, index: int, load: Callable[[], LightingModel]) -> Light:
         """Return the light after the frame `index`; later frames do not change it, and it is computed on first use."""
-        state = self.panorama.copy()
+        state = self.panorama.for_lighting()
         source = ProbeLightSource(state, self.tracker.lights if self.tracker.frames else None, load)
         return Light(self.position, observed=state.observed, coverage=state.coverage(), frame=index, source=source)
 

@@ -25,7 +25,7 @@ from roomlight_server.sessions.engine_access import EngineAccess
 from roomlight_server.sessions.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.sessions.history import History
 from roomlight_server.sessions.session_lighting import SessionLighting
-from roomlight_server.sessions.session_parts import MAX_CACHED_LIGHTS, CompositeTurn, FrameSlots, Limits, volume_of
+from roomlight_server.sessions.session_parts import CompositeTurn, FrameSlots, Limits, cached_lights, volume_of
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import MOVED, SessionLease
 from roomlight_server.state.live_state import LiveState
@@ -360,7 +360,8 @@ class LiveSession:
         """Upper bound of the session's memory."""
         limits = self._limits
         engine = self._footprint.total(keyframes=self._keyframe_capacity, probes=limits.max_probes, started=True)
-        lights = MAX_CACHED_LIGHTS * self.lighting.light_bytes
+        size = self.lighting.light_bytes
+        lights = cached_lights(size) * size
         return engine + lights + limits.frame.max_body_bytes + limits.history_bytes
 
     @property

@@ -12,7 +12,7 @@ from roomlight.wire.messages import ProbeQuery
 from roomlight_server.answers.light_forms import default_panorama
 from roomlight_server.base.problems import ProblemError, convert_probe_errors
 from roomlight_server.sessions.engine_access import EngineAccess
-from roomlight_server.sessions.session_parts import LightCache, Limits, NamedProbe
+from roomlight_server.sessions.session_parts import LIGHT_PIXEL_BYTES, LightCache, Limits, NamedProbe, cached_lights
 from roomlight_server.state.live_state import SavedProbe
 from roomlight_server.work.workers import Workers
 
@@ -28,7 +28,7 @@ class SessionLighting:
         """Begin without probes; panoramas have `height` rows."""
         self._access, self._workers, self._limits, self._height = access, workers, limits, height
         self._named: dict[str, NamedProbe] = {}
-        self._cache = LightCache()
+        self._cache = LightCache(cached_lights(self.light_bytes))
         self.frame = NO_FRAME
 
     async def track(self, name: str, position: Position) -> bool:
@@ -157,7 +157,7 @@ class SessionLighting:
     @property
     def light_bytes(self) -> int:
         """Memory of one light."""
-        return 68 * 2 * self._height**2  # float32: what the probe has accumulated, and two panoramas
+        return LIGHT_PIXEL_BYTES * 2 * self._height**2
 
     @property
     def cached_bytes(self) -> int:

@@ -15,8 +15,17 @@ from roomlight.wire.messages import Volume
 from roomlight_server.base.problems import ProblemError
 from roomlight_server.sessions.quotas import Quotas
 
+LIGHT_PIXEL_BYTES: Final = 52
+"""Memory of a light for each pixel, float32: what its probe has accumulated (7), and two panoramas (6)."""
 MAX_CACHED_LIGHTS: Final = 8
-"""Lights cached for requests of more forms and for `If-None-Match`; 0.6 MB each at a height of 120."""
+"""Most lights cached for requests of more forms and for `If-None-Match`; 1.5 MB each at a height of 120."""
+_MIN_CACHED_LIGHTS: Final = 2
+_CACHE_BYTES: Final = 12 * 2**20
+
+
+def cached_lights(light_bytes: int) -> int:
+    """Return how many lights of this size are cached: fewer of tall panoramas."""
+    return min(MAX_CACHED_LIGHTS, max(_MIN_CACHED_LIGHTS, _CACHE_BYTES // light_bytes))
 
 
 @dataclass(frozen=True)
@@ -95,8 +104,9 @@ class CompositeTurn:
 class LightCache:
     """The lights computed last, by name and position."""
 
-    def __init__(self) -> None:
-        """Make an empty cache."""
+    def __init__(self, capacity: int) -> None:
+        """Make an empty cache of at most `capacity` lights."""
+        self._capacity = capacity
         self._lights: OrderedDict[tuple[str | None, Position], Light] = OrderedDict()
 
     def __len__(self) -> int:
@@ -113,7 +123,7 @@ class LightCache:
     def put(self, light: Light) -> None:
         """Add a light; the one that was used longest ago is dropped."""
         self._lights[light.name, light.position] = light
-        while len(self._lights) > MAX_CACHED_LIGHTS:
+        while len(self._lights) > self._capacity:
             self._lights.popitem(last=False)
 
     def drop(self, name: str, position: Position) -> None:

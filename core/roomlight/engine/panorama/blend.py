@@ -99,6 +99,15 @@ class PanoramaState:
         """Return a copy that later frames do not change."""
         return PanoramaState(*(getattr(self, plane.name).copy() for plane in fields(self)))
 
+    def for_lighting(self) -> "PanoramaState":
+        """Return a copy that later frames do not change; what only blending needs is zero and takes no memory."""
+        shape = self.observed.shape
+        kept = (self.radiance, self.depth_m, self.observed, self.clipped, self.guessed)
+        zero = np.zeros((), np.float32)
+        return PanoramaState(
+            *(plane.copy() for plane in kept), np.broadcast_to(zero, shape), np.broadcast_to(zero, (*shape, 3))
+        )
+
     def is_closer(self, depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
         """Return where a surface is closer by `CLOSER_M` than the accumulated one: the conservative rule."""
         return self.depth_m - depth_m >= CLOSER_M
