@@ -413,7 +413,7 @@ def test_rows_of_an_owners_probes_are_bounded():
 
 def test_unread_answers_of_one_owner_leave_memory_for_others():
     """Unread answers of one client filled the memory budget of all."""
-    with RunningServer(tokens=(A, B), max_pending_bytes=2**28, max_owner_pending_bytes=2**26) as server:
+    with RunningServer(tokens=(A, B), max_pending_bytes=2**28, max_owner_pending_bytes=2**27) as server:
         for token in (A, B):
             server.open(options=TALL, token=token)
         unread = []
