@@ -194,9 +194,11 @@ def test_unfinished_handshakes_count_as_connections(secure_server, caplog):
 def test_a_handshake_has_a_deadline(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(tls_listener, "HANDSHAKE_S", 0.2)
     certificate, key = tls.ensure_certificate(tmp_path, ("127.0.0.1",))
-    with RunningServer(tls_cert=certificate, tls_key=key) as server:
-        with socket.create_connection(("127.0.0.1", server.port), 60, ("127.0.0.7", 0)) as silent:
-            assert is_closed(silent)
+    with (
+        RunningServer(tls_cert=certificate, tls_key=key) as server,
+        socket.create_connection(("127.0.0.1", server.port), 60, ("127.0.0.7", 0)) as silent,
+    ):
+        assert is_closed(silent)
     # after the end of the server, which has then written its lines
     lines = [vars(record) for record in caplog.records if vars(record).get("address") == "127.0.0.7"]
     assert [line["kind"] for line in lines] == ["tls-handshake"]
