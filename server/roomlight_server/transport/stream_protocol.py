@@ -69,7 +69,8 @@ class StreamProtocol(WebSocketsSansIOProtocol):
 
     def _parse(self) -> None:
         with self._guard.naming(self._address):
-            while self._unparsed and self.queue.empty() and not self.transport.is_closing():
+            # After the server's close frame uvicorn drops messages: reading goes on until the client's answer to it.
+            while self._unparsed and (self.close_sent or self.queue.empty()) and not self.transport.is_closing():
                 part = bytes(self._unparsed[:SLICE_BYTES])
                 del self._unparsed[:SLICE_BYTES]
                 super().data_received(part)
@@ -90,6 +91,12 @@ class StreamProtocol(WebSocketsSansIOProtocol):
         message = await super().receive()
         self._parse()
         return message
+
+    async def send(self, message: Any) -> None:
+        """Send a message of the application; after a close frame, parse what the client sent before."""
+        await super().send(message)
+        if self.close_sent:
+            self._parse()
 
     def handle_text(self, event: Frame) -> None:
         """Begin a text message."""
