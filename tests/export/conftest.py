@@ -1,11 +1,13 @@
 """Small networks, exported once a test run."""
 
+import pickle
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import torch
 from export_models import CARD, CONFIG
+from filelock import FileLock
 
 from roomlight_export.exporting import ExportReport, export_checkpoint
 from roomlight_model.checkpoint import build_network, save_checkpoint
@@ -34,9 +36,16 @@ def _export(form, folder):
 
 
 @pytest.fixture(scope="session")
-def single(tmp_path_factory):
-    """The single-view form: four graphs."""
-    return _export("single", tmp_path_factory.mktemp("single"))
+def single(tmp_path_factory, worker_id):
+    """The single-view form: four graphs, exported once for all workers."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base if worker_id == "master" else base.parent) / "single-form"  # workers share the parent
+    kept = folder / "exported.pickle"
+    with FileLock(folder.with_suffix(".lock")):
+        if not kept.exists():
+            folder.mkdir()
+            kept.write_bytes(pickle.dumps(_export("single", folder)))
+    return pickle.loads(kept.read_bytes())
 
 
 @pytest.fixture(scope="session", params=["single", pytest.param("video", marks=pytest.mark.slow)])

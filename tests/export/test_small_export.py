@@ -18,7 +18,7 @@ from roomlight_export.onnx_file import half_rounded
 from roomlight_model.checkpoint import build_network, load_checkpoint, save_checkpoint
 from roomlight_model.config import ModelConfig
 
-FORMS = ("clipping", "objects")
+FORMS = ("clipping", pytest.param("objects", marks=pytest.mark.slow))
 CARD = {"steps": 7, "scores": {"loss": 0.5}}
 
 

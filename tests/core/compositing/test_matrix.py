@@ -48,7 +48,7 @@ def session() -> Session:
     return room
 
 
-@pytest.fixture(scope="module", params=QUALITIES)
+@pytest.fixture(scope="module", params=[*QUALITIES[:-1], pytest.param(QUALITIES[-1], marks=pytest.mark.slow)])
 def compositor(request: pytest.FixtureRequest, session: Session) -> Iterator[Compositor]:
     made = Compositor(session, OBJECTS, quality=request.param)
     yield made

@@ -172,7 +172,8 @@ def test_the_network_comes_from_the_folder_of_the_options(room: BoxRoom, tmp_pat
     assert_allclose(gain[state.observed == 0], 0.5, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("model", ["classical", pytest.param("single", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["classical", "single"])
 def test_objects_are_lit_better_than_by_the_session(model: str) -> None:
     """At the true probes of the sample room, after its whole walk."""
     capture = open_capture(sample_capture())

@@ -106,6 +106,7 @@ def test_a_pair_shares_its_noise():
     assert difference(made.view.radiance, bare.radiance) < 0.75 * difference(other.radiance, bare.radiance)  # 0.61
 
 
+@pytest.mark.slow
 def test_a_pair_differs_by_the_object_alone():
     scene, mesh = room(), block(GREY)
     made, bare = render_pair(scene, mesh, CAMERA, looking_down(), seed=0)
