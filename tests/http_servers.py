@@ -96,6 +96,12 @@ class RunningServer:
         return self.call("GET", f"/v1/sessions/{name}", **more).json
 
 
+def metric(server, name):
+    """Return a value of /metrics; `name` includes the labels."""
+    lines = server.call("GET", "/metrics").body.decode().splitlines()
+    return next(float(line.removeprefix(f"{name} ")) for line in lines if line.startswith(f"{name} "))
+
+
 @dataclass(frozen=True)
 class Answer:
     status: int

@@ -24,8 +24,11 @@ def noise(height):
     return Light((0.0, 0.0, 0.0), image, (image[..., 0] > 1).astype(np.float32), 0.5, etag="")
 
 
+SIZES = [pytest.param(size, marks=[pytest.mark.slow] * (size > 64)) for size in FACE_SIZES]
+
+
 @pytest.mark.parametrize("height", [16, 120])
-@pytest.mark.parametrize("size", [None, *FACE_SIZES])
+@pytest.mark.parametrize("size", [None, *SIZES])
 @pytest.mark.parametrize("name", MEDIA_TYPES)
 def test_the_estimate_bounds_incompressible_light(name, size, height):
     if name == "specular" and size not in (None, 16):

@@ -254,6 +254,7 @@ def test_a_state_that_cannot_be_read_now_is_asked_for_again(saved, tmp_path, mon
         assert server.state()["frames"]["processed"] == 4
 
 
+@pytest.mark.slow
 def test_serving_goes_on_while_the_disk_is_full(tmp_path, monkeypatch):
     full = threading.Event()
     original = os.fsync
@@ -308,6 +309,7 @@ def test_an_unexpected_error_does_not_end_the_saving(tmp_path, monkeypatch):
         assert server.call("GET", "/readyz").json["state"] == "saved"
 
 
+@pytest.mark.slow
 def test_large_messages_are_kept_as_pixels(tmp_path, monkeypatch):
     for module in ("journal", "session_folder"):
         monkeypatch.setattr(f"roomlight_server.state.{module}.MAX_MESSAGE_BYTES", 1000)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from websockets.sync.client import connect
 
-from http_servers import SMALL, InThread, RunningServer, frame
+from http_servers import SMALL, InThread, RunningServer, frame, metric
 from roomlight.engine.session import Session
 from roomlight.threads import parallel_for
 from roomlight.wire.light_message import MEDIA_TYPE
@@ -81,13 +81,17 @@ def held_light(monkeypatch):
     held.gate.release(1000)
 
 
+def late_points(server):
+    return metric(server, "roomlight_late_points")
+
+
 def abandoned(server):
-    return server.app.state.context.metrics.abandoned._value.get()
+    return metric(server, "roomlight_requests_abandoned_total")
 
 
 def idle(server):
     """Whether no late probe is being computed or waiting."""
-    return not server.registry._quotas._late
+    return late_points(server) == 0
 
 
 def test_the_rest_of_a_hung_up_post_is_not_computed(held_light):
@@ -112,9 +116,9 @@ def test_a_waiting_post_leaves_the_queue_when_it_hangs_up(held_light):
         first, second = post(server, late(1)), None
         held_light.wait_entered()
         second = post(server, late(64))
-        wait_until(server, lambda: server.registry._quotas._late.total() == 65)
+        wait_until(server, lambda: late_points(server) == 65)
         second.close()
-        wait_until(server, lambda: server.registry._quotas._late.total() == 1)  # at once, without the engine
+        wait_until(server, lambda: late_points(server) == 1)  # at once, without the engine
         held_light.gate.release(1)
         assert first.recv(12) == b"HTTP/1.1 200"
         first.close()
@@ -130,7 +134,7 @@ def test_a_closed_stream_cancels_its_light(held_light):
             held_light.wait_entered()
             stream.socket.shutdown(socket.SHUT_RDWR)
             streams = server.app.state.context.guard
-            wait_until(server, lambda: len(streams._addresses) == 1)  # the connection of this request
+            wait_until(server, lambda: streams.connections == 1)  # the connection of this request
         held_light.gate.release(64)
         wait_until(server, lambda: idle(server))
         assert held_light.calls == 1
@@ -143,7 +147,7 @@ def test_late_probes_of_an_owner_are_bounded(held_light):
         server.push(0)
         waiting = [post(server, late(64)) for _ in range(2)]
         held_light.wait_entered()
-        wait_until(server, lambda: server.registry._quotas._late.total() == 128)
+        wait_until(server, lambda: late_points(server) == 128)
         for _ in range(18):
             refused = server.call("POST", LATE, late(64))
             assert (refused.status, refused.kind, refused.headers["retry-after"]) == (429, "owner-quota", "1")

@@ -14,6 +14,7 @@ from roomlight_server.base import tls
 from roomlight_server.serving import allow_files
 from roomlight_server.transport import tls_listener
 from roomlight_server.transport.guard import Allowance
+from roomlight_server.transport.stream_protocol import StreamProtocol
 
 GET = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
 CHUNKED = b"PUT /v1/sessions/a HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n"
@@ -133,6 +134,18 @@ def test_a_flood_of_websocket_frames_is_closed_counted_and_logged(server, connec
     connection.sendall(first)
     assert flood(connection, data)
     assert refused(server, kind) == before + 1
+
+
+def test_the_answer_to_a_close_is_read_at_once(connection, monkeypatch):
+    """uvicorn waits for it for 10 s; here the test would wait for ever."""
+    monkeypatch.setattr(StreamProtocol, "close_timeout", property(lambda _: 1e6, lambda *_: None), raising=False)
+    connection.sendall(UPGRADE.replace(b"/room/", b"/nobody/"))
+    data = b""
+    while b"session-not-found" not in data or b"\x11\x34" not in data:  # 4404, in the frame that closes
+        data += connection.recv(4096)
+    connection.sendall(ws_frame(0x88, b"\x11\x34"))
+    while connection.recv(4096):
+        pass
 
 
 def test_a_fragmented_message_of_usual_pieces_is_read(server):

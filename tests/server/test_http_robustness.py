@@ -209,6 +209,7 @@ def call(port, method, path, body=None, headers=None):
     return answer.status, content
 
 
+@pytest.mark.slow
 def test_every_line_of_the_log_is_json_without_tokens():
     """libjpeg wrote plain lines between those of the log; websockets logged the token of a connection at debug."""
     damaged = bytearray(cv2.imencode(".jpg", np.random.default_rng(1).integers(0, 255, (36, 48, 3), np.uint8))[1])

@@ -101,6 +101,9 @@ class Metrics:
         self.abandoned = Counter(
             "roomlight_requests_abandoned", "Requests whose client was gone before the answer.", registry=registry
         )
+        self.late_points = Gauge(
+            "roomlight_late_points", "Points without a named probe that are computed or wait.", registry=registry
+        )
         self.connections = Gauge("roomlight_connections", "Open connections.", registry=registry)
         self.loop_lag = Gauge(
             "roomlight_event_loop_lag_seconds",

@@ -90,6 +90,11 @@ class Quotas:
             if not adding:
                 self._adding.pop(owner, None)
 
+    @property
+    def late_points(self) -> int:
+        """Points without a named probe that are being computed or waiting, of all owners."""
+        return self._late.total()
+
     @contextmanager
     def late_probes(self, count: int) -> Generator[None]:
         """Reserve the computing of late probes.

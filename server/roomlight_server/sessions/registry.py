@@ -45,6 +45,7 @@ class Registry:
         self._settings, self._workers, self._metrics, self._clock = settings, workers, metrics, clock
         self._sessions: dict[tuple[str, str], LiveSession] = {}
         self._quotas = Quotas(settings, self._sessions_of)
+        metrics.late_points.set_function(lambda: self._quotas.late_points)
         self._limits = Limits(
             frame=settings.frame_limits,
             frames_in_flight=settings.frames_in_flight,
