@@ -101,11 +101,15 @@ class PanoramaState:
 
     def for_lighting(self) -> "PanoramaState":
         """Return a copy that later frames do not change; what only blending needs is zero and takes no memory."""
-        shape = self.observed.shape
-        kept = (self.radiance, self.depth_m, self.observed, self.clipped, self.guessed)
         zero = np.zeros((), np.float32)
         return PanoramaState(
-            *(plane.copy() for plane in kept), np.broadcast_to(zero, shape), np.broadcast_to(zero, (*shape, 3))
+            radiance=self.radiance.copy(),
+            depth_m=self.depth_m.copy(),
+            observed=self.observed.copy(),
+            clipped=self.clipped.copy(),
+            guessed=self.guessed.copy(),
+            changed=np.broadcast_to(zero, self.observed.shape),
+            viewed_from=np.broadcast_to(zero, self.radiance.shape),
         )
 
     def is_closer(self, depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
