@@ -41,7 +41,7 @@ class ServerProcess:
         """
         self._wait_ready = wait_ready
         self._variables = dict(variables or {})
-        self._command = [sys.executable, "-c", _SERVE, "serve", "--port", "0", "--log-level", "warning", *arguments]
+        self._command = [sys.executable, "-c", _SERVE, "serve", "--port", "0", *arguments]
         self._log: deque[str] = deque(maxlen=30)
         self._port_known = threading.Event()
         self.port = 0
