@@ -50,7 +50,7 @@ def unseen_energies(options, graphs, seed):
     for index, frame in enumerate(frames, 1):
         session.push(frame)
         if index % FRAMES == 0:
-            panoramas.append(session.light(handle).panorama)
+            panoramas.append(session.estimate(handle).panorama)
     never = (session.light(handle).observed == 0) * panorama_solid_angles(HEIGHT)
     return [float((panorama.mean(-1) * never).sum()) for panorama in panoramas], float(never.sum() / (4 * np.pi))
 
