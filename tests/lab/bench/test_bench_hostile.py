@@ -8,7 +8,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from roomlight_bench.server.hostile import HostileOptions, run_hostile
-from roomlight_bench.server.hostile_client import ATTACKS
+from roomlight_bench.server.hostile_floods import FLOODS
 from roomlight_bench.server.hostile_report import AttackRow, HostileReport
 from roomlight_bench.server.server_report import Latencies
 from roomlight_cli.main import app
@@ -71,15 +71,14 @@ def test_an_unknown_attack_is_named():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_every_attack_reaches_the_server_and_the_neighbour_streams():
-    options = HostileOptions(minutes=1.0, model="classical", height=16)
+def test_attacks_reach_the_server_and_the_neighbour_streams():
+    attacks = ("large-headers", "refused-bodies", "hung-up-posts", next(iter(FLOODS)))
+    options = HostileOptions(minutes=0.3, model="classical", height=16, attacks=attacks)
     report = run_hostile(options)
-    assert [each.attack for each in report.attacks] == list(ATTACKS)
+    assert [result.attack for result in report.attacks] == list(attacks)
     for each in (report.alone, *report.attacks):
         assert each.due > 0
         assert 0 <= each.processed <= each.due
         assert each.rss_bytes > 0
     assert report.alone.processed > 0
-    long = {"glb-bombs", "final-composites"}  # one request may take longer than the attack
-    assert all(each.requests > 0 for each in report.attacks if each.attack not in long)
+    assert all(result.requests > 0 for result in report.attacks)
