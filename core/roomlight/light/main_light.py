@@ -111,7 +111,7 @@ def no_light() -> MainLight:
 
 def main_light(panorama: Float[np.ndarray, "h w 3"]) -> MainLight:
     """Return the first of `find_lights`, or `no_light` where there is none."""
-    return next(iter(find_lights(panorama)), no_light())
+    return lights_of(panorama).main
 
 
 def find_lights(panorama: Float[np.ndarray, "h w 3"]) -> tuple[MainLight, ...]:
