@@ -58,8 +58,12 @@ class RunningServer:
     def __exit__(self, *_):
         self.stop()
 
-    def stop(self):
+    def begin_stop(self):
+        """Let the server stop, as a signal does, without waiting for its end."""
         self._server.should_exit = True
+
+    def stop(self):
+        self.begin_stop()
         self._thread.join(60)
         assert not self._thread.is_alive()
 
@@ -97,9 +101,9 @@ class RunningServer:
 
 
 def metric(server, name):
-    """Return a value of /metrics; `name` includes the labels."""
+    """Return a value of /metrics, 0 before the first one; `name` includes the labels."""
     lines = server.call("GET", "/metrics").body.decode().splitlines()
-    return next(float(line.removeprefix(f"{name} ")) for line in lines if line.startswith(f"{name} "))
+    return next((float(line.removeprefix(f"{name} ")) for line in lines if line.startswith(f"{name} ")), 0.0)
 
 
 @dataclass(frozen=True)

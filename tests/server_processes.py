@@ -47,13 +47,13 @@ class Process:
         assert self._process.stderr is not None
         self._process.stderr.close()
 
-    def call(self, method, path, body=None) -> tuple[int, Any]:
+    def call(self, method, path, body=None, headers=None) -> tuple[int, Any]:
         """Return (status, JSON); (0, None) without a whole answer."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=BOUND_S)
         data = json.dumps(body).encode() if isinstance(body, dict) else body
         kind = {"Content-Type": "application/json"} if isinstance(body, dict) else {}
         try:
-            connection.request(method, path, data, kind)
+            connection.request(method, path, data, kind | (headers or {}))
             answer = connection.getresponse()
             return answer.status, json.loads(answer.read())
         except (OSError, http.client.HTTPException):

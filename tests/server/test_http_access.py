@@ -22,18 +22,16 @@ def server():
 @pytest.mark.parametrize(
     "path", ["/metrics", "/docs", "/openapi.json", "/docs-assets/swagger-ui.css", "/v1/sessions/a"]
 )
-def test_a_server_without_token_checks_the_host_of_every_path(path):
+def test_a_server_without_token_checks_the_host_of_every_path(server, path):
     """/metrics and /docs were answered for any `Host`, so that a page of another site could read them."""
-    with RunningServer() as server:
-        answer = server.call("GET", path, headers={"Host": "evil.example"})
-        assert (answer.status, answer.kind) == (403, "forbidden-origin")
-        assert server.call("GET", path).status in (200, 404)
+    answer = server.call("GET", path, headers={"Host": "evil.example"})
+    assert (answer.status, answer.kind) == (403, "forbidden-origin")
+    assert server.call("GET", path).status in (200, 404)
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/readyz"])
-def test_probes_are_answered_for_every_host(path):
-    with RunningServer() as server:
-        assert server.call("GET", path, headers={"Host": "10.0.0.7:8090"}).status in (200, 503)
+def test_probes_are_answered_for_every_host(server, path):
+    assert server.call("GET", path, headers={"Host": "10.0.0.7:8090"}).status in (200, 503)
 
 
 def test_a_server_with_tokens_answers_metrics_for_every_host():

@@ -65,15 +65,14 @@ def test_a_long_url_is_refused():
         assert answer_of(connection)[0] == 431
 
 
-def test_endless_headers_close_the_connection():
+@pytest.mark.parametrize(
+    "start",
+    [GET, b"PUT /v1/sessions/a HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n"],
+    ids=["headers", "trailers"],
+)
+def test_endless_headers_and_trailers_close_the_connection(start):
     with RunningServer(max_header_bytes=4096) as server, dial(server) as connection:
-        connection.sendall(GET)
-        assert send_until_closed(connection, b"X: " + b"x" * 2**16 + b"\r\n", 2**26) < 2**26
-
-
-def test_endless_trailers_close_the_connection():
-    with RunningServer(max_header_bytes=4096) as server, dial(server) as connection:
-        connection.sendall(b"PUT /v1/sessions/a HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n")
+        connection.sendall(start)
         assert send_until_closed(connection, b"X: " + b"x" * 2**16 + b"\r\n", 2**26) < 2**26
 
 

@@ -81,6 +81,15 @@ def held_light(monkeypatch):
     held.gate.release(1000)
 
 
+@pytest.fixture
+def server():
+    """A server whose session `room` has seen a frame."""
+    with RunningServer() as running:
+        running.open()
+        running.push(0)
+        yield running
+
+
 def late_points(server):
     return metric(server, "roomlight_late_points")
 
@@ -94,50 +103,41 @@ def idle(server):
     return late_points(server) == 0
 
 
-def test_the_rest_of_a_hung_up_post_is_not_computed(held_light):
+def test_the_rest_of_a_hung_up_post_is_not_computed(server, held_light):
     """The 64 points of a client that is gone were all computed."""
-    with RunningServer() as server:
-        server.open()
-        server.push(0)
-        connection = post(server, late(64))
+    connection = post(server, late(64))
+    held_light.wait_entered()
+    connection.close()
+    wait_until(server, lambda: abandoned(server) == 1)
+    held_light.gate.release(64)
+    wait_until(server, lambda: idle(server))
+    assert held_light.calls == 1
+    assert server.push(1, frame(1)).json["status"] == "processed"
+
+
+def test_a_waiting_post_leaves_the_queue_when_it_hangs_up(server, held_light):
+    first, second = post(server, late(1)), None
+    held_light.wait_entered()
+    second = post(server, late(64))
+    wait_until(server, lambda: late_points(server) == 65)
+    second.close()
+    wait_until(server, lambda: late_points(server) == 1)  # at once, without the engine
+    held_light.gate.release(1)
+    assert first.recv(12) == b"HTTP/1.1 200"
+    first.close()
+    assert held_light.calls == 1
+
+
+def test_a_closed_stream_cancels_its_light(server, held_light):
+    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
+        stream.send(json.dumps({"type": "light", "request": "r"} | late(64)))
         held_light.wait_entered()
-        connection.close()
-        wait_until(server, lambda: abandoned(server) == 1)
-        held_light.gate.release(64)
-        wait_until(server, lambda: idle(server))
-        assert held_light.calls == 1
-        assert server.push(1, frame(1)).json["status"] == "processed"
-
-
-def test_a_waiting_post_leaves_the_queue_when_it_hangs_up(held_light):
-    with RunningServer() as server:
-        server.open()
-        server.push(0)
-        first, second = post(server, late(1)), None
-        held_light.wait_entered()
-        second = post(server, late(64))
-        wait_until(server, lambda: late_points(server) == 65)
-        second.close()
-        wait_until(server, lambda: late_points(server) == 1)  # at once, without the engine
-        held_light.gate.release(1)
-        assert first.recv(12) == b"HTTP/1.1 200"
-        first.close()
-        assert held_light.calls == 1
-
-
-def test_a_closed_stream_cancels_its_light(held_light):
-    with RunningServer() as server:
-        server.open()
-        server.push(0)
-        with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
-            stream.send(json.dumps({"type": "light", "request": "r"} | late(64)))
-            held_light.wait_entered()
-            stream.socket.shutdown(socket.SHUT_RDWR)
-            streams = server.app.state.context.guard
-            wait_until(server, lambda: streams.connections == 1)  # the connection of this request
-        held_light.gate.release(64)
-        wait_until(server, lambda: idle(server))
-        assert held_light.calls == 1
+        stream.socket.shutdown(socket.SHUT_RDWR)
+        streams = server.app.state.context.guard
+        wait_until(server, lambda: streams.connections == 1)  # the connection of this request
+    held_light.gate.release(64)
+    wait_until(server, lambda: idle(server))
+    assert held_light.calls == 1
 
 
 def test_late_probes_of_an_owner_are_bounded(held_light):
@@ -197,20 +197,17 @@ def test_a_long_computation_is_paused_for_a_neighbour(tokens, monkeypatch):
         connection.close()
 
 
-def test_a_paused_computation_ends_when_its_client_is_gone(monkeypatch):
+def test_a_paused_computation_ends_when_its_client_is_gone(server, monkeypatch):
     running, never = threading.Event(), threading.Event()
     monkeypatch.setattr(Session, "light_at", endless(running, never))
-    with RunningServer() as server:
-        server.open()
-        server.push(0)
-        connection = post(server, late(1))
-        assert running.wait(60)
-        connection.close()
-        wait_until(server, lambda: idle(server))
-        assert server.push(1, frame(1)).json["status"] == "processed"
+    connection = post(server, late(1))
+    assert running.wait(60)
+    connection.close()
+    wait_until(server, lambda: idle(server))
+    assert server.push(1, frame(1)).json["status"] == "processed"
 
 
-def test_a_composite_ends_when_its_client_is_gone(monkeypatch):
+def test_a_composite_ends_when_its_client_is_gone(server, monkeypatch):
     """A composite of high quality takes up to 50 s of CPU time."""
     running, never = threading.Event(), threading.Event()
 
@@ -221,14 +218,11 @@ def test_a_composite_ends_when_its_client_is_gone(monkeypatch):
 
     monkeypatch.setattr(composite_routes, "make", make)
     sphere = {"shape": "sphere", "size_m": 0.2, "position": [0.2, 1.2, -0.2]}
-    with RunningServer() as server:
-        server.open()
-        server.push(0)
-        connection = post(server, {"objects": [sphere]}, "/v1/sessions/room/composite")
-        assert running.wait(60)
-        connection.close()
-        wait_until(server, lambda: abandoned(server) == 1)
-        assert server.push(1, frame(1)).json["status"] == "processed"  # it waited for the composite
+    connection = post(server, {"objects": [sphere]}, "/v1/sessions/room/composite")
+    assert running.wait(60)
+    connection.close()
+    wait_until(server, lambda: abandoned(server) == 1)
+    assert server.push(1, frame(1)).json["status"] == "processed"  # it waited for the composite
 
 
 BALL = {"shape": "sphere", "size_m": 0.2, "position": [0.2, 1.2, -0.2]}

@@ -1,8 +1,6 @@
 """Frames over a real socket: order, replays, the queue, engine failures, multipart."""
 
 import json
-import socket
-import threading
 
 import cv2
 import numpy as np
@@ -191,18 +189,6 @@ def test_deleting_a_session_answers_waiting_requests(held):
     assert held.push(0).status == 200
 
 
-def test_stopping_the_server_finishes_the_running_frame(held):
-    port = held.port
-    working = InThread(held.push, 0)
-    HeldSession.wait_entered()
-    stopping = InThread(held.stop)
-    HeldSession.release()
-    assert working.result().json["status"] == "processed"
-    stopping.result()
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", port), timeout=5)
-
-
 def multipart(parts):
     """Return the body that `curl -F header=... -F colour=@... -F depth=@...` sends."""
     body = b""
@@ -271,16 +257,6 @@ def test_malformed_multipart_is_rejected(server):
         assert answer.kind in ("bad-request", "bad-frame")
 
 
-def test_a_session_waits_at_most_one_frame_of_another(held):
-    held.open("other")
-    queued(held, 0)
-    HeldSession.wait_entered()
-    waiting = InThread(held.push, 0, name="other")
-    HeldSession.release(2)
-    assert waiting.result().status == 200
-    assert threading.active_count() < 50
-
-
 def test_light_of_a_named_probe_waits_for_no_other_session(held):
     """The session's next frame waits behind another session's: the light is that of the frame before."""
     held.call("PUT", "/v1/sessions/room/probes/table", {"position": [0.2, 1.2, -0.2]})
@@ -315,26 +291,6 @@ def test_a_replacing_frame_is_decoded_when_it_is_taken(held, monkeypatch):
     assert fourth.result().json["status"] == "processed"
     assert decoded == [0, 1, 4]
     assert held.state()["frames"]["superseded"] == 3
-
-
-def test_an_unexpected_error_of_a_late_decoder_is_answered(held, monkeypatch):
-    queued(held, 0)
-    HeldSession.wait_entered()
-    queued(held, 1, body=frame(1))
-
-    def fail(*_):
-        raise RuntimeError("decoder broke")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(live_session, "decode_to_size", fail)
-        broken = InThread(held.push, 2, frame(2))
-        wait_for_queue(held, last=2)
-        HeldSession.release()
-        answer = broken.result()
-    assert (answer.status, answer.kind) == (500, "internal")
-    assert held.state()["status"] == "open"
-    HeldSession.release()
-    assert held.push(2, frame(2)).json["status"] == "processed"
 
 
 def test_a_frame_that_fails_to_decode_late_is_rejected(held):

@@ -122,19 +122,6 @@ def test_the_etag_changes_if_and_only_if_the_light_does(server):
     assert changed.headers["etag"] != tag
 
 
-def test_equal_light_after_another_frame_has_the_same_etag(server):
-    """Frames may leave the light at a point unchanged: the etag is then the same."""
-    server.open("still")
-    server.push(0, name="still")
-    tags = set()
-    for index in range(1, 4):
-        server.push(index, frame(0), name="still")
-        tags.add(
-            (get(server, "&format=npy", name="still").headers["etag"], get(server, "&format=npy", name="still").body)
-        )
-    assert len({tag for tag, _ in tags}) == len({body for _, body in tags})
-
-
 def test_named_probes_are_tracked_moved_and_deleted(server):
     server.open("named")
     path = "/v1/sessions/named/probes"

@@ -1,7 +1,6 @@
 """The live page's files, and who may reach them: Host, Origin, tokens."""
 
 import gzip
-import socket
 
 import pytest
 
@@ -11,16 +10,25 @@ from roomlight_server.routes import page as page_routes
 TOKEN = "a-token-of-sixteen-or-more"
 
 
-@pytest.fixture
-def page(tmp_path, monkeypatch):
-    """A small built page."""
-    (tmp_path / "assets").mkdir()
-    (tmp_path / "index.html").write_text("<!doctype html><title>RoomLight</title>" + " " * 500)
-    (tmp_path / "phone.html").write_text("<!doctype html><title>Phone</title>")
-    (tmp_path / "assets" / "index-1a2b.js").write_text("export {};")
-    (tmp_path / "assets" / "icon.png").write_bytes(b"\x89PNG")
-    monkeypatch.setattr(page_routes, "page_folder", lambda: tmp_path)
-    return tmp_path
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """A small built page, served in this module."""
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "assets").mkdir()
+    (folder / "index.html").write_text("<!doctype html><title>RoomLight</title>" + " " * 500)
+    (folder / "phone.html").write_text("<!doctype html><title>Phone</title>")
+    (folder / "assets" / "index-1a2b.js").write_text("export {};")
+    (folder / "assets" / "icon.png").write_bytes(b"\x89PNG")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page_routes, "page_folder", lambda: folder)
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def server(page):
+    assert page.is_dir()
+    with RunningServer() as running:
+        yield running
 
 
 @pytest.mark.usefixtures("page")
@@ -34,39 +42,26 @@ def test_the_page_is_served_without_a_token():
         assert server.call("GET", "/v1/sessions").status == 401
 
 
-@pytest.mark.usefixtures("page")
-def test_assets_are_cached_for_ever():
-    with RunningServer() as server:
-        answer = server.call("GET", "/assets/index-1a2b.js")
-        assert answer.body == b"export {};"
-        assert answer.headers["cache-control"] == "public, max-age=31536000, immutable"
-        assert answer.headers["content-type"] == "text/javascript; charset=utf-8"
-        assert server.call("GET", "/assets/icon.png").headers["content-type"] == "image/png"
+def test_assets_are_cached_for_ever(server):
+    answer = server.call("GET", "/assets/index-1a2b.js")
+    assert answer.body == b"export {};"
+    assert answer.headers["cache-control"] == "public, max-age=31536000, immutable"
+    assert answer.headers["content-type"] == "text/javascript; charset=utf-8"
+    assert server.call("GET", "/assets/icon.png").headers["content-type"] == "image/png"
 
 
-@pytest.mark.usefixtures("page")
-def test_an_unchanged_page_is_not_sent_again():
-    with RunningServer() as server:
-        etag = server.call("GET", "/").headers["etag"]
-        again = server.call("GET", "/", headers={"If-None-Match": etag})
-        assert (again.status, again.body) == (304, b"")
+def test_a_page_is_sent_once_and_compressed_where_that_is_accepted(server):
+    plain = server.call("GET", "/")
+    again = server.call("GET", "/", headers={"If-None-Match": plain.headers["etag"]})
+    assert (again.status, again.body) == (304, b"")
+    packed = server.call("GET", "/", headers={"Accept-Encoding": "gzip, br"})
+    assert (packed.headers["content-encoding"], packed.headers["vary"]) == ("gzip", "Accept-Encoding")
+    assert len(packed.body) < len(plain.body)
+    assert gzip.decompress(packed.body) == plain.body
 
 
-@pytest.mark.usefixtures("page")
-def test_text_is_compressed_where_it_is_accepted():
-    with RunningServer() as server:
-        plain = server.call("GET", "/")
-        packed = server.call("GET", "/", headers={"Accept-Encoding": "gzip, br"})
-        assert packed.headers["content-encoding"] == "gzip"
-        assert packed.headers["vary"] == "Accept-Encoding"
-        assert len(packed.body) < len(plain.body)
-        assert gzip.decompress(packed.body) == plain.body
-
-
-@pytest.mark.usefixtures("page")
-def test_the_page_may_load_from_its_own_server_only():
-    with RunningServer() as server:
-        headers = server.call("GET", "/").headers
+def test_the_page_may_load_from_its_own_server_only(server):
+    headers = server.call("GET", "/").headers
     policy = dict(each.split(" ", 1) for each in headers["content-security-policy"].split("; "))
     assert policy["default-src"] == policy["frame-ancestors"] == policy["base-uri"] == policy["form-action"] == "'none'"
     for sources in policy.values():
@@ -84,33 +79,27 @@ def test_a_missing_page_says_how_to_build_it(tmp_path, monkeypatch):
         assert "npm run build" in answer.json["detail"]
 
 
-@pytest.mark.usefixtures("page")
 @pytest.mark.parametrize("path", ["/assets/..%2findex.html", "/assets/../../app.py", "/assets/", "/assets/none.js"])
-def test_no_other_file_is_served_beside_the_page(path):
-    with RunningServer() as server:
-        answer = server.call("GET", path)
-        assert (answer.status, answer.kind) == (404, "not-found")
+def test_no_other_file_is_served_beside_the_page(server, path):
+    answer = server.call("GET", path)
+    assert (answer.status, answer.kind) == (404, "not-found")
 
 
-def test_a_page_with_an_unknown_file_type_is_refused(page):
-    (page / "assets" / "map.tiles").write_bytes(b"1")
+def test_unusable_pages_are_refused(tmp_path, monkeypatch):
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "map.tiles").write_bytes(b"1" * 200)
     with pytest.raises(ValueError, match=r"no media type is known for \.tiles"):
-        page_routes.page_files.__wrapped__(page)
-
-
-def test_a_page_that_is_too_large_is_refused(page, monkeypatch):
+        page_routes.page_files.__wrapped__(tmp_path)
     monkeypatch.setattr(page_routes, "MAX_PAGE_BYTES", 100)
     with pytest.raises(ValueError, match="at most 100"):
-        page_routes.page_files.__wrapped__(page)
+        page_routes.page_files.__wrapped__(tmp_path)
 
 
-@pytest.mark.usefixtures("page")
 @pytest.mark.parametrize("path", ["/", "/phone", "/assets/icon.png", "/v1/sessions"])
-def test_a_name_that_resolves_to_this_machine_is_refused(path):
+def test_a_name_that_resolves_to_this_machine_is_refused(server, path):
     """DNS rebinding: the browser sends the attacker's name as Host and has no Origin."""
-    with RunningServer() as server:
-        answer = server.call("GET", path, headers={"Host": "evil.example:8090"})
-        assert (answer.status, answer.kind, answer.json["field"]) == (403, "forbidden-origin", "Host")
+    answer = server.call("GET", path, headers={"Host": "evil.example:8090"})
+    assert (answer.status, answer.kind, answer.json["field"]) == (403, "forbidden-origin", "Host")
 
 
 @pytest.mark.usefixtures("page")
@@ -129,40 +118,22 @@ def test_allowed_hosts_are_checked_with_tokens_too():
 
 @pytest.mark.parametrize("method", ["GET", "PUT", "DELETE"])
 @pytest.mark.parametrize("origin", ["https://evil.example", "http://localhost:3000", "null"])
-def test_pages_of_other_sites_are_refused(method, origin):
-    with RunningServer() as server:
-        body = {} if method == "PUT" else None
-        answer = server.call(method, "/v1/sessions/room", body, headers={"Origin": origin})
-        assert (answer.status, answer.kind, answer.json["field"]) == (403, "forbidden-origin", "Origin")
-        assert server.call("GET", "/v1/sessions").json["sessions"] == []
+def test_pages_of_other_sites_are_refused(server, method, origin):
+    body = {} if method == "PUT" else None
+    answer = server.call(method, "/v1/sessions/foreign", body, headers={"Origin": origin})
+    assert (answer.status, answer.kind, answer.json["field"]) == (403, "forbidden-origin", "Origin")
+    assert server.call("GET", "/v1/sessions/foreign").status == 404
 
 
 @pytest.mark.parametrize(
     ("site", "status"), [("cross-site", 403), ("same-site", 403), ("same-origin", 200), ("none", 200)]
 )
-def test_requests_without_origin_are_judged_by_their_site(site, status):
+def test_requests_without_origin_are_judged_by_their_site(server, site, status):
     """A page of another site can load `/v1/..` as an image or a script: no Origin is sent then."""
-    with RunningServer() as server:
-        answer = server.call("GET", "/v1/sessions", headers={"Sec-Fetch-Site": site, "Sec-Fetch-Mode": "no-cors"})
-        assert answer.status == status
+    answer = server.call("GET", "/v1/sessions", headers={"Sec-Fetch-Site": site, "Sec-Fetch-Mode": "no-cors"})
+    assert answer.status == status
 
 
-@pytest.mark.usefixtures("page")
-def test_the_own_page_is_allowed():
-    with RunningServer() as server:
-        own = {"Origin": f"http://127.0.0.1:{server.port}", "Sec-Fetch-Site": "same-origin"}
-        assert server.call("PUT", "/v1/sessions/room", {}, headers=own).status == 201
-
-
-def test_websockets_of_other_sites_are_refused():
-    handshake = (
-        "GET /v1/sessions/room/stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
-        "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
-        "Origin: {origin}\r\n\r\n"
-    )
-    with RunningServer() as server:
-        server.open()
-        for origin, status in (("https://evil.example", b"403"), (f"http://127.0.0.1:{server.port}", b"101")):
-            with socket.create_connection(("127.0.0.1", server.port), timeout=60) as connection:
-                connection.sendall(handshake.format(port=server.port, origin=origin).encode())
-                assert connection.recv(64).split()[1] == status
+def test_the_own_page_is_allowed(server):
+    own = {"Origin": f"http://127.0.0.1:{server.port}", "Sec-Fetch-Site": "same-origin"}
+    assert server.call("PUT", "/v1/sessions/room", {}, headers=own).status == 201

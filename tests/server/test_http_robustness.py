@@ -3,12 +3,8 @@
 import http.client
 import json
 import logging
-import os
 import socket
 import struct
-import subprocess
-import sys
-import threading
 
 import cv2
 import numpy as np
@@ -18,6 +14,7 @@ from websockets.exceptions import InvalidMessage, InvalidStatus
 from websockets.sync.client import connect
 
 from http_servers import SMALL, RunningServer, box_shot, frame, header_of, parts_of
+from server_processes import Process
 
 TOKEN = "a-token-of-sixteen-or-more"
 
@@ -95,11 +92,6 @@ def test_a_multipart_charset_must_be_utf8(server, errors, charset):
     assert errors() == []
 
 
-def test_a_multipart_frame_of_utf8_is_processed(server):
-    headers, body = multipart("UTF-8")
-    assert server.call("PUT", "/v1/sessions/room/frames/0", body, headers=headers).json["status"] == "processed"
-
-
 def heic(tmp_path, *, primary):
     """Return a HEIC file, or one whose primary image does not exist."""
     heif = pytest.importorskip("pillow_heif")
@@ -169,68 +161,25 @@ def test_text_that_is_not_utf8_closes_without_traceback(server, errors):
     assert errors() == []
 
 
-def serve_in_process(*options, **variables):
-    command = [sys.executable, "-c", "from roomlight_cli.main import main; main()", "serve", "--port", "0", *options]
-    environment = os.environ | {"COLUMNS": "200"} | variables
-    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
-
-
-def lines_of_a_run(process, use):
-    """Run `use(port)` on a server process, stop it, and return the lines of its log after the first."""
-    lines: list[str] = []
-    listening = threading.Event()
-
-    def read():
-        for line in process.stderr:
-            lines.append(line)
-            if '"event": "serving"' in line:
-                listening.set()
-
-    reader = threading.Thread(target=read)
-    reader.start()
-    try:
-        assert listening.wait(120), lines
-        serving = next(json.loads(line) for line in lines if '"event": "serving"' in line)
-        use(int(serving["url"].rsplit(":", 1)[1]))
-    finally:
-        process.terminate()
-        process.wait(120)
-        reader.join(120)
-        process.stderr.close()
-    return lines
-
-
-def call(port, method, path, body=None, headers=None):
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
-    connection.request(method, path, body, headers or {})
-    answer = connection.getresponse()
-    content = answer.read()
-    connection.close()
-    return answer.status, content
-
-
 @pytest.mark.slow
 def test_every_line_of_the_log_is_json_without_tokens():
     """libjpeg wrote plain lines between those of the log; websockets logged the token of a connection at debug."""
     damaged = bytearray(cv2.imencode(".jpg", np.random.default_rng(1).integers(0, 255, (36, 48, 3), np.uint8))[1])
     damaged[len(damaged) // 2 : len(damaged) // 2 + 40] = bytes(40)
-    token = {"Authorization": f"Bearer {TOKEN}"}
-
-    def use(port):
-        options = {"Content-Type": "application/json"} | token
-        assert call(port, "PUT", "/v1/sessions/room", json.dumps(SMALL), options)[0] == 201
-        call(port, "PUT", "/v1/sessions/room/frames/0", with_colour("jpeg", bytes(damaged)), token)
-        call(port, "PUT", "/v1/sessions/room/frames/1", frame(1), token)
-        address = f"ws://127.0.0.1:{port}/v1/sessions/room/stream"
+    token, path = {"Authorization": f"Bearer {TOKEN}"}, "/v1/sessions/room"
+    with Process("--log-level", "debug", "--access-log", ROOMLIGHT_TOKENS=TOKEN) as server:
+        assert server.call("PUT", path, SMALL, token)[0] == 201
+        server.call("PUT", f"{path}/frames/0", with_colour("jpeg", bytes(damaged)), token)
+        server.call("PUT", f"{path}/frames/1", frame(1), token)
+        address = f"ws://127.0.0.1:{server.port}{path}/stream"
         offered = [Subprotocol("roomlight.v1"), Subprotocol(f"bearer.{TOKEN}")]
         for websocket in (connect(address, additional_headers=token), connect(address, subprotocols=offered)):
             with websocket:
                 websocket.send(frame(2, index=2))
                 websocket.recv(timeout=120)
-
-    lines = lines_of_a_run(serve_in_process("--log-level", "debug", "--access-log", ROOMLIGHT_TOKENS=TOKEN), use)
-    records = [json.loads(line) for line in lines]
-    assert any("Corrupt JPEG" in record["event"] for record in records)
+        server.stop()
+        lines = server.lines
+    assert any("Corrupt JPEG" in json.loads(line)["event"] for line in lines)
     assert not any(TOKEN in line for line in lines)
 
 

@@ -70,11 +70,7 @@ def test_a_loopback_address_needs_no_token(host):
     [
         ("PORT", "many", "ROOMLIGHT_PORT: 'many': input should be a valid integer"),
         ("MAX_SESSIONS", "0", "ROOMLIGHT_MAX_SESSIONS: '0': input should be greater than or equal to 1"),
-        (
-            "MODEL",
-            "magic",
-            "ROOMLIGHT_MODEL: 'magic': input should be 'auto', 'classical', 'single' or 'video'",
-        ),
+        ("MODEL", "magic", "ROOMLIGHT_MODEL: 'magic': input should be 'auto', 'classical', 'single' or 'video'"),
         ("TOKENS", "short", "ROOMLIGHT_TOKENS or the token file: a token must be 16 to 512 printable"),
         ("TOKEN_FILE", "/nowhere/tokens", "/nowhere/tokens: cannot read the token file"),
         ("IDLE_EXPIRY_S", "-1", "ROOMLIGHT_IDLE_EXPIRY_S: '-1': input should be greater than 0"),

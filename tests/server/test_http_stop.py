@@ -77,7 +77,7 @@ def test_a_request_that_the_stop_ends_is_told_so(monkeypatch, caplog):
         server.push(0)
         post = InThread(server.call, "POST", "/v1/sessions/room/probes", LATE)
         assert begun.wait(60)
-        server._server.should_exit = True
+        server.begin_stop()
         answer = post.result()
         free.set()
     assert (answer.status, answer.kind, answer.headers["retry-after"]) == (503, "stopping", "5")

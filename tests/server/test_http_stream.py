@@ -13,7 +13,6 @@ from roomlight.engine.session import Session
 from roomlight.wire.light_message import parse_light
 from roomlight.wire.messages import LightAnswer, LightingUpdate
 from roomlight_server.sessions import live_session
-from roomlight_server.transport.stream_protocol import StreamProtocol
 
 POINT = [0.2, 1.2, -0.2]
 TOKEN = "token-of-the-stream-test"
@@ -261,22 +260,6 @@ def test_a_stream_without_a_session_is_closed_with_its_code(server, name, status
     with streaming(server, name) as stream:
         assert stream.next("problem")["problem"]["status"] == status
         assert stream.close_code() == code
-
-
-def test_a_refused_stream_ends_when_the_client_has_answered(server, monkeypatch):
-    """The client's close frame was not read: every refused stream stayed open until uvicorn's timer of ten seconds."""
-    made = StreamProtocol.connection_made
-
-    def without_timer(self, transport):
-        made(self, transport)
-        self.close_timeout = 3600.0
-
-    monkeypatch.setattr(StreamProtocol, "connection_made", without_timer)
-    with streaming(server, "nobody") as stream:
-        stream.next("problem")
-        assert stream.close_code() == 4404
-        stream.socket.recv_events_thread.join(60)
-        assert not stream.socket.recv_events_thread.is_alive()
 
 
 def test_a_dropped_connection_keeps_its_session(server):

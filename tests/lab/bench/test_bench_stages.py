@@ -11,7 +11,6 @@ from rich.console import Console
 from roomlight.camera import transform_points
 from roomlight.errors import ModelError, OptionError
 from roomlight_bench.stages import plain_torch, stages
-from roomlight_bench.stages.peak import MatrixProduct
 from roomlight_bench.stages.report import StageRow, StagesReport, judge
 from roomlight_bench.stages.room import PROBE, RoomSize, views
 from roomlight_bench.timing import Implementation, Timing, time_interleaved
@@ -162,10 +161,6 @@ def test_operations_of_networks_are_counted_by_layer(report: StagesReport):
     half, eighth = 16 * 32, 4 * 8
     outputs_times_inputs = half * (8 * 8 + 8 * 4) + eighth * (32 * 32 + 32 * 16)
     assert row.flops == 2 * 9 * outputs_times_inputs
-
-
-def test_the_peak_is_the_speed_of_a_matrix_product():
-    assert MatrixProduct(edge=64).flops_per_s(1.0) == 2e3 * 64**3
 
 
 def test_views_agree_on_the_room():

@@ -10,7 +10,6 @@ from recordings import BoxRecordings
 from roomlight.errors import ModelError
 from roomlight_bench.training.training import TrainCosts, measure_training
 from roomlight_cli.console import print_table
-from roomlight_model.training.gradients import StepClock
 from tiny_stages import VIEWS, WALKS
 
 OPTIONS = replace(VIEWS, steps=1000, batch=2, rays=32, sphere_pixels=2)
@@ -69,12 +68,3 @@ def test_the_report_is_readable_and_plain_json(costs):
 def test_too_little_data_is_refused_by_the_trainer():
     with pytest.raises(ModelError, match="fewer than a batch"):
         measure_training(OPTIONS, BoxRecordings(1), steps=2, device="cpu", progress=lambda _: None)
-
-
-def test_a_clock_records_the_times_of_every_step():
-    clock = StepClock()
-    for _ in range(3):
-        with clock.part("forward"):
-            pass
-    assert len(clock.wall_ms["forward"]) == len(clock.thread_ms["forward"]) == 3
-    assert min(clock.wall_ms["forward"]) >= 0

@@ -95,16 +95,6 @@ def test_a_full_pan_gives_the_room_and_gaps_are_filled() -> None:
     assert shares[-1] > 0.35
 
 
-def test_a_late_probe_equals_one_tracked_from_the_start() -> None:
-    tracked, late = WarpAndFill(height=20), WarpAndFill(height=20)
-    for index in range(3):
-        frame = frame_at((0.1 * index, 0.0, 0.5), 40.0 * index, index=index)
-        tracked.push(frame)
-        tracked.light_at((0.3, 0.2, 0.0))
-        late.push(frame)
-    np.testing.assert_array_equal(late.light_at((0.3, 0.2, 0.0)), tracked.light_at((0.3, 0.2, 0.0)))
-
-
 def test_the_nearest_point_is_kept_and_of_equals_the_newest() -> None:
     intrinsics = Intrinsics(20.0, 20.0, 20.0, 15.0, 40, 30)
 

@@ -11,18 +11,18 @@ import pytest
 from rich.console import Console
 
 from roomlight.camera import Intrinsics
-from roomlight.captures import CaptureOptions, CaptureWriter
-from roomlight.conventions import linear_to_srgb8
+from roomlight.captures import CaptureOptions
 from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
 from roomlight_cli.console import print_table
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
-from roomlight_evaluation.captures.estimators import Estimator, PredictionFolder
+from roomlight_evaluation.captures.estimators import Estimator
 from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_predictions
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
 from roomlight_evaluation.captures.tables import capture_tables
+from written_captures import write_capture
 
 PROBES = ((0.0, 0.0, -1.0), (0.3, 0.1, -1.5))
 INTRINSICS = Intrinsics(32.0, 32.0, 20.0, 15.0, 40, 30)
@@ -32,20 +32,18 @@ def truth(number: int, height: int = 16) -> np.ndarray:
     return np.random.default_rng(number).exponential(0.5, (height, 2 * height, 3)).astype(np.float16).astype(np.float32)
 
 
-def write_capture(path: Path, *, frames: int = 5, probes: bool = True) -> Path:
+def capture_of(path: Path, *, frames: int = 5, probes: bool = True) -> Path:
     """A capture of a flat coloured wall two metres ahead; its ground truth is unrelated noise."""
-    with CaptureWriter(path) as writer:
-        for index in range(frames):
-            colour = np.full((30, 40, 3), np.float32(0.1 * (index + 1)))
-            writer.add(
-                srgb8=linear_to_srgb8(colour),
-                depth_m=np.full((30, 40), 2.0, np.float32),
-                intrinsics=INTRINSICS,
-                camera_to_world=np.eye(4),
-            )
-        for number, position in enumerate(PROBES if probes else ()):
-            writer.add_probe(position, truth(number))
-    return path
+    return write_capture(
+        path,
+        [wall_frame(index, 0.1 * (index + 1)) for index in range(frames)],
+        probes=[(position, truth(number)) for number, position in enumerate(PROBES if probes else ())],
+    )
+
+
+def wall_frame(index: int, grey: float) -> Frame:
+    image = np.full((30, 40, 3), np.float32(grey))
+    return Frame(index, image, image[..., 0] > 1, np.full((30, 40), 2.0, np.float32), INTRINSICS, np.eye(4))
 
 
 class Oracle:
@@ -72,7 +70,7 @@ def values(scores: CaptureScores, method: str, metric: str) -> list[tuple[float,
 
 
 def test_the_truth_scores_zero_and_baselines_do_not(tmp_path: Path) -> None:
-    capture = write_capture(tmp_path / "room")
+    capture = capture_of(tmp_path / "room")
     seen: list[tuple[str, int, int]] = []
 
     def methods() -> Sequence[Estimator]:
@@ -93,7 +91,7 @@ def test_the_truth_scores_zero_and_baselines_do_not(tmp_path: Path) -> None:
 
 
 def test_scores_follow_the_frames(tmp_path: Path) -> None:
-    scores = evaluate_captures([write_capture(tmp_path / "room")], lambda: [Oracle(at=2)])
+    scores = evaluate_captures([capture_of(tmp_path / "room")], lambda: [Oracle(at=2)])
     for track in values(scores, "oracle", "log_l2"):
         assert [value > 0 for value in track] == [True, True, False, False, False]
     # smoothness i is between frames i and i + 1: the light comes on from the second to the third
@@ -102,7 +100,7 @@ def test_scores_follow_the_frames(tmp_path: Path) -> None:
 
 
 def test_panoramas_are_resized_to_the_height_of_the_truth(tmp_path: Path) -> None:
-    scores = evaluate_captures([write_capture(tmp_path / "room", frames=1)], lambda: [Oracle(height=48)])
+    scores = evaluate_captures([capture_of(tmp_path / "room", frames=1)], lambda: [Oracle(height=48)])
     # 48 rows hold three equal ones for each of the 16: the solid-angle weighted mean of each three is the row itself
     assert values(scores, "oracle", "log_l2")[0] == pytest.approx((0.0,), abs=1e-9)
 
@@ -115,7 +113,7 @@ def write_predictions(folder: Path, *, frames: range) -> None:
 
 @pytest.mark.parametrize("nested", [False, True])
 def test_predictions_are_scored_as_one_more_method(tmp_path: Path, nested: bool) -> None:
-    capture = write_capture(tmp_path / "room")
+    capture = capture_of(tmp_path / "room")
     predictions = tmp_path / "out"
     write_predictions(predictions / "room" if nested else predictions, frames=range(5))
     scores = evaluate_captures([capture], lambda: [MeanColour(16)], predictions=predictions)
@@ -127,14 +125,14 @@ def test_predictions_are_scored_as_one_more_method(tmp_path: Path, nested: bool)
 
 
 def test_predictions_are_numbered_by_frame_index(tmp_path: Path) -> None:
-    capture = write_capture(tmp_path / "room")
+    capture = capture_of(tmp_path / "room")
     write_predictions(tmp_path / "out", frames=range(0, 5, 2))
     scores = evaluate_predictions([capture], tmp_path / "out", options=CaptureOptions(every=2))
     assert scores.tracks[0].frames == (0, 2, 4)
 
 
 def test_a_missing_prediction_is_named(tmp_path: Path) -> None:
-    capture = write_capture(tmp_path / "room")
+    capture = capture_of(tmp_path / "room")
     write_predictions(tmp_path / "out", frames=range(5))
     missing = tmp_path / "out" / "probe-01" / "000003.exr"
     missing.unlink()
@@ -143,7 +141,7 @@ def test_a_missing_prediction_is_named(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_predictions_is_named(tmp_path: Path) -> None:
-    capture, other = write_capture(tmp_path / "room"), write_capture(tmp_path / "other")
+    capture, other = capture_of(tmp_path / "room"), capture_of(tmp_path / "other")
     write_predictions(tmp_path / "out", frames=range(5))
     with pytest.raises(CaptureError, match="no predictions for the capture room"):
         evaluate_predictions([capture], tmp_path / "nowhere")
@@ -152,43 +150,27 @@ def test_a_folder_without_predictions_is_named(tmp_path: Path) -> None:
         evaluate_captures([capture, other], lambda: [], predictions=tmp_path / "out")
 
 
-def test_a_capture_without_truth_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"room: there is no ground truth"):
-        evaluate_captures([write_capture(tmp_path / "room", probes=False)], lambda: [MeanColour(16)])
+class Broken(Oracle):
+    def light_at(self, position: tuple[float, float, float]) -> np.ndarray:
+        return super().light_at(position) * np.float32(np.nan)
 
 
-def test_two_captures_of_one_name_are_refused(tmp_path: Path) -> None:
-    paths = [write_capture(tmp_path / part / "room") for part in ("a", "b")]
-    with pytest.raises(CaptureError, match="two captures are called room"):
-        evaluate_captures(paths, lambda: [MeanColour(16)])
-
-
-def test_two_methods_of_one_name_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(OptionError, match="different names"):
-        evaluate_captures([write_capture(tmp_path / "room")], lambda: [MeanColour(16), MeanColour(16)])
-
-
-def test_an_invalid_panorama_is_refused(tmp_path: Path) -> None:
-    class Broken(Oracle):
-        def light_at(self, position: tuple[float, float, float]) -> np.ndarray:
-            return super().light_at(position) * np.float32(np.nan)
-
-    with pytest.raises(ModelError, match=r"oracle: returned an invalid panorama at .* after frame 0"):
-        evaluate_captures([write_capture(tmp_path / "room")], lambda: [Broken()])
-
-
-def test_predictions_are_read_from_the_current_frames_file(tmp_path: Path) -> None:
-    write_exr(tmp_path / "probe-00" / "000007.exr", truth(0))
-    predictions = PredictionFolder(tmp_path, [PROBES[0]])
-    image = np.zeros((30, 40, 3), np.float32)
-    frame = Frame(7, image, image[..., 0] > 0, np.ones((30, 40), np.float32), INTRINSICS, np.eye(4))
-    predictions.push(frame)
-    np.testing.assert_array_equal(predictions.light_at(PROBES[0]), truth(0))
+def test_what_cannot_be_scored_is_named(tmp_path: Path) -> None:
+    room, namesake = capture_of(tmp_path / "a" / "room"), capture_of(tmp_path / "b" / "room")
+    bare = capture_of(tmp_path / "bare", probes=False)
+    for captures, methods, error, message in (
+        ([bare], [MeanColour(16)], CaptureError, "bare: there is no ground truth"),
+        ([room, namesake], [MeanColour(16)], CaptureError, "two captures are called room"),
+        ([room], [MeanColour(16), MeanColour(16)], OptionError, "different names"),
+        ([room], [Broken()], ModelError, "oracle: returned an invalid panorama at .* after frame 0"),
+    ):
+        with pytest.raises(error, match=message):
+            evaluate_captures(captures, lambda chosen=methods: chosen)
 
 
 def test_scores_survive_json(tmp_path: Path) -> None:
     scores = evaluate_captures(
-        [write_capture(tmp_path / "room"), write_capture(tmp_path / "short", frames=1)], lambda: [MeanColour(16)]
+        [capture_of(tmp_path / "room"), capture_of(tmp_path / "short", frames=1)], lambda: [MeanColour(16)]
     )
     path = tmp_path / "scores" / "eval.json"
     scores.write(path)

@@ -5,13 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from roomlight.captures import CaptureWriter
-from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
 from roomlight.metrics import log_l2
 from roomlight_evaluation.captures.estimators import EngineEstimator
 from roomlight_evaluation.captures.evaluation import evaluate_engine
 from rooms import BoxRoom, pan
+from written_captures import write_capture
 
 OPTIONS = SessionOptions(model="classical", height=32)
 POINT = (0.3, 1.2, -0.5)
@@ -19,18 +18,10 @@ POINT = (0.3, 1.2, -0.5)
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scored") / "box"
     room = BoxRoom()
-    with CaptureWriter(path) as writer:
-        for frame in pan(room, 5, width=64, height=48, step_degrees=25.0):
-            writer.add(
-                srgb8=linear_to_srgb8(frame.image),
-                depth_m=frame.depth_m,
-                intrinsics=frame.intrinsics,
-                camera_to_world=frame.camera_to_world,
-            )
-        writer.add_probe(POINT, room.panorama(POINT, height=32)[0])
-    return path
+    frames = pan(room, 5, width=64, height=48, step_degrees=25.0)
+    probes = [(POINT, room.panorama(POINT, height=32)[0])]
+    return write_capture(tmp_path_factory.mktemp("scored") / "box", frames, probes=probes)
 
 
 def test_a_late_probe_is_lit_nearly_as_a_tracked_one():

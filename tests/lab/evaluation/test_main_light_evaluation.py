@@ -8,10 +8,10 @@ import pytest
 from rich.console import Console
 
 from roomlight.camera import Intrinsics
-from roomlight.captures import CaptureWriter
-from roomlight.conventions import linear_to_srgb8, panorama_directions
+from roomlight.conventions import panorama_directions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
+from roomlight.frame import Frame
 from roomlight.light.cube import CubeMap
 from roomlight_cli.console import print_table
 from roomlight_evaluation.captures.main_light import (
@@ -24,6 +24,7 @@ from roomlight_evaluation.captures.main_light import (
     peak_direction,
 )
 from roomlight_evaluation.captures.main_light_tables import main_light_table
+from written_captures import write_capture
 
 UP, EAST, DOWN = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])
 
@@ -39,21 +40,14 @@ def lit(height, lamps, level=0.1):
     return panorama
 
 
-def write_capture(path: Path, *, probes=(), depth_m: float = 2.0, frames: int = 6) -> Path:
+def capture_of(path: Path, *, probes=(), depth_m: float = 2.0) -> Path:
     """A grey wall two metres ahead with a white patch in its upper right; truths with a lamp there."""
-    colour = np.full((30, 40, 3), np.float32(0.2))
-    colour[4:9, 26:33] = 1.0
-    with CaptureWriter(path) as writer:
-        for _ in range(frames):
-            writer.add(
-                srgb8=linear_to_srgb8(colour),
-                depth_m=np.full((30, 40), depth_m, np.float32),
-                intrinsics=Intrinsics(32.0, 32.0, 20.0, 15.0, 40, 30),
-                camera_to_world=np.eye(4),
-            )
-        for position in probes:
-            writer.add_probe(position, lit(32, [(unit(0.3, 0.3, -1), 15, 9.0)]))
-    return path
+    image = np.full((30, 40, 3), np.float32(0.2))
+    image[4:9, 26:33] = 1.0
+    depth, intrinsics = np.full((30, 40), depth_m, np.float32), Intrinsics(32.0, 32.0, 20.0, 15.0, 40, 30)
+    frames = [Frame(index, image, image[..., 0] >= 1, depth, intrinsics, np.eye(4)) for index in range(6)]
+    lamp = lit(32, [(unit(0.3, 0.3, -1), 15, 9.0)])
+    return write_capture(path, frames, probes=[(position, lamp) for position in probes])
 
 
 def tracks(directions, truth=None):
@@ -102,7 +96,7 @@ def test_directions_of_a_cube_are_its_lamps(direction) -> None:
 
 
 def test_every_method_is_scored_at_every_probe(tmp_path) -> None:
-    capture = write_capture(tmp_path / "room", probes=[(0.0, 0.0, -1.0), (0.2, 0.0, -1.0)])
+    capture = capture_of(tmp_path / "room", probes=[(0.0, 0.0, -1.0), (0.2, 0.0, -1.0)])
     seen = []
     scores = evaluate_main_lights([capture], SessionOptions(height=32), progress=lambda *state: seen.append(state))
     assert {(track.probe, track.method) for track in scores.tracks} == {(n, m) for n in (0, 1) for m in METHODS}
@@ -117,7 +111,7 @@ def test_every_method_is_scored_at_every_probe(tmp_path) -> None:
 
 
 def test_a_capture_without_truth_is_scored_for_jumps(tmp_path) -> None:
-    scores = evaluate_main_lights([write_capture(tmp_path / "room")], SessionOptions(height=32))
+    scores = evaluate_main_lights([capture_of(tmp_path / "room")], SessionOptions(height=32))
     assert all(track.truth is None for track in scores.tracks)
     console = Console(width=120, record=True)
     print_table(console, main_light_table(scores))
@@ -126,11 +120,8 @@ def test_a_capture_without_truth_is_scored_for_jumps(tmp_path) -> None:
     assert "ground truth (0)" in " ".join(text.split())
 
 
-def test_a_capture_without_depth_is_refused(tmp_path) -> None:
+def test_captures_that_cannot_be_used_are_refused(tmp_path) -> None:
     with pytest.raises(CaptureError, match="no pixel has a known depth"):
-        evaluate_main_lights([write_capture(tmp_path / "room", depth_m=0.0)], SessionOptions(height=32))
-
-
-def test_a_missing_capture_is_refused(tmp_path) -> None:
+        evaluate_main_lights([capture_of(tmp_path / "room", depth_m=0.0)], SessionOptions(height=32))
     with pytest.raises(CaptureError, match="nowhere"):
         evaluate_main_lights([tmp_path / "nowhere"], SessionOptions(height=32))

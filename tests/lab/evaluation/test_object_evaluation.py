@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fixture_rooms import FOLDER
-from roomlight.captures import CaptureWriter
-from roomlight.conventions import linear_to_srgb8, panorama_directions
+from roomlight.conventions import panorama_directions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
@@ -18,6 +17,7 @@ from roomlight_evaluation.objects.tables import object_tables
 from roomlight_evaluation.tables import markdown
 from roomlight_model.sphere_shadow import shadow_of_sphere
 from rooms import BoxRoom, camera_at
+from written_captures import write_capture
 
 ROWS = 40
 DIRECTIONS = panorama_directions(ROWS)
@@ -32,19 +32,9 @@ def lamp(direction, radiance=50.0, ambient=0.0):
 
 def write_room(path, *, probes=True):
     room = BoxRoom(size_m=(5.0, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
-    with CaptureWriter(path) as writer:
-        for number in range(9):
-            pose = camera_at((0.2, 1.4, 1.0), yaw_degrees=4.0 * number)
-            frame = room.frame(pose, width=64, height=48)
-            writer.add(
-                srgb8=linear_to_srgb8(np.clip(frame.image, 0, 1)),
-                depth_m=frame.depth_m,
-                intrinsics=frame.intrinsics,
-                camera_to_world=pose,
-            )
-        for position in PROBES if probes else ():
-            writer.add_probe(position, room.panorama(np.array(position), height=ROWS)[0])
-    return path
+    frames = [room.frame(camera_at((0.2, 1.4, 1.0), 4.0 * number), width=64, height=48) for number in range(9)]
+    truths = [(position, room.panorama(np.array(position), height=ROWS)[0]) for position in PROBES if probes]
+    return write_capture(path, frames, probes=truths)
 
 
 def test_the_shadow_lies_where_the_sphere_hides_the_light():
@@ -103,12 +93,6 @@ def test_walks_of_a_dataset_are_rooms_too():
     found = evaluate_objects([FOLDER], SessionOptions(model="classical"), split="test", limit=1)
     assert [room.room for room in found.rooms] == [f"{FOLDER.name} 0"]
     assert np.isfinite([found.mean("classical", look).mean for look in LOOKS]).all()
-
-
-def test_networks_are_scored_beside_the_classical_model(tiny_video, tmp_path):
-    options = SessionOptions(model="video", weights=tiny_video[1])
-    found = evaluate_objects([write_room(tmp_path / "a")], options, frames=2)
-    assert found.methods[-4:] == ("classical", f"classical, {COMPOSITED}", "video", f"video, {COMPOSITED}")
 
 
 def test_tables_and_json_show_every_method(scores, tmp_path):

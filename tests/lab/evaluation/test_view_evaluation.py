@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from roomlight.captures import CaptureWriter
-from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, OptionError
 from roomlight_cli.console import print_table
 from roomlight_evaluation.captures.view_tables import view_table
 from roomlight_evaluation.captures.views import HEIGHT, REGIONS, View, ViewScore, ViewScores, evaluate_views
 from rooms import BoxRoom, camera_at, pan
+from written_captures import write_capture
 
 STEP_DEG, AHEAD = 12.0, 3
 ROOM = BoxRoom()
@@ -23,16 +22,7 @@ ROOM = BoxRoom()
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
     """Nine frames of a camera that turns about itself by 12 degrees each; it sees 75."""
-    folder = tmp_path_factory.mktemp("views") / "box"
-    with CaptureWriter(folder) as writer:
-        for frame in pan(ROOM, 9, step_degrees=STEP_DEG):
-            writer.add(
-                srgb8=linear_to_srgb8(frame.image),
-                depth_m=frame.depth_m,
-                intrinsics=frame.intrinsics,
-                camera_to_world=frame.camera_to_world,
-            )
-    return folder
+    return write_capture(tmp_path_factory.mktemp("views") / "box", pan(ROOM, 9, step_degrees=STEP_DEG))
 
 
 @pytest.fixture(scope="module")
@@ -84,17 +74,9 @@ def test_seen_directions_are_known_and_unseen_are_not(scores):
 
 def test_no_method_gets_the_predicted_frame_or_later_ones(scores, tmp_path):
     """Other pictures from the first predicted frame on change no estimate of it: its errors follow the new picture."""
-    other = tmp_path / "box"
-    with CaptureWriter(other) as writer:
-        for number, frame in enumerate(pan(ROOM, 9, step_degrees=STEP_DEG)):
-            image = frame.image if number < AHEAD else np.full_like(frame.image, 0.3)
-            writer.add(
-                srgb8=linear_to_srgb8(image),
-                depth_m=frame.depth_m,
-                intrinsics=frame.intrinsics,
-                camera_to_world=frame.camera_to_world,
-            )
-    changed = evaluate_views([other], [], ahead=AHEAD, spacing=2)
+    frames = pan(ROOM, 9, step_degrees=STEP_DEG)
+    frames[AHEAD:] = [replace(frame, image=np.full_like(frame.image, 0.3)) for frame in frames[AHEAD:]]
+    changed = evaluate_views([write_capture(tmp_path / "box", frames)], [], ahead=AHEAD, spacing=2)
     colour = ROOM.frame(camera_at((0.3, 1.4, 0.2))).image.mean(axis=(0, 1))
     wanted = np.square(np.log1p(colour) - np.log1p(0.3)).mean()
     found, before = (

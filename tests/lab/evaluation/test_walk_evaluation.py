@@ -111,14 +111,6 @@ def test_scores_are_of_the_walk_s_own_truth(evaluated, models):
     assert track.scores["log_l2"][2] == pytest.approx(log_l2(alone.light_at(position), truth), rel=1e-5)
 
 
-def test_phone_depth_is_seeded_by_the_walk_s_name():
-    recording = Walks(1)[0]
-    once, again = (list(walk_frames(recording, "arkit")) for _ in range(2))
-    np.testing.assert_array_equal(once[3].depth_m, again[3].depth_m)
-    other = next(iter(walk_frames(replace(recording, name="another"), "arkit")))
-    assert not np.array_equal(other.depth_m, once[0].depth_m)
-
-
 def test_an_empty_dataset_and_single_view_weights_are_refused(models):
     with pytest.raises(DatasetError, match="boxes: has no finished walk"):
         evaluate_walks([Walks(0)], models)

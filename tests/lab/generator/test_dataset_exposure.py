@@ -33,22 +33,12 @@ def grey(value: float, shape=(30, 40)) -> np.ndarray:
     return np.full((*shape, 3), value, np.float32)
 
 
-def test_an_even_wall_is_as_bright_as_phones_show_it():
-    for radiance in (0.003, 0.1, 2.0):
-        assert 2 ** meter(grey(radiance), PLAIN) * radiance == pytest.approx(0.43, rel=0.02)
-
-
 def test_the_80th_percentile_has_the_same_brightness():
     rng = np.random.default_rng(4)
     for _ in range(10):
         frame = 0.02 + 0.1 * smooth_noise(rng, 30, 40)
         shown = frame * 2 ** meter(frame, PLAIN)
         assert np.percentile(shown @ LUMINANCE, 80) == pytest.approx(0.43, rel=0.02)
-
-
-def test_twice_the_light_is_one_stop_less():
-    frame = smooth_noise(np.random.default_rng(1), 30, 40) * 0.2 + 0.01
-    assert meter(frame, PLAIN) - meter(2 * frame, PLAIN) == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_bright_window_pulls_the_exposure_down_but_still_clips():
@@ -104,10 +94,6 @@ def test_a_green_wall_stays_green():
     assert shown[1] / shown[2] > 1.6
 
 
-def test_black_frames_get_no_balance():
-    np.testing.assert_array_equal(white_balance(grey(0.0), PLAIN), 1)
-
-
 def sequence(seed: int) -> np.ndarray:
     rng = np.random.default_rng([seed, 2])
     frames = np.stack([smooth_noise(rng, 60, 80) for _ in range(8)]) * 0.1 + 0.003
@@ -126,11 +112,6 @@ def test_exposure_and_gains_are_in_range_and_repeatable():
         assert once.multiplier.max() < MAX_MULTIPLIER[1] * 1.5
         assert ((once.gains > 0.3) & (once.gains < 3)).all()
         assert once.relative[0] == 1
-
-
-def test_some_phones_lock_their_exposure_and_some_do_not():
-    spans = [np.ptp(np.log2(expose(sequence(1), np.random.default_rng(seed)).multiplier)) for seed in range(60)]
-    assert 0.1 < np.mean(np.array(spans) == 0) < 0.5
 
 
 def test_panoramas_are_in_the_first_frames_units():

@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 
 from fixture_rooms import FOLDER, FRAMES, ROOMS
-from roomlight.captures import open_capture
 from roomlight.conventions import srgb8_to_linear
-from roomlight.dataset.arkit_depth import arkit_like
-from roomlight.dataset.extract import extract
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.verify import verify
 from roomlight_generator.rooms.colour import LUMINANCE
-from roomlight_generator.stats import collect
 
 
 @pytest.fixture(scope="module", params=list(ROOMS))
@@ -44,25 +40,3 @@ def test_frames_and_panoramas_are_in_the_same_units(dataset):
         around = recording.probe_panoramas @ LUMINANCE
         assert np.percentile(around, 2) < seen < np.percentile(around, 99.9)
         assert around.max() > 1  # something in the room is brighter than white
-
-
-def test_simulated_phone_depth_is_nearly_exact(dataset):
-    for recording in dataset:
-        depth_mm, confidence = arkit_like(
-            recording.depth_mm, recording.surface, recording.colour, np.random.default_rng(1)
-        )
-        assert depth_mm.shape == confidence.shape == (FRAMES, 192, 256)
-        near = np.median(depth_mm[depth_mm > 0]) / np.median(recording.depth_mm[recording.depth_mm > 0])
-        assert 0.85 < near < 1.15
-
-
-def test_sequences_extract_to_captures(dataset, tmp_path):
-    extract(dataset, dataset.names[0], tmp_path / "capture")
-    capture = open_capture(tmp_path / "capture")
-    assert capture.frame_count == FRAMES
-    assert len(capture.probes) == 3
-
-
-def test_statistics_count_rooms():
-    stats = collect(Dataset(FOLDER))
-    assert stats.sequences == stats.rooms == sum(ROOMS.values())

@@ -197,22 +197,6 @@ def test_a_full_disk_is_an_error_and_the_run_can_continue(undisturbed, tmp_path,
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 1000
 
 
-def test_sequences_have_the_requested_number_of_frames(tmp_path):
-    out = tmp_path / "views"
-    generate(out, options(4, frames=1), workers=1)
-    dataset = Dataset(out)
-    assert read_manifest(out).settings.frames == 1
-    assert [dataset.frames_of(number) for number in range(4)] == [1] * 4
-    assert [len(recording.colour) for recording in dataset] == [1] * 4
-
-
-def test_a_manifest_without_frames_means_31(undisturbed, tmp_path):
-    values = json.loads((undisturbed / MANIFEST).read_text())
-    del values["frames"]
-    (tmp_path / MANIFEST).write_text(json.dumps(values))
-    assert read_manifest(tmp_path).settings.frames == 31
-
-
 def test_splits_share_a_folder_and_no_room(undisturbed, tmp_path):
     generate(tmp_path / "both", options(4), workers=1)
     generate(tmp_path / "both", options(4, split="test"), workers=1)
@@ -262,14 +246,6 @@ def test_the_settings_include_the_furniture_by_its_content(tmp_path):
     (many / "a").mkdir(parents=True)
     (many / "a" / "one.sh3f").write_bytes(b"lamps")
     assert generate(tmp_path / "third", options(2, furniture=many), workers=1).made == 2
-
-
-def test_furniture_may_be_named_by_the_environment(tmp_path, monkeypatch):
-    library = tmp_path / "chairs.sh3f"
-    library.write_bytes(b"chairs")
-    assert generate(tmp_path / "out", options(2, furniture=library), workers=1).made == 2
-    monkeypatch.setenv("ROOMLIGHT_FURNITURE", str(library))
-    assert generate(tmp_path / "out", options(2), workers=1).made == 0
 
 
 def test_a_folder_with_other_files_is_refused_and_unchanged(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from analytic_room import smooth_noise
 
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
-from roomlight_generator.sequences.sensor import BASE_MULTIPLIER, OWN_RESPONSE_SHARE, Sensor, clipped_radiance, develop
+from roomlight_generator.sequences.sensor import BASE_MULTIPLIER, Sensor, clipped_radiance, develop
 
 CLEAN = Sensor(noise=0.0)
 NEUTRAL = np.ones(3)
@@ -44,10 +44,6 @@ def test_clipped_pixels_keep_their_radiance_in_units_of_white():
     assert not clipped[60:75].any()
 
 
-def test_more_than_white_is_white():
-    assert (picture(flat(1e5)) == 255).all()
-
-
 def test_noise_grows_with_gain_and_leaves_the_mean():
     deviations = []
     for multiplier in (BASE_MULTIPLIER, 60.0, 600.0):
@@ -57,14 +53,6 @@ def test_noise_grows_with_gain_and_leaves_the_mean():
     assert deviations[0] < deviations[1] < deviations[2]
     assert deviations[0] < 0.004
     assert 0.01 < deviations[2] < 0.06
-
-
-def test_the_stated_deviation_holds_whatever_the_grain():
-    deviations = [
-        srgb8_to_linear(picture(flat(0.3 / 600), Sensor(grain_px=grain, blur_px=0.3), multiplier=600.0)).std()
-        for grain in (0.3, 0.5, 0.8)
-    ]
-    assert max(deviations) < 1.15 * min(deviations)
 
 
 def test_neighbours_share_noise():
@@ -98,12 +86,6 @@ def test_other_responses_stay_near_srgb_with_black_and_white():
                 assert abs(int(shown) - int(plain)) <= 10
             assert (picture(flat(0.0), own) == 0).all()
             assert (picture(flat(1.0), own) == 255).all()
-
-
-def test_most_phones_have_exactly_the_srgb_response():
-    sensors = [Sensor.draw(np.random.default_rng(seed)) for seed in range(300)]
-    own = np.mean([not sensor.exact_response for sensor in sensors])
-    assert abs(own - OWN_RESPONSE_SHARE) < 0.1
 
 
 def test_the_same_state_gives_the_same_bytes():

@@ -8,14 +8,11 @@ from roomlight.camera import check_rigid
 from roomlight_generator.sequences.walk import (
     CLEARANCE_M,
     FIELD_OF_VIEW_DEGREES,
-    FRAME_INTERVAL_S,
     HEIGHT_M,
     FreeSpace,
     camera_walk,
     motion_statistics,
     phone_intrinsics,
-    sphere_directions,
-    timestamps_s,
 )
 
 SIZE_M = (5.0, 2.6, 4.0)
@@ -87,15 +84,6 @@ def test_cameras_are_nearly_level_and_look_about_horizontally(walks):
     assert pitch.max() <= 37
 
 
-@pytest.mark.slow
-@pytest.mark.statistical
-def test_most_views_look_down_and_some_up(many_walks):
-    poses = np.concatenate([poses for _, poses, _ in many_walks])
-    pitch = np.degrees(np.arcsin(-poses[:, 1, 2]))
-    assert np.percentile(pitch, 5) > -35
-    assert 0.03 < (pitch > 5).mean() < 0.3
-
-
 def test_poses_are_rigid_and_follow_each_other_smoothly(walks):
     for _, poses, _ in walks:
         assert poses.shape == (31, 4, 4)
@@ -118,10 +106,6 @@ def test_the_same_state_gives_the_same_walk_to_the_bit():
     first, second = walk(ROOMS[0], 7)[0], walk(ROOMS[0], 7)[0]
     np.testing.assert_array_equal(first, second)
     assert not np.array_equal(first, walk(ROOMS[0], 8)[0])
-
-
-def test_a_walk_has_the_requested_number_of_frames():
-    assert walk(ROOMS[2], 3, frames=5)[0].shape == (5, 4, 4)
 
 
 def test_without_walkable_floor_there_is_no_walk():
@@ -152,14 +136,6 @@ def test_clear_agrees_with_the_exact_distance():
     assert (clear == (exact >= 0.25)).mean() > 0.98
 
 
-def test_fans_cover_the_sphere_evenly():
-    fan = sphere_directions(256)
-    np.testing.assert_allclose(np.linalg.norm(fan, axis=1), 1, atol=1e-6)
-    np.testing.assert_allclose(fan.mean(axis=0), 0, atol=0.01)
-    probes = sphere_directions(5000)
-    assert np.degrees(np.arccos((probes @ fan.T).max(axis=1).min())) < 9
-
-
 def test_motion_is_measured_between_neighbours():
     poses = np.tile(np.eye(4), (3, 1, 1))
     angle = np.radians(10)
@@ -179,7 +155,3 @@ def test_phone_cameras_have_phones_fields_of_view():
         assert (camera.width, camera.height) == (320, 240)
         assert abs(camera.cx / 320 - 0.5) < 0.0201
         assert abs(camera.cy / 240 - 0.5) < 0.0201
-
-
-def test_frames_are_a_third_of_a_second_apart():
-    np.testing.assert_allclose(np.diff(timestamps_s(31)), FRAME_INTERVAL_S)

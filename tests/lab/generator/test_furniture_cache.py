@@ -125,14 +125,6 @@ def test_a_cache_returns_what_was_stored(tmp_path):
     assert not list(path.parent.glob(".*"))
 
 
-def test_textures_are_stored_once_and_shared(tmp_path):
-    first, second, _ = Cache(written(tmp_path / "f.rlf")).models()
-    textures = [next(m.texture for m in x.model.mesh.materials if m.texture) for x in (first, second)]
-    assert textures[0] is textures[1]
-    few, many = (written(tmp_path / f"{n}.rlf", n).stat().st_size for n in (1, 2))
-    assert many < 2 * few
-
-
 def test_the_same_models_give_the_same_cache_bytes(tmp_path):
     assert written(tmp_path / "a").read_bytes() == written(tmp_path / "b").read_bytes()
 

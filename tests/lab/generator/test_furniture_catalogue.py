@@ -103,15 +103,6 @@ def test_fallbacks_are_chosen_only_where_the_library_has_nothing_that_fits():
     assert chosen_id(catalogue, "sofa", "train", rng, fits=lambda model: model.id == "p") == "p"
 
 
-def test_choose_draws_the_same_number_of_random_values():
-    states = []
-    for catalogue in (Catalogue(), Catalogue((made("a"), made("b"))), Catalogue(fallbacks=(made("p"),))):
-        rng = np.random.default_rng(3)
-        catalogue.choose("sofa", "train", rng)
-        states.append(rng.random())
-    assert len(set(states)) == 1
-
-
 def test_library_folder_and_cache_give_the_same_catalogue(tmp_path):
     folder = tmp_path / "libraries"
     folder.mkdir()

@@ -7,7 +7,6 @@ from furniture_files import BOX_FACES, sphere_obj
 from roomlight_generator.rooms.furniture.files.obj import parse_obj
 from roomlight_generator.rooms.furniture.simplify import (
     TriangleSoup,
-    connected_parts,
     corner_normals,
     simplified,
     welded,
@@ -115,11 +114,6 @@ def test_foliage_is_thinned_at_constant_area():
     assert areas(fewer).sum() == pytest.approx(areas(soup).sum(), rel=0.2)
     assert (fewer.points.min(0) >= soup.points.min(0)).all()
     assert (fewer.points.max(0) <= soup.points.max(0)).all()
-
-
-def test_connected_parts_are_found():
-    label = connected_parts(np.array([[0, 1, 2], [2, 3, 4], [5, 6, 7]]), 9)
-    assert label.tolist() == [0, 0, 0, 0, 0, 5, 5, 5, 8]
 
 
 def test_creases_are_sharp_and_curves_smooth():

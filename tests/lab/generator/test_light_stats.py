@@ -63,15 +63,6 @@ def test_clipped_pixels_have_their_true_radiance():
     assert measured["frame's clipped share"] == pytest.approx(0.1)
 
 
-def test_panoramas_of_any_size_have_the_same_measures():
-    rng = np.random.default_rng(0)
-    small = rng.random((120, 240, 3)).astype(np.float32) ** 6 * 9
-    large = small.repeat(3, axis=0).repeat(3, axis=1)
-    of_small, of_large = (measure_light(even(0.3), NOTHING, panorama) for panorama in (small, large))
-    for name in of_small.keys() - {"clipped pixels' radiance"}:
-        assert of_small[name] == pytest.approx(of_large[name], rel=1e-5)
-
-
 def test_views_are_exposed_by_their_80th_percentile():
     rng = np.random.default_rng(1)
     panorama = 7 * rng.random((120, 240, 3)).astype(np.float32)
@@ -89,10 +80,6 @@ def test_views_look_about_the_horizon():
     for measured in panorama_light(panorama, np.random.default_rng(2)):
         assert measured["frame's mean"] == pytest.approx(0.43, rel=1e-3)
         assert measured["panorama's mean"] > 2
-
-
-def test_a_black_panorama_has_no_view():
-    assert panorama_light(even(0.0), np.random.default_rng(0)) == []
 
 
 def lit_recording(**changes):

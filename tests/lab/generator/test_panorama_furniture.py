@@ -7,8 +7,8 @@ from panorama_files import CATALOGUE, folder_of, panorama
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.dataset.recording import ORDINARY
-from roomlight_generator.panoramas import furnished, render
 from roomlight_generator.panoramas import furniture as furniture_module
+from roomlight_generator.panoramas import render
 from roomlight_generator.panoramas.furnished import FurnishedLight
 from roomlight_generator.panoramas.furniture import Footprint, Furniture, furnish_shell
 from roomlight_generator.panoramas.kernels import gather
@@ -100,13 +100,6 @@ def test_light_sources_are_not_shaded():
     assert (light.emitted[window] > 0.85 * image[window]).all()
     floor = panorama_directions(128)[..., 1] < -0.5
     assert (light.reflected[floor] > 0.5 * image[floor]).mean() > 0.9
-
-
-def test_without_bright_parts_all_light_is_gathered():
-    image = np.ones((32, 64, 3), np.float32)
-    assert not bright_parts(image).any()
-    lights = furnished._lights(box_shell(), image, bright_parts(image))
-    assert len(lights.area) == 0
 
 
 def test_frames_and_probes_show_the_furniture():

@@ -35,16 +35,6 @@ def test_a_building_is_the_name_without_its_number(name, expected):
     assert building(Path(name)) == expected
 
 
-def test_all_panoramas_of_a_building_are_in_one_split(tmp_path):
-    names = [f"room{chr(97 + k)}_{number:02d}" for k in range(20) for number in range(3)]
-    paths = [tmp_path / f"{name}.exr" for name in names]
-    sides = {}
-    for path in paths:
-        sides.setdefault(building(path), set()).add(split_of(path))
-    assert all(len(side) == 1 for side in sides.values())
-    assert {split_of(path) for path in paths} == {"train", "test"}
-
-
 def test_a_fifth_of_many_buildings_is_in_test():
     share = np.mean([split_of(Path(f"house {k} a.hdr")) == "test" for k in range(2000)])
     assert abs(share - library.TEST_SHARE) < 0.04  # 4.5 standard deviations

@@ -1,7 +1,5 @@
 """Rooms lit by panoramas: their light, geometry, exposure and files."""
 
-import json
-
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +7,7 @@ from panorama_files import CATALOGUE, folder_of, panorama
 
 from roomlight.camera import Intrinsics, transform_points
 from roomlight.conventions import LUMINANCE, direction_to_uv, panorama_directions, panorama_solid_angles
-from roomlight.dataset.folder import MANIFEST, read_manifest
+from roomlight.dataset.folder import read_manifest
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import GLASS, LIGHT, ORDINARY
 from roomlight.errors import DatasetError, OptionError
@@ -230,23 +228,10 @@ def test_a_dataset_continues_with_the_same_panoramas_only(dataset, folder, tmp_p
     assert generate(dataset, options(folder, 2), workers=1).made == 0
 
 
-def test_old_manifests_have_no_panoramas(dataset, tmp_path):
-    values = json.loads((dataset / MANIFEST).read_text())
-    del values["panoramas"], values["furniture_share"]
-    (tmp_path / MANIFEST).write_text(json.dumps(values))
-    settings = read_manifest(tmp_path).settings
-    assert (settings.panoramas, settings.furniture_share) == (None, None)
-
-
 def test_a_missing_folder_makes_no_dataset(tmp_path):
     with pytest.raises(DatasetError, match="name a folder of panoramas"):
         generate(tmp_path / "out", options(tmp_path / "missing"), workers=1)
     assert not (tmp_path / "out").exists()
-
-
-def test_bare_rooms_do_not_depend_on_the_furniture(dataset):
-    settings = read_manifest(dataset).settings
-    assert (settings.furniture, settings.furniture_share) == (None, 0.0)
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.5])

@@ -279,15 +279,6 @@ def test_lamps_hang_from_the_ceiling() -> None:
     assert lamps > 50
 
 
-def test_the_same_generator_gives_the_same_room() -> None:
-    for name in ("living_room", "attic_room"):
-        first, second = (
-            [(item.model.id, item.x, item.y, item.z, item.degrees) for item in make(name, 3)[1]] for _ in range(2)
-        )
-        assert first == second
-        assert first != [(item.model.id, item.x, item.y, item.z, item.degrees) for item in make(name, 4)[1]]
-
-
 def test_models_follow_the_split_and_types_are_reserved() -> None:
     rng = np.random.default_rng(0)
     empty = random_shell(rng, 20.0, 1.3)

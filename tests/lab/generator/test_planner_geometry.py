@@ -12,7 +12,7 @@ from roomlight_generator.rooms.plan import Gap, Placement
 from roomlight_generator.rooms.planner import free_floor
 from roomlight_generator.rooms.planner.arrangement import Arrangement
 from roomlight_generator.rooms.planner.body import Body
-from roomlight_generator.rooms.planner.wall_space import depth_at_wall, free_wall_spans
+from roomlight_generator.rooms.planner.wall_space import free_wall_spans
 
 SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)]
 place = st.floats(-2, 2)
@@ -39,13 +39,6 @@ def test_overlap_agrees_with_sampling(
         assert not body.overlaps(other, slack_m=0.0) or body.overlaps(other, slack_m=-0.002)
     if not body.overlaps(other, slack_m=0.0):
         assert not hit
-
-
-def test_a_body_rotated_by_90_faces_x() -> None:
-    body = Body.of(1.0, 2.0, 90.0, width=0.5, depth=1.0, high=1.0)
-    assert body.to_plan(0.0, 1.0) == pytest.approx((2.0, 2.0))
-    assert body.to_local(2.0, 2.0) == pytest.approx((0.0, 1.0))
-    assert body.to_plan(1.0, 0.0) == pytest.approx((1.0, 1.0))
 
 
 def test_stacked_boxes_do_not_overlap() -> None:
@@ -119,13 +112,6 @@ def test_free_wall_spans_exclude_gaps_and_furniture() -> None:
     arrangement.place(model("dresser", (0.5, 0.8, 0.4)), 3.0, 0.22, 0.0)
     low = free_wall_spans(arrangement, 0.4, low=0.0, high=0.8, walls=(0,))
     assert [(span.start_m, span.end_m) for span in low] == [(0.0, pytest.approx(2.75)), (pytest.approx(3.25), 4.0)]
-
-
-def test_depth_at_wall_finds_the_opposite_wall() -> None:
-    arrangement = Arrangement(shell(SQUARE, {}), BoxCatalogue(), np.random.default_rng(0), "train")
-    depth, parallel = depth_at_wall(arrangement, arrangement.shell.walls[0], 1.0)
-    assert depth == pytest.approx(3.0)
-    assert parallel
 
 
 def test_a_piece_that_would_cut_off_a_door_is_refused() -> None:

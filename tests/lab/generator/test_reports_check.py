@@ -53,14 +53,6 @@ def test_rooms_with_a_noisy_reference_are_counted_apart() -> None:
     assert "over blocks of 4 x 4 pixels: 8.0 %" in text
 
 
-def test_rooms_without_diffuse_surfaces_count_by_their_probe() -> None:
-    bare = room("test-000001", 0.02, 0.01, coated=False)
-    bare = RoomCheck(**{**{name: getattr(bare, name) for name in bare.__dataclass_fields__}, "diffuse": None})
-    text = printed(CheckReport((bare,), ()))
-    assert "diffuse surfaces:" not in text
-    assert "under the target of 3.0 %" in text
-
-
 def test_the_picture_is_red_where_brighter_blue_where_darker() -> None:
     image = compose_check(room("train-000000", 0.1, 0.1))
     frame, probe = image[300, 1200].astype(int), image[550, 1200].astype(int)

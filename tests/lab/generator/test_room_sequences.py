@@ -62,11 +62,3 @@ def test_a_single_view_is_a_sequence_of_one_frame(coarse_room):
         assert view.probe_panoramas.shape == (3, 16, 32, 3)
         assert view.exposure.tolist() == [1.0]
     assert (views[0].camera_to_world != views[1].camera_to_world).any()
-
-
-@pytest.mark.slow
-def test_frames_and_panoramas_have_the_datasets_size(room):
-    (view,) = render_walks(room, 0, seed=21, split="train", count=1, frames=1)
-    assert view.colour.shape == (1, 240, 320, 3)
-    assert view.depth_mm.shape == view.surface.shape == (1, 240, 320)
-    assert view.probe_panoramas.shape == (3, 120, 240, 3)

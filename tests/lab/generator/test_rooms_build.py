@@ -126,13 +126,6 @@ def test_an_open_shade_shares_the_flux_with_its_bulb():
     np.testing.assert_allclose(centre, placement.light_positions()[0], atol=0.01)
 
 
-def test_unnamed_parts_around_a_bulb_emit_its_flux():
-    globe = with_material(box(0.2, 0.2, 0.2), Material(name="milk glass"))
-    placement = lamp(globe, (LightSource(np.array([0.0, 0.1, 0.0]), 0.05),))
-    lit = switch_on(placement.item(), placement, flux_klm=0.5, colour=(1.0, 1.0, 1.0))
-    assert flux_klm(lit.mesh) == pytest.approx(0.5, rel=1e-3)
-
-
 def test_a_lamp_without_bulb_or_shade_gets_a_bulb_below():
     plain = with_material(box(0.2, 0.1, 0.2), Material(name="metal"))
     placement = lamp(plain)

@@ -87,21 +87,6 @@ def test_a_box_has_its_size_and_stands_on_the_ground(
     assert faces_match_normals(mesh).all()
 
 
-def test_step_bounds_the_edge_length_of_a_box() -> None:
-    mesh = box(1.0, 0.5, 0.7, step=0.2)
-    corners = mesh.vertices[mesh.faces]
-    longest = np.abs(corners - np.roll(corners, 1, axis=1)).max()
-    assert longest <= 0.2 + 1e-5
-    assert len(box(1.0, 0.5, 0.7, step=99, arcs=1).faces) == 108
-
-
-def test_grain_runs_along_the_longer_side() -> None:
-    """On every face the texture's u spans the face's longer edge."""
-    for mesh in (block(1.0, 0.02, 0.3), box(0.3, 1.0, 0.02, radius=0.002)):
-        extents = np.ptp(mesh.uvs[mesh.faces[:2]].reshape(-1, 2), axis=0)
-        assert extents[0] >= extents[1]
-
-
 def test_a_hole_removes_exactly_its_area() -> None:
     wall = rectangle((0, 0, 0), (3, 0, 0), (0, 2, 0), step=0.17, hole=(0.55, 1.3, 0.4, 1.6))
     assert area_m2(wall) == pytest.approx(6 - 0.75 * 1.2, rel=1e-5)

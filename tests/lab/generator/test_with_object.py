@@ -106,16 +106,6 @@ def test_a_pair_shares_its_noise():
     assert difference(made.view.radiance, bare.radiance) < 0.75 * difference(other.radiance, bare.radiance)  # 0.61
 
 
-@pytest.mark.slow
-def test_a_pair_differs_by_the_object_alone():
-    scene, mesh = room(), block(GREY)
-    made, bare = render_pair(scene, mesh, CAMERA, looking_down(), seed=0)
-    assert made.covered.any()
-    far = np.s_[:, :8]
-    np.testing.assert_array_equal(made.view.depth_m[far], bare.depth_m[far])
-    assert made.view.radiance[far].mean() == pytest.approx(bare.radiance[far].mean(), rel=0.03)
-
-
 def test_resting_places_are_level_and_free():
     scene, rng = room(), np.random.default_rng(0)
     tracer = Tracer(scene)
