@@ -10,24 +10,16 @@ from roomlight.sample import sample_capture
 
 
 def test_the_ship_rule_compares_and_decides(tmp_path: Path, roomlight: RunCommand) -> None:
-    """The reference against itself: no interval is worse, but nothing is gained."""
+    """The reference against itself: nothing is gained."""
     options = ("--ship-rule", "--model", "classical", "--max-frames", 2, "--json", "s.json")
     result = roomlight("eval", "captures", sample_capture(), *options, cwd=tmp_path)
     assert result.code == 1, result.err
-    assert "classical against classical" in result.out
-    assert "log-L2 is 1.000 of classical's, above 0.85" in result.out
+    assert "classical to classical" in result.out
+    assert "log-L2 is 1.000 (nan-nan) of classical's, not below 1.0" in result.out
     assert "classical fails: 2 of its figures break the rule" in result.out
     written = json.loads((tmp_path / "s.json").read_text())
-    assert [one["overall"] for one in written["ship_rule"]["ratios"]] == [1.0, 1.0]
-    assert {track["method"] for track in written["tracks"]} == {"warp and fill", "candidate", "reference"}
-
-
-def test_a_model_within_the_rule_passes(tmp_path: Path, roomlight: RunCommand, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("roomlight_evaluation.captures.ship_rule.TARGET", 1.0)
-    options = ("--ship-rule", "--model", "classical", "--max-frames", 1)
-    result = roomlight("eval", "captures", sample_capture(), *options, cwd=tmp_path)
-    assert result.code == 0, result.err
-    assert "classical passes: 0 of its figures break the rule" in result.out
+    assert [ratio["mean"] for ratio in written["ship_rule"]["ratios"].values()] == [1.0, 1.0]
+    assert {track["method"] for track in written["tracks"]} == {"candidate", "reference"}
 
 
 @pytest.mark.parametrize("other", [("--late",), ("--main-light",), ("--predictions", ".")])

@@ -4,16 +4,19 @@
 numba, OpenCV, Pillow, embreex, OpenEXR, jaxtyping, typer and rich, and none of onnxruntime, PyAV, FastAPI and PyTorch.
 """
 
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from annotated_types import Ge
+from jaxtyping import Float32
 
 from roomlight.dataset.extract import extract as extract_sequence
 from roomlight.dataset.loader import Dataset
-from roomlight.dataset.recording import Split
+from roomlight.dataset.recording import Recording, Split
 from roomlight.dataset.verify import verify as verify_dataset
 from roomlight.errors import DatasetError, FurnitureError, OutputError
 from roomlight.files import write_json
@@ -218,6 +221,42 @@ def furniture(*, out: Path, library: tuple[Path, ...] = ()) -> None:
     say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
 
 
+def prior(
+    folders: Annotated[tuple[Path, ...], Flag(text="Dataset folders.")], *, out: Path, split: Split = "train"
+) -> None:
+    """Fit the prior over panoramas, which fills what no frame has shown, to the true panoramas of datasets.
+
+    Args:
+        out: Folder to write: the prior, and a card that says what it was fitted to.
+        split: Use the rooms of this split.
+    """
+    from roomlight.engine.networks.graphs import DESCRIPTION  # onnxruntime, which generating does without
+    from roomlight.engine.panorama.prior import FILE, PanoramaPrior
+
+    datasets = [Dataset(folder, split) for folder in folders]
+    total, count = sum(map(len, datasets)), 0
+
+    def panoramas(progress: Progress) -> Iterator[Float32[np.ndarray, "h w 3"]]:
+        nonlocal count
+        for number, recording in enumerate(recording for dataset in datasets for recording in _probes_of(dataset)):
+            for panorama in recording.true_panoramas():
+                count += 1
+                yield panorama
+            progress.count(number + 1, total)
+
+    with Progress("fitting") as progress:
+        fitted = PanoramaPrior.fit(panoramas(progress))
+    out.mkdir(parents=True, exist_ok=True)
+    fitted.save(out / FILE)
+    card = {"panoramas": count, "rooms": total, "split": split, "command": "roomlight dataset prior"}
+    write_json(out / DESCRIPTION, {"form": "prior", "card": card})
+    say(f"{out}: fitted to {count} panoramas of {total} sequences")
+
+
+def _probes_of(dataset: Dataset) -> Iterator[Recording]:
+    return (dataset.read(number, frames=(0,)) for number in range(len(dataset)))
+
+
 def sample(*, out: Path, seed: Annotated[int, Ge(0)] | None = None) -> None:
     """Generate a sample capture such as the one in the package: a walk through one room, with true light.
 
@@ -235,7 +274,7 @@ def sample(*, out: Path, seed: Annotated[int, Ge(0)] | None = None) -> None:
 app = typer.Typer(
     help="Generate, view, measure and check datasets of path-traced rooms.", no_args_is_help=True, **APP_OPTIONS
 )
-for _command in (generate, preview, stats, verify, extract, check, furniture, sample):
+for _command in (generate, preview, stats, verify, extract, check, furniture, prior, sample):
     add_command(app, _command)
 
 if __name__ == "__main__":

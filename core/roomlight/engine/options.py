@@ -12,11 +12,10 @@ from roomlight.engine.surface.keyframes import DEFAULT_KEYFRAMES
 from roomlight.rules import check_options
 
 ModelName = Literal["auto", "classical", "single", "video"]
-"""`SessionOptions.model`. On streams of 35 captures that no choice was made with, the networks inside the package had
-1.0 to 1.2 of warp-and-fill's log-L2, classical 0.82 to 0.94."""
+"""`SessionOptions.model`."""
 
-HEDGE: Final = 0.5
-"""Default of `SessionOptions.hedge`: 0.65 lowers log-L2 by 1 % and raises the glossy sphere's error by 8 %."""
+HEDGE: Final = 2 / 3
+"""Default of `SessionOptions.hedge`: a third each for the networks, the push-pull fill and the prior."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +23,10 @@ class SessionOptions:
     """Options of a session.
 
     Attributes:
-        model: classical (no networks), single or video (the paper's networks), or auto: the form of `weights`, and
-            without `weights` classical.
+        model: single or video (the paper's networks, on the mean volume of all frames or recurrent), classical (no
+            networks), or auto: the form of `weights`, and without `weights` single.
         weights: A model folder of `roomlight export`, instead of the weights inside the package.
-        hedge: Share of the classical fill in the light that networks infer; see
+        hedge: Share of fills without networks in the light that networks infer; see
             `roomlight.engine.models.network_probe`.
         parts: A folder with the model folders `clipping` and `objects`, instead of those inside the package.
         provider: Where the networks run; auto: OpenVINO if it is installed and supported, else the CPU.

@@ -86,10 +86,9 @@ class Registry:
         self._check_capacity()
         self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
         base = self._workers.base_options
-        model = base.model if request.model == "auto" else request.model
         options = replace(
             base,
-            model="classical" if model == "auto" and graphs is None else model,
+            model=base.model if request.model == "auto" else request.model,
             height=request.height,
             unknown_depth=request.unknown_depth,
         )

@@ -35,7 +35,7 @@ class ScoreOptions:
         predictions: Score the panoramas that `roomlight replay` wrote here instead of the engine.
         late: Also score probes that are added at each frame and see the earlier keyframes alone.
         main_light: Score the direction of the main light instead; captures need no ground truth.
-        ship_rule: Compare the model with the classical one on every capture and interval, and fail if it is worse.
+        ship_rule: Compare the model with the classical one, and fail if it is not good enough to be the default.
 
     Raises:
         OptionError: Two of them exclude each other.

@@ -17,18 +17,17 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
         OptionError: model="video" contradicts `weights`, which are single-view.
         ModelError: The weights are missing, damaged or untrained, or the provider is not available.
     """
-    if options.model == "classical" or (options.model == "auto" and options.weights is None):
+    if options.model == "classical":
         return None
     if options.weights is not None:
         graphs = load_graphs(options.weights, provider=options.provider)
         if options.model == "video" and graphs.form == "single":
             raise OptionError(f'{options.weights}: holds single-view weights only; use model="single" or "auto"')
         return replace(graphs, form="single") if options.model == "single" else graphs
-    # A video folder holds the single-view graphs too: its first frame needs them.
-    for folder in ("single", "video") if options.model == "single" else ("video",):
+    form = "video" if options.model == "video" else "single"
+    for folder in ("video",) if form == "video" else ("single", "video"):  # a video folder holds the single-view graphs
         if (SHIPPED / folder / DESCRIPTION).is_file():
-            graphs = load_graphs(SHIPPED / folder, provider=options.provider)
-            return replace(graphs, form="single") if options.model == "single" else graphs
+            return replace(load_graphs(SHIPPED / folder, provider=options.provider), form=form)
     raise ModelError(
         f'model="{options.model}": this version contains no trained weights for it; '
         'set `weights` to a model directory (from `roomlight export`) or use model="classical"'

@@ -1,10 +1,11 @@
 """One probe on the paper's blending graphs: its 2D hidden states, and its estimates.
 
 The HDR panorama is the SGLV as rendered; beyond the mesh it is mixed with a fill of the observed radiance, by the
-network's weight, and then with the fill again by a fixed share (`hedged`). With single-view networks or a share it
-moves half-way to the new estimate at each frame.
+network's weight, and then, by a fixed share, with two fills that need no network (`hedged`). With single-view networks
+or a share it moves half-way to the new estimate at each frame.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -13,29 +14,37 @@ from jaxtyping import Float
 
 from roomlight.engine.models.interface import FILL_UPDATE, Arrays, Estimate, Rendered
 from roomlight.engine.networks.graphs import BoundGraph, Buffers, LightingGraphs
-from roomlight.engine.panorama.blend import PanoramaState, fill_in, filled_detail
+from roomlight.engine.panorama.blend import PanoramaState, fill_in, filled_detail, latest_detail
+from roomlight.engine.panorama.prior import shipped_prior
 from roomlight.engine.surface.mesh import PartialPanorama
 
 
 def hedged(
-    hdr: Float[np.ndarray, "h w 3"], fill: Float[np.ndarray, "h w 3"], *, share: float
+    hdr: Float[np.ndarray, "h w 3"], fills: Sequence[Float[np.ndarray, "h w 3"]], *, share: float
 ) -> Float[np.ndarray, "h w 3"]:
-    """Return the weighted mean, in log(1 + L), of the networks' light and of the fill from what was observed.
+    """Return the weighted mean, in log(1 + L), of the networks' light and of fills from what was observed.
 
-    The two err in different rooms: the fill where the light is behind the camera, the networks in rooms unlike those
-    of their training. The error of the mean is never above the mean of both errors, since log-L2 is convex.
+    They err in different rooms: fills where the light is behind the camera, networks in rooms unlike those of their
+    training. The error of the mean is never above the mean of the errors, since log-L2 is convex.
+
+    Args:
+        hdr: Linear RGB.
+        fills: Linear RGB; they have equal parts of the share.
+        share: Of the fills together, 0 to 1.
     """
     if share == 0:
         return hdr
-    logarithm = np.log1p(hdr)
-    return np.expm1(logarithm + np.float32(share) * (np.log1p(fill) - logarithm))
+    logarithm = np.float32(1 - share) * np.log1p(hdr)
+    for fill in fills:
+        logarithm += np.float32(share / len(fills)) * np.log1p(fill)
+    return np.expm1(logarithm)
 
 
 class NetworkProbe:
     """One probe's blending graphs with their buffers; panoramas of other heights are resampled, for the weight only."""
 
     def __init__(self, graphs: LightingGraphs, hedge: float = 0.0) -> None:
-        """Begin without frames; `hedge` is the share of the fill (`hedged`)."""
+        """Begin without frames; `hedge` is the share of the fills (`hedged`)."""
         self._graphs, self._hedge = graphs, hedge
         self.frames = 0
         loaded = graphs.graphs
@@ -79,7 +88,9 @@ class NetworkProbe:
         weight = self.weigh(panorama, hdr, replace(partial, radiance=ldr), depth_max_m)
         if self._graphs.filled:
             hdr = fill_in(hdr, ldr, partial.mask, weight=weight)
-        hdr = hedged(hdr, ldr, share=self._hedge)
+        if self._hedge > 0:
+            detail, known = latest_detail(panorama, partial.radiance, partial.depth_m, mask=partial.mask)
+            hdr = hedged(hdr, (ldr, shipped_prior().fill(detail, known)), share=self._hedge)
         if (self._graphs.form == "single" or self._hedge > 0) and not first:  # the fill has no memory of its own
             hdr = panorama.radiance + np.float32(FILL_UPDATE) * (hdr - panorama.radiance)
         return Estimate(hdr, weight * partial.mask)
