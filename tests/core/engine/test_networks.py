@@ -170,9 +170,10 @@ def test_the_hedge_is_between_networks_and_fill(tiny_video, form):
 
 def test_hedged_light_has_no_more_error_than_the_mean_of_both():
     rng = np.random.default_rng(5)
-    truth, one, other = (rng.exponential(size=(8, 16, 3)).astype(np.float32) for _ in range(3))
-    errors = [log_l2(estimate, truth) for estimate in (one, other, hedged(one, other, share=0.5))]
-    assert errors[2] < (errors[0] + errors[1]) / 2
+    truth, *lights = (rng.exponential(size=(8, 16, 3)).astype(np.float32) for _ in range(4))
+    errors = [log_l2(light, truth) for light in lights]
+    assert log_l2(hedged(lights[0], lights[1:], share=2 / 3), truth) < np.mean(errors)
+    np.testing.assert_allclose(hedged(lights[0], [lights[1]], share=1.0), lights[1], rtol=1e-5)
 
 
 def test_the_video_model_keeps_earlier_frames(tiny_video):

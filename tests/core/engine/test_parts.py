@@ -150,4 +150,4 @@ def test_learned_parts_run_without_torch(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split("\n")[:2] == ["classical True", "classical True"]
+    assert done.stdout.split("\n")[:2] == ["single True", "single True"]

@@ -301,10 +301,11 @@ def test_networks_without_weights_are_refused_by_name(model, monkeypatch, tmp_pa
         Session(SessionOptions(model=model))
 
 
-def test_auto_without_weights_is_classical(monkeypatch, tmp_path):
+def test_auto_without_weights_is_single(monkeypatch, tmp_path):
+    assert Session(SessionOptions()).model == "single"
     monkeypatch.setattr(choosing, "SHIPPED", tmp_path)
-    assert choose_graphs(SessionOptions(model="auto")) is None
-    assert Session(SessionOptions()).model == "classical"
+    with pytest.raises(ModelError, match=r'model="auto": .* no trained weights'):
+        choose_graphs(SessionOptions(model="auto"))
 
 
 def test_after_warming_up_no_kernel_is_compiled_any_more(pan_frames):

@@ -92,8 +92,8 @@ def test_panoramas_are_better_than_the_frames_mean_colour(scores):
     assert scores["single"][0] < 0.65 * np.mean(errors)
 
 
-def test_shipped_weights_are_used_by_name_and_not_by_default():
-    assert choose_graphs(SessionOptions(provider="cpu")) is None
-    chosen = choose_graphs(SessionOptions(model="single", provider="cpu"))
+@pytest.mark.parametrize("model", ["auto", "single"])
+def test_shipped_weights_are_used_by_default_and_by_name(model):
+    chosen = choose_graphs(SessionOptions(model=model, provider="cpu"))
     assert chosen is not None
     assert (chosen.path, chosen.form) == (FOLDER, "single")
