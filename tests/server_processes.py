@@ -20,8 +20,11 @@ class Process:
         run = f"{code}\nfrom roomlight_cli.main import main; main()"
         command = [sys.executable, "-c", run, "serve", "--port", "0", "--model", "classical", *arguments]
         environment = os.environ | {"COLUMNS": "200", "ROOMLIGHT_DECODE_TIMEOUT_S": "60"} | variables
-        self._process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+        self._process = subprocess.Popen(
+            command, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
+        )
         self.lines: list[str] = []
+        self._line_read = threading.Condition()
         self.port, self._ready = 0, threading.Event()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -30,7 +33,9 @@ class Process:
     def _read(self):
         assert self._process.stderr is not None
         for line in self._process.stderr:
-            self.lines.append(line)
+            with self._line_read:
+                self.lines.append(line)
+                self._line_read.notify_all()
             if '"event": "serving"' in line:
                 self.port = int(json.loads(line)["url"].rsplit(":", 1)[1])
             if '"event": "ready"' in line:
@@ -47,13 +52,20 @@ class Process:
         assert self._process.stderr is not None
         self._process.stderr.close()
 
-    def call(self, method, path, body=None, headers=None) -> tuple[int, Any]:
+    def wait_for_line(self, text):
+        """Wait until the log has a line with this text."""
+        with self._line_read:
+            assert self._line_read.wait_for(lambda: any(text in line for line in self.lines), BOUND_S), self.lines
+
+    def call(self, method, path, body=None, headers=None, *, token=None) -> tuple[int, Any]:
         """Return (status, JSON); (0, None) without a whole answer."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=BOUND_S)
         data = json.dumps(body).encode() if isinstance(body, dict) else body
-        kind = {"Content-Type": "application/json"} if isinstance(body, dict) else {}
+        headers = ({"Content-Type": "application/json"} if isinstance(body, dict) else {}) | (headers or {})
+        if token is not None:
+            headers["Authorization"] = f"Bearer {token}"
         try:
-            connection.request(method, path, data, kind | (headers or {}))
+            connection.request(method, path, data, headers)
             answer = connection.getresponse()
             return answer.status, json.loads(answer.read())
         except (OSError, http.client.HTTPException):

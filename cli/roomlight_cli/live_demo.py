@@ -79,7 +79,8 @@ def run_live_demo(capture: Path, browser: Browser, *, port: int | None = None) -
     settings = load_settings(host="127.0.0.1", port=chosen, log_level="warning", idle_expiry_s=KEEP_S)
     token = settings.tokens[0] if settings.tokens else None
 
-    def start(address: str) -> None:
+    def start(address: str, phone: str | None = None) -> None:
+        del phone
         page = f"{address}/" if token is None else f"{address}/#token={token}"
         say(f"The live page: {page} (stop with Ctrl-C)")
         if not browser.open(page):

@@ -40,8 +40,9 @@ from roomlight_server.routes.bodies import BodyMiddleware
 from roomlight_server.routes.context import Context, ContextDep
 from roomlight_server.sessions.registry import Clock, Registry
 from roomlight_server.state.store import StateStore
-from roomlight_server.transport.auth import DOCS_ASSETS, LOOPBACK_HOSTS, AuthMiddleware, Tokens
+from roomlight_server.transport.auth import DOCS_ASSETS, LOOPBACK_HOSTS, PHONES, AuthMiddleware, Tokens
 from roomlight_server.transport.guard import ConnectionGuard
+from roomlight_server.transport.phones import Phones
 from roomlight_server.transport.security_headers import SecurityHeadersMiddleware
 from roomlight_server.transport.stop_middleware import StopMiddleware
 from roomlight_server.transport.watchdog import Watchdog
@@ -158,13 +159,15 @@ def _make_context(settings: ServerSettings, clock: Clock) -> Context:
             metrics=metrics,
             clock=clock,
         )
-    registry = Registry(settings, workers, metrics, clock, states)
+    phones = Phones(settings.phones_file, expiry_s=settings.phone_expiry_s, clock=clock)
+    registry = Registry(settings, workers, metrics, clock, states, phones_of=phones.owners)
     guard = ConnectionGuard(settings, metrics)
     budget = ByteBudget(settings.max_pending_bytes, guard.unsent_bytes, owner_limit=settings.owner_pending_bytes)
     metrics.pending_bytes.set_function(lambda: budget.used)
     objects = ObjectStore(settings, metrics, clock)
     recordings = RecordingStore(settings, registry, clock)
-    return Context(settings, metrics, workers, registry, guard, budget, objects, recordings, states)
+    tokens = Tokens(settings.tokens, phones)
+    return Context(settings, metrics, workers, registry, guard, budget, objects, recordings, tokens, phones, states)
 
 
 @asynccontextmanager
@@ -204,7 +207,7 @@ def _add_middleware(app: FastAPI, context: Context) -> None:
     )
     app.add_middleware(
         AuthMiddleware,
-        tokens=Tokens(settings.tokens),
+        tokens=context.tokens,
         origins=settings.allow_origins,
         hosts=settings.allow_hosts if settings.tokens else LOOPBACK_HOSTS,
         metrics=metrics,
@@ -298,7 +301,8 @@ def _openapi(app: FastAPI, *, tokens: bool) -> dict[str, Any]:
         if tokens:
             components["securitySchemes"] = {"bearer": {"type": "http", "scheme": "bearer"}}
             for path, operations in document["paths"].items():
-                for operation in operations.values():
-                    operation["security"] = [{"bearer": []}] if path.startswith("/v1/") else []
+                for method, operation in operations.items():
+                    needs_token = path.startswith("/v1/") and (path, method) != (PHONES, "post")
+                    operation["security"] = [{"bearer": []}] if needs_token else []
         app.openapi_schema = document
     return app.openapi_schema

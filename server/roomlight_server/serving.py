@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
+from types import FrameType
 from typing import Any, Final
 
 import uvicorn
@@ -23,10 +24,13 @@ from roomlight_server.base.logs import configure_logging, native_lines_logged
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.routes.context import Context
 from roomlight_server.transport.http_protocol import HttpProtocol
+from roomlight_server.transport.lan import phone_url
 from roomlight_server.transport.stream_protocol import StreamProtocol
 from roomlight_server.transport.tls_listener import TlsListener
 
 _log = logging.getLogger("roomlight.server")
+ReadTokens = Callable[[], tuple[str, ...]]
+"""Returns the tokens of the settings as they are now; raises ServerError."""
 STOP_S: Final = 10.0
 """Time after SIGTERM by which the process has ended: frames in progress have 2.5 of it, open answers 1, saving sessions
 5, threads 1. What hangs nevertheless is ended by `_end_late`."""
@@ -50,20 +54,48 @@ class GracefulServer(uvicorn.Server):
     in progress are finished. Then it stops listening, and sessions are saved if the server keeps them.
     """
 
-    def __init__(self, config: uvicorn.Config, *, when_stopping: Callable[[], object] = lambda: None) -> None:
-        """Create a server; `when_stopping` is called when the stop begins."""
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        *,
+        when_stopping: Callable[[], object] = lambda: None,
+        read_tokens: ReadTokens | None = None,
+    ) -> None:
+        """Create a server; `when_stopping` is called when the stop begins, `read_tokens` at SIGHUP."""
         super().__init__(config)
-        self._when_stopping = when_stopping
+        self._when_stopping, self._read_tokens = when_stopping, read_tokens
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def _on_hangup(self, number: int, frame: FrameType | None) -> None:
+        if self._read_tokens is None or self._loop is None:
+            self.handle_exit(number, frame)
+        else:  # a line of the log must not be written inside another
+            self._loop.call_soon_threadsafe(self._reload_tokens, self._read_tokens)
+
+    def _reload_tokens(self, read_tokens: ReadTokens) -> None:
+        """Use the tokens of the token file from now on; close the connections of those that are gone."""
+        app: Any = self.config.app
+        context: Context = app.state.context
+        try:
+            tokens = read_tokens()
+        except ServerError as error:
+            _log.error("the tokens stay as they are: %s", error)
+            return
+        before = context.tokens.owners
+        context.tokens.replace(tokens)
+        for owner in set(before) - set(context.tokens.owners):
+            context.guard.close_owner(owner)
+        _log.info("tokens read again", extra={"tokens": len(tokens)})
 
     @contextmanager
     def capture_signals(self) -> Generator[None]:
-        """Stop at SIGHUP as at SIGTERM: the terminal is closed. It stays ignored below `nohup`."""
+        """At SIGHUP read the tokens again, or stop as at SIGTERM. It stays ignored below `nohup`."""
         captured = threading.current_thread() is threading.main_thread()
         if not captured or signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:
             with super().capture_signals():
                 yield
             return
-        before = signal.signal(signal.SIGHUP, self.handle_exit)
+        before = signal.signal(signal.SIGHUP, self._on_hangup)
         try:
             with super().capture_signals():
                 yield
@@ -72,6 +104,7 @@ class GracefulServer(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Listen; with a certificate, by `TlsListener`."""
+        self._loop = asyncio.get_running_loop()
         app: Any = self.config.app
         context: Context = app.state.context
         settings = context.settings
@@ -121,9 +154,13 @@ def _end_late() -> None:
 
 
 def make_server(
-    settings: ServerSettings, app: FastAPI, *, when_stopping: Callable[[], object] = lambda: None
+    settings: ServerSettings,
+    app: FastAPI,
+    *,
+    when_stopping: Callable[[], object] = lambda: None,
+    read_tokens: ReadTokens | None = None,
 ) -> uvicorn.Server:
-    """Return a uvicorn server that is not started yet; `when_stopping` is called when its stop begins."""
+    """Return a uvicorn server that is not started yet; the callbacks are those of `GracefulServer`."""
     return GracefulServer(
         uvicorn.Config(
             app,
@@ -141,6 +178,7 @@ def make_server(
             timeout_graceful_shutdown=GRACE_S,
         ),
         when_stopping=when_stopping,
+        read_tokens=read_tokens,
     )
 
 
@@ -208,12 +246,19 @@ def address_of(settings: ServerSettings, bound: socket.socket) -> str:
     return f"{scheme}://{f'[{host}]' if ':' in host else host}:{bound.getsockname()[1]}"
 
 
-def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> None:
+def serve(
+    settings: ServerSettings,
+    *,
+    listening: Callable[[str, str | None], object],
+    read_tokens: ReadTokens | None = None,
+) -> None:
     """Serve until SIGINT or SIGTERM.
 
     Args:
         settings: Settings of the server.
-        listening: Called with the URL of the server before the first request is answered.
+        listening: Called before the first request is answered, with the URL of the server and, on the local network,
+            the URL that pairs a phone.
+        read_tokens: Called at SIGHUP; None: SIGHUP stops the server.
 
     Raises:
         ModelError: The weights of the default model cannot be loaded.
@@ -235,7 +280,10 @@ def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> No
                 address = address_of(settings, bound)
                 context.public_url = address if settings.on_lan else None
                 _log.info("serving", extra={"url": address})
-                listening(address)
-                make_server(settings, app, when_stopping=_limit_stop).run(sockets=[bound, *local])
+                on_lan = settings.on_lan and settings.tokens
+                phone = phone_url(address, context.phones.link(context.tokens.owners[0])) if on_lan else None
+                listening(address, phone)
+                server = make_server(settings, app, when_stopping=_limit_stop, read_tokens=read_tokens)
+                server.run(sockets=[bound, *local])
         finally:
             context.workers.decode_processes.stop()  # also if it cannot listen

@@ -154,6 +154,15 @@ def test_the_sample_is_streamed_with_its_probes(tmp_path: Path):
     assert all(0 <= wait <= 1.0 for wait in waits)
 
 
+PHONE = "https://127.0.0.1:8443/phone#pair=a-code"
+
+
+def announce(_: object, *, listening: Any, read_tokens: Any) -> None:
+    """Stand in for a server that listens."""
+    del read_tokens
+    listening("https://127.0.0.1:8443", PHONE)
+
+
 @pytest.fixture
 def state(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """The folder of certificate and token."""
@@ -164,16 +173,18 @@ def state(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 def test_serving_the_network_says_how_to_reach_it(monkeypatch, roomlight: RunCommand, state: Path, caplog):
     caplog.set_level(logging.INFO, "roomlight.server")
 
-    def serve(settings: Any, *, listening: Any) -> None:
+    def serve(settings: Any, *, listening: Any, read_tokens: Any) -> None:
         assert (settings.host, settings.port, settings.on_lan) == ("127.0.0.1", 8443, True)
-        listening("https://127.0.0.1:8443")
+        assert settings.phones_file == state / "phones.json"
+        assert read_tokens is None  # there is no token file
+        listening("https://127.0.0.1:8443", PHONE)
 
     monkeypatch.setattr(serve_command, "run_server", serve)
     result = roomlight("serve", "--lan", "--host", "127.0.0.1", "--port", "8443")
     assert result.code == 0, result.err
     token = ensure_token(state)
     line = vars(caplog.records[-1])  # without a terminal there are lines of JSON only
-    assert line["phone"] == f"https://127.0.0.1:8443/phone#token={token}"
+    assert line["phone"] == PHONE
     assert line["url"] == f"https://127.0.0.1:8443/#token={token}"
     assert line["fingerprint"].count(":") == 31
     assert result.err == ""
@@ -181,7 +192,7 @@ def test_serving_the_network_says_how_to_reach_it(monkeypatch, roomlight: RunCom
 
 @pytest.mark.usefixtures("state")
 def test_a_terminal_shows_the_qr_code(monkeypatch, roomlight: RunCommand):
-    monkeypatch.setattr(serve_command, "run_server", lambda _, *, listening: listening("https://127.0.0.1:8443"))
+    monkeypatch.setattr(serve_command, "run_server", announce)
     monkeypatch.setattr(type(serve_command.err), "is_terminal", True)
     result = roomlight("serve", "--lan", "--host", "127.0.0.1")
     assert "█▀▀" in result.err or "▄▄▄" in result.err
@@ -190,9 +201,9 @@ def test_a_terminal_shows_the_qr_code(monkeypatch, roomlight: RunCommand):
 def test_serving_the_network_keeps_configured_tokens(monkeypatch, roomlight: RunCommand, state: Path, caplog):
     caplog.set_level(logging.INFO, "roomlight.server")
     monkeypatch.setenv("ROOMLIGHT_TOKENS", "a-token-of-sixteen-or-more")
-    monkeypatch.setattr(serve_command, "run_server", lambda _, *, listening: listening("https://127.0.0.1:8443"))
+    monkeypatch.setattr(serve_command, "run_server", announce)
     assert roomlight("serve", "--lan", "--host", "127.0.0.1").code == 0
-    assert vars(caplog.records[-1])["phone"].endswith("/phone#token=a-token-of-sixteen-or-more")
+    assert vars(caplog.records[-1])["url"].endswith("/#token=a-token-of-sixteen-or-more")
     assert not (state / "lan-token").exists()
     assert (state / "lan-key.pem").exists()
 

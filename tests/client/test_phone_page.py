@@ -21,6 +21,6 @@ def test_the_phone_page_in_chromium(tmp_path, monkeypatch):
     built = tmp_path / "page"
     run(["npx", "vite", "build", "--logLevel", "warn"], folder=PAGE, env=os.environ | {"PAGE_OUT": str(built)})
     monkeypatch.setattr("roomlight_server.routes.page.page_folder", lambda: built)
-    with RunningServer(tokens=(TOKEN,), model="classical") as running:
+    with RunningServer(public_url="http://a.server", tokens=(TOKEN,), model="classical") as running:
         env = os.environ | {"ROOMLIGHT_SERVER": f"http://127.0.0.1:{running.port}", "ROOMLIGHT_TOKEN": TOKEN}
         run(["node", "--test", "--test-timeout=90000", "test/phone.test.mjs"], folder=PAGE, env=env)

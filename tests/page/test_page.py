@@ -63,7 +63,7 @@ def test_in_chromium(name):
 
 
 def test_token():
-    with PageServer(tokens=(TOKEN,)) as server:
+    with PageServer(tokens=(TOKEN,), public_url="http://a.server") as server:
         drive("token", server, PAGE_TOKEN=TOKEN)
 
 

@@ -71,7 +71,7 @@ def test_all_origins_without_a_token_is_warned_about(monkeypatch, capfd, tokens,
             del sockets
 
     monkeypatch.setattr(serving, "GracefulServer", Stopped)
-    serving.serve(ServerSettings(port=0, allow_origins=("*",), tokens=tokens), listening=lambda _: None)
+    serving.serve(ServerSettings(port=0, allow_origins=("*",), tokens=tokens), listening=lambda *_: None)
     assert ("any web page" in capfd.readouterr().err) is warns
 
 

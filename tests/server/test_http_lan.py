@@ -26,7 +26,7 @@ from roomlight_server.transport import lan
 TOKEN = "a-token-of-sixteen-or-more"
 NAMES = ("127.0.0.1", "room.local", "::1")
 NOW = datetime.datetime(2026, 5, 1, tzinfo=datetime.UTC)
-URL = "https://192.168.1.7:8090/phone#token=" + TOKEN
+URL = "https://192.168.1.7:8090/phone#pair=a-code-that-pairs-one-phone"
 
 
 @pytest.fixture(scope="module")
@@ -122,17 +122,18 @@ def test_websockets_over_tls_check_origin_and_token(server):
         assert refused.value.response.status_code == status
 
 
-def test_pairing_names_address_token_and_fingerprint(server):
-    status, pairing = call(server, "/v1/pairing")
-    assert (status, pairing["url"], pairing["advice"]) == (200, URL, None)
+def test_pairing_names_address_code_and_fingerprint(server):
+    status, pairing = call(server, "/v1/pairing", method="POST")
+    assert (status, pairing["expires_in_s"], pairing["advice"]) == (200, 600.0, None)
+    assert re.fullmatch(r"https://192\.168\.1\.7:8090/phone#pair=[\w-]{22}", pairing["url"])
     assert pairing["fingerprint"] == tls.fingerprint(server.settings.tls_cert)
-    assert read_svg(pairing["qr_svg"]) == URL
-    assert call(server, "/v1/pairing", token="another-token-here")[0] == 401
+    assert read_svg(pairing["qr_svg"]) == pairing["url"]
+    assert call(server, "/v1/pairing", method="POST", token="another-token-here")[0] == 401
 
 
 def test_a_local_server_says_how_a_phone_reaches_it():
     with RunningServer() as local:
-        pairing = local.call("GET", "/v1/pairing").json
+        pairing = local.call("POST", "/v1/pairing").json
     assert (pairing["url"], pairing["qr_svg"], pairing["fingerprint"]) == (None, None, None)
     assert "roomlight serve --lan" in pairing["advice"]
 
@@ -291,7 +292,9 @@ def test_a_server_on_the_network_listens_on_loopback_too(monkeypatch, files):
     settings = ServerSettings(
         host="127.0.0.2", port=0, tokens=(TOKEN,), tls_cert=files[0], tls_key=files[1], on_lan=True
     )
-    serving.serve(settings, listening=addresses.append)
+    serving.serve(settings, listening=lambda *found: addresses.append(found))
     (first, port), second = bound
     assert (first, second) == ("127.0.0.2", ("127.0.0.1", port))
-    assert addresses == [f"https://127.0.0.2:{port}"]
+    [(address, phone)] = addresses
+    assert address == f"https://127.0.0.2:{port}"
+    assert phone.startswith(f"{address}/phone#pair=")

@@ -207,7 +207,14 @@ def test_the_document_describes_every_route(server):
     below += ("/usdz", "/history", "/history/{index}/colour", "/history/{index}/probes/{name}")
     ours = {f"/v1/sessions/{{session_id}}{path}" for path in below}
     recordings = ("", "/{recording_id}", "/{recording_id}/files/{path}", "/{recording_id}/replay")
-    ours |= {"/v1/objects", "/v1/objects/{object_id}", "/v1/sessions", "/v1/pairing"}
+    ours |= {
+        "/v1/objects",
+        "/v1/objects/{object_id}",
+        "/v1/sessions",
+        "/v1/pairing",
+        "/v1/phones",
+        "/v1/phones/{phone_id}",
+    }
     ours |= {f"/v1/recordings{path}" for path in recordings}
     page = {"/", "/phone", "/assets/{name}"}
     assert set(document["paths"]) == ours | page | {"/healthz", "/readyz", "/metrics"}

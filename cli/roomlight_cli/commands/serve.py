@@ -1,6 +1,9 @@
 """`roomlight serve`: the session server, from flags and `ROOMLIGHT_*` environment variables."""
 
 import logging
+import os
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Annotated, Any, Final
 
 import typer
@@ -13,7 +16,8 @@ from roomlight_server.base.settings import PREFIX, ServerSettings, load_settings
 from roomlight_server.base.tls import fingerprint
 from roomlight_server.replicas.serving import serve_on_ray
 from roomlight_server.serving import serve as run_server
-from roomlight_server.transport.lan import lan_options, phone_url, qr_text
+from roomlight_server.transport.lan import lan_options, qr_text
+from roomlight_server.transport.phones import LINK_S
 
 FLAGS: Final = {
     "Who may use it": (
@@ -73,7 +77,8 @@ def serve(
         serve_on_ray(load_settings(**settings), replicas=replicas, listening=_announce)
         return
     if not lan:
-        run_server(load_settings(**settings), listening=_print_address)
+        local = load_settings(**settings)
+        run_server(local, listening=_print_address, read_tokens=_token_reader(local, settings))
         return
     before = load_settings(**settings | {"host": None})
     found = lan_options(
@@ -84,11 +89,29 @@ def serve(
         allow_hosts=before.allow_hosts,
     )
     on_lan = load_settings(**settings | found)
-    run_server(on_lan, listening=lambda address: _print_lan(address, on_lan))
+    run_server(
+        on_lan,
+        listening=lambda address, phone: _print_lan(address, phone, on_lan),
+        read_tokens=_token_reader(before, settings | {"host": None}),
+    )
 
 
-def _print_address(address: str) -> None:
+def _token_reader(settings: ServerSettings, options: dict[str, Any]) -> Callable[[], tuple[str, ...]] | None:
+    """Return what reads the tokens again at SIGHUP.
+
+    None without a token file, or with a terminal, whose end is a SIGHUP too.
+    """
+    if settings.token_file is None:
+        return None
+    with suppress(OSError):
+        os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY))
+        return None
+    return lambda: load_settings(**options).tokens
+
+
+def _print_address(address: str, phone: str | None = None) -> None:
     """Print the address on a terminal; elsewhere all lines are the log's, which are JSON."""
+    del phone
     if err.is_terminal:
         _announce(address)
 
@@ -97,17 +120,21 @@ def _announce(address: str) -> None:
     err.print(f"Serving on {address} (documentation at /docs); stop with Ctrl-C", soft_wrap=True, markup=False)
 
 
-def _print_lan(address: str, settings: ServerSettings) -> None:
+def _print_lan(address: str, phone: str | None, settings: ServerSettings) -> None:
     """Print addresses, the fingerprint of the certificate and the QR code for a phone; elsewhere, log them."""
+    assert phone is not None
     token = settings.tokens[0]
-    phone = phone_url(address, token)
     if not err.is_terminal:
         shown = None if settings.tls_cert is None else fingerprint(settings.tls_cert)
         fields = {"url": f"{address}/#token={token}", "phone": phone, "fingerprint": shown}
         logging.getLogger("roomlight.server").info("on this network", extra=fields)
         return
     err.file.write(qr_text(phone))
-    lines = [f"On this network: {address}/#token={token}", f"On a phone: {phone}"]
+    lines = [
+        f"On this network: {address}/#token={token}",
+        f"On a phone, once within {LINK_S / 60:g} minutes: {phone}",
+        "For further phones, the page shows further codes.",
+    ]
     if settings.tls_cert is not None:
         lines.append(f"Fingerprint (SHA-256) of the certificate: {fingerprint(settings.tls_cert)}")
         lines.append("A browser warns once of a certificate that no authority has signed: compare the fingerprint.")

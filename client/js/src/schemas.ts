@@ -467,20 +467,43 @@ export interface components {
             readonly bytes: number;
             readonly limit_bytes: number;
         };
+        /** @description A paired phone, and the ids of its open sessions. */
+        readonly PairedPhone: {
+            readonly id: string;
+            readonly age_s: number;
+            readonly expires_in_s: number;
+            readonly sessions: readonly string[];
+        };
         /**
          * @description How a phone on the local network reaches the server's page.
          *
          *     Attributes:
-         *         url: address of the phone's page with the token of the request; null if the server cannot be reached.
+         *         url: address of the phone's page with a code that pairs one phone; null if the server cannot be reached.
          *         qr_svg: the address as a QR code, an SVG document.
          *         fingerprint: SHA-256 of the server's certificate.
+         *         expires_in_s: time in which the code can be used.
          *         advice: what to do where there is no address.
          */
         readonly Pairing: {
             readonly url: string | null;
             readonly qr_svg: string | null;
             readonly fingerprint: string | null;
+            readonly expires_in_s: number | null;
             readonly advice: string | null;
+        };
+        /** @description The code of a link, which works once. */
+        readonly PairingCode: {
+            readonly code: string;
+        };
+        /** @description The phones that a token has paired. */
+        readonly PhoneList: {
+            readonly phones: readonly components["schemas"]["PairedPhone"][];
+        };
+        /** @description The token of a phone that has been paired, and its id. */
+        readonly PhoneToken: {
+            readonly id: string;
+            readonly token: string;
+            readonly expires_in_s: number;
         };
         /** @description World metres: x, y (up), z. */
         readonly Position: readonly [
@@ -807,7 +830,11 @@ export type LightingUpdate = components['schemas']['LightingUpdate'];
 export type Memory = components['schemas']['Memory'];
 export type ObjectInfo = components['schemas']['ObjectInfo'];
 export type ObjectList = components['schemas']['ObjectList'];
+export type PairedPhone = components['schemas']['PairedPhone'];
 export type Pairing = components['schemas']['Pairing'];
+export type PairingCode = components['schemas']['PairingCode'];
+export type PhoneList = components['schemas']['PhoneList'];
+export type PhoneToken = components['schemas']['PhoneToken'];
 export type Position = components['schemas']['Position'];
 export type ProbeBody = components['schemas']['ProbeBody'];
 export type ProbeLight = components['schemas']['ProbeLight'];

@@ -74,6 +74,7 @@ function emulatePhone({ camera, depth }) {
 async function open(phone) {
   const context = await browser.newContext({ viewport: { width: 390, height: 780 }, permissions: ["camera"] });
   after(() => context.close());
+  const code = await link();
   const page = await context.newPage();
   const heard = [];
   page.on("pageerror", (error) => heard.push(String(error)));
@@ -83,9 +84,23 @@ async function open(phone) {
     await page.addInitScript({ path: IWER });
     await page.addInitScript(emulatePhone, phone);
   }
-  await page.goto(`${server}/phone#token=${token}`);
+  await page.goto(`${server}/phone#pair=${code}`);
   await page.getByRole("button", { name: "Start" }).waitFor();
-  return { page, heard };
+  await page.waitForFunction(() => localStorage.getItem("roomlight-token") !== null);
+  const own = await page.evaluate(() => localStorage.getItem("roomlight-token"));
+  return { page, context, heard, code, own };
+}
+
+/** Call the server with the token of the operator, or of a phone. */
+async function call(method, path, bearer = token) {
+  const response = await fetch(`${server}${path}`, { method, headers: { authorization: `Bearer ${bearer}` } });
+  return response.status === 204 ? null : response.json();
+}
+
+/** The code of a link for one phone. */
+async function link() {
+  const { url } = await call("POST", "/v1/pairing");
+  return url.split("#pair=")[1];
 }
 
 const figure = (page, name) => page.locator(".figures div", { hasText: name }).locator("dd").innerText();
@@ -103,9 +118,8 @@ async function lit(page, count) {
   );
 }
 
-async function sessions() {
-  const response = await fetch(`${server}/v1/sessions`, { headers: { authorization: `Bearer ${token}` } });
-  return (await response.json()).sessions;
+async function sessions(bearer = token) {
+  return (await call("GET", "/v1/sessions", bearer)).sessions;
 }
 
 async function picture(page, name) {
@@ -114,7 +128,7 @@ async function picture(page, name) {
   }
 }
 
-const noErrors = (heard) => heard.filter((line) => /error|refused|token=/i.test(line) || line.includes(token));
+const noErrors = (heard) => heard.filter((line) => /error|refused|token=|pair=/i.test(line) || line.includes(token));
 
 test("a WebXR phone sends frames with poses and depth", async () => {
   const { page, heard } = await open({ camera: true, depth: true });
@@ -125,8 +139,7 @@ test("a WebXR phone sends frames with poses and depth", async () => {
   assert.equal(await page.locator(".state").innerText(), "Connected");
   const [first] = await sessions();
   assert.equal(first.frames.refused, 0);
-  const camera = await fetch(`${server}/v1/sessions/${first.id}/camera`, { headers: { authorization: `Bearer ${token}` } });
-  const { camera_to_world: pose, intrinsics } = await camera.json();
+  const { camera_to_world: pose, intrinsics } = await call("GET", `/v1/sessions/${first.id}/camera`);
   assert.deepEqual(pose.slice(12, 15).map((value) => Math.round(value * 1000) / 1000), [0.3, 1.4, 0.2]);
   assert.ok(Math.abs(intrinsics.fy - 240 / Math.tan(0.5)) < 1, `fovy is 1 radian: ${JSON.stringify(intrinsics)}`);
   await picture(page, "phone-webxr");
@@ -161,6 +174,31 @@ for (const [name, phone] of [
     assert.deepEqual(noErrors(heard), []);
   });
 }
+
+test("a phone has a token and sessions of its own until it is removed", async () => {
+  const [first, second] = [await open(null), await open(null)];
+  assert.notEqual(first.own, second.own);
+  assert.notEqual(first.own, token);
+  await first.page.getByRole("button", { name: "Start" }).click();
+  await lit(first.page, 1);
+  const [{ id }] = await sessions(first.own);
+  assert.deepEqual(await sessions(second.own), []);
+  assert.equal((await call("GET", `/v1/sessions/${id}`, second.own)).type, "urn:roomlight:problem:session-not-found");
+  assert.equal((await call("GET", `/v1/sessions/${id}`)).id, id);
+
+  const again = await first.context.newPage(); // the same code in the same phone: the token is kept
+  await again.goto(`${server}/phone#pair=${first.code}`);
+  await again.getByRole("button", { name: "Start" }).click();
+  await lit(again, 1);
+
+  const { phones } = await call("GET", "/v1/phones");
+  const { id: phone } = phones.find(({ sessions }) => sessions.includes(id));
+  await call("DELETE", `/v1/phones/${phone}`);
+  await again.reload();
+  await again.getByRole("button", { name: "Start" }).click();
+  await again.getByText("The server does not know this phone").waitFor();
+  assert.equal((await call("GET", `/v1/sessions/${id}`)).id, id); // the operator still has what it saw
+});
 
 test("a wrong token is asked for", async () => {
   const { page } = await open(null);

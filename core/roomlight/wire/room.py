@@ -137,13 +137,44 @@ class Pairing(WireModel):
     """How a phone on the local network reaches the server's page.
 
     Attributes:
-        url: address of the phone's page with the token of the request; null if the server cannot be reached.
+        url: address of the phone's page with a code that pairs one phone; null if the server cannot be reached.
         qr_svg: the address as a QR code, an SVG document.
         fingerprint: SHA-256 of the server's certificate.
+        expires_in_s: time in which the code can be used.
         advice: what to do where there is no address.
     """
 
     url: str | None
     qr_svg: str | None
     fingerprint: str | None
+    expires_in_s: FiniteNumber | None
     advice: str | None
+
+
+class PairingCode(WireModel):
+    """The code of a link, which works once."""
+
+    code: Annotated[str, Field(max_length=100)]
+
+
+class PhoneToken(WireModel):
+    """The token of a phone that has been paired, and its id."""
+
+    id: str
+    token: str
+    expires_in_s: FiniteNumber
+
+
+class PairedPhone(WireModel):
+    """A paired phone, and the ids of its open sessions."""
+
+    id: str
+    age_s: FiniteNumber
+    expires_in_s: FiniteNumber
+    sessions: list[Id]
+
+
+class PhoneList(WireModel):
+    """The phones that a token has paired."""
+
+    phones: list[PairedPhone]

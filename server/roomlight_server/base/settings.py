@@ -42,6 +42,8 @@ class ServerSettings(BaseSettings):
         tls_key: Private key of the certificate in PEM.
         public_url: Address by which a phone reaches the server; `/v1/pairing` returns it.
         on_lan: The host is the address by which phones reach the server; listen on loopback besides.
+        phones_file: File of the paired phones. Default: they are known until the server stops; with --lan: kept.
+        phone_expiry_s: Time for which the token of a paired phone is valid.
         model: Model of sessions that ask for auto.
         weights: A model folder of `roomlight export`, instead of the weights inside the package.
         provider: Where the networks run; auto: OpenVINO if it is installed and supported, else the CPU.
@@ -115,6 +117,8 @@ class ServerSettings(BaseSettings):
     tls_key: Path | None = None
     public_url: str | None = None
     on_lan: bool = False
+    phones_file: Path | None = None
+    phone_expiry_s: Annotated[float, Field(gt=0, le=1e9)] = 30 * 86_400.0
     model: ModelName = "auto"
     weights: Path | None = None
     provider: Provider = "auto"
@@ -199,9 +203,14 @@ class ServerSettings(BaseSettings):
         return FrameLimits(self.max_body_bytes, self.max_colour_pixels, self.max_depth_pixels)
 
     @property
+    def several_owners(self) -> bool:
+        """Whether several tokens share the server: those of the settings, or of phones."""
+        return len(self.tokens) > 1 or self.on_lan
+
+    @property
     def owner_sessions(self) -> int:
         """Sessions of one token."""
-        half = math.ceil(self.max_sessions / 2) if len(self.tokens) > 1 else self.max_sessions
+        half = math.ceil(self.max_sessions / 2) if self.several_owners else self.max_sessions
         return self.max_owner_sessions or half
 
     @property
@@ -212,13 +221,13 @@ class ServerSettings(BaseSettings):
     @property
     def owner_pending_bytes(self) -> int:
         """Memory of the frames and answers of one token in progress."""
-        half = self.max_pending_bytes // 2 if len(self.tokens) > 1 else self.max_pending_bytes
+        half = self.max_pending_bytes // 2 if self.several_owners else self.max_pending_bytes
         return self.max_owner_pending_bytes or half
 
     @property
     def owner_refusal_delay_s(self) -> float:
         """Time after which a request beyond a limit of its token is answered; 0 if there is no other token."""
-        return self.refusal_delay_s if len(self.tokens) > 1 else 0.0
+        return self.refusal_delay_s if self.several_owners else 0.0
 
     @property
     def object_limits(self) -> ObjectLimits:

@@ -16,7 +16,9 @@ from roomlight_server.recordings.store import RecordingStore
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.sessions.registry import Registry
 from roomlight_server.state.store import StateStore
+from roomlight_server.transport.auth import Tokens
 from roomlight_server.transport.guard import ConnectionGuard
+from roomlight_server.transport.phones import Phones
 from roomlight_server.work.workers import Workers
 
 
@@ -32,6 +34,8 @@ class Context:
     budget: ByteBudget
     objects: ObjectStore
     recordings: RecordingStore
+    tokens: Tokens
+    phones: Phones
     states: StateStore | None = None
     ready: bool = False
     public_url: str | None = None
@@ -62,10 +66,19 @@ async def owner_of(request: Request) -> str:
     return request.scope["state"]["owner"]
 
 
-async def live_session(
+async def session_owner(
     session_id: SessionId,
     context: Annotated[Context, Depends(context_of)],
     owner: Annotated[str, Depends(owner_of)],
+) -> str:
+    """Return whose session of the path it is: the owner's, or that of a phone that the owner has paired."""
+    return context.registry.owner_of(owner, session_id)
+
+
+async def live_session(
+    session_id: SessionId,
+    context: Annotated[Context, Depends(context_of)],
+    owner: Annotated[str, Depends(session_owner)],
 ) -> AsyncGenerator[LiveSession]:
     """Yield the session of the path; it does not expire while the request runs.
 
@@ -85,5 +98,6 @@ async def reservation(context: Annotated[Context, Depends(context_of)]) -> Async
 
 ContextDep = Annotated[Context, Depends(context_of)]
 OwnerDep = Annotated[str, Depends(owner_of)]
+SessionOwnerDep = Annotated[str, Depends(session_owner)]
 SessionDep = Annotated[LiveSession, Depends(live_session)]
 ReservationDep = Annotated[Reservation, Depends(reservation)]

@@ -9,7 +9,7 @@ from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.messages import FrameResult, SessionRequest, SessionState
 from roomlight_server.base.problems import BODY_PROBLEMS, documented
 from roomlight_server.routes.bodies import read_frame
-from roomlight_server.routes.context import ContextDep, OwnerDep, ReservationDep, SessionDep, SessionId
+from roomlight_server.routes.context import ContextDep, ReservationDep, SessionDep, SessionId, SessionOwnerDep
 from roomlight_server.sessions.frame_queue import Entry
 from roomlight_server.transport.disconnects import until_gone
 
@@ -88,7 +88,7 @@ _PROCESSED: Final[dict[str, Any]] = {
 async def open_session(
     session_id: SessionId,
     context: ContextDep,
-    owner: OwnerDep,
+    owner: SessionOwnerDep,
     response: Response,
     request: Annotated[SessionRequest | None, Body(openapi_examples=_OPTIONS)] = None,
 ) -> SessionState:
@@ -123,7 +123,7 @@ async def session_state(live: SessionDep) -> SessionState:
     status_code=204,
     responses=documented("unauthorized", "session-not-found", "state-refused", "invalid", "state-unavailable"),
 )
-async def delete_session(session_id: SessionId, context: ContextDep, owner: OwnerDep) -> None:
+async def delete_session(session_id: SessionId, context: ContextDep, owner: SessionOwnerDep) -> None:
     """End a session; frames in flight are answered with 410."""
     await context.registry.erase(owner, session_id)
 

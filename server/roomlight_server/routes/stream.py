@@ -63,6 +63,7 @@ async def stream(websocket: WebSocket, session_id: str) -> None:
         if not is_id(session_id):
             rule = "must be 1 to 64 of A-Z a-z 0-9 _ -"
             raise ProblemError("invalid", f"id: {rule}", field="id", value=session_id, rule=rule)
+        owner = context.registry.owner_of(owner, session_id)
         await context.registry.recall(owner, session_id)
         with context.registry.use(owner, session_id) as live:
             pass  # an open connection does not keep the session alive; its messages do

@@ -3,7 +3,7 @@
 import json
 import logging
 import math
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -38,8 +38,11 @@ class Registry:
         metrics: Metrics,
         clock: Clock,
         states: StateStore | None = None,
+        *,
+        phones_of: Callable[[str], Sequence[str]] = lambda _: (),
     ) -> None:
-        """Create an empty registry; `states` saves and restores its sessions."""
+        """Create an empty registry; `states` saves and restores its sessions, `phones_of` has an owner's phones."""
+        self._phones_of = phones_of
         self._states = states
         self._restorer = None if states is None else Restorer(workers)
         self._settings, self._workers, self._metrics, self._clock = settings, workers, metrics, clock
@@ -59,6 +62,25 @@ class Registry:
         metrics.session_bytes.set_function(
             lambda: sum(live.state().memory.bytes for live in tuple(self._sessions.values()))
         )
+
+    def owner_of(self, owner: str, name: str) -> str:
+        """Return whose session an owner means by an id: its own, else that of a phone that it has paired.
+
+        Raises:
+            ProblemError: Several phones have a session of this id (409).
+        """
+        phones = self._phones_of(owner)
+        if not phones or self._exists(owner, name):
+            return owner
+        found = [phone for phone in phones if self._exists(phone, name)]
+        if len(found) > 1:
+            ids = ", ".join(phone.rpartition(".")[2] for phone in found)
+            detail = f"the phones {ids} have a session of this id; each reaches its own"
+            raise ProblemError("session-conflict", detail, field="id", value=name)
+        return found[0] if found else owner
+
+    def _exists(self, owner: str, name: str) -> bool:
+        return (owner, name) in self._sessions or (self._states is not None and self._states.has(owner, name))
 
     async def open(self, owner: str, name: str, request: SessionRequest) -> tuple[LiveSession, bool]:
         """Open a session, or return the open session of this id if its options are equal.
@@ -181,17 +203,22 @@ class Registry:
             live.last_used_s = self._clock()
 
     def listed(self, owner: str) -> list[tuple[LiveSession, float]]:
-        """Return the sessions of an owner and the seconds since the last use of each, last used first."""
+        """Return the sessions of an owner and its phones, and the seconds since the last use, last used first."""
         self.expire()
-        now_s = self._clock()
-        own = [live for (each, _), live in self._sessions.items() if each == owner]
+        now_s, owners = self._clock(), {owner, *self._phones_of(owner)}
+        own = [live for (each, _), live in self._sessions.items() if each in owners]
         idle = [(live, 0.0 if live.users else now_s - live.last_used_s) for live in own]
         return sorted(idle, key=lambda each: each[1])
 
     async def saved(self, owner: str) -> list[SavedHead]:
-        """Return the sessions of an owner that are on disk and not in memory, last used first."""
-        heads = [] if self._states is None else await self._states.listed(owner)
-        return [head for head in heads if (owner, head.values.name) not in self._sessions]
+        """Return the sessions of an owner and its phones that are on disk and not in memory, last used first."""
+        heads: list[SavedHead] = []
+        if self._states is None:
+            return heads
+        for each in (owner, *self._phones_of(owner)):
+            listed = await self._states.listed(each)
+            heads += [head for head in listed if (each, head.values.name) not in self._sessions]
+        return sorted(heads, key=lambda head: head.idle_s)
 
     def delete(self, owner: str, name: str) -> None:
         """End a session.

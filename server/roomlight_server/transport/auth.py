@@ -1,4 +1,4 @@
-"""Authentication by bearer token, and the check of web origins."""
+"""Authentication by bearer token, of the settings or of a paired phone, and the check of web origins."""
 
 import asyncio
 import hashlib
@@ -16,6 +16,7 @@ from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError, problem_response
 from roomlight_server.base.request_context import Flow, current_flow
 from roomlight_server.transport.guard import TRANSPORT, ConnectionGuard
+from roomlight_server.transport.phones import Phones
 
 _log = logging.getLogger("roomlight.server")
 
@@ -28,6 +29,8 @@ PAGE_ASSETS: Final = "/assets"
 """Paths that need no token: their answers contain nothing about any room."""
 LOOPBACK_HOSTS: Final = ("localhost", "127.0.0.1", "::1")
 """Values of `Host` by which only this machine reaches the server."""
+PHONES: Final = "/v1/phones"
+"""Path to which a phone that has no token yet sends its code."""
 SUBPROTOCOL: Final = "roomlight.v1"
 _BEARER_SUBPROTOCOL: Final = "bearer."
 _SESSION_PATH: Final = re.compile(r"/v1/sessions/([^/]+)")
@@ -36,9 +39,19 @@ _SESSION_PATH: Final = re.compile(r"/v1/sessions/([^/]+)")
 class Tokens:
     """The bearer tokens of a server. Tokens are kept and compared as digests; a digest also names the owner."""
 
-    def __init__(self, tokens: Iterable[str]) -> None:
+    def __init__(self, tokens: Iterable[str], phones: Phones) -> None:
         """Store the digests of the tokens. Without tokens, all clients are the same owner."""
+        self._phones = phones
+        self.replace(tokens)
+
+    def replace(self, tokens: Iterable[str]) -> None:
+        """Use these tokens from now on; phones whose operator's token is gone are refused."""
         self._digests = [hashlib.sha256(token.encode()).digest() for token in tokens]
+
+    @property
+    def owners(self) -> list[str]:
+        """Owners of the tokens, in their order, without phones."""
+        return [digest.hex()[:16] for digest in self._digests]
 
     def owner(self, token: str | None) -> str | None:
         """Return the token's owner, or None if the token is unknown.
@@ -52,7 +65,8 @@ class Tokens:
         for digest in self._digests:
             if hmac.compare_digest(digest, received):
                 owner = digest.hex()[:16]
-        return owner
+        phone = self._phones.find(token or "") if owner is None else None
+        return phone.owner if phone is not None and phone.operator in self.owners else owner
 
 
 class AuthMiddleware:
@@ -123,6 +137,8 @@ class AuthMiddleware:
         if origin is None and not self._origins and headers.get("sec-fetch-site") in ("cross-site", "same-site"):
             # browsers send no Origin with a GET for <img>, <script> or a link
             return ProblemError("forbidden-origin", "a page of another site sent this request", field="Sec-Fetch-Site")
+        if scope["path"] == PHONES and scope.get("method") == "POST":
+            return None
         owner = self._tokens.owner(token_of(scope, headers))
         if owner is None:
             return ProblemError("unauthorized", "header Authorization: Bearer TOKEN is required", field="Authorization")

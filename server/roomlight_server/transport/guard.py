@@ -108,6 +108,13 @@ class ConnectionGuard:
             if not self._transports_of[owner]:
                 del self._transports_of[owner]
 
+    def close_owner(self, owner: str) -> None:
+        """Close the connections of an owner whose token is not valid any more, and of its phones."""
+        for transport, each in tuple(self._owners.items()):
+            if each == owner or each.startswith(f"{owner}."):
+                self.record("token-ended", self._addresses[transport])
+                transport.abort()
+
     def admit(self, transport: Transport, address: str) -> ProblemError | None:
         """Count a new connection, which is idle, or return the reason to refuse it."""
         total, per_address = self.settings.max_connections, self.settings.max_connections_per_address

@@ -16,6 +16,7 @@ from roomlight_server.base.tls import check_certificate, ensure_certificate, wri
 from roomlight_server.transport.auth import LOOPBACK_HOSTS
 
 TOKEN: Final = "lan-token"
+PHONES: Final = "phones.json"
 _WHITE_ON_BLACK, _RESET = "\x1b[97;40m", "\x1b[0m"
 _ELSEWHERE: Final = ("192.0.2.1", 9)
 """An address of documentation networks (RFC 5737). Choosing a route to it sends no packet."""
@@ -127,12 +128,13 @@ def lan_options(
         "tls_key": key,
         "allow_hosts": names,
         "on_lan": True,
+        "phones_file": folder / PHONES,
     }
 
 
-def phone_url(address: str, token: str) -> str:
-    """Return the address of the phone's page; the token is in the fragment, which browsers send to no server."""
-    return f"{address.rstrip('/')}/phone#token={token}"
+def phone_url(address: str, code: str) -> str:
+    """Return the address of the phone's page; the code is in the fragment, which browsers send to no server."""
+    return f"{address.rstrip('/')}/phone#pair={code}"
 
 
 def qr_svg(text: str) -> str:

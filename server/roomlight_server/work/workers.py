@@ -60,7 +60,7 @@ class Workers:
             return made
 
         # one thread is left for other owners: a job of these pools is not paused, and may take seconds
-        several = len(settings.tokens) > 1
+        several = settings.several_owners
         self._engine_share = share("engine", settings.engine_threads)
         self._decode_share = share("decode", settings.decode_threads, _all_but_one(settings.decode_threads, several))
         self._encode_share = share("encode", settings.encode_threads, _all_but_one(settings.encode_threads, several))

@@ -73,5 +73,13 @@ export interface Pairing {
   readonly url: string | null;
   readonly qr_svg: string | null;
   readonly fingerprint: string | null;
+  readonly expires_in_s: number | null;
   readonly advice: string | null;
+}
+
+export interface PairedPhone {
+  readonly id: string;
+  readonly age_s: number;
+  readonly expires_in_s: number;
+  readonly sessions: readonly string[];
 }

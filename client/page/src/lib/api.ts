@@ -1,7 +1,7 @@
 // The endpoints that only the page uses; sessions, light and composites go through our client (`roomlight`).
 
 import { RoomLight, RoomLightError, type Problem } from "roomlight";
-import type { CameraState, History, Pairing, Recording, SessionList } from "./answers";
+import type { CameraState, History, PairedPhone, Pairing, Recording, SessionList } from "./answers";
 
 const TOKEN_KEY = "roomlight-token";
 
@@ -17,13 +17,38 @@ export class Api {
   readonly base = new URL("/", location.href);
   private tokenValue: string | null;
 
+  private code: string | null;
+
+  /** Take the token, or the code of a phone's link, from the address and remove it there. */
   constructor() {
-    const given = new URLSearchParams(location.hash.slice(1)).get("token");
-    if (given) {
-      sessionStorage.setItem(TOKEN_KEY, given);
+    const given = new URLSearchParams(location.hash.slice(1));
+    this.tokenValue = given.get("token");
+    this.code = given.get("pair");
+    if (this.tokenValue) {
+      sessionStorage.setItem(TOKEN_KEY, this.tokenValue);
+    }
+    if (this.tokenValue || this.code) {
       history.replaceState(null, "", location.pathname + location.search);
     }
-    this.tokenValue = given ?? sessionStorage.getItem(TOKEN_KEY);
+    this.tokenValue ??= sessionStorage.getItem(TOKEN_KEY) ?? localStorage.getItem(TOKEN_KEY);
+  }
+
+  /** Get a token for this phone with the code of the address, if it has one. The browser keeps the token. */
+  async pair(): Promise<void> {
+    if (this.code === null) {
+      return;
+    }
+    const body = jsonBody({ code: this.code });
+    this.code = null; // it works once
+    try {
+      const { token } = await this.json<{ token: string }>("v1/phones", { method: "POST", ...body });
+      localStorage.setItem(TOKEN_KEY, token);
+      this.token = token;
+    } catch (error) {
+      if (!this.tokenValue) {
+        throw error; // a phone that has a token has used the code itself before
+      }
+    }
   }
 
   set token(token: string) {
@@ -49,7 +74,15 @@ export class Api {
   }
 
   pairing(): Promise<Pairing> {
-    return this.json("v1/pairing");
+    return this.json("v1/pairing", { method: "POST" });
+  }
+
+  async phones(): Promise<readonly PairedPhone[]> {
+    return (await this.json<{ phones: PairedPhone[] }>("v1/phones")).phones;
+  }
+
+  removePhone(id: string): Promise<Response> {
+    return this.send(`v1/phones/${id}`, { method: "DELETE" });
   }
 
   createRecording(name: string, bytes: number, files: number): Promise<Recording> {

@@ -42,7 +42,7 @@ export function askForToken(api: Api): Promise<void> {
 async function showPairing(api: Api): Promise<void> {
   const body = byId("phone-body");
   body.replaceChildren(element("p", { class: "hint" }, "Loading"));
-  const { url, qr_svg, fingerprint, advice } = await api.pairing();
+  const { url, qr_svg, fingerprint, expires_in_s, advice } = await api.pairing();
   if (!url) {
     const [command] = /roomlight serve --\S+/.exec(advice ?? "") ?? ["roomlight serve --lan"];
     return body.replaceChildren(
@@ -54,9 +54,23 @@ async function showPairing(api: Api): Promise<void> {
   code.src = `data:image/svg+xml,${encodeURIComponent(qr_svg ?? "")}`;
   body.replaceChildren(
     element("p", {}, "Scan this with an Android phone in the same network. Its Chrome sends what the camera sees."),
+    element("p", { class: "hint" }, `The code is for one phone, within ${Math.round((expires_in_s ?? 0) / 60)} minutes.`),
     ...(qr_svg ? [code] : []),
     element("p", { class: "address" }, url),
     element("p", { class: "hint" }, "The phone warns once, because this server made its own certificate."),
     ...(fingerprint ? [element("p", { class: "hint address" }, `Certificate ${fingerprint}`)] : []),
+    await pairedPhones(api),
   );
+}
+
+/** The phones that have a token, each with a button that ends it. */
+async function pairedPhones(api: Api): Promise<HTMLElement> {
+  const rows = (await api.phones()).map(({ id, sessions, expires_in_s }) => {
+    const remove = element("button", { class: "button", type: "button" }, "Remove");
+    const days = `${Math.ceil(expires_in_s / 86_400)} days left`;
+    const row = element("li", {}, `Phone ${id}, ${sessions.join(", ") || "no session"}, ${days} `, remove);
+    remove.addEventListener("click", () => void api.removePhone(id).then(() => row.remove(), reportError));
+    return row;
+  });
+  return element("ul", { class: "phones" }, ...rows);
 }

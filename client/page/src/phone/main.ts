@@ -22,7 +22,7 @@ const element = <K extends keyof HTMLElementTagNameMap>(
   text = "",
 ): HTMLElementTagNameMap[K] => Object.assign(document.createElement(tag), { className, textContent: text });
 
-const api = new Api(); // takes the token from the address and removes it there
+const api = new Api();
 const id = `phone-${Array.from(crypto.getRandomValues(new Uint8Array(3)), (byte) => byte.toString(16).padStart(2, "0")).join("")}`;
 
 const page = element("main", "phone");
@@ -82,6 +82,7 @@ function running(end: (() => void) | null): void {
 
 /** Ask the phone first: a click counts for a permission only for a moment. */
 async function start(): Promise<void> {
+  await paired;
   problem.textContent = note.textContent = "";
   if (await augmented) {
     const session = await requestCameraSession(page).catch((error: unknown) => error as Error);
@@ -131,7 +132,7 @@ function failed(error: unknown): void {
   state.textContent = "Not connected";
   state.dataset["kind"] = "bad";
   problem.textContent = isUnauthorized
-    ? "The server wants its token. Scan its code again, or type the token."
+    ? "The server does not know this phone. Scan a new code, each works once, or type a token."
     : error instanceof Error
       ? error.message
       : String(error);
@@ -139,6 +140,7 @@ function failed(error: unknown): void {
 
 const augmented = hasAugmentedReality();
 build();
+const paired = api.pair().catch(failed);
 button.addEventListener("click", () => (stop ? stop() : void start().catch(failed)));
 tokenForm.addEventListener("submit", (event) => {
   event.preventDefault();

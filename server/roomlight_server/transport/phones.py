@@ -1,0 +1,170 @@
+"""Phones that are paired with a server: links that work once, and a token for each phone.
+
+The operator is who has a token of the server's settings. A phone's owner is the operator's, a dot and the phone's id,
+so that a phone has sessions of its own and the operator finds them. Only digests of tokens are stored.
+"""
+
+import hashlib
+import json
+import logging
+import secrets
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from roomlight.errors import ServerError
+from roomlight_server.base.problems import ProblemError
+from roomlight_server.base.tls import write_private
+
+_log = logging.getLogger("roomlight.server")
+LINK_S: Final = 600.0
+"""Time in which a link can be used."""
+MAX_PHONES: Final = 64
+_MAX_LINKS: Final = 16
+_KEPT_S: Final = 30 * 86_400.0
+"""Time after its expiry for which a phone is known: the operator still sees its saved sessions."""
+
+
+class Phone(BaseModel, frozen=True, extra="forbid"):
+    """A phone: its operator, the digest of its token (empty: revoked), and times of the wall clock in seconds."""
+
+    id: str
+    operator: str
+    digest: str
+    paired_s: float
+    expires_s: float
+
+    @property
+    def owner(self) -> str:
+        """The owner of the phone's sessions."""
+        return f"{self.operator}.{self.id}"
+
+
+_FILE: Final = TypeAdapter(dict[str, Phone])
+
+
+class Phones:
+    """The paired phones. Event loop only."""
+
+    def __init__(
+        self,
+        file: Path | None,
+        *,
+        expiry_s: float,
+        clock: Callable[[], float] = time.monotonic,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        """Read the phones that are known.
+
+        Args:
+            file: Where they are stored; None: until the server stops.
+            expiry_s: Time for which a phone's token is valid.
+            clock: Monotonic clock, for links.
+            now: Wall clock, for tokens.
+
+        Raises:
+            ServerError: The file cannot be read or is damaged.
+        """
+        self._file, self._expiry_s, self._clock, self._now = file, expiry_s, clock, now
+        self._links: dict[str, tuple[str, float]] = {}  # operator and expiry, by the code's digest
+        self._phones: dict[str, Phone] = {}
+        if file is not None and file.exists():
+            try:
+                self._phones = _FILE.validate_json(file.read_bytes())
+            except (OSError, ValidationError) as error:
+                advice = "delete it, and pair the phones again"
+                raise ServerError(f"{file}: is no list of phones ({str(error)[:200]}); {advice}") from error
+
+    def link(self, operator: str) -> str:
+        """Return a code that pairs one phone within `LINK_S`.
+
+        Raises:
+            ProblemError: The owner is a phone itself (403), or there are `MAX_PHONES` (429).
+        """
+        check_operator(operator)
+        if len([each for each in self._phones.values() if self._is_valid(each)]) >= MAX_PHONES:
+            rule = f"at most {MAX_PHONES} phones"
+            raise ProblemError("owner-quota", f"{rule} are paired; remove one first", rule=rule, retry_after_s=60)
+        code = secrets.token_urlsafe(16)
+        while len(self._links) >= _MAX_LINKS:
+            self._links.pop(next(iter(self._links)))
+        self._links[_digest(code)] = operator, self._clock() + LINK_S
+        return code
+
+    def pair(self, code: str) -> tuple[Phone, str]:
+        """Use a code; return the new phone and its token.
+
+        Raises:
+            ProblemError: The code is unknown, was used, or has expired (401).
+        """
+        operator, until_s = self._links.pop(_digest(code), ("", 0.0))
+        if not operator or self._clock() > until_s:
+            rule = f"works once, for {LINK_S / 60:g} minutes"
+            raise ProblemError(
+                "unauthorized", f"the code is not known: it {rule}; scan a new one", field="code", rule=rule
+            )
+        token, now_s = secrets.token_urlsafe(24), self._now()
+        phone = Phone(
+            id=secrets.token_hex(4),
+            operator=operator,
+            digest=_digest(token),
+            paired_s=now_s,
+            expires_s=now_s + self._expiry_s,
+        )
+        self._phones = {key: each for key, each in self._phones.items() if now_s < each.expires_s + _KEPT_S}
+        self._phones[phone.id] = phone
+        self._save()
+        _log.info("phone paired", extra={"phone": phone.id})
+        return phone, token
+
+    def find(self, token: str) -> Phone | None:
+        """Return the phone whose valid token this is."""
+        digest = _digest(token)
+        return next((each for each in self._phones.values() if each.digest == digest and self._is_valid(each)), None)
+
+    def listed(self, operator: str) -> list[Phone]:
+        """Return the phones of an operator whose tokens are valid."""
+        return [each for each in self._phones.values() if each.operator == operator and self._is_valid(each)]
+
+    def owners(self, operator: str) -> list[str]:
+        """Return the owners of the sessions of an operator's phones, past ones too."""
+        return [each.owner for each in self._phones.values() if each.operator == operator]
+
+    def revoke(self, operator: str, phone_id: str) -> Phone:
+        """End the token of a phone; its sessions stay, and the operator sees them.
+
+        Raises:
+            ProblemError: The operator has no such phone (404).
+        """
+        phone = next((each for each in self.listed(operator) if each.id == phone_id), None)
+        if phone is None:
+            raise ProblemError("phone-not-found", "there is no phone of this id", field="phone", value=phone_id)
+        self._phones[phone_id] = phone.model_copy(update={"digest": ""})
+        self._save()
+        _log.info("phone removed", extra={"phone": phone_id})
+        return phone
+
+    def _is_valid(self, phone: Phone) -> bool:
+        return bool(phone.digest) and self._now() < phone.expires_s
+
+    def _save(self) -> None:
+        if self._file is None:
+            return
+        values = {key: each.model_dump() for key, each in self._phones.items()}
+        try:
+            write_private(self._file, json.dumps(values, indent=1).encode())
+        except ServerError as error:  # a full disk: phones are as stored before when the server starts again
+            _log.error("the phones are not stored: %s", error)
+
+
+def check_operator(owner: str) -> None:
+    """Check that an owner is no phone. Raises ProblemError otherwise (403)."""
+    if "." in owner:
+        raise ProblemError("operator-only", "a phone may not do this; use a token of the server itself")
+
+
+def _digest(secret: str) -> str:
+    return hashlib.sha256(secret.encode()).hexdigest()
