@@ -20,6 +20,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 # The test networks are too small to share between threads, which wait for each other: 10 times the CPU time under load.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# `auto` would measure the runtimes, and results would depend on the machine's speed.
+os.environ.setdefault("ROOMLIGHT_PROVIDER", "cpu")
 # Some tests import ONNX Runtime themselves; see `roomlight.engine.networks.runtime`.
 os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 

@@ -5,12 +5,14 @@ threads enter a parallel region at once, as in a server.
 """
 
 import os
+import platform
 import threading
 from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 _pauses = threading.local()
 
@@ -21,6 +23,15 @@ def thread_count() -> int:
     if setting.isdecimal() and int(setting) > 0:
         return int(setting)
     return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+@cache
+def processor_name() -> str:
+    """Return the processor's model."""
+    cpu_info = Path("/proc/cpuinfo")  # Python's own `platform.processor` is empty on Linux
+    lines = cpu_info.read_text(encoding="utf-8").splitlines() if cpu_info.is_file() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
 
 
 @cache

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from roomlight.engine.networks.runtime import ort
+from roomlight.engine.networks.graph import Graph as LoadedGraph
+from roomlight.engine.networks.runtime import OnnxRuntimeGraph, ort
 from roomlight.errors import ModelError
 from roomlight_export.graphs import Graph
 from roomlight_export.parity import Tensors, difference, session_runner
@@ -34,8 +35,10 @@ def write_ort(source: Path, target: Path, graph: Graph, *, tolerance: float) -> 
     loaded = ort.InferenceSession(str(target), options, providers=["CPUExecutionProvider"])
 
     inputs = _inputs(graph)
-    wanted = session_runner({graph.name: converted})(graph.name, inputs)
-    found = session_runner({graph.name: loaded})(graph.name, inputs)
+    wanted, found = (
+        session_runner({graph.name: LoadedGraph(OnnxRuntimeGraph(session), graph.name)})(graph.name, inputs)
+        for session in (converted, loaded)
+    )
     for name, value in wanted.items():
         worst = difference(name, found[name], value)
         if not worst <= tolerance:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import torch
 
-from roomlight.engine.networks.runtime import ort
+from roomlight.engine.networks.graph import Graph as LoadedGraph
 from roomlight.engine.networks.units import mean_colour
 from roomlight_export.graphs import Graph
 from roomlight_export.inputs import ProbeFrame, random_planes
@@ -61,14 +61,14 @@ def torch_runner(graphs: Mapping[str, Graph]) -> Run:
     return run
 
 
-def session_runner(sessions: Mapping[str, ort.InferenceSession]) -> Run:
-    """Return a function that runs graphs as ONNX Runtime sessions."""
+def session_runner(graphs: Mapping[str, LoadedGraph]) -> Run:
+    """Return a function that runs graphs in the runtimes that they are loaded in."""
 
     def run(name: str, inputs: Tensors) -> Tensors:
-        session = sessions[name]
-        names = [output.name for output in session.get_outputs()]
-        values = session.run(names, {entry.name: inputs[entry.name] for entry in session.get_inputs()})
-        return {key: np.asarray(value) for key, value in zip(names, values, strict=True)}
+        graph = graphs[name]
+        outputs = graph.new_outputs()
+        graph.bind({key: np.ascontiguousarray(inputs[key]) for key in graph.inputs}, outputs).run()
+        return outputs
 
     return run
 

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from roomlight.engine.networks.providers import open_graph, openvino_device
+from roomlight.engine.networks.openvino_runtime import openvino_version
+from roomlight.engine.networks.providers import open_graph
 from roomlight.threads import thread_count
 from roomlight_export.exporting import ProgressCallback
 from roomlight_export.graphs import Graph, graphs_of, sample_inputs
@@ -76,7 +77,7 @@ def measure_widths(
     rounds: int = 15,
     progress: ProgressCallback | None = None,
 ) -> list[WidthRow]:
-    """Measure each configuration's graphs in PyTorch, ONNX Runtime and, if available, OpenVINO at bf16.
+    """Measure each configuration's graphs in PyTorch, ONNX Runtime and, if available, OpenVINO.
 
     All graphs are prepared first and then timed in rounds over all configurations, so that a busy minute of the
     machine affects all of them and the minimum times are comparable. `progress` receives a message for each step.
@@ -113,7 +114,7 @@ def describe(config: ModelConfig) -> str:
 
 
 def format_widths(rows: Sequence[WidthRow]) -> str:
-    """Format the rows as a Markdown table; times are PyTorch fp32 / ONNX Runtime CPU fp32 / OpenVINO bf16, in ms."""
+    """Format the rows as a Markdown table; times are PyTorch fp32 / ONNX Runtime CPU fp32 / OpenVINO, in ms."""
 
     def cell(cost: GraphCost) -> str:
         times = (cost.torch_ms, cost.ort_ms, cost.openvino_ms)
@@ -154,7 +155,7 @@ class _Prepared:
             path.write_bytes(to_onnx(graph, metadata={}).SerializeToString())
             run_ort = session_runner({graph.name: open_graph(path, "cpu")})
             self._runs["ort"] = lambda: run_ort(graph.name, feed)
-            if openvino_device() is not None:
+            if openvino_version() is not None:
                 run_openvino = session_runner({graph.name: open_graph(path, "openvino")})
                 self._runs["openvino"] = lambda: run_openvino(graph.name, feed)
         for run in self._runs.values():  # the first run allocates

@@ -3,7 +3,6 @@
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numba
@@ -11,7 +10,9 @@ import numpy as np
 from annotated_types import Interval
 from rich.table import Table
 
+from roomlight.engine.networks.openvino_runtime import openvino_version
 from roomlight.engine.networks.runtime import ort
+from roomlight.threads import processor_name
 
 Counts = tuple[Annotated[int, Interval(ge=1, le=1000)], ...]
 """Numbers of sessions or servers, a row of a table each."""
@@ -41,22 +42,16 @@ def criteria_table(criteria: Sequence[Criterion]) -> Table:
 def describe_machine() -> dict[str, str]:
     """Return what a figure depends on besides the code: processor, system and versions of the libraries."""
     return {
-        "processor": _processor(),
+        "processor": processor_name(),
         "system": platform.platform(terse=True),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "numba": numba.__version__,
         "onnxruntime": ort.__version__,
+        "openvino": openvino_version() or "not installed",
     }
 
 
 def short_number(value: float) -> str:
     """Format with three digits, or as an integer from 100 on."""
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
-
-
-def _processor() -> str:
-    cpu_info = Path("/proc/cpuinfo")  # Python's own `platform.processor` is empty on Linux
-    lines = cpu_info.read_text(encoding="utf-8").splitlines() if cpu_info.is_file() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()

@@ -26,7 +26,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.networks.graphs import SHIPPED, Graph, load_part
+from roomlight.engine.networks.graph import Graph
+from roomlight.engine.networks.graphs import SHIPPED, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.panels import BRIGHTEST, PANELS, changed_light, panel, panorama_panels

@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from roomlight.engine.networks.graphs import Graph, LightingGraphs
+from roomlight.engine.networks.graph import Graph
+from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.volume.grid import VOLUME_SHAPE
 
 KEYFRAME_BYTES: Final = 4_000_000

@@ -30,7 +30,7 @@ class SessionOptions:
         hedge: Share of fills without networks in the light that networks infer; see
             `roomlight.engine.models.network_probe`.
         parts: A folder with the model folders `clipping` and `objects`, instead of those inside the package.
-        provider: Where the networks run; auto: OpenVINO if it is installed and supported, else the CPU.
+        provider: Where the networks run; auto: OpenVINO if it is installed and faster here, else ONNX Runtime (cpu).
         height: Panorama height in pixels; the width is twice that.
         keyframes: Most frames kept for positions that are requested later.
         unknown_depth: Pixels without depth: at the depth around them (rim), at the volume's far side (far), or unused

@@ -11,20 +11,21 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.engine.networks.graphs import Graph, LightingGraphs, NetworkForm, load_graphs
-from roomlight.engine.networks.providers import open_graph, openvino_device
+from roomlight.engine.networks.graph import Graph
+from roomlight.engine.networks.graphs import LightingGraphs, NetworkForm, load_graphs
+from roomlight.engine.networks.openvino_runtime import openvino_version
+from roomlight.engine.networks.providers import open_graph
+from roomlight.engine.networks.runtime import RuntimeName
 from roomlight_bench.stages.bench_stage import BenchStage
 from roomlight_bench.stages.plain_torch import torch_installed
 from roomlight_bench.timing import Implementation, ProgressCallback
 from roomlight_model.config import ModelConfig
 
-RuntimeName = Literal["cpu", "openvino"]
-_RUNTIME_TITLES: dict[RuntimeName, str] = {"cpu": "ONNX Runtime fp32", "openvino": "OpenVINO bf16"}
+_RUNTIME_TITLES: dict[RuntimeName, str] = {"cpu": "ONNX Runtime fp32", "openvino": "OpenVINO fp32"}
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,9 @@ def untrained_networks(config: ModelConfig, *, progress: ProgressCallback) -> Ne
             path = Path(folder) / f"{graph.name}.onnx"
             path.write_bytes(to_onnx(graph, metadata={}).SerializeToString())
             for runtime, graphs in opened.items():
-                graphs[graph.name] = Graph(open_graph(path, runtime), graph.name)
+                graphs[graph.name] = open_graph(path, runtime)
     loaded: dict[RuntimeName, LightingGraphs] = {
-        runtime: LightingGraphs(Path("untrained"), "video", {}, runtime, graphs, filled=True)
+        runtime: LightingGraphs(Path("untrained"), "video", {}, graphs, filled=True)
         for runtime, graphs in opened.items()
     }
     return Networks(config, loaded, trained=False)
@@ -129,7 +130,7 @@ def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> 
 
 
 def _runtimes() -> tuple[RuntimeName, ...]:
-    return ("cpu", "openvino") if openvino_device() is not None else ("cpu",)
+    return ("cpu", "openvino") if openvino_version() is not None else ("cpu",)
 
 
 def _graph_input(name: str, shape: tuple[int, ...], volume: Float[np.ndarray, "5 z y x"]) -> Float[np.ndarray, "..."]:

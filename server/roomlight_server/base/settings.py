@@ -46,7 +46,7 @@ class ServerSettings(BaseSettings):
         phone_expiry_s: Time for which the token of a paired phone is valid.
         model: Model of sessions that ask for auto.
         weights: A model folder of `roomlight export`, instead of the weights inside the package.
-        provider: Where the networks run; auto: OpenVINO if it is installed and supported, else the CPU.
+        provider: Where the networks run; auto: OpenVINO if it is installed and faster here, else ONNX Runtime.
         keyframes: Frames kept per session for probes that are requested later, 5.4 MB each.
         max_sessions: Sessions at the same time. Each holds up to 150 MB of keyframes and 20 MB of volume.
         max_session_bytes: Sessions whose options could exceed this are rejected.

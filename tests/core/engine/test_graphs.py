@@ -12,8 +12,9 @@ from onnx import TensorProto, helper
 
 from roomlight.engine.models import choosing
 from roomlight.engine.models.choosing import choose_graphs
-from roomlight.engine.networks import providers
-from roomlight.engine.networks.graphs import Graph, load_graphs
+from roomlight.engine.networks.graph import Graph
+from roomlight.engine.networks.graphs import load_graphs
+from roomlight.engine.networks.runtime import OnnxRuntimeGraph
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError, OptionError
 
@@ -46,7 +47,7 @@ def test_a_complete_folder_loads_with_its_shapes(folder):
     assert graphs.form == "video"
     assert graphs.volume_shape == (16, 15, 21)
     assert graphs.panorama_height == 32
-    assert graphs.provider == "cpu"
+    assert graphs.runtime == "cpu"
     assert len(graphs.graphs) == 10
 
 
@@ -166,7 +167,7 @@ def _identity(shape):
     graph = helper.make_graph([helper.make_node("Identity", ["x"], ["y"])], "identity", value[:1], value[1:])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
     onnx.checker.check_model(model)
-    return ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    return OnnxRuntimeGraph(ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"]))
 
 
 def test_a_bound_graph_reads_and_writes_in_place():
@@ -198,11 +199,3 @@ def test_a_buffer_that_would_be_copied_is_refused():
     graph = Graph(_identity([6]), "identity")
     with pytest.raises(ModelError, match="not contiguous"):
         graph.bind({"x": np.zeros((3, 4), np.float32)[:, ::2]}, graph.new_outputs())
-
-
-def test_an_unavailable_openvino_is_refused_with_the_alternative(monkeypatch):
-    monkeypatch.setattr(providers, "openvino_device", lambda: None)
-    assert providers.resolve_provider("auto") == "cpu"
-    assert providers.resolve_provider("cpu") == "cpu"
-    with pytest.raises(ModelError, match=r'openvino.*provider="cpu"'):
-        providers.resolve_provider("openvino")

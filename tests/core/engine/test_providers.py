@@ -1,32 +1,123 @@
-"""Opening graphs does not change the caller's thread; unavailable providers are refused by name."""
+"""Where graphs run: a choice that is measured once and kept; opening graphs does not change the caller's thread."""
+
+import json
 
 import numpy as np
 import pytest
 
 from roomlight.engine.networks import providers
-from roomlight.engine.networks.providers import open_graph, resolve_provider
+from roomlight.engine.networks.graphs import load_graphs
+from roomlight.engine.networks.openvino_runtime import openvino_version
+from roomlight.engine.networks.providers import VARIABLE, open_graph
 from roomlight.errors import ModelError
 
+RUNTIMES = ("cpu", pytest.param("openvino", marks=pytest.mark.skipif(not openvino_version(), reason="no OpenVINO")))
 
-def test_opening_a_graph_does_not_switch_the_callers_denormals(tiny_video):
+
+@pytest.fixture
+def both_runtimes(monkeypatch, tmp_path):
+    """Pretend that OpenVINO is installed, with graphs of ONNX Runtime in its place; returns the cache folder."""
+    monkeypatch.delenv(VARIABLE)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(providers, "openvino_version", lambda: "1")
+    opened = []
+
+    def open_as(path, runtime):
+        graph = open_graph(path, "cpu")
+        graph._loaded.runtime = runtime
+        opened.append(runtime)
+        return graph
+
+    monkeypatch.setattr(providers, "open_graph", open_as)
+    return tmp_path / "cache", opened
+
+
+def _measured(monkeypatch, cpu_ms, openvino_ms):
+    monkeypatch.setattr(providers, "_least_ms", lambda _: {"cpu": cpu_ms, "openvino": openvino_ms})
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_opening_a_graph_does_not_switch_the_callers_denormals(tiny_video, runtime):
     tiny = np.array([1e-310, 3e-40])
-    open_graph(tiny_video[1] / "single_sg_encoder.onnx", "cpu")
+    graph = open_graph(tiny_video[1] / "single_sg_encoder.onnx", runtime)
+    graph.bind(graph.new_inputs(), graph.new_outputs()).run()
     assert (tiny * 0.5 > 0).all()
     assert np.float32(3e-40) * np.float32(0.5) > 0
 
 
-def test_a_file_that_is_no_graph_is_refused_by_name(tmp_path):
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_a_file_that_is_no_graph_is_refused_by_name(tmp_path, runtime):
     path = tmp_path / "broken.onnx"
     path.write_bytes(b"not a graph")
     with pytest.raises(ModelError, match=r"broken\.onnx"):
-        open_graph(path, "cpu")
+        open_graph(path, runtime)
 
 
-def test_auto_is_openvino_only_where_it_is_supported(monkeypatch):
-    monkeypatch.setattr(providers, "openvino_device", lambda: None)
-    assert resolve_provider("auto") == "cpu"
-    assert resolve_provider("cpu") == "cpu"
-    with pytest.raises(ModelError, match="openvino"):
-        resolve_provider("openvino")
-    monkeypatch.setattr(providers, "openvino_device", object)
-    assert resolve_provider("auto") == "openvino"
+def test_without_openvino_onnx_runtime_runs_all(tiny_video, monkeypatch):
+    monkeypatch.delenv(VARIABLE)
+    monkeypatch.setattr(providers, "openvino_version", lambda: None)
+    assert load_graphs(tiny_video[1]).runtime == "cpu"
+    with pytest.raises(ModelError, match=r'not installed.*provider="cpu"'):
+        load_graphs(tiny_video[1], provider="openvino")
+
+
+def test_the_variable_stands_for_auto_and_is_checked(tiny_video, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "cpu")
+    assert load_graphs(tiny_video[1]).runtime == "cpu"
+    monkeypatch.setenv(VARIABLE, "gpu")
+    assert load_graphs(tiny_video[1], provider="cpu").runtime == "cpu"
+    with pytest.raises(ModelError, match="ROOMLIGHT_PROVIDER must be one of auto, cpu, openvino; got 'gpu'"):
+        load_graphs(tiny_video[1])
+
+
+@pytest.mark.usefixtures("both_runtimes")
+@pytest.mark.parametrize(("openvino_ms", "chosen"), [(8.9, "openvino"), (9.1, "cpu")])
+def test_auto_takes_openvino_where_it_is_a_tenth_faster(tiny_video, monkeypatch, openvino_ms, chosen):
+    _measured(monkeypatch, 10.0, openvino_ms)
+    graphs = load_graphs(tiny_video[1])
+    assert {graph.runtime for graph in graphs.graphs.values()} == {chosen}
+
+
+def test_auto_measures_once_and_keeps_its_choice(tiny_video, both_runtimes, monkeypatch):
+    folder, opened = both_runtimes
+    assert load_graphs(tiny_video[1]).runtime in ("cpu", "openvino")  # a real measurement
+    (kept,) = folder.glob("runtime-*.json")
+    stated = json.loads(kept.read_text())
+    assert set(stated["least_ms"]) == {"cpu", "openvino"}
+    assert min(stated["least_ms"].values()) > 0
+    for first, later in ((1.0, 9.0), (9.0, 1.0)):
+        kept.write_text(json.dumps({"runtime": "openvino"}))
+        _measured(monkeypatch, first, later)
+        opened.clear()
+        assert load_graphs(tiny_video[1]).runtime == "openvino"
+        assert set(opened) == {"openvino"}  # the other is not even loaded
+
+
+def test_of_two_processes_the_first_choice_counts(tiny_video, both_runtimes, monkeypatch):
+    folder, _ = both_runtimes
+
+    def measured(_):
+        _measured(monkeypatch, 10.0, 1.0)
+        assert load_graphs(tiny_video[1]).runtime == "openvino"  # another process, meanwhile
+        return {"cpu": 1.0, "openvino": 10.0}
+
+    monkeypatch.setattr(providers, "_least_ms", measured)
+    assert load_graphs(tiny_video[1]).runtime == "openvino"
+    assert len(list(folder.iterdir())) == 1
+
+
+@pytest.mark.parametrize("damaged", ["", "[]", "{}", '{"runtime": "gpu"}'])
+def test_a_damaged_choice_is_measured_again(tiny_video, both_runtimes, monkeypatch, damaged):
+    folder, _ = both_runtimes
+    _measured(monkeypatch, 10.0, 1.0)
+    load_graphs(tiny_video[1])
+    (kept,) = folder.glob("runtime-*.json")
+    kept.write_text(damaged)
+    assert load_graphs(tiny_video[1]).runtime == "openvino"
+    assert json.loads(kept.read_text())["runtime"] == "openvino"
+
+
+def test_a_folder_that_cannot_be_written_is_no_error(tiny_video, both_runtimes, monkeypatch):
+    both_runtimes[0].write_text("a file in its place")
+    _measured(monkeypatch, 10.0, 1.0)
+    assert load_graphs(tiny_video[1]).runtime == "openvino"

@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.engine.models.interface import FILL_UPDATE, Arrays, Estimate, Rendered
-from roomlight.engine.networks.graphs import BoundGraph, Buffers, LightingGraphs
+from roomlight.engine.networks.graph import BoundGraph
+from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.networks.runtime import Buffers
 from roomlight.engine.panorama.blend import PanoramaState, fill_in, filled_detail, latest_detail
 from roomlight.engine.panorama.prior import shipped_prior
 from roomlight.engine.surface.mesh import PartialPanorama

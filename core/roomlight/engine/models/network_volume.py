@@ -17,7 +17,9 @@ from jaxtyping import Float
 
 from roomlight.engine.models.interface import FILL_UPDATE, Arrays
 from roomlight.engine.models.network_probe import NetworkProbe
-from roomlight.engine.networks.graphs import BoundGraph, Buffers, LightingGraphs
+from roomlight.engine.networks.graph import BoundGraph
+from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.networks.runtime import Buffers
 from roomlight.engine.networks.units import mean_colour
 from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.grid import VolumeGrid

@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.networks.graphs import SHIPPED, Graph, load_part
+from roomlight.engine.networks.graph import Graph
+from roomlight.engine.networks.graphs import SHIPPED, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.frame import Frame
 

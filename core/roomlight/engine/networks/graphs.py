@@ -7,21 +7,18 @@ video_{sg_encoder,sg_gru,sg_decoder,blend_encoder,blend_gru,blend_decoder}.
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-import numpy as np
-from jaxtyping import Float32
-
-from roomlight.engine.networks.providers import Provider, open_graph, resolve_provider
-from roomlight.engine.networks.runtime import ort
+from roomlight.engine.networks.graph import Graph
+from roomlight.engine.networks.providers import Provider, open_graphs
+from roomlight.engine.networks.runtime import RuntimeName
 from roomlight.errors import ModelError
 
 NetworkForm = Literal["single", "video"]
 """Single-view networks take one volume, of a frame or fused; video networks keep hidden states between frames."""
-Buffers = dict[str, Float32[np.ndarray, "..."]]
-"""Arrays by the names of a graph's inputs or outputs; their ranks differ, `Graph.bind` checks the shapes."""
 FORMAT: Final = 1
 """Version of `model.json`; written by `roomlight_export.exporting`."""
 DESCRIPTION: Final = "model.json"
@@ -47,64 +44,6 @@ SHIPPED: Final = Path(__file__).parents[1] / "weights"
 """Trained weights inside the package: a directory for each network form."""
 
 
-class Graph:
-    """A loaded graph, run on fixed buffers."""
-
-    def __init__(self, session: ort.InferenceSession, name: str, digest: str = "") -> None:
-        """Read the static shapes of inputs and outputs.
-
-        digest:  SHA-256 of the graph's file.
-
-        Raises:
-            ModelError: a shape is dynamic.
-        """
-        self._session = session
-        self.name, self.digest = name, digest
-        self.inputs = {node.name: tuple(node.shape) for node in session.get_inputs()}
-        self.outputs = {node.name: tuple(node.shape) for node in session.get_outputs()}
-        for key, shape in (self.inputs | self.outputs).items():
-            if not all(isinstance(size, int) for size in shape):
-                raise ModelError(f"graph {name}: {key} has the shape {shape}; RoomLight's graphs have static shapes")
-
-    def new_outputs(self) -> Buffers:
-        """Return zeroed buffers for every output."""
-        return {name: np.zeros(shape, np.float32) for name, shape in self.outputs.items()}
-
-    def bind(self, inputs: Buffers, outputs: Buffers) -> "BoundGraph":
-        """Bind the buffers once: every later run reads and writes them in place, without a copy.
-
-        Raises:
-            ModelError: names, sizes or memory layout do not fit the graph.
-        """
-        binding = self._session.io_binding()
-        for wanted, given, bind in (
-            (self.inputs, inputs, binding.bind_ortvalue_input),
-            (self.outputs, outputs, binding.bind_ortvalue_output),
-        ):
-            if wanted.keys() != given.keys():
-                raise ModelError(f"graph {self.name} has {sorted(wanted)}, the engine gives {sorted(given)}")
-            for name, array in given.items():
-                if array.size != int(np.prod(wanted[name])):
-                    raise ModelError(f"graph {self.name}: {name} is {wanted[name]}, the engine has {array.shape}")
-                if not array.flags.c_contiguous:
-                    raise ModelError(f"graph {self.name}: the buffer for {name} is not contiguous")
-                bind(name, ort.OrtValue.ortvalue_from_numpy(array.reshape(wanted[name])))
-        return BoundGraph(self._session, binding, (*inputs.values(), *outputs.values()))
-
-
-@dataclass(frozen=True)
-class BoundGraph:
-    """A graph with its buffers; `arrays` keeps them alive, because ONNX Runtime holds only their addresses."""
-
-    session: ort.InferenceSession
-    binding: ort.IOBinding
-    arrays: tuple[Float32[np.ndarray, "..."], ...]
-
-    def run(self) -> None:
-        """Run once on the bound buffers."""
-        self.session.run_with_iobinding(self.binding)
-
-
 @dataclass(frozen=True)
 class LightingGraphs:
     """A loaded model directory."""
@@ -112,7 +51,6 @@ class LightingGraphs:
     path: Path
     form: NetworkForm
     card: dict[str, Any]
-    provider: Literal["cpu", "openvino"]
     graphs: dict[str, Graph]
     filled: bool
     """Whether a fill is mixed in beyond the mesh (`BlendConfig.filled`), or only the volume is used there."""
@@ -127,6 +65,11 @@ class LightingGraphs:
     def digest(self) -> str:
         """Identity of the weights, of all graphs together."""
         return hashlib.sha256("".join(graph.digest for graph in self.graphs.values()).encode()).hexdigest()
+
+    @property
+    def runtime(self) -> RuntimeName:
+        """Where the graphs run."""
+        return self.graphs["single_sg_encoder"].runtime
 
     @property
     def panorama_height(self) -> int:
@@ -150,13 +93,9 @@ def load_graphs(path: Path, *, provider: Provider = "auto") -> LightingGraphs:
             f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
             "their light would be noise; train them with `roomlight train`"
         )
-    resolved = resolve_provider(provider)
-    graphs: dict[str, Graph] = {}
-    for name in SINGLE_GRAPHS + (VIDEO_GRAPHS if form == "video" else ()):
-        graphs[name] = _checked_graph(path, name, entries, resolved)
-    return LightingGraphs(
-        path, form, card, resolved, graphs, bool(index["config"].get("blend", {}).get("filled", True))
-    )
+    names = SINGLE_GRAPHS + (VIDEO_GRAPHS if form == "video" else ())
+    graphs = _open_checked(path, names, entries, provider)
+    return LightingGraphs(path, form, card, graphs, bool(index["config"].get("blend", {}).get("filled", True)))
 
 
 def load_part(path: Path, form: PartForm, *, provider: Provider = "auto") -> Graph:
@@ -171,17 +110,27 @@ def load_part(path: Path, form: PartForm, *, provider: Provider = "auto") -> Gra
         raise ModelError(f"{path}: holds networks of the form {index['form']}, not {form}")
     if not index["card"].get("steps"):
         raise ModelError(f"{path}: these weights were never trained; train them with `roomlight train {form}`")
-    return _checked_graph(path, form, index["graphs"], resolve_provider(provider))
+    return _open_checked(path, (form,), index["graphs"], provider)[form]
 
 
-def _checked_graph(path: Path, name: str, entries: dict[str, Any], provider: Literal["cpu", "openvino"]) -> Graph:
+def _open_checked(path: Path, names: Sequence[str], entries: dict[str, Any], provider: Provider) -> dict[str, Graph]:
+    digests = [_checked_digest(path, name, entries) for name in names]
+    whole = hashlib.sha256("".join(digests).encode()).hexdigest()
+    graphs = open_graphs([path / f"{name}.onnx" for name in names], whole, provider)
+    for graph, digest in zip(graphs, digests, strict=True):
+        graph.digest = digest
+    return {graph.name: graph for graph in graphs}
+
+
+def _checked_digest(path: Path, name: str, entries: dict[str, Any]) -> str:
+    """Return the SHA-256 of a graph's file, which is that in `model.json`."""
     file, entry = path / f"{name}.onnx", entries.get(name)
     if not isinstance(entry, dict) or not file.is_file():
         raise ModelError(f"{file}: missing; export the checkpoint again")
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     if digest != entry.get("sha256"):
         raise ModelError(f"{file}: is not the graph that {DESCRIPTION} names (digest differs); export again")
-    return Graph(open_graph(file, provider), name, digest)
+    return digest
 
 
 def read_description(path: Path) -> dict[str, Any]:

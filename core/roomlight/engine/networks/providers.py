@@ -1,74 +1,135 @@
-"""Execution providers of ONNX graphs: the OpenVINO plugin if it supports this processor, else the CPU provider."""
+"""Where graphs run: ONNX Runtime's CPU provider, or OpenVINO where it is installed and faster on this machine.
 
-import importlib
-import importlib.util
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+`auto` measures both once and keeps the answer in a file of the cache folder: `NUMBA_CACHE_DIR`, else
+`~/.cache/roomlight`. Processes that start together take the answer that was written first, so that all sessions of a
+machine compute the same bits. `ROOMLIGHT_PROVIDER` decides instead.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Literal
+from typing import Any, Final, Literal, get_args
 
-from roomlight.engine.networks.runtime import ort
+from roomlight.engine.networks.graph import BoundGraph, Graph
+from roomlight.engine.networks.openvino_runtime import OpenVinoGraph, openvino_version
+from roomlight.engine.networks.runtime import RUNTIMES, OnnxRuntimeGraph, RuntimeName, ort
 from roomlight.errors import ModelError
-from roomlight.threads import thread_count
+from roomlight.threads import processor_name, thread_count
 
 Provider = Literal["auto", "cpu", "openvino"]
-_PLUGIN = "onnxruntime_ep_openvino"
+VARIABLE: Final = "ROOMLIGHT_PROVIDER"
+"""Environment variable that stands for `auto`."""
+FASTER: Final = 0.9
+"""OpenVINO is chosen if it takes at most this share of ONNX Runtime's time: 0.55 for the SGLV networks on an AMD EPYC
+with AVX-512, 0.8 for the clipping network. Noise must not decide, because results differ in their last bits."""
+_RUNS: Final = 5
 
 
-@cache
-def openvino_device() -> "ort.OrtEpDevice | None":
-    """Return the OpenVINO plugin's CPU device; None if it is not installed or does not support this processor."""
-    if importlib.util.find_spec(_PLUGIN) is None:
-        return None
-    plugin = importlib.import_module(_PLUGIN)
-    ort.register_execution_provider_library("roomlight_openvino", plugin.get_library_path())
-    for device in ort.get_ep_devices():
-        if device.ep_name == plugin.get_ep_name() and device.device.type == ort.OrtHardwareDeviceType.CPU:
-            return device
-    return None
-
-
-def resolve_provider(provider: Provider) -> Literal["cpu", "openvino"]:
-    """Return the provider that is used on this machine; `auto` prefers OpenVINO.
-
-    Raises:
-        ModelError: OpenVINO is requested and not available.
-    """
-    if provider == "cpu":
-        return "cpu"
-    available = openvino_device() is not None
-    if provider == "openvino" and not available:
-        installed = importlib.util.find_spec(_PLUGIN) is not None
-        reason = (
-            "does not support this processor" if installed else "is not installed (pip install 'roomlight[openvino]')"
-        )
-        raise ModelError(f'provider="openvino": the plugin {_PLUGIN} {reason}; use provider="cpu"')
-    return "openvino" if available else "cpu"
-
-
-def open_graph(path: Path, provider: Literal["cpu", "openvino"]) -> ort.InferenceSession:
+def open_graph(path: Path, runtime: RuntimeName) -> Graph:
     """Load one graph.
 
     Raises:
-        ModelError: ONNX Runtime refuses it.
+        ModelError: the runtime refuses it, or a shape in it is dynamic.
     """
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = thread_count()
-    options.log_severity_level = 3
-    # Spinning threads would take the second core from the ray tracing that runs between two graphs.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    # Hidden states that decay towards zero become denormals, which are 100 times slower than zero.
-    options.add_session_config_entry("session.set_denormal_as_zero", "1")
-    if provider == "openvino":
-        # bf16 if the processor has it (AMX): 6 to 7 times as fast as the CPU provider; stated, not left to a default
-        config = '{"CPU": {"INFERENCE_PRECISION_HINT": "bf16"}}'
-        options.add_provider_for_devices([openvino_device()], {"load_config": config})
-    providers = None if provider == "openvino" else ["CPUExecutionProvider"]
-    # Opened in a separate thread: with denormals as zero, ONNX Runtime changes the floating-point mode of the opening
-    # thread for good, and the caller's thread must keep its own.
-    with ThreadPoolExecutor(1) as opener:
-        opening = opener.submit(ort.InferenceSession, str(path), sess_options=options, providers=providers)
-    error = opening.exception()
-    if error is not None:  # ONNX Runtime's exceptions share no base class
-        raise ModelError(f"{path}: ONNX Runtime cannot load it ({str(error).splitlines()[0]})") from error
-    return opening.result()
+    return Graph(OpenVinoGraph.open(path) if runtime == "openvino" else OnnxRuntimeGraph.open(path), path.stem)
+
+
+def open_graphs(paths: Sequence[Path], digest: str, provider: Provider) -> list[Graph]:
+    """Load the graphs of a model folder, all in one runtime.
+
+    Args:
+        paths: the graphs' files.
+        digest: identity of all of them, under which a measured choice is kept.
+        provider: `auto` chooses the runtime, see the module.
+
+    Raises:
+        ModelError: OpenVINO is requested and not installed, or the runtime refuses a graph.
+    """
+    runtime = _requested(provider)
+    if runtime is None:
+        return _open_fastest(paths, digest)
+    return [open_graph(path, runtime) for path in paths]
+
+
+def _requested(provider: Provider) -> RuntimeName | None:
+    """Return the runtime that is asked for, and the only one where OpenVINO is not installed; None: the faster one."""
+    wanted = os.environ.get(VARIABLE, "auto") if provider == "auto" else provider
+    if wanted not in get_args(Provider):
+        raise ModelError(f"{VARIABLE} must be one of {', '.join(get_args(Provider))}; got {wanted!r}")
+    if wanted == "openvino" and openvino_version() is None:
+        raise ModelError(
+            'provider="openvino": OpenVINO is not installed (pip install \'roomlight[openvino]\'); use provider="cpu"'
+        )
+    if wanted == "auto":
+        return "cpu" if openvino_version() is None else None
+    return "openvino" if wanted == "openvino" else "cpu"
+
+
+def _open_fastest(paths: Sequence[Path], digest: str) -> list[Graph]:
+    file = _choice_file(digest)
+    kept = _kept_choice(file)
+    if kept is not None:
+        return [open_graph(path, kept) for path in paths]
+    loaded: dict[RuntimeName, list[Graph]] = {
+        runtime: [open_graph(path, runtime) for path in paths] for runtime in RUNTIMES
+    }
+    least_ms = _least_ms(loaded)
+    chosen: RuntimeName = "openvino" if least_ms["openvino"] <= FASTER * least_ms["cpu"] else "cpu"
+    return loaded[_keep_choice(file, {"runtime": chosen, "least_ms": least_ms})]
+
+
+def _least_ms(loaded: dict[RuntimeName, list[Graph]]) -> dict[RuntimeName, float]:
+    """Return the least time of a run of all graphs in each runtime, interleaved."""
+    runs: dict[RuntimeName, list[BoundGraph]] = {
+        runtime: [graph.bind(graph.new_inputs(), graph.new_outputs()) for graph in graphs]
+        for runtime, graphs in loaded.items()
+    }
+    least_ms: dict[RuntimeName, float] = {"cpu": float("inf"), "openvino": float("inf")}
+    for _ in range(1 + _RUNS):  # the first plans memory
+        for runtime, graphs in runs.items():
+            began = time.perf_counter()
+            for graph in graphs:
+                graph.run()
+            least_ms[runtime] = min(least_ms[runtime], (time.perf_counter() - began) * 1e3)
+    return least_ms
+
+
+def _choice_file(digest: str) -> Path:
+    """Return where the choice for these graphs is kept: another processor or version has another file."""
+    machine = [processor_name(), str(thread_count()), ort.__version__, str(openvino_version()), digest]
+    name = hashlib.sha256("\n".join(machine).encode()).hexdigest()[:16]
+    numba_folder = os.environ.get("NUMBA_CACHE_DIR")
+    caches = os.environ.get("XDG_CACHE_HOME")
+    folder = Path(numba_folder) if numba_folder else (Path(caches) if caches else Path.home() / ".cache") / "roomlight"
+    return folder / f"runtime-{name}.json"
+
+
+def _kept_choice(file: Path) -> RuntimeName | None:
+    """Return the kept choice; None if there is none, or the file is damaged."""
+    try:
+        runtime = json.loads(file.read_text(encoding="utf-8"))["runtime"]
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+    return runtime if runtime in RUNTIMES else None
+
+
+def _keep_choice(file: Path, choice: dict[str, Any]) -> RuntimeName:
+    """Keep a choice unless another process was first; return the one that counts.
+
+    Where the folder cannot be written, each process measures.
+    """
+    with suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=file.parent, encoding="utf-8") as complete:
+            json.dump(choice, complete)
+            complete.flush()
+            if _kept_choice(file) is None:
+                file.unlink(missing_ok=True)  # damaged
+            with suppress(FileExistsError):
+                os.link(complete.name, file)
+    return _kept_choice(file) or choice["runtime"]

@@ -5,9 +5,87 @@ looks up a host of Microsoft when it is loaded. It reads the variable once, at i
 """
 
 import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32
+
+from roomlight.errors import ModelError
+from roomlight.threads import thread_count
 
 os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 
 import onnxruntime as ort
 
-__all__ = ["ort"]
+Buffers = dict[str, Float32[np.ndarray, "..."]]
+"""Arrays by the names of a graph's inputs or outputs; their ranks differ, `Graph.bind` checks the shapes."""
+RuntimeName = Literal["cpu", "openvino"]
+"""ONNX Runtime's CPU provider, or OpenVINO."""
+RUNTIMES: Final[tuple[RuntimeName, ...]] = ("cpu", "openvino")
+Shapes = dict[str, tuple[int | str, ...]]
+"""Shapes by the names of a graph's inputs or outputs; a dynamic size has a name."""
+
+
+@runtime_checkable
+class LoadedGraph(Protocol):
+    """A graph in a runtime, without state: threads may run it at the same time, each on buffers of its own."""
+
+    runtime: RuntimeName
+    inputs: Shapes
+    outputs: Shapes
+
+    def bind(self, inputs: Buffers, outputs: Buffers) -> Callable[[], object]:
+        """Return a function that runs the graph on these buffers, which the caller keeps alive; nothing is copied.
+
+        The buffers fit: contiguous, of the graph's names and shapes.
+        """
+        ...
+
+
+class OnnxRuntimeGraph:
+    """A graph in ONNX Runtime."""
+
+    runtime: RuntimeName = "cpu"
+
+    def __init__(self, session: ort.InferenceSession) -> None:
+        self._session = session
+        self.inputs: Shapes = {node.name: tuple(node.shape) for node in session.get_inputs()}
+        self.outputs: Shapes = {node.name: tuple(node.shape) for node in session.get_outputs()}
+
+    @classmethod
+    def open(cls, path: Path) -> "OnnxRuntimeGraph":
+        """Load a graph.
+
+        Raises:
+            ModelError: ONNX Runtime refuses it.
+        """
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = thread_count()
+        options.log_severity_level = 3
+        # Spinning threads would take the second core from the ray tracing that runs between two graphs.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        # Hidden states that decay towards zero become denormals, which are 100 times slower than zero.
+        options.add_session_config_entry("session.set_denormal_as_zero", "1")
+        # Opened in a separate thread: with denormals as zero, ONNX Runtime changes the floating-point mode of the
+        # opening thread for good, and the caller's thread must keep its own.
+        with ThreadPoolExecutor(1) as opener:
+            opening = opener.submit(ort.InferenceSession, str(path), options, providers=["CPUExecutionProvider"])
+        error = opening.exception()
+        if error is not None:  # ONNX Runtime's exceptions share no base class
+            raise ModelError(f"{path}: ONNX Runtime cannot load it ({str(error).splitlines()[0]})") from error
+        return cls(opening.result())
+
+    def bind(self, inputs: Buffers, outputs: Buffers) -> Callable[[], object]:
+        """Bind the buffers' addresses."""
+        session, binding = self._session, self._session.io_binding()
+        for name, array in inputs.items():
+            binding.bind_ortvalue_input(name, ort.OrtValue.ortvalue_from_numpy(array))
+        for name, array in outputs.items():
+            binding.bind_ortvalue_output(name, ort.OrtValue.ortvalue_from_numpy(array))
+        return lambda: session.run_with_iobinding(binding)
+
+
+__all__ = ["RUNTIMES", "Buffers", "LoadedGraph", "OnnxRuntimeGraph", "RuntimeName", "Shapes", "ort"]

@@ -1,0 +1,93 @@
+"""Graphs in OpenVINO: the numbers of ONNX Runtime, in the caller's buffers, without a word to anybody."""
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from roomlight.engine.networks.graphs import SHIPPED, SINGLE_GRAPHS
+from roomlight.engine.networks.openvino_runtime import TOLERANCE
+from roomlight.engine.networks.providers import open_graph
+from roomlight.engine.session import Session, SessionOptions
+from rooms import BoxRoom, camera_at
+
+pytest.importorskip("openvino")
+SHIPPED_GRAPHS = [("single", name) for name in SINGLE_GRAPHS] + [("clipping", "clipping"), ("objects", "objects")]
+
+
+def _bound(graph, seed):
+    random = np.random.default_rng(seed)
+    inputs = {name: random.random(shape, dtype=np.float32) for name, shape in graph.inputs.items()}
+    outputs = graph.new_outputs()
+    return graph.bind(inputs, outputs), inputs, outputs
+
+
+@pytest.mark.parametrize(("folder", "name"), SHIPPED_GRAPHS)
+def test_shipped_graphs_agree_with_onnx_runtime(folder, name):
+    results = []
+    for runtime in ("cpu", "openvino"):
+        bound, _, outputs = _bound(open_graph(SHIPPED / folder / f"{name}.onnx", runtime), 0)
+        bound.run()
+        results.append(outputs)
+    for key, wanted in results[0].items():
+        assert np.abs(results[1][key] - wanted).max() <= TOLERANCE * np.abs(wanted).max()
+
+
+def test_a_bound_graph_reads_and_writes_in_place(tiny_video):
+    graph = open_graph(tiny_video[1] / "single_sg_encoder.onnx", "openvino")
+    bound, inputs, outputs = _bound(graph, 0)
+    bound.run()
+    first = {name: array.copy() for name, array in outputs.items()}
+    inputs["volume"][:] = 0
+    bound.run()
+    assert all((outputs[name] != first[name]).any() for name in outputs)
+
+
+def test_threads_run_one_graph_at_the_same_time_with_equal_bits(tiny_video):
+    graph = open_graph(tiny_video[1] / "single_sg_encoder.onnx", "openvino")
+    alone = []
+    for seed in range(4):
+        bound, _, outputs = _bound(graph, seed)
+        bound.run()
+        alone.append(outputs)
+    together = [_bound(graph, seed) for seed in range(4)]
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda entry: [entry[0].run() for _ in range(10)], together))
+    for (_, _, outputs), wanted in zip(together, alone, strict=True):
+        assert all((outputs[name] == wanted[name]).all() for name in wanted)
+
+
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_a_session_saved_in_one_runtime_goes_on_in_the_other(tiny_video, tmp_path, form):
+    room = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35), lamp_radiance=30.0)
+    frames = [room.frame(camera_at((0, 1.4, 0), 9 * index), index=index, width=96, height=72) for index in range(5)]
+    options = {
+        runtime: SessionOptions(model=form, weights=tiny_video[1], provider=runtime, height=32)
+        for runtime in ("cpu", "openvino")
+    }
+    whole = Session(options["cpu"])
+    whole.track((0.1, 1.2, -0.5))
+    for frame in frames[:3]:
+        whole.push(frame)
+    whole.save(tmp_path / "room.state")
+    other = Session.load(tmp_path / "room.state", options["openvino"])
+    for frame in frames[3:]:
+        whole.push(frame)
+        other.push(frame)
+    wanted, got = whole.lights()[0].panorama, other.lights()[0].panorama
+    assert np.abs(got - wanted).max() <= 10 * TOLERANCE * wanted.max()  # two frames of five graphs each
+    assert (got != wanted).any()  # it is another runtime
+
+
+def test_openvinos_converter_which_reports_its_import_is_not_loaded(tiny_video):
+    program = f"""
+import sys
+from pathlib import Path
+from roomlight.engine.networks.providers import open_graph
+open_graph(Path({str(tiny_video[1])!r}) / "single_sg_encoder.onnx", "openvino")
+assert "openvino" in sys.modules
+assert not [name for name in sys.modules if "telemetry" in name or name.startswith("openvino.tools")]
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
