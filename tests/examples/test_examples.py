@@ -19,6 +19,7 @@ from js_package import PACKAGE, run
 
 import roomlight as rl
 from http_servers import RunningServer
+from roomlight.conventions import srgb8_to_linear
 from roomlight.images import read_panorama
 
 ROOT = Path(__file__).parents[2]
@@ -226,3 +227,64 @@ def test_three_js_page(web_root: tuple[Path, str]) -> None:
     white_left, white_right = left[13:16, 19:22].mean(), right[13:16, 19:22].mean()  # the white sphere's middle
     assert 20 < white_left < 250
     assert white_right == pytest.approx(white_left, rel=0.25)  # nine harmonics shade much as the whole map does
+
+
+SPHERE_PAGE = """<!doctype html><title>waiting</title><canvas></canvas>
+<script type="importmap">{"imports": {"three": "/client/js/node_modules/three/build/three.module.js",
+  "roomlight": "/client/js/dist/index.js", "roomlight/three": "/client/js/dist/three.js"}}</script>
+<script type="module">
+import * as THREE from "three";
+import { applyToScene } from "roomlight/three";
+const light = await (await fetch("light.json")).json(), view = await (await fetch("view.json")).json();
+const data = new Uint8Array(await (await fetch("light.hdr")).arrayBuffer());
+const forms = { hdr: { format: "hdr", data }, sh: { format: "sh", values: light.harmonics } };
+const renderer = new THREE.WebGLRenderer({ canvas: document.querySelector("canvas"), preserveDrawingBuffer: true });
+renderer.setSize(128, 64, false);
+const camera = new THREE.PerspectiveCamera(20, 1, 0.01, 20);
+new THREE.Matrix4().set(...view.camera_to_world.flat()).decompose(camera.position, camera.quaternion, camera.scale);
+camera.lookAt(...view.position);
+renderer.setScissorTest(true);
+for (const [column, form] of ["hdr", "sh"].entries()) {
+  const scene = new THREE.Scene(), material = new THREE.MeshPhysicalMaterial({ roughness: 1, specularIntensity: 0 });
+  material.color.setRGB(...view.colour);
+  const sphere = new THREE.Mesh(new THREE.SphereGeometry(view.radius_m, 64, 32), material);
+  sphere.position.set(...view.position);
+  scene.add(sphere);
+  applyToScene(scene, { position: view.position, etag: form, coverage: 1, forms: [forms[form]] });
+  renderer.setViewport(64 * column, 0, 64, 64);
+  renderer.setScissor(64 * column, 0, 64, 64);
+  renderer.render(scene, camera);
+}
+document.title = "rendered";
+</script>"""
+
+
+@pytest.mark.js
+def test_a_sphere_is_as_bright_in_three_js_as_in_the_compositor(web_root: tuple[Path, str]) -> None:
+    """The same matte sphere in our default light: by the compositor, and by three.js with `hdr` and with `sh`."""
+    folder, url = web_root
+    frames = list(rl.open_capture(rl.sample_capture()))[:3]
+    session = rl.Session()
+    for frame in frames:
+        session.push(frame)
+    camera = frames[-1].camera_to_world
+    position = tuple(float(axis) for axis in camera[:3, 3] - 0.7 * camera[:3, 2])
+    sphere = {"name": "ball", "shape": "sphere", "size_m": 0.2, "position": position}
+    material = {"kind": "diffuse", "base_colour": [0.2, 0.2, 0.2]}
+    (folder / "scene.json").write_text(json.dumps({"objects": [sphere | {"material": material}]}))
+    picture = rl.Compositor(session, rl.load_scene(folder / "scene.json"), match_camera=False).composite(frames[-1])
+    ours = picture.objects[picture.alpha > 0.99].mean(axis=0)
+
+    light = session.light_at(position)
+    for name in ("light.hdr", "light.json"):
+        light.save(folder / name)
+    view = {"position": position, "camera_to_world": camera.tolist(), "radius_m": 0.1, "colour": [0.2, 0.2, 0.2]}
+    (folder / "view.json").write_text(json.dumps(view))
+    (folder / "sphere.html").write_text(SPHERE_PAGE)
+    run(["npm", "run", "--silent", "build"])
+    command = ["node", "--input-type=module", "--eval", PAGE_PIXELS, os.environ.get("CHROMIUM", "/usr/bin/chromium")]
+    pixels = json.loads(run([*command, f"{url}/sphere.html"], folder=PACKAGE))
+    image = srgb8_to_linear(np.array(pixels, np.uint8).reshape(32, 64, 4)[..., :3])
+    for half in (image[:, :32], image[:, 32:]):
+        theirs = half[half.sum(axis=-1) > 0.2 * half.sum(axis=-1).max()].mean(axis=0)
+        np.testing.assert_allclose(theirs, ours, rtol=0.05)
