@@ -7,6 +7,9 @@ import pytest
 from command_runner import Finished, RunCommand
 
 from roomlight_cli.main import main
+from roomlight_cli.replays.pictures import ReplayPictures
+from rooms import BoxRoom, pan
+from written_captures import write_capture
 
 
 @pytest.fixture
@@ -58,3 +61,19 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("roomlight_cli.replays.replay.ReplayPictures", NoPictures)
+
+
+@pytest.fixture
+def pictures(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    """Pictures nevertheless, in a module that has none."""
+    request.getfixturevalue("no_pictures")
+    monkeypatch.setattr("roomlight_cli.replays.replay.ReplayPictures", ReplayPictures)
+
+
+@pytest.fixture(scope="session")
+def small_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six frames of a box room and the truth at a point ahead."""
+    room, point = BoxRoom(), (0.4, 1.2, -0.3)
+    frames = pan(room, 6, width=64, height=48)
+    probes = [(point, room.panorama(point, height=16)[0])]
+    return write_capture(tmp_path_factory.mktemp("small") / "box", frames, probes=probes)

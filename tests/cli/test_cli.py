@@ -1,8 +1,6 @@
 """The command as a person meets it: help, errors in one line, Ctrl-C, and the demo from end to end."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +17,6 @@ from roomlight_cli.commands import demo as demo_command
 from roomlight_cli.commands.bench import BENCHMARKS
 from roomlight_cli.commands.evaluation import EVALUATIONS
 from roomlight_cli.lazy import CommandEntry, load_command
-from roomlight_cli.replays import replay_run
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_evaluation.captures.evaluation import evaluate_predictions
 
@@ -31,19 +28,7 @@ def python(code: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess
 
 def test_help_lists_commands_in_a_newcomer_s_order(roomlight: RunCommand) -> None:
     text = roomlight("--help").out
-    names = [
-        "demo",
-        "light",
-        "replay",
-        "composite",
-        "stream",
-        "serve",
-        "eval",
-        "bench",
-        "dataset",
-        "train",
-        "export",
-    ]
+    names = ["demo", "light", "replay", "composite", "stream", "serve", "eval", "bench", "dataset", "train", "export"]
     listed = [line.split()[1] for line in text.splitlines() if line.startswith("│ ") and line[2].isalpha()]
     assert listed == names
     panels = [text.index(f"─ {panel} ") for panel in ("Try it", "Light a recording", "Serve", "Measure", "Train")]
@@ -134,10 +119,7 @@ FLAGS |= {"depth_unit_m": "--depth-unit"}
         (OptionError("every frame counts"), "--every frame counts"),
         (FrameError("every frame is bad"), "every frame is bad"),
         (FrameError("use the `every` and `max_frames` that"), "use the --every and --max-frames that"),
-        (
-            ModelError("w: not here; set min_confidence=2 to use it"),
-            "w: not here; set --min-confidence 2 to use it",
-        ),
+        (ModelError("w: not here; set min_confidence=2 to use it"), "w: not here; set --min-confidence 2 to use it"),
         (ModelError("give weights=DIR or model='classical'"), "give --weights DIR or --model 'classical'"),
         (FrameError("/data/depth_key/a.png: state depth_unit_m."), "/data/depth_key/a.png: state --depth-unit."),
     ],
@@ -175,24 +157,26 @@ def test_a_bad_argument_is_a_usage_error(
     assert not (tmp_path / "out").exists()
 
 
-def test_late_excludes_predictions(tmp_path: Path, roomlight: RunCommand) -> None:
-    result = roomlight("eval", "captures", sample_capture(), "--late", "--predictions", ".", cwd=tmp_path)
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--late", "--predictions", "."), "--late runs the engine"),
+        (("--main-light", "--late"), "--main-light scores tracked probes"),
+        (("--main-light", "--predictions", "."), "--main-light scores tracked probes"),
+        (("--ship-rule", "--late"), "--ship-rule scores tracked probes"),
+        (("--ship-rule", "--main-light"), "--ship-rule scores tracked probes"),
+        (("--ship-rule", "--predictions", "."), "--ship-rule scores tracked probes"),
+    ],
+)
+def test_scores_of_captures_exclude_each_other(options: tuple[str, ...], says: str, roomlight: RunCommand) -> None:
+    result = roomlight("eval", "captures", sample_capture(), *options)
     assert result.code == 2
-    assert "--late runs the engine" in result.err
+    assert says in result.err
 
 
-@pytest.mark.parametrize("other", [("--late",), ("--predictions", ".")])
-def test_main_light_excludes_late_and_predictions(
-    other: tuple[str, ...], tmp_path: Path, roomlight: RunCommand
-) -> None:
-    result = roomlight("eval", "captures", sample_capture(), "--main-light", *other, cwd=tmp_path)
-    assert result.code == 2
-    assert "--main-light scores tracked probes" in result.err
-
-
-def test_the_main_light_is_scored_on_a_capture(tmp_path: Path, roomlight: RunCommand) -> None:
-    options = ("--main-light", "--model", "classical", "--max-frames", "6", "--json", "main.json")
-    result = roomlight("eval", "captures", sample_capture(), *options, cwd=tmp_path)
+def test_the_main_light_is_scored_on_a_capture(small_capture: Path, tmp_path: Path, roomlight: RunCommand) -> None:
+    options = ("--main-light", "--model", "classical", "--json", "main.json")
+    result = roomlight("eval", "captures", small_capture, *options, cwd=tmp_path)
     assert result.code == 0, result.err
     assert "one panorama" in result.out
     tracks = json.loads((tmp_path / "main.json").read_text())["tracks"]
@@ -213,54 +197,6 @@ def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: 
     scored = roomlight("eval", "captures", sample, "--predictions", out, "--every", "10", cwd=tmp_path)
     assert scored.code == 0, scored.err
     assert "predictions" in scored.out
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", ["video", "single"])
-def test_a_model_without_trained_weights_is_refused(model: str, tmp_path: Path, roomlight: RunCommand) -> None:
-    from roomlight.engine.networks.graphs import SHIPPED
-
-    if (SHIPPED / model / "model.json").is_file():  # shipped weights must simply work
-        arguments = ("replay", sample_capture(), "--out", "o", "--model", model, "--max-frames", "1")
-        assert roomlight(*arguments, cwd=tmp_path).code == 0
-        return
-    result = roomlight("replay", sample_capture(), "--out", "out", "--model", model, cwd=tmp_path)
-    assert result.code == 1
-    assert "no trained weights" in result.err
-    assert "classical" in result.err
-
-
-@pytest.mark.usefixtures("no_pictures")
-def test_ctrl_c_stops_and_the_same_command_continues(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, roomlight: RunCommand
-) -> None:
-    out = tmp_path / "out"
-    command = (
-        "replay", sample_capture(), "--out", out, "--max-frames", "4", "--height", "16", "--model", "classical",
-    )  # fmt: skip
-    real = replay_run.replay
-
-    def interrupted(path, folder, options, *, progress):
-        def press(done: int, total: int) -> None:
-            progress(done, total)
-            if done == 2:
-                os.kill(os.getpid(), signal.SIGINT)
-
-        return real(path, folder, options, progress=press)
-
-    monkeypatch.setattr(replay_run, "replay", interrupted)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
-    try:
-        stopped = roomlight(*command)
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert stopped.code == 130
-    assert "continues" in stopped.err
-    assert not (out / "report.json").exists()
-
-    monkeypatch.setattr(replay_run, "replay", real)
-    assert roomlight(*command).code == 0
-    assert json.loads((out / "report.json").read_text())["complete"] is True
 
 
 def test_the_demo_without_a_browser_replays_the_sample(

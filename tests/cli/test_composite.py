@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from roomlight.captures import CaptureWriter
-from roomlight.conventions import linear_to_srgb8
 from rooms import BoxRoom, camera_at
+from written_captures import write_capture
 
 ROOM = BoxRoom(lamp=((0.3, 3.0, 0.0), 0.5), lamp_radiance=20.0)
 FAST = ("--quality", "preview", "--height", "16", "--model", "classical")
@@ -18,18 +17,9 @@ BALL = ("--object", "sphere", "--size", "0.4", "--pixel", "32,36")
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("captures") / "box"
-    with CaptureWriter(folder) as writer:
-        for index in range(3):
-            pose = camera_at((0.2, 1.4, 1.4), 4.0 * index, -30)
-            frame = ROOM.frame(pose, index=index, width=64, height=48)
-            writer.add(
-                srgb8=linear_to_srgb8(np.clip(frame.image, 0, 1)),
-                depth_m=frame.depth_m,
-                intrinsics=frame.intrinsics,
-                camera_to_world=frame.camera_to_world,
-            )
-    return folder
+    poses = [camera_at((0.2, 1.4, 1.4), 4.0 * index, -30) for index in range(3)]
+    frames = [ROOM.frame(pose, index=index, width=64, height=48) for index, pose in enumerate(poses)]
+    return write_capture(tmp_path_factory.mktemp("captures") / "box", frames)
 
 
 def picture(path):

@@ -34,6 +34,11 @@ def room(tmp_path):
     return tmp_path, shot, fov
 
 
+def frame_of(room):
+    folder, _, fov = room
+    return read_photo(folder / "photo.png", folder / "depth.png", PhotoOptions(fov_deg=fov)).frame
+
+
 def write_jpeg(path, pixels, *, orientation=1, focal_35mm=None):
     """Write upright sRGB pixels as a phone does: stored by the sensor's rows and columns, with EXIF."""
     exif = Image.Exif()
@@ -75,8 +80,7 @@ def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
 
 
 def test_the_exr_holds_the_engine_s_light(room):
-    folder, _, fov = room
-    frame = read_photo(folder / "photo.png", folder / "depth.png", PhotoOptions(fov_deg=fov)).frame
+    folder, frame = room[0], frame_of(room)
     (one,) = light_photo(frame, [(0.0, 0.0, -1.5)], folder / "out", options=CLASSICAL)
     written = read_panorama(folder / "out" / one.files[0])
     np.testing.assert_allclose(written, one.light.panorama, rtol=1e-3, atol=1e-4)  # half floats
@@ -111,33 +115,27 @@ def test_every_file_type_gives_the_same_depth(room, kind):
 
 
 def test_a_lamp_ahead_is_above_and_in_view(room):
-    folder, _, fov = room
-    frame = read_photo(folder / "photo.png", folder / "depth.png", PhotoOptions(fov_deg=fov)).frame
+    folder, frame = room[0], frame_of(room)
     (one,) = light_photo(frame, [(0.0, -0.5, -1.0)], folder / "out", options=CLASSICAL)
     elevation, azimuth = one.heading
     assert elevation > 20
     assert abs(azimuth) < 90
 
 
-def test_a_depth_in_another_unit_is_caught(room):
+@pytest.mark.parametrize(
+    ("depth", "error", "message"),
+    [
+        (lambda shot: (shot.depth_m * 1000).astype(np.float32), FrameError, r"median depth would be .* depth_unit_m"),
+        (lambda _: np.zeros((48, 64), np.uint16), FrameError, r"depth\.npy: no pixel has a depth"),
+        (lambda _: np.full((48, 48), 2000, np.uint16), FrameError, "another aspect"),
+    ],
+    ids=["floats in millimetres", "no depth", "another shape"],
+)
+def test_unusable_depth_is_refused(room, depth, error, message):
     folder, shot, fov = room
-    np.save(folder / "depth.npy", (shot.depth_m * 1000).astype(np.float32))  # floats, but millimetres
-    with pytest.raises(FrameError, match=r"median depth would be .* depth_unit_m"):
+    np.save(folder / "depth.npy", depth(shot))
+    with pytest.raises(error, match=message):
         read_photo(folder / "photo.png", folder / "depth.npy", PhotoOptions(fov_deg=fov))
-
-
-def test_empty_depth_is_refused(room):
-    folder, _, fov = room
-    cv2.imwrite(str(folder / "none.png"), np.zeros((48, 64), np.uint16))
-    with pytest.raises(FrameError, match=r"none\.png: no pixel has a depth"):
-        read_photo(folder / "photo.png", folder / "none.png", PhotoOptions(fov_deg=fov))
-
-
-def test_depth_of_another_shape_is_refused(room):
-    folder, _, fov = room
-    cv2.imwrite(str(folder / "square.png"), np.full((48, 48), 2000, np.uint16))
-    with pytest.raises(FrameError, match="another aspect"):
-        read_photo(folder / "photo.png", folder / "square.png", PhotoOptions(fov_deg=fov))
 
 
 def test_an_image_for_depth_is_refused(room):
@@ -186,8 +184,7 @@ def test_unusable_input_is_one_line(room, changed, message, roomlight):
 
 
 def test_a_pixel_is_lit_above_its_surface(room):
-    folder, _, fov = room
-    frame = read_photo(folder / "photo.png", folder / "depth.png", PhotoOptions(fov_deg=fov)).frame
+    frame = frame_of(room)
     expected = point_at_pixel(frame, 20.0, 40.0, above_m=0.2)
     points = PhotoPoints(((0.0, 0.0, -1.0),), ((20.0, 40.0),), above_m=0.2)
     assert points.positions(frame) == [(0.0, 0.0, -1.0), expected]

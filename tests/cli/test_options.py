@@ -9,11 +9,9 @@ import pytest
 from annotated_types import Ge, Interval
 from typer.testing import CliRunner
 
-from roomlight.compositing.recordings import SHAPE_SIZE_M
 from roomlight.errors import FrameError, OptionError
 from roomlight.rules import check_options
 from roomlight_cli.commands.serve import FLAGS
-from roomlight_cli.compositing import ObjectOptions
 from roomlight_cli.options import Check, Flag, Without, command_app, described
 from roomlight_server.base.settings import ServerSettings
 
@@ -182,15 +180,6 @@ def test_two_options_of_one_name_are_refused():
 
     with pytest.raises(ValueError, match="two options have the name quality"):
         command_app(twice)
-
-
-def test_texts_of_a_section_end_with_it():
-    assert described(make, "Args").keys() == {"source", "options", "out", "online"}
-    assert described(Options, "Attributes")["probes"] == "Light this point, in metres."
-
-
-def test_shapes_are_named_where_they_are_chosen():
-    assert all(f" {shape}" in described(ObjectOptions, "Attributes")["object"] for shape in SHAPE_SIZE_M)
 
 
 def test_every_setting_of_the_server_is_described():

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomlight.captures import CaptureOptions, CaptureWriter, open_capture
-from roomlight.conventions import linear_to_srgb8
+from roomlight.captures import CaptureOptions, open_capture
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, OptionError, OutputError, ProbeError
 from roomlight.images import read_panorama
@@ -19,8 +18,9 @@ from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_folder import finished_report
 from roomlight_cli.replays.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
+from written_captures import write_capture
 
-pytestmark = pytest.mark.usefixtures("small_pictures")
+pytestmark = pytest.mark.usefixtures("small_pictures", "no_pictures")
 FRAMES = 6
 PROBES = [(0.4, 1.2, -0.3), (-0.8, 1.0, 0.6)]
 SMALL = SessionOptions(model="classical", height=16)
@@ -28,26 +28,17 @@ SMALL = SessionOptions(model="classical", height=16)
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("captures") / "box"
     room = BoxRoom()
-    with CaptureWriter(path, name="box") as writer:
-        for number, frame in enumerate(pan(room, FRAMES, width=64, height=48)):
-            writer.add(
-                srgb8=linear_to_srgb8(frame.image),
-                depth_m=frame.depth_m,
-                intrinsics=frame.intrinsics,
-                camera_to_world=frame.camera_to_world,
-                timestamp_s=0.1 * number,
-            )
-        for position in PROBES:
-            writer.add_probe(position, room.panorama(position, height=16)[0])
-    return path
+    frames = [replace(frame, timestamp_s=0.1 * frame.index) for frame in pan(room, FRAMES, width=64, height=48)]
+    probes = [(position, room.panorama(position, height=16)[0]) for position in PROBES]
+    return write_capture(tmp_path_factory.mktemp("captures") / "box", frames, probes=probes)
 
 
 def exr_names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.glob("*.exr"))
 
 
+@pytest.mark.usefixtures("pictures")
 def test_each_frame_and_probe_gets_a_panorama(capture, tmp_path):
     seen = []
     options = ReplayOptions(session=SMALL, probes_from_capture=True)
@@ -90,14 +81,6 @@ def test_every_and_interpolate(capture, tmp_path):
     assert (panoramas[5] == panoramas[4]).all()  # nothing comes after it: the light stays
 
 
-def test_max_frames_and_the_default_probe(capture, tmp_path):
-    options = ReplayOptions(capture=CaptureOptions(max_frames=2), session=SMALL)
-    report = replay(capture, tmp_path / "out", options).report
-    assert [frame["index"] for frame in report["frames"]] == [0, 1]
-    assert len(report["probes"]) == 1
-    assert "outside_volume" not in report["probes"][0]
-
-
 def test_a_probe_outside_the_volume_is_reported(capture, tmp_path):
     report = replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, probes=((200.0, 0.0, 0.0),))).report
     assert report["probes"][0]["outside_volume"] is True
@@ -107,6 +90,7 @@ class _InterruptError(KeyboardInterrupt):
     pass
 
 
+@pytest.mark.usefixtures("pictures")
 def test_an_interrupted_replay_leaves_no_report_and_continues(capture, tmp_path):
     out = tmp_path / "out"
     options = ReplayOptions(session=SMALL, probes=(PROBES[0],))
@@ -182,7 +166,6 @@ def test_a_capture_is_never_its_own_output(capture):
     assert sorted(path.name for path in capture.iterdir()) == before
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_a_finished_replay_with_a_changed_file_is_redone(capture, tmp_path):
     out, options = tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],))
     report = replay(capture, out, options).report
@@ -196,7 +179,6 @@ def test_a_finished_replay_with_a_changed_file_is_redone(capture, tmp_path):
     assert finished_report(capture, out, options) is not None
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_only_the_same_finished_replay_counts_as_done(capture, tmp_path):
     out, options = tmp_path / "out", ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, probes=(PROBES[0],))
     copy = tmp_path / "copy"
@@ -215,7 +197,6 @@ def test_only_the_same_finished_replay_counts_as_done(capture, tmp_path):
     assert finished_report(copy, out, options) is None
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_a_finished_replay_is_not_run_again(capture, tmp_path, monkeypatch, roomlight):
     command = ("replay", capture, "--out", tmp_path / "out", "--model", "classical", "--height", "16")
     command += ("--max-frames", "1", "--probe", "0.4,1.2,-0.3")
@@ -237,7 +218,6 @@ def test_a_finished_replay_is_not_run_again(capture, tmp_path, monkeypatch, room
     assert "already holds" not in repeated.out
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_pixels_are_points_on_the_first_frame(capture, tmp_path):
     first = next(iter(open_capture(capture)))
     options = ReplayOptions(
@@ -254,7 +234,6 @@ def test_a_pixel_outside_the_image_leaves_no_output(capture, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_a_probe_that_was_hardly_seen_gets_a_warning(capture, tmp_path, roomlight):
     command = ("replay", capture, "--model", "classical", "--height", "16", "--max-frames", "1")
     # close to a wall behind the camera, which looks along -z: the frame shows little of what is around it

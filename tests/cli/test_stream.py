@@ -9,13 +9,11 @@ from unittest import mock
 import httpx
 import pytest
 from sdk_scripts import STATE, problem
-from server_process import ServerProcess
 
 import roomlight_client as sdk
 from http_servers import RunningServer
-from roomlight.captures import CaptureOptions, CaptureWriter, open_capture
-from roomlight.conventions import linear_to_srgb8
-from roomlight.engine.session import Session, SessionOptions
+from roomlight.captures import CaptureOptions, open_capture
+from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError
 from roomlight.placement import point_at_pixel
 from roomlight.wire.frame_message import parse
@@ -23,33 +21,26 @@ from roomlight_cli.shared_options import recovery_line, refuse_local_model
 from roomlight_cli.stream import Clock, StreamOptions, Tally, percentile_ms, stream
 from roomlight_client import AsyncClient, RecoveryEvent, _waiting
 from rooms import BoxRoom, pan
+from written_captures import write_capture
 
-PATIENT = sdk.Retry(attempts=400, first_delay_s=0.05, max_delay_s=0.25)
 PROBE = (0.4, 1.2, -0.3)
 RATE = 10.0
 
 
-def write_capture(path: Path, *, timed: bool, count: int = 6) -> Path:
-    with CaptureWriter(path) as writer:
-        for number, frame in enumerate(pan(BoxRoom(), count, width=48, height=36)):
-            writer.add(
-                srgb8=linear_to_srgb8(frame.image),
-                depth_m=frame.depth_m,
-                intrinsics=frame.intrinsics,
-                camera_to_world=frame.camera_to_world,
-                timestamp_s=7.0 + number / RATE if timed else None,
-            )
-    return path
+def capture_of(path: Path, *, timed: bool, count: int = 6) -> Path:
+    frames = pan(BoxRoom(), count, width=48, height=36)
+    times = [7.0 + number / RATE if timed else None for number in range(count)]
+    return write_capture(path, [replace(frame, timestamp_s=at) for frame, at in zip(frames, times, strict=True)])
 
 
 @pytest.fixture(scope="module")
 def timed(tmp_path_factory) -> Path:
-    return write_capture(tmp_path_factory.mktemp("captures") / "timed", timed=True)
+    return capture_of(tmp_path_factory.mktemp("captures") / "timed", timed=True)
 
 
 @pytest.fixture(scope="module")
 def untimed(tmp_path_factory) -> Path:
-    return write_capture(tmp_path_factory.mktemp("captures") / "untimed", timed=False)
+    return capture_of(tmp_path_factory.mktemp("captures") / "untimed", timed=False)
 
 
 class FakeServer:
@@ -251,7 +242,7 @@ def test_colour_selects_the_frame_encoding(timed, colour, encoding):
 
 
 def test_bad_frames_of_the_recording_are_counted(tmp_path):
-    copy = write_capture(tmp_path / "bad", timed=True, count=3)
+    copy = capture_of(tmp_path / "bad", timed=True, count=3)
     index = json.loads((copy / "capture.json").read_text())
     (copy / index["frames"][1]["depth"]).write_bytes(b"no PNG")
     room = played(copy)
@@ -297,34 +288,6 @@ def test_the_command_against_a_real_server(timed, roomlight):
         assert set(state["probes"]) == {"stream"}
 
 
-def test_exact_frames_one_at_a_time_give_the_engine_s_light(timed):
-    """With nothing dropped, a stream of exact frames is a replay."""
-    direct = Session(SessionOptions(model="classical", height=16))
-    for frame in open_capture(timed):
-        direct.push(frame)
-
-    async def main(url):
-        async with AsyncClient(url) as client:
-            held = StreamOptions(session="exact", keep=True, colour="exact", height=16, in_flight=1, probe=PROBE)
-            room = FakeServer()
-
-            async def wait(_):
-                while room._unanswered():
-                    changed.clear()
-                    await changed.wait()
-
-            changed = asyncio.Event()
-            clock = Clock(now=lambda: 0.0, sleep=wait)
-            await stream(timed, client, held, tally=room.tally, show=lambda _: changed.set(), clock=clock)
-            assert room.tally.processed == 6
-            session = await client.join("exact")
-            return await session.light_at(PROBE)
-
-    with RunningServer(model="classical") as running:
-        light = asyncio.run(main(f"http://127.0.0.1:{running.port}"))
-    assert (light.panorama == direct.light_at(PROBE).panorama).all()
-
-
 @pytest.mark.parametrize(("keep", "said"), [([], "the session is deleted"), (["--keep"], "the session stays")])
 def test_ctrl_c_prints_what_was_done(timed, monkeypatch, roomlight, keep, said):
     async def interrupted(*_, tally, show):
@@ -354,10 +317,7 @@ def test_an_error_is_printed_after_what_was_done(timed, monkeypatch, roomlight):
     assert "3 of 6 frames sent, 2 in the light" in result.out
 
 
-@pytest.mark.parametrize(
-    "options",
-    [SessionOptions(weights=Path("w")), SessionOptions(provider="cpu")],
-)
+@pytest.mark.parametrize("options", [SessionOptions(weights=Path("w")), SessionOptions(provider="cpu")])
 def test_engine_options_are_refused_for_a_server(options):
     with pytest.raises(OptionError, match="roomlight serve"):
         refuse_local_model("http://room.test", options)
@@ -402,39 +362,3 @@ def test_a_lost_session_is_opened_again_and_the_stream_goes_on(timed):
 )
 def test_the_terminal_says_what_became_of_the_server(event, line):
     assert recovery_line(event) == line
-
-
-@pytest.mark.slow
-def test_a_stream_survives_a_killed_server(timed):
-    events, tally = [], Tally()
-
-    async def main(server):
-        async with AsyncClient(server.url, reconnect=PATIENT, on_recovery=events.append) as client:
-            killed, changed = asyncio.Event(), asyncio.Event()
-
-            async def answered(_):
-                while tally.processed < tally.sent:
-                    changed.clear()
-                    await changed.wait()
-
-            def show(now):
-                changed.set()
-                if now.processed == 2 and not killed.is_set():
-                    server.kill()
-                    killed.set()
-
-            async def start_again():
-                await killed.wait()
-                await asyncio.to_thread(server.start)
-
-            starting = asyncio.create_task(start_again())
-            clock, options = Clock(now=lambda: 0.0, sleep=answered), StreamOptions(height=16, in_flight=1)
-            await stream(timed, client, options, tally=tally, show=show, clock=clock)
-            await starting
-
-    with ServerProcess() as server:
-        asyncio.run(main(server))
-    assert (tally.processed, tally.lost) == (6, 0)
-    assert [event.state for event in events] == ["waiting", "restored"]
-    assert events[1].reopened
-    assert events[1].resent == 2

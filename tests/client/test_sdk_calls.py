@@ -342,10 +342,6 @@ def test_light_as_json_is_parsed(kind):
     assert (light.position, light.frame, light.coverage, light.etag) == ((0.0, 1.0, 2.0), 3, 0.5, "e")
 
 
-def read_form(light, name):
-    return light.cube() if name == "cube" else getattr(light, name)
-
-
 @BOTH
 @pytest.mark.parametrize(
     ("form", "read"),
@@ -412,13 +408,5 @@ def test_the_client_imports_no_engine():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     loaded = set(done.stdout.split())
     assert {"roomlight", "roomlight_client", "httpx"} <= loaded
-    assert not loaded & {
-        "torch",
-        "onnxruntime",
-        "roomlight_server",
-        "roomlight_model",
-        "embreex",
-        "numba",
-        "fastapi",
-        "av",
-    }
+    engine = {"torch", "onnxruntime", "roomlight_server", "roomlight_model", "embreex", "numba", "fastapi", "av"}
+    assert not loaded & engine

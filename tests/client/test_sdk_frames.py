@@ -102,12 +102,8 @@ def camera_frame(**changes) -> CameraFrame:
 
 
 def test_a_camera_frame_is_sent_unchanged():
-    frame = camera_frame(
-        timestamp_s=2.0,
-        exposure=0.5,
-        tracking_state="limited",
-        confidence=np.full((48, 64), 2, np.uint8),
-    )
+    confidence = np.full((48, 64), 2, np.uint8)
+    frame = camera_frame(timestamp_s=2.0, exposure=0.5, tracking_state="limited", confidence=confidence)
     message = parse(pack_camera_frame(frame))
     assert bytes(message.colour) == frame.colour
     assert message.header.depth.format == "uint16_mm"

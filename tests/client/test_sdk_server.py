@@ -11,7 +11,6 @@ from either_client import client_of
 
 import roomlight_client as sdk
 from http_servers import HeldSession, RunningServer
-from roomlight.captures import CaptureWriter
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ObjectError, WireError
@@ -21,6 +20,7 @@ from roomlight.light.spherical_harmonics import project
 from roomlight.wire.messages import LightForm
 from roomlight_client import CameraFrame, Client, Retry, _waiting
 from rooms import BoxRoom, camera_at, pan
+from written_captures import write_capture
 
 ROOM = BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3))
 FRAMES = tuple(pan(ROOM, 3, width=64, height=48))
@@ -59,15 +59,8 @@ def direct():
 
 @BOTH
 def test_the_clients_light_equals_the_engines_bit_for_bit(server, kind, direct):
-    forms = (
-        "npy",
-        "sh",
-        LightForm(format="sh", kind="ambient", basis="arkit"),
-        "main_light",
-        "cube",
-        "confidence",
-        "exr",
-    )
+    ambient = LightForm(format="sh", kind="ambient", basis="arkit")
+    forms = ("npy", "sh", ambient, "main_light", "cube", "confidence", "exr")
 
     async def work(client):
         session = await client.open(**SMALL)
@@ -105,34 +98,6 @@ def test_the_clients_light_equals_the_engines_bit_for_bit(server, kind, direct):
     assert lights[0].name == "table"
     assert (again.panorama == lights[0].panorama).all()
     assert again.etag == lights[0].etag
-
-
-@BOTH
-def test_a_file_is_sent_once_per_light(server, kind):
-    async def work(client):
-        session = await client.open(**SMALL)
-        await session.track("table", POINTS[0])
-        before = await session.light_at("table")
-        assert before.is_prior
-        assert before.coverage == 0
-        prior = await session.file("table", "hdr")
-        assert await session.file("table", "hdr", if_none_match=prior.etag) is None
-        await session.push(FRAMES[0])
-        assert (await session.file("table", "hdr", if_none_match=prior.etag)).etag != prior.etag
-        assert not (await session.light_at("table")).is_prior
-        first = await session.file("table", "hdr")
-        same = await session.file("table", "hdr", if_none_match=first.etag)
-        at_point = await session.file(POINTS[1], LightForm(format="ktx2", size=16))
-        await session.push(FRAMES[1])
-        changed = await session.file("table", "hdr", if_none_match=first.etag)
-        await session.close()
-        return first, same, at_point, changed
-
-    first, same, at_point, changed = run(server, kind, work)
-    assert same is None
-    assert (first.data[:2], first.media_type) == (b"#?", "image/vnd.radiance")
-    assert (at_point.data[1:4], at_point.media_type) == (b"KTX", "image/ktx2")
-    assert changed.etag != first.etag
 
 
 @BOTH
@@ -259,14 +224,7 @@ def test_the_example_of_the_package_runs(server, tmp_path, monkeypatch, capsys):
     text = sdk.__doc__ or ""
     block = textwrap.dedent(text[text.index("    import roomlight") : text.index("`AsyncClient` has")])
     assert sum(bool(line.strip()) for line in block.splitlines()) <= 11
-    with CaptureWriter(tmp_path / "my-capture") as writer:
-        shot = ROOM.frame(camera_at((0.2, 1.4, 1.2)), width=64, height=48)
-        writer.add(
-            srgb8=linear_to_srgb8(shot.image),
-            depth_m=shot.depth_m,
-            intrinsics=shot.intrinsics,
-            camera_to_world=shot.camera_to_world,
-        )
+    write_capture(tmp_path / "my-capture", [ROOM.frame(camera_at((0.2, 1.4, 1.2)), width=64, height=48)])
     monkeypatch.chdir(tmp_path)
     exec(compile(block.replace("http://localhost:8090", url_of(server)), "example", "exec"), {})
     assert "(120, 240, 3)" in capsys.readouterr().out

@@ -5,19 +5,15 @@ import pytest
 import torch
 
 from recordings import BoxRecordings
-from roomlight.conventions import LUMINANCE
 from roomlight.engine.kernels.reference import accumulate_reference
 from roomlight.engine.panorama import blend as serving
 from roomlight.engine.session import Session, SessionOptions
 from roomlight_model.accumulate import (
-    Clipping,
     Panorama,
     accumulate,
-    better_share,
     conservative,
     fill_in,
     first_panorama,
-    with_brackets,
 )
 from roomlight_model.networks import Observation, _accepted
 
@@ -55,29 +51,6 @@ def test_agrees_with_serving(kernel):
         state = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
     for ours, theirs in zip(state[:3], (kept.radiance, kept.depth_m, kept.observed), strict=True):
         torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
-
-
-def test_clipped_observations_give_way_as_in_serving():
-    """A surface of unknown brightness, seen at other exposures: states of random share and bound, one frame more."""
-    random, shape = np.random.default_rng(3), (HEIGHT, 2 * HEIGHT)
-    for frame in frames(4, seed=9):
-        kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
-        kept.radiance[:] = random.random((*shape, 3))
-        kept.depth_m[:] = frame["detail_depth_m"] + random.uniform(-0.4, 0.2, shape)
-        kept.observed[:] = 1
-        kept.clipped[:] = random.random(shape) * (random.random(shape) < 0.7)
-        clipped = (random.random(shape) * (random.random(shape) < 0.5)).astype(np.float32)
-        state = Panorama(planes(kept.radiance.copy()), planes(kept.depth_m.copy()), planes(kept.observed.copy()))
-        before = Clipping(planes(kept.clipped.copy()), planes(kept.radiance @ LUMINANCE))
-        serving.accumulate(kept, **frame, detail_clipped=clipped, detail_guessed=np.zeros_like(clipped))
-        depth, raw = planes(frame["detail_depth_m"]), planes(frame["weight"])
-        weight = conservative(raw, depth, state.depth, margin=serving.CLOSER_M)
-        better = better_share(before, Clipping(planes(clipped), planes(frame["detail"] @ LUMINANCE)))
-        assert 0.1 < float((better > 0).float().mean()) < 0.9
-        weight = with_brackets(weight, raw, better, distance=state.depth - depth, margin=serving.CLOSER_M)
-        after = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
-        for ours, theirs in zip(after[:3], (kept.radiance, kept.depth_m, kept.observed), strict=True):
-            torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
 
 
 def test_a_sequence_of_exposures_agrees_with_serving():

@@ -19,7 +19,6 @@ from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.config import ModelConfig
 from roomlight_model.object_light_network import ObjectLightNetwork
 from roomlight_model.training.clipping import CLIPPED, ClippingFrames, ClippingOptions, ClippingStage, clipping_batch
-from roomlight_model.training.gradients import StepClock
 from roomlight_model.training.loop import Run
 
 SHORT = ClippingOptions(steps=24, batch=2, learning_rate=2e-3, warm_up=12, ema=0.5, seed=1, validate_steps=100)
@@ -97,13 +96,6 @@ def test_it_starts_from_weights_of_its_own_form() -> None:
     assert all(v.equal(weights.model.state_dict()[k]) for k, v in stage.network().state_dict().items())
     with pytest.raises(ModelError, match="stage clipping cannot start from a objects network"):
         ClippingStage(SHORT, frames, frames, start_from=Checkpoint("objects", ModelConfig(), ObjectLightNetwork(), {}))
-
-
-def test_a_step_draws_the_same_batch_again() -> None:
-    stage, clock = ClippingStage(SHORT, lamp_frames(6), lamp_frames(2)), StepClock()
-    assert stage.batch(3, clock).planes.equal(stage.batch(3, clock).planes)
-    assert not stage.batch(3, clock).planes.equal(stage.batch(4, clock).planes)
-    assert stage.piece_size == len(stage.batch(0, clock)) == 2
 
 
 def test_frames_hold_the_true_radiance(tmp_path: Path) -> None:

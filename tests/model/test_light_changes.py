@@ -98,13 +98,6 @@ def test_all_sequences_have_two_lights_and_a_share_changes():
     assert 4 <= sum(bool(walk.light_of.any()) for walk in changed) <= 12
 
 
-def test_the_same_generator_repeats_a_change():
-    one, other = (walk_of(3, change_light=LightChanges(1.0)) for _ in range(2))
-    np.testing.assert_array_equal(one.lights, other.lights)
-    for a, b in zip(one.frames, other.frames, strict=True):
-        np.testing.assert_array_equal(a.image, b.image)
-
-
 def test_revisits_stay_or_return_the_same_way():
     rng = np.random.default_rng(0)
     stayed = returned = 0

@@ -12,11 +12,8 @@ from roomlight_model.training.single_view import SingleViewOptions
 from roomlight_model.training.video import VideoOptions
 
 RENAMED = {"second_looks": "revisits"}
-LATER = {
-    "validate_steps",
-    "held_out",
-    "model",
-}  # not in the cards; as many as there were; the widths of the weights before
+LATER = {"validate_steps", "held_out", "model"}
+"""Not in the cards; as many as there were; the widths of the weights before."""
 SMALL = """
 ships = "second/best.pt"
 [data.rooms]

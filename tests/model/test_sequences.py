@@ -60,14 +60,6 @@ def test_pasts_are_short_and_long():
     assert 0.2 < (lengths <= 5).mean() < 0.45
 
 
-def test_a_sequence_follows_its_generator():
-    once, again = (walk_of(np.random.default_rng(3)) for _ in range(2))
-    for one, other in zip(once.frames, again.frames, strict=True):
-        np.testing.assert_array_equal(one.image, other.image)
-        np.testing.assert_array_equal(one.camera_to_world, other.camera_to_world)
-    np.testing.assert_array_equal(once.lights, again.lights)
-
-
 def test_all_frames_of_a_sequence_show_the_lit_room_of_its_truth():
     """Augmentation is the same in every frame and in the truth: each frame's view from a probe equals the truth."""
     rng = np.random.default_rng(5)

@@ -81,22 +81,6 @@ def test_unbiased_against_65536_uniform_directions():
     assert ((ours.mean(0) - wanted).abs() < tolerance).all()
 
 
-@pytest.mark.statistical
-def test_importance_sampling_is_less_noisy_than_uniform():
-    panorama = torch.full((1, 3, 32, 64), 0.2, dtype=torch.float64)
-    panorama[0, :, 8:10, 30:33] = 50.0
-    normals = sphere_normals(TO_VIEWER, disc(64, generator=seeded(5)).double())
-    ours, uniform = [], []
-    for seed in range(40):
-        samples = sample_sphere(normals, TO_VIEWER, samples=32, generator=seeded(seed))
-        ours.append(shade(samples, look_up(panorama, samples.directions.reshape(1, -1, 3)).reshape(64, 32, 3)))
-        directions = uniform_sphere(64 * 32, seeded(seed)).reshape(64, 32, 3)
-        value, _ = brdf_and_density(normals, TO_VIEWER, directions, 0.5)
-        light = look_up(panorama, directions.reshape(1, -1, 3)).reshape(64, 32, 3)
-        uniform.append((4 * math.pi * value[..., None] * light).mean(1))
-    assert torch.stack(ours).var(0).mean() < 0.6 * torch.stack(uniform).var(0).mean()
-
-
 def test_it_agrees_with_the_numpy_sphere_renderer():
     """`SphereRenderer` is another estimator of the same image."""
     rng = np.random.default_rng(7)

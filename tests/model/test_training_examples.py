@@ -1,6 +1,7 @@
 """Examples of single views and their batches: augmentation, depth, agreement with what the engine sees."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,17 +11,14 @@ from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
 from roomlight.dataset.recording import GLASS
 from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session, SessionOptions
-from roomlight_model.training.batches import Batch, collate
+from roomlight_model.training.batches import collate
 from roomlight_model.training.examples import example_of, read_example
 from tiny_stages import SHAPE
 
 
-def blending_batch(examples, *, height=60) -> Batch:
+def blending_batch(examples, *, height=60) -> Any:
     """A batch with partial panoramas."""
     batch = collate(examples, volume_shape=SHAPE, panorama_height=height)
-    assert batch.partial is not None
-    assert batch.mask is not None
-    assert batch.before is not None
     assert batch.kept is not None
     return batch
 
@@ -29,26 +27,9 @@ def test_truth_and_image_agree_in_units_and_place():
     """The frame's mesh rendered at a probe equals the truth: poses, units and mirroring agree."""
     example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
     batch = blending_batch([example])
-    assert batch.mask is not None
-    assert batch.partial is not None
     seen = batch.mask.expand_as(batch.truth) > 0
     assert seen.float().mean() > 0.05
     assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.02
-
-
-def test_augmented_image_and_truth_show_one_room():
-    """Contrast, gains, swapped channels and mirroring apply to both; white pixels stay white."""
-    rng = np.random.default_rng(2)
-    brightness = set()
-    for _ in range(8):
-        example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True)
-        batch = blending_batch([example])
-        assert batch.mask is not None
-        assert batch.partial is not None
-        seen = (batch.mask.expand_as(batch.truth) > 0) & (batch.partial < 0.95)
-        assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.03
-        brightness.add(round(float(example.frame.image.mean()), 3))
-    assert len(brightness) > 4
 
 
 def test_examples_follow_their_generator_and_frames_vary():
@@ -97,11 +78,9 @@ def test_several_frames_are_fused_as_in_the_serving_engine():
     resized = [replace(frame.resized(*WORKING_SIZE), index=k) for k, frame in enumerate(frames)]
     whole = replace(example, frame=resized[0], depth_m=resized[0].depth_m, later=tuple(resized[1:]))
     assert session.grid is not None
-    batch = collate([whole], volume_shape=session.grid.shape, panorama_height=60)
+    batch: Any = collate([whole], volume_shape=session.grid.shape, panorama_height=60)
     np.testing.assert_allclose(batch.lower_m[0], session.grid.lower_m, atol=1e-6)
     assert session._room is not None
-    assert batch.mask is not None
-    assert batch.kept is not None
     np.testing.assert_array_equal(batch.volume[0].numpy(), vars(session._room.volume)["_mean"])
     seen = ((batch.mask > 0) | (batch.kept > 0))[0, :, 0].numpy()
     for handle, mask in zip(handles, seen, strict=True):
@@ -138,10 +117,6 @@ def test_augmented_frames_and_truth_show_one_room():
     for _ in range(4):
         example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True, frames=4)
         batch = blending_batch([example])
-        assert batch.mask is not None
-        assert batch.kept is not None
-        assert batch.before is not None
-        assert batch.partial is not None
         seen = torch.where(batch.kept > 0, batch.before, batch.partial)
         known = ((batch.mask > 0) | (batch.kept > 0)).expand_as(seen) & (seen < 0.95)
         assert (seen[known] - batch.truth[known]).abs().median() < 0.03

@@ -152,13 +152,6 @@ def test_twice_the_input_light_gives_twice_the_light():
     assert nothing.mean() == pytest.approx(0.3, rel=0.2)  # a black volume: grey, not an end of all light
 
 
-def test_the_decoder_uses_the_frames_tint():
-    model = SingleModel(CONFIG)
-    before = model(yellow_room()).alpha
-    torch.nn.init.normal_(model.get_parameter("sg_decoder.tint.weight"))
-    assert not torch.equal(model(yellow_room()).alpha, before)
-
-
 def test_absurdly_bright_input_stays_finite():
     given = volume()
     given[:, :3] *= 1e6
@@ -199,16 +192,6 @@ def test_autocast_heads_are_float32():
     assert predicted.alpha.dtype == torch.float32
     assert predicted.lobes.dtype == torch.float32
     assert torch.isfinite(predicted.lobes).all()
-
-
-@pytest.mark.parametrize(("update", "kept"), [(0.0, "current"), (1.0, "previous")])
-def test_merge_at_its_ends(update, kept):
-    alpha, lobes = torch.rand(2, 1, *SHAPE), torch.rand(2, 1, *SHAPE, 10)
-    current = SGVolume(alpha[0], lobes[0], torch.full((1, *SHAPE), update))
-    merged = merge(current, alpha[1], lobes[1])
-    index = ("current", "previous").index(kept)
-    assert torch.equal(merged.alpha, alpha[index])
-    assert torch.equal(merged.lobes, lobes[index])
 
 
 def test_merge_is_a_convex_mix_of_every_channel():

@@ -1,6 +1,7 @@
 """Sharing of slots by time, with a clock that the tests set."""
 
 import asyncio
+import functools
 import threading
 
 import pytest
@@ -21,6 +22,16 @@ class Clock:
 
     def advance(self, seconds):
         self.now_s += seconds
+
+
+def in_loop(test):
+    """Run an async test in an event loop of its own."""
+
+    @functools.wraps(test)
+    def run(*args, **kwargs):
+        asyncio.run(test(*args, **kwargs))
+
+    return run
 
 
 @pytest.fixture
@@ -53,120 +64,106 @@ class Jobs:
         await asyncio.gather(*self.tasks)
 
 
-def test_the_owner_with_the_least_time_is_served(clock):
-    async def scenario():
-        jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
-        await jobs.add("a0", 1.0, gate=gate)
-        for number in range(1, 4):
-            await jobs.add(f"a{number}", 1.0)
-        for number in range(4):
-            await jobs.add(f"b{number}", 0.25, owner="b")
-        gate.set()
-        await jobs.run()
-        return jobs.order
-
-    order = asyncio.run(scenario())
+@in_loop
+async def test_the_owner_with_the_least_time_is_served(clock):
+    jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
+    await jobs.add("a0", 1.0, gate=gate)
+    for number in range(1, 4):
+        await jobs.add(f"a{number}", 1.0)
+    for number in range(4):
+        await jobs.add(f"b{number}", 0.25, owner="b")
+    gate.set()
+    await jobs.run()
+    order = jobs.order
     assert order == ["a0", "b0", "b1", "b2", "b3", "a1", "a2", "a3"]
 
 
-def test_a_lower_order_comes_first_until_the_others_lose_patience(clock):
-    async def scenario():
-        jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
-        await jobs.add("final0", 1.0, gate=gate, order=1)
-        await jobs.add("final1", 1.0, order=1, owner="c")
-        for number in range(3):
-            await jobs.add(f"preview{number}", 9.5, owner="b")
-        gate.set()
-        await jobs.run()
-        return jobs.order
-
+@in_loop
+async def test_a_lower_order_comes_first_until_the_others_lose_patience(clock):
+    jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
+    await jobs.add("final0", 1.0, gate=gate, order=1)
+    await jobs.add("final1", 1.0, order=1, owner="c")
+    for number in range(3):
+        await jobs.add(f"preview{number}", 9.5, owner="b")
+    gate.set()
+    await jobs.run()
     # after 1 + 2 * 9.5 s the second final has waited for 20 s, and its owner has used less
-    assert asyncio.run(scenario()) == ["final0", "preview0", "preview1", "final1", "preview2"]
+    assert jobs.order == ["final0", "preview0", "preview1", "final1", "preview2"]
 
 
-def test_the_session_with_the_least_time_is_served(clock):
-    async def scenario():
-        jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
-        await jobs.add("large0", 1.0, session="large", gate=gate)
-        await jobs.add("large1", 1.0, session="large")
-        await jobs.add("small0", 0.1, session="small")
-        await jobs.add("small1", 0.1, session="small")
-        gate.set()
+@in_loop
+async def test_the_session_with_the_least_time_is_served(clock):
+    jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
+    await jobs.add("large0", 1.0, session="large", gate=gate)
+    await jobs.add("large1", 1.0, session="large")
+    await jobs.add("small0", 0.1, session="small")
+    await jobs.add("small1", 0.1, session="small")
+    gate.set()
+    await jobs.run()
+    assert jobs.order == ["large0", "small0", "small1", "large1"]
+
+
+@in_loop
+async def test_an_idle_owner_saves_no_time_up(clock):
+    jobs = Jobs(FairShare(1, clock=clock), clock)
+    for number in range(10):  # b is idle for ten seconds
+        await jobs.add(f"a{number}", 1.0)
         await jobs.run()
-        return jobs.order
-
-    assert asyncio.run(scenario()) == ["large0", "small0", "small1", "large1"]
-
-
-def test_an_idle_owner_saves_no_time_up(clock):
-    async def scenario():
-        jobs = Jobs(FairShare(1, clock=clock), clock)
-        for number in range(10):  # b is idle for ten seconds
-            await jobs.add(f"a{number}", 1.0)
-            await jobs.run()
-        jobs.order.clear()
-        gate = asyncio.Event()
-        await jobs.add("a", 1.0, gate=gate)
-        for number in range(4):
-            await jobs.add(f"b{number}", 1.0, owner="b")
-            await jobs.add(f"a{number}", 1.0)
-        gate.set()
-        await jobs.run()
-        return jobs.order
-
-    order = asyncio.run(scenario())
+    jobs.order.clear()
+    gate = asyncio.Event()
+    await jobs.add("a", 1.0, gate=gate)
+    for number in range(4):
+        await jobs.add(f"b{number}", 1.0, owner="b")
+        await jobs.add(f"a{number}", 1.0)
+    gate.set()
+    await jobs.run()
+    order = jobs.order
     for end in range(1, len(order)):  # alternating, not all of b first
         assert abs(sum(1 if name[0] == "a" else -1 for name in order[:end])) <= 2
 
 
-def test_one_slot_is_left_for_other_owners(clock):
-    async def scenario():
-        jobs, gate = Jobs(FairShare(2, slots_per_owner=1, clock=clock), clock), asyncio.Event()
-        for number in range(3):
-            await jobs.add(f"a{number}", 1.0, gate=gate)
-        await (await jobs.add("b", 1.0, owner="b"))
-        assert jobs.order == ["a0", "b"]
-        gate.set()
-        await jobs.run()
-
-    asyncio.run(scenario())
+@in_loop
+async def test_one_slot_is_left_for_other_owners(clock):
+    jobs, gate = Jobs(FairShare(2, slots_per_owner=1, clock=clock), clock), asyncio.Event()
+    for number in range(3):
+        await jobs.add(f"a{number}", 1.0, gate=gate)
+    await (await jobs.add("b", 1.0, owner="b"))
+    assert jobs.order == ["a0", "b"]
+    gate.set()
+    await jobs.run()
 
 
-def test_a_cancelled_job_leaves_the_queue(clock):
-    async def scenario():
-        share = FairShare(1, clock=clock)
-        jobs, gate = Jobs(share, clock), asyncio.Event()
-        await jobs.add("a", 1.0, gate=gate)
-        waiting = await jobs.add("b", 1.0)
-        running = jobs.tasks.pop(0)
-        jobs.tasks.clear()
-        assert share.waiting == 1
-        waiting.cancel()
-        await asyncio.wait([waiting])
-        assert share.waiting == 0
-        running.cancel()  # its slot is free again
-        await asyncio.wait([running])
-        await jobs.add("c", 1.0)
-        await jobs.run()
-        return jobs.order
-
-    assert asyncio.run(scenario()) == ["a", "c"]
+@in_loop
+async def test_a_cancelled_job_leaves_the_queue(clock):
+    share = FairShare(1, clock=clock)
+    jobs, gate = Jobs(share, clock), asyncio.Event()
+    await jobs.add("a", 1.0, gate=gate)
+    waiting = await jobs.add("b", 1.0)
+    running = jobs.tasks.pop(0)
+    jobs.tasks.clear()
+    assert share.waiting == 1
+    waiting.cancel()
+    await asyncio.wait([waiting])
+    assert share.waiting == 0
+    running.cancel()  # its slot is free again
+    await asyncio.wait([running])
+    await jobs.add("c", 1.0)
+    await jobs.run()
+    assert jobs.order == ["a", "c"]
 
 
-def test_a_slot_granted_to_a_cancelled_job_is_free_again(clock):
-    async def scenario():
-        jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
-        first = await jobs.add("a", 1.0, gate=gate)
-        second = await jobs.add("b", 1.0)
-        first.add_done_callback(lambda _: second.cancel())  # after the slot was granted, before the job runs
-        gate.set()
-        await asyncio.wait([first, second])
-        jobs.tasks.clear()
-        await jobs.add("c", 1.0)
-        await jobs.run()
-        return jobs.order
-
-    assert asyncio.run(scenario())[-1] == "c"
+@in_loop
+async def test_a_slot_granted_to_a_cancelled_job_is_free_again(clock):
+    jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
+    first = await jobs.add("a", 1.0, gate=gate)
+    second = await jobs.add("b", 1.0)
+    first.add_done_callback(lambda _: second.cancel())  # after the slot was granted, before the job runs
+    gate.set()
+    await asyncio.wait([first, second])
+    jobs.tasks.clear()
+    await jobs.add("c", 1.0)
+    await jobs.run()
+    assert jobs.order[-1] == "c"
 
 
 async def paused_job(share, *, owner, steps, entered):
@@ -186,44 +183,36 @@ async def paused_job(share, *, owner, steps, entered):
             raise
 
 
-def test_a_long_job_gives_way_and_continues(monkeypatch):
+@in_loop
+async def test_a_long_job_gives_way_and_continues(monkeypatch):
     monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
+    share, steps, entered = FairShare(1), threading.Event(), threading.Event()
+    long = asyncio.create_task(paused_job(share, owner="a", steps=steps, entered=entered))
+    await asyncio.to_thread(entered.wait)
+    current_flow.set(Flow("b", "s"))
+    async with share.slot():  # not before the long job has given its slot up
+        assert not long.done()
+    steps.set()
+    await long
 
-    async def scenario():
-        share, steps, entered = FairShare(1), threading.Event(), threading.Event()
-        long = asyncio.create_task(paused_job(share, owner="a", steps=steps, entered=entered))
-        await asyncio.to_thread(entered.wait)
-        current_flow.set(Flow("b", "s"))
-        async with share.slot():  # not before the long job has given its slot up
-            assert not long.done()
+
+@in_loop
+async def test_closing_lets_paused_jobs_finish(monkeypatch):
+    monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
+    share, steps, entered = FairShare(1), threading.Event(), threading.Event()
+    long = asyncio.create_task(paused_job(share, owner="a", steps=steps, entered=entered))
+    await asyncio.to_thread(entered.wait)
+    current_flow.set(Flow("b", "s"))
+    async with share.slot():
         steps.set()
+        share.close()
         await long
 
-    asyncio.run(scenario())
 
-
-def test_closing_lets_paused_jobs_finish(monkeypatch):
-    monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
-
-    async def scenario():
-        share, steps, entered = FairShare(1), threading.Event(), threading.Event()
-        long = asyncio.create_task(paused_job(share, owner="a", steps=steps, entered=entered))
-        await asyncio.to_thread(entered.wait)
-        current_flow.set(Flow("b", "s"))
-        async with share.slot():
-            steps.set()
-            share.close()
-            await long
-
-    asyncio.run(scenario())
-
-
-def test_an_abandoned_job_ends_at_its_next_pause(clock):
-    async def scenario():
-        async with FairShare(1, clock=clock).slot() as turn:
+@in_loop
+async def test_an_abandoned_job_ends_at_its_next_pause(clock):
+    async with FairShare(1, clock=clock).slot() as turn:
+        turn.pause()
+        turn.abandon()
+        with pytest.raises(AbandonedError):
             turn.pause()
-            turn.abandon()
-            with pytest.raises(AbandonedError):
-                turn.pause()
-
-    asyncio.run(scenario())

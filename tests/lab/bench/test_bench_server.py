@@ -58,7 +58,8 @@ def test_every_row_is_complete_and_consistent(report, progress):
         assert row.wanted_fps == 4
         assert 0 <= row.held_fps <= 4
         assert 0 <= row.lost <= 1
-        assert row.frame.count > 0
+        due = round(TINY.seconds * TINY.fps) * row.sessions
+        assert row.frame.count == due - round(row.lost * due) > 0
         assert ordered(row.frame)
         assert ordered(row.light)
         assert ordered(row.health)
@@ -70,14 +71,9 @@ def test_every_row_is_complete_and_consistent(report, progress):
         assert row.one_by_one_ms > 0
         assert (row.frame_ms is not None) == row.tracked
     assert any("2 sessions" in text for text in progress)
-
-
-@pytest.mark.slow
-def test_frames_are_lost_or_processed(report):
-    for row in report.load:
-        due = round(TINY.seconds * TINY.fps) * row.sessions
-        assert row.frame.count == due - round(row.lost * due)
-        assert row.held_fps * TINY.seconds * row.sessions <= row.frame.count + 1e-6
+    values = json.loads(json.dumps(report.to_json()))
+    assert values["load"][0]["frame"]["p99_ms"] == report.load[0].frame.p99_ms
+    assert len(values["criteria"]) == 2 + len(TINY.sessions)
 
 
 @pytest.mark.slow
@@ -91,14 +87,6 @@ def test_the_tables_show_every_row_uncut(report):
     assert "…" not in printed
     for criterion in report.criteria:
         assert criterion.demand in printed
-
-
-@pytest.mark.slow
-def test_the_json_holds_everything(report):
-    values = json.loads(json.dumps(report.to_json()))
-    assert values["load"][0]["frame"]["p99_ms"] == report.load[0].frame.p99_ms
-    assert values["overhead"][0]["share"] == report.overhead[0].share
-    assert len(values["criteria"]) == 2 + len(TINY.sessions)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ VIDEO_PARTS = ("data", "mesh", "forward", "march", "blend", "backward", "optimis
 
 @pytest.fixture(scope="module")
 def costs() -> TrainCosts:
-    return measure_training(OPTIONS, BoxRecordings(3), steps=3, device="cpu", progress=lambda _: None)
+    return measure_training(OPTIONS, BoxRecordings(2), steps=2, device="cpu", progress=lambda _: None)
 
 
 def assert_consistent(costs: TrainCosts) -> None:
@@ -43,7 +43,8 @@ def test_the_blending_stage_is_measured_too():
     assert progress[-1] == "step 6 of 6"
 
 
-@pytest.mark.parametrize("stage", ["video-sglv", pytest.param("video-joint", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", ["video-sglv", "video-joint"])
 def test_the_parts_of_a_video_step_are_reported(stage):
     options = replace(WALKS, stage=stage, steps=1000, frames=3, window=2)
     costs = measure_training(options, BoxRecordings(3), steps=2, device="cpu", progress=lambda _: None)

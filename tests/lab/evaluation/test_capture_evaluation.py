@@ -32,7 +32,7 @@ def truth(number: int, height: int = 16) -> np.ndarray:
     return np.random.default_rng(number).exponential(0.5, (height, 2 * height, 3)).astype(np.float16).astype(np.float32)
 
 
-def capture_of(path: Path, *, frames: int = 5, probes: bool = True) -> Path:
+def capture_of(path: Path, *, frames: int = 3, probes: bool = True) -> Path:
     """A capture of a flat coloured wall two metres ahead; its ground truth is unrelated noise."""
     return write_capture(
         path,
@@ -78,12 +78,12 @@ def test_the_truth_scores_zero_and_baselines_do_not(tmp_path: Path) -> None:
 
     scores = evaluate_captures([capture], methods, progress=lambda *state: seen.append(state))
     assert scores.methods == ("oracle", "mean colour", "warp and fill")
-    assert scores.captures == (CaptureSummary("room", str(capture), frames=5, skipped=0, probes=2),)
-    assert seen == [("room", done, 5) for done in range(1, 6)]
+    assert scores.captures == (CaptureSummary("room", str(capture), frames=3, skipped=0, probes=2),)
+    assert seen == [("room", done, 3) for done in range(1, 4)]
     for metric in METRICS:
         for track in values(scores, "oracle", metric.key):
             assert track == pytest.approx([0.0] * len(track), abs=1e-6)
-            assert len(track) == (4 if metric.key == "smoothness" else 5)
+            assert len(track) == (2 if metric.key == "smoothness" else 3)
     for metric in ("log_l2", "ldr_l2", "render_l2", "si_rmse_mirror"):
         assert min(min(track) for track in values(scores, "mean colour", metric)) > 0.001
     # the mean colour changes as frames come in, and so is not smooth
@@ -91,12 +91,12 @@ def test_the_truth_scores_zero_and_baselines_do_not(tmp_path: Path) -> None:
 
 
 def test_scores_follow_the_frames(tmp_path: Path) -> None:
-    scores = evaluate_captures([capture_of(tmp_path / "room")], lambda: [Oracle(at=2)])
+    scores = evaluate_captures([capture_of(tmp_path / "room")], lambda: [Oracle(at=1)])
     for track in values(scores, "oracle", "log_l2"):
-        assert [value > 0 for value in track] == [True, True, False, False, False]
-    # smoothness i is between frames i and i + 1: the light comes on from the second to the third
+        assert [value > 0 for value in track] == [True, False, False]
+    # smoothness i is between frames i and i + 1: the light comes on from the first to the second
     for track in values(scores, "oracle", "smoothness"):
-        assert [value > 0 for value in track] == [False, True, False, False]
+        assert [value > 0 for value in track] == [True, False]
 
 
 def test_panoramas_are_resized_to_the_height_of_the_truth(tmp_path: Path) -> None:
@@ -115,10 +115,10 @@ def write_predictions(folder: Path, *, frames: range) -> None:
 def test_predictions_are_scored_as_one_more_method(tmp_path: Path, nested: bool) -> None:
     capture = capture_of(tmp_path / "room")
     predictions = tmp_path / "out"
-    write_predictions(predictions / "room" if nested else predictions, frames=range(5))
+    write_predictions(predictions / "room" if nested else predictions, frames=range(3))
     scores = evaluate_captures([capture], lambda: [MeanColour(16)], predictions=predictions)
     assert scores.methods == ("mean colour", "predictions")
-    assert values(scores, "predictions", "log_l2")[1] == pytest.approx([0.0] * 5, abs=1e-9)
+    assert values(scores, "predictions", "log_l2")[1] == pytest.approx([0.0] * 3, abs=1e-9)
     alone = evaluate_predictions([capture], predictions)
     assert alone.methods == ("predictions",)
     assert values(alone, "predictions", "log_l2") == values(scores, "predictions", "log_l2")
@@ -126,23 +126,23 @@ def test_predictions_are_scored_as_one_more_method(tmp_path: Path, nested: bool)
 
 def test_predictions_are_numbered_by_frame_index(tmp_path: Path) -> None:
     capture = capture_of(tmp_path / "room")
-    write_predictions(tmp_path / "out", frames=range(0, 5, 2))
+    write_predictions(tmp_path / "out", frames=range(0, 3, 2))
     scores = evaluate_predictions([capture], tmp_path / "out", options=CaptureOptions(every=2))
-    assert scores.tracks[0].frames == (0, 2, 4)
+    assert scores.tracks[0].frames == (0, 2)
 
 
 def test_a_missing_prediction_is_named(tmp_path: Path) -> None:
     capture = capture_of(tmp_path / "room")
-    write_predictions(tmp_path / "out", frames=range(5))
-    missing = tmp_path / "out" / "probe-01" / "000003.exr"
+    write_predictions(tmp_path / "out", frames=range(3))
+    missing = tmp_path / "out" / "probe-01" / "000002.exr"
     missing.unlink()
-    with pytest.raises(CaptureError, match=r"probe-01/000003\.exr.*is missing"):
+    with pytest.raises(CaptureError, match=r"probe-01/000002\.exr.*is missing"):
         evaluate_predictions([capture], tmp_path / "out")
 
 
 def test_a_folder_without_predictions_is_named(tmp_path: Path) -> None:
     capture, other = capture_of(tmp_path / "room"), capture_of(tmp_path / "other")
-    write_predictions(tmp_path / "out", frames=range(5))
+    write_predictions(tmp_path / "out", frames=range(3))
     with pytest.raises(CaptureError, match="no predictions for the capture room"):
         evaluate_predictions([capture], tmp_path / "nowhere")
     # with two captures, probe-00 without a capture's name could be either's

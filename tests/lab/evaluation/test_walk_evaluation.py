@@ -22,27 +22,27 @@ from roomlight_evaluation.datasets.walks import (
     walk_frames,
 )
 
-FRAMES = 5
+FRAMES, HEIGHT = 3, 32
 
 
 class Walks(BoxRecordings):
-    """Walks through boxes, of five frames."""
+    """Walks through boxes, of three frames."""
 
     folder = Path("boxes")
 
     def __getitem__(self, number):
-        return self.read(number, frames=[0, 4, 8, 12, 16])
+        return self.read(number, frames=[0, 8, 16])
 
 
 @pytest.fixture(scope="module")
 def models(tiny_video):
-    return WalkModels.load(SessionOptions(weights=tiny_video[1]))
+    return WalkModels.load(SessionOptions(weights=tiny_video[1], height=HEIGHT))
 
 
 @pytest.fixture(scope="module")
 def evaluated(models):
     reported = []
-    scores = evaluate_walks([Walks(3, height=120)], models, limit=2, progress=lambda *at: reported.append(at))
+    scores = evaluate_walks([Walks(3, height=HEIGHT)], models, limit=2, progress=lambda *at: reported.append(at))
     assert reported == [(1, 2), (2, 2)]
     return scores
 
@@ -63,7 +63,7 @@ def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, models):
     assert all(np.isnan(track.scores["log_l2"]).all() for track in late)
     video = EngineEstimator(models.video, models.video_graphs)
     estimator, position, tracked = LateProbe(video), (0.0, 0.0, 0.0), None
-    frames = list(walk_frames(Walks(1)[0], "exact"))
+    frames = list(walk_frames(Walks(1, height=HEIGHT)[0], "exact"))
     for number in range(LATE_FROM):
         assert estimator.light_at(position) is None
         frame = replace(frames[number % FRAMES], index=number)
@@ -77,7 +77,7 @@ def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, models):
 
 
 def test_each_frame_alone_knows_nothing_of_earlier_ones(models):
-    frames = list(walk_frames(Walks(1)[0], "exact"))
+    frames = list(walk_frames(Walks(1, height=HEIGHT)[0], "exact"))
     both, last = (FrameAlone(models.single, models.single_graphs) for _ in range(2))
     for frame in frames:
         both.push(frame)
@@ -89,7 +89,7 @@ def test_the_average_is_of_the_frames_so_far(models):
     alone = FrameAlone(models.single, models.single_graphs)
     average = SimpleAverage(alone)
     point, seen, result = (0.0, 0.0, 0.0), [], None
-    for frame in list(walk_frames(Walks(1)[0], "exact"))[:3]:
+    for frame in list(walk_frames(Walks(1, height=HEIGHT)[0], "exact"))[:3]:
         alone.push(frame)
         average.push(frame)
         seen.append(alone.light_at(point))
@@ -99,7 +99,7 @@ def test_the_average_is_of_the_frames_so_far(models):
 
 
 def test_scores_are_of_the_walk_s_own_truth(evaluated, models):
-    walks = Walks(3, height=120)
+    walks = Walks(3, height=HEIGHT)
     recording = walks[0]
     frames = list(walk_frames(recording, "exact"))
     alone = FrameAlone(models.single, models.single_graphs)

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from panorama_files import CATALOGUE, folder_of, panorama
+from panorama_files import CATALOGUE, panorama
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.dataset.recording import ORDINARY
 from roomlight_generator.panoramas import furniture as furniture_module
-from roomlight_generator.panoramas import render
 from roomlight_generator.panoramas.furnished import FurnishedLight
 from roomlight_generator.panoramas.furniture import Footprint, Furniture, furnish_shell
 from roomlight_generator.panoramas.kernels import gather
@@ -141,33 +140,6 @@ def test_furniture_stands_in_the_room_and_leaves_a_way(seed):
             assert (footprint.distance(other.grid()) > 0).all()
     room = PanoramaRoom(shell, np.ones((16, 32, 3), np.float32), np.zeros((16, 32), np.uint8), furniture)
     assert room.free_space().walkable.sum() >= 25
-
-
-def test_the_share_of_rooms_with_furniture_is_kept(tmp_path, monkeypatch):
-    folder = folder_of(tmp_path / "in", height=16)
-    asked = []
-
-    class StopError(Exception):
-        """Ends a room before it is rendered."""
-
-    def stop(_shell, _image, _kinds, furniture):
-        asked.append(furniture is not None)
-        raise StopError
-
-    monkeypatch.setattr(render, "PanoramaRoom", stop)
-    monkeypatch.setattr(render, "furnish_shell", lambda *_, **__: only())
-    monkeypatch.setattr(render, "catalogue_for", lambda _: CATALOGUE)
-    for share, low, high in ((0.0, 0, 0), (0.7, 30, 54), (1.0, 60, 60)):
-        asked.clear()
-        for number in range(60):
-            with pytest.raises(StopError):
-                next(
-                    render.render_room(
-                        number, seed=1, split="train", furniture=None, count=1, frames=1,
-                        panoramas=folder, furniture_share=share,
-                    )
-                )  # fmt: skip
-        assert low <= sum(asked) <= high
 
 
 def test_mirrors_become_matt_and_keep_their_mesh():

@@ -37,7 +37,7 @@ def room(name: str, seed: int) -> tuple[Shell, tuple[Placement, ...]]:
     return make(name, seed)
 
 
-def rooms(*names: str, seeds: int = 4) -> list[tuple[Shell, tuple[Placement, ...]]]:
+def rooms(*names: str, seeds: int = 3) -> list[tuple[Shell, tuple[Placement, ...]]]:
     return [room(name, seed) for name in names or NAMES for seed in range(seeds)]
 
 
@@ -169,7 +169,7 @@ def test_objects_on_top_stand_inside_their_support(name: str) -> None:
                         for x, z in local
                     )
             assert inside, thing
-    assert on_top > 3
+    assert on_top > 2
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -204,7 +204,7 @@ def test_sofas_face_televisions() -> None:
             distance = math.hypot(screen.x - sofa.x, screen.z - sofa.z)
             seen.append(off < 15 and back < 15 and 1.7 < distance < 4.4)
         assert any(seen)
-    assert pairs >= 3
+    assert pairs >= 2
 
 
 def test_chairs_face_the_tables_they_stand_at() -> None:
@@ -221,7 +221,7 @@ def test_chairs_face_the_tables_they_stand_at() -> None:
             at_table = any(abs(a) < t.half_width and abs(b) < t.half_depth for t, (a, b) in local)
             chairs += 1
             assert at_table or not tables or placement.model.role == "chair", placement
-    assert chairs > 30
+    assert chairs > 20
 
 
 def test_beds_and_storage_have_their_backs_to_a_wall() -> None:
@@ -259,7 +259,7 @@ def test_rooms_hold_the_furniture_of_their_type() -> None:
     }  # fmt: skip
     for name, roles in needed.items():
         having = sum(bool(roles & {placement.model.role for placement in placements}) for _, placements in rooms(name))
-        assert having >= 3, name
+        assert having >= 2, name
 
 
 def test_lamps_hang_from_the_ceiling() -> None:
@@ -276,7 +276,7 @@ def test_lamps_hang_from_the_ceiling() -> None:
                     if table.model.role in TABLES
                 ]
                 assert placement.y >= 1.9 or any(abs(x) < 1.2 and abs(z) < 0.7 for x, z in over), placement
-    assert lamps > 50
+    assert lamps > 35
 
 
 def test_models_follow_the_split_and_types_are_reserved() -> None:

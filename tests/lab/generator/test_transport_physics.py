@@ -178,6 +178,7 @@ def test_a_pane_lets_light_through():
     np.testing.assert_allclose(glazed, bare, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_the_same_calls_give_the_same_bytes():
     lamp = item("lamp", rectangle([-0.3, 2.4, -0.3], [0.6, 0, 0], [0, 0, 0.6]), Material("l", emission=(8.0, 8.0, 8.0)))
     views = []
