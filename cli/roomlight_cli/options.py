@@ -168,17 +168,17 @@ class CommandOptions:
         left_out = {name for note in rule.notes if isinstance(note, Without) for name in note.names}
         hints, texts = get_type_hints(cls, include_extras=True), described(cls, "Attributes")
         builds: dict[str, Build] = {}
-        ordered = sorted(fields(cls), key=lambda each: is_dataclass(Rule.of(hints[each.name]).kind))
-        for each in ordered:  # headings of their own come last
-            inner = Rule.of(hints[each.name])
-            if each.name in left_out:
+        ordered = sorted(fields(cls), key=lambda member: is_dataclass(Rule.of(hints[member.name]).kind))
+        for member in ordered:  # headings of their own come last
+            inner = Rule.of(hints[member.name])
+            if member.name in left_out:
                 continue
             if is_dataclass(inner.kind):
-                builds[each.name] = self.add_dataclass(inner, panel=texts[each.name].rstrip("."))
+                builds[member.name] = self.add_dataclass(inner, panel=texts[member.name].rstrip("."))
             else:
-                default = _REQUIRED if each.default is MISSING else each.default
-                builds[each.name] = self.add_option(
-                    each.name, inner, texts.get(each.name), default=default, panel=panel
+                default = _REQUIRED if member.default is MISSING else member.default
+                builds[member.name] = self.add_option(
+                    member.name, inner, texts.get(member.name), default=default, panel=panel
                 )
         checks = [note.refuse for note in rule.notes if isinstance(note, Check)]
 

@@ -129,7 +129,7 @@ def light_photo(
         write_png(out / files[2], _spheres(light, view_toward(frame.camera_to_world, position)))
         lights.append(PhotoLight(position, light, session.grid.contains(position), files))
     report = {"model": session.model, "source": frame.source, "intrinsics": asdict(frame.intrinsics)}
-    write_json(out / "light.json", report | {"probes": [one.to_json() for one in lights]})
+    write_json(out / "light.json", report | {"probes": [light.to_json() for light in lights]})
     return lights
 
 

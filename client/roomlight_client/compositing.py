@@ -48,9 +48,9 @@ def composite_request(
     Raises:
         WireError: A field is invalid; with field, value and rule.
     """
-    held = [one.model_dump(exclude_none=True) if isinstance(one, CompositeObject) else one for one in objects]
+    listed = [item.model_dump(exclude_none=True) if isinstance(item, CompositeObject) else item for item in objects]
     try:
-        text = json.dumps({"objects": held, "quality": quality, "format": picture_format})
+        text = json.dumps({"objects": listed, "quality": quality, "format": picture_format})
         return CompositeRequest.model_validate_json(text)  # JSON, so that tuples may stand for lists
     except TypeError as error:
         raise OptionError(f"objects must hold plain numbers, text and lists ({error})") from error

@@ -73,7 +73,7 @@ class ReceivedForms:
         for form, _ in self._of("main_light", use):
             with _reading(form):
                 values = form.values or {}
-                return tuple(_main_light(one) for one in values.get("lights", [values]))
+                return tuple(_main_light(light) for light in values.get("lights", [values]))
         return None
 
     def harmonics(self, kind: HarmonicsKind, use: LightUse) -> SphericalHarmonics | None:

@@ -71,7 +71,7 @@ class FrameBuffer:
         dropped: list[KeptFrame] = []
         while len(self._kept) > 1 and (len(self._kept) > self._limits.frames or self.size > self._limits.bytes):
             candidates = [frame for frame in self if frame is not added]
-            frame = next((one for one in candidates if one.state == "done"), candidates[0])
+            frame = next((candidate for candidate in candidates if candidate.state == "done"), candidates[0])
             dropped.append(frame)
             self._forget(frame)
         return dropped
@@ -92,9 +92,9 @@ class FrameBuffer:
         else:
             self.remove(result.index)
         durable = -1 if result.durable_index is None else result.durable_index
-        for one in self:
-            if one.state == "done" and one.index <= durable:
-                self._forget(one)
+        for frame in self:
+            if frame.state == "done" and frame.index <= durable:
+                self._forget(frame)
 
     def lacks(self, last_index: int | None) -> bool:
         """Return whether a session that has the frames up to this index lacks some that are no longer kept."""

@@ -195,7 +195,7 @@ class Recovery:
         for name, position in changes.track.items():
             yield Send(self._calls.track(name, position))
         last = resumed.state.frames.last_index
-        lost = [one for one in self.memory.frames if one.state == "done" and (last is None or one.index > last)]
+        lost = [frame for frame in self.memory.frames if frame.state == "done" and (last is None or frame.index > last)]
         incomplete = self.memory.frames.lacks(last)
         for frame in lost:
             yield from self._resend(frame.index, frame.message)

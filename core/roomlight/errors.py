@@ -88,7 +88,7 @@ class WireError(RoomLightError):
 
     def __init__(self, kind: str, *, field: str, value: object, rule: str) -> None:
         self.kind, self.field, self.rule = kind, field, rule
-        self.value = shown if len(shown := str(value)) <= 120 else f"{shown[:117]}..."
+        self.value = text if len(text := str(value)) <= 120 else f"{text[:117]}..."
         super().__init__(f"{field or 'the message'}: {rule}; got {self.value}")
 
 

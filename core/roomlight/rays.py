@@ -91,10 +91,10 @@ class RayTree:
         if len(origins) == 0:
             nothing = np.zeros(0, np.float32)
             return RayHits(np.zeros(0, np.int32), nothing, nothing, nothing)
-        found = self._tree.run(origins, directions, output=1)
-        distance_m = found["tfar"]
-        distance_m[found["primID"] < 0] = np.inf
-        return RayHits(found["primID"], distance_m, found["u"], found["v"])
+        hits = self._tree.run(origins, directions, output=1)
+        distance_m = hits["tfar"]
+        distance_m[hits["primID"] < 0] = np.inf
+        return RayHits(hits["primID"], distance_m, hits["u"], hits["v"])
 
     def blocked_here(
         self,

@@ -40,16 +40,16 @@ class Rule:
     @classmethod
     def of(cls, annotation: Any, notes: Iterable[Any] = ()) -> "Rule":
         """Read a type, which may be `Annotated` and may be a union with None, in either order."""
-        found, optional = [*notes], False
+        collected, optional = [*notes], False
         while True:
             if get_origin(annotation) is Annotated:
                 annotation, *more = get_args(annotation)
-                found += more
+                collected += more
             elif get_origin(annotation) in (Union, types.UnionType) and type(None) in get_args(annotation):
                 rest = [part for part in get_args(annotation) if part is not type(None)]
                 annotation, optional = Union[tuple(rest)], True  # noqa: UP007  (a union of a list of types)
             else:
-                flat = (part for note in found for part in (note if isinstance(note, GroupedMetadata) else (note,)))
+                flat = (part for note in collected for part in (note if isinstance(note, GroupedMetadata) else (note,)))
                 return cls(annotation, optional, tuple(flat))
 
     @property
@@ -75,7 +75,7 @@ class Rule:
         if value is None:
             return self.optional
         if (inner := self.inner) is not None:
-            return all(inner.allows(each) for each in value)
+            return all(inner.allows(item) for item in value)
         low, above, high, below = self.bound(Ge), self.bound(Gt), self.bound(Le), self.bound(Lt)
         return (
             (not self.choices or value in self.choices)

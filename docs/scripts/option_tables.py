@@ -40,6 +40,6 @@ def option_table(options: type, names: list[str]) -> str:
         defaults = {name: getattr(options, name, None) for name in rules}
     rows = ["| Option | Values | Meaning |", "| --- | --- | --- |"]
     for name in names or rules:
-        shown = "" if defaults[name] in (None, False, ()) else f"Default: `{defaults[name]}`."
-        rows.append(f"| `{flags[name]}` | {rules[name].text} | {texts[name]} {shown} |")
+        default = "" if defaults[name] in (None, False, ()) else f"Default: `{defaults[name]}`."
+        rows.append(f"| `{flags[name]}` | {rules[name].text} | {texts[name]} {default} |")
     return "\n".join(rows)

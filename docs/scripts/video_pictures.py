@@ -27,7 +27,7 @@ from roomlight_evaluation.captures.estimators import EngineEstimator
 from roomlight_evaluation.datasets.walks import FrameAlone, WalkModels, walk_frames
 
 IMAGES = Path(__file__).parents[1] / "images"
-SHOWN = (1, 8, 16, 31)
+FRAMES = (1, 8, 16, 31)
 """Frames, counted from 1, of the still picture."""
 PANORAMA = (288, 144)
 FRAME = (192, 144)
@@ -97,13 +97,13 @@ def stream(recording: Recording, models: WalkModels, probe: int) -> Streamed:
 def draw_progress(streamed: Streamed) -> Image.Image:
     """Draw a row per shown frame: the frame, the panorama of every method, and the truth."""
     names = list(streamed.panoramas)
-    height = LABEL_ROWS + len(SHOWN) * (PANORAMA[1] + GAP)
+    height = LABEL_ROWS + len(FRAMES) * (PANORAMA[1] + GAP)
     width = FRAME[0] + (len(names) + 1) * (PANORAMA[0] + GAP)
     canvas = Canvas(width + 2 * GAP, height + GAP)
     lefts = [GAP + FRAME[0] + GAP + column * (PANORAMA[0] + GAP) for column in range(len(names) + 1)]
     for left, title in zip([GAP, *lefts], ["frame", *names, "truth"], strict=True):
         canvas.text((left, 4), title, grey=HEADING)
-    for row, number in enumerate(SHOWN):
+    for row, number in enumerate(FRAMES):
         top = LABEL_ROWS + GAP + row * (PANORAMA[1] + GAP)
         canvas.picture((GAP, top), streamed.frames[number - 1].image, size=FRAME)
         draw_label(canvas, (GAP, top), str(number))

@@ -127,8 +127,8 @@ def _check(model: ModelProto, graph: Graph) -> None:
         ("input", model.graph.input, graph.inputs),
         ("output", model.graph.output, graph.outputs),
     ):
-        found = {
+        shapes = {
             entry.name: tuple(int(axis.dim_value) for axis in entry.type.tensor_type.shape.dim) for entry in entries
         }
-        if found != {name: tuple(shape) for name, shape in wanted.items()}:
-            raise ModelError(f"{graph.name}: its {kind}s are {found}; expected {wanted}")
+        if shapes != {name: tuple(shape) for name, shape in wanted.items()}:
+            raise ModelError(f"{graph.name}: its {kind}s are {shapes}; expected {wanted}")

@@ -35,12 +35,12 @@ def write_ort(source: Path, target: Path, graph: Graph, *, tolerance: float) -> 
     loaded = ort.InferenceSession(str(target), options, providers=["CPUExecutionProvider"])
 
     inputs = _inputs(graph)
-    wanted, found = (
+    wanted, outputs = (
         session_runner({graph.name: LoadedGraph(OnnxRuntimeGraph(session), graph.name)})(graph.name, inputs)
         for session in (converted, loaded)
     )
     for name, value in wanted.items():
-        worst = difference(name, found[name], value)
+        worst = difference(name, outputs[name], value)
         if not worst <= tolerance:
             raise ModelError(f"{target.name}: differs from its ONNX graph by {worst:.2g} in {name}")
 

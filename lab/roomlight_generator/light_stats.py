@@ -96,8 +96,8 @@ def measure_light(
         clipped: True radiance at the frame's clipped pixels; empty if none is clipped.
         panorama: Radiance from all sides.
     """
-    shown = frame @ _LUMA
-    mean = max(float(shown.mean()), _TINY)
+    luminances = frame @ _LUMA
+    mean = max(float(luminances.mean()), _TINY)
     light = np.asarray(_at_height(panorama) @ _LUMA, np.float64)
     share = np.broadcast_to(panorama_solid_angles(len(light)) / (4 * np.pi), light.shape)
     total = max(float((light * share).sum()), _TINY)
@@ -106,8 +106,8 @@ def measure_light(
     ceiling, walls, floor = _bands(light, share)
     return {
         "frame's mean": mean,
-        "frame's median": float(np.median(shown)),
-        f"frame's {WHITE_PERCENTILE}th percentile": float(np.percentile(shown, WHITE_PERCENTILE)),
+        "frame's median": float(np.median(luminances)),
+        f"frame's {WHITE_PERCENTILE}th percentile": float(np.percentile(luminances, WHITE_PERCENTILE)),
         "frame's clipped share": float((frame.max(axis=-1) >= _CLIPPED).mean()),
         "clipped pixels' radiance": float(np.median(clipped.max(axis=-1))) if len(clipped) else np.nan,
         "sphere above white": float(share[white].sum()),

@@ -190,9 +190,9 @@ def listen(settings: ServerSettings) -> socket.socket:
     """
     host = settings.host.strip("[]")
     try:
-        found = socket.getaddrinfo(host, settings.port, type=socket.SOCK_STREAM)
+        addresses = socket.getaddrinfo(host, settings.port, type=socket.SOCK_STREAM)
         # `localhost` may have addresses of both families; every client tries 127.0.0.1
-        family, kind, protocol, _, address = min(found, key=lambda each: each[0] != socket.AF_INET)
+        family, kind, protocol, _, address = min(addresses, key=lambda entry: entry[0] != socket.AF_INET)
         bound = socket.socket(family, kind, protocol)
     except OSError as error:
         raise ServerError(f"host: {settings.host!r} is not an address of this machine ({error.strerror})") from error
@@ -276,7 +276,7 @@ def serve(
         try:
             with ExitStack() as sockets:
                 bound = sockets.enter_context(listen(settings))
-                local = [sockets.enter_context(each) for each in _listen_locally(settings, bound)]
+                local = [sockets.enter_context(bound_socket) for bound_socket in _listen_locally(settings, bound)]
                 address = address_of(settings, bound)
                 context.public_url = address if settings.on_lan else None
                 _log.info("serving", extra={"url": address})

@@ -81,14 +81,14 @@ def serve(
         run_server(local, listening=_print_address, read_tokens=_token_reader(local, settings))
         return
     before = load_settings(**settings | {"host": None})
-    found = lan_options(
+    lan_fields = lan_options(
         host=settings["host"],
         tokens=before.tokens,
         tls=(before.tls_cert, before.tls_key),
         folder=before.state_dir,
         allow_hosts=before.allow_hosts,
     )
-    on_lan = load_settings(**settings | found)
+    on_lan = load_settings(**settings | lan_fields)
     run_server(
         on_lan,
         listening=lambda address, phone: _print_lan(address, phone, on_lan),
@@ -125,8 +125,8 @@ def _print_lan(address: str, phone: str | None, settings: ServerSettings) -> Non
     assert phone is not None
     token = settings.tokens[0]
     if not err.is_terminal:
-        shown = None if settings.tls_cert is None else fingerprint(settings.tls_cert)
-        fields = {"url": f"{address}/#token={token}", "phone": phone, "fingerprint": shown}
+        certificate = None if settings.tls_cert is None else fingerprint(settings.tls_cert)
+        fields = {"url": f"{address}/#token={token}", "phone": phone, "fingerprint": certificate}
         logging.getLogger("roomlight.server").info("on this network", extra=fields)
         return
     err.file.write(qr_text(phone))

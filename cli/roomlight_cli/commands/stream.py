@@ -40,7 +40,7 @@ def stream(
         token: The server's.
     """
     tally, stopped = Tally(), False
-    with _shown(tally) as show:
+    with _live_tally(tally) as show:
         try:
             asyncio.run(_play(capture, options, tally, show, server=server, token=token))
         except KeyboardInterrupt:
@@ -56,7 +56,7 @@ def stream(
 
 
 @contextmanager
-def _shown(tally: Tally) -> Generator[Callable[[Tally], None]]:
+def _live_tally(tally: Tally) -> Generator[Callable[[Tally], None]]:
     """Yield what shows the tally: as a table on a terminal, else as lines of progress."""
     if err.is_terminal:
         with Live(_live_table(tally), console=err, transient=True, refresh_per_second=4) as live:

@@ -97,7 +97,7 @@ class ReplayPictures:
         due = len(self._times) < len(self._wanted) and self._taken >= self._wanted[len(self._times)]
         if due:
             copies = tuple(panorama.copy() for panorama in panoramas)
-            seen = tuple(None if one is None else one.copy() for one in observed)
+            seen = tuple(None if share is None else share.copy() for share in observed)
             self._times.append(SheetTime(f"Frame {frame.index}", image, copies, seen))
         if coverage:
             self._history.indices.append(frame.index)

@@ -42,10 +42,10 @@ def finished_report(path: Path, out: Path, options: ReplayOptions) -> dict[str, 
     Raises:
         CaptureError: The capture cannot be opened.
     """
-    held, report = _read_json(out / INTENT), _read_json(out / REPORT)
-    if not isinstance(held, dict) or not isinstance(report, dict) or not report.get("complete"):
+    intent, report = _read_json(out / INTENT), _read_json(out / REPORT)
+    if not isinstance(intent, dict) or not isinstance(report, dict) or not report.get("complete"):
         return None
-    if held != describe_intent(path, str(held.get("model")), options):
+    if intent != describe_intent(path, str(intent.get("model")), options):
         return None
     capture = open_capture(path, options.capture)
     return report if report.get("fingerprint") == fingerprint(capture.path, out, options) else None

@@ -270,8 +270,8 @@ class _Page:
         canvas.text((self._left, row), f"Estimated, {last.label[:1].lower()}{last.label[1:]}", width=self._wide)
         canvas.picture((self._left, row + LABEL_ROWS), last.panoramas[number], size=size)
         canvas.text((self._right, row), "Ground truth" if probe.truth is not None else "Seen by the camera")
-        shown = last.panoramas[number] if probe.truth is None else probe.truth
-        canvas.picture((self._right, row + LABEL_ROWS), shown, size=size)
+        panorama = last.panoramas[number] if probe.truth is None else probe.truth
+        canvas.picture((self._right, row + LABEL_ROWS), panorama, size=size)
         if probe.truth is None:
             self._tint((self._right, row + LABEL_ROWS), size, _observed(last, number))
         row += LABEL_ROWS + size[1] + 2 * _GAP

@@ -65,10 +65,10 @@ def _references(part: Any) -> Iterator[str]:
 
 
 def _reachable(name: str, schemas: dict[str, Any]) -> set[str]:
-    found = {name}
+    reachable = {name}
     for reference in _references(schemas[name]):
-        found |= _reachable(reference, schemas)
-    return found
+        reachable |= _reachable(reference, schemas)
+    return reachable
 
 
 def _with_positions(part: Any) -> Any:

@@ -205,5 +205,5 @@ def natural_key(name: str) -> list[tuple[int, str]]:
 
 
 def _short(value: object) -> str:
-    shown = repr(value) if not isinstance(value, Exception) else str(value)
-    return shown if len(shown) <= 80 else shown[:77] + "..."
+    text = repr(value) if not isinstance(value, Exception) else str(value)
+    return text if len(text) <= 80 else text[:77] + "..."

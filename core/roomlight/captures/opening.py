@@ -142,10 +142,11 @@ def _innermost(path: Path) -> Path:
     for _ in range(_NESTED):
         if not path.is_dir() or _is_capture(path):
             return path
-        inner = [one for one in islice(sorted(path.iterdir()), _LISTED) if one.is_dir() and one.name[0] not in "._"]
-        captures = [one for one in inner if _is_capture(one)]
+        entries = islice(sorted(path.iterdir()), _LISTED)
+        inner = [entry for entry in entries if entry.is_dir() and entry.name[0] not in "._"]
+        captures = [folder for folder in inner if _is_capture(folder)]
         if len(captures) > 1:
-            listed = ", ".join(one.name for one in captures[:6])
+            listed = ", ".join(folder.name for folder in captures[:6])
             raise UnknownFormatError(f"{path}: holds {len(captures)} captures ({listed}); open one of them")
         if not captures and len(inner) != 1:
             return path
@@ -165,7 +166,7 @@ def _bare_images(path: Path) -> str:
     """Return what images without an index lack, as a sentence; empty if the folder holds no image."""
     if not path.is_dir():
         return ""
-    names = sorted(found.name for found in islice(path.iterdir(), _LISTED) if found.suffix.lower() in _IMAGES)
+    names = sorted(file.name for file in islice(path.iterdir(), _LISTED) if file.suffix.lower() in _IMAGES)
     if not names:
         return ""
     listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
@@ -184,8 +185,8 @@ def _detect_zip(path: Path) -> str:
             return "record3d"
     top = sorted({f"{name.split('/')[0]}/" if "/" in name else name for name in members})
     top = [source.prefix] if source.prefix else top
-    found = ", ".join(top[:6]) + (f" and {len(top) - 6} more" if len(top) > 6 else "")
+    contents = ", ".join(top[:6]) + (f" and {len(top) - 6} more" if len(top) > 6 else "")
     raise UnknownFormatError(
         f"{path}: this zip archive is not a Record3D capture (metadata with rgbd/, or metadata.json with rgb/); "
-        f"it holds {found or 'nothing'}. Unpack a capture of another format first"
+        f"it holds {contents or 'nothing'}. Unpack a capture of another format first"
     )

@@ -52,24 +52,24 @@ class FolderSource:
         Raises:
             FrameError: There is no such file, it is outside the folder, not a regular file, or over `max_bytes`.
         """
-        shown = self.label(name[:300].replace("\0", "\\0"))
+        label = self.label(name[:300].replace("\0", "\\0"))
         if not name or "\0" in name or re.match(r"[/\\]|[A-Za-z]:[/\\]", name):
-            raise FrameError(f"{shown}: not a path inside the capture folder; paths must be relative to it")
+            raise FrameError(f"{label}: not a path inside the capture folder; paths must be relative to it")
         try:
             full = (self._resolved / self.actual(name)).resolve()
             if not full.is_relative_to(self._resolved):
                 raise FrameError(
-                    f"{shown}: leads out of the capture folder (to {full}); "
+                    f"{label}: leads out of the capture folder (to {full}); "
                     "copy what it points to into the capture, or open the folder that holds both"
                 )
             status = full.stat()
         except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a loop of links before Python 3.13
             reason = getattr(error, "strerror", None) or error
-            raise FrameError(f"{shown}: cannot be read ({reason})") from error
+            raise FrameError(f"{label}: cannot be read ({reason})") from error
         if not stat.S_ISREG(status.st_mode):
-            raise FrameError(f"{shown}: is not a regular file")
+            raise FrameError(f"{label}: is not a regular file")
         if max_bytes is not None and status.st_size > max_bytes:
-            raise FrameError(f"{shown}: holds {status.st_size} bytes; up to {max_bytes} are read")
+            raise FrameError(f"{label}: holds {status.st_size} bytes; up to {max_bytes} are read")
         return full
 
     def has(self, name: str) -> bool:
@@ -106,9 +106,9 @@ class FolderSource:
             except (OSError, ValueError):
                 return name
         for spelled in dict.fromkeys((name, urllib.parse.unquote(name))):
-            found = self._respelled(spelled)
-            if found is not None:
-                return found
+            respelled = self._respelled(spelled)
+            if respelled is not None:
+                return respelled
         return name
 
     def _respelled(self, name: str) -> str | None:

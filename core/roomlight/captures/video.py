@@ -81,11 +81,11 @@ class VideoFrames:
             self._container.close()
             self._open()
         while (frame := self._next()) is not None:
-            found = self._number_of.get(frame.pts, -1) if frame.pts is not None else -1
-            self._at = max(self._at, found)
-            if found == number:
+            decoded = self._number_of.get(frame.pts, -1) if frame.pts is not None else -1
+            self._at = max(self._at, decoded)
+            if decoded == number:
                 return self._picture(frame, number)
-            if found > number:  # the wanted frame did not decode; keep this one for a later call
+            if decoded > number:  # the wanted frame did not decode; keep this one for a later call
                 self._decoded.insert(0, frame)
                 self._at = number
                 break

@@ -324,7 +324,7 @@ class Compositor:
             spheres=np.stack([posed.spheres[member] for member in members]).astype(np.float32),
             object_ids=np.array(members, np.int32),
             light=self._probes.at((x, y, z)),
-            casting=self._probes.reflection_at((x, y, z)),
+            reflection=self._probes.reflection_at((x, y, z)),
             support=next((plane for member in members if (plane := posed.supports[member]) is not None), None),
             room=self.geometry,
         )

@@ -99,8 +99,8 @@ def composite_capture(
     if not online and iter(frames) is frames:
         raise OptionError("capture is an iterator, which can be read once: give a list, or online=True")
     session = Session(options or SessionOptions())
-    held = load_scene(scene) if isinstance(scene, str | Path) else scene
-    return _composited(frames, Compositor(session, held, quality=quality, seed=seed), session, online=online)
+    loaded = load_scene(scene) if isinstance(scene, str | Path) else scene
+    return _composited(frames, Compositor(session, loaded, quality=quality, seed=seed), session, online=online)
 
 
 def _composited(
@@ -109,13 +109,13 @@ def _composited(
     if not online:
         for frame in frames:
             session.push(frame)
-    found = False
+    any_frame = False
     for frame in frames:
         if online:
             session.push(frame)
         yield compositor.composite(frame)
-        found = True
-    if not found:
+        any_frame = True
+    if not any_frame:
         raise CaptureError("the recording has no usable frame")
     if compositor.waiting:
         raise SceneError(f"{', '.join(compositor.waiting)}: the recording has no frame of the index that `frame` names")

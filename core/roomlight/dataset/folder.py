@@ -215,13 +215,13 @@ def shard_files(folder: Path, split: str | None = None) -> list[Path]:
     return sorted(path.with_suffix(".tar") for path in folder.glob("*.jsonl") if named.fullmatch(path.stem))
 
 
-def _shown(value: object) -> object:
+def _value_text(value: object) -> object:
     return "none" if value is None else value
 
 
 def _check_equal(folder: Path, old: DatasetSettings, new: DatasetSettings) -> None:
     differences = [
-        f"{name.replace('_', ' ')} {_shown(vars(old)[name])}, not {_shown(value)}"
+        f"{name.replace('_', ' ')} {_value_text(vars(old)[name])}, not {_value_text(value)}"
         for name, value in vars(new).items()
         if vars(old)[name] != value
     ]

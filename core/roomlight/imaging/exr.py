@@ -72,12 +72,12 @@ class ExrChannels:
         Raises:
             ImageError: No channel, or more than one, can be the depth.
         """
-        found = self._depth_channels()
-        if len(found) != 1:
-            what = "several channels that can be the depth" if found else "no depth channel (Z, Depth.Z or Depth.V)"
-            listed = _listed(found or self.channels)
+        names = self._depth_channels()
+        if len(names) != 1:
+            what = "several channels that can be the depth" if names else "no depth channel (Z, Depth.Z or Depth.V)"
+            listed = _listed(names or self.channels)
             raise ImageError(f"{self.name}: the EXR has {what}: {listed}; export depth in a file of its own")
-        depth = self.channels[found[0]].astype(np.float32)
+        depth = self.channels[names[0]].astype(np.float32)
         return np.where(depth >= _DEEPEST, np.float32(0), depth)
 
     def _depth_channels(self) -> list[str]:
@@ -200,5 +200,5 @@ def _last(layer: str) -> str:
 
 
 def _listed(names: Any) -> str:
-    shown = [str(name).rstrip(".") or "(no layer)" for name in names]
-    return ", ".join(shown[:6]) + (f" and {len(shown) - 6} more" if len(shown) > 6 else "")
+    texts = [str(name).rstrip(".") or "(no layer)" for name in names]
+    return ", ".join(texts[:6]) + (f" and {len(texts) - 6} more" if len(texts) > 6 else "")

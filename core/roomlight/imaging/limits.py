@@ -32,8 +32,8 @@ def check_jpeg(data: bytes, name: str) -> int | None:
         ImageError: There are too many; begins with `name`.
     """
     offset, segments, scans = 2, 0, 0
-    while (found := _MARKER.search(data, offset)) is not None:
-        marker, offset = data[found.start() + 1], found.end()
+    while (match := _MARKER.search(data, offset)) is not None:
+        marker, offset = data[match.start() + 1], match.end()
         if marker == _END:
             return offset
         segments += 1

@@ -134,7 +134,7 @@ def to_wire_error(error: ValidationError, *, kind: str, prefix: str = "") -> Wir
     first = error.errors(include_url=False, include_context=False)[0]
     field = ".".join(str(part) for part in (prefix, *first["loc"]) if part != "")
     given: Any = first["input"]
-    value = "nothing" if first["type"] == "missing" else _shown(given)
+    value = "nothing" if first["type"] == "missing" else _value_text(given)
     return WireError(kind, field=field, value=value, rule=rule_text(first["msg"]))
 
 
@@ -144,7 +144,7 @@ def rule_text(message: str) -> str:
     return message[:1].lower() + message[1:]
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     """Describe a rejected value in at most about 100 characters."""
     if isinstance(value, dict):
         return f"an object with {len(value)} fields"

@@ -121,12 +121,12 @@ def run_composite(
     shimmer: list[Shimmer] = []
     for preset in presets:
         count = max(1, frames // FEWER[preset]) + UNMEASURED
-        for held in objects():
+        for scene_object in objects():
             session = _session(room, size)
-            times.append(_timed(session, held, preset, phone[:count], report))
-            if held.motion is None and preset != "final":  # its sampling points are fixed as those of good
-                report(f"shimmer of {held.name}, {preset}")
-                shimmer.append(_shimmer(session, held, preset, seen, size))
+            times.append(_timed(session, scene_object, preset, phone[:count], report))
+            if scene_object.motion is None and preset != "final":  # its sampling points are fixed as those of good
+                report(f"shimmer of {scene_object.name}, {preset}")
+                shimmer.append(_shimmer(session, scene_object, preset, seen, size))
     return CompositeReport(
         times=tuple(times),
         shimmer=tuple(shimmer),
@@ -149,16 +149,16 @@ def _session(room: Sequence[Frame], size: CompositeSize) -> Session:
 
 
 def _timed(
-    session: Session, held: SceneObject, preset: str, frames: Sequence[Frame], progress: ProgressCallback
+    session: Session, scene_object: SceneObject, preset: str, frames: Sequence[Frame], progress: ProgressCallback
 ) -> PresetTimes:
     """Composite the frames one after the other; the first ones do not count."""
     stage = frames[0].resized(*WORKING_SIZE)
     grid = VolumeGrid.from_frame(stage)
-    compositor = Compositor(session, [held], quality=preset)
+    compositor = Compositor(session, [scene_object], quality=preset)
     made: list[Composite] = []
     volume_ms: list[tuple[float, float]] = []
     for number, frame in enumerate(frames):
-        progress(f"{preset}: {held.name}, frame {number + 1} of {len(frames)}")
+        progress(f"{preset}: {scene_object.name}, frame {number + 1} of {len(frames)}")
         if number % PUSH_EVERY == 0:
             session.push(frame)
         made.append(compositor.composite(frame))
@@ -168,14 +168,14 @@ def _timed(
         volume_ms.append((clock.wall_ms["volume"], clock.cpu_ms["volume"]))
     compositor.close()
     measured = made[UNMEASURED:]
-    walls = {name: [one.stage_ms.get(stage, 0.0) for one in measured] for stage, name in PARTS.items()}
-    cpus = {name: [one.stage_cpu_ms.get(stage, 0.0) for one in measured] for stage, name in PARTS.items()}
+    walls = {name: [result.stage_ms.get(stage, 0.0) for result in measured] for stage, name in PARTS.items()}
+    cpus = {name: [result.stage_cpu_ms.get(stage, 0.0) for result in measured] for stage, name in PARTS.items()}
     volume = np.median(np.array(volume_ms[UNMEASURED:]), axis=0)
     return PresetTimes(
         preset,
-        held.name,
-        held.geometry.triangles,
-        float(np.mean([(one.crop_alpha > 0).sum() for one in measured])),
+        scene_object.name,
+        scene_object.geometry.triangles,
+        float(np.mean([(result.crop_alpha > 0).sum() for result in measured])),
         tuple(PartTimes.of(name, walls[name], cpus[name]) for name in PARTS.values()),
         PartTimes.of("whole frame", _sums(walls), _sums(cpus)),
         (float(volume[0]), float(volume[1])),
@@ -187,38 +187,43 @@ def _sums(columns: dict[str, list[float]]) -> list[float]:
     return [sum(row) for row in zip(*columns.values(), strict=True)]
 
 
-def _shimmer(session: Session, held: SceneObject, preset: str, seen: Sequence[Frame], size: CompositeSize) -> Shimmer:
+def _shimmer(
+    session: Session, scene_object: SceneObject, preset: str, seen: Sequence[Frame], size: CompositeSize
+) -> Shimmer:
     """Measure the picture at rest, without and with depth noise, and the shadow under the moving camera.
 
     Colour has no noise here: the camera's own would hide what objects and shadows do.
     """
     still = [replace(seen[0], index=index, timestamp_s=index / 30) for index in range(2 * STILL_FRAMES)]
-    resting = list(_composited(session, held, preset, (_with_depth(f, size, 0.0, 0) for f in still)))[STILL_FRAMES:]
+    exact_depth = (_with_depth(frame, size, 0.0, 0) for frame in still)
+    resting = list(_composited(session, scene_object, preset, exact_depth))[STILL_FRAMES:]
     noisy = (_with_depth(frame, size, DEPTH_NOISE_M, seed) for seed, frame in enumerate(still))
-    shaken = list(_composited(session, held, preset, noisy))[STILL_FRAMES:]
+    shaken = list(_composited(session, scene_object, preset, noisy))[STILL_FRAMES:]
     moved = (_with_depth(frame, size, 0.0, 0) for frame in seen[: 2 * STILL_FRAMES])
-    moving = list(_composited(session, held, preset, moved))[2:]
+    moving = list(_composited(session, scene_object, preset, moved))[2:]
     near = np.zeros(resting[0].alpha.shape, bool)
     near[resting[0].crop.slices] = True
     exact = seen[2 : 2 + len(moving)]
-    depths = [np.where(one.alpha > 0, 0, frame.depth_m) for one, frame in zip(moving, exact, strict=True)]
+    depths = [np.where(result.alpha > 0, 0, frame.depth_m) for result, frame in zip(moving, exact, strict=True)]
     change = warped_variance(
-        [one.shadow for one in moving],
+        [result.shadow for result in moving],
         [depth.astype(np.float32) for depth in depths],
         [frame.intrinsics for frame in exact],
         [frame.camera_to_world for frame in exact],
     )
     return Shimmer(
         preset,
-        held.name,
-        255 * rest_variance([one.image for one in resting], near) ** 0.5,
-        255 * rest_variance([one.image for one in shaken], near) ** 0.5,
+        scene_object.name,
+        255 * rest_variance([result.image for result in resting], near) ** 0.5,
+        255 * rest_variance([result.image for result in shaken], near) ** 0.5,
         change**0.5,
     )
 
 
-def _composited(session: Session, held: SceneObject, preset: str, frames: Iterator[Frame]) -> Iterator[Composite]:
-    compositor = Compositor(session, [held], quality=preset, match_camera=False)
+def _composited(
+    session: Session, scene_object: SceneObject, preset: str, frames: Iterator[Frame]
+) -> Iterator[Composite]:
+    compositor = Compositor(session, [scene_object], quality=preset, match_camera=False)
     for frame in frames:
         yield compositor.composite(frame)
     compositor.close()

@@ -102,7 +102,7 @@ class CompositeReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return asdict(self) | {"criteria": [asdict(one) for one in self.criteria()]}
+        return asdict(self) | {"criteria": [asdict(criterion) for criterion in self.criteria()]}
 
     def criteria(self) -> tuple[Criterion, ...]:
         """Return the limit on previews of spheres, for each of them."""

@@ -96,7 +96,7 @@ class Rivalry:
         """Return each rival's time / ours at the error of our most samples, by a power law through its efforts."""
         wanted = self.ours[-1]
         return {
-            name: _power_law([(one.error, one.cpu_ms) for one in efforts], wanted.error) / wanted.cpu_ms
+            name: _power_law([(effort.error, effort.cpu_ms) for effort in efforts], wanted.error) / wanted.cpu_ms
             for name, efforts in self.mitsuba.items()
         }
 
@@ -104,7 +104,7 @@ class Rivalry:
         """Return each rival's error / ours at the time of our most samples."""
         wanted = self.ours[-1]
         return {
-            name: _power_law([(one.cpu_ms, one.error) for one in efforts], wanted.cpu_ms) / wanted.error
+            name: _power_law([(effort.cpu_ms, effort.error) for effort in efforts], wanted.cpu_ms) / wanted.error
             for name, efforts in self.mitsuba.items()
         }
 
@@ -118,18 +118,18 @@ class RivalReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return asdict(self) | {"criteria": [asdict(one) for one in self.criteria()]}
+        return asdict(self) | {"criteria": [asdict(criterion) for criterion in self.criteria()]}
 
     def criteria(self) -> tuple[Criterion, ...]:
         """Return for each material the limits on the fastest rival's time, and on the difference of the pictures."""
-        found: list[Criterion] = []
-        for one in self.rivals:
-            ratio = min(one.time_ratios().values())
-            name = f"fastest Mitsuba's time at our error, {one.material} (at least {FASTER:g} times ours)"
-            found.append(Criterion(name, ratio, FASTER, ratio >= FASTER))
-            name = f"difference of the pictures of many samples, {one.material} (at most {ALIKE:g})"
-            found.append(Criterion(name, one.difference, ALIKE, one.difference <= ALIKE))
-        return tuple(found)
+        criteria: list[Criterion] = []
+        for rivalry in self.rivals:
+            ratio = min(rivalry.time_ratios().values())
+            name = f"fastest Mitsuba's time at our error, {rivalry.material} (at least {FASTER:g} times ours)"
+            criteria.append(Criterion(name, ratio, FASTER, ratio >= FASTER))
+            name = f"difference of the pictures of many samples, {rivalry.material} (at most {ALIKE:g})"
+            criteria.append(Criterion(name, rivalry.difference, ALIKE, rivalry.difference <= ALIKE))
+        return tuple(criteria)
 
     def size_table(self) -> Table:
         """Return a table with a row per size."""
@@ -144,7 +144,7 @@ class RivalReport:
     def rival_table(self) -> Table:
         """Return a table with a row per material, renderer and number of samples."""
         table = _table("The same sphere in Mitsuba 3: CPU ms and relative RMSE by samples; Mitsuba relative to ours")
-        counts = [one.samples for one in self.rivals[0].ours] if self.rivals else []
+        counts = [effort.samples for effort in self.rivals[0].ours] if self.rivals else []
         for heading in ("material", "renderer", *map(str, counts), "time at our error", "error at our time"):
             table.add_column(heading, justify="right")
         for row in self.rivals:
@@ -166,20 +166,20 @@ def run_sizes(
     wanted = [(count, middle) for count in triangles]
     wanted += [(triangles[min(1, len(triangles) - 1)], side) for side in sides if side != middle]
     lights = ProbeSet.single(_panorama())
-    found: list[SizeTimes] = []
+    sizes: list[SizeTimes] = []
     for count, side in wanted:
         if progress is not None:
             progress(f"a sphere of {count} triangles, {side} x {side} pixels")
-        one = _sphere_of(count)
-        built, build_ms = _timed(lambda one=one: TracedObjects([one]))
+        sphere = _sphere_of(count)
+        built, build_ms = _timed(lambda sphere=sphere: TracedObjects([sphere]))
         times: dict[str, float] = {}
         pixels = 0
         for name in PRESETS:
             render = _renderer(built, lights, side, name)
             pixels = int(np.count_nonzero(render().max(axis=-1)))  # also loads kernels and tables
             _, times[name] = _timed(render)
-        found.append(SizeTimes(one.triangles, pixels, build_ms, times))
-    return tuple(found)
+        sizes.append(SizeTimes(sphere.triangles, pixels, build_ms, times))
+    return tuple(sizes)
 
 
 def run_rivals(
@@ -197,7 +197,7 @@ def run_rivals(
     report = progress or _ignore
     variants = tuple(dict.fromkeys(("scalar_rgb", usable_variant())))
     lights = ProbeSet.single(_panorama())
-    found: list[Rivalry] = []
+    rivalries: list[Rivalry] = []
     for name, material in {"diffuse": diffuse(_COLOUR), "rough metal": rough_metal(_ALPHA**0.5)}.items():
         scene = TracedObjects([sphere(0.5, material)])
 
@@ -214,8 +214,8 @@ def run_rivals(
             for sampler in samplers:
                 report(f"{name}: Mitsuba, {variant}, {sampler}")
                 rivals[f"{variant}, {sampler}"] = _efforts(_mitsuba(material, variant, sampler), counts, theirs)
-        found.append(Rivalry(name, efforts, rivals, _error(exact, theirs)))
-    return tuple(found)
+        rivalries.append(Rivalry(name, efforts, rivals, _error(exact, theirs)))
+    return tuple(rivalries)
 
 
 def _ignore(_: str) -> None:
@@ -224,14 +224,14 @@ def _ignore(_: str) -> None:
 
 def _efforts(render: Callable[[int, int], Picture], counts: tuple[int, ...], exact: Picture) -> tuple[Effort, ...]:
     """Render `REPEATS` pictures of each number of samples, after one that is not measured; returns their means."""
-    found: list[Effort] = []
+    efforts: list[Effort] = []
     for samples in counts:
         render(samples, 0)
         timed = [_timed(lambda samples=samples, seed=seed: render(samples, seed)) for seed in range(1, REPEATS + 1)]
         squares = [_error(picture, exact) ** 2 for picture, _ in timed]
         times = [cpu_ms for _, cpu_ms in timed]
-        found.append(Effort(samples, float(np.mean(times)), float(np.mean(squares)) ** 0.5))
-    return tuple(found)
+        efforts.append(Effort(samples, float(np.mean(times)), float(np.mean(squares)) ** 0.5))
+    return tuple(efforts)
 
 
 def _error(picture: Picture, exact: Picture) -> float:
@@ -240,8 +240,8 @@ def _error(picture: Picture, exact: Picture) -> float:
     return float(np.sqrt(np.mean((picture - exact)[covered] ** 2)) / exact[covered].mean())
 
 
-def _effort_text(one: Effort) -> str:
-    return f"{one.cpu_ms:.3g} ms {one.error:.2g}"
+def _effort_text(effort: Effort) -> str:
+    return f"{effort.cpu_ms:.3g} ms {effort.error:.2g}"
 
 
 def _renderer(
@@ -286,8 +286,8 @@ def _mitsuba(material: Material, variant: str, sampler: str) -> Callable[[int, i
         if sampler == "multijitter":  # takes rectangles only, and would round up
             samples = math.isqrt(samples) ** 2
         mitsuba.set_variant(variant)
-        found: Any = mitsuba.render(scene, spp=samples, seed=cast(Any, seed))
-        return np.array(found)[..., :3]
+        image: Any = mitsuba.render(scene, spp=samples, seed=cast(Any, seed))
+        return np.array(image)[..., :3]
 
     return render
 

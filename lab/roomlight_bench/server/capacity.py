@@ -142,9 +142,9 @@ class CapacityReport:
             column.no_wrap = True  # numbers would be cut to dots
         for row in self.rows:
             traffic = f"{row.frame_traffic / 1e6:,.0f}", f"{row.state_traffic / 1e6:,.0f}"
-            each = f"{row.state_traffic / row.machines / 1e6:,.0f}"
+            per_machine = f"{row.state_traffic / row.machines / 1e6:,.0f}"
             counts = f"{row.phones:,}", f"{row.machines:,}", f"{row.by_frames:,}", f"{row.by_memory:,}"
-            table.add_row(*counts, *traffic, each)
+            table.add_row(*counts, *traffic, per_machine)
         return table
 
     def to_json(self) -> dict[str, Any]:

@@ -168,10 +168,10 @@ class _Uninterrupted:
             message, _ = parse_frame(self._bodies[number % len(self._bodies)], FrameLimits())
             self._session.push(decode_to_box(message, number, 1.0, 1, WORKING_SIZE))
         self._next = index + 1
-        found: dict[str, str] = {}
+        digests: dict[str, str] = {}
         for name, handle in self._handles.items():
-            found[name] = self._session.light(handle).digest()
-        return found
+            digests[name] = self._session.light(handle).digest()
+        return digests
 
 
 class _Run:
@@ -294,8 +294,8 @@ def _wait_until_saved(port: int, folder: Path) -> bool:
 
 def _mean_write_ms(port: int) -> float:
     name = "roomlight_state_write_seconds"
-    found = dict(re.findall(rf"^{name}_(sum|count) (\S+)$", _metrics(port), re.MULTILINE))
-    return 1e3 * float(found["sum"]) / max(1.0, float(found["count"]))
+    counters = dict(re.findall(rf"^{name}_(sum|count) (\S+)$", _metrics(port), re.MULTILINE))
+    return 1e3 * float(counters["sum"]) / max(1.0, float(counters["count"]))
 
 
 def _metrics(port: int) -> str:

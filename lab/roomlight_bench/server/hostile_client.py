@@ -114,13 +114,13 @@ class Hostile:
 
     async def idle_connections(self) -> None:
         """Hold as many connections without a request as the server accepts, from ten addresses."""
-        held: list[asyncio.StreamWriter] = []
+        writers: list[asyncio.StreamWriter] = []
         while True:
             with suppress(OSError):
-                held.append((await self._connect(IDLE_ADDRESSES[self.requests % len(IDLE_ADDRESSES)]))[1])
+                writers.append((await self._connect(IDLE_ADDRESSES[self.requests % len(IDLE_ADDRESSES)]))[1])
             self.requests += 1
-            if len(held) >= IDLE:
-                held.pop(0).close()
+            if len(writers) >= IDLE:
+                writers.pop(0).close()
             await asyncio.sleep(0.002)
 
     async def hung_up_posts(self) -> None:
@@ -281,16 +281,16 @@ class Hostile:
 
     def _count(self, head: bytes) -> str:
         self.requests += 1
-        found = re.match(rb"HTTP/1\.1 (\d+)", head)
-        status = found[1].decode() if found else "closed"
+        match = re.match(rb"HTTP/1\.1 (\d+)", head)
+        status = match[1].decode() if match else "closed"
         self.answers[status] += 1
         return status
 
     @staticmethod
     async def _all(work: Iterable[Coroutine[Any, Any, None]]) -> None:
         async with asyncio.TaskGroup() as tasks:
-            for one in work:
-                tasks.create_task(one)
+            for coroutine in work:
+                tasks.create_task(coroutine)
 
 
 ATTACKS: Final[dict[str, tuple[str, Callable[[Hostile], Awaitable[None]]]]] = {

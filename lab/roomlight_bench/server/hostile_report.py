@@ -87,17 +87,17 @@ class HostileReport:
     @property
     def criteria(self) -> tuple[Criterion, ...]:
         """The project's criteria, judged on this run."""
-        found: list[Criterion] = []
+        criteria: list[Criterion] = []
         for row in self.attacks:
             kept, p99_ms = self.kept(row), row.frame.p99_ms
-            found.append(Criterion(f"{row.attack}: keeps {KEPT_SHARE:.0%}", kept, KEPT_SHARE, kept >= KEPT_SHARE))
+            criteria.append(Criterion(f"{row.attack}: keeps {KEPT_SHARE:.0%}", kept, KEPT_SHARE, kept >= KEPT_SHARE))
             slowest = float("inf") if p99_ms is None else p99_ms
             grown = row.rss_after_bytes / max(1, row.rss_before_bytes)
-            found.append(Criterion(f"{row.attack}: memory returns", grown, GROWN, grown <= GROWN))
-            found.append(Criterion(f"{row.attack}: p99 under {P99_MS:g} ms", slowest, P99_MS, slowest < P99_MS))
+            criteria.append(Criterion(f"{row.attack}: memory returns", grown, GROWN, grown <= GROWN))
+            criteria.append(Criterion(f"{row.attack}: p99 under {P99_MS:g} ms", slowest, P99_MS, slowest < P99_MS))
         most, bound = max(row.rss_bytes for row in (self.alone, *self.attacks)) / 1e6, self.rss_bound_bytes / 1e6
-        found.append(Criterion(f"memory under {bound:.0f} MB", most, bound, most <= bound))
-        return tuple(found)
+        criteria.append(Criterion(f"memory under {bound:.0f} MB", most, bound, most <= bound))
+        return tuple(criteria)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values, including the shares and criteria that follow from them."""

@@ -91,8 +91,8 @@ class ReplicaReport:
     @property
     def overhead(self) -> float | None:
         """Time of a frame with one replica under Ray over that of a plain server; None if it was not measured."""
-        one = [row.frame_ms for row in self.rows if row.replicas == 1]
-        return one[0] / self.rows[0].frame_ms if one else None
+        single = [row.frame_ms for row in self.rows if row.replicas == 1]
+        return single[0] / self.rows[0].frame_ms if single else None
 
     def table(self) -> Table:
         """Return the rows, with ratios to the plain server."""
@@ -200,7 +200,8 @@ async def send_frames(
 
         began_s = time.perf_counter()
         end_s = began_s + options.seconds
-        await asyncio.gather(*(stream(one, each.id, end_s) for one, each in zip(clients, sessions, strict=True)))
+        names = [session.id for session in sessions]
+        await asyncio.gather(*(stream(client, name, end_s) for client, name in zip(clients, names, strict=True)))
         seconds = time.perf_counter() - began_s
         states = [await session.state() for session in sessions]
     return Sent(times_ms, seconds, fmean(state.memory.bytes for state in states))

@@ -101,16 +101,16 @@ class ServerProcess:
             status = Path(f"/proc/{self._process.pid}/status").read_text(encoding="utf-8")
         except OSError:
             return None
-        found = re.search(r"^VmRSS:\s+(\d+) kB$", status, re.MULTILINE)
-        return None if found is None else int(found[1]) * 1024
+        match = re.search(r"^VmRSS:\s+(\d+) kB$", status, re.MULTILINE)
+        return None if match is None else int(match[1]) * 1024
 
     def _read(self) -> None:
         assert self._process.stderr is not None
         for line in self._process.stderr:
             self._log.append(line.decode(errors="replace").rstrip())
-            found = re.search(r'"url": "http://127\.0\.0\.1:(\d+)"', self._log[-1])
-            if found is not None:
-                self.port = int(found[1])
+            match = re.search(r'"url": "http://127\.0\.0\.1:(\d+)"', self._log[-1])
+            if match is not None:
+                self.port = int(match[1])
                 self._port_known.set()
         self._port_known.set()  # the process has ended: do not wait for its port
 

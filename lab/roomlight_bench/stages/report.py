@@ -135,12 +135,12 @@ class StagesReport:
 
 def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
     """Judge the criteria that these rows can answer, on least times."""
-    found: list[Criterion] = []
+    criteria: list[Criterion] = []
 
     def at_least(row: StageRow, other: Timing | None, limit: float, demand: str) -> None:
         ratio = row.ratio(other)
         if ratio is not None:
-            found.append(Criterion(demand, ratio, limit, ratio >= limit))
+            criteria.append(Criterion(demand, ratio, limit, ratio >= limit))
 
     for row in rows:
         if row.name.startswith("ray tracing"):
@@ -157,12 +157,12 @@ def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
             ("mesh building and panorama together", least["mesh building"] + least["partial-mesh panorama"]),
         ):
             share = ms / min(network)  # of the fastest runtime: the strictest comparison
-            found.append(
+            criteria.append(
                 Criterion(
                     f"{name}: under a third of the SGLV network's time", share, PANORAMA_SHARE, share < PANORAMA_SHARE
                 )
             )
-    return tuple(found)
+    return tuple(criteria)
 
 
 def _time_and_ratio(row: StageRow, timing: Timing | None) -> str:

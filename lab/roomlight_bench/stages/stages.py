@@ -143,8 +143,8 @@ def _volume_stage(grid: VolumeGrid, frame: Frame) -> BenchStage:
     ours = Implementation(lambda: initial_volume(grid, frame, out=out))
     reference = Implementation(lambda: initial_volume_reference(grid, frame))
     torch = Implementation(plain_torch.volume_by_grid_sample(grid, frame)) if plain_torch.torch_installed() else None
-    found = differences(ours.run, {"reference": reference.run, "torch": torch.run if torch else None})
-    return BenchStage("volume initialisation", ours, reference, torch, paper_ms=4.1, differences=found)
+    deviations = differences(ours.run, {"reference": reference.run, "torch": torch.run if torch else None})
+    return BenchStage("volume initialisation", ours, reference, torch, paper_ms=4.1, differences=deviations)
 
 
 def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list[BenchStage]:
@@ -183,7 +183,7 @@ def _march_stage(
             sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far
         )
         torch = Implementation(by_grid_sample)
-    found = differences(ours, {"reference": reference, "torch": torch.run if torch else None})
+    deviations = differences(ours, {"reference": reference, "torch": torch.run if torch else None})
     inside = _samples_inside(sglv.grid, directions, size.samples, step_m)
     note = f"{len(directions)} rays, {size.samples} samples, {inside.mean():.0f} inside"
     return BenchStage(
@@ -193,7 +193,7 @@ def _march_stage(
         torch,
         paper_ms,
         note=note,
-        differences=found,
+        differences=deviations,
     )
 
 
@@ -298,7 +298,7 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchSt
                 state, hdr=hdr, detail=seen.radiance, detail_depth_m=seen.depth_m, weight=weight
             )
         )
-    found = differences(
+    deviations = differences(
         lambda: apply(fresh(), accumulate),
         {"reference": lambda: apply(fresh(), accumulate_reference), "torch": torch.run if torch else None},
     )
@@ -308,7 +308,7 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchSt
         Implementation(lambda: apply(ours_state, accumulate)),
         Implementation(lambda: apply(reference_state, accumulate_reference)),
         torch,
-        differences=found,
+        differences=deviations,
     )
 
 

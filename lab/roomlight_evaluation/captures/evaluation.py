@@ -52,8 +52,8 @@ def evaluate_engine(
     graphs = choose_graphs(session)
 
     def estimators() -> list[Estimator]:
-        found: list[Estimator] = [MeanColour(), WarpAndFill(), EngineEstimator(session, graphs)]
-        return [*found, EngineEstimator(session, graphs, late=True)] if late else found
+        chosen: list[Estimator] = [MeanColour(), WarpAndFill(), EngineEstimator(session, graphs)]
+        return [*chosen, EngineEstimator(session, graphs, late=True)] if late else chosen
 
     return evaluate_captures(captures, estimators, options=options, progress=progress)
 

@@ -181,7 +181,7 @@ def _score_capture(
     baseline = WarpAndFill()
     positions: list[Position] = [probe.position for probe in probes]
     handles: list[int] = []
-    found: dict[tuple[int, str], list[Direction]] = {}
+    directions_of: dict[tuple[int, str], list[Direction]] = {}
     for count, frame in enumerate(capture, 1):
         if not handles:
             positions = positions or [point_in_view(frame)]
@@ -198,13 +198,13 @@ def _score_capture(
                 peak_direction(cube),
             )
             for method, direction in zip(METHODS, directions, strict=True):
-                found.setdefault((probe, method), []).append(direction)
+                directions_of.setdefault((probe, method), []).append(direction)
         if progress is not None:
             progress(name, count, capture.frame_count - len(capture.skipped))
     targets = [(main_light(truth).direction, brightest_region(truth)) for truth in truths] or [(None, None)]
     return [
         DirectionTrack(name, probe, method, tuple(directions), *targets[probe])
-        for (probe, method), directions in found.items()
+        for (probe, method), directions in directions_of.items()
     ]
 
 

@@ -136,7 +136,7 @@ class ViewScores:
             for method in self.methods
             for region in REGIONS
         ]
-        write_json(path, {"ahead": self.ahead, "summary": means, "scores": [asdict(one) for one in self.scores]})
+        write_json(path, {"ahead": self.ahead, "summary": means, "scores": [asdict(score) for score in self.scores]})
 
 
 class LaterPoint:
@@ -182,20 +182,20 @@ def evaluate_views(
     """
     if ahead < 1 or spacing < 1:
         raise OptionError(f"ahead and spacing must be at least 1 frame, got {ahead} and {spacing}")
-    names = [one.model for one in models]
+    names = [model.model for model in models]
     if len(set(names)) != len(names) or REFERENCE in names:
         raise OptionError(f"models need different names, and {REFERENCE} is always scored; got {names}")
-    graphs = [choose_graphs(one) for one in models]
+    graphs = [choose_graphs(model) for model in models]
     scores: list[ViewScore] = []
     for path in captures:
         reference = Session(SessionOptions(model=REFERENCE, height=HEIGHT))
         estimators: list[Estimator] = [MeanColour(HEIGHT), WarpAndFill(HEIGHT)]
-        estimators += [LaterPoint(one, graph) for one, graph in zip(models, graphs, strict=True)]
+        estimators += [LaterPoint(model, graph) for model, graph in zip(models, graphs, strict=True)]
         capture = open_capture(path, options or CaptureOptions())
-        found = _score_capture(capture, reference, estimators, (ahead, spacing), progress)
-        if not found:
+        capture_scores = _score_capture(capture, reference, estimators, (ahead, spacing), progress)
+        if not capture_scores:
             raise CaptureError(f"{path}: predicting a view needs more than {ahead} usable frames")
-        scores += found
+        scores += capture_scores
     return ViewScores(ahead, tuple(scores))
 
 

@@ -54,7 +54,7 @@ def evaluate_composites(
     options = options or SessionOptions()
     graphs = choose_graphs(options)
     done = read_lines(out)
-    number = 1 + max((one.number for one in done), default=-1)
+    number = 1 + max((scene.number for scene in done), default=-1)
     while len(done) < count:
         try:
             scene = kept_scene(keep, number, seed=seed)

@@ -73,8 +73,8 @@ def write_scene(path: Path, scene: CompositeScene) -> None:
 
 def read_scene(path: Path) -> CompositeScene:
     """Read what `write_scene` wrote."""
-    with np.load(BytesIO(path.read_bytes())) as held:
-        data = {name: held[name] for name in held.files}
+    with np.load(BytesIO(path.read_bytes())) as archive:
+        data = {name: archive[name] for name in archive.files}
     fx, fy, cx, cy, width, height = data["lens"].tolist()
     lens = Intrinsics(fx, fy, cx, cy, int(width), int(height))
     columns = zip(data["images"], data["clipped"], data["depth_m"], data["poses"], data["timestamps_s"], strict=True)
@@ -85,14 +85,14 @@ def read_scene(path: Path) -> CompositeScene:
     )
     u, v = data["pixel"].tolist()
     x, y, z = data["position"].tolist()
-    held = SceneObject(NAME, virtual_object(shape, material), AtPixel(u, v))
+    archive = SceneObject(NAME, virtual_object(shape, material), AtPixel(u, v))
     masks = {key.removeprefix("mask-"): array for key, array in data.items() if key.startswith("mask-")}
     return CompositeScene(
         name=name,
         shape=shape,
         material=material,
         frame=frames[int(data["shown"])],
-        objects=Scene((held,)),
+        objects=Scene((archive,)),
         position=(x, y, z),
         clean=(data["with"], data["without"]),
         masks=masks,

@@ -76,14 +76,14 @@ def composites(scene: CompositeScene, session: Session, *, quality: str = "good"
         TRUE_LIGHT: true_light,
         OURS: None,
     }
-    found: dict[str, Picture] = {}
+    pictures: dict[str, Picture] = {}
     for name, light in lights.items():
         compositor = Compositor(session, scene.objects, quality=quality, light=light)
         try:
             result = compositor.composite(scene.frame)
         finally:
             compositor.close()
-        found[name] = result.radiance
+        pictures[name] = result.radiance
         if name == OURS:
-            found[NO_SHADOW] = scene.frame.image * (1 - result.alpha[..., None]) + result.objects
-    return {name: found[name] for name in METHODS}
+            pictures[NO_SHADOW] = scene.frame.image * (1 - result.alpha[..., None]) + result.objects
+    return {name: pictures[name] for name in METHODS}

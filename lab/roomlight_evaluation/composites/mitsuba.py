@@ -68,19 +68,20 @@ def mitsuba_scene(view: MitsubaView, *, samples: int = SAMPLES) -> CompositeScen
         ImportError: Mitsuba is not installed.
     """
     geometry, place = virtual_object(view.shape, view.material), view.place
-    held = SceneObject(NAME, geometry, AtPosition(place))
-    centre = np.add(place, [0, (held.box.high[1] - held.box.low[1]) / 2, 0])
-    standing = np.eye(4)
-    standing[:3, 3] = np.array(place) - held.box.anchor("base")
+    scene_object = SceneObject(NAME, geometry, AtPosition(place))
+    centre = np.add(place, [0, (scene_object.box.high[1] - scene_object.box.low[1]) / 2, 0])
+    object_to_world = np.eye(4)
+    object_to_world[:3, 3] = np.array(place) - scene_object.box.anchor("base")
     renderer = _Renderer(view.parts)
-    empty, full = renderer.scene(), renderer.scene(geometry.transformed(standing))
+    empty, full = renderer.scene(), renderer.scene(geometry.transformed(object_to_world))
     poses = [_aimed(np.array(view.eye), centre, pan) for pan in view.pans_deg]
     camera = _camera(SIZE, FIELD_DEG)
     seen = [renderer.image(empty, camera, pose, _CONTEXT_SAMPLES, seed=k) for k, pose in enumerate(poses[:-1])]
     seen.append(renderer.image(empty, camera, poses[-1], samples, seed=99))
     radiance, depth_m = renderer.image(full, camera, poses[-1], samples, seed=99)
     scale = _WHITE_LEVEL / float(np.percentile(seen[-1][0] @ LUMINANCE, _WHITE_PERCENTILE))
-    frames = tuple(_frame(k, *one, scale, camera, pose) for k, (one, pose) in enumerate(zip(seen, poses, strict=True)))
+    rendered = enumerate(zip(seen, poses, strict=True))
+    frames = tuple(_frame(k, *images, scale, camera, pose) for k, (images, pose) in rendered)
     rays = camera.rays() * depth_m[..., None]
     points = rays @ poses[-1][:3, :3].T + poses[-1][:3, 3]
     low, high = geometry.bounds()
@@ -94,7 +95,7 @@ def mitsuba_scene(view: MitsubaView, *, samples: int = SAMPLES) -> CompositeScen
         shape=view.shape,
         material=view.material,
         frame=frames[-1],
-        objects=Scene((held,)),
+        objects=Scene((scene_object,)),
         position=(x, y, z),
         truth=smoothed_truth(frames[-1].image, _quantised(clean[0])[0], clean, covered, masks[SHADOW]),
         clean=clean,
@@ -117,11 +118,11 @@ class _Renderer:
             {"type": "aov", "aovs": "d:depth", "image": {"type": "path", "max_depth": 9, "hide_emitters": False}}
         )
 
-    def scene(self, held: VirtualObject | None = None) -> Any:
+    def scene(self, geometry: VirtualObject | None = None) -> Any:
         """Load the scene, with an object whose mesh is in the world."""
         parts = self._parts(self._mi)
-        if held is not None:
-            (mesh, look), *_ = held.parts
+        if geometry is not None:
+            (mesh, look), *_ = geometry.parts
             shape = self._mi.Mesh("object", len(mesh.vertices), len(mesh.faces), has_vertex_normals=True,
                                   props=self._properties(look))  # fmt: skip
             values = self._mi.traverse(shape)

@@ -164,10 +164,10 @@ def scene_for(number: int, *, seed: int, furniture: Path | None = None) -> Compo
         for frame in frames:
             session.push(frame)
         objects = Scene((SceneObject(NAME, geometry, AtPixel(place.u, place.v)),))
-        found = _standing(session, frames[shown], objects, lit_room)
-        if found is None:
+        placed = _placed(session, frames[shown], objects, lit_room)
+        if placed is None:
             continue
-        object_to_world, shift_m = found
+        object_to_world, shift_m = placed
         pose = path.poses[shown]
         view, bare = _truth(lit_room, geometry, object_to_world, path.intrinsics, pose, number)
         low, high = geometry.bounds()
@@ -208,15 +208,15 @@ def _places(
         if walk is None:
             continue
         path = replace(walk, poses=walk.poses[::EVERY])
-        found: list[tuple[float, int, real.RestingPlace]] = []
+        places: list[tuple[float, int, real.RestingPlace]] = []
         for number, pose in enumerate(path.poses):
             place = real.find_resting_place(
                 lit_room.light.tracer, path.intrinsics, pose, rng, radius_m=radius, height_m=height
             )
             if place is not None:
-                found.append((_off_centre(place, path.intrinsics), number, place))
-        if found:
-            _, number, place = min(found, key=lambda one: one[0])
+                places.append((_off_centre(place, path.intrinsics), number, place))
+        if places:
+            _, number, place = min(places, key=lambda candidate: candidate[0])
             yield path, number, place
 
 
@@ -250,7 +250,7 @@ def _recorded(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator, *, 
     return _Recording(tuple(frames), phone)
 
 
-def _standing(
+def _placed(
     session: Session, frame: Frame, objects: Scene, lit_room: LitRoom
 ) -> tuple[Float[np.ndarray, "4 4"], float] | None:
     """Return the object's pose on the real surface, where the compositor puts it, and by how far the two differ."""

@@ -55,10 +55,10 @@ def errors_of(
     picture: Float[np.ndarray, "h w 3"], truth: Float[np.ndarray, "h w 3"], masks: Mapping[str, Bool[np.ndarray, "h w"]]
 ) -> dict[str, dict[str, float]]:
     """Return each metric in each region; NaN in a region without pixels."""
-    found, wanted = np.clip(picture, 0, 1).astype(np.float32), np.clip(truth, 0, 1).astype(np.float32)
-    squared = ((found - wanted) ** 2).mean(axis=-1)
-    encoded = ((linear_to_srgb(found) - linear_to_srgb(wanted)) ** 2).mean(axis=-1)
-    logs = np.abs(np.log((found + _LOG_FLOOR) / (wanted + _LOG_FLOOR))).mean(axis=-1)
+    picture, wanted = np.clip(picture, 0, 1).astype(np.float32), np.clip(truth, 0, 1).astype(np.float32)
+    squared = ((picture - wanted) ** 2).mean(axis=-1)
+    encoded = ((linear_to_srgb(picture) - linear_to_srgb(wanted)) ** 2).mean(axis=-1)
+    logs = np.abs(np.log((picture + _LOG_FLOOR) / (wanted + _LOG_FLOOR))).mean(axis=-1)
     return {
         region: {
             "rmse": float(np.sqrt(squared[mask].mean())),
@@ -102,11 +102,11 @@ class CompositeScores:
 
     def darkening(self, method: str) -> MeanWithInterval:
         """Return the mean log change in shadows over scenes: `truth`, or a method's."""
-        return mean_with_interval(one.darkening[method] for one in self.scenes)
+        return mean_with_interval(scene.darkening[method] for scene in self.scenes)
 
     def _values(self, method: str, region: str, metric: str, material: str | None) -> list[float]:
-        chosen = [one for one in self.scenes if material in (None, one.material)]
-        return [float(one.errors[method][region][metric]) for one in chosen]
+        chosen = [scene for scene in self.scenes if material in (None, scene.material)]
+        return [float(scene.errors[method][region][metric]) for scene in chosen]
 
 
 def write_line(path: Path, score: SceneScore) -> None:

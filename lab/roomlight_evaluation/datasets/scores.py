@@ -100,13 +100,13 @@ class DatasetScores:
 
     def ratios(self) -> tuple[Ratio, ...]:
         """Return the comparisons that these methods allow; titles give the paper's own ratios."""
-        found: list[Ratio] = []
+        ratios: list[Ratio] = []
         first = self.depths[0]
 
-        def compare(title: str, one: str, other: str | None, metric: MetricKey, limit: float | None) -> None:
-            if one in self.methods and other in self.methods:
-                ratio = self.ratio((one, first), (other, first), metric)
-                found.append(Ratio(f"{title}, {_title(metric)}", ratio, limit))
+        def compare(title: str, method: str, other: str | None, metric: MetricKey, limit: float | None) -> None:
+            if method in self.methods and other in self.methods:
+                ratio = self.ratio((method, first), (other, first), metric)
+                ratios.append(Ratio(f"{title}, {_title(metric)}", ratio, limit))
 
         compare("blended / SGLV alone (paper 0.947)", BLENDED, UNBLENDED, "log_l2", 0.93)
         compare("blended / SGLV alone (paper 0.952)", BLENDED, UNBLENDED, "render_l2", 0.93)
@@ -120,8 +120,8 @@ class DatasetScores:
         if BLENDED in self.methods and {"exact", "arkit"} <= set(self.depths):
             for metric in KEYS:
                 ratio = self.ratio((BLENDED, "arkit"), (BLENDED, "exact"), metric)
-                found.append(Ratio(f"{BLENDED}: ARKit-like / exact depth, {_title(metric)}", ratio, 1.15))
-        return tuple(found)
+                ratios.append(Ratio(f"{BLENDED}: ARKit-like / exact depth, {_title(metric)}", ratio, 1.15))
+        return tuple(ratios)
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON of this module's docstring as plain dictionaries and lists."""
@@ -143,15 +143,15 @@ class DatasetScores:
             ],
             "sequences": [
                 {
-                    "name": one.name,
-                    "room": one.room,
-                    "room_type": one.room_type,
+                    "name": sequence.name,
+                    "room": sequence.room,
+                    "room_type": sequence.room_type,
                     "scores": {
                         method: {depth: dict(zip(KEYS, pair, strict=True)) for depth, pair in kinds.items()}
-                        for method, kinds in one.values.items()
+                        for method, kinds in sequence.values.items()
                     },
                 }
-                for one in self.sequences
+                for sequence in self.sequences
             ],
         }
 
@@ -165,7 +165,7 @@ class DatasetScores:
         self, method: str, depth: str, metric: MetricKey
     ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
         """Return each room's sum of scores and its number of sequences."""
-        values = np.array([one.values[method][depth][KEYS.index(metric)] for one in self.sequences])
+        values = np.array([sequence.values[method][depth][KEYS.index(metric)] for sequence in self.sequences])
         counts = np.bincount(self._room_numbers, minlength=self.rooms).astype(np.float64)
         return np.bincount(self._room_numbers, values, minlength=self.rooms), counts
 

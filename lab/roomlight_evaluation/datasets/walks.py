@@ -140,8 +140,8 @@ class SimpleAverage:
 
     def light_at(self, position: Position) -> Panorama:
         """Add the frame's panorama [h, 2h, 3] at a point and return the mean; call it once at each frame."""
-        one = self._alone.light_at(position)
-        self._sums[position] = one + self._sums[position] if position in self._sums else one.copy()
+        radiance = self._alone.light_at(position)
+        self._sums[position] = radiance + self._sums[position] if position in self._sums else radiance.copy()
         return self._sums[position] / np.float32(self._frames)
 
 
@@ -209,12 +209,12 @@ def evaluate_walks(
         recording = dataset[number]
         name = f"{dataset.folder.name}/{recording.name}"
         try:
-            found = score_walk(recording, models, name=name)
+            walk_tracks = score_walk(recording, models, name=name)
         except FrameError:
-            found = None
-        if found is not None:
-            tracks += found
-            probes = len({track.probe for track in found})
+            walk_tracks = None
+        if walk_tracks is not None:
+            tracks += walk_tracks
+            probes = len({track.probe for track in walk_tracks})
             summaries.append(CaptureSummary(name, str(dataset.folder), len(recording.colour), 0, probes))
         if progress is not None:
             progress(done, len(chosen))

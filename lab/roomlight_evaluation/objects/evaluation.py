@@ -97,7 +97,7 @@ def evaluate_objects(
         ModelError: The weights are missing, damaged or untrained.
     """
     models = [replace(options, model="classical", weights=None), options]
-    sessions = [(one, choose_graphs(one)) for one in models]
+    sessions = [(model, choose_graphs(model)) for model in models]
     if sessions[1][1] is None:  # the chosen model is the classical one
         sessions.pop(0)
     rooms = [room for source in sources for room in _rooms(source, split, frames, limit)]
@@ -105,9 +105,9 @@ def evaluate_objects(
     for done, (name, read) in enumerate(rooms):
         if progress is not None:
             progress(name, done, len(rooms))
-        shown, truths = read()
+        room_frames, truths = read()
         try:
-            scored.append(_score(name, shown, truths, sessions))
+            scored.append(_score(name, room_frames, truths, sessions))
         except FrameError as error:
             raise CaptureError(f"{name}: its first frame cannot begin a stream: {error}") from error
     if not scored:
@@ -131,8 +131,8 @@ def _of_walk(dataset: Dataset, number: int, frames: int) -> tuple[list[Frame], l
     recording = dataset[number]
     positions = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
     chosen = _spread(len(recording.colour), frames)
-    shown = [recording.frame(number, recording.depth_mm[number]) for number in chosen]
-    return shown, list(zip(positions, recording.true_panoramas(), strict=True))
+    pictures = [recording.frame(number, recording.depth_mm[number]) for number in chosen]
+    return pictures, list(zip(positions, recording.true_panoramas(), strict=True))
 
 
 def _of_capture(path: Path, frames: int) -> tuple[list[Frame], list[Truth]]:
@@ -158,8 +158,8 @@ def _score(
     models = [Session(options, graphs=graphs) for options, graphs in sessions]
     handles = [[model.track(position) for position, _ in truths] for model in models]
     for frame in frames:
-        for one in (mean, warped, *models):
-            one.push(frame)
+        for estimator in (mean, warped, *models):
+            estimator.push(frame)
     errors: dict[str, list[dict[str, float]]] = {}
     for number, (position, truth) in enumerate(truths):
         objects = LitObjects(truth, view_toward(frames[-1].camera_to_world, position))
@@ -169,16 +169,16 @@ def _score(
             HARMONICS: harmonics_and_directional(np.minimum(fill, 1)),
             WARPED: fill,
         }
-        found = {method: objects.errors(panorama) for method, panorama in lights.items()}
+        of_probe = {method: objects.errors(panorama) for method, panorama in lights.items()}
         for model, own in zip(models, handles, strict=True):
-            found[model.model] = objects.errors(model.panorama_state(own[number]).radiance)
+            of_probe[model.model] = objects.errors(model.panorama_state(own[number]).radiance)
             light = model.light(own[number])
             lit, mirrored = objects.errors(light.panorama), objects.errors(light.reflection)
-            found[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": mirrored["mirror"], SHADOW: mirrored[SHADOW]}
-        for method, one in found.items():
-            errors.setdefault(method, []).append(one)
+            of_probe[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": mirrored["mirror"], SHADOW: mirrored[SHADOW]}
+        for method, looks in of_probe.items():
+            errors.setdefault(method, []).append(looks)
     means = {
-        method: {look: _mean([one[look] for one in of_probes]) for look in LOOKS}
+        method: {look: _mean([looks[look] for looks in of_probes]) for look in LOOKS}
         for method, of_probes in errors.items()
     }
     return RoomObjects(name, len(truths), means)

@@ -30,15 +30,15 @@ class LitObjects:
 
     def errors(self, panorama: Float[np.ndarray, "h w 3"]) -> dict[str, float]:
         """Return the root of the mean squared error of each of `LOOKS`; NaN for a shadow that there is not."""
-        found = {name: _rmse(self._pixels(panorama, name), self._truth[name]) for name in SPHERES}
+        rmse = {name: _rmse(self._pixels(panorama, name), self._truth[name]) for name in SPHERES}
         shaded = self._shaded
         lost = _rmse(shadow_of_sphere(panorama)[shaded], self._shadow[shaded]) if shaded.any() else float("nan")
-        return {**found, SHADOW: lost}
+        return {**rmse, SHADOW: lost}
 
     def _pixels(self, panorama: Float[np.ndarray, "h w 3"], name: Material) -> Float[np.ndarray, "n 3"]:
         albedo = DIFFUSE_ALBEDO if name == "diffuse" else 1.0
         return np.clip(albedo * self._renderer.pixels(panorama, name), 0, 1)
 
 
-def _rmse(found: Float[np.ndarray, "..."], wanted: Float[np.ndarray, "..."]) -> float:
-    return float(np.sqrt(np.mean((found - wanted) ** 2, dtype=np.float64)))
+def _rmse(values: Float[np.ndarray, "..."], wanted: Float[np.ndarray, "..."]) -> float:
+    return float(np.sqrt(np.mean((values - wanted) ** 2, dtype=np.float64)))

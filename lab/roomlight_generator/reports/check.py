@@ -107,10 +107,10 @@ def compose_check(room: RoomCheck) -> UInt8[np.ndarray, "h w 3"]:
     top += LABEL_ROWS
     judged = room.kinds.diffuse | room.kinds.coated
     gain = 0.6 / max(float(np.percentile(room.frame.reference, 90)), 1e-9)
-    for view, size, shown in ((room.frame, _TILE, judged), (room.panorama, _PROBE, None)):
+    for view, size, judged_pixels in ((room.frame, _TILE, judged), (room.panorama, _PROBE, None)):
         error = _error_colours(view)
-        if shown is not None:
-            error = np.where(shown[..., None], error, 0.25 * error).astype(np.float32)
+        if judged_pixels is not None:
+            error = np.where(judged_pixels[..., None], error, 0.25 * error).astype(np.float32)
         pictures = (view.ours * np.float32(gain), view.reference * np.float32(gain), error)
         for k, picture in enumerate(pictures):
             canvas.picture((_MARGIN + k * (_TILE[0] + _MARGIN), top), picture, size=size, exposed=False)

@@ -62,13 +62,13 @@ def write_previews(
     chosen = [firsts[round(k)] for k in np.linspace(0, len(firsts) - 1, count).tolist()] if count else []
     written: list[Path] = []
     for start in range(0, len(chosen), ROWS_PER_SHEET):
-        shown: list[Recording] = []
+        recordings: list[Recording] = []
         for number in chosen[start : start + ROWS_PER_SHEET]:
-            shown.append(dataset.read(number))
+            recordings.append(dataset.read(number))
             if progress:
-                progress(start + len(shown), len(chosen))
+                progress(start + len(recordings), len(chosen))
         path = out / f"preview-{start // ROWS_PER_SHEET:02d}.png"
-        write_png(path, compose_preview(shown))
+        write_png(path, compose_preview(recordings))
         written.append(path)
     return written
 

@@ -32,9 +32,9 @@ def print_stats(console: Console, stats: DatasetStats) -> None:
         table.add_row(name, *(_short(value) for value in _values(spread)))
     console.print(table)
     for title, counts in stats.counts.items():
-        shown = [f"{escape(kind)} {count}" for kind, count in counts.items()]
-        more = f", and {len(shown) - _LISTED} more kinds" if len(shown) > _LISTED else ""
-        console.print(f"[bold]{escape(title)}[/]: {', '.join(shown[:_LISTED]) or 'unknown'}{more}", soft_wrap=True)
+        texts = [f"{escape(kind)} {count}" for kind, count in counts.items()]
+        more = f", and {len(texts) - _LISTED} more kinds" if len(texts) > _LISTED else ""
+        console.print(f"[bold]{escape(title)}[/]: {', '.join(texts[:_LISTED]) or 'unknown'}{more}", soft_wrap=True)
     total = sum(stats.mean_bytes.values())
     parts = ", ".join(f"{part} {size / 1e3:.0f}" for part, size in stats.mean_bytes.items())
     console.print(f"[bold]kB per sequence[/]: {total / 1e3:.0f} ({parts})", soft_wrap=True)

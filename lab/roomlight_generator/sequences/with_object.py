@@ -138,7 +138,7 @@ def find_resting_place(
         if (
             good[k]
             and _fits(tracer, points[k], eye, radius_m, height_m)
-            and _shown(intrinsics, camera_to_world, points[k], radius_m, height_m)
+            and _in_picture(intrinsics, camera_to_world, points[k], radius_m, height_m)
         ):
             x, y, z = points[k].astype(float).tolist()
             return RestingPlace(float(u[k]) - 0.5, float(v[k]) - 0.5, (x, y, z))
@@ -180,7 +180,7 @@ def _fits(
     return bool((free > reach - 0.01).all())
 
 
-def _shown(
+def _in_picture(
     intrinsics: Intrinsics,
     camera_to_world: Float[np.ndarray, "4 4"],
     point: Float[np.ndarray, "3"],

@@ -242,7 +242,7 @@ def _drop_enclosed(
     points = len(owner)
     if not points:
         return enclosed, np.zeros(0, np.int32)
-    casting = PatchPoints(
+    origins = PatchPoints(
         position,
         normal,
         geometric_normal,
@@ -251,11 +251,11 @@ def _drop_enclosed(
         np.arange(points, dtype=np.int64),
     )
     rays = PatchRays.empty(points * _ENCLOSED_RAYS)
-    kernels.patch_rays(casting, light.coat.through, _ENCLOSED_RAYS, seed + 5, rays)
+    kernels.patch_rays(origins, light.coat.through, _ENCLOSED_RAYS, seed + 5, rays)
     hits = tracer.trace(rays.origin, rays.direction)
-    items, shown = tracer.geometry.item, tracer.geometry.material
+    items, material = tracer.geometry.item, tracer.geometry.material
     lamp = np.zeros(int(items.max()) + 1, bool)
-    lamp[items[tracer.materials.emission[shown].max(1) > 0]] = True
+    lamp[items[tracer.materials.emission[material].max(1) > 0]] = True
     stopped = (hits.face >= 0) & (hits.distance_m < ENCLOSED_M) & lamp[items[hits.face]]
     inside = stopped.reshape(points, _ENCLOSED_RAYS).all(1)
     outside = np.bincount(owner, ~inside, len(near))

@@ -83,9 +83,9 @@ def follow_view(tracer: Tracer, origins: Float32[np.ndarray, "n 3"], directions:
     share = np.ones(count, np.float32)
     length = hits.distance_m.copy()
     distance = np.where(hits.face >= 0, length, np.float32(np.inf))
-    shown = material_of[hits.face]
-    glowing = materials.emission.max(1)[shown] > 0
-    surface = np.where(glowing, LIGHT, np.where(materials.mirror[shown] > 0, MIRROR, ORDINARY)).astype(np.uint8)
+    material = material_of[hits.face]
+    glowing = materials.emission.max(1)[material] > 0
+    surface = np.where(glowing, LIGHT, np.where(materials.mirror[material] > 0, MIRROR, ORDINARY)).astype(np.uint8)
     surface[hits.face < 0] = ORDINARY
     panes = _through_panes(tracer, origins, directions, distance, share)
     if len(panes[0]):
@@ -97,7 +97,7 @@ def follow_view(tracer: Tracer, origins: Float32[np.ndarray, "n 3"], directions:
     direction = directions.copy()
     mirrors = np.zeros(count, np.uint8)
     if tracer.has_mirrors:
-        at = np.flatnonzero((face >= 0) & (materials.mirror[shown] > 0))
+        at = np.flatnonzero((face >= 0) & (materials.mirror[material] > 0))
         begin = origins[at].copy()
         for bounce in range(MIRRORS):
             if len(at) == 0:

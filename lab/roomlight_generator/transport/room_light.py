@@ -84,8 +84,8 @@ class RoomLight:
         cache = IrradianceCache(tracer, light, room, seed=rng_seed)
         if not precise:
             return cls(Viewer(tracer, light, cache))
-        shown = IrradianceCache(tracer, light, room, seed=rng_seed, gather_rays=PRECISE_RAYS, interpolated=False)
-        return cls(Viewer(tracer, light, cache, shown=shown, lobe_passes=PRECISE_LOBES))
+        view_cache = IrradianceCache(tracer, light, room, seed=rng_seed, gather_rays=PRECISE_RAYS, interpolated=False)
+        return cls(Viewer(tracer, light, cache, view_cache=view_cache, lobe_passes=PRECISE_LOBES))
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
         """Render what a pinhole camera sees; the pose is camera-to-world, OpenGL axes."""
@@ -121,23 +121,23 @@ class RoomLight:
 
         lights = self.light.lights
         small = small_from(lights, np.asarray(position), SMALL_PIXELS * np.pi / height)
-        shown = small[lights.cluster] & (lights.face >= 0)
+        splatted = small[lights.cluster] & (lights.face >= 0)
         dark = np.zeros(len(lights.face_cuts), bool)
-        dark[lights.face[shown]] = True
+        dark[lights.face[splatted]] = True
         # A face that belongs to a small and a large cluster is rendered by rays.
-        dark[lights.face[(lights.face >= 0) & ~shown]] = False
-        shown &= dark[np.maximum(lights.face, 0)]
+        dark[lights.face[(lights.face >= 0) & ~splatted]] = False
+        splatted &= dark[np.maximum(lights.face, 0)]
         camera = Camera(position, rays_at, (fine, 2 * fine), 1.5 * np.pi / fine, dark_faces=dark, show_sun=False)
         picture = self._viewer.picture(camera, seed=seed)
         image = picture.radiance.reshape(height, FINER, 2 * height, FINER, 3).mean((1, 3))
-        self._splat(image, np.asarray(position, np.float32), shown, seed)
+        self._splat(image, np.asarray(position, np.float32), splatted, seed)
         return image
 
     def _splat(
         self,
         image: Float32[np.ndarray, "h w 3"],
         position: Float32[np.ndarray, "3"],
-        shown: np.ndarray,
+        splatted: np.ndarray,
         seed: int,
     ) -> None:
         """Add small lights and the sun to a panorama, where the point sees them."""
@@ -145,7 +145,7 @@ class RoomLight:
         count = SPLAT_SAMPLES * max(1, len(light.lights.start)) + SUN_SAMPLES
         rays = ShadowRays.empty(count)
         x, y, z = position.tolist()
-        written = glossy.splat_rays(light.sources, shown, SPLAT_SAMPLES, (x, y, z), seed, rays)
+        written = glossy.splat_rays(light.sources, splatted, SPLAT_SAMPLES, (x, y, z), seed, rays)
         origin, direction, reach, carried = rays.origin, rays.direction, rays.reach, rays.weight
         outdoors = light.outdoors
         if outdoors.sun_irradiance.max() > 0:

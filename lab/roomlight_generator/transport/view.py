@@ -69,7 +69,7 @@ class Viewer:
         light: DirectLight,
         irradiance_cache: IrradianceCache,
         *,
-        shown: IrradianceCache | None = None,
+        view_cache: IrradianceCache | None = None,
         lobe_passes: int = 1,
     ) -> None:
         """Take a solved room.
@@ -78,11 +78,11 @@ class Viewer:
             tracer: The room.
             light: Its lights.
             irradiance_cache: The light of the surfaces that reflections show.
-            shown: The light of the surfaces that pictures show; default: the same.
+            view_cache: The light of the surfaces that pictures show; default: the same.
             lobe_passes: Passes of which coats' reflections are the mean.
         """
         self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
-        self._shown, self._lobe_passes = shown or irradiance_cache, lobe_passes
+        self._view_cache, self._lobe_passes = view_cache or irradiance_cache, lobe_passes
         self.reflections = Reflections(tracer, light, irradiance_cache)
         self._roughness = tracer.materials.roughness
 
@@ -149,7 +149,7 @@ class Viewer:
     def _received(self, points: Surfaces, some: Int64[np.ndarray, " k"] | None = None) -> Float32[np.ndarray, "_ 3"]:
         """Return the irradiance of points, without what comes straight from the sun."""
         at = slice(None) if some is None else some
-        received, sun = self._shown.irradiance(
+        received, sun = self._view_cache.irradiance(
             points.position[at],
             points.normal[at],
             points.geometric_normal[at],

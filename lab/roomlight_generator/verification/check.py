@@ -283,8 +283,8 @@ def _compared(
         start += len(at)
         surfaces[kind] = None
         if len(at):
-            shown = getattr(kinds, kind)
-            bias = luminance(frame)[shown].sum() / max(luminance(frames.reference)[shown].sum(), 1e-30) - 1
+            of_kind = getattr(kinds, kind)
+            bias = luminance(frame)[of_kind].sum() / max(luminance(frames.reference)[of_kind].sum(), 1e-30) - 1
             own = [frame[row : row + BLOCK, column : column + BLOCK].mean((0, 1)) for row, column in at.tolist()]
             surfaces[kind] = SurfaceDeviation(
                 pixels=deviation(frame[tuple(pixel[part].T)], pixels[:, part]),
@@ -406,8 +406,8 @@ def _probe_deviation(view: View, frame: Float[np.ndarray, "h w 3"]) -> ProbeDevi
     normals = cube_normals()
     ours, a, b = (luminance(irradiance(panorama, normals)) for panorama in (view.ours, *view.halves))
     truth = np.maximum((a + b) / 2, 1e-12)
-    shown = luminance(frame)
-    scale = np.float32(0.18 / np.exp(np.log(np.maximum(shown, 1e-3 * shown.mean() + 1e-12)).mean()))
+    luminances = luminance(frame)
+    scale = np.float32(0.18 / np.exp(np.log(np.maximum(luminances, 1e-3 * luminances.mean() + 1e-12)).mean()))
     return ProbeDeviation(
         irradiance=float((np.abs(ours - truth) / truth).mean()),
         noise=float((np.abs(a - b) / 2 / truth).mean()),

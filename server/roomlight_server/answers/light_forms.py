@@ -94,7 +94,7 @@ def encode(light: Light, form: LightForm) -> LightPayload:
         harmonics = light.harmonics if form.kind == "total" else light.ambient
         return LightPayload(form, values=harmonics.with_phase(phase).to_json(layout))
     if form.format == "main_light":
-        lights = [one.to_json() for one in light.lights]
+        lights = [source.to_json() for source in light.lights]
         return LightPayload(form, values={**light.main_light.to_json(), "lights": lights})
     return LightPayload(form, data=light.file(form.format, size=form.size, exposure_ev=form.exposure_ev, use=light.use))
 

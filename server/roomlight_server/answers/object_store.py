@@ -19,7 +19,7 @@ _MAX_NOTES = 50
 
 @dataclass
 class _Stored:
-    held: VirtualObject
+    virtual_object: VirtualObject
     info: ObjectInfo
     last_used_s: float
 
@@ -36,23 +36,25 @@ class ObjectStore:
 
     def find(self, owner: str, digest: str) -> VirtualObject:
         """Return an object. Raises ProblemError if the owner has none of this id (404)."""
-        return self._find(owner, digest).held
+        return self._find(owner, digest).virtual_object
 
     def info(self, owner: str, digest: str) -> ObjectInfo:
         """Return what an object is. Raises ProblemError if the owner has none of this id (404)."""
         return self._find(owner, digest).info
 
-    def add(self, owner: str, digest: str, held: VirtualObject) -> ObjectInfo:
+    def add(self, owner: str, digest: str, virtual_object: VirtualObject) -> ObjectInfo:
         """Store an object under its digest.
 
         Raises:
             ProblemError: The owner's limit (409) or the server's (503) is reached; nothing is stored.
         """
         self.expire()
-        low, high = held.bounds()
-        size = object_bytes(held)
-        notes = tuple(str(note) for note in held.notes[:_MAX_NOTES])
-        info = ObjectInfo(id=digest, triangles=held.triangles, size_m=(high - low).tolist(), bytes=size, notes=notes)
+        low, high = virtual_object.bounds()
+        size = object_bytes(virtual_object)
+        notes = tuple(str(note) for note in virtual_object.notes[:_MAX_NOTES])
+        info = ObjectInfo(
+            id=digest, triangles=virtual_object.triangles, size_m=(high - low).tolist(), bytes=size, notes=notes
+        )
         limit = self._settings.max_owner_object_bytes
         if self._bytes(owner) + size > limit:
             rule = f"at most {limit} bytes of objects for one token"
@@ -65,8 +67,8 @@ class ObjectStore:
             detail = f"the object takes {size} bytes and {self._bytes()} are in use by all clients; retry later"
             rule = f"at most {limit} bytes of objects for all clients"
             raise ProblemError("object-memory", detail, rule=rule, retry_after_s=max(1, min(60, wait_s)))
-        self._stored[owner, digest] = _Stored(held, info, self._clock())
-        _log.info("object stored", extra={"bytes": size, "triangles": held.triangles})
+        self._stored[owner, digest] = _Stored(virtual_object, info, self._clock())
+        _log.info("object stored", extra={"bytes": size, "triangles": virtual_object.triangles})
         return info
 
     def listed(self, owner: str) -> ObjectList:

@@ -100,9 +100,9 @@ class ProblemError(Exception):
         super().__init__(detail)
         self.kind, self.retry_after_s = kind, retry_after_s
         status, title = TITLES[kind]
-        shown = None if value is None else str(value)[:120]
+        text = None if value is None else str(value)[:120]
         self.problem = Problem(
-            type=TYPE_PREFIX + kind, title=title, status=status, detail=detail, field=field, value=shown, rule=rule
+            type=TYPE_PREFIX + kind, title=title, status=status, detail=detail, field=field, value=text, rule=rule
         )
 
     @classmethod

@@ -70,7 +70,8 @@ class RecordingStore:
         Raises:
             ProblemError: It is too large (422), or the quota of the token (409) or of the server (503) is used up.
         """
-        settings, own = self._settings, [each for each in self._recordings.values() if each.owner == owner]
+        settings = self._settings
+        own = [recording for recording in self._recordings.values() if recording.owner == owner]
         for field, value, most in (
             ("bytes", announced.bytes, settings.max_recording_bytes),
             ("files", announced.files, MAX_FILES),
@@ -85,7 +86,8 @@ class RecordingStore:
             raise ProblemError("too-many-recordings", detail, field="bytes", value=announced.bytes, rule=rule)
         root = self._folder()
         total = _announced(self._recordings.values())
-        missing = sum(each.files.announced.bytes - each.files.received for each in self._recordings.values())
+        uploads = [recording.files for recording in self._recordings.values()]
+        missing = sum(files.announced.bytes - files.received for files in uploads)
         free = shutil.disk_usage(root).free - SPARE_DISK_BYTES - missing
         if announced.bytes > min(settings.max_all_recording_bytes - total, free):
             rule = f"at most {settings.max_all_recording_bytes} bytes of all recordings, and what the disk has free"
@@ -115,9 +117,9 @@ class RecordingStore:
     def listed(self, owner: str) -> RecordingList:
         """Return the recordings of an owner, the newest first."""
         self.expire()
-        own = [each for each in self._recordings.values() if each.owner == owner]
+        own = [recording for recording in self._recordings.values() if recording.owner == owner]
         return RecordingList(
-            recordings=[self.describe(each) for each in reversed(own)],
+            recordings=[self.describe(recording) for recording in reversed(own)],
             bytes=_announced(own),
             limit_bytes=self._settings.max_owner_recording_bytes,
         )
@@ -215,4 +217,4 @@ class RecordingStore:
 
 
 def _announced(recordings: Iterable[StoredRecording]) -> int:
-    return sum(each.files.announced.bytes for each in recordings)
+    return sum(recording.files.announced.bytes for recording in recordings)

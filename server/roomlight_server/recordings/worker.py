@@ -80,7 +80,7 @@ def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
                 text["view"] = None
         write(output, text, body)
         sent += 1
-    reasons = [_without(folder, f"{each.file}: {each.reason}") for each in capture.skipped[:3]]
+    reasons = [_without(folder, f"{skipped.file}: {skipped.reason}") for skipped in capture.skipped[:3]]
     write(output, {"end": True, "unreadable": len(capture.skipped) + unusable, "reasons": reasons})
 
 

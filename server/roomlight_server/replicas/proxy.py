@@ -95,9 +95,9 @@ class _Answer:
 def _once(headers: Any, name: bytes) -> list[tuple[bytes, bytes]]:
     """Return headers with the first of those of one name: the replica and the proxy both add the request's id."""
     kept: list[tuple[bytes, bytes]] = []
-    for each, value in headers:
-        if each.lower() != name or all(one.lower() != name for one, _ in kept):
-            kept.append((bytes(each), bytes(value)))
+    for key, value in headers:
+        if key.lower() != name or all(kept_key.lower() != name for kept_key, _ in kept):
+            kept.append((bytes(key), bytes(value)))
     return kept
 
 

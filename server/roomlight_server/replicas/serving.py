@@ -82,8 +82,8 @@ def serve_on_ray(settings: ServerSettings, *, replicas: int, listening: Callable
         if running:
             _log.info("replicas changed", extra={"replicas": replicas})
             return
-        for each in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(each, lambda _number, _frame: stopped.set())
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda _number, _frame: stopped.set())
         try:
             stopped.wait()
         finally:
@@ -226,8 +226,8 @@ def app_builder(settings: ServerSettings, *, local: bool) -> Callable[[], FastAP
 
 def _version(settings: ServerSettings) -> str:
     """Return a name that changes with the release and the settings, so that replicas are restarted for them."""
-    shown = settings.model_copy(update={"port": 0}).model_dump_json()
-    return hashlib.sha256(f"{__version__} {shown}".encode()).hexdigest()[:16]
+    settings_json = settings.model_copy(update={"port": 0}).model_dump_json()
+    return hashlib.sha256(f"{__version__} {settings_json}".encode()).hexdigest()[:16]
 
 
 def _free_port(settings: ServerSettings) -> int:

@@ -80,7 +80,8 @@ async def _composite(
     with live.composite_turn() as latest:
         lens = latest.message.intrinsics
         reserved.add(memory_of(lens.width, lens.height, body.quality))
-        files = {one.object: context.objects.find(owner, one.object) for one in body.objects if one.object is not None}
+        digests = [item.object for item in body.objects if item.object is not None]
+        files = {digest: context.objects.find(owner, digest) for digest in digests}
         frame = await live.decode_latest(latest, BOXES[body.quality])
         scene = scene_of(body, files, frame.intrinsics.width / lens.width)
         start_s = time.perf_counter()

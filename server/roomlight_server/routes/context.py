@@ -92,8 +92,8 @@ async def live_session(
 
 async def reservation(context: Annotated[Context, Depends(context_of)]) -> AsyncGenerator[Reservation]:
     """Yield the request's reservation of memory, which is released when the answer is written."""
-    with context.budget.reservation() as held:
-        yield held
+    with context.budget.reservation() as reserved:
+        yield reserved
 
 
 ContextDep = Annotated[Context, Depends(context_of)]

@@ -45,7 +45,7 @@ FRAME_HEADER: Final = "Roomlight-Frame"
 MAX_ANSWER_BYTES: Final = 64 * 2**20
 """Largest answer: 64 probes with a cube map of 128 pixels each."""
 _PROBLEMS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
-_ONE: Final[dict[int | str, dict[str, Any]]] = {
+_PROBE_RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
     200: {
         "description": "The light in the media type of the format",
         "headers": {
@@ -91,12 +91,12 @@ _Ev = Annotated[float, Query(ge=-16, le=16, allow_inf_nan=False, description="pn
     "/probe",
     summary="Light at a point",
     response_class=Response,
-    responses=_ONE | documented(*_PROBLEMS, "owner-quota", "owner-busy", "engine-failed", "server-busy"),
+    responses=_PROBE_RESPONSES | documented(*_PROBLEMS, "owner-quota", "owner-busy", "engine-failed", "server-busy"),
 )
 async def probe(
     live: SessionDep,
     context: ContextDep,
-    held: ReservationDep,
+    reservation: ReservationDep,
     request: Request,
     x: _Metres,
     y: _Metres,
@@ -113,8 +113,8 @@ async def probe(
     Before the first frame this is the default light: grey, brighter from above, coverage 0, frame -1.
     """
     form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev, use=use)
-    held.add(memory_of(live, 1, max_bytes(form, live.request.height)))
-    answer = _answer_one(live, context.workers, request, ProbeQuery(position=[x, y, z]), form)
+    reservation.add(memory_of(live, 1, max_bytes(form, live.request.height)))
+    answer = _answer_probe(live, context.workers, request, ProbeQuery(position=[x, y, z]), form)
     return await until_gone(request, answer)
 
 
@@ -122,12 +122,12 @@ async def probe(
     "/probes/{name}",
     summary="Light at a named probe",
     response_class=Response,
-    responses=_ONE | documented(*_PROBLEMS, "probe-not-found", "owner-busy", "server-busy"),
+    responses=_PROBE_RESPONSES | documented(*_PROBLEMS, "probe-not-found", "owner-busy", "server-busy"),
 )
 async def named_probe(
     live: SessionDep,
     context: ContextDep,
-    held: ReservationDep,
+    reservation: ReservationDep,
     name: ProbeName,
     request: Request,
     format: _Format = "exr",
@@ -139,8 +139,8 @@ async def named_probe(
 ) -> Response:
     """Return the light at a named probe. It is updated with every frame, so this is the best light, without delay."""
     form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev, use=use)
-    held.add(memory_of(live, 1, max_bytes(form, live.request.height)))
-    return await until_gone(request, _answer_one(live, context.workers, request, ProbeQuery(name=name), form))
+    reservation.add(memory_of(live, 1, max_bytes(form, live.request.height)))
+    return await until_gone(request, _answer_probe(live, context.workers, request, ProbeQuery(name=name), form))
 
 
 @router.put(
@@ -189,7 +189,7 @@ async def delete_probe(live: SessionDep, name: ProbeName) -> None:
 async def probes(
     live: SessionDep,
     context: ContextDep,
-    held: ReservationDep,
+    reservation: ReservationDep,
     body: Annotated[LightRequest, Body(openapi_examples=_BATCH)],
     request: Request,
 ) -> Response:
@@ -197,11 +197,11 @@ async def probes(
     binary = MEDIA_TYPE in request.headers.get("accept", "")
     size = answer_bytes(len(body.probes), body.forms, live.request.height, base64=not binary)
     check_size(size)
-    held.add(memory_of(live, len(body.probes), size))
+    reservation.add(memory_of(live, len(body.probes), size))
     with context.metrics.light_seconds.time():
         answer = await until_gone(request, _answer_many(live, context.workers, body, binary=binary))
     if isinstance(answer, PartsResponse):
-        held.keep(answer.size)  # what the client has not read yet is counted besides
+        reservation.keep(answer.size)  # what the client has not read yet is counted besides
     return answer
 
 
@@ -257,7 +257,7 @@ async def encode_lights(
     return results, parts
 
 
-async def _answer_one(
+async def _answer_probe(
     live: LiveSession, workers: Workers, request: Request, query: ProbeQuery, form: LightForm
 ) -> Response:
     light = (await live.lighting.at([query]))[0]
@@ -278,7 +278,7 @@ async def _answer_one(
 
 def etag_matches(if_none_match: str, etag: str) -> bool:
     """Return whether the header `If-None-Match` names an ETag."""
-    known = [each.strip().removeprefix("W/") for each in if_none_match.split(",")]
+    known = [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]
     return etag in known or "*" in known
 
 

@@ -37,8 +37,8 @@ async def pairing(context: ContextDep, owner: OwnerDep, response: Response) -> P
     if address is None:
         return Pairing(url=None, qr_svg=None, fingerprint=None, expires_in_s=None, advice=ADVICE)
     url = phone_url(address, context.phones.link(owner)) if settings.tokens else f"{address.rstrip('/')}/phone"
-    shown = None if settings.tls_cert is None else _fingerprint(settings.tls_cert)
-    return Pairing(url=url, qr_svg=qr_svg(url), fingerprint=shown, expires_in_s=LINK_S, advice=None)
+    fingerprint = None if settings.tls_cert is None else _fingerprint(settings.tls_cert)
+    return Pairing(url=url, qr_svg=qr_svg(url), fingerprint=fingerprint, expires_in_s=LINK_S, advice=None)
 
 
 @router.post(

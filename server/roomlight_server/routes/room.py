@@ -270,7 +270,7 @@ async def light_usdz(
     z: _Metres = None,
 ) -> Response:
     """Return the light at a named probe, or at x, y and z, as a USDZ package with a dome light."""
-    point = [each for each in (x, y, z) if each is not None]
+    point = [coordinate for coordinate in (x, y, z) if coordinate is not None]
     if len(point) != (3 if name is None else 0):
         rule = "must have either name, or x, y and z"
         raise ProblemError("invalid", f"query: {rule}", field="query", value=request.url.query, rule=rule)

@@ -149,7 +149,7 @@ async def delete_session(session_id: SessionId, context: ContextDep, owner: Sess
 async def put_frame(
     live: SessionDep,
     context: ContextDep,
-    held: ReservationDep,
+    reservation: ReservationDep,
     index: Annotated[int, Path(ge=0, le=MAX_INDEX)],
     request: Request,
     response: Response,
@@ -162,7 +162,7 @@ async def put_frame(
     """
     context.registry.check_not_stopping()
     async with live.frame_slot():
-        entry = await until_gone(request, live.accept(await read_frame(request, held), index))
+        entry = await until_gone(request, live.accept(await read_frame(request, reservation), index))
         if "respond-async" in prefer.lower() and not entry.outcome.done():
             response.status_code = 202
             return FrameResult(index=index, status="queued")

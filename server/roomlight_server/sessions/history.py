@@ -154,10 +154,10 @@ class History:
         return await self._drawn(index, name)
 
     async def _drawn(self, index: int, name: str | None) -> bytes:
-        shown = next((moment for moment in self._moments if moment.entry.index == index), None)
-        if shown is not None:
-            await shown.drawn()
-        data = b"" if shown is None else shown.colour if name is None else shown.panoramas.get(name, b"")
+        moment = next((moment for moment in self._moments if moment.entry.index == index), None)
+        if moment is not None:
+            await moment.drawn()
+        data = b"" if moment is None else moment.colour if name is None else moment.panoramas.get(name, b"")
         if not data:
             probe = "" if name is None else f" with the probe {name!r}"
             detail = f"the history has no frame {index}{probe}; read the entries again, it may have been thinned out"
@@ -181,7 +181,7 @@ def _moment_of(
             name=name,
             position=list(light.position),
             coverage=round(light.coverage, 4),
-            lights=[HistoryLight.model_validate(one.to_json()) for one in light.lights],
+            lights=[HistoryLight.model_validate(source.to_json()) for source in light.lights],
         )
         for name, light in lights.items()
     ]

@@ -52,7 +52,7 @@ class Quotas:
         if len(sessions) >= limit:
             detail = f"the token has {len(sessions)} open sessions; delete one, or retry later"
             raise _exceeded("session", detail, f"at most {limit} sessions for one token", retry_after_s)
-        used, limit = sum(each.bound_bytes for each in sessions), self._settings.owner_session_bytes
+        used, limit = sum(session.bound_bytes for session in sessions), self._settings.owner_session_bytes
         if used + bound_bytes > limit:
             detail = (
                 f"the sessions of the token could need {used} bytes and this one {bound_bytes} more; "
@@ -70,13 +70,13 @@ class Quotas:
         owner = current_flow.get().owner
         adding = self._adding.setdefault(owner, [])
         sessions = list(self._sessions_of(owner))
-        count = sum(each.probe_count for each in sessions) + len(adding)
+        count = sum(session.probe_count for session in sessions) + len(adding)
         limit = self._settings.max_owner_probes
         if count >= limit:
             detail = f"the token has {count} named probes; delete one first"
             raise _exceeded("name", detail, f"at most {limit} named probes for one token", 1)
         used, limit = (
-            sum(each.probe_count * each.rows for each in sessions) + sum(adding),
+            sum(session.probe_count * session.rows for session in sessions) + sum(adding),
             self._settings.max_owner_rows,
         )
         if used + rows > limit:

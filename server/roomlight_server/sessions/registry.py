@@ -72,12 +72,12 @@ class Registry:
         phones = self._phones_of(owner)
         if not phones or self._exists(owner, name):
             return owner
-        found = [phone for phone in phones if self._exists(phone, name)]
-        if len(found) > 1:
-            ids = ", ".join(phone.rpartition(".")[2] for phone in found)
+        owners = [phone for phone in phones if self._exists(phone, name)]
+        if len(owners) > 1:
+            ids = ", ".join(phone.rpartition(".")[2] for phone in owners)
             detail = f"the phones {ids} have a session of this id; each reaches its own"
             raise ProblemError("session-conflict", detail, field="id", value=name)
-        return found[0] if found else owner
+        return owners[0] if owners else owner
 
     def _exists(self, owner: str, name: str) -> bool:
         return (owner, name) in self._sessions or (self._states is not None and self._states.has(owner, name))
@@ -206,18 +206,18 @@ class Registry:
         """Return the sessions of an owner and its phones, and the seconds since the last use, last used first."""
         self.expire()
         now_s, owners = self._clock(), {owner, *self._phones_of(owner)}
-        own = [live for (each, _), live in self._sessions.items() if each in owners]
+        own = [live for (session_owner, _), live in self._sessions.items() if session_owner in owners]
         idle = [(live, 0.0 if live.users else now_s - live.last_used_s) for live in own]
-        return sorted(idle, key=lambda each: each[1])
+        return sorted(idle, key=lambda entry: entry[1])
 
     async def saved(self, owner: str) -> list[SavedHead]:
         """Return the sessions of an owner and its phones that are on disk and not in memory, last used first."""
         heads: list[SavedHead] = []
         if self._states is None:
             return heads
-        for each in (owner, *self._phones_of(owner)):
-            listed = await self._states.listed(each)
-            heads += [head for head in listed if (each, head.values.name) not in self._sessions]
+        for session_owner in (owner, *self._phones_of(owner)):
+            listed = await self._states.listed(session_owner)
+            heads += [head for head in listed if (session_owner, head.values.name) not in self._sessions]
         return sorted(heads, key=lambda head: head.idle_s)
 
     def delete(self, owner: str, name: str) -> None:
@@ -324,11 +324,12 @@ class Registry:
             raise ProblemError("stopping", "the server is stopping; connect again in a few seconds", retry_after_s=5)
 
     def _sessions_of(self, owner: str) -> list[LiveSession]:
-        return [live for (each, _), live in self._sessions.items() if each == owner]
+        return [live for (session_owner, _), live in self._sessions.items() if session_owner == owner]
 
     def _expected_wait_s(self, owner: str | None = None) -> int:
         """Return the earliest time in which a session of an owner, or of all, could expire; at most a minute."""
-        used_s = [live.last_used_s for (each, _), live in self._sessions.items() if owner in (None, each)]
+        sessions = self._sessions.values() if owner is None else self._sessions_of(owner)
+        used_s = [live.last_used_s for live in sessions]
         wait_s = min(used_s, default=self._clock()) + self._settings.idle_expiry_s - self._clock()
         return max(1, min(60, math.ceil(wait_s)))
 

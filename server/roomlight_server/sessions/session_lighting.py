@@ -102,12 +102,12 @@ class SessionLighting:
         if cached is not None:
             return cached
         if name is not None:
-            found = await self._workers.run_in_decode_pool(engine.light, self._named[name].handle)
+            estimated = await self._workers.run_in_decode_pool(engine.light, self._named[name].handle)
         else:
             async with self._workers.engine_slot():
-                found = await convert_probe_errors(self._workers.read_in_engine_pool(engine.light_at, position))
-        etag = await self._workers.run_in_decode_pool(found.digest)
-        light = found.labelled(name=name, frame=self.frame, etag=etag)
+                estimated = await convert_probe_errors(self._workers.read_in_engine_pool(engine.light_at, position))
+        etag = await self._workers.run_in_decode_pool(estimated.digest)
+        light = estimated.labelled(name=name, frame=self.frame, etag=etag)
         self._cache.put(light)
         return light
 
@@ -150,9 +150,9 @@ class SessionLighting:
 
     def take_coverage(self, engine: Session, report: FrameReport) -> None:
         """Take the coverage of the named probes from the report of a frame."""
-        found = dict(zip(engine.handles, report.coverage, strict=True))
+        coverage = dict(zip(engine.handles, report.coverage, strict=True))
         for named in self._named.values():
-            named.coverage = found.get(named.handle, named.coverage)
+            named.coverage = coverage.get(named.handle, named.coverage)
 
     @property
     def light_bytes(self) -> int:
@@ -174,5 +174,5 @@ class SessionLighting:
 
     def restore(self, probes: dict[str, SavedProbe], frame: int) -> None:
         """Continue with saved probes, after a frame."""
-        self._named = {name: NamedProbe(**one.model_dump()) for name, one in probes.items()}
+        self._named = {name: NamedProbe(**saved.model_dump()) for name, saved in probes.items()}
         self.frame = frame

@@ -114,11 +114,11 @@ class LightCache:
 
     def get(self, name: str | None, position: Position, frame: int) -> Light | None:
         """Return the light after this frame, if it is cached."""
-        found = self._lights.get((name, position))
-        if found is None or found.frame != frame:
+        light = self._lights.get((name, position))
+        if light is None or light.frame != frame:
             return None
         self._lights.move_to_end((name, position))
-        return found
+        return light
 
     def put(self, light: Light) -> None:
         """Add a light; the one that was used longest ago is dropped."""

@@ -138,7 +138,7 @@ def read_session(folder: Path, owner: str, name: str) -> Reading:
 def _read(folder: Path, owner: str, name: str, source: str) -> Reading:
     records = unpack_records((folder / STATE).read_bytes(), source)
     try:
-        values = SavedValues.model_validate(next(one.values for one in records if one.tag == "SERV"))
+        values = SavedValues.model_validate(next(record.values for record in records if record.tag == "SERV"))
     except (StopIteration, ValidationError) as error:
         raise StateError(f"{source}: its values are invalid ({type(error).__name__})") from error
     if (values.owner, values.name) != (owner, name):

@@ -340,12 +340,12 @@ class StateStore:
             # it was erased or restored in the meantime, or cannot be removed: next time
             with contextlib.suppress(OSError, OutputError, LeaseLostError):
                 if ages_s[folder.name] > self._expiry_s and _version(folder) == versions[folder.name]:
-                    self._erase_one(folder)
+                    self._erase_folder(folder)
                     _log.info("a saved session has expired")
         if self._fence is not None:  # records of sessions that are gone
             self._fence.forget(time.time() - self._expiry_s, open_folders | {folder.name for folder in folders})
 
-    def _erase_one(self, folder: Path) -> None:
+    def _erase_folder(self, folder: Path) -> None:
         if self._fence is None:
             erase(folder)
             return

@@ -23,8 +23,8 @@ async def until_gone(request: Request, work: Coroutine[Any, Any, _R]) -> _R:
         request.app.state.context.metrics.abandoned.inc()
         raise ClientDisconnect
     finally:
-        for each in (task, gone):
-            each.cancel()
+        task.cancel()
+        gone.cancel()
         await asyncio.wait((task, gone))
 
 

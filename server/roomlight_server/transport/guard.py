@@ -110,8 +110,8 @@ class ConnectionGuard:
 
     def close_owner(self, owner: str) -> None:
         """Close the connections of an owner whose token is not valid any more, and of its phones."""
-        for transport, each in tuple(self._owners.items()):
-            if each == owner or each.startswith(f"{owner}."):
+        for transport, connected in tuple(self._owners.items()):
+            if connected == owner or connected.startswith(f"{owner}."):
                 self.record("token-ended", self._addresses[transport])
                 transport.abort()
 

@@ -71,7 +71,7 @@ def find_lan(host: str | None) -> Lan:
         raise ServerError(f"host: {address} is every address; with --lan give the one that phones reach")
     name = socket.gethostname().lower()
     names = (name, f"{name.partition('.')[0]}.local")
-    usable = tuple(each for each in names if each and each.isascii() and "_" not in each and " " not in each)
+    usable = tuple(host for host in names if host and host.isascii() and "_" not in host and " " not in host)
     return Lan(address, tuple(dict.fromkeys((address, *usable, *LOOPBACK_HOSTS))))
 
 

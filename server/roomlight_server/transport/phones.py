@@ -85,7 +85,7 @@ class Phones:
             ProblemError: The owner is a phone itself (403), or there are `MAX_PHONES` (429).
         """
         check_operator(operator)
-        if len([each for each in self._phones.values() if self._is_valid(each)]) >= MAX_PHONES:
+        if len([phone for phone in self._phones.values() if self._is_valid(phone)]) >= MAX_PHONES:
             rule = f"at most {MAX_PHONES} phones"
             raise ProblemError("owner-quota", f"{rule} are paired; remove one first", rule=rule, retry_after_s=60)
         code = secrets.token_urlsafe(16)
@@ -114,7 +114,7 @@ class Phones:
             paired_s=now_s,
             expires_s=now_s + self._expiry_s,
         )
-        self._phones = {key: each for key, each in self._phones.items() if now_s < each.expires_s + _KEPT_S}
+        self._phones = {key: kept for key, kept in self._phones.items() if now_s < kept.expires_s + _KEPT_S}
         self._phones[phone.id] = phone
         self._save()
         _log.info("phone paired", extra={"phone": phone.id})
@@ -123,15 +123,17 @@ class Phones:
     def find(self, token: str) -> Phone | None:
         """Return the phone whose valid token this is."""
         digest = _digest(token)
-        return next((each for each in self._phones.values() if each.digest == digest and self._is_valid(each)), None)
+        return next(
+            (phone for phone in self._phones.values() if phone.digest == digest and self._is_valid(phone)), None
+        )
 
     def listed(self, operator: str) -> list[Phone]:
         """Return the phones of an operator whose tokens are valid."""
-        return [each for each in self._phones.values() if each.operator == operator and self._is_valid(each)]
+        return [phone for phone in self._phones.values() if phone.operator == operator and self._is_valid(phone)]
 
     def owners(self, operator: str) -> list[str]:
         """Return the owners of the sessions of an operator's phones, past ones too."""
-        return [each.owner for each in self._phones.values() if each.operator == operator]
+        return [phone.owner for phone in self._phones.values() if phone.operator == operator]
 
     def revoke(self, operator: str, phone_id: str) -> Phone:
         """End the token of a phone; its sessions stay, and the operator sees them.
@@ -139,7 +141,7 @@ class Phones:
         Raises:
             ProblemError: The operator has no such phone (404).
         """
-        phone = next((each for each in self.listed(operator) if each.id == phone_id), None)
+        phone = next((phone for phone in self.listed(operator) if phone.id == phone_id), None)
         if phone is None:
             raise ProblemError("phone-not-found", "there is no phone of this id", field="phone", value=phone_id)
         self._phones[phone_id] = phone.model_copy(update={"digest": ""})
@@ -153,7 +155,7 @@ class Phones:
     def _save(self) -> None:
         if self._file is None:
             return
-        values = {key: each.model_dump() for key, each in self._phones.items()}
+        values = {key: phone.model_dump() for key, phone in self._phones.items()}
         try:
             write_private(self._file, json.dumps(values, indent=1).encode())
         except ServerError as error:  # a full disk: phones are as stored before when the server starts again

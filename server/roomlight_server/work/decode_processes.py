@@ -211,7 +211,7 @@ class DecodeProcesses:
 
     def _acquire(self) -> _Process:
         with self._lock:
-            self._idle.sort(key=lambda each: each.is_ready)
+            self._idle.sort(key=lambda process: process.is_ready)
             while self._idle:
                 process = self._idle.pop()
                 if process.is_alive:

@@ -177,7 +177,8 @@ class FairShare:
 
     async def _pause(self, turn: Turn) -> None:
         self._charge(turn)
-        if self._paused >= MAX_PAUSED or self._closed or not any(self._is_ahead(each, turn) for each in self._waiting):
+        overtaken = any(self._is_ahead(waiting, turn) for waiting in self._waiting)
+        if self._paused >= MAX_PAUSED or self._closed or not overtaken:
             return
         self._paused += 1
         try:

@@ -62,8 +62,8 @@ class Workers:
         # one thread is left for other owners: a job of these pools is not paused, and may take seconds
         several = settings.several_owners
         self._engine_share = share("engine", settings.engine_threads)
-        self._decode_share = share("decode", settings.decode_threads, _all_but_one(settings.decode_threads, several))
-        self._encode_share = share("encode", settings.encode_threads, _all_but_one(settings.encode_threads, several))
+        self._decode_share = share("decode", settings.decode_threads, _all_but_last(settings.decode_threads, several))
+        self._encode_share = share("encode", settings.encode_threads, _all_but_last(settings.encode_threads, several))
         self._composite_share = share("composite", settings.composite_threads)
         self.decode_processes = DecodeProcesses(
             settings.decode_timeout_s, settings.object_timeout_s, settings.object_limits
@@ -238,5 +238,5 @@ def _run_paused(turn: Turn, work: Callable[[], _R]) -> _R:
         return work()
 
 
-def _all_but_one(threads: int, several_owners: bool) -> int | None:
+def _all_but_last(threads: int, several_owners: bool) -> int | None:
     return max(1, threads - 1) if several_owners else None

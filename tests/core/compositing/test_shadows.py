@@ -198,7 +198,7 @@ class Ceiling(RoomGeometry):
 def test_a_lamp_on_a_near_ceiling_casts_a_wider_shadow():
     far = ball(lit(240, [((0.0, 1.0, 0.0), 2.0, 200.0)], level=0.0), radius=0.1)
     light = LightSampler(far.light.panorama, (0.0, 0.5, 0.0))
-    near = replace(far, light=light, casting=light, room=Ceiling())
+    near = replace(far, light=light, reflection=light, room=Ceiling())
     parallel, grid = ratio_of(far, replace(FINE, room_shade=False))
     widened, _ = ratio_of(near, replace(FINE, room_shade=False))
     beside = np.hypot(grid.points[..., 0], grid.points[..., 2])

@@ -81,10 +81,10 @@ class ColmapReader(ListedReader):
             CaptureError: There is no model, or it is damaged.
         """
         source = FolderSource(folder)
-        found = model_folder(source)
-        if found is None:
+        model = model_folder(source)
+        if model is None:
             raise CaptureError(f"{folder}: has no COLMAP model (sparse/0/cameras.bin and images.bin, or .txt)")
-        prefix = f"{found}/" if found else ""
+        prefix = f"{model}/" if model else ""
         binary = source.has(f"{prefix}cameras.bin") and source.has(f"{prefix}images.bin")
         end = "bin" if binary else "txt"
         cameras, images = (read_index(source, f"{prefix}{name}.{end}") for name in ("cameras", "images"))
@@ -159,20 +159,20 @@ def _pose(quaternion_wxyz: list[float], translation: list[float]) -> Float[np.nd
 
 
 def _cameras_of_text(data: bytes, label: str) -> dict[int, _Camera | str]:
-    found: dict[int, _Camera | str] = {}
+    cameras: dict[int, _Camera | str] = {}
     for line in fields.parse_text(data, label):
         words = line.split()
         if words and not words[0].startswith("#"):
             if len(words) < 5:
                 raise ValueError(f"has a line that is no camera: {line[:60]!r}")
             width, height = fields.pixels(float(words[2]), "width"), fields.pixels(float(words[3]), "height")
-            found[int(words[0])] = _camera(words[1], width, height, [float(word) for word in words[4:]])
-    return found
+            cameras[int(words[0])] = _camera(words[1], width, height, [float(word) for word in words[4:]])
+    return cameras
 
 
 def _images_of_text(data: bytes, label: str) -> list[_Image]:
     lines = [line for line in fields.parse_text(data, label) if not line.startswith("#")]
-    found: list[_Image] = []
+    images: list[_Image] = []
     for line in lines[::2]:  # each image has a second line of points
         words = line.split(maxsplit=9)
         if not words:
@@ -180,12 +180,12 @@ def _images_of_text(data: bytes, label: str) -> list[_Image]:
         if len(words) < 10:
             raise ValueError(f"has a line that is no image: {line[:60]!r}")
         values = [float(word) for word in words[1:8]]
-        found.append(_Image(words[9].strip(), int(words[8]), _pose(values[:4], values[4:])))
-    return found
+        images.append(_Image(words[9].strip(), int(words[8]), _pose(values[:4], values[4:])))
+    return images
 
 
 def _cameras_of_bytes(data: bytes) -> dict[int, _Camera | str]:
-    found: dict[int, _Camera | str] = {}
+    cameras: dict[int, _Camera | str] = {}
     (count,), at = struct.unpack_from("<Q", data), 8
     for _ in range(min(count, MAX_FRAMES)):
         number, kind, width, height = struct.unpack_from("<iiQQ", data, at)
@@ -194,19 +194,19 @@ def _cameras_of_bytes(data: bytes) -> dict[int, _Camera | str]:
         names = _MODELS[_NAMES[kind]]
         parameters = list(struct.unpack_from(f"<{len(names)}d", data, at + 24))
         size = fields.pixels(width, "width"), fields.pixels(height, "height")
-        found[number] = _camera(_NAMES[kind], *size, parameters)
+        cameras[number] = _camera(_NAMES[kind], *size, parameters)
         at += 24 + 8 * len(names)
-    return found
+    return cameras
 
 
 def _images_of_bytes(data: bytes) -> list[_Image]:
-    found: list[_Image] = []
+    images: list[_Image] = []
     (count,), at = struct.unpack_from("<Q", data), 8
     for _ in range(min(count, MAX_FRAMES + 1)):
         values = struct.unpack_from("<i7di", data, at)
         end = data.index(b"\0", at + 64)
         name = data[at + 64 : end].decode()
         (points,) = struct.unpack_from("<Q", data, end + 1)
-        found.append(_Image(name, values[8], _pose(list(values[1:5]), list(values[5:8]))))
+        images.append(_Image(name, values[8], _pose(list(values[1:5]), list(values[5:8]))))
         at = end + 9 + 24 * points
-    return found
+    return images

@@ -45,9 +45,9 @@ class SevenScenesReader:
         self._unit_m = options.depth_unit_m
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []
-        found = [match for match in map(_RECORD.fullmatch, self._source.names()) if match]
-        self._stems = sorted({match[1] for match in found}, key=lambda stem: int(stem[6:]))
-        self._colour = {match[1]: match[0] for match in found if match[2] == "color"}
+        matches = [match for match in map(_RECORD.fullmatch, self._source.names()) if match]
+        self._stems = sorted({match[1] for match in matches}, key=lambda stem: int(stem[6:]))
+        self._colour = {match[1]: match[0] for match in matches if match[2] == "color"}
         self.count = len(self._stems)
         if self.count == 0:
             raise CaptureError(f"{folder}: has no frame-XXXXXX.color.png, .depth.png and .pose.txt")

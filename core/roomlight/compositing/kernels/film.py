@@ -14,7 +14,7 @@ def average_samples(film, samples, out, start, stop):
     """
     extra = len(film.albedo) > 0
     for i in range(start, stop):
-        covered, depth, nearest, found = 0.0, 0.0, 1e30, -1
+        covered, depth, nearest, object_id = 0.0, 0.0, 1e30, -1
         red, green, blue = 0.0, 0.0, 0.0
         first = i * samples
         for s in range(first, first + samples):
@@ -26,11 +26,11 @@ def average_samples(film, samples, out, start, stop):
                 covered += alpha
                 depth += alpha * film.depth_m[s]
                 if film.depth_m[s] < nearest:
-                    nearest, found = film.depth_m[s], film.object_id[s]
+                    nearest, object_id = film.depth_m[s], film.object_id[s]
         out.radiance[i, 0], out.radiance[i, 1], out.radiance[i, 2] = red / samples, green / samples, blue / samples
         out.alpha[i] = covered / samples
         out.depth_m[i] = depth / max(covered, 1e-12)
-        out.object_id[i] = found
+        out.object_id[i] = object_id
         if extra:
             for axis in range(3):
                 albedo, normal = 0.0, 0.0

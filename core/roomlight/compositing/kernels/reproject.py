@@ -87,11 +87,11 @@ def accumulate_image(
             if total < np.float32(0.25):
                 continue
             for channel in range(3):
-                held = (red, green, blue)[channel] / total
+                previous = (red, green, blue)[channel] / total
                 low, high = np.float32(1e9), np.float32(-1e9)
                 for r in range(max(0, i - 1), min(height, i + 2)):
                     for c in range(max(0, j - 1), min(width, j + 2)):
                         if known[r, c]:
                             low, high = min(low, fresh[r, c, channel]), max(high, fresh[r, c, channel])
-                held = min(max(held, low - slack), high + slack)
-                image[i, j, channel] = held + share * (fresh[i, j, channel] - held)
+                previous = min(max(previous, low - slack), high + slack)
+                image[i, j, channel] = previous + share * (fresh[i, j, channel] - previous)

@@ -111,7 +111,7 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
 
 
 @njit(**JIT)
-def _is_one(ratio, known, row, near, far):
+def _is_unity(ratio, known, row, near, far):
     """Return whether two neighbours change nothing."""
     one = np.float32(1)
     for column in (near, far):
@@ -141,7 +141,7 @@ def upsample_ratio(ratio, known, depth, fine_depth, step, edge, out, start, stop
         for left in range(-begin // step, (fine_depth.shape[1] - 1 - begin) // step + 1):
             near, far = min(max(left, 0), width - 1), min(left + 1, width - 1)
             columns = range(max(left * step + begin, 0), min((left + 1) * step + begin, fine_depth.shape[1]))
-            if _is_one(ratio, known, first, near, far) and _is_one(ratio, known, second, near, far):
+            if _is_unity(ratio, known, first, near, far) and _is_unity(ratio, known, second, near, far):
                 for j in columns:
                     out[i, j, 0], out[i, j, 1], out[i, j, 2] = one, one, one
                 continue

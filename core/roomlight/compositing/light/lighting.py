@@ -143,7 +143,7 @@ class LightSampler:
     def prefiltered(self) -> Float32[np.ndarray, "levels rows columns 3"]:
         """Panoramas blurred by the GGX lobe: roughness evenly from 0 to 1, where 1 is irradiance / pi."""
         if self.mixed_from is not None:
-            return _mean_of([one.prefiltered for one in self.mixed_from.samplers], self.mixed_from.shares)
+            return _mean_of([sampler.prefiltered for sampler in self.mixed_from.samplers], self.mixed_from.shares)
         mips = prefilter(CubeMap.from_panorama(self.panorama, size=PREFILTERED_SIZE))
         return np.stack([level.to_panorama(PREFILTERED_ROWS) for level in mips.levels]).astype(np.float32)
 
@@ -181,29 +181,29 @@ class ProbeSet:
         """
         if not 1 <= len(samplers) <= MAX_PROBES:
             raise OptionError(f"a probe set takes 1 to {MAX_PROBES} probes, got {len(samplers)}")
-        if mirrored is not None and [one.position for one in mirrored] != [one.position for one in samplers]:
+        if mirrored is not None and [probe.position for probe in mirrored] != [probe.position for probe in samplers]:
             raise OptionError("the probes that mirrors show must be at the positions of the others")
-        height = max(len(one.panorama) for one in samplers)
-        self.samplers = tuple(_at_height(one, height) for one in samplers)
-        self._mirrored = self.samplers if mirrored is None else tuple(_at_height(one, height) for one in mirrored)
+        height = max(len(probe.panorama) for probe in samplers)
+        self.samplers = tuple(_at_height(probe, height) for probe in samplers)
+        self._mirrored = self.samplers if mirrored is None else tuple(_at_height(probe, height) for probe in mirrored)
         self._kept: dict[tuple[int, bytes], tuple[LightSamples, Float32[np.ndarray, "k s m 3"]]] = {}
 
     @cached_property
     def environment(self) -> Environment:
         """Panoramas and tables as the kernels read them; made at first use."""
         parts = [
-            one.environment()._replace(irradiance=one.irradiance[None], mirrored=shown.panorama[None])
-            for one, shown in zip(self.samplers, self._mirrored, strict=True)
+            sampler.environment()._replace(irradiance=sampler.irradiance[None], mirrored=mirrored.panorama[None])
+            for sampler, mirrored in zip(self.samplers, self._mirrored, strict=True)
         ]
         return Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     @cached_property
     def panoramas(self) -> Environment:
         """The same without tables, for kernels that draw no directions."""
-        positions = np.array([one.position for one in self.samplers], np.float32)
-        radiance = np.stack([one.panorama for one in self.samplers])
+        positions = np.array([sampler.position for sampler in self.samplers], np.float32)
+        radiance = np.stack([sampler.panorama for sampler in self.samplers])
         unused = _sampling_tables(radiance[0, :1, :2])  # the kernels want arrays of the same types
-        mirrored = np.stack([one.panorama for one in self._mirrored])
+        mirrored = np.stack([sampler.panorama for sampler in self._mirrored])
         return Environment(positions, radiance, mirrored, _NO_IRRADIANCE, *(table[None] for table in unused))
 
     @classmethod
@@ -231,19 +231,19 @@ class ProbeSet:
     def mixed(self, position: Position) -> LightSampler:
         """Return the light at a position as one panorama: the probes' mean."""
         shares = self.weights(position)
-        made = LightSampler(_mean_of([one.panorama for one in self.samplers], shares), position)
+        made = LightSampler(_mean_of([sampler.panorama for sampler in self.samplers], shares), position)
         made.mixed_from = Mixture(self.samplers, shares, self._even, self._kept)
         return made
 
     @cached_property
     def _even(self) -> LightSampler:
         count = len(self.samplers)
-        return LightSampler(_mean_of([one.panorama for one in self.samplers], np.full(count, 1 / count)))
+        return LightSampler(_mean_of([sampler.panorama for sampler in self.samplers], np.full(count, 1 / count)))
 
     @cached_property
     def prefiltered(self) -> Float32[np.ndarray, "k levels rows columns 3"]:
         """Each probe's `LightSampler.prefiltered`."""
-        return np.stack([one.prefiltered for one in self.samplers])
+        return np.stack([sampler.prefiltered for sampler in self.samplers])
 
 
 def _at_height(sampler: LightSampler, height: int) -> LightSampler:
@@ -301,8 +301,8 @@ def _irradiance(panorama: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "
     light = panorama * panorama_solid_angles(height)[..., None]
     grey = np.maximum(light.sum(axis=-1, keepdims=True), 1e-30)
     light, grey, moments = (
-        np.add.reduceat(np.add.reduceat(one, tops, axis=0), lefts, axis=1).reshape(-1, one.shape[-1])
-        for one in (light, grey, grey * _mean_directions(height))
+        np.add.reduceat(np.add.reduceat(values, tops, axis=0), lefts, axis=1).reshape(-1, values.shape[-1])
+        for values in (light, grey, grey * _mean_directions(height))
     )
     normals = np.ascontiguousarray(irradiance_normals().reshape(-1, 3).T)
     out = np.zeros_like(normals)

@@ -45,7 +45,7 @@ def path_probes(positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]
     while True:
         chosen = [positions[0]]
         for position in positions[1:]:
-            if min(np.linalg.norm(position - held) for held in chosen) >= step:
+            if min(np.linalg.norm(position - probe) for probe in chosen) >= step:
                 chosen.append(position)
         if len(chosen) <= MAX_PER_OBJECT:
             return np.array(chosen)

@@ -62,13 +62,13 @@ class DepthFilter:
         depth = _reduced(frame.depth_m, max_width)
         age = np.zeros(depth.shape, np.float32)
         if self._frame is not None and self._depth is not None and self._age is not None:
-            held, held_age = self._reprojected(frame, depth.shape)
+            previous, previous_age = self._reprojected(frame, depth.shape)
             share = np.float32(share_of(elapsed_s(self._frame, frame), DEPTH_S))
-            same = (depth > 0) & (held > 0) & (np.abs(held - depth) < SAME_SURFACE * depth)
-            gone = (depth <= 0) & (held > 0) & (held_age < MAX_HELD)
-            age[gone] = held_age[gone] + 1
-            blended = held + share * (depth - held)
-            depth = np.where(same, blended, np.where(gone, held, depth)).astype(np.float32)
+            same = (depth > 0) & (previous > 0) & (np.abs(previous - depth) < SAME_SURFACE * depth)
+            gone = (depth <= 0) & (previous > 0) & (previous_age < MAX_HELD)
+            age[gone] = previous_age[gone] + 1
+            blended = previous + share * (depth - previous)
+            depth = np.where(same, blended, np.where(gone, previous, depth)).astype(np.float32)
         self._depth, self._age, self._frame = depth, age, frame
         return depth
 
@@ -82,17 +82,17 @@ class DepthFilter:
         if before.camera_to_world.tobytes() == frame.camera_to_world.tobytes() and shape == self._depth.shape:
             return self._depth, self._age
         transform = (rigid_inverse(frame.camera_to_world) @ before.camera_to_world)[:3].astype(np.float32)
-        held, age = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        depth, age = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         splat_depth(
             self._depth,
             self._age,
             _lens(before.intrinsics, self._depth.shape),
             transform,
             _lens(frame.intrinsics, shape),
-            held,
+            depth,
             age,
         )
-        return held, age
+        return depth, age
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,9 @@ class ShadowHistory:
         """
         out = ratio.copy()
         if self._before is not None and share < 1:
-            held = self._before
-            arguments = (out, ratio, grid.known, grid.points, held.world_to_camera, held.lens, held.ratio, held.known)
+            before = self._before
+            view = before.world_to_camera, before.lens
+            arguments = (out, ratio, grid.known, grid.points, *view, before.ratio, before.known)
             limits = np.float32(share), np.float32(0.01)
             parallel_for(lambda start, stop: accumulate_image(*arguments, *limits, start, stop), len(out))
         self._before = _Shadow(

@@ -56,11 +56,11 @@ def load_object(
         data, label, ending = _read(path, limits), str(path), path.suffix.lower().lstrip(".")
         name = name or path.stem
     limits.check("file_bytes", len(data), label)
-    found = kind or _kind(data, ending, label)
-    if found not in get_args(ObjectKind):
-        raise ObjectError(f"{label}: kind must be {', '.join(get_args(ObjectKind))}, got {found!r}")
+    file_kind = kind or _kind(data, ending, label)
+    if file_kind not in get_args(ObjectKind):
+        raise ObjectError(f"{label}: kind must be {', '.join(get_args(ObjectKind))}, got {file_kind!r}")
     readers = {"glb": read_gltf, "gltf": read_gltf, "obj": read_obj, "ply": read_ply}
-    parts, notes = readers[found](data, label, limits)
+    parts, notes = readers[file_kind](data, label, limits)
     return VirtualObject(name or "object", parts, notes)
 
 

@@ -128,27 +128,31 @@ class MaterialArrays(NamedTuple):
     texture: Int32[np.ndarray, "m 4"]
 
 
+_TEXTURES = ("base_colour", "metallic_roughness", "normal", "emissive")  # columns of `MaterialArrays.texture`
+
+
 def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, TextureArrays]:
     """Make the tables of materials and of their textures; a texture that several use is stored once."""
     textures: dict[Texture, int] = {}
     rows: list[list[int]] = []
-    for one in materials:
-        used = (one.base_colour_texture, one.metallic_roughness_texture, one.normal_texture, one.emissive_texture)
-        rows.append([-1 if item is None else textures.setdefault(item, len(textures)) for item in used])
+    for material in materials:
+        used = [getattr(material, f"{name}_texture") for name in _TEXTURES]
+        rows.append([-1 if texture is None else textures.setdefault(texture, len(textures)) for texture in used])
 
     def column(name: str) -> Float32[np.ndarray, " m"]:
-        return np.array([getattr(one, name) for one in materials], np.float32)
+        return np.array([getattr(material, name) for material in materials], np.float32)
 
+    cutoffs = [material.alpha_cutoff for material in materials]
     arrays = MaterialArrays(
-        base=np.array([one.base_colour for one in materials], np.float32),
+        base=np.array([material.base_colour for material in materials], np.float32),
         metallic=column("metallic"),
         roughness=column("roughness"),
         specular=column("specular"),
         ior=column("ior"),
         transmission=column("transmission"),
         opacity=column("opacity"),
-        cutoff=np.array([-1 if one.alpha_cutoff is None else one.alpha_cutoff for one in materials], np.float32),
-        emissive=np.array([one.emissive for one in materials], np.float32),
+        cutoff=np.array([-1 if cutoff is None else cutoff for cutoff in cutoffs], np.float32),
+        emissive=np.array([material.emissive for material in materials], np.float32),
         normal_scale=column("normal_scale"),
         texture=np.array(rows, np.int32),
     )

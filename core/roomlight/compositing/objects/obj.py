@@ -120,9 +120,9 @@ def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list
     except ValueError:
         values = []
     if len(values) < _VALUES[keyword]:
-        shown = b" ".join(words)[:60].decode("utf-8", "replace")
+        text = b" ".join(words)[:60].decode("utf-8", "replace")
         raise ObjectError(
-            f"{name}: line {number} is not {_VALUES[keyword]} numbers after {words[0].decode()}: {shown!r}"
+            f"{name}: line {number} is not {_VALUES[keyword]} numbers after {words[0].decode()}: {text!r}"
         )
     if not all(abs(value) < np.inf for value in values):
         raise ObjectError(f"{name}: line {number}: every coordinate must be a finite number")

@@ -60,7 +60,7 @@ def read_ply(
     if match is None:
         raise ObjectError(f"{name}: the PLY header does not end within {_HEADER_BYTES} bytes")
     order, elements, notes = _header(data[: match.start()].decode("latin-1"), name)
-    counts = {one.name: one.count for one in elements}
+    counts = {element.name: element.count for element in elements}
     limits.check("vertices", counts.get("vertex", 0), name)
     limits.check("triangles", counts.get("face", 0), name)
     if "tristrips" in counts:
@@ -92,7 +92,7 @@ def _header(text: str, name: str) -> tuple[str, list[_Element], tuple[Note, ...]
                 raise ObjectError(f"{name}: the PLY header has a format that is not understood: {words[1][:40]!r}")
             order = orders[words[1]]
         elif words[0] == "element" and len(words) == 3 and re.fullmatch(r"\d{1,9}", words[2]) and len(elements) < 16:
-            if any(one.name == words[1] for one in elements):
+            if any(element.name == words[1] for element in elements):
                 raise ObjectError(f"{name}: the PLY declares the element {words[1]!r} twice")
             elements.append(_Element(words[1], int(words[2]), ()))
         elif words[0] == "property" and elements and len(elements[-1].properties) < 256:
@@ -106,7 +106,7 @@ def _header(text: str, name: str) -> tuple[str, list[_Element], tuple[Note, ...]
 def _property(words: list[str], line: str, element: str, name: str) -> _Property:
     listed = len(words) == 5 and words[1] == "list"
     types = words[2:4] if listed else words[1:2]
-    if (not listed and len(words) != 3) or any(one not in _TYPES for one in types):
+    if (not listed and len(words) != 3) or any(kind not in _TYPES for kind in types):
         raise ObjectError(f"{name}: the PLY header has a property that is not understood: {line[:60]!r}")
     if listed and (element == "vertex" or _TYPES[types[0]][0] == "f"):
         raise ObjectError(f"{name}: a PLY with lists in its vertices is not read")
@@ -116,20 +116,20 @@ def _property(words: list[str], line: str, element: str, name: str) -> _Property
 def _rows(body: bytes, order: str, elements: list[_Element], name: str) -> dict[str, _Rows]:
     """Decode the elements in order. Raises ObjectError if they take more than is there."""
     least = sum(
-        one.count * sum(2 if not order else np.dtype(p.count_kind or p.kind).itemsize for p in one.properties)
-        for one in elements
+        element.count * sum(2 if not order else np.dtype(p.count_kind or p.kind).itemsize for p in element.properties)
+        for element in elements
     )
     if least > len(body) + 1:
         raise ObjectError(
             f"{name}: the PLY declares {least} bytes of elements or more, {len(body)} are there: it is truncated"
         )
     source = _TextSource(body, name) if not order else _BinarySource(body, order, name)
-    found: dict[str, _Rows] = {}
-    for one in elements:
-        found[one.name] = source.element(one)
-        if {"vertex", "face"} <= found.keys():
+    rows: dict[str, _Rows] = {}
+    for element in elements:
+        rows[element.name] = source.element(element)
+        if {"vertex", "face"} <= rows.keys():
             break  # edges and materials that follow are not needed
-    return found
+    return rows
 
 
 class _TextSource:
@@ -142,17 +142,17 @@ class _TextSource:
             raise ObjectError(f"{name}: the PLY is damaged ({str(error)[:80]})") from error
         self._at, self._name = 0, name
 
-    def element(self, one: _Element) -> _Rows:
+    def element(self, element: _Element) -> _Rows:
         """Decode one element's rows."""
-        if not any(p.count_kind for p in one.properties):
-            width = len(one.properties)
-            block = self._take(one.count * width).reshape(one.count, width)
-            return _Rows({p.name: block[:, column] for column, p in enumerate(one.properties)}, {})
-        scalars: dict[str, list[float]] = {p.name: [] for p in one.properties if not p.count_kind}
-        sizes: dict[str, list[int]] = {p.name: [] for p in one.properties if p.count_kind}
+        if not any(p.count_kind for p in element.properties):
+            width = len(element.properties)
+            block = self._take(element.count * width).reshape(element.count, width)
+            return _Rows({p.name: block[:, column] for column, p in enumerate(element.properties)}, {})
+        scalars: dict[str, list[float]] = {p.name: [] for p in element.properties if not p.count_kind}
+        sizes: dict[str, list[int]] = {p.name: [] for p in element.properties if p.count_kind}
         items: dict[str, list[np.ndarray]] = {key: [] for key in sizes}
-        for _ in range(one.count):
-            for p in one.properties:
+        for _ in range(element.count):
+            for p in element.properties:
                 value = float(self._take(1)[0])
                 if p.count_kind is None:
                     scalars[p.name].append(value)
@@ -178,64 +178,64 @@ class _BinarySource:
     def __init__(self, body: bytes, order: str, name: str) -> None:
         self._body, self._order, self._name, self._at = body, order, name, 0
 
-    def element(self, one: _Element) -> _Rows:
+    def element(self, element: _Element) -> _Rows:
         """Decode one element's rows: all at once where they have one shape, else by shape."""
-        if one.count == 0:
-            return _Rows({p.name: np.zeros(0) for p in one.properties if not p.count_kind}, {})
-        shape, _ = self._shape(one, self._at)
-        dtype = self._dtype(one, shape)
-        if self._at + one.count * dtype.itemsize <= len(self._body):
-            block = np.frombuffer(self._body, dtype, one.count, self._at)
-            lengths = dict(zip(self._lists(one), shape, strict=True))
+        if element.count == 0:
+            return _Rows({p.name: np.zeros(0) for p in element.properties if not p.count_kind}, {})
+        shape, _ = self._shape(element, self._at)
+        dtype = self._dtype(element, shape)
+        if self._at + element.count * dtype.itemsize <= len(self._body):
+            block = np.frombuffer(self._body, dtype, element.count, self._at)
+            lengths = dict(zip(self._lists(element), shape, strict=True))
             if all((block[f"#{key}"] == length).all() for key, length in lengths.items()):
-                self._at += one.count * dtype.itemsize
+                self._at += element.count * dtype.itemsize
                 lists = {
-                    key: (np.full(one.count, length, np.int64), block[key].reshape(-1))
+                    key: (np.full(element.count, length, np.int64), block[key].reshape(-1))
                     for key, length in lengths.items()
                 }
-                return _Rows({p.name: block[p.name] for p in one.properties if not p.count_kind}, lists)
-        return self._by_shape(one)
+                return _Rows({p.name: block[p.name] for p in element.properties if not p.count_kind}, lists)
+        return self._by_shape(element)
 
-    def _by_shape(self, one: _Element) -> _Rows:
+    def _by_shape(self, element: _Element) -> _Rows:
         rows: dict[tuple[int, ...], tuple[list[int], list[int]]] = {}
-        for row in range(one.count):
-            shape, end = self._shape(one, self._at)
+        for row in range(element.count):
+            shape, end = self._shape(element, self._at)
             indices, offsets = rows.setdefault(shape, ([], []))
             indices.append(row)
             offsets.append(self._at)
             self._at = end
-        names = self._lists(one)
-        sizes = {key: np.zeros(one.count, np.int64) for key in names}
+        names = self._lists(element)
+        sizes = {key: np.zeros(element.count, np.int64) for key in names}
         for shape, (indices, _) in rows.items():
             for key, length in zip(names, shape, strict=True):
                 sizes[key][indices] = length
         starts = {key: np.cumsum(lengths) - lengths for key, lengths in sizes.items()}
         values = {
-            p.name: np.zeros(int(sizes[p.name].sum()) if p.count_kind else one.count, self._order + p.kind)
-            for p in one.properties
+            p.name: np.zeros(int(sizes[p.name].sum()) if p.count_kind else element.count, self._order + p.kind)
+            for p in element.properties
         }
         body = np.frombuffer(self._body, np.uint8)
         for shape, (indices, offsets) in rows.items():
-            dtype = self._dtype(one, shape)
+            dtype = self._dtype(element, shape)
             block = body[np.array(offsets)[:, None] + np.arange(dtype.itemsize)].view(dtype).reshape(-1)
-            for p in one.properties:
+            for p in element.properties:
                 if p.count_kind is None:
                     values[p.name][indices] = block[p.name]
                 else:
                     width = np.arange(shape[names.index(p.name)])
                     values[p.name][starts[p.name][indices][:, None] + width] = block[p.name]
         return _Rows(
-            {p.name: values[p.name] for p in one.properties if not p.count_kind},
+            {p.name: values[p.name] for p in element.properties if not p.count_kind},
             {key: (sizes[key], values[key]) for key in names},
         )
 
-    def _lists(self, one: _Element) -> list[str]:
-        return [p.name for p in one.properties if p.count_kind]
+    def _lists(self, element: _Element) -> list[str]:
+        return [p.name for p in element.properties if p.count_kind]
 
-    def _shape(self, one: _Element, at: int) -> tuple[tuple[int, ...], int]:
+    def _shape(self, element: _Element, at: int) -> tuple[tuple[int, ...], int]:
         """Return the lengths of the lists of the row at this byte, and where it ends."""
-        found: list[int] = []
-        for p in one.properties:
+        lengths: list[int] = []
+        for p in element.properties:
             item = int(p.kind[1])
             if p.count_kind is None:
                 at += item
@@ -245,16 +245,16 @@ class _BinarySource:
             length = int.from_bytes(raw, "little" if self._order == "<" else "big", signed=p.count_kind[0] == "i")
             if not 0 <= length <= _MAX_CORNERS:
                 raise ObjectError(f"{self._name}: the PLY is damaged: a list has {length} values")
-            found.append(length)
+            lengths.append(length)
             at += size + length * item
         if at > len(self._body):
-            raise ObjectError(f"{self._name}: the PLY ends within its element {one.name!r}: it is truncated")
-        return tuple(found), at
+            raise ObjectError(f"{self._name}: the PLY ends within its element {element.name!r}: it is truncated")
+        return tuple(lengths), at
 
-    def _dtype(self, one: _Element, shape: tuple[int, ...]) -> np.dtype:
-        lengths = dict(zip(self._lists(one), shape, strict=True))
+    def _dtype(self, element: _Element, shape: tuple[int, ...]) -> np.dtype:
+        lengths = dict(zip(self._lists(element), shape, strict=True))
         fields: list[Any] = []
-        for p in one.properties:
+        for p in element.properties:
             if p.count_kind is not None:
                 fields.append((f"#{p.name}", self._order + p.count_kind))
             fields.append((p.name, self._order + p.kind, (lengths[p.name],) if p.count_kind else ()))
@@ -300,8 +300,8 @@ def _columns(rows: _Rows, names: tuple[str, ...]) -> Float[np.ndarray, "n c"] | 
     """Return finite columns of these names; None if one is missing or not finite."""
     if not all(key in rows.scalars for key in names):
         return None
-    found = np.stack([rows.scalars[key].astype(np.float64) for key in names], axis=1)
-    return found if np.isfinite(found).all() else None
+    columns = np.stack([rows.scalars[key].astype(np.float64) for key in names], axis=1)
+    return columns if np.isfinite(columns).all() else None
 
 
 def _corner_uvs(
@@ -316,10 +316,10 @@ def _corner_uvs(
     if len(lengths) == len(sizes) and (lengths == 2 * sizes).all() and np.isfinite(values).all():
         uvs = values.astype(np.float64).reshape(-1, 2)[at]
     else:
-        found = next((uv for names in _UVS if (uv := _columns(vertex, names)) is not None), None)
-        if found is None:
+        vertex_uvs = next((uv for names in _UVS if (uv := _columns(vertex, names)) is not None), None)
+        if vertex_uvs is None:
             return np.zeros((len(at), 2))
-        uvs = found[corners[at]]
+        uvs = vertex_uvs[corners[at]]
     return np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1)
 
 

@@ -112,8 +112,8 @@ def _by_shorter_diagonals(points: Float[np.ndarray, "n 3"], faces: np.ndarray) -
     first, second = (np.linalg.norm(points[p] - points[q], axis=-1) for p, q in ((a, c), (b, d)))
     kept = (first <= second)[..., None]
     halves = [
-        np.where(kept, np.stack(one, axis=-1), np.stack(other, axis=-1))
-        for one, other in (((a, b, c), (a, b, d)), ((a, c, d), (b, c, d)))
+        np.where(kept, np.stack(along_ac, axis=-1), np.stack(along_bd, axis=-1))
+        for along_ac, along_bd in (((a, b, c), (a, b, d)), ((a, c, d), (b, c, d)))
     ]
     return np.concatenate(halves, axis=1).reshape(-1, 3)
 

@@ -76,7 +76,7 @@ def with_vertex_colours(
     texels = min(_TEXELS, MAX_TEXTURE_SIZE // across)
     textured = (material.base_colour_texture, material.metallic_roughness_texture, material.normal_texture)
     uniform = bool(np.abs(used - mean).max() < _SAME)
-    if uniform or any(one is not None for one in textured) or texels < 2:
+    if uniform or any(texture is not None for texture in textured) or texels < 2:
         return mesh, _tinted(material, mean), uniform
     steps = np.arange(texels, dtype=np.float32) / np.float32(texels - 1)
     b, c = np.meshgrid(steps, steps)

@@ -52,9 +52,9 @@ def teapot(height_m: float = 0.16, material: Material | None = None, *, parts: i
         raise ObjectError(f"height_m must be a positive number of metres, got {height_m}")
     if not 2 <= parts <= 64:
         raise ObjectError(f"parts must be 2 to 64, got {parts}")
-    pot, lid = (_surface([_turned(one) for one in rows], parts) for rows in (_TURNED[:4], _TURNED[4:]))
-    tubes = [_surface([_tube(one) for one in rows], parts) for rows in (_HANDLE, _SPOUT)]
-    pieces = [_mesh(pot), _mesh(lid), *(_mesh(one) for one in tubes)]
+    pot, lid = (_surface([_turned(row) for row in rows], parts) for rows in (_TURNED[:4], _TURNED[4:]))
+    tubes = [_surface([_tube(row) for row in rows], parts) for rows in (_HANDLE, _SPOUT)]
+    pieces = [_mesh(pot), _mesh(lid), *(_mesh(tube) for tube in tubes)]
     firsts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
     mesh = TriangleMesh.build(
         np.concatenate([piece.vertices for piece in pieces]) * (height_m / _HEIGHT),

@@ -69,8 +69,8 @@ class TriangleMesh:
         texture = np.zeros((len(points), 2), np.float32) if uvs is None else np.ascontiguousarray(uvs, np.float32)
         flat = np.zeros_like(points)
         mesh = cls(points, flat, texture, corners)  # checks the indices before they are used
-        found = mesh.smooth_normals() if normals is None else _unit(normals, mesh.smooth_normals())
-        return replace(mesh, normals=found)
+        unit_normals = mesh.smooth_normals() if normals is None else _unit(normals, mesh.smooth_normals())
+        return replace(mesh, normals=unit_normals)
 
     def smooth_normals(self) -> Float32[np.ndarray, "n 3"]:
         """Return the area-weighted mean normal of the faces around each vertex; +Y where there is none."""

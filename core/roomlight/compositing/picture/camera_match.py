@@ -93,13 +93,13 @@ def measure_noise(encoded: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "l
         level = np.clip((at * LEVELS).astype(np.int64), 0, LEVELS - 1)
         # clipped pixels have lost their noise: they say nothing
         usable = (at > 0.02) & (at < 0.97)
-        found: list[tuple[float, float]] = []
+        levels: list[tuple[float, float]] = []
         for number in range(LEVELS):
             chosen = values[(level == number) & usable]
             if len(chosen) >= _FEWEST:
-                found.append((float(number), 1.4826 * float(np.median(chosen))))
-        if found:
-            numbers, sigmas = zip(*found, strict=True)
+                levels.append((float(number), 1.4826 * float(np.median(chosen))))
+        if levels:
+            numbers, sigmas = zip(*levels, strict=True)
             result[:, channel] = np.interp(np.arange(LEVELS), numbers, sigmas)
     result[result < _QUANTISED] = 0
     return result

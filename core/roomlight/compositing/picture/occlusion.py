@@ -131,16 +131,16 @@ def on_carrier(
 ) -> Bool[np.ndarray, "h w"]:
     """Return which real points lie on one of the planes, as far as the sensor can tell; only of planes that face the
     camera."""
-    found = np.zeros(real.depth_m.shape, bool)
+    on_plane = np.zeros(real.depth_m.shape, bool)
     rotation, origin = camera_to_world[:3, :3].astype(np.float32), camera_to_world[:3, 3].astype(np.float32)
     facing = [plane for plane in planes if float(plane.height_of(origin)) > 0]
     if not facing:
-        return found
+        return on_plane
     points = (camera.rays() * real.depth_m[..., None]) @ rotation.T + origin
     tolerance = CARRIER_M + CARRIER_SHARE * real.depth_m
     for plane in facing:
-        found |= (real.depth_m > 0) & (np.abs(plane.height_of(points)) < tolerance)
-    return found
+        on_plane |= (real.depth_m > 0) & (np.abs(plane.height_of(points)) < tolerance)
+    return on_plane
 
 
 def _extended(depth_m: Float[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:

@@ -104,12 +104,12 @@ class RoomGeometry:
             other.keep((seen != FREE) & ~replaced)
         new = np.ones(len(piece.faces), bool)
         for other in self._pieces:
-            shown = _classify(piece.centres, other.view) == ON_SURFACE
-            new &= ~(shown & (_spacing(piece.centres, other.view, other.focal_px) * FINER <= piece.spacing_m))
+            covered = _classify(piece.centres, other.view) == ON_SURFACE
+            new &= ~(covered & (_spacing(piece.centres, other.view, other.focal_px) * FINER <= piece.spacing_m))
         piece.keep(new)
         self._pieces.append(piece)
         if len(self._pieces) > MAX_PIECES:
-            self._pieces.remove(min(self._pieces, key=lambda held: len(held.faces)))
+            self._pieces.remove(min(self._pieces, key=lambda smallest: len(smallest.faces)))
         self._tree = None
         self.version += 1
 
@@ -133,13 +133,13 @@ class RoomGeometry:
         tree = self._built()
         if tree is None or len(origins) == 0:
             return Hits(np.full(len(origins), np.inf, np.float32), np.zeros((len(origins), 3), np.float32))
-        found = tree.trace(origins, directions)
-        a, b, c = (self._corners[found.face, corner] for corner in range(3))
+        hits = tree.trace(origins, directions)
+        a, b, c = (self._corners[hits.face, corner] for corner in range(3))
         normals = np.cross(b - a, c - a)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         normals *= -np.sign((normals * directions).sum(axis=1, keepdims=True))
-        normals[found.face < 0] = 0
-        return Hits(found.distance_m, normals.astype(np.float32))
+        normals[hits.face < 0] = 0
+        return Hits(hits.distance_m, normals.astype(np.float32))
 
     def depth_image(
         self,
@@ -154,8 +154,8 @@ class RoomGeometry:
         length = np.linalg.norm(rays, axis=1)
         directions = (rays / length[:, None]) @ camera_to_world[:3, :3].T.astype(np.float32)
         origins = np.broadcast_to(camera_to_world[:3, 3].astype(np.float32), directions.shape)
-        found = self.cast(origins, directions).distance_m / length
-        depth[wanted] = np.where(np.isfinite(found), found, np.float32(0))
+        measured = self.cast(origins, directions).distance_m / length
+        depth[wanted] = np.where(np.isfinite(measured), measured, np.float32(0))
         return depth
 
     def _built(self) -> RayTree | None:

@@ -255,10 +255,10 @@ class Scene:
         if not 1 <= len(self.objects) <= MAX_OBJECTS:
             raise SceneError(f"objects: a scene has 1 to {MAX_OBJECTS} objects, got {len(self.objects)}")
         seen: set[str] = set()
-        for number, held in enumerate(self.objects):
-            if held.name in seen:
-                raise SceneError(f"objects[{number}].name: {held.name!r} is used twice; names must differ")
-            seen.add(held.name)
+        for number, scene_object in enumerate(self.objects):
+            if scene_object.name in seen:
+                raise SceneError(f"objects[{number}].name: {scene_object.name!r} is used twice; names must differ")
+            seen.add(scene_object.name)
 
 
 LoadObject = Callable[[str], VirtualObject]
@@ -311,7 +311,7 @@ def parse_scene(document: str | bytes | dict[str, Any], *, load: LoadObject) -> 
         spec = SceneSpec.model_validate(document)
     except ValidationError as error:
         raise SceneError(_explained(error)) from error
-    return Scene(tuple(_built(one, number, load) for number, one in enumerate(spec.objects)))
+    return Scene(tuple(_built(object_spec, number, load) for number, object_spec in enumerate(spec.objects)))
 
 
 def slerp(first: Float[np.ndarray, "4"], second: Float[np.ndarray, "4"], share: float) -> Float[np.ndarray, "4"]:
@@ -366,8 +366,8 @@ def _explained(error: ValidationError) -> str:
         where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in mistake["loc"]).lstrip(".")
         rule = mistake["msg"].removeprefix("Value error, ")
         value = json.dumps(mistake["input"], default=str)
-        shown = "" if isinstance(mistake["input"], dict | list) else f"; got {value[:80]}"
-        lines.append(f"{where or 'the scene'}: {rule}{shown}")
+        value_text = "" if isinstance(mistake["input"], dict | list) else f"; got {value[:80]}"
+        lines.append(f"{where or 'the scene'}: {rule}{value_text}")
     if len(mistakes) > len(lines):
         lines.append(f"and {len(mistakes) - len(lines)} more")
     return "; ".join(lines)

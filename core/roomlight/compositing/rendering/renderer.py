@@ -306,8 +306,8 @@ def _preview(
     pixels = view.row * camera.width + view.column
     centres = view._replace(jitter=False)
     paths, hits = _camera_hits(scene, centres, 1)
-    found = _shaded(world, lights, centres, paths, hits)
-    _store(film, pixels, found)
+    shaded = _shaded(world, lights, centres, paths, hits)
+    _store(film, pixels, shaded)
     chosen = np.flatnonzero(_on_outline(film.object_id.reshape(camera.height, camera.width), view))
     if len(chosen) == 0:
         return
@@ -317,15 +317,15 @@ def _preview(
     mixed = (ids != film.object_id[pixels[chosen], None]).any(axis=1)  # the others stay as their centres are
     rays = np.repeat(mixed, _EDGE_SAMPLES)
     paths, hits = _Paths(*(column[rays] for column in paths)), RayHits(*(column[rays] for column in hits))
-    found = _shaded(world, lights, part.part(np.flatnonzero(mixed)), paths, hits)
-    _store(film, pixels[chosen[mixed]], _reduced(found, _EDGE_SAMPLES, extra=False))
+    shaded = _shaded(world, lights, part.part(np.flatnonzero(mixed)), paths, hits)
+    _store(film, pixels[chosen[mixed]], _reduced(shaded, _EDGE_SAMPLES, extra=False))
 
 
 def _shaded(world: _World, lights: ProbeSet, view: _View, paths: _Paths, hits: RayHits) -> _Film:
-    found = _film(len(paths.slot), extra=False)
+    film = _film(len(paths.slot), extra=False)
     mips = lights.prefiltered
-    parallel_for(lambda begin, end: shade_hits(world, mips, view, paths, hits, found, begin, end), len(paths.slot))
-    return found
+    parallel_for(lambda begin, end: shade_hits(world, mips, view, paths, hits, film, begin, end), len(paths.slot))
+    return film
 
 
 def _on_outline(object_id: Int32[np.ndarray, "h w"], view: _View) -> Bool[np.ndarray, " p"]:
@@ -367,8 +367,8 @@ def _sampled(
             part, total = view.part(own), _film(len(pixels[own]))
             passes = settings.samples // per_pass
             for number in range(passes):
-                found = _traced(scene, world, part, settings, (number * per_pass, per_pass), background)
-                _accumulate(total, _reduced(found, per_pass), passes)
+                samples_film = _traced(scene, world, part, settings, (number * per_pass, per_pass), background)
+                _accumulate(total, _reduced(samples_film, per_pass), passes)
             _store(film, pixels[own], total)
 
     parallel_for(work, blocks, pieces_per_thread=16)

@@ -120,7 +120,7 @@ class Caster:
         spheres: [k, 4] centre and radius of each object.
         object_ids: [k] the objects' indices in the scene.
         light: at their position: what they reflect.
-        casting: the light that casts their shadows.
+        reflection: the light that casts their shadows.
         support: plane that they stand on, if there is one.
         room: real surfaces, which send the light and may hide the strongest lamp; None: the light is far away.
     """
@@ -129,7 +129,7 @@ class Caster:
     spheres: Float32[np.ndarray, "k 4"]
     object_ids: Int[np.ndarray, " k"]
     light: LightSampler
-    casting: LightSampler
+    reflection: LightSampler
     support: Plane | None = None
     room: RoomGeometry | None = None
 
@@ -206,22 +206,23 @@ def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> F
     if len(rows) == 0:
         return out
     subset = (rows % TILE * TILE + columns % TILE).astype(np.int32)
-    lamp = lamp_of(caster.casting) if caster.room is not None and quality.room_shade else None
+    lamp = lamp_of(caster.reflection) if caster.room is not None and quality.room_shade else None
     seen = np.ones(len(rows), np.float32)
     if lamp is not None and caster.room is not None:
         seen = lamp_seen(lamp, grid, near, caster.room, caster.spheres[0, :3])[near]
     receivers = Receivers(grid.points[near], grid.normals[near], subset, seen)
-    found = _light_change(caster, receivers, quality, lamp)
+    received = _light_change(caster, receivers, quality, lamp)
     share = fade[near]
-    floor = np.float32(1e-6) + np.float32(1e-3) * found.unblocked.max(initial=0)
+    floor = np.float32(1e-6) + np.float32(1e-3) * received.unblocked.max(initial=0)
     dark, glow = np.ones_like(out), np.zeros_like(out)
     noise, lost, nearness = np.zeros((3, height, width), np.float32)
-    dark[near] = 1 - share[:, None] * np.clip(found.blocked / np.maximum(found.unblocked, floor), 0, 1 - RATIO_RANGE[0])
+    blocked = received.blocked / np.maximum(received.unblocked, floor)
+    dark[near] = 1 - share[:, None] * np.clip(blocked, 0, 1 - RATIO_RANGE[0])
     # by the smooth irradiance: divided by a noisy one, the mean would be too bright
-    reflected = found.bounced / np.maximum(found.irradiance, floor)
+    reflected = received.bounced / np.maximum(received.irradiance, floor)
     glow[near] = share[:, None] * np.minimum(reflected, _MOST_REFLECTED)
-    noise[near] = share * found.doubt / (np.maximum(found.unblocked, floor) @ _THIRDS)
-    lost[near], nearness[near] = found.blocked @ _THIRDS, found.nearness
+    noise[near] = share * received.doubt / (np.maximum(received.unblocked, floor) @ _THIRDS)
+    lost[near], nearness[near] = received.blocked @ _THIRDS, received.nearness
     occluder_m = cv2.blur(lost, (5, 5)) / np.maximum(cv2.blur(nearness, (5, 5)), np.float32(1e-9))
     occluder_m[occluder_m <= 0] = _FAR_M
     change = Change(dark, noise, occluder_m, glow, near)
@@ -256,8 +257,8 @@ def light_samples(light: LightSampler, count: int, *, toward: Float[np.ndarray, 
         toward: normal of the surface that most points lie on: its cosine is sampled too.
     """
     key = count, b"" if toward is None else toward.astype(np.float32).tobytes()
-    if (held := light.kept.get(key)) is not None:
-        return held
+    if (drawn_before := light.kept.get(key)) is not None:
+        return drawn_before
     mixture = light.mixed_from
     if mixture is None:
         drawn = _drawn(light, count, toward)
@@ -265,7 +266,7 @@ def light_samples(light: LightSampler, count: int, *, toward: Float[np.ndarray, 
     else:
         if key not in mixture.kept:
             drawn = _drawn(mixture.even, count, toward)
-            mixture.kept[key] = drawn, np.stack([_radiance(one, drawn) for one in mixture.samplers])
+            mixture.kept[key] = drawn, np.stack([_radiance(sampler, drawn) for sampler in mixture.samplers])
         drawn, radiance = mixture.kept[key]
         mean = np.tensordot(mixture.shares.astype(np.float32), radiance, axes=1)
         made = LightSamples(drawn.directions, drawn.weights * mean)
@@ -328,7 +329,7 @@ class _LightChange:
 
 def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, lamp: Lamp | None) -> _LightChange:
     count, samples = len(receivers.points), quality.samples
-    light = light_samples(caster.casting, samples, toward=None if caster.support is None else caster.support.normal)
+    light = light_samples(caster.reflection, samples, toward=None if caster.support is None else caster.support.normal)
     levels = caster.light.prefiltered
     unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     blocked, squares, nearness = np.zeros((count, 3), np.float32), *np.zeros((2, count), np.float32)
@@ -401,7 +402,7 @@ def _opacity(scene: TracedObjects) -> Float32[np.ndarray, " f1"]:
 
 def _light_places(caster: Caster, light: LightSamples) -> LightPlaces:
     """Return which surfaces of the room send the light of the samples; unknown ones are `_UNKNOWN_M` away."""
-    position = np.array(caster.casting.position, np.float32)
+    position = np.array(caster.reflection.position, np.float32)
     shape, directions = light.directions.shape, np.ascontiguousarray(light.directions.reshape(-1, 3))
     if caster.room is None:
         return LightPlaces(position, np.zeros(shape[:2], np.float32), np.zeros(shape, np.float32))

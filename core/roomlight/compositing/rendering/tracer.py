@@ -100,12 +100,12 @@ class TracedObjects:
         self.objects = tuple(objects_in_world)
         if not self.objects:
             raise ObjectError("a scene needs one object at least, got none")
-        triangles = sum(one.triangles for one in self.objects)
+        triangles = sum(item.triangles for item in self.objects)
         if triangles > MAX_TRIANGLES:
             raise ObjectError(
                 f"the objects have {triangles} triangles together, at most {MAX_TRIANGLES}: simplify them"
             )
-        self._bounds = np.stack([one.bounds() for one in self.objects])
+        self._bounds = np.stack([item.bounds() for item in self.objects])
         self._bounds.setflags(write=False)
         self.surfaces, materials = _flatten(self.objects)
         self.materials, self.textures = material_arrays(materials)
@@ -131,21 +131,21 @@ class TracedObjects:
         surfaces = base.surfaces
         tangents = surfaces.tangents.copy()
         tangents[..., :3] = _turned(tangents[..., :3], rotation)
-        found = copy(base)
-        found.surfaces = surfaces._replace(
+        copied = copy(base)
+        copied.surfaces = surfaces._replace(
             corners=_turned(surfaces.corners, rotation, offset_m),
             normals=_turned(surfaces.normals, rotation),
             tangents=tangents,
         )
         inverse = rigid_inverse(transform)
-        found._base = base
-        found._shift = _Shift(inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32))
-        found.__dict__.pop("_shade_radii", None)  # seen from above, a turned object is another size
+        copied._base = base
+        copied._shift = _Shift(inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32))
+        copied.__dict__.pop("_shade_radii", None)  # seen from above, a turned object is another size
         boxes = np.tile(np.array([[np.inf], [-np.inf]]), (len(base.objects), 1, 3))
-        grow_boxes(found.surfaces.corners, surfaces.object_id, boxes)
-        found._bounds = boxes
-        found._bounds.setflags(write=False)
-        return found
+        grow_boxes(copied.surfaces.corners, surfaces.object_id, boxes)
+        copied._bounds = boxes
+        copied._bounds.setflags(write=False)
+        return copied
 
     def bounds(self) -> Float[np.ndarray, "n 2 3"]:
         """Return each object's box: least and greatest corner in world metres."""
@@ -184,21 +184,21 @@ class TracedObjects:
 
     @cached_property
     def _is_open(self) -> Bool[np.ndarray, " f"]:
-        found = self._find_open()
-        found.setflags(write=False)
-        return found
+        open_faces = self._find_open()
+        open_faces.setflags(write=False)
+        return open_faces
 
     def _find_open(self) -> Bool[np.ndarray, " f"]:
         vertices = np.unique(self.surfaces.corners.reshape(-1, 3), axis=0)
-        found = np.zeros(len(self.surfaces.corners), bool)
+        open_faces = np.zeros(len(self.surfaces.corners), bool)
         extremes = vertices[np.unique(np.argmax(vertices @ _EVERYWHERE, axis=0))]
         tolerance = np.float32(0.25 * self.offset_m())
-        fill_open(self.surfaces.corners, extremes, tolerance, np.ones_like(found), found)
-        if int(found.sum()) * len(vertices) > _OPEN_TESTS:
-            return np.zeros_like(found)
-        rest = found.copy()
-        fill_open(self.surfaces.corners, vertices, tolerance, rest, found)
-        return found
+        fill_open(self.surfaces.corners, extremes, tolerance, np.ones_like(open_faces), open_faces)
+        if int(open_faces.sum()) * len(vertices) > _OPEN_TESTS:
+            return np.zeros_like(open_faces)
+        rest = open_faces.copy()
+        fill_open(self.surfaces.corners, vertices, tolerance, rest, open_faces)
+        return open_faces
 
     def offset_m(self) -> float:
         """Return how far off a surface rays start: beyond float32's rounding, far below the objects' size."""
@@ -208,17 +208,17 @@ class TracedObjects:
 
     def intersect(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """Find the nearest surface along each ray (unit directions)."""
-        found = self._tree.trace(*self._at_tree(*_as_rays(origins, directions)))
-        missed = found.face < 0
-        barycentrics = np.stack([found.u, found.v], axis=1)
+        hits = self._tree.trace(*self._at_tree(*_as_rays(origins, directions)))
+        missed = hits.face < 0
+        barycentrics = np.stack([hits.u, hits.v], axis=1)
         barycentrics[missed] = 0
-        a, b, c = (self.surfaces.corners[found.face, corner] for corner in range(3))
+        a, b, c = (self.surfaces.corners[hits.face, corner] for corner in range(3))
         normal = np.cross(b - a, c - a)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-30))
         normal[missed] = 0
-        object_id = np.where(missed, np.int32(-1), self.surfaces.object_id[found.face])
-        part = np.where(missed, np.int32(-1), self.surfaces.part[found.face])
-        return Hits(found.distance_m, object_id, part, found.face, barycentrics, normal)
+        object_id = np.where(missed, np.int32(-1), self.surfaces.object_id[hits.face])
+        part = np.where(missed, np.int32(-1), self.surfaces.part[hits.face])
+        return Hits(hits.distance_m, object_id, part, hits.face, barycentrics, normal)
 
     def occluded(
         self,
@@ -270,7 +270,7 @@ def _as_rays(
 
 
 def _indexed(objects: Sequence[VirtualObject]) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "f 3"]]:
-    meshes = [mesh for one in objects for mesh, _ in one.parts]
+    meshes = [mesh for item in objects for mesh, _ in item.parts]
     firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])[:-1]
     faces = np.concatenate([mesh.faces + np.int32(first) for mesh, first in zip(meshes, firsts, strict=True)])
     return np.concatenate([mesh.vertices for mesh in meshes]), faces.astype(np.int32)
@@ -279,10 +279,10 @@ def _indexed(objects: Sequence[VirtualObject]) -> tuple[Float32[np.ndarray, "n 3
 def _flatten(objects: Sequence[VirtualObject]) -> tuple[Surfaces, list[Material]]:
     materials: list[Material] = []
     rows: dict[int, int] = {}
-    bent = any(material.normal_texture is not None for one in objects for _, material in one.parts)
+    bent = any(material.normal_texture is not None for item in objects for _, material in item.parts)
     pieces: list[Surfaces] = []
-    for index, one in enumerate(objects):
-        for number, (mesh, material) in enumerate(one.parts):
+    for index, item in enumerate(objects):
+        for number, (mesh, material) in enumerate(item.parts):
             if id(material) not in rows:
                 rows[id(material)] = len(materials)
                 materials.append(material)

@@ -147,7 +147,7 @@ class RecurrentVolume:
         self.volume = np.zeros((5, *grid.shape), np.float32)  # bound to the encoders
         self._unit = np.ones((1, 3, 1, 1, 1), np.float32)
         decoded = [graphs["single_sg_decoder"].new_outputs() for _ in range(2)]
-        self._sglvs = [Sglv(grid, one["alpha"], one["lobes"]) for one in decoded]
+        self._sglvs = [Sglv(grid, arrays["alpha"], arrays["lobes"]) for arrays in decoded]
         self._first = _SingleViewGraphs.bind(model.graphs, self.volume, decoded[0])
         hidden = {"h0": self._first.features["f0"], "h1": self._first.features["f1"]}  # after the first frame, h = f
         self._hidden = [hidden, {key: np.zeros_like(array) for key, array in hidden.items()}]

@@ -77,8 +77,8 @@ def unpack_records(file: bytes, source: str) -> list[Record]:
         raise StateError(f"{source}: is not a saved state (its first bytes are {file[:8].hex() or 'missing'})")
     version = file[len(_NAME) : start]
     if version != str(FORMAT).encode():
-        shown = version.decode("ascii", "replace")
-        raise StateError(f"{source}: is a saved state of version {shown!r}; this release reads version {FORMAT}")
+        version_text = version.decode("ascii", "replace")
+        raise StateError(f"{source}: is a saved state of version {version_text!r}; this release reads version {FORMAT}")
     records: list[Record] = []
     while True:
         tag, content, stop = _content(file, start, source)

@@ -91,5 +91,5 @@ class SessionSnapshot:
             saved = self.networks.get(name)
             if saved != given:
                 what = {"model": "the model", "weights": "weights", "clipping": "a network for clipped pixels"}[name]
-                shown = [(digest or "none")[:16] for digest in (saved or "", given)]
-                raise StateError(f"the session was saved with {what} {shown[0]}, and here is {shown[1]}")
+                digests = [(digest or "none")[:16] for digest in (saved or "", given)]
+                raise StateError(f"the session was saved with {what} {digests[0]}, and here is {digests[1]}")

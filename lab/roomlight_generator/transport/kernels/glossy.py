@@ -309,12 +309,12 @@ def pane_rays(geometry, ends, out):
 
 
 @njit(**JIT)
-def splat_rays(sources, shown, samples, point, seed, rays):
-    """Write rays from a point to samples on each cluster of lights with a shown piece; returns the number of rays.
+def splat_rays(sources, chosen, samples, point, seed, rays):
+    """Write rays from a point to samples on each cluster of lights with a chosen piece; returns the number of rays.
 
     Args:
         sources: Lights and surfaces of lights.
-        shown: Which pieces are shown, [p]; the others send nothing.
+        chosen: Which pieces get rays, [p].
         samples: Rays to each cluster.
         point: World position (x, y, z).
         seed: Seed of the random numbers.
@@ -327,17 +327,17 @@ def splat_rays(sources, shown, samples, point, seed, rays):
     written = 0
     for which in range(len(lights.start)):
         first, pieces = lights.start[which], lights.pieces[which]
-        any_shown = False
+        any_chosen = False
         for piece in range(first, first + pieces):
-            any_shown = any_shown or shown[piece]
-        if not any_shown:
+            any_chosen = any_chosen or chosen[piece]
+        if not any_chosen:
             continue
         state = mixed(np.uint64(which) ^ mixed(np.uint64(seed)))
         shift1 = unit(state)
         shift2 = unit(mixed(state))
         for k in range(samples):
             piece = pick_piece(lights.piece, first, pieces, (k + 0.5) / samples)
-            if not shown[piece]:
+            if not chosen[piece]:
                 continue
             dx, dy, dz, far, r, g, b, spread, _ = point_on(
                 surfaces, piece, fraction(shift1 + PHI1 * k), fraction(shift2 + PHI2 * k), point

@@ -79,12 +79,12 @@ def explained(error: ValidationError, what: str) -> str:
     if kind == "missing":
         return f"{what} {where} is missing"
     value = repr(first.get("input"))
-    shown = value if len(value) <= 60 else value[:57] + "..."
+    text = value if len(value) <= 60 else value[:57] + "..."
     rules = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below", "expected": "one of"}
     allowed = [f"{word} {bounds[key]}" for key, word in rules.items() if key in bounds]
     types = {"int": "a whole number", "float": "a number", "string": "a text", "list": "a list", "dict": "an object"}
     expected = allowed or [word for key, word in types.items() if kind.startswith(key)] or ["another value"]
-    return f"{what} {where or 'JSON'} is {shown}; it must be {' and '.join(expected)}"
+    return f"{what} {where or 'JSON'} is {text}; it must be {' and '.join(expected)}"
 
 
 def data_uri(uri: str, label: str) -> bytes:

@@ -19,13 +19,15 @@ def draco_available() -> bool:
     return importlib.util.find_spec(_MODULE) is not None
 
 
-def decode_draco(one: Primitive, views: Sequence[memoryview], count: int, label: str) -> dict[str, np.ndarray] | None:
+def decode_draco(
+    primitive: Primitive, views: Sequence[memoryview], count: int, label: str
+) -> dict[str, np.ndarray] | None:
     """Return the attributes and `faces` of a compressed primitive; None if it is not compressed.
 
     Raises:
         ObjectError: It does not decode, has another number of vertices than declared, or the extra is missing.
     """
-    stated = one.extensions.get(DRACO)
+    stated = primitive.extensions.get(DRACO)
     if not isinstance(stated, dict):
         return None
     view, attributes = stated.get("bufferView"), stated.get("attributes")
@@ -36,14 +38,14 @@ def decode_draco(one: Primitive, views: Sequence[memoryview], count: int, label:
     library: Any = importlib.import_module(_MODULE)
     try:
         mesh = library.decode(bytes(views[view]))
-        found = {"faces": np.asarray(mesh.faces).reshape(-1, 3)}
+        arrays = {"faces": np.asarray(mesh.faces).reshape(-1, 3)}
         for key, number in attributes.items():
             values = np.asarray(mesh.get_attribute_by_unique_id(number)["data"])
             if values.dtype.kind in "ui":
                 values = values / np.iinfo(values.dtype).max
-            found[str(key)] = values.reshape(len(values), -1).astype(np.float32)
+            arrays[str(key)] = values.reshape(len(values), -1).astype(np.float32)
     except Exception as error:  # the binding raises whatever damaged bytes lead to
         raise ObjectError(f"{label}: its Draco data is damaged ({str(error)[:80]})") from error
-    if any(len(values) != count for key, values in found.items() if key != "faces") or "POSITION" not in found:
+    if any(len(values) != count for key, values in arrays.items() if key != "faces") or "POSITION" not in arrays:
         raise ObjectError(f"{label}: its Draco data does not have the {count} vertices that are declared")
-    return found
+    return arrays

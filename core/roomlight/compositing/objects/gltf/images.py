@@ -38,26 +38,27 @@ class Images:
         """
         if texture >= len(self._gltf.textures):
             raise ObjectError(f"{label}: texture {texture} of {len(self._gltf.textures)} does not exist")
-        one = self._gltf.textures[texture]
-        stated = [one.extensions[key].get("source") for key in _SOURCES if isinstance(one.extensions.get(key), dict)]
-        source = next((index for index in (*stated, one.source) if isinstance(index, int)), None)
-        if source is None and "KHR_texture_basisu" in one.extensions:
+        stated = self._gltf.textures[texture]
+        extensions = [stated.extensions[key] for key in _SOURCES if isinstance(stated.extensions.get(key), dict)]
+        sources = (*(extension.get("source") for extension in extensions), stated.source)
+        source = next((index for index in sources if isinstance(index, int)), None)
+        if source is None and "KHR_texture_basisu" in stated.extensions:
             return None
         if source is None or not 0 <= source < len(self._gltf.images):
             raise ObjectError(f"{label}: texture {texture} has no image")
         if source not in self._decoded:
-            found = self._image(source)
-            if found is None:
+            image = self._image(source)
+            if image is None:
                 return None
-            self._decoded[source] = found
+            self._decoded[source] = image
         return self._decoded[source]
 
     def repeats(self, texture: int) -> bool:
         """Return whether a texture repeats outside [0, 1] in both directions."""
-        one = self._gltf.textures[texture] if texture < len(self._gltf.textures) else None
-        if one is None or one.sampler is None or one.sampler >= len(self._gltf.samplers):
+        stated = self._gltf.textures[texture] if texture < len(self._gltf.textures) else None
+        if stated is None or stated.sampler is None or stated.sampler >= len(self._gltf.samplers):
             return True
-        sampler = self._gltf.samplers[one.sampler]
+        sampler = self._gltf.samplers[stated.sampler]
         return sampler.wrapS == REPEAT and sampler.wrapT == REPEAT
 
     def _image(self, index: int) -> UInt8[np.ndarray, "h w c"] | None:

@@ -66,11 +66,11 @@ class MaterialReader:
         self._images, self._clamped = images, clamped
         self._textures: dict[tuple[int, str], tuple[np.ndarray, Texture]] = {}
 
-    def surface(self, one: GltfMaterial, label: str) -> Surface:
+    def surface(self, stated: GltfMaterial, label: str) -> Surface:
         """Convert a material. Raises ObjectError."""
         notes: list[Note] = []
-        base = one.pbrMetallicRoughness
-        glossy = extension(SpecularGlossiness, one, "KHR_materials_pbrSpecularGlossiness", label, self._clamped)
+        base = stated.pbrMetallicRoughness
+        glossy = extension(SpecularGlossiness, stated, "KHR_materials_pbrSpecularGlossiness", label, self._clamped)
         slots = {
             "base": self._slot(
                 base.baseColorTexture if glossy is None else glossy.diffuseTexture, label, "base", notes
@@ -81,22 +81,22 @@ class MaterialReader:
                 "rough",
                 notes,
             ),
-            "normal": self._slot(one.normalTexture, label, "normal", notes),
-            "emissive": self._slot(one.emissiveTexture, label, "emissive", notes),
+            "normal": self._slot(stated.normalTexture, label, "normal", notes),
+            "emissive": self._slot(stated.emissiveTexture, label, "emissive", notes),
         }
         uv_set, transform = _common([slots[key] for key in ("base", "normal", "rough", "emissive")])
         pixels, means = {}, {}
         for key, slot in slots.items():
             pixels[key], means[key] = _brought(slot, uv_set, transform, label, notes)
-        material = self._factors(one, label, notes)
+        material = self._factors(stated, label, notes)
         if glossy is not None:
             material = self._from_glossy(material, glossy, pixels, means)
         else:
-            material = self._from_metallic(material, one, pixels, means)
-        material = self._rest(material, one, pixels, means)
-        if "KHR_materials_unlit" in one.extensions:
+            material = self._from_metallic(material, stated, pixels, means)
+        material = self._rest(material, stated, pixels, means)
+        if "KHR_materials_unlit" in stated.extensions:
             material = _unlit(material)
-        if one.occlusionTexture is not None:
+        if stated.occlusionTexture is not None:
             notes.append(
                 Note(f"{label}.occlusionTexture", "the object shades itself by ray tracing instead", "nothing to do")
             )
@@ -130,12 +130,12 @@ class MaterialReader:
         alpha = float(pixels[..., 3].mean() / 255) if pixels.shape[2] == 4 else 1.0
         return np.array([*(srgb8_to_linear(pixels[..., :3]).mean(axis=(0, 1))), alpha])
 
-    def _factors(self, one: GltfMaterial, label: str, notes: list[Note]) -> Material:
+    def _factors(self, stated: GltfMaterial, label: str, notes: list[Note]) -> Material:
         """Return the material of what the extensions state, before base colour and textures."""
-        clear = extension(Transmission, one, "KHR_materials_transmission", label, self._clamped) or Transmission()
-        ior = extension(Ior, one, "KHR_materials_ior", label, self._clamped) or Ior()
-        specular = extension(Specular, one, "KHR_materials_specular", label, self._clamped) or Specular()
-        strength = extension(EmissiveStrength, one, "KHR_materials_emissive_strength", label, self._clamped)
+        clear = extension(Transmission, stated, "KHR_materials_transmission", label, self._clamped) or Transmission()
+        ior = extension(Ior, stated, "KHR_materials_ior", label, self._clamped) or Ior()
+        specular = extension(Specular, stated, "KHR_materials_specular", label, self._clamped) or Specular()
+        strength = extension(EmissiveStrength, stated, "KHR_materials_emissive_strength", label, self._clamped)
         glow = 1.0 if strength is None else strength.emissiveStrength
         transmission = clear.transmissionFactor
         if clear.transmissionTexture is not None:
@@ -145,19 +145,23 @@ class MaterialReader:
         )
         tint = self._mean(specular.specularColorTexture, f"{label}.specularColorTexture", notes)[:3]
         colour = tint * np.array(specular.specularColorFactor)
-        red, green, blue = (min(channel * glow, 1e6) for channel in one.emissiveFactor)
+        red, green, blue = (min(channel * glow, 1e6) for channel in stated.emissiveFactor)
         material = Material(
             specular=share,
             transmission=transmission,
             emissive=(red, green, blue),
-            alpha_cutoff=min(one.alphaCutoff, 1.0) if one.alphaMode == "MASK" else None,
+            alpha_cutoff=min(stated.alphaCutoff, 1.0) if stated.alphaMode == "MASK" else None,
         )
         return _with_reflectance(material, ior.ior, colour, label, notes)
 
     def _from_metallic(
-        self, material: Material, one: GltfMaterial, pixels: dict[str, np.ndarray | None], means: dict[str, np.ndarray]
+        self,
+        material: Material,
+        stated: GltfMaterial,
+        pixels: dict[str, np.ndarray | None],
+        means: dict[str, np.ndarray],
     ) -> Material:
-        base = one.pbrMetallicRoughness
+        base = stated.pbrMetallicRoughness
         red, green, blue, alpha = np.array(base.baseColorFactor) * means["base"]
         metallic = base.metallicFactor * float(means["rough"][2])
         return replace(
@@ -165,8 +169,8 @@ class MaterialReader:
             base_colour=(float(red), float(green), float(blue)),
             metallic=metallic,
             roughness=base.roughnessFactor * float(means["rough"][1]),
-            opacity=1.0 if one.alphaMode == "OPAQUE" else float(alpha),
-            base_colour_texture=self._texture(pixels["base"], "opaque" if one.alphaMode == "OPAQUE" else "colour"),
+            opacity=1.0 if stated.alphaMode == "OPAQUE" else float(alpha),
+            base_colour_texture=self._texture(pixels["base"], "opaque" if stated.alphaMode == "OPAQUE" else "colour"),
             metallic_roughness_texture=self._texture(pixels["rough"], "values"),
         )
 
@@ -192,7 +196,8 @@ class MaterialReader:
                 roughness=roughness,
                 opacity=opacity if material.alpha_cutoff is not None or opacity < 1 else 1.0,
             )
-        size = max((one.shape[:2] for one in pixels.values() if one is not None), key=lambda one: one[0] * one[1])
+        sizes = (image.shape[:2] for image in pixels.values() if image is not None)
+        size = max(sizes, key=lambda shape: shape[0] * shape[1])
         colours, alphas = _planes(pixels["base"], size, means["base"])
         speculars, glosses = _planes(pixels["rough"], size, means["rough"])
         base, metallic = metal_of(colours * diffuse, speculars * specular)
@@ -208,7 +213,11 @@ class MaterialReader:
         )
 
     def _rest(
-        self, material: Material, one: GltfMaterial, pixels: dict[str, np.ndarray | None], means: dict[str, np.ndarray]
+        self,
+        material: Material,
+        stated: GltfMaterial,
+        pixels: dict[str, np.ndarray | None],
+        means: dict[str, np.ndarray],
     ) -> Material:
         red, green, blue = (
             float(glow * mean) for glow, mean in zip(material.emissive, means["emissive"], strict=False)
@@ -218,7 +227,7 @@ class MaterialReader:
             emissive=(red, green, blue),
             emissive_texture=self._texture(pixels["emissive"], "colour"),
             normal_texture=self._texture(pixels["normal"], "values"),
-            normal_scale=1.0 if one.normalTexture is None else one.normalTexture.scale,
+            normal_scale=1.0 if stated.normalTexture is None else stated.normalTexture.scale,
         )
 
     def _texture(self, pixels: UInt8[np.ndarray, "h w c"] | None, use: str) -> Texture | None:

@@ -50,18 +50,18 @@ def placed_meshes(gltf: Gltf, accessors: Accessors, name: str, limits: ObjectLim
 def _transforms(gltf: Gltf, roots: list[int], name: str, limits: ObjectLimits) -> dict[int, Float[np.ndarray, "4 4"]]:
     """Return the transform to the root of each node of the scene, in order."""
     queue = [(root, np.eye(4), 1) for root in reversed(roots)]
-    found: dict[int, np.ndarray] = {}
+    transforms: dict[int, np.ndarray] = {}
     while queue:
         index, above, depth = queue.pop()
         if index >= len(gltf.nodes):
             raise ObjectError(f"{name}: node {index} of {len(gltf.nodes)} does not exist")
-        if index in found:
+        if index in transforms:
             raise ObjectError(f"{name}: node {index} has two parents or is its own; nodes must form trees")
         limits.check("node_depth", depth, name)
         node = gltf.nodes[index]
-        found[index] = above @ _local(node)
-        queue.extend((child, found[index], depth + 1) for child in reversed(node.children))
-    return found
+        transforms[index] = above @ _local(node)
+        queue.extend((child, transforms[index], depth + 1) for child in reversed(node.children))
+    return transforms
 
 
 def _local(node: Node) -> Float[np.ndarray, "4 4"]:

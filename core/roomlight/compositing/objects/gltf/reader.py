@@ -78,10 +78,10 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits) -> tuple[Parts, tupl
     materials = MaterialReader(Images(gltf, views, name, limits), clamped)
     surfaces: dict[int, Surface] = {}
     parts: list[tuple[TriangleMesh, Material]] = []
-    for one in placed:
-        for index in reader.drawn(one.mesh):
-            label = f"{name}: mesh {one.mesh}, primitive {index}"
-            primitive = gltf.meshes[one.mesh].primitives[index]
+    for node in placed:
+        for index in reader.drawn(node.mesh):
+            label = f"{name}: mesh {node.mesh}, primitive {index}"
+            primitive = gltf.meshes[node.mesh].primitives[index]
             if primitive.material >= len(gltf.materials):
                 raise ObjectError(f"{label}: material {primitive.material} of {len(gltf.materials)} does not exist")
             if primitive.material not in surfaces:
@@ -93,7 +93,7 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits) -> tuple[Parts, tupl
                 )
             surface = surfaces[primitive.material]
             try:
-                mesh, material, more = reader.part(one, primitive, surface, label)
+                mesh, material, more = reader.part(node, primitive, surface, label)
             except ObjectError as error:
                 message = str(error)
                 raise ObjectError(message if message.startswith(name) else f"{label}: {message}") from error
@@ -139,23 +139,25 @@ class _PrimitiveReader:
         """Return the primitives of a mesh that have a surface; points, lines and empty ones have none."""
         return [
             index
-            for index, one in enumerate(self._gltf.meshes[mesh].primitives)
-            if one.mode >= _TRIANGLES and "POSITION" in one.attributes and self._corners(one, mesh) >= 3
+            for index, primitive in enumerate(self._gltf.meshes[mesh].primitives)
+            if primitive.mode >= _TRIANGLES
+            and "POSITION" in primitive.attributes
+            and self._corners(primitive, mesh) >= 3
         ]
 
     def check_amounts(self, placed: list[Placed], limits: ObjectLimits) -> None:
         """Refuse more parts, vertices and triangles than the limits, and none. Raises ObjectError."""
         parts = vertices = triangles = 0
         amounts: dict[int, tuple[int, int, int]] = {}
-        for one in placed:
-            if one.mesh not in amounts:
-                drawn = [self._gltf.meshes[one.mesh].primitives[index] for index in self.drawn(one.mesh)]
-                label = f"{self._name}: mesh {one.mesh}"
-                points = [self._accessors.declared(each.attributes["POSITION"], label).count for each in drawn]
-                corners = [self._corners(each, one.mesh) for each in drawn]
-                faces = [n // 3 if each.mode == _TRIANGLES else n - 2 for each, n in zip(drawn, corners, strict=True)]
-                amounts[one.mesh] = len(drawn), sum(points), sum(faces)
-            amount = amounts[one.mesh]
+        for node in placed:
+            if node.mesh not in amounts:
+                drawn = [self._gltf.meshes[node.mesh].primitives[index] for index in self.drawn(node.mesh)]
+                label = f"{self._name}: mesh {node.mesh}"
+                points = [self._accessors.declared(part.attributes["POSITION"], label).count for part in drawn]
+                corners = [self._corners(part, node.mesh) for part in drawn]
+                faces = [n // 3 if part.mode == _TRIANGLES else n - 2 for part, n in zip(drawn, corners, strict=True)]
+                amounts[node.mesh] = len(drawn), sum(points), sum(faces)
+            amount = amounts[node.mesh]
             parts, vertices, triangles = parts + amount[0], vertices + amount[1], triangles + amount[2]
         if parts == 0:
             raise ObjectError(
@@ -166,14 +168,14 @@ class _PrimitiveReader:
         limits.check("triangles", triangles, self._name)
 
     def part(
-        self, placed: Placed, one: Primitive, surface: Surface, label: str
+        self, placed: Placed, primitive: Primitive, surface: Surface, label: str
     ) -> tuple[TriangleMesh, Material, list[Note]]:
         """Return a primitive as it stands in the scene, with its material. Raises ObjectError."""
-        arrays = self._arrays(one, surface, label)
-        points, normals = self._morphed(arrays, one, placed.weights, label)
+        arrays = self._arrays(primitive, surface, label)
+        points, normals = self._morphed(arrays, primitive, placed.weights, label)
         transform, notes = placed.transform, list[Note]()
         if placed.joints is not None:
-            blended = self._blended(one, placed.joints, len(points), label)
+            blended = self._blended(primitive, placed.joints, len(points), label)
             points = np.einsum("nij,nj->ni", blended[:, :3, :3], points) + blended[:, :3, 3]
             normals = None if normals is None else _skinned_normals(blended, normals)
             transform = np.eye(4)
@@ -202,24 +204,24 @@ class _PrimitiveReader:
                 )
         return mesh.transformed(transform), material, notes
 
-    def _corners(self, one: Primitive, mesh: int) -> int:
-        index = one.attributes.get("POSITION") if one.indices is None else one.indices
+    def _corners(self, primitive: Primitive, mesh: int) -> int:
+        index = primitive.attributes.get("POSITION") if primitive.indices is None else primitive.indices
         return self._accessors.declared(index, f"{self._name}: mesh {mesh}").count
 
-    def _arrays(self, one: Primitive, surface: Surface, label: str) -> _Arrays:
-        key = id(one), surface.uv_set
+    def _arrays(self, primitive: Primitive, surface: Surface, label: str) -> _Arrays:
+        key = id(primitive), surface.uv_set
         if key in self._decoded:
             return self._decoded[key]
-        count = self._accessors.declared(one.attributes["POSITION"], f"{label}: POSITION").count
-        packed = decode_draco(one, self._views, count, label)
+        count = self._accessors.declared(primitive.attributes["POSITION"], f"{label}: POSITION").count
+        packed = decode_draco(primitive, self._views, count, label)
         read = self._accessors.floats
 
         def values(attribute: str, kind: str | tuple[str, ...]) -> Float32[np.ndarray, "n c"] | None:
             if packed is not None and attribute in packed:
                 return packed[attribute]
-            if attribute not in one.attributes:
+            if attribute not in primitive.attributes:
                 return None
-            return read(one.attributes[attribute], kind, count, f"{label}: {attribute}")
+            return read(primitive.attributes[attribute], kind, count, f"{label}: {attribute}")
 
         points = values("POSITION", "VEC3")
         assert points is not None
@@ -234,20 +236,20 @@ class _PrimitiveReader:
         if colours is not None:
             opaque = np.ones((count, 1), np.float32)
             colours = np.clip(np.nan_to_num(np.concatenate([colours, opaque], axis=1)[:, :4]), 0, 1)
-        faces = packed["faces"].astype(np.int64) if packed is not None else self._faces(one, count, label)
+        faces = packed["faces"].astype(np.int64) if packed is not None else self._faces(primitive, count, label)
         if len(faces) and int(faces.max()) >= count:
             raise ObjectError(f"{label}: an index points at vertex {int(faces.max())} of {count}")
         self._decoded[key] = _Arrays(points, faces, normals, tangents, uvs, colours)
         return self._decoded[key]
 
-    def _faces(self, one: Primitive, count: int, label: str) -> Int64[np.ndarray, "f 3"]:
-        if one.indices is None:
+    def _faces(self, primitive: Primitive, count: int, label: str) -> Int64[np.ndarray, "f 3"]:
+        if primitive.indices is None:
             corners = np.arange(count)
         else:
-            corners = self._accessors.integers(one.indices, "SCALAR", f"{label}: indices")[:, 0].astype(np.int64)
-        if one.mode == _TRIANGLES:
+            corners = self._accessors.integers(primitive.indices, "SCALAR", f"{label}: indices")[:, 0].astype(np.int64)
+        if primitive.mode == _TRIANGLES:
             return corners[: len(corners) // 3 * 3].reshape(-1, 3)  # viewers leave out an incomplete triangle
-        if one.mode == _FAN:
+        if primitive.mode == _FAN:
             first = np.full(len(corners) - 2, corners[0])
             return np.stack([first, corners[1:-1], corners[2:]], axis=1)
         strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
@@ -256,10 +258,10 @@ class _PrimitiveReader:
         return strip[distinct_corners]
 
     def _morphed(
-        self, arrays: _Arrays, one: Primitive, weights: tuple[float, ...], label: str
+        self, arrays: _Arrays, primitive: Primitive, weights: tuple[float, ...], label: str
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"] | None]:
         points, normals = arrays.points.astype(np.float64), arrays.normals
-        for weight, target in zip(weights, one.targets, strict=False):
+        for weight, target in zip(weights, primitive.targets, strict=False):
             for key in ("POSITION", "NORMAL") if weight else ():
                 if key not in target:
                     continue
@@ -271,15 +273,16 @@ class _PrimitiveReader:
         return points, normals
 
     def _blended(
-        self, one: Primitive, joints: Float[np.ndarray, "j 4 4"], count: int, label: str
+        self, primitive: Primitive, joints: Float[np.ndarray, "j 4 4"], count: int, label: str
     ) -> Float[np.ndarray, "n 4 4"]:
         """Return what the joints do to each vertex."""
         total, share = np.zeros((count, 4, 4)), np.zeros(count)
         for index in range(8):
-            if f"JOINTS_{index}" not in one.attributes or f"WEIGHTS_{index}" not in one.attributes:
+            if f"JOINTS_{index}" not in primitive.attributes or f"WEIGHTS_{index}" not in primitive.attributes:
                 break
-            which = self._accessors.integers(one.attributes[f"JOINTS_{index}"], "VEC4", f"{label}: joints")
-            weights = self._accessors.floats(one.attributes[f"WEIGHTS_{index}"], "VEC4", count, f"{label}: weights")
+            which = self._accessors.integers(primitive.attributes[f"JOINTS_{index}"], "VEC4", f"{label}: joints")
+            stated_weights = primitive.attributes[f"WEIGHTS_{index}"]
+            weights = self._accessors.floats(stated_weights, "VEC4", count, f"{label}: weights")
             if which.shape != weights.shape or int(which.max(initial=0)) >= len(joints):
                 raise ObjectError(f"{label}: a vertex names joint {int(which.max(initial=0))} of {len(joints)}")
             for corner in range(4):

@@ -131,11 +131,11 @@ def _roughness(
 def _albedo(display: Rgb) -> Rgb:
     # Sweet Home 3D lights its scenes so that a diffuse colour of 0.8, many exporters' default white, appears white.
     colour = np.array(display, np.float32)
-    shown = srgb_to_linear(np.clip(colour * np.float32(_LIFT), 0, 1))
+    lifted = srgb_to_linear(np.clip(colour * np.float32(_LIFT), 0, 1))
     # Light greys are whites and silvers that the exporter wrote as linear values; decoding them as sRGB would darken
     # them.
     grey = np.clip(1 - _saturation(display) / 0.2, 0, 1) * np.clip((colour.min() - 0.3) / 0.3, 0, 1)
-    linear = np.clip(ALBEDO[1] * ((1 - grey) * shown + grey * np.maximum(colour, shown)), *ALBEDO)
+    linear = np.clip(ALBEDO[1] * ((1 - grey) * lifted + grey * np.maximum(colour, lifted)), *ALBEDO)
     red, green, blue = (float(value) for value in linear)
     return (red, green, blue)
 
