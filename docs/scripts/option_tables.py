@@ -1,7 +1,8 @@
 """Tables of options in the pages, made from docstrings when the pages are built (`hooks` in mkdocs.yml).
 
 A line `<!-- options: MODULE.CLASS name name ... -->` becomes a table of these fields, or of all without a name: flag,
-values and text, as `roomlight COMMAND --help` shows them.
+values and text, as `roomlight COMMAND --help` shows them. A setting without a flag is shown as its
+environment variable.
 """
 
 import re
@@ -11,7 +12,9 @@ from typing import Any
 from pydantic_settings import BaseSettings
 
 from roomlight.rules import Rule, rules_of
+from roomlight_cli.commands.serve import FLAGS
 from roomlight_cli.options import CommandOptions, described
+from roomlight_server.base.settings import PREFIX
 
 _MARK = re.compile(r"^<!-- options: ([\w.]+)\.(\w+)((?:\s+\w+)*) -->$", re.MULTILINE)
 
@@ -32,7 +35,8 @@ def option_table(options: type, names: list[str]) -> str:
         fields = options.model_fields
         rules = {name: Rule.of(field.annotation, field.metadata) for name, field in fields.items()}
         defaults = {name: field.default for name, field in fields.items()}
-        flags = {name: "--" + name.replace("_", "-") for name in fields}
+        with_flag = {name for names in FLAGS.values() for name in names}
+        flags = {name: "--" + name.replace("_", "-") if name in with_flag else PREFIX + name.upper() for name in fields}
     else:
         command = CommandOptions()
         command.add_dataclass(Rule(options), panel="")
@@ -40,6 +44,21 @@ def option_table(options: type, names: list[str]) -> str:
         defaults = {name: getattr(options, name, None) for name in rules}
     rows = ["| Option | Values | Meaning |", "| --- | --- | --- |"]
     for name in names or rules:
-        default = "" if defaults[name] in (None, False, ()) else f"Default: `{defaults[name]}`."
-        rows.append(f"| `{flags[name]}` | {rules[name].text} | {texts[name]} {default} |")
+        default = "" if defaults[name] in (None, False, ()) else f"Default: {_value(name, defaults[name])}."
+        values = rules[name].text
+        if name.endswith("_bytes"):
+            values = re.sub(r"[\d.]+e\+\d+", _whole_mebibytes, values)
+        rows.append(f"| `{flags[name]}` | {values} | {texts[name]} {default} |")
     return "\n".join(rows)
+
+
+def _value(name: str, value: Any) -> str:
+    """Return a default as text; bytes in MiB or GiB where they are whole."""
+    for unit, text in ((2**30, "GiB"), (2**20, "MiB")):
+        if name.endswith("_bytes") and value % unit == 0:
+            return f"{value // unit} {text}"
+    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def _whole_mebibytes(number: re.Match[str]) -> str:
+    return _value("_bytes", round(float(number[0]) / 2**20) * 2**20)
