@@ -8,7 +8,7 @@ import pytest
 from websockets.sync.client import connect
 
 from http_servers import RunningServer, frame
-from roomlight.engine.session import Session
+from roomlight.engine.session_view import SessionView
 from roomlight.light.light import Light
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight.wire.messages import CUBE_FORMATS, FACE_SIZES, LightForm
@@ -108,6 +108,6 @@ def test_a_failed_answer_releases_its_memory(monkeypatch):
     with RunningServer() as server:
         server.open()
         assert server.push(0).status == 200
-        monkeypatch.setattr(Session, "light_at", fail)
+        monkeypatch.setattr(SessionView, "light_at", fail)
         assert server.call("GET", "/v1/sessions/room/probe?x=0&y=0&z=0").status == 500
         assert server.app.state.context.budget.used == 0

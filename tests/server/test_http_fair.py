@@ -3,6 +3,7 @@
 import json
 import socket
 import threading
+from http.client import HTTPResponse
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,9 +11,10 @@ import pytest
 from websockets.sync.client import connect
 
 from http_servers import SMALL, InThread, RunningServer, frame, metric
-from roomlight.engine.session import Session
+from roomlight.engine.session_view import SessionView
 from roomlight.threads import parallel_for
-from roomlight.wire.light_message import MEDIA_TYPE
+from roomlight.wire.light_message import MEDIA_TYPE, parse_light
+from roomlight.wire.messages import LightResponse
 from roomlight_server.base import problems
 from roomlight_server.routes import composites as composite_routes
 from roomlight_server.routes import light as light_routes
@@ -75,8 +77,8 @@ class HeldLight:
 
 @pytest.fixture
 def held_light(monkeypatch):
-    held = HeldLight(Session.light_at)
-    monkeypatch.setattr(Session, "light_at", held)
+    held = HeldLight(SessionView.light_at)
+    monkeypatch.setattr(SessionView, "light_at", held)
     yield held
     held.gate.release(1000)
 
@@ -172,7 +174,7 @@ def endless(running, ended):
             parallel_for(one_piece, 1)
         return compute(self, position)
 
-    compute = Session.light_at
+    compute = SessionView.light_at
     return light_at
 
 
@@ -182,7 +184,7 @@ def test_a_long_computation_is_paused_for_a_neighbour(tokens, monkeypatch):
     hostile, neighbour = tokens or (None, None)
     running, ended = threading.Event(), threading.Event()
     monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
-    monkeypatch.setattr(Session, "light_at", endless(running, ended))
+    monkeypatch.setattr(SessionView, "light_at", endless(running, ended))
     with RunningServer(tokens=tokens) as server:
         for name, token in (("room", hostile), ("home", neighbour)):
             server.open(name, token=token)
@@ -197,9 +199,24 @@ def test_a_long_computation_is_paused_for_a_neighbour(tokens, monkeypatch):
         connection.close()
 
 
+def test_late_points_do_not_hold_up_frames_of_their_session(server, monkeypatch):
+    running, ended = threading.Event(), threading.Event()
+    monkeypatch.setattr(SessionView, "light_at", endless(running, ended))
+    connection = post(server, late(2))
+    assert running.wait(60)
+    for index in range(1, 4):
+        assert server.push(index, frame(index)).json["status"] == "processed"
+    ended.set()
+    answer = HTTPResponse(connection)
+    answer.begin()
+    assert answer.status == 200
+    assert parse_light(answer.read(), LightResponse)[0].frame == 0  # that of the question
+    connection.close()
+
+
 def test_a_paused_computation_ends_when_its_client_is_gone(server, monkeypatch):
     running, never = threading.Event(), threading.Event()
-    monkeypatch.setattr(Session, "light_at", endless(running, never))
+    monkeypatch.setattr(SessionView, "light_at", endless(running, never))
     connection = post(server, late(1))
     assert running.wait(60)
     connection.close()

@@ -1,21 +1,27 @@
 """A tracked position: its panorama, the model's state of it, its lights."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
+from jaxtyping import Float
 
 from roomlight.conventions import Position
 from roomlight.engine.lighting import LightingModel, ProbeLightSource
 from roomlight.engine.models.interface import ProbeEstimator, Rendered
-from roomlight.engine.panorama.blend import PanoramaState, accumulate, farthest_depth_m
+from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, accumulate, farthest_depth_m
 from roomlight.engine.panorama.light_tracking import LightTracker
-from roomlight.engine.room import Room
+from roomlight.engine.room import Room, RoomView
 from roomlight.engine.state.snapshot import ProbeSnapshot
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.sglv import render_panorama
 from roomlight.light.light import GivenPanorama, Light
 from roomlight.light.main_light import find_lights
+from roomlight.threads import parallel_for, thread_count
+
+_VIEWS_AT_ONCE: Final = 4 * thread_count()
+"""Views of meshes that are rendered before they are blended: 0.8 MB each at 120 rows."""
 
 
 @dataclass(frozen=True)
@@ -26,41 +32,63 @@ class Probe:
     """
 
     position: Position
-    room: Room
+    room: Room | RoomView
     panorama: PanoramaState
     estimator: ProbeEstimator
     tracker: LightTracker
 
     @classmethod
-    def fresh(cls, position: Position, room: Room, *, height: int) -> "Probe":
+    def fresh(cls, position: Position, room: Room | RoomView, *, height: int) -> "Probe":
         """Return a probe that has observed nothing; its panorama has `height` rows."""
         panorama = PanoramaState.fresh(height, room.grid.depth_max_m)
-        return cls(position, room, panorama, room.volume.new_probe(), LightTracker())
+        return cls(position, room, panorama, room.new_probe(), LightTracker())
 
     @classmethod
-    def of_keyframes(cls, position: Position, room: Room, *, height: int) -> "Probe":
-        """Return a probe into which the keyframes and the last frame are blended, in order of time.
+    def of_keyframes(cls, position: Position, room: Room | RoomView, *, height: int) -> "Probe":
+        """Return a probe that knows what the keyframes and the last frame show.
 
-        The SGLVs of those moments are gone: every frame is blended over the present SGLV, which has observed more. 2D
-        hidden states run through the same frames from the first on.
+        Their views are blended in order of time, each with its full weight, into what is seen of the place. The model
+        then estimates the light once, as if one frame had shown all of it. The SGLVs of those moments are gone; the
+        present one has observed more.
         """
         probe = cls.fresh(position, room, height=height)
-        rendered = probe.render()
-        for kept in room.keyframes.with_last():
-            probe.blend(rendered, probe.view(kept.mesh), kept.mesh)
+        shown = PanoramaState.fresh(height, room.grid.depth_max_m)
+        for mesh, partial in probe._views([mesh for _, mesh in room.meshes]):
+            weight = partial.mask.astype(np.float32)
+            probe._accumulate(shown, partial, mesh, hdr=shown.radiance, weight=weight)
+        seen = PartialPanorama(
+            shown.radiance, shown.observed > 0, shown.depth_m * (shown.observed > 0), shown.clipped, shown.guessed
+        )
+        depth_max_m = room.grid.depth_max_m
+        estimate = probe.estimator.estimate(probe.panorama, probe.render(), seen, depth_max_m=depth_max_m)
+        for _ in range(2):  # surfaces are in several frames: each adds a share of what the ones before left out
+            probe._accumulate(probe.panorama, seen, None, hdr=estimate.hdr, weight=estimate.weight)
+        probe.panorama.changed[:], probe.panorama.viewed_from[:] = shown.changed, shown.viewed_from
         return probe
+
+    def _views(self, meshes: Sequence[FrameMesh]) -> Iterator[tuple[FrameMesh, PartialPanorama]]:
+        """Render what the probe sees of each mesh, several at a time on all cores."""
+        for start in range(0, len(meshes), _VIEWS_AT_ONCE):
+            some = meshes[start : start + _VIEWS_AT_ONCE]
+            views: dict[int, PartialPanorama] = {}
+
+            def look(first: int, last: int, some: Sequence[FrameMesh] = some, views: dict[int, Any] = views) -> None:
+                views.update((number, self.view(some[number])) for number in range(first, last))
+
+            parallel_for(look, len(some))
+            yield from ((mesh, views[number]) for number, mesh in enumerate(some))
 
     @classmethod
     def of_snapshot(cls, saved: ProbeSnapshot, room: Room) -> "Probe":
         """Return a probe that continues from a saved one, and use its arrays."""
-        estimator = room.volume.new_probe()
+        estimator = room.new_probe()
         estimator.restore(saved.memory)
         return cls(saved.position, room, saved.panorama, estimator, replace(saved.tracker))
 
     def render(self) -> Rendered:
         """Ray trace the SGLV after the last frame."""
         height = self.panorama.observed.shape[0]
-        return Rendered(*render_panorama(self.room.sglv, self.position, height=height, far=self.room.volume.far))
+        return Rendered(*render_panorama(self.room.sglv, self.position, height=height, far=self.room.far))
 
     def view(self, mesh: FrameMesh) -> PartialPanorama:
         """Render what the probe sees of a frame's mesh."""
@@ -71,15 +99,27 @@ class Probe:
         """Let the model estimate the light, and blend the view of a mesh into the panorama."""
         depth_max_m = self.room.grid.depth_max_m
         estimate = self.estimator.estimate(self.panorama, rendered, partial, depth_max_m=depth_max_m)
+        self._accumulate(self.panorama, partial, mesh, hdr=estimate.hdr, weight=estimate.weight)
+
+    def _accumulate(
+        self,
+        state: PanoramaState,
+        partial: PartialPanorama,
+        mesh: FrameMesh | None,
+        *,
+        hdr: Float[np.ndarray, "h w 3"],
+        weight: Float[np.ndarray, "h w"],
+    ) -> None:
+        camera = AT_PROBE if mesh is None else mesh.camera_to_world[:3, 3] - np.asarray(self.position)
         accumulate(
-            self.panorama,
-            hdr=estimate.hdr,
+            state,
+            hdr=hdr,
             detail=partial.radiance,
             detail_depth_m=partial.depth_m,
-            weight=estimate.weight,
+            weight=weight,
             detail_clipped=partial.clipped,
             detail_guessed=partial.guessed,
-            camera=mesh.camera_to_world[:3, 3] - np.asarray(self.position),
+            camera=camera,
         )
 
     def update_lights(self) -> None:

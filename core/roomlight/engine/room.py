@@ -1,16 +1,20 @@
 """What the frames of a session have shown of the room: it exists from the first frame on."""
 
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, replace
+
 import numpy as np
 from jaxtyping import Float
 
 from roomlight.depth import UnknownDepth
-from roomlight.engine.models.interface import Arrays, LightingModel
+from roomlight.engine.models.interface import Arrays, LightingModel, ProbeEstimator
 from roomlight.engine.preparation import PreparedFrame
 from roomlight.engine.surface.bracket import update_keyframes
 from roomlight.engine.surface.keyframes import KeyframeStore
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid, clipping_buffer, initial_volume
-from roomlight.engine.volume.sglv import Sglv
+from roomlight.engine.volume.sglv import Far, Sglv
 
 
 class Room:
@@ -32,6 +36,26 @@ class Room:
     def sglv(self) -> Sglv:
         """The SGLV after the last frame; the next one overwrites it."""
         return self.volume.sglv
+
+    @property
+    def far(self) -> Far:
+        """What a ray gets where it leaves the volume."""
+        return self.volume.far
+
+    def new_probe(self) -> ProbeEstimator:
+        """Begin the model's state of a probe."""
+        return self.volume.new_probe()
+
+    @property
+    def meshes(self) -> list[tuple[int, FrameMesh]]:
+        """Frame index and mesh of every keyframe in order of time, then of the last frame if it is no keyframe."""
+        return [(kept.index, kept.mesh) for kept in self.keyframes.with_last()]
+
+    def view(self) -> "RoomView":
+        """Return the room as it is, which later frames do not change: the SGLV is copied, 14 MB."""
+        sglv = replace(self.sglv, alpha=self.sglv.alpha.copy(), lobes=self.sglv.lobes.copy())
+        # a later frame may give a mesh another texture
+        return RoomView(self.grid, sglv, self.far, self.new_probe, [(index, copy(mesh)) for index, mesh in self.meshes])
 
     def write_volume(self, prepared: PreparedFrame, unknown_depth: UnknownDepth) -> Float[np.ndarray, "2 z y x"] | None:
         """Write the frame's initial volume into the model's buffer; return what of it was clipped (None: nothing)."""
@@ -57,3 +81,14 @@ class Room:
         """
         self.volume.restore(saved)
         self.keyframes.restore(keyframes, last)
+
+
+@dataclass(frozen=True)
+class RoomView:
+    """What points need of a room after one frame, as `Room` has it."""
+
+    grid: VolumeGrid
+    sglv: Sglv
+    far: Far
+    new_probe: Callable[[], ProbeEstimator]
+    meshes: list[tuple[int, FrameMesh]]

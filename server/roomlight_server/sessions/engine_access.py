@@ -11,10 +11,10 @@ class EngineAccess:
     """The engine of a session, until the session ends.
 
     Attributes:
-        engine_lock: One engine call at a time (push, track, untrack, light at a position), in the order of arrival;
+        engine_lock: One engine call at a time (push, track, untrack), in the order of arrival;
             held while this session waits behind others for a slot of the engine's threads.
         state_lock: The engine's state and the named probes; held only while they change. Reading the light of named
-            probes takes this lock alone, so it never waits for a slot.
+            probes takes this lock alone, so it never waits for a slot; late points take it for a view of the engine.
         engine: The engine; None after the end.
         ended: The reason why the session has ended, or None.
         journal: What is unsaved; None if sessions are not saved.

@@ -1,12 +1,13 @@
 """Named probes of one session, and its light at these probes and at other points. Used on the event loop."""
 
-import asyncio
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
+from typing import Final
 
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.session import FrameReport, Session
+from roomlight.engine.session_view import SessionView
 from roomlight.light.light import Light
 from roomlight.wire.messages import ProbeQuery
 from roomlight_server.answers.light_forms import default_panorama
@@ -15,6 +16,9 @@ from roomlight_server.sessions.engine_access import EngineAccess
 from roomlight_server.sessions.session_parts import LIGHT_PIXEL_BYTES, LightCache, Limits, NamedProbe, cached_lights
 from roomlight_server.state.live_state import SavedProbe
 from roomlight_server.work.workers import Workers
+
+_LATE: Final = 1
+"""Order of late points among the work of engine threads: frames and new probes come first."""
 
 
 class SessionLighting:
@@ -84,32 +88,46 @@ class SessionLighting:
         Raises:
             ProblemError: A probe name is unknown, a position is unusable, or the session has ended.
         """
-        late = sum(query.name is None for query in queries)
-        lock = self._access.engine_lock if late else self._access.state_lock
-        with self._limits.quotas.late_probes(late):
-            return await self._after_same_frame(queries, lock)
+        with self._limits.quotas.late_probes(sum(query.name is None for query in queries)):
+            async with self._access.state_lock:
+                lights = await self._at_hand(queries)
+            if None in lights:
+                return await self._with_late_points(queries)
+            return [light for light in lights if light is not None]
 
-    async def _after_same_frame(self, queries: Sequence[ProbeQuery], lock: asyncio.Lock) -> list[Light]:
-        async with lock:
-            engine = self._access.live()
-            if not self.has_light:
-                return [self._default(query) for query in queries]
-            return [await self._light(engine, query) for query in queries]
+    async def _with_late_points(self, queries: Sequence[ProbeQuery]) -> list[Light]:
+        """Compute late points from a view of the session: frames of every session go first, and change nothing."""
+        async with self._workers.engine_slot(_LATE):
+            async with self._access.state_lock:
+                lights, frame = await self._at_hand(queries), self.frame
+                view = await self._workers.read_in_engine_pool(self._access.live().view)
+            return [light or await self._late(view, query, frame) for light, query in zip(lights, queries, strict=True)]
 
-    async def _light(self, engine: Session, query: ProbeQuery) -> Light:
-        name, position = query.name, self._position(query)
-        cached = self._cache.get(name, position, self.frame)
-        if cached is not None:
+    async def _late(self, view: SessionView, query: ProbeQuery, frame: int) -> Light:
+        position = self._position(query)
+        light = await convert_probe_errors(self._workers.read_in_engine_pool(view.light_at, position))
+        return await self._kept(light, None, frame)
+
+    async def _at_hand(self, queries: Sequence[ProbeQuery]) -> list[Light | None]:
+        """Return cached lights and those of named probes; None for late points."""
+        engine = self._access.live()
+        if not self.has_light:
+            return [self._default(query) for query in queries]
+        return [await self._light(engine, query) for query in queries]
+
+    async def _light(self, engine: Session, query: ProbeQuery) -> Light | None:
+        name = query.name
+        cached = self._cache.get(name, self._position(query), self.frame)
+        if cached is not None or name is None:
             return cached
-        if name is not None:
-            estimated = await self._workers.run_in_decode_pool(engine.light, self._named[name].handle)
-        else:
-            async with self._workers.engine_slot():
-                estimated = await convert_probe_errors(self._workers.read_in_engine_pool(engine.light_at, position))
-        etag = await self._workers.run_in_decode_pool(estimated.digest)
-        light = estimated.labelled(name=name, frame=self.frame, etag=etag)
-        self._cache.put(light)
-        return light
+        light = await self._workers.run_in_decode_pool(engine.light, self._named[name].handle)
+        return await self._kept(light, name, self.frame)
+
+    async def _kept(self, light: Light, name: str | None, frame: int) -> Light:
+        etag = await self._workers.run_in_decode_pool(light.digest)
+        labelled = light.labelled(name=name, frame=frame, etag=etag)
+        self._cache.put(labelled)
+        return labelled
 
     def _default(self, query: ProbeQuery) -> Light:
         panorama, observed, etag = default_panorama(self._height)

@@ -19,7 +19,7 @@ from roomlight_server.base.request_context import Flow, current_flow
 
 SLICE_S: Final = 0.15
 """Time for which a job keeps its slot although another is ahead of it. A frame of the default options takes less, so
-that frames of many sessions are finished one after the other."""
+that frames of many sessions are finished one after the other. A job of a lower order does not wait for it."""
 PATIENCE_S: Final = 20.0
 """Time after which a job that waits is no longer behind jobs of a lower order."""
 MAX_PAUSED: Final = 8
@@ -162,7 +162,8 @@ class FairShare:
 
     def pause(self, turn: Turn) -> None:
         """Give the slot to jobs that are ahead of this one and wait for it again; called on the thread of the job."""
-        if self._waiting and not self._closed and self._clock() - turn.since_s >= SLICE_S:
+        slice_s = 0.0 if any(each.order < turn.order for each in tuple(self._waiting)) else SLICE_S
+        if self._waiting and not self._closed and self._clock() - turn.since_s >= slice_s:
             loop = turn.granted.get_loop()
             asyncio.run_coroutine_threadsafe(self._pause(turn), loop).result()
 

@@ -136,9 +136,12 @@ class Workers:
             self._engine.submit(release_free_memory)
 
     @asynccontextmanager
-    async def engine_slot(self) -> AsyncGenerator[None]:
-        """Wait for a free engine thread; inside the context, `run_in_engine_pool` starts immediately."""
-        async with self._engine_share.slot() as turn:
+    async def engine_slot(self, order: int = 0) -> AsyncGenerator[None]:
+        """Wait for a free engine thread; inside the context, `run_in_engine_pool` starts immediately.
+
+        `order`: lower ones come first, and interrupt others.
+        """
+        async with self._engine_share.slot(order) as turn:
             token = _engine_turn.set(turn)
             try:
                 yield

@@ -50,11 +50,12 @@ def test_it_turns_with_the_room(prior):
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-3)
 
 
-def test_it_is_the_conditional_mean_of_the_gaussian(prior):
+@pytest.mark.parametrize("share", [0.3, 0.8, 1.0])
+def test_it_is_the_conditional_mean_of_the_gaussian(prior, share):
     """Against the textbook's formula in float64, on coarse pixels."""
     rng = np.random.default_rng(1)
     logs = rng.normal(-1, 1, (ROWS, COLUMNS, 3))
-    seen = rng.random((ROWS, COLUMNS)) < 0.3
+    seen = rng.random((ROWS, COLUMNS)) < share
     matrix = np.empty((ROWS, COLUMNS, ROWS, COLUMNS))
     for a in range(COLUMNS):
         for b in range(COLUMNS):

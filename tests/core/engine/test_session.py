@@ -112,6 +112,27 @@ def test_a_late_probe_has_what_only_an_early_frame_observed(pan_frames):
     assert session.light(handle).panorama[lamp].min() > 0.9 * ROOM.lamp_radiance
 
 
+def test_several_late_points_have_the_bits_of_single_ones(pan_frames):
+    session, _ = _run(pan_frames[:6])
+    together = session.lights_at(PROBES)
+    assert [light.position for light in together] == list(PROBES)
+    for light, probe in zip(together, PROBES, strict=True):
+        assert light.digest() == session.light_at(probe).digest()
+    with pytest.raises(ProbeError, match="nan"):
+        session.lights_at([PROBES[0], (0.0, np.nan, 0.0)])
+
+
+def test_later_frames_do_not_change_a_view(pan_frames):
+    options = dataclasses.replace(CLASSICAL, keyframes=3)
+    session, _ = _run(pan_frames[:5], options=options)
+    view, before = session.view(), session.light_at(PROBES[0]).digest()
+    for frame in pan_frames[5:9]:
+        session.push(frame)
+    assert view.light_at(PROBES[0]).digest() == before
+    assert session.light_at(PROBES[0]).digest() != before
+    assert view.light_at(PROBES[0]).frame == pan_frames[4].index
+
+
 def test_a_session_begun_with_a_close_up_shows_the_whole_room(pan_frames):
     close = ROOM.frame(camera_at((-1.5, 1.5, -2.1)))
     probe = (0.3, 1.4, 0.2)

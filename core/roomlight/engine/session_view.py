@@ -1,0 +1,61 @@
+"""A session after one frame: light at any point, from the keyframes and that frame."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from roomlight.conventions import Position
+from roomlight.engine.lighting import LightingModel
+from roomlight.engine.probe import Probe
+from roomlight.engine.room import Room, RoomView
+from roomlight.engine.volume.sglv import check_position
+from roomlight.light.light import Light
+from roomlight.threads import parallel_for
+
+
+@dataclass(frozen=True)
+class SessionView:
+    """What a session knows of its room, for points that it does not track.
+
+    Example:
+        >>> import roomlight as rl
+        >>> session = rl.Session(rl.SessionOptions(height=32))
+        >>> report = session.push(next(iter(rl.open_capture(rl.sample_capture()))))
+        >>> session.view().light_at((0.0, 0.0, -0.5)).frame
+        0
+
+    Attributes:
+        room: Of a session that goes on, or a view of it.
+        height: Rows of panoramas.
+        frame: Index of the last frame.
+        load: Returns the network that makes light of a panorama.
+    """
+
+    room: Room | RoomView
+    height: int
+    frame: int
+    load: Callable[[], LightingModel]
+
+    def light_at(self, position: Position) -> Light:
+        """Return the light at a position: world metres, y up.
+
+        Raises:
+            ProbeError: The position is not usable.
+        """
+        x, y, z = check_position(position).tolist()
+        return Probe.of_keyframes((x, y, z), self.room, height=self.height).light(self.frame, self.load)
+
+    def lights_at(self, positions: Sequence[Position]) -> list[Light]:
+        """Return the light at several positions, computed on all cores.
+
+        Raises:
+            ProbeError: A position is not usable.
+        """
+        for position in positions:
+            check_position(position)
+        lights: dict[int, Light] = {}
+
+        def compute(start: int, stop: int) -> None:
+            lights.update((number, self.light_at(positions[number])) for number in range(start, stop))
+
+        parallel_for(compute, len(positions), most=1)
+        return [lights[number] for number in range(len(positions))]
