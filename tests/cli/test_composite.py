@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from present import present
 from rooms import BoxRoom, camera_at
 from written_captures import write_capture
 
@@ -23,9 +24,7 @@ def capture(tmp_path_factory):
 
 
 def picture(path):
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    assert image is not None
-    return image
+    return present(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
 
 
 def test_pictures_and_layers_are_written(roomlight, capture, tmp_path):

@@ -199,12 +199,6 @@ def test_generate_names_the_panoramas_of_each_split(run, monkeypatch, tmp_path):
     assert (asked[0].panoramas, asked[0].furniture_share) == (tmp_path, 0.2)
 
 
-def test_a_folder_without_panoramas_is_an_error(run, tmp_path):
-    result = run("generate", "--out", "x", "--sequences", "3", "--panoramas", str(tmp_path))
-    assert result.code == 1
-    assert "holds no panorama; put equirectangular HDR images there" in result.err
-
-
 def test_a_missing_path_tracer_is_named(run, monkeypatch):
     monkeypatch.setattr(dataset_commands, "find_spec", lambda _: None)
     result = run("check")

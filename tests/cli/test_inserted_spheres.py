@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from present import present
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session, SessionOptions
@@ -39,8 +40,7 @@ def test_only_probes_that_the_frame_shows_count() -> None:
 def test_a_sphere_appears_where_the_probe_is(session: Session) -> None:
     before = session.handles
     frame = view()
-    inserted = insert_spheres(session, ProbeView.of(frame, [SEEN, BEHIND_THE_CAMERA]))
-    assert inserted is not None
+    inserted = present(insert_spheres(session, ProbeView.of(frame, [SEEN, BEHIND_THE_CAMERA])))
     assert inserted.marks[1] is None
     assert session.handles == before  # what the replay reports are its own probes
     height, width = inserted.image.shape[:2]

@@ -10,6 +10,7 @@ import pytest
 from server_process import ServerProcess
 
 from http_servers import InThread, RunningServer
+from present import present
 from roomlight.captures import CaptureOptions, CaptureWriter
 from roomlight.captures.stray_writer import RecordedFrame, write_stray_scanner
 from roomlight.conventions import linear_to_srgb8
@@ -147,8 +148,7 @@ def test_frames_without_depth_at_working_size_are_alike(native, server, tmp_path
     left_out = sorted(set(range(340)) - {int((column + 0.5) * 340 / 320) for column in range(320)})
     for number in (0, 2):
         depth = odd / index["frames"][number]["depth"]
-        millimetres = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)
-        assert millimetres is not None
+        millimetres = present(cv2.imread(str(depth), cv2.IMREAD_UNCHANGED))
         millimetres[:, sorted(set(range(340)) - {left_out[5]})] = 0
         write_png(depth, millimetres)
     options = ReplayOptions(session=SMALL, probes=PROBES[:1])

@@ -6,6 +6,7 @@ import sys
 import pytest
 from js_package import PACKAGE, run
 
+from present import present
 from roomlight.wire import frame_header, frame_message, light_message, messages
 from roomlight_client.calls import FRAME_MEDIA_TYPE
 
@@ -32,7 +33,6 @@ def test_the_constants_equal_pythons():
     source = (PACKAGE / "src/wire.ts").read_text()
     found = dict(re.findall(r'^export const (\w+) = "?([^";]+)"?;$', source, re.M))
     assert found == CONSTANTS
-    depth_bytes = re.search(r"DEPTH_BYTES.* = \{ (.+) \};", source)
-    assert depth_bytes is not None
+    depth_bytes = present(re.search(r"DEPTH_BYTES.* = \{ (.+) \};", source))
     sizes = {name: int(size) for name, size in re.findall(r"(\w+): (\d)", depth_bytes[1])}
     assert sizes == frame_header.DEPTH_BYTES

@@ -11,6 +11,7 @@ from sdk_scripts import STATE, problem
 from websockets.asyncio.server import serve
 
 import roomlight_client as sdk
+from present import present
 from roomlight.errors import OptionError
 from roomlight.wire.frame_message import parse
 from roomlight.wire.light_message import pack_light
@@ -68,8 +69,7 @@ class Room:
             await socket.close(4404, "session-not-found")
         async for data in socket:
             if isinstance(data, bytes):
-                index = parse(data).header.index
-                assert index is not None
+                index = present(parse(data).header.index)
                 await self._note(f"frame {index}")
                 await self._frame(socket, index)
                 continue

@@ -25,11 +25,6 @@ def test_survives_json(config):
     assert ModelConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
-def test_default_volume_is_the_papers():
-    assert SGConfig().volume_shape == (64, 60, 84)
-    assert BlendConfig().height == 120
-
-
 def test_missing_fields_take_defaults():
     assert ModelConfig.from_dict({"sg": {"channels": 16}}) == ModelConfig(sg=SGConfig(channels=16))
 

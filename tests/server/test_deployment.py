@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from present import present
 from roomlight_server.base.settings import ServerSettings, load_settings
 
 DEPLOY = Path(__file__).parents[2] / "server" / "deploy"
@@ -36,8 +37,7 @@ def test_the_image_listens_and_saves_without_rights(monkeypatch):
         monkeypatch.setenv(name, value)
     settings = load_settings()
     assert (settings.host, settings.state_dir) == ("0.0.0.0", Path("/var/lib/roomlight"))
-    user = re.search(r"^USER (\d+):(\d+)$", docker, re.MULTILINE)
-    assert user is not None
+    user = present(re.search(r"^USER (\d+):(\d+)$", docker, re.MULTILINE))
     assert int(user[1]) > 0
     assert docker.index("roomlight_server.precompile") < docker.index("USER ")
 

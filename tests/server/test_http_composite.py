@@ -13,6 +13,7 @@ import pytest
 from gltf_files import packed, textured_quad
 
 from http_servers import InThread, RunningServer, box_shot
+from present import present
 from roomlight.compositing.objects.loading import load_object
 from roomlight.conventions import linear_to_srgb8
 from roomlight.images import decode_colour
@@ -47,9 +48,7 @@ def pixels_of(answer):
 
 
 def decoded(data, flags):
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    assert image is not None
-    return image
+    return present(cv2.imdecode(np.frombuffer(data, np.uint8), flags))
 
 
 def test_an_object_is_uploaded_once_and_listed(server):

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from slow_images import jpeg_of_scans, png_of_texts
 
-from http_servers import SMALL, InThread, RunningServer, box_shot, header_of, parts_of
+from http_servers import InThread, RunningServer, box_shot, header_of, parts_of
+from present import present
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import pack
 from roomlight_server.work import decode_processes
@@ -127,8 +128,7 @@ def test_a_decoding_process_has_a_limit_on_memory(one_decoder):
     server, pid = one_decoder
     assert resource.prlimit(pid, resource.RLIMIT_AS) == (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES)
     status = Path(f"/proc/{pid}/status").read_text("utf-8")
-    size = re.search(r"VmSize:\s+(\d+) kB", status)
-    assert size is not None
+    size = present(re.search(r"VmSize:\s+(\d+) kB", status))
     now = 1024 * int(size[1])
     resource.prlimit(pid, resource.RLIMIT_AS, (now + 2**24, MAX_MEMORY_BYTES))
     answer = server.push(1, colour_frame("jpeg", jpeg(4000, 3000), 4000, 3000))
@@ -145,18 +145,3 @@ def test_the_processes_end_with_the_server():
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
-
-
-def test_an_image_has_the_same_light_from_thread_and_process(monkeypatch):
-    def light(server):
-        server.open(options=SMALL)
-        assert server.push(0, colour_frame("jpeg", jpeg(800, 600), 800, 600)).json["status"] == "processed"
-        return server.call("GET", "/v1/sessions/room/probe?x=0.2&y=1.2&z=-0.2&format=npy").headers["etag"]
-
-    with RunningServer() as server:
-        from_process = light(server)
-    from roomlight_server.work.decode_worker import decode_to_box
-
-    monkeypatch.setattr(decode_processes.DecodeProcesses, "decode", lambda _, *given: decode_to_box(*given))
-    with RunningServer() as server:
-        assert light(server) == from_process

@@ -1,6 +1,7 @@
 """Light over a real socket: forms, ETags, named probes, batches."""
 
 import base64
+import inspect
 import io
 import json
 from typing import get_args
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from http_servers import SMALL, RunningServer, frame
+from present import present
 from roomlight.images import decode_colour
 from roomlight.light.cube import CubeMap
 from roomlight.light.light import Light
@@ -48,9 +50,7 @@ def post(server, body, *, name="room", **more):
 
 
 def decode_png(body):
-    image = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert image is not None
-    return image
+    return present(cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_UNCHANGED))
 
 
 def panorama(server):
@@ -275,7 +275,7 @@ def test_a_problem_has_exactly_the_fields_of_the_schema(server):
 
 def test_a_ready_server_has_prepared_the_usual_cube_sizes():
     """The resampling matrices of the usual sizes, 0.25 s each, are cached."""
-    light_forms.warm_up()
+    inspect.unwrap(light_forms.warm_up)()
     before = panorama_to_cube.cache_info().misses
     light = Light((0.0, 0.0, 0.0), prior_panorama(120), np.zeros((120, 240), np.float32), 0.0)
     for size in (16, 32, 64):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from http_servers import RunningServer, box_shot, frame, header_of
+from present import present
 from roomlight.conventions import panorama_directions
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.wire.frame_encoding import CameraFrame, pack_camera_frame
@@ -182,13 +183,11 @@ def test_the_history_tells_each_frame(server):
 
 def test_the_history_has_pictures_and_panoramas(server):
     picture = server.call("GET", f"{ROOM}/history/2/colour")
-    shown = cv2.imdecode(np.frombuffer(picture.body, np.uint8), cv2.IMREAD_COLOR)
-    assert shown is not None
+    shown = present(cv2.imdecode(np.frombuffer(picture.body, np.uint8), cv2.IMREAD_COLOR))
     assert shown.shape == (36, 48, 3)
     panorama = server.call("GET", f"{ROOM}/history/3/probes/table")
     assert panorama.headers["content-type"] == "image/vnd.radiance"
-    recorded = cv2.imdecode(np.frombuffer(panorama.body, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert recorded is not None
+    recorded = present(cv2.imdecode(np.frombuffer(panorama.body, np.uint8), cv2.IMREAD_UNCHANGED))
     body = server.call("GET", f"{ROOM}/probes/table?format=npy").body
     seen = server.call("GET", f"{ROOM}/probes/table?format=confidence").body
     measured = cv2.imdecode(np.frombuffer(seen, np.uint8), cv2.IMREAD_GRAYSCALE) == 255

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from present import present
 from roomlight_bench.training.rendering import compare_sampling
 
 
@@ -41,7 +42,6 @@ def test_table_json_and_picture(report, tmp_path):
     assert f"{report.errors[0].uniform:.4f}" in shown.get()
     assert json.loads(json.dumps(report.to_json()))["errors"][1]["samples"] == 64
     report.write_picture(tmp_path / "spheres.png")
-    picture = cv2.imread(str(tmp_path / "spheres.png"))
-    assert picture is not None
+    picture = present(cv2.imread(str(tmp_path / "spheres.png")))
     assert picture.shape[0] > 2 * 40
     assert picture.shape[1] > 3 * 40

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from present import present
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_directions
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Opening, Scene, Sky, Sun
@@ -86,8 +87,7 @@ def test_a_black_points_error_is_bounded() -> None:
 def test_pooled_figures_are_weighted_by_points() -> None:
     first, second = np.ones((30, 3)), np.ones((10, 3))
     parts = [deviation(1.1 * first, np.stack([first, first])), deviation(1.5 * second, np.stack([second, second]))]
-    together = pooled(parts)
-    assert together is not None
+    together = present(pooled(parts))
     assert together.points == 40
     assert together.mean == pytest.approx(0.2)
     assert together.rms == pytest.approx(np.sqrt(0.75 * 0.01 + 0.25 * 0.25))

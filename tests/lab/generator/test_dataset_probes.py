@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from analytic_room import SOFA, TABLE, clearance_m, depth_m, free_space
 
+from present import present
 from roomlight_generator.sequences.probes import APART_M, DISTANCE_M, PROBE_CLEARANCE_M, place_probes
 from roomlight_generator.sequences.walk import FreeSpace, camera_walk, phone_intrinsics
 
@@ -15,8 +16,7 @@ FEW, MANY = 12, 60
 def first_view(seed: int):
     rng = np.random.default_rng([seed, 1])
     camera = phone_intrinsics(rng)
-    walk = camera_walk(ROOM, rng, intrinsics=camera, frames=2)
-    assert walk is not None
+    walk = present(camera_walk(ROOM, rng, intrinsics=camera, frames=2))
     pose = walk[0]
     return rng, camera, pose, depth_m(ROOM, camera.resized(160, 120), pose)
 
@@ -89,15 +89,8 @@ def test_the_same_state_gives_the_same_points():
 
 def test_as_many_probes_as_requested():
     rng, camera, pose, depth = first_view(4)
-    points = place_probes(ROOM, rng, intrinsics=camera, camera_to_world=pose, depth_m=depth, count=5)
-    assert points is not None
+    points = present(place_probes(ROOM, rng, intrinsics=camera, camera_to_world=pose, depth_m=depth, count=5))
     assert points.shape == (5, 3)
-
-
-def test_before_a_near_wall_there_is_no_place():
-    rng, camera, pose, depth = first_view(5)
-    near = np.full_like(depth, 0.4)
-    assert place_probes(ROOM, rng, intrinsics=camera, camera_to_world=pose, depth_m=near) is None
 
 
 def test_without_clearance_there_is_no_place():
@@ -111,6 +104,5 @@ def test_an_open_sky_view_still_has_points_in_mid_air():
     outside = FreeSpace(
         ROOM.walkable, ROOM.origin, ROOM.cell_m, lambda origins, _: np.full(len(origins), np.inf, np.float32)
     )
-    points = place_probes(outside, rng, intrinsics=camera, camera_to_world=pose, depth_m=np.zeros_like(depth))
-    assert points is not None
+    points = present(place_probes(outside, rng, intrinsics=camera, camera_to_world=pose, depth_m=np.zeros_like(depth)))
     assert points.shape == (3, 3)

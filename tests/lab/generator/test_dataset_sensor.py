@@ -55,13 +55,6 @@ def test_noise_grows_with_gain_and_leaves_the_mean():
     assert 0.01 < deviations[2] < 0.06
 
 
-def test_neighbours_share_noise():
-    shown = srgb8_to_linear(picture(flat(0.3 / 600), Sensor(grain_px=0.8), multiplier=600.0))[..., 1]
-    noise = shown - shown.mean()
-    alike = (noise[:, 1:] * noise[:, :-1]).mean() / noise.var()
-    assert 0.2 < alike < 0.9
-
-
 def test_corners_lose_light_as_stated():
     shown = srgb8_to_linear(picture(flat(0.5), Sensor(noise=0.0, vignetting=0.1)))
     assert shown[60, 80].mean() == pytest.approx(0.5, abs=0.005)

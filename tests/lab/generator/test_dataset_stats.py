@@ -78,13 +78,6 @@ def test_coverage_of_a_camera_at_the_probe_is_its_field_of_view():
     assert whole == pytest.approx(4 * 0.14, abs=0.08)
 
 
-def test_coverage_without_depth_is_zero():
-    recording = room_recording([0])
-    recording.depth_mm[:] = 0
-    assert coverage(recording, recording.probe_positions[0]) == (0, 0)
-    assert measure(recording, {}).median_depth_m == []
-
-
 def test_a_spread_of_no_values_is_zero():
     assert Spread.of([]) == Spread(0.0, 0.0, 0.0, 0.0, 0.0)
     assert Spread.of([1.0, 2.0, 3.0]).median == 2

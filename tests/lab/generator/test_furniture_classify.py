@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from present import present
 from roomlight_generator.rooms.furniture.classify import elevation_m, has_surface, role_of
 from roomlight_generator.rooms.furniture.exceptions import EXCLUDED, KIND_OF, ROLE_OF
 from roomlight_generator.rooms.furniture.files.materials import make_material
@@ -111,7 +112,6 @@ def test_glass_mirrors_chrome_screens_and_shades():
 def test_soft_materials_are_matte_and_hard_ones_may_be_coated():
     assert material("cushion", role="sofa", specular=(0.5, 0.5, 0.5), shininess=96.0).roughness is None
     for name in ("white ceramic", "steel", "black plastic"):
-        roughness = material(name).roughness
-        assert roughness is not None
+        roughness = present(material(name).roughness)
         assert 0.03 <= roughness <= 0.6
     assert material("tub", role="bathtub").roughness is not None

@@ -9,7 +9,6 @@ from furniture_files import MTL, box_obj, entry, png, write_library
 
 from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture.assemble import build_mesh
-from roomlight_generator.rooms.furniture.exceptions import FRONT_ROTATION_DEGREES
 from roomlight_generator.rooms.furniture.files.archive import Archive
 from roomlight_generator.rooms.furniture.files.sh3f import read_entries
 from roomlight_generator.rooms.furniture.files.surfaces import read_surfaces
@@ -47,14 +46,6 @@ def test_the_rotation_is_applied_before_the_size(tmp_path):
     """The back at low z moves to low x: a 90 degree rotation that maps z to x and x to -z."""
     _, mesh = load(library(tmp_path, two_part_obj(), modelRotation="0 0 1 0 1 0 -1 0 0"))
     np.testing.assert_allclose(mesh.bounds(), [[-0.25, 0, -0.3], [0.25, 0.9, 0.3]], atol=1e-6)
-    assert mesh.vertices[mesh.vertices[:, 1] > 0.5][:, 0].max() < -0.1
-
-
-def test_a_listed_rotation_corrects_the_front(tmp_path, monkeypatch):
-    monkeypatch.setitem(FRONT_ROTATION_DEGREES, "a", 90.0)
-    _, mesh = load(library(tmp_path, two_part_obj()))
-    # +z goes to +x: the back at low z goes to low x, and width and depth are exchanged.
-    np.testing.assert_allclose(mesh.bounds(), [[-0.3, 0, -0.25], [0.3, 0.9, 0.25]], atol=1e-6)
     assert mesh.vertices[mesh.vertices[:, 1] > 0.5][:, 0].max() < -0.1
 
 

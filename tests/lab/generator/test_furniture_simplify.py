@@ -79,11 +79,6 @@ def test_a_sphere_keeps_its_shape_with_a_tenth_of_triangles():
     assert (fewer.points[fewer.faces].mean(1) * flat).sum(1).min() > 0.9
 
 
-def test_meshes_below_the_target_are_unchanged():
-    soup = sphere_soup(8, 8)
-    assert simplified(soup, 1000) is soup
-
-
 @pytest.mark.parametrize("kind", ["seam", "split"])
 def test_seams_and_material_borders_are_preserved(kind):
     fewer = simplified(grid(40, **{kind: True}), 200)

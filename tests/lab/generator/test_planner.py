@@ -300,20 +300,6 @@ def test_roles_that_the_catalogue_lacks_are_left_out(lacking: set[str]) -> None:
         assert not lacking & {placement.model.role for placement in placements}
 
 
-@pytest.mark.parametrize("seeds", [2, pytest.param(5, marks=pytest.mark.slow)])
-def test_clutter_scales_the_number_of_small_objects(seeds: int) -> None:
-    counts: dict[float, float] = {}
-    for clutter in (0.0, 1.0):
-        room_type = RoomType("plain", ROOM_TYPES["living_room"].programme, clutter=(clutter, clutter))
-        total = 0
-        for seed in range(seeds):
-            rng = np.random.default_rng(seed)
-            placements = furnish(random_shell(rng, 24.0, 1.3), room_type, BoxCatalogue(), rng, split="train")
-            total += sum(placement.model.role in TOP_ROLES for placement in placements)
-        counts[clutter] = total / seeds
-    assert counts[1.0] > counts[0.0] + 5
-
-
 def test_radiators_stand_below_sills() -> None:
     window = Gap("window", 1.0, 2.4, 0.9, 2.1)
     empty = shell(

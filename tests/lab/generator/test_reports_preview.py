@@ -45,17 +45,6 @@ def test_a_sheet_is_full_and_depends_on_its_sequences():
     assert (compose_preview([one(1)]) != compose_preview([one(3)])).any()
 
 
-def test_a_single_view_is_shown_once():
-    tile = 206
-    single, walk = one(1, frames=1), one(3, frames=4)
-    alone, among, walks = (compose_preview(rows) for rows in ([single], [single, walk], [walk]))
-    assert alone.shape[1] == walks.shape[1] - 3 * tile == among.shape[1] - 3 * tile
-    background = round(255 * BACKGROUND)
-    assert (among[80:160, 16 : 3 * tile] == background).all()
-    assert (walks[80:160, 16 : 3 * tile] == background).all(axis=(0, 2)).mean() < 0.05  # gaps
-    assert (among[80:160, 3 * tile + 16 :] == alone[80:160, 16:]).all()
-
-
 def test_a_caption_states_the_known_facts():
     made = {"seed": 7, "room": 3, "attempt": 1, "split": "train"}
     facts = {"room_type": "kitchen", "made": made, "light": {"scenario": "dusk"}, "white_kcd_m2": 0.25}

@@ -13,7 +13,6 @@ from roomlight_generator.rooms.shapes import (
     block,
     box,
     faces_match_normals,
-    lathe,
     rectangle,
     rotated,
     smooth_normals,
@@ -100,12 +99,6 @@ def test_rotation_preserves_shape_and_is_right_handed() -> None:
     globe = sphere(0.1).placed(0.0, 0.0, 1.0)
     np.testing.assert_allclose(rotated(globe, 90).bounds().mean(0), [1, 0, 0], atol=1e-2)
     np.testing.assert_allclose(rotated(globe, 90, "x").bounds().mean(0), [0, -1, 0], atol=1e-2)
-
-
-def test_a_lathed_wall_is_a_cylinder() -> None:
-    pipe = lathe([[(0.5, 0.0), (0.5, 0.5), (0.5, 1.0)]])
-    np.testing.assert_allclose(pipe.normals[:, 1], 0, atol=1e-6)
-    assert ((pipe.vertices * pipe.normals).sum(1) > 0.49).all()
 
 
 def test_smooth_normals_agree_across_a_seam() -> None:

@@ -9,7 +9,6 @@ from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
 from roomlight_generator.rooms.shell.outline import choose_outline, envelope, offset_outline
 from roomlight_generator.rooms.shell.polygons import (
     OVERLAP,
-    Point,
     area,
     difference,
     intersection,
@@ -108,21 +107,3 @@ def test_empty_meshes_and_impossible_styles_are_refused() -> None:
         ShellStyle(area_m2=(9.0, 4.0))
     with pytest.raises(ValueError, match="height"):
         ShellStyle(height_m=(1.5, 3.0))
-
-
-def _ccw(points: list[Point]) -> bool:
-    return area(points) > 0
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_footprints_lie_in_front_of_and_behind_their_side(seed: int) -> None:
-    corners = choose_outline(ShellStyle(l_shape=1.0), np.random.default_rng(seed))
-    room = envelope(corners, 2.5, ())
-    for side in room.sides:
-        before = side.footprint(0.1, side.length_m - 0.1, -0.2, -0.01)
-        behind = side.footprint(0.1, side.length_m - 0.1, 0.01, 0.2)
-        assert _ccw(before)
-        assert _ccw(behind)
-        shared = [sum(area(p) for t in triangles(corners) if (p := intersection(f, t))) for f in (before, behind)]
-        assert shared[0] == pytest.approx(area(before), rel=1e-6)
-        assert shared[1] == pytest.approx(0.0, abs=1e-9)

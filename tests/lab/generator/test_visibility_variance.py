@@ -43,11 +43,6 @@ def test_all_rays_blocked_is_not_certain_darkness():
     assert variance_of(with_share(0.0)).select(np.zeros(1, np.float32), 0.3).tolist() == [0]
 
 
-def test_points_in_batches_are_kept_apart():
-    shares = with_share(1.0, 0.5, 0.5, 1.0)
-    assert variance_of(shares, batches=2).select(np.zeros(4, np.float32), 0.12).tolist() == [1, 2]
-
-
 def test_rays_to_the_sun_do_not_count():
     shares = with_share(1.0, 0.5, 0.5, 1.0)
     assert variance_of(shares, cluster=-1).select(np.zeros(4, np.float32), 0.12).tolist() == []

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from present import present
 from roomlight.camera import Intrinsics
 from roomlight_generator.rooms.scene import Item, Material, Scene, Sky
 from roomlight_generator.rooms.shapes import box, with_material
@@ -109,8 +110,7 @@ def test_a_pair_shares_its_noise():
 def test_resting_places_are_level_and_free():
     scene, rng = room(), np.random.default_rng(0)
     tracer = Tracer(scene)
-    place = find_resting_place(tracer, CAMERA, looking_down(), rng, radius_m=0.15, height_m=0.2)
-    assert place is not None
+    place = present(find_resting_place(tracer, CAMERA, looking_down(), rng, radius_m=0.15, height_m=0.2))
     assert place.point[1] == pytest.approx(0, abs=1e-4)
     ray = np.array([(place.u + 0.5 - CAMERA.cx) / CAMERA.fx, -(place.v + 0.5 - CAMERA.cy) / CAMERA.fy, -1])
     hit = looking_down()[:3, :3] @ ray
