@@ -1,7 +1,7 @@
 """The test run checks array shapes: every annotated function of the project is wrapped by jaxtyping and beartype.
 
 Installed before any import of the project. Packages called `kernels` are left out, because numba compiles their
-functions from their own source and takes no wrapper. And networks that are tiny, exported once a run.
+functions from their own source and takes no wrapper. And networks that are tiny.
 """
 
 import json
@@ -10,9 +10,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-from filelock import FileLock
 from hypothesis import settings
 from jaxtyping import install_import_hook
+
+from kept_exports import kept_export
 
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
 settings.register_profile("default", deadline=None)
@@ -43,17 +44,13 @@ install_import_hook(_modules(), "shape_checks.checked_when_called")
 
 
 @pytest.fixture(scope="session")
-def tiny_video(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> tuple[Path, Path]:
-    """Export a small video model once for all workers; returns (checkpoint, model folder).
+def tiny_video() -> tuple[Path, Path]:
+    """A small video model (checkpoint, model folder).
 
     Its card states one step of training. It holds the single-view graphs too: volumes of 16 x 15 x 21 voxels, panoramas
     of 32 rows.
     """
-    base = tmp_path_factory.getbasetemp()
-    folder = (base if worker_id == "master" else base.parent) / "tiny-video"  # workers share the parent
-    with FileLock(folder.with_suffix(".lock")):
-        if not folder.exists():
-            _export_tiny_video(folder)
+    folder = kept_export("tiny-video", _export_tiny_video)
     return folder / "video.pt", folder / "video"
 
 
@@ -66,12 +63,9 @@ def _export_tiny_video(folder: Path) -> None:
         sg=SGConfig(volume_shape=(16, 15, 21), channels=4, full_channels=4),
         blend=BlendConfig(height=32, channels=4, full_channels=4),
     )
-    unfinished = folder.with_suffix(".unfinished")
-    unfinished.mkdir()
-    save_untrained(unfinished / "video.pt", "video", config, seed=3)
-    export_checkpoint(unfinished / "video.pt", unfinished / "video", ort=False)
-    _state_steps(unfinished / "video", 1)
-    unfinished.rename(folder)
+    save_untrained(folder / "video.pt", "video", config, seed=3)
+    export_checkpoint(folder / "video.pt", folder / "video", ort=False)
+    _state_steps(folder / "video", 1)
 
 
 @pytest.fixture

@@ -53,18 +53,6 @@ def test_solid_angles_cover_the_sphere(height):
     assert panorama_solid_angles(height).sum() * 2 * height == pytest.approx(4 * np.pi, rel=1e-5)
 
 
-@given(st.floats(0, 360))
-def test_turning_the_world_about_y_shifts_columns(degrees):
-    angle = np.radians(degrees)
-    turn = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
-    direction = np.array([0.6, 0.3, -0.2])
-    direction /= np.linalg.norm(direction)
-    shift = direction_to_uv(turn @ direction) - direction_to_uv(direction)
-    wrapped = (shift[0] - degrees / 360 + 0.5) % 1.0 - 0.5
-    assert abs(wrapped) < 1e-9
-    assert abs(shift[1]) < 1e-9
-
-
 def test_srgb_round_trip_of_every_8_bit_value():
     values = np.arange(256, dtype=np.uint8)
     assert (linear_to_srgb8(srgb8_to_linear(values)) == values).all()

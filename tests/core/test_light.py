@@ -10,7 +10,7 @@ import pytest
 from light_rooms import room
 
 from roomlight.conventions import NO_FRAME
-from roomlight.errors import OptionError, OutputError
+from roomlight.errors import OptionError
 from roomlight.images import decode_colour, decode_grey8
 from roomlight.light.coverage import coverage
 from roomlight.light.cube import CubeMap, observed_cube
@@ -41,12 +41,6 @@ def test_forms_are_those_of_the_panorama(light):
     assert light.cube(size=64).size == 64
     specular, expected = light.specular(size=16), prefilter(CubeMap.from_panorama(ROOM, size=16))
     assert specular.to_bytes() == expected.to_bytes()
-
-
-def test_small_forms_are_computed_once(light):
-    assert light.harmonics is light.harmonics
-    assert light.ambient is light.ambient
-    assert light.main_light is light.main_light
 
 
 def test_a_panorama_alone_counts_as_observed():
@@ -117,12 +111,6 @@ def test_other_suffixes_name_those_that_work(light, tmp_path, name):
     with pytest.raises(OptionError, match=r"\.exr, \.hdr, \.png, \.ktx2, \.json"):
         light.save(tmp_path / name)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_file_that_cannot_be_written_is_an_output_error(light, tmp_path):
-    (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(OutputError, match="cannot be written"):
-        light.save(tmp_path / "file" / "light.png")
 
 
 @pytest.mark.parametrize("size", [0, 20, 512])

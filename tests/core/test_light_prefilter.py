@@ -1,13 +1,10 @@
-import itertools
-
 import numpy as np
 import pytest
-from light_rooms import lit, room, rotate_directions_90, rotate_panorama_90
+from light_rooms import room
 
 from roomlight.light.cube import CubeMap
-from roomlight.light.cube_geometry import cube_directions, cube_solid_angles, direction_to_face, texel_index
+from roomlight.light.cube_geometry import cube_directions, cube_solid_angles
 from roomlight.light.prefilter import MIN_SIZE, prefilter
-from roomlight.light.spherical_harmonics import project
 
 
 def weights(size):
@@ -63,42 +60,6 @@ def test_keeps_the_light() -> None:
     mean = weights(32) @ cube.faces.reshape(-1, 3)
     for level in prefilter(cube).levels:
         np.testing.assert_allclose(weights(level.size) @ level.faces.reshape(-1, 3), mean, rtol=0.01)
-
-
-def test_the_roughest_level_is_irradiance_over_pi() -> None:
-    panorama = room(120)
-    level = prefilter(CubeMap.from_panorama(panorama, size=64)).levels[-1]
-    irradiance = project(panorama).irradiance().evaluate(cube_directions(level.size)) / np.pi
-    found = level.faces.reshape(-1, 3)
-    # Nine harmonics of a cosine are themselves 4 % rms off (see the harmonics' own test).
-    assert rms(found - irradiance) < 0.05 * irradiance.mean()
-
-
-def test_rougher_is_smoother() -> None:
-    mips = prefilter(CubeMap.from_panorama(lit(120, [((1, 0.2, 0.3), 4, 50.0)], level=0.2), size=64))
-    peaks = [level.faces.max() for level in mips.levels]
-    assert all(a > 1.3 * b for a, b in itertools.pairwise(peaks))
-    assert min(level.faces.min() for level in mips.levels) > 0.19
-
-
-@pytest.mark.parametrize("axis", range(6))
-def test_lobes_stay_about_their_lamp(axis: int) -> None:
-    lamp = np.zeros(3)
-    lamp[axis // 2] = 1 - 2 * (axis % 2)
-    for level in prefilter(CubeMap.from_panorama(lit(120, [(lamp, 4, 10.0)]), size=32)).levels:
-        pull = (level.faces[..., 0].reshape(-1) * weights(level.size)) @ cube_directions(level.size)
-        assert pull @ lamp / np.linalg.norm(pull) > 0.999
-
-
-def test_turning_the_room_turns_every_level() -> None:
-    before = prefilter(CubeMap.from_panorama(room(120), size=32))
-    after = prefilter(CubeMap.from_panorama(rotate_panorama_90(room(120)), size=32))
-    for a, b in zip(before.levels[1:], after.levels[1:], strict=True):
-        face, across, down = direction_to_face(rotate_directions_90(cube_directions(a.size)))
-        column, row = (np.floor((t + 1) / 2 * a.size).astype(int) for t in (across, down))
-        moved = b.faces.reshape(-1, 3)[texel_index(face, column, row, size=a.size)]
-        # Samples fall differently about a rotated normal: twice the error of sampling.
-        assert rms(moved - a.faces.reshape(-1, 3)) < 0.08 * a.faces.mean()
 
 
 @pytest.mark.parametrize("size", [1, 4, 12, 48])

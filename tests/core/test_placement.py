@@ -49,12 +49,6 @@ def test_coarser_depth_gives_the_same_point(frame):
     assert point_at_pixel(coarse, 80.0, 60.0) == pytest.approx(fine, abs=0.02)
 
 
-def test_the_camera_pose_is_applied():
-    turned = ROOM.frame(camera_at(EYE, yaw_degrees=90.0))
-    point = point_at_pixel(turned, 80.0, 60.0, above_m=0.2)
-    assert abs(abs(point[0]) - (3.0 - 0.2)) < 0.01
-
-
 def test_noise_of_depth_hardly_tilts_the_normal(frame):
     noise = np.random.default_rng(1).normal(0, 0.005, frame.depth_m.shape).astype(np.float32)
     noisy = replace(frame, depth_m=frame.depth_m + noise)

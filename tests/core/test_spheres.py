@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from roomlight.conventions import direction_to_uv, panorama_directions, panorama_solid_angles
+from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.spheres import (
     GLOSSY_ALBEDO,
     GLOSSY_F0,
@@ -85,32 +85,6 @@ def test_the_glossy_sphere_adds_no_energy() -> None:
     assert (pixels < 1.0).all()
 
 
-@pytest.mark.parametrize("material", MATERIALS)
-def test_spheres_are_linear_in_light(material: Material) -> None:
-    spheres = SphereRenderer(VIEW, size=16)
-    first, second = room(40, 1), room(40, 2)
-    together = spheres.pixels(2 * first + second, material)
-    np.testing.assert_allclose(
-        together, 2 * spheres.pixels(first, material) + spheres.pixels(second, material), rtol=1e-3, atol=1e-4
-    )
-
-
-@pytest.mark.parametrize("quarters", [1, 2, 3])
-@pytest.mark.parametrize("material", MATERIALS)
-def test_turning_room_and_view_together_changes_nothing(material: Material, quarters: int) -> None:
-    panorama = room(128)
-    rotated = np.roll(panorama, 64 * quarters, axis=1)  # a column to the right is a rotation of +x toward +z
-    angle = np.pi / 2 * quarters
-    x, y, z = VIEW
-    view = (x * np.cos(angle) - z * np.sin(angle), y, x * np.sin(angle) + z * np.cos(angle))
-    np.testing.assert_allclose(
-        SphereRenderer(view, size=24).pixels(rotated, material),
-        SphereRenderer(VIEW, size=24).pixels(panorama, material),
-        # float32 directions move samples by 1e-5 of a pixel beside a lamp 200 times brighter than its surrounding
-        atol=2e-2 if material in ("mirror", "glossy") else 1e-3,
-    )
-
-
 @pytest.mark.parametrize(
     ("light", "column", "row"),
     [
@@ -129,16 +103,6 @@ def test_the_mirror_shows_a_light_where_it_is(light: tuple[float, float, float],
     rows, columns = np.nonzero(image > 0.5)
     assert (columns.mean() + 0.5) / 64 == pytest.approx(column, abs=0.02)
     assert (rows.mean() + 0.5) / 64 == pytest.approx(row, abs=0.02)
-
-
-def test_the_brightest_diffuse_pixel_faces_the_light() -> None:
-    light = np.array([0.48, 0.6, 0.64], np.float32)
-    panorama = np.zeros((60, 120, 3), np.float32)
-    u, v = direction_to_uv(light)
-    panorama[int(v * 60), int(u * 120)] = 1000
-    spheres = SphereRenderer((0.0, 0.0, -1.0), size=48)
-    brightest = spheres.normals[spheres.pixels(panorama, "diffuse")[:, 0].argmax()]
-    assert brightest @ light > np.cos(np.radians(10))  # a pixel of the 16-row irradiance map is 11 degrees wide
 
 
 @pytest.mark.parametrize("view", [(0.0, -1.0, 0.0), (0.0, 2.0, 0.0)])

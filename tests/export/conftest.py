@@ -1,16 +1,16 @@
-"""Small networks, exported once a test run."""
+"""Small networks, exported."""
 
 import pickle
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
-import torch
-from export_models import CARD, CONFIG
-from filelock import FileLock
+from export_models import CARD, distinct_network
 
+from kept_exports import kept_export
 from roomlight_export.exporting import ExportReport, export_checkpoint
-from roomlight_model.checkpoint import build_network, save_checkpoint
+from roomlight_model.checkpoint import save_checkpoint
 
 
 @dataclass(frozen=True)
@@ -23,34 +23,40 @@ class Exported:
     report: ExportReport
 
 
-def _export(form, folder):
-    """Export networks in which every weight differs from every other, as trained ones do."""
-    torch.manual_seed(4)
-    model = build_network(form, CONFIG)
-    with torch.no_grad():
-        for weight in model.parameters():
-            weight += 0.1 * torch.randn_like(weight)
-    checkpoint, out = folder / f"{form}.pt", folder / "deep" / form
-    save_checkpoint(checkpoint, model, card=CARD)
-    return Exported(form, checkpoint, out, export_checkpoint(checkpoint, out))
+SLOW = pytest.mark.slow
+LARGE = ("single", pytest.param("video", marks=SLOW))  # the video form has ten graphs and takes 2.5 times as long
+SMALL = ("clipping", pytest.param("objects", marks=SLOW))
+
+
+def _export(form: str, folder: Path) -> None:
+    save_checkpoint(folder / "weights.pt", distinct_network(form), card=CARD)
+    report = export_checkpoint(folder / "weights.pt", folder / "deep" / form, ort=form in ("single", "video"))
+    (folder / "report.pickle").write_bytes(pickle.dumps(report))
+
+
+def _exported(form: str) -> Exported:
+    folder = kept_export(f"{form}-form", partial(_export, form))
+    report = pickle.loads((folder / "report.pickle").read_bytes())
+    return Exported(form, folder / "weights.pt", folder / "deep" / form, report)
 
 
 @pytest.fixture(scope="session")
-def single(tmp_path_factory, worker_id):
-    """The single-view form: four graphs, exported once for all workers."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base if worker_id == "master" else base.parent) / "single-form"  # workers share the parent
-    kept = folder / "exported.pickle"
-    with FileLock(folder.with_suffix(".lock")):
-        if not kept.exists():
-            folder.mkdir()
-            kept.write_bytes(pickle.dumps(_export("single", folder)))
-    return pickle.loads(kept.read_bytes())
+def single() -> Exported:
+    """The single-view form: four graphs."""
+    return _exported("single")
 
 
-@pytest.fixture(scope="session", params=["single", pytest.param("video", marks=pytest.mark.slow)])
-def exported(request, tmp_path_factory):
-    """Each form; the video form has ten graphs and takes two and a half times as long."""
-    if request.param == "single":
-        return request.getfixturevalue("single")
-    return _export(request.param, tmp_path_factory.mktemp("video"))
+@pytest.fixture(scope="session", params=LARGE)
+def exported(request: pytest.FixtureRequest) -> Exported:
+    return _exported(request.param)
+
+
+@pytest.fixture(scope="session", params=SMALL)
+def small(request: pytest.FixtureRequest) -> Exported:
+    """A network that serves every model."""
+    return _exported(request.param)
+
+
+@pytest.fixture(scope="session", params=[*LARGE, *SMALL])
+def any_form(request: pytest.FixtureRequest) -> Exported:
+    return _exported(request.param)

@@ -15,8 +15,8 @@ from roomlight_export.onnx_file import half_rounded
 from roomlight_model.checkpoint import load_checkpoint
 
 
-def test_every_weight_comes_back_rounded_to_half(exported):
-    checkpoint, folder = load_checkpoint(exported.checkpoint), load_exported(exported.folder)
+def test_every_weight_comes_back_rounded_to_half(any_form):
+    checkpoint, folder = load_checkpoint(any_form.checkpoint), load_exported(any_form.folder)
     assert (folder.form, folder.config, folder.card) == (checkpoint.form, checkpoint.config, checkpoint.card)
     wanted = half_rounded(checkpoint.model, "model").state_dict()
     assert folder.model.state_dict().keys() == wanted.keys()

@@ -1,8 +1,17 @@
-"""Checks of captures that several test files share."""
+"""What several test files of captures share."""
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 
 from roomlight.captures import Capture, open_capture
+
+
+def edit(path: Path, change: Callable[[dict], object]) -> None:
+    """Change the JSON index of a capture."""
+    index = json.loads(path.read_bytes())
+    change(index)
+    path.write_text(json.dumps(index))
 
 
 def one_skipped(path: Path, index: int, *parts: str) -> Capture:

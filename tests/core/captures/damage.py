@@ -1,5 +1,6 @@
 """Kinds of damage to a capture, drawn by a seeded generator; `damaged` damages one to three files of a copy."""
 
+import contextlib
 import json
 import os
 import random
@@ -31,53 +32,25 @@ VALUES = [
     "../../x",
 ]
 TOKENS = ["nan", "inf", "-inf", "0", "1e308", "1e999", "-1", "abc", "", "9" * 400, "\x00", "../../etc/passwd", "é"]
+SIZES = [(60000, 60000), (2**31 - 1, 2**31 - 1), (0, 24), (33, 24), (1, 1), (32, 2**30)]
 
 
-def truncated(file: Path, rng: random.Random) -> None:
+def other_bytes(file: Path, rng: random.Random) -> None:
+    """Cut, flipped, emptied, replaced, extended or blanked."""
     data = file.read_bytes()
-    file.write_bytes(data[: rng.randrange(len(data))] if data else b"")
-
-
-def flipped(file: Path, rng: random.Random) -> None:
-    data = bytearray(file.read_bytes())
-    reach = len(data) if rng.random() < 0.5 else min(len(data), 200)
+    at = rng.randrange(max(1, len(data)))
+    end = at + rng.randrange(1, 400)
+    flipped, reach = bytearray(data), rng.choice([len(data), min(len(data), 200)])
     for _ in range(rng.randrange(1, 12) if data else 0):
-        data[rng.randrange(reach)] ^= 1 << rng.randrange(8)
-    file.write_bytes(bytes(data))
+        flipped[rng.randrange(reach)] ^= 1 << rng.randrange(8)
+    blanked = data[:at] + bytes(len(data[at:end])) + data[end:]
+    noise = rng.randbytes(rng.randrange(1, 3000))
+    file.write_bytes(rng.choice([data[:at], bytes(flipped), b"", noise, data + noise[:500], blanked]))
 
 
-def emptied(file: Path, _rng: random.Random) -> None:
-    file.write_bytes(b"")
-
-
-def noise(file: Path, rng: random.Random) -> None:
-    file.write_bytes(rng.randbytes(rng.randrange(1, 3000)))
-
-
-def extended(file: Path, rng: random.Random) -> None:
-    file.write_bytes(file.read_bytes() + rng.randbytes(rng.randrange(1, 500)))
-
-
-def zeroed(file: Path, rng: random.Random) -> None:
-    data = bytearray(file.read_bytes())
-    start = rng.randrange(max(1, len(data)))
-    stop = min(len(data), start + rng.randrange(1, 400))
-    data[start:stop] = bytes(stop - start)
-    file.write_bytes(bytes(data))
-
-
-def deleted(file: Path, _rng: random.Random) -> None:
+def no_file(file: Path, rng: random.Random) -> None:
     file.unlink()
-
-
-def made_a_folder(file: Path, _rng: random.Random) -> None:
-    file.unlink()
-    file.mkdir()
-
-
-def made_a_pipe(file: Path, _rng: random.Random) -> None:
-    file.unlink()
-    os.mkfifo(file)
+    rng.choice([lambda _: None, Path.mkdir, os.mkfifo])(file)
 
 
 def linked_outside(file: Path, rng: random.Random) -> None:
@@ -93,7 +66,7 @@ def linked_outside(file: Path, rng: random.Random) -> None:
 def absurd_size(file: Path, rng: random.Random) -> None:
     """The header declares a gigantic or impossible image; everything else stays whole."""
     data = bytearray(file.read_bytes())
-    width, height = rng.choice([(60000, 60000), (2**31 - 1, 2**31 - 1), (0, 24), (33, 24), (1, 1), (32, 2**30)])
+    width, height = rng.choice(SIZES)
     if data[:4] == b"\x89PNG":
         data = bytearray(formats.png_with_size(bytes(data), width, height))
     elif data[:2] == b"\xff\xd8":
@@ -101,9 +74,10 @@ def absurd_size(file: Path, rng: random.Random) -> None:
         data[at + 5 : at + 9] = struct.pack(">HH", height & 0xFFFF, width & 0xFFFF)
     elif data[:4] == b"\x76\x2f\x31\x01":
         at = data.index(b"dataWindow\x00box2i\x00") + 21
-        corners = struct.pack("<iiii", *rng.choice([(0, 0, width - 1, height - 1), (-(2**31), 0, 2**31 - 1, 1)]))
-        data[at : at + 16] = corners
-    elif data[:4] == b"bvx-" or data[:3] == b"bvx":
+        data[at : at + 16] = struct.pack(
+            "<iiii", *rng.choice([(0, 0, width - 1, height - 1), (-(2**31), 0, 2**31 - 1, 1)])
+        )
+    elif data[:3] == b"bvx":
         data[4:8] = struct.pack("<I", rng.choice([0, 1, 2**31, 2**32 - 1]))
     elif b"avc1" in data:
         at = data.index(b"avc1") + 28
@@ -143,15 +117,13 @@ def wrong_values(file: Path, rng: random.Random) -> None:
         assert ok
         file.write_bytes(encoded.tobytes())
     else:
-        flipped(file, rng)
+        other_bytes(file, rng)
 
 
 def json_of(data: bytes):
-    try:
+    with contextlib.suppress(ValueError, RecursionError):
         tree = json.loads(data)
-    except (ValueError, RecursionError):
-        return None
-    return tree if isinstance(tree, dict) else None
+        return tree if isinstance(tree, dict) else None
 
 
 def json_places(tree):
@@ -162,11 +134,6 @@ def json_places(tree):
             yield from json_places(value)
 
 
-def nested(file: Path, _rng: random.Random) -> None:
-    depth = 200_000
-    file.write_bytes(b'{"frames": ' + b"[" * depth + b"]" * depth + b"}")
-
-
 def swapped(file: Path, rng: random.Random) -> None:
     other = rng.choice(sorted(path for path in file.parent.iterdir() if path.is_file()))
     first, second = file.read_bytes(), other.read_bytes()
@@ -174,9 +141,8 @@ def swapped(file: Path, rng: random.Random) -> None:
     other.write_bytes(first)
 
 
-DAMAGE = [truncated, flipped, emptied, noise, extended, zeroed, deleted, made_a_folder, made_a_pipe, linked_outside]
-DAMAGE += [absurd_size, wrong_values, wrong_values, wrong_values, nested, swapped]
-IN_ARCHIVE = [truncated, flipped, emptied, noise, extended, zeroed, deleted, absurd_size, wrong_values, nested, swapped]
+IN_ARCHIVE = [*[other_bytes] * 5, lambda file, _: file.unlink(), absurd_size, *[wrong_values] * 3, swapped]
+DAMAGE = [*IN_ARCHIVE, no_file, no_file, linked_outside]
 
 
 def damaged_folder(folder: Path, damages: list, rng: random.Random) -> None:
@@ -190,39 +156,26 @@ def damaged_folder(folder: Path, damages: list, rng: random.Random) -> None:
 
 
 def damaged_archive(archive: Path, scratch: Path, rng: random.Random) -> None:
-    if rng.random() < 0.35:
-        rng.choice([truncated, flipped, emptied, noise, extended, zeroed, huge_member])(archive, rng)
-        return
     with zipfile.ZipFile(archive) as packed:
         packed.extractall(scratch)
     damaged_folder(scratch, IN_ARCHIVE, rng)
     archive.unlink()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
-        for file in sorted(scratch.rglob("*")):
-            if file.is_file():
-                packed.write(file, file.relative_to(scratch))
-
-
-def huge_member(archive: Path, rng: random.Random) -> None:
-    """The central directory declares a size that is not so (a bomb's, or too small)."""
-    data = bytearray(archive.read_bytes())
-    entries = [at for at in range(len(data) - 4) if data[at : at + 4] == b"PK\x01\x02"]
-    at = rng.choice(entries)
-    data[at + 24 : at + 28] = struct.pack("<I", rng.choice([2**32 - 2, 2**30, 0, 1, 10]))
-    archive.write_bytes(bytes(data))
+        for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
+            packed.write(file, file.relative_to(scratch))
 
 
 def damaged(original: Path, scratch: Path, rng: random.Random) -> Path:
     """Copy a capture (folder or archive) below `scratch` and damage the copy."""
     path = scratch / "broken" / original.name
-    if original.is_file():
-        path.parent.mkdir()
-        shutil.copy(original, path)
-        if path.suffix == ".r3d":
-            damaged_archive(path, scratch / "members", rng)
-        else:
-            rng.choice([truncated, flipped, flipped, emptied, noise, extended, zeroed, zeroed])(path, rng)
-    else:
+    if original.is_dir():
         shutil.copytree(original, path)
         damaged_folder(path, DAMAGE, rng)
+        return path
+    path.parent.mkdir()
+    shutil.copy(original, path)
+    if path.suffix == ".r3d" and rng.random() < 0.65:
+        damaged_archive(path, scratch / "members", rng)
+    else:
+        other_bytes(path, rng)
     return path

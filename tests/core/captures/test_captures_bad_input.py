@@ -1,16 +1,15 @@
 """Every rule for bad input: the frame is skipped or the capture refused, and the message names file and reason."""
 
-import json
 import os
+import re
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import formats
 import numpy as np
 import pytest
-from capture_checks import one_skipped
+from capture_checks import edit, one_skipped
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures import source as source_module
@@ -18,22 +17,6 @@ from roomlight.errors import CaptureError, FrameError, ImageError
 
 VIEWS = formats.scene()
 NAN = float("nan")
-
-
-def edit(path: Path, change: Callable[[dict], object]) -> None:
-    index = json.loads(path.read_bytes())
-    change(index)
-    path.write_text(json.dumps(index))
-
-
-@pytest.fixture
-def transforms(tmp_path: Path) -> Path:
-    return formats.nerfstudio(tmp_path / "capture", VIEWS)
-
-
-@pytest.fixture
-def native(tmp_path: Path) -> Path:
-    return formats.roomlight(tmp_path / "capture", VIEWS)
 
 
 # One bad frame
@@ -300,42 +283,33 @@ def test_if_every_frame_is_bad_the_error_gives_a_reason(transforms: Path) -> Non
     assert len(capture.skipped) == 4
 
 
+TUM = [b"", b"# nothing\n", b"noon rgb/1.png\n", b"1.0\n", b"inf rgb/1.png\n"]
+LENS = [b"0 0 16\n0 27 12\n0 0 1", b"28 0 16", b"a b c\n" * 3, b"28 0 nan\n0 27 12\n0 0 1", b"\xff"]
+
+
 @pytest.mark.parametrize(
-    "text", ["0 0 16\n0 27 12\n0 0 1", "28 0 16", "a b c\n" * 3, "28 0 nan\n0 27 12\n0 0 1", "\xff"]
+    ("name", "file", "contents"),
+    [
+        ("seven-scenes", "camera-intrinsics.txt", LENS),
+        ("seven-scenes", "gravity-direction.txt", [b"0 0 0", b"0 1", b"down", b"nan 0 0", b"0 1e300 0"]),
+        *(("tum", file, TUM) for file in ("rgb.txt", "depth.txt", "groundtruth.txt")),
+        *(
+            ("stray-scanner", file, [b"\0\1 no \xff", None])
+            for file in ("rgb.mp4", "camera_matrix.csv", "odometry.csv")
+        ),
+    ],
 )
-def test_a_broken_intrinsics_file_refuses_the_capture(tmp_path: Path, text: str) -> None:
-    path = formats.seven_scenes(tmp_path / "capture", VIEWS)
-    (path / "camera-intrinsics.txt").write_bytes(text.encode("latin-1"))
-    with pytest.raises(CaptureError, match=r"camera-intrinsics\.txt"):
-        open_capture(path)
-
-
-@pytest.mark.parametrize("text", ["0 0 0", "0 1", "down", "nan 0 0", "0 1e300 0"])
-def test_a_broken_gravity_refuses_the_capture(tmp_path: Path, text: str) -> None:
-    path = formats.seven_scenes(tmp_path / "capture", VIEWS)
-    (path / "gravity-direction.txt").write_text(text)
-    with pytest.raises(CaptureError, match=r"gravity-direction\.txt"):
-        open_capture(path)
-
-
-@pytest.mark.parametrize("name", ["rgb.txt", "depth.txt", "groundtruth.txt"])
-@pytest.mark.parametrize("text", ["", "# nothing\n", "noon rgb/1.png\n", "1.0\n", "inf rgb/1.png\n"])
-def test_a_broken_list_of_tum_refuses_the_capture(tmp_path: Path, name: str, text: str) -> None:
-    path = formats.tum(tmp_path / "capture", VIEWS)
-    (path / name).write_text(text)
-    with pytest.raises(CaptureError, match=name):
-        open_capture(path)
-
-
-@pytest.mark.parametrize("name", ["rgb.mp4", "camera_matrix.csv", "odometry.csv"])
-def test_a_broken_stray_scanner_file_refuses_the_capture(tmp_path: Path, name: str) -> None:
-    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
-    (path / name).write_bytes(b"\x00\x01 nothing \xff")
-    with pytest.raises(CaptureError, match=name):
-        list(open_capture(path))
-    (path / name).unlink()
-    with pytest.raises(CaptureError, match=name):
-        list(open_capture(path))
+def test_a_broken_file_of_all_frames_refuses_the_capture(
+    tmp_path: Path, name: str, file: str, contents: list[bytes | None]
+) -> None:
+    path = formats.BUILDERS[name](tmp_path / "capture", VIEWS)
+    for content in contents:
+        if content is None:
+            (path / file).unlink()
+        else:
+            (path / file).write_bytes(content)
+        with pytest.raises(CaptureError, match=re.escape(file)):
+            list(open_capture(path))
 
 
 # Counts that differ

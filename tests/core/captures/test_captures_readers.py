@@ -1,6 +1,5 @@
 """Every reader gives the same frames of the same room, in RoomLight's conventions, from that format's own bytes."""
 
-import json
 import zipfile
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import cv2
 import formats
 import numpy as np
 import pytest
+from capture_checks import edit
 
 from roomlight.captures import FORMATS, Capture, CaptureOptions, open_capture
 from roomlight.conventions import srgb8_to_linear
@@ -17,17 +17,6 @@ VIEWS = formats.scene()
 HAS_TIMES = {"nerfcapture", "stray-scanner", "record3d", "record3d-export", "tum", "roomlight", "polycam"}
 HAS_TIMES |= {"3d-scanner-app", "arkitscenes", "scannet"}
 HAS_CONFIDENCE = {"stray-scanner", "record3d", "roomlight", "polycam", "3d-scanner-app", "arkitscenes"}
-
-
-@pytest.fixture(params=formats.BUILDERS)
-def built(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
-    return request.param, formats.BUILDERS[request.param](tmp_path / "capture", VIEWS)
-
-
-def edit(path: Path, change) -> None:
-    index = json.loads(path.read_bytes())
-    change(index)
-    path.write_text(json.dumps(index))
 
 
 def test_every_format_gives_the_same_cameras_and_pictures(built: tuple[str, Path]) -> None:
@@ -179,21 +168,8 @@ def test_images_without_an_index_say_what_is_missing(tmp_path: Path) -> None:
         open_capture(tmp_path)
 
 
-def test_a_single_arkit_frame_is_a_capture(tmp_path: Path) -> None:
-    view = VIEWS[0]
-    formats.save(tmp_path / "image.png", formats.image(".png", view.srgb8))
-    formats.save(tmp_path / "depth.png", formats.image(".png", formats.millimetres(view)))
-    lens = {"fl_x": formats.FX, "fl_y": formats.FY, "cx": formats.CX, "cy": formats.CY}
-    size = {"w": formats.WIDTH, "h": formats.HEIGHT}
-    frame = {"file_path": "image.png", "depth_file_path": "depth.png", "transform_matrix": view.pose.tolist()}
-    (tmp_path / "transforms.json").write_text(json.dumps({"world_up": "y", **lens, **size, "frames": [frame]}))
-    (found,) = open_capture(tmp_path)
-    assert np.abs(found.camera_to_world - view.pose).max() < 1e-6
-    assert np.abs(found.depth_m - view.depth_m).max() < 1e-3
-
-
 def test_frames_are_decoded_one_at_a_time(built: tuple[str, Path]) -> None:
-    name, path = built
+    _, path = built
     if path.suffix == ".sens":  # the last frame's depth does not unpack
         data = path.read_bytes()
         path.write_bytes(data[:-20] + bytes(20))
@@ -204,21 +180,8 @@ def test_frames_are_decoded_one_at_a_time(built: tuple[str, Path]) -> None:
             for member, data in members.items():
                 archive.writestr(member, data)
     else:
-        last = {
-            "nerfstudio": "depth/frame_00004.png",
-            "nerfcapture": "images/3.depth.png",
-            "seven-scenes": "frame-000012.depth.png",
-            "stray-scanner": "depth/000003.png",
-            "record3d-export": "depth/3.exr",
-            "tum": f"depth/{VIEWS[3].time_s:.6f}.png",
-            "roomlight": "depth/000003.png",
-            "polycam": f"keyframes/depth/{round(VIEWS[3].time_s * 1e6)}.png",
-            "3d-scanner-app": "depth_00012.png",
-            "arkitscenes": f"lowres_depth/41069021_{VIEWS[3].time_s:.6f}.png",
-            "colmap": "depth/frame_00004.png",
-            "colmap-text": "depth/frame_00004.png",
-        }
-        (path / last[name]).unlink()
+        pictures = [file for file in path.rglob("*.*") if file.suffix in (".png", ".exr")]
+        sorted(file for file in pictures if "depth" in str(file.relative_to(path)))[-1].unlink()
     capture = open_capture(path)
     frames = iter(capture)
     for index in range(3):
@@ -322,13 +285,6 @@ def test_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
     assert np.median(np.abs(frame.depth_m[inside] - there)) < 1e-3
 
 
-def test_an_unknown_distortion_model_is_refused_by_name(tmp_path: Path) -> None:
-    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
-    edit(path / "transforms.json", lambda index: index.update(k1=0.1, camera_model="EQUIRECTANGULAR"))
-    with pytest.raises(CaptureError, match=r"EQUIRECTANGULAR.*undistort"):
-        list(open_capture(path))
-
-
 def test_seven_scenes_defaults(tmp_path: Path) -> None:
     """Without its two optional files: the data set's K for 640 x 480, and up = -y of an upright OpenCV camera."""
     path = tmp_path / "capture"
@@ -386,16 +342,6 @@ def test_record3d_per_frame_intrinsics_and_unpacked_folder(tmp_path: Path) -> No
     edit(tmp_path / "capture/metadata", lambda index: index.update(perFrameIntrinsicCoeffs=lens))
     frames = list(open_capture(tmp_path / "capture"))
     assert [frame.intrinsics.fx for frame in frames] == [formats.FX + index for index in range(4)]
-
-
-def test_record3d_exr_infinity_is_unknown(tmp_path: Path) -> None:
-    path = formats.record3d_export(tmp_path / "capture", VIEWS)
-    depth = VIEWS[0].depth_m.astype(np.float16)
-    depth[0, :3] = [np.inf, np.nan, -1]
-    formats.exr(path / "depth/0.exr", {"R": depth})
-    frame = next(iter(open_capture(path)))
-    assert not frame.depth_m[0, :3].any()
-    assert frame.depth_m[1:].all()
 
 
 def test_tum_takes_only_what_is_near_in_time(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import formats
 import lzfse
 import numpy as np
 import pytest
-from capture_checks import one_skipped
+from capture_checks import edit, one_skipped
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions, open_capture
@@ -28,17 +28,6 @@ CAMERA = Intrinsics(80.0, 80.0, 48.0, 36.0, 96, 72)
 
 def lens(*coefficients: float, fisheye: bool = False) -> Lens:
     return Lens(tuple(map(float, coefficients)), fisheye)
-
-
-def edit(path: Path, change: Callable[[dict], object]) -> None:
-    index = json.loads(path.read_bytes())
-    change(index)
-    path.write_text(json.dumps(index))
-
-
-@pytest.fixture
-def transforms(tmp_path: Path) -> Path:
-    return formats.nerfstudio(tmp_path / "capture", VIEWS)
 
 
 # Lenses

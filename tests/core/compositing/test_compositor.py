@@ -283,11 +283,6 @@ def test_a_refused_pixel_names_the_object_and_changes_nothing(session):
     assert session.handles == before
 
 
-def test_a_bad_position_is_refused_at_once(session):
-    with pytest.raises(SceneError, match="position"):
-        Compositor(session, [replace(BALL, place=AtPosition((float("nan"), 0.0, 0.0)))])
-
-
 def test_a_big_object_has_several_probes(session):
     before = len(session.handles)
     big = SceneObject("big", cube(1.0), AtPosition((0.6, 0.0, -1.2)))

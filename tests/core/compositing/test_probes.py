@@ -78,13 +78,3 @@ def test_light_that_is_given_lights_objects_and_casts_their_shadows(session):
     probes.close()
     probes.add(PLACES[:1])
     assert probes.at(at) is probes.reflection_at(at)
-
-
-def test_probes_are_given_back(session):
-    probes = ObjectProbes(session)
-    probes.add(PLACES)
-    assert len(probes) == 2
-    probes.close()
-    assert len(probes) == 0
-    probes.add(PLACES[:1])
-    assert len(probes) == 1

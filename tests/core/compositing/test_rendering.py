@@ -8,11 +8,9 @@ from roomlight.camera import Intrinsics
 from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glass, glossy, mirror, rough_metal
 from roomlight.compositing.objects.primitives import cube, plane, sphere
-from roomlight.compositing.rendering.renderer import PRESETS, RenderSettings, render_objects
+from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.errors import ObjectError, OptionError
-from roomlight.spheres import Material as SphereMaterial
-from roomlight.spheres import SphereRenderer
 
 CAMERA = Intrinsics(60.0, 60.0, 32.0, 24.0, 64, 48)
 POSE = look_at((0, 0, 2), (0, 0, 0))
@@ -58,20 +56,6 @@ def test_diffuse_sphere_under_constant_light_is_its_albedo() -> None:
         picture = render_objects(scene, CAMERA, POSE, light, quality=quality)
         inside = picture.radiance[picture.alpha == 1]
         np.testing.assert_allclose(inside.mean(axis=0), [0.8, 1.0, 0.6], rtol=tolerance)
-
-
-def test_preview_agrees_with_the_sphere_renderer() -> None:
-    far = Intrinsics(6000.0, 6000.0, 32.0, 32.0, 64, 64)
-    pose = look_at((0, 0, 100), (0, 0, 0))
-    light = panorama(4, rows=64)
-    spheres = SphereRenderer((0.0, 0.0, -1.0), size=64)
-    cases: list[tuple[Material, SphereMaterial]] = [(diffuse((1.0, 1.0, 1.0)), "diffuse"), (mirror(), "mirror")]
-    for material, name in cases:
-        scene = TracedObjects([sphere(32 / 60, material)])
-        picture = render_objects(scene, far, pose, ProbeSet.single(light), quality="preview")
-        known = spheres.coverage > 0.999
-        difference = np.abs(picture.radiance - spheres.render(light, name))[known]
-        assert difference.mean() < (0.01 if name == "diffuse" else 0.03), name
 
 
 def test_same_inputs_and_seed_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -328,10 +312,6 @@ def test_unknown_qualities_are_refused(quality) -> None:
 def test_empty_scene_is_refused() -> None:
     with pytest.raises(ObjectError, match="one object at least"):
         TracedObjects([])
-
-
-def test_presets_grow_in_samples() -> None:
-    assert [PRESETS[name].samples for name in ("preview", "good", "final")] == [0, 64, 256]
 
 
 def test_rays_meet_and_miss_objects() -> None:

@@ -152,14 +152,6 @@ def test_coarse_shadows_agree_with_fine_ones():
     assert np.percentile(np.abs(fine - coarse), 99) < 0.15
 
 
-def test_a_rim_thinner_than_the_step_is_unchanged():
-    held = ball(lit(60, [((0.35, 1.0, 0.2), 15.0, 10.0)], level=0.5))
-    rim = np.ascontiguousarray(floor_depth()[:, :2])
-    ratio = shadow_ratio([held], rim, replace(CAMERA, width=2), POSE, ShadowQuality(4, 16, 0))
-    assert ratio.shape == (120, 2, 3)
-    assert (ratio == 1).all()
-
-
 @pytest.mark.parametrize("rim", [np.s_[:, 70:71], np.s_[80:81, :]])
 def test_a_rim_of_one_pixel_has_no_normals_and_stays_unchanged(rim):
     held = ball(lit(60, [((0.35, 1.0, 0.2), 15.0, 10.0)], level=0.5), height=0.2)
@@ -225,12 +217,3 @@ def test_ratios_around_a_ball_on_a_grey_floor_are_those_of_mitsuba(albedo, sides
         beside = np.hypot(grid.points[..., 0], grid.points[..., 2])
         for (begin, end), expected in zip(((0.22, 0.27), (0.27, 0.35), (0.35, 0.5)), sides, strict=True):
             assert ratio[(beside > begin) & (beside < end)].mean() == pytest.approx(expected, abs=0.05)
-
-
-def test_noise_of_depth_leaves_the_support_flat():
-    noise = np.random.default_rng(5).normal(0, 0.006, floor_depth().shape).astype(np.float32)
-    grid = surface_grid(floor_depth() + noise, CAMERA, POSE, [FLOOR])
-    near = grid.known[8:-8, 8:-8]
-    assert near.mean() > 0.95
-    assert np.abs(grid.points[8:-8, 8:-8, 1])[near].max() < 0.05
-    assert (np.abs(grid.points[8:-8, 8:-8, 1])[near] < 1e-5).mean() > 0.9

@@ -149,13 +149,6 @@ def test_sky_is_a_guess_far_or_nothing(how, low, high):
     assert (confidence[MIDDLE] == 0).all()
 
 
-def test_frames_of_sky_alone_give_finite_depth():
-    for how in ("guess", "far", "hole"):
-        depth, confidence = measured(flat(0.0), replace(CLEAN, sky=how))
-        assert np.isfinite(depth).all()
-        assert (confidence == 0).all()
-
-
 def test_any_sensor_gives_sound_depth_repeatably():
     rng = np.random.default_rng(1)
     frames = np.stack([smooth_noise(rng, H, W)[..., 0] * 8 + 0.3 for _ in range(2)])

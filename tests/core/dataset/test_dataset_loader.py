@@ -8,7 +8,6 @@ import pytest
 
 import stub_rooms
 from roomlight.captures import open_capture
-from roomlight.dataset import sequence_files
 from roomlight.dataset.arkit_depth import HEIGHT, WIDTH
 from roomlight.dataset.extract import extract
 from roomlight.dataset.loader import Dataset, StreamOptions
@@ -51,17 +50,6 @@ def test_sequences_are_read_by_number_in_any_order(folder):
     assert [recording.name for recording in dataset] == dataset.names
     assert dataset.number_of("train-000023") == 23
     np.testing.assert_array_equal(dataset[17].depth_mm, Dataset(folder)[17].depth_mm)
-
-
-def test_one_frame_decodes_one_frame(folder, monkeypatch):
-    dataset = Dataset(folder)
-    decoded = []
-    real = sequence_files.cv2.imdecode
-    monkeypatch.setattr(sequence_files.cv2, "imdecode", lambda *given: (decoded.append(1), real(*given))[1])
-    recording = dataset.read(5, frames=[0], probes=False)
-    assert len(decoded) == 3  # its colour, its depth, its surface
-    assert recording.colour.shape[0] == recording.camera_to_world.shape[0] == 1
-    assert recording.probe_panoramas.shape[0] == 0
 
 
 def test_datasets_made_before_clipped_radiance_have_none(folder):

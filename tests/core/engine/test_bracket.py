@@ -172,18 +172,6 @@ def test_the_rim_of_a_lamp_that_both_clip_is_no_evidence():
     assert (soft[resolved] < 2.0).all()
 
 
-def test_equal_exposures_search_nothing(monkeypatch):
-    def refuse(*_):
-        raise AssertionError
-
-    monkeypatch.setattr(bracket, "take_radiance", refuse)
-    bright, second = shown(1), shown(1, **MOVED)
-    key = FrameMesh(prepared(bright))
-    frame = prepared(second, [key])
-    assert update_keyframes(FrameMesh(frame), [key]) == 0
-    np.testing.assert_array_equal(frame.clipped, second.clipped)
-
-
 def test_the_number_of_projections_is_bounded(monkeypatch):
     counted = []
     take = bracket.take_radiance

@@ -35,16 +35,6 @@ def test_one_frame_is_its_own_volume():
     assert (sglv.lobes[..., 3:] == 0).all()
 
 
-def test_the_same_frame_again_changes_nothing():
-    classical = ClassicalVolume(GRID)
-    initial_volume(GRID, FRAME, out=classical.volume)
-    first = _updated(classical)
-    alpha, lobes = first.alpha.copy(), first.lobes.copy()
-    again = [_updated(classical) for _ in range(3)][-1]
-    np.testing.assert_allclose(again.alpha, alpha, atol=1e-6)
-    np.testing.assert_allclose(again.lobes, lobes, atol=1e-5)
-
-
 def test_alpha_is_averaged_over_observers_and_colour_by_alpha():
     classical = ClassicalVolume(GRID)
     _put(classical, colour=1.0, alpha=1.0)

@@ -1,6 +1,5 @@
 """Light by its use: what was measured stays, the rest is changed by the network, once for each use."""
 
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -90,28 +89,6 @@ def test_unmeasured_share_is_what_was_not_measured() -> None:
     assert share[-1, 1] == 0
     assert share[-1, -1] == 1
     assert_allclose(share[0, 0], 0.5, rtol=1e-5)
-
-
-@pytest.mark.parametrize("constant", [-30.0, 30.0])
-@pytest.mark.parametrize("radiance", [0.0, 1.0, 1e12])
-def test_light_is_finite_for_black_and_bright(constant: float, radiance: float, tmp_path: Path) -> None:
-    state = state_of()
-    state.radiance[:] = radiance
-    light = known_model(tmp_path, constant=constant).panoramas(state)
-    for panorama in (light.lighting, light.reflection):
-        assert np.isfinite(panorama).all()
-        assert panorama.min() >= 0
-        assert panorama[state.observed == 0].max() <= BRIGHTEST * 1.001
-
-
-def test_threads_share_the_network(tmp_path: Path) -> None:
-    model = known_model(tmp_path, image=0.1, constant=0.1)
-    states = [state_of(seed=seed) for seed in range(6)]
-    alone = [model.panoramas(state).lighting for state in states]
-    with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda number: model.panoramas(states[number % 6]).lighting, range(24)))
-    for number, panorama in enumerate(together):
-        assert_array_equal(panorama, alone[number % 6])
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.engine.surface.mesh import EDGE_RATIO, MAX_VERTICES, FrameMesh, MeshGrid, grid_faces
-from rooms import BoxRoom, camera_at, rotation_about_y
+from rooms import BoxRoom, camera_at
 
 ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)))
 POSE = camera_at((0.3, 1.5, 1.2), 8, -6)
@@ -78,21 +78,6 @@ def test_depth_is_the_distance_from_the_probe_wherever_it_stands():
     assert np.quantile(relative, 0.95) < 1e-3
     assert relative.max() < 0.05
     assert np.quantile(abs(seen.radiance - radiance).max(axis=-1)[seen.mask], 0.95) < 0.03
-
-
-def test_turning_the_whole_world_turns_the_panorama():
-    frame = ROOM.frame(POSE)
-    probe = np.array([0.1, 1.2, 0.4])
-    quarter = np.eye(4)
-    quarter[:3, :3] = rotation_about_y(np.pi / 2)
-    rotated = dataclasses.replace(frame, camera_to_world=quarter @ frame.camera_to_world)
-    before = FrameMesh(frame).render_panorama(probe, height=48)
-    after = FrameMesh(rotated).render_panorama(quarter[:3, :3] @ probe, height=48)
-    # +90 degrees about y take +Z to +X: a quarter of the columns to the left; grazing rays may miss by rounding
-    same = np.roll(before.mask, -24, axis=1) == after.mask
-    assert same.mean() > 0.999
-    both = np.roll(before.mask, -24, axis=1) & after.mask
-    assert np.quantile(abs(np.roll(before.radiance, -24, axis=1) - after.radiance)[both], 0.999) < 0.01
 
 
 def test_no_triangle_crosses_a_depth_edge():
@@ -214,9 +199,3 @@ def test_every_level_of_the_texture_keeps_its_place(width, height):
     check &= seen.mask
     assert check.sum() > 3
     np.testing.assert_allclose(seen.radiance[check][:, :2], uv[check], atol=0.02)
-
-
-@pytest.mark.parametrize("height", [16, 17, 120])
-def test_panoramas_have_the_requested_height(height):
-    seen = FrameMesh(ROOM.frame(POSE, width=32, height=24)).render_panorama(POSE[:3, 3], height=height)
-    assert seen.mask.shape == seen.depth_m.shape == (height, 2 * height)

@@ -44,12 +44,6 @@ def test_panels_are_means_of_what_was_observed():
     assert panels[6:9] == pytest.approx(np.moveaxis(blocks(given["fill"]) / 4, -1, 0), rel=1e-4)
 
 
-def test_panels_rotate_with_the_panorama():
-    given = observed()
-    rolled = panorama_panels(**{name: np.roll(plane, 34, axis=1) for name, plane in given.items()})
-    assert rolled == pytest.approx(np.roll(panorama_panels(**given), 17, axis=2), abs=1e-4)
-
-
 @pytest.mark.parametrize("height", [16, 32, 60, 120, 200])
 def test_panels_have_one_size_for_every_panorama(height):
     panels = panorama_panels(**observed(height=height))

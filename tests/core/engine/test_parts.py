@@ -52,21 +52,6 @@ def test_a_missing_folder_is_named(tmp_path):
         load_part(tmp_path / "nowhere", "clipping", provider="cpu")
 
 
-def test_a_missing_part_graph_is_named(tmp_path):
-    folder = write_part(tmp_path / "part", "clipping")
-    (folder / "clipping.onnx").unlink()
-    with pytest.raises(ModelError, match=r"clipping\.onnx: missing"):
-        load_part(folder, "clipping", provider="cpu")
-
-
-def test_a_changed_part_graph_is_refused(tmp_path):
-    folder = write_part(tmp_path / "part", "clipping")
-    file = folder / "clipping.onnx"
-    file.write_bytes(file.read_bytes() + b"\0")
-    with pytest.raises(ModelError, match=r"clipping\.onnx: is not the graph.*digest differs"):
-        load_part(folder, "clipping", provider="cpu")
-
-
 def test_an_untrained_part_is_refused(tmp_path):
     folder = write_part(tmp_path / "part", "objects", steps=0)
     with pytest.raises(ModelError, match=r"never trained.*roomlight train objects"):

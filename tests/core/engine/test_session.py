@@ -16,7 +16,7 @@ from roomlight.engine.models import choosing
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import FrameError, ModelError, ProbeError
-from rooms import BoxRoom, camera_at, pan, rotation_about_y
+from rooms import BoxRoom, camera_at, pan
 
 BLOCK = ((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0))
 LAMP = ((0.3, 1.6, -2.5), 0.35)
@@ -158,29 +158,6 @@ def test_a_probe_at_the_camera_shows_the_frame_in_its_frustum(yaw):
     difference = abs(light.panorama[inside] - frame.image[row, column]).max(axis=-1)
     # nearest pixel against bilinear: half a pixel of a smooth pattern, except across the room's edges
     assert np.quantile(difference, 0.9) < 0.03
-
-
-def test_rotating_the_world_by_90_degrees_shifts_the_light(pan_frames):
-    quarter = np.eye(4)
-    quarter[:3, :3] = rotation_about_y(np.pi / 2)
-    rotated = [dataclasses.replace(f, camera_to_world=quarter @ f.camera_to_world) for f in pan_frames[:6]]
-    probe = PROBES[1]
-    before, _ = _run(pan_frames[:6], probes=[probe])
-    after, _ = _run(rotated, probes=[tuple((quarter[:3, :3] @ probe).tolist())])
-    shifted = np.roll(before.estimate(0).panorama, -24, axis=1)
-    difference = abs(shifted - after.estimate(0).panorama).max(axis=-1)
-    seen = after.light(0).observed == 1
-    # rays that graze a triangle's edge may hit its neighbour instead
-    assert np.quantile(difference[seen], 0.99) < 0.01
-    # the fill's pyramid does not rotate: at its coarsest levels 90 degrees are not a whole number of columns
-    assert np.quantile(difference[~seen], 0.9) < 0.05
-
-
-def test_twice_the_light_is_twice_the_light_where_it_was_seen(pan_frames):
-    bright = [dataclasses.replace(frame, image=2 * frame.image) for frame in pan_frames[:4]]
-    once, twice = (_run(frames, probes=PROBES[:1])[0].light(0) for frames in (pan_frames[:4], bright))
-    seen = once.observed == 1
-    np.testing.assert_allclose(twice.panorama[seen], 2 * once.panorama[seen], rtol=1e-4)
 
 
 def test_a_first_frame_without_depth_changes_nothing(pan_frames):

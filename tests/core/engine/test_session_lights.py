@@ -64,16 +64,3 @@ def test_a_probe_tracked_late_has_lights_at_once(lights) -> None:
     light, own = session.light(handle), session.estimate(handle)
     session.untrack(handle)
     np.testing.assert_array_equal(light.main_light.direction, main_light(own.panorama).direction)
-
-
-def test_lights_are_saved_beside_the_main_light(lights) -> None:
-    values = lights[1][-1].to_json()
-    assert values["main_light"].keys() == {
-        "direction",
-        "intensity",
-        "radius_deg",
-        "shadow_strength",
-        "emitted",
-        "number",
-    }
-    assert len(values["lights"]) == len(lights[1][-1].lights)

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import roomlight as rl
 from roomlight.engine.networks.graphs import load_graphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.state.encoding import records_of_snapshot, saved_session
@@ -252,7 +251,3 @@ def _with_clipping(path, tmp_path, digest):
     records[0].values["networks"]["clipping"] = digest
     (tmp_path / "clipping.state").write_bytes(pack_records(records))
     Session.load(tmp_path / "clipping.state")
-
-
-def test_the_public_names_are_exported():
-    assert issubclass(rl.StateError, rl.RoomLightError)

@@ -39,12 +39,6 @@ def test_a_video_plays_back_what_was_written(tmp_path: Path) -> None:
     assert [float(frame.mean()) for frame in frames] == pytest.approx(levels, abs=4)
 
 
-def test_an_exception_leaves_no_file(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        write_video(tmp_path / "replay.mp4", picture(10), ends_with=KeyboardInterrupt())
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_an_old_video_stays_until_the_new_one_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "replay.mp4"
     path.write_bytes(b"old")
