@@ -21,13 +21,6 @@ def test_projecting_the_rays_gives_their_pixel_centres():
     assert z == pytest.approx(depth)
 
 
-@given(st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-9, -0.1)))
-def test_a_point_lies_on_the_ray_of_its_pixel(point):
-    xy, z = CAMERA.project(np.array([point]))
-    ray = [(xy[0, 0] - CAMERA.cx) / CAMERA.fx, -(xy[0, 1] - CAMERA.cy) / CAMERA.fy, -1.0]
-    assert z[0] * np.array(ray) == pytest.approx(np.array(point), abs=1e-9)
-
-
 def test_rows_count_downwards_and_the_camera_looks_along_minus_z():
     rays = CAMERA.rays()
     assert rays[0, 0, 0] < 0 < rays[0, -1, 0]

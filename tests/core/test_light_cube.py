@@ -3,7 +3,7 @@ import pytest
 from light_rooms import lit, mean_light, room
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
-from roomlight.light.cube import SIZES, CubeMap, halved, observed_cube
+from roomlight.light.cube import CubeMap, halved, observed_cube
 from roomlight.light.cube_geometry import (
     FACES,
     cube_directions,
@@ -40,8 +40,8 @@ def mean_of(cube):
 
 
 @pytest.mark.parametrize(("face", "direction", "across", "down"), CORNERS)
-@pytest.mark.parametrize("size", [16, 32, 64])
-def test_a_lamp_is_in_the_corner_of_opengls_table(face, direction, across, down, size: int) -> None:
+def test_a_lamp_is_in_the_corner_of_opengls_table(face, direction, across, down) -> None:
+    size = 32
     faces = CubeMap.from_panorama(lit(120, [(direction, 4, 10.0)]), size=size).faces
     found, row, column = np.unravel_index(np.argmax(faces[..., 0]), faces.shape[:3])
     assert FACES[found] == face
@@ -79,28 +79,21 @@ def test_a_step_beyond_an_edge_is_the_neighbouring_texel() -> None:
     assert texel_index(one, np.array([-1]), one, size=size)[0] == own[4, 0, 7]  # left of +X is +Z's right edge
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("height", [16, 120])
-def test_keeps_the_light(size: int, height: int) -> None:
+@pytest.mark.parametrize(
+    ("height", "size"), [(120, 16), (120, 64), (16, 128), (16, 256), (4, 16), (33, 32), (301, 32), (600, 16)]
+)
+def test_keeps_the_light(height: int, size: int) -> None:
     noise = np.random.default_rng(size).random((height, 2 * height, 3), np.float32) ** 8 * 50
-    for panorama in (room(height), noise):
-        cube = CubeMap.from_panorama(panorama, size=size)
-        np.testing.assert_allclose(mean_of(cube), mean_light(panorama), rtol=1e-4)
-        assert cube.faces.min() >= 0
-        assert cube.faces.max() <= panorama.max() * (1 + 1e-6)
-
-
-@pytest.mark.parametrize(("height", "size"), [(4, 16), (33, 32), (250, 16), (301, 32), (600, 16)])
-def test_keeps_the_light_of_panoramas_of_any_height(height: int, size: int) -> None:
-    panorama = room(height)
-    cube = CubeMap.from_panorama(panorama, size=size)
     # Rows that do not divide evenly are shared by area, not by solid angle, before they are resampled.
-    np.testing.assert_allclose(mean_of(cube), mean_light(panorama), rtol=1e-3)
-    even = CubeMap.from_panorama(lit(height, [], level=3.0), size=size)
-    np.testing.assert_allclose(even.faces, 3, rtol=1e-5)
+    rtol = 1e-4 if height in (16, 120) else 2e-3
+    for panorama in (room(height), noise, lit(height, [], level=3.0)):
+        cube = CubeMap.from_panorama(panorama, size=size)
+        np.testing.assert_allclose(mean_of(cube), mean_light(panorama), rtol=rtol)
+        assert cube.faces.min() >= panorama.min() * (1 - 1e-5)
+        assert cube.faces.max() <= panorama.max() * (1 + 1e-5)
 
 
-@pytest.mark.parametrize(("size", "height", "rms"), [(32, 120, 0.02), (64, 120, 0.01), (128, 120, 0.01)])
+@pytest.mark.parametrize(("size", "height", "rms"), [(32, 120, 0.02), (64, 120, 0.01)])
 def test_cube_to_panorama_to_cube(size: int, height: int, rms: float) -> None:
     """Light with detail of 20 degrees is recovered; a constant and the mean up to rounding."""
     directions = panorama_directions(height)
@@ -181,27 +174,21 @@ def test_observed_cube_shows_what_was_seen() -> None:
     np.testing.assert_allclose(tall, 1, rtol=1e-5)
 
 
-@pytest.mark.parametrize("size", [0, 1, 8, 15, 17, 48, 512, -16])
-def test_sizes_out_of_range(size: int) -> None:
-    with pytest.raises(ValueError, match=f"16, 32, 64, 128, 256 pixels, got {size}"):
-        CubeMap.from_panorama(room(16), size=size)
-    with pytest.raises(ValueError, match=f"got {size}"):
-        observed_cube(np.zeros((16, 32), np.float32), size=size)
-
-
-def test_panorama_heights_out_of_range() -> None:
+def test_panoramas_and_sizes_out_of_range() -> None:
     cube = CubeMap.from_panorama(room(16), size=16)
+    for size in (0, 1, 15, 48, 512, -16):
+        with pytest.raises(ValueError, match=f"16, 32, 64, 128, 256 pixels, got {size}"):
+            CubeMap.from_panorama(room(16), size=size)
+        with pytest.raises(ValueError, match=f"got {size}"):
+            observed_cube(np.zeros((16, 32), np.float32), size=size)
     for height in (0, 3, 513):
         with pytest.raises(ValueError, match=f"4 to 512 rows, got {height}"):
             cube.to_panorama(height)
     with pytest.raises(ValueError, match="up to 256 pixels"):
         CubeMap(np.zeros((6, 512, 512, 3), np.float32)).to_panorama(16)
-
-
-def test_invalid_numbers() -> None:
+    with pytest.raises(ValueError, match="twice as wide"):
+        CubeMap.from_panorama(np.zeros((16, 16, 3), np.float32))
     faces = np.zeros((6, 4, 4, 3), np.float32)
     faces[5, 1, 2, 0] = np.inf
     with pytest.raises(ValueError, match=r"face -Z, row 1, column 2"):
         CubeMap(faces)
-    with pytest.raises(ValueError, match="twice as wide"):
-        CubeMap.from_panorama(np.zeros((16, 16, 3), np.float32))

@@ -24,11 +24,7 @@ def test_exr_is_the_file_that_is_written(tmp_path: Path) -> None:
     decoded, clipped = decode_colour(data, "light.exr")
     np.testing.assert_allclose(decoded, panorama, rtol=2**-11)
     assert not clipped.any()
-
-
-def test_exr_holds_no_infinity() -> None:
-    decoded, _ = decode_colour(to_exr(lit(8, [], level=1e9)), "light.exr")
-    assert (decoded == 65504).all()
+    assert (decode_colour(to_exr(lit(8, [], level=1e9)), "light.exr")[0] == 65504).all()  # no infinity
 
 
 @given(
@@ -82,18 +78,26 @@ def test_png_without_exposure_is_the_panorama_in_srgb() -> None:
     np.testing.assert_array_equal(pixels[..., ::-1], linear_to_srgb8(room(24)))
 
 
-@pytest.mark.parametrize("exposure_ev", [np.nan, np.inf, 16.5, -17.0])
-def test_exposures_out_of_range(exposure_ev: float) -> None:
-    with pytest.raises(ValueError, match=f"-16 to 16 EV, got {exposure_ev}"):
-        to_png(room(8), exposure_ev=exposure_ev)
-
-
-@pytest.mark.parametrize("encode", [to_exr, to_hdr, to_png])
-def test_invalid_panoramas_are_not_encoded(encode) -> None:
-    with pytest.raises(ValueError, match="twice as wide as high"):
-        encode(np.zeros((8, 8, 3), np.float32))
-    with pytest.raises(ValueError, match="finite"):
-        encode(np.full((8, 16, 3), np.nan, np.float32))
+@pytest.mark.parametrize(
+    ("calls", "given", "rule"),
+    [
+        ((to_exr, to_hdr, to_png), np.zeros((8, 8, 3), np.float32), "twice as wide as high"),
+        ((to_exr, to_hdr, to_png), np.full((8, 16, 3), np.nan, np.float32), "finite"),
+        *(
+            ((lambda p, ev=ev: to_png(p, exposure_ev=ev),), room(8), f"-16 to 16 EV, got {ev}")
+            for ev in (np.nan, 16.5, -17.0)
+        ),
+        ((coverage, confidence_png), np.zeros((8, 15)), "15 x 8"),
+        ((coverage, confidence_png), np.full((8, 16), 1.5), r"lies in \[0, 1\], got 1.5 to 1.5"),
+        ((coverage, confidence_png), np.full((8, 16), -0.1), r"lies in \[0, 1\]"),
+        ((coverage, confidence_png), np.full((8, 16), np.nan), "finite"),
+        ((coverage, confidence_png), np.zeros((2, 4)), "4 to 4096 rows, this has 2"),
+    ],
+)
+def test_invalid_planes_are_refused(calls, given, rule: str) -> None:
+    for call in calls:
+        with pytest.raises(ValueError, match=rule):
+            call(given)
 
 
 @pytest.mark.parametrize("height", [4, 33, 120])
@@ -115,19 +119,3 @@ def test_confidence_as_png() -> None:
     grey = decode_grey8(confidence_png(observed), "confidence.png")
     assert grey[0, :2].tolist() == [0, 255]
     assert np.abs(grey / 255 - observed).max() <= 0.5 / 255 + 1e-6
-
-
-@pytest.mark.parametrize(
-    ("observed", "rule"),
-    [
-        (np.zeros((8, 15)), "15 x 8"),
-        (np.full((8, 16), 1.5), r"lies in \[0, 1\], got 1.5 to 1.5"),
-        (np.full((8, 16), -0.1), r"lies in \[0, 1\]"),
-        (np.full((8, 16), np.nan), "finite"),
-        (np.zeros((2, 4)), "4 to 4096 rows, this has 2"),
-    ],
-)
-def test_invalid_observed_shares(observed, rule: str) -> None:
-    for function in (coverage, confidence_png):
-        with pytest.raises(ValueError, match=rule):
-            function(observed)

@@ -29,18 +29,6 @@ def test_light_of_nine_harmonics_comes_back_exactly(phase, seed: int, height: in
     assert (found.kind, found.quantity) == ("total", "radiance")
 
 
-@pytest.mark.parametrize("height", [16, 60, 120])
-def test_harmonics_of_a_room_agree_with_summing_over_its_pixels(height: int) -> None:
-    panorama = room(height)
-    directions = panorama_directions(height).reshape(-1, 3)
-    weight = np.repeat(panorama_solid_angles(height)[:, 0], 2 * height)
-    summed = (basis(directions, phase="positive") * weight[:, None]).T @ panorama.reshape(-1, 3)
-    # The basis at pixel centres is orthonormal within (pi / height)^2 / 6 only; the fit undoes that.
-    np.testing.assert_allclose(
-        project(panorama, phase="positive").coefficients, summed, atol=0.5 * (np.pi / height) ** 2 * summed.max()
-    )
-
-
 def test_constant_light_is_its_mean_and_nothing_else() -> None:
     harmonics = project(lit(32, [], level=2.0))
     np.testing.assert_allclose(harmonics.coefficients[0], 2 * np.sqrt(4 * np.pi), rtol=1e-6)
@@ -158,11 +146,6 @@ def test_ambient_is_the_room_without_its_lamp() -> None:
     np.testing.assert_allclose(ambient.coefficients, project(dark).coefficients, atol=0.02 * np.abs(lamp_alone).max())
 
 
-def test_ambient_of_even_light_is_all_of_it() -> None:
-    even = lit(24, [], level=1.5)
-    np.testing.assert_array_equal(project(even, kind="ambient").coefficients, project(even).coefficients)
-
-
 @pytest.mark.parametrize(
     ("shape", "rule"),
     [((8, 16), r"\(H, 2H, 3\)"), ((8, 16, 4), r"\(H, 2H, 3\)"), ((8, 17, 3), "17 x 8"), ((3, 6, 3), "4 to 4096 rows")],
@@ -172,29 +155,19 @@ def test_invalid_panorama_shapes(shape, rule: str) -> None:
         check_panorama(np.zeros(shape, np.float32))
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_invalid_numbers(value: float) -> None:
+def test_invalid_numbers() -> None:
     panorama = lit(8, [], level=1.0)
-    panorama[3, 5, 1] = value
-    with pytest.raises(ValueError, match=r"finite numbers only, got .* in row 3, column 5"):
-        project(panorama)
-    with pytest.raises(ValueError, match="finite"):
-        SphericalHarmonics(np.full((9, 3), value))
-
-
-def test_values_beyond_float32_are_refused() -> None:
-    with pytest.raises(ValueError, match="finite"):
+    for value in (np.nan, np.inf, -np.inf):
+        panorama[3, 5, 1] = value
+        with pytest.raises(ValueError, match=r"finite numbers only, got .* in row 3, column 5"):
+            project(panorama)
+        with pytest.raises(ValueError, match="finite"):
+            SphericalHarmonics(np.full((9, 3), value))
+    with pytest.raises(ValueError, match="finite"):  # beyond float32
         check_panorama(np.full((8, 16, 3), 1e300))
-
-
-def test_a_light_is_subtracted_from_total_radiance_only() -> None:
-    light = main_light(room(16))
-    with pytest.raises(ValueError, match="not from total irradiance"):
-        project(room(16)).irradiance().without(light)
-    with pytest.raises(ValueError, match="not from ambient radiance"):
-        project(room(16)).without(light).without(light)
-
-
-def test_27_numbers() -> None:
     with pytest.raises(ValueError, match="27 numbers, got 26"):
         SphericalHarmonics.from_flat(np.zeros(26), layout="planar", phase="positive")
+    light, total = main_light(room(16)), project(room(16))
+    for harmonics, kind in ((total.irradiance(), "total irradiance"), (total.without(light), "ambient radiance")):
+        with pytest.raises(ValueError, match=f"not from {kind}"):
+            harmonics.without(light)

@@ -108,8 +108,5 @@ def test_keys_are_padded_and_sorted() -> None:
 def test_levels_that_do_not_halve(sizes: list[int]) -> None:
     with pytest.raises(ValueError, match="each half as wide"):
         encode_ktx2([np.zeros((6, size, size, 4), np.float16) for size in sizes])
-
-
-def test_faces_that_are_not_square() -> None:
     with pytest.raises(ValueError, match=r"\(6, 4, 8, 4\)"):
         encode_ktx2([np.zeros((6, 4, 8, 4), np.float16)])

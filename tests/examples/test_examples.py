@@ -72,6 +72,7 @@ def test_every_example_has_a_test_and_a_row_in_the_readme() -> None:
         assert f'"{path.stem}"' in tests or path.name in tests
 
 
+@pytest.mark.slow
 def test_replay_folder(tmp_path: Path) -> None:
     printed = run_example("replay_folder", "--frames", 3, cwd=tmp_path)
     files = sorted((tmp_path / "out/replay_folder").iterdir())

@@ -3,6 +3,7 @@
 import os
 import re
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from roomlight.captures import source as source_module
 from roomlight.errors import CaptureError, FrameError, ImageError
 
 VIEWS = formats.scene()
+SRGB, MILLIMETRES = VIEWS[1].srgb8, formats.millimetres(VIEWS[1])
 NAN = float("nan")
 
 
@@ -43,10 +45,23 @@ def test_an_invalid_pose_skips_the_frame(transforms: Path, matrix: object, says:
     one_skipped(transforms, 1, says)
 
 
-@pytest.mark.parametrize("focal", [0, -28, NAN, 1e-3, 1e308, "28", None])
-def test_an_invalid_focal_length_skips_the_frame(native: Path, focal: object) -> None:
-    edit(native / "capture.json", lambda index: index["frames"][1]["intrinsics"].update(fx=focal))
-    one_skipped(native, 1, "fx")
+@pytest.mark.parametrize(
+    ("change", "values", "word"),
+    [
+        (lambda frame, value: frame["intrinsics"].update(fx=value), [0, -28, NAN, 1e-3, 1e308, "28", None], "fx"),
+        (lambda frame, value: frame.update(exposure=value), [0, -1, NAN, 1e9, "1", True], "exposure"),
+    ],
+)
+def test_an_invalid_number_skips_the_frame(native: Path, change: Callable, values: list, word: str) -> None:
+    for value in values:
+        edit(native / "capture.json", lambda index, value=value: change(index["frames"][1], value))
+        one_skipped(native, 1, word)
+
+
+def test_an_entry_that_is_not_a_frame_is_skipped(native: Path) -> None:
+    for entry in (None, 7, "x", [], {}):
+        edit(native / "capture.json", lambda index, entry=entry: index["frames"].__setitem__(2, entry))
+        one_skipped(native, 2, "capture.json: frame 2")
 
 
 def test_a_zero_quaternion_and_a_missing_column(tmp_path: Path) -> None:
@@ -78,12 +93,6 @@ def test_a_missing_depth_file_and_a_frame_without_depth(transforms: Path) -> Non
     one_skipped(transforms, 1, "frame 1", "has no depth")
 
 
-def test_sizes_that_do_not_match_the_intrinsics(native: Path) -> None:
-    small = cv2.resize(VIEWS[2].srgb8, (16, 12))
-    formats.save(native / "colour/000002.jpg", formats.image(".jpg", small))
-    one_skipped(native, 2, "16 x 12", "32 x 24", "colour/000002.jpg")
-
-
 def test_depth_of_another_aspect_and_confidence_of_another_size(native: Path) -> None:
     formats.save(native / "depth/000001.png", formats.image(".png", formats.millimetres(VIEWS[1])[:12]))
     one_skipped(native, 1, "32 x 12", "confidence is 32 x 24")
@@ -98,35 +107,24 @@ def test_intrinsics_without_a_size_must_suit_the_image(tmp_path: Path) -> None:
         list(open_capture(path))
 
 
-def test_a_frame_without_known_depth_is_skipped(native: Path) -> None:
-    formats.save(native / "depth/000000.png", formats.image(".png", np.zeros((24, 32), np.uint16)))
-    one_skipped(native, 0, "depth/000000.png", "no pixel has a known depth")
-
-
-def test_a_wrong_depth_unit_skips_the_frame(native: Path) -> None:
-    formats.save(native / "depth/000003.png", formats.image(".png", formats.millimetres(VIEWS[3]) // 1000))
-    one_skipped(native, 3, "depth/000003.png", "depth unit looks wrong", "depth_unit_m")
-
-
-@pytest.mark.parametrize("broken", [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"GIF89a", b"#?RADIANCE\n\n-Y 1"])
-def test_broken_image_files_are_skipped(native: Path, broken: bytes) -> None:
-    (native / "colour/000001.jpg").write_bytes(broken)
-    one_skipped(native, 1, "colour/000001.jpg")
-
-
-def test_depth_of_8_bits_is_no_depth(native: Path) -> None:
-    formats.save(native / "depth/000001.png", formats.image(".png", VIEWS[1].confidence))
-    one_skipped(native, 1, "depth/000001.png", "16-bit")
-    formats.save(native / "confidence/000002.png", formats.image(".png", formats.millimetres(VIEWS[2])))
-    capture = open_capture(native)
-    assert [frame.index for frame in capture] == [0, 3]
-    assert "8-bit grey" in capture.skipped[1].reason
-
-
-def test_a_gigantic_picture_is_not_decoded(native: Path) -> None:
-    data = formats.image(".png", VIEWS[0].srgb8)
-    (native / "colour/000001.jpg").write_bytes(formats.png_with_size(data, 60_000, 60_000))
-    one_skipped(native, 1, "60000 x 60000")
+@pytest.mark.parametrize(
+    ("file", "picture", "words"),
+    [
+        *(
+            ("colour/000001.jpg", data, [])
+            for data in (b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"GIF89a", b"#?RADIANCE\n\n-Y 1")
+        ),
+        ("colour/000001.jpg", formats.png_with_size(formats.image(".png", SRGB), 60_000, 60_000), ["60000 x 60000"]),
+        ("colour/000001.jpg", formats.image(".jpg", cv2.resize(SRGB, (16, 12))), ["16 x 12", "32 x 24"]),
+        ("depth/000001.png", formats.image(".png", np.zeros((24, 32), np.uint16)), ["no pixel has a known depth"]),
+        ("depth/000001.png", formats.image(".png", MILLIMETRES // 1000), ["depth unit looks wrong", "depth_unit_m"]),
+        ("depth/000001.png", formats.image(".png", SRGB[..., 0]), ["16-bit"]),
+        ("confidence/000001.png", formats.image(".png", MILLIMETRES), ["8-bit grey"]),
+    ],
+)
+def test_an_unusable_picture_skips_the_frame(native: Path, file: str, picture: bytes, words: list[str]) -> None:
+    (native / file).write_bytes(picture)
+    one_skipped(native, 1, file, *words)
 
 
 def test_npy_depth_of_false_size_or_with_objects_is_refused(native: Path, tmp_path: Path) -> None:
@@ -136,18 +134,6 @@ def test_npy_depth_of_false_size_or_with_objects_is_refused(native: Path, tmp_pa
     for data in ((tmp_path / "object.npy").read_bytes(), giant, giant[:20], b"\x93NUMPY\x09\x09" + b"x" * 30):
         (native / "depth/000001.png").write_bytes(data)
         one_skipped(native, 1, "depth/000001.png")
-
-
-@pytest.mark.parametrize("exposure", [0, -1, NAN, 1e9, "1", True])
-def test_an_exposure_out_of_range_skips_the_frame(native: Path, exposure: object) -> None:
-    edit(native / "capture.json", lambda index: index["frames"][1].update(exposure=exposure))
-    one_skipped(native, 1, "exposure")
-
-
-@pytest.mark.parametrize("entry", [None, 7, "x", [], {}])
-def test_an_entry_that_is_not_a_frame_is_skipped(native: Path, entry: object) -> None:
-    edit(native / "capture.json", lambda index: index["frames"].__setitem__(2, entry))
-    one_skipped(native, 2, "capture.json: frame 2")
 
 
 # Paths that lead out

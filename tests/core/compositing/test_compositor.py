@@ -255,23 +255,18 @@ def test_paths_are_limited_for_objects_that_cover_many_pixels(session):
     assert Compositor(session, [BALL], max_paths=10**9).composite(view()).samples == 64
 
 
-def test_a_session_without_frames_is_refused():
+def test_what_cannot_be_composited_is_refused(session):
     with pytest.raises(SceneError, match="push a frame first"):
         Compositor(Session(SessionOptions(model="classical", height=16)), [BALL]).composite(view())
-
-
-def test_an_unknown_quality_is_refused(session):
     with pytest.raises(OptionError, match="quality must be one of preview, good, final; got 'best'"):
         Compositor(session, [BALL], quality="best")
-
-
-def test_objects_out_of_view_are_refused_in_a_single_picture(session):
-    with pytest.raises(SceneError, match="ball: lies behind the camera"):
-        composite(session, view(), [replace(BALL, place=AtPosition((0.2, 1.2, 2.4)))], quality="preview")
-    with pytest.raises(SceneError, match="ball: lies outside the picture"):
-        composite(session, view(), [replace(BALL, place=AtPosition((-2.8, 0.0, 0.4)))], quality="preview")
-    with pytest.raises(SceneError, match="ball: the pixel belongs to another frame"):
-        composite(session, view(), [replace(BALL, place=AtPixel(10.0, 10.0, frame=99))], quality="preview")
+    for place, message in (
+        (AtPosition((0.2, 1.2, 2.4)), "ball: lies behind the camera"),
+        (AtPosition((-2.8, 0.0, 0.4)), "ball: lies outside the picture"),
+        (AtPixel(10.0, 10.0, frame=99), "ball: the pixel belongs to another frame"),
+    ):
+        with pytest.raises(SceneError, match=message):
+            composite(session, view(), [replace(BALL, place=place)], quality="preview")
 
 
 def test_a_refused_pixel_names_the_object_and_changes_nothing(session):

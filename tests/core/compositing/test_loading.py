@@ -74,14 +74,6 @@ def test_matrix_nodes_are_column_major() -> None:
     np.testing.assert_allclose(mesh.vertices[0], [7, 8, 9])
 
 
-def test_mesh_of_two_nodes_is_placed_twice() -> None:
-    file = GltfFile()
-    mesh = file.mesh(QUAD, QUAD_FACES)
-    file.node(mesh=mesh)
-    file.node(mesh=mesh, translation=[3, 0, 0])
-    assert load_object(file.glb()).bounds().tolist() == [[0, 0, 0], [4, 1, 0]]
-
-
 def test_gltf_with_data_uris_reads_as_its_glb() -> None:
     file = textured_quad()
     glb = file.glb()
@@ -116,7 +108,7 @@ def test_accessors_that_share_a_view_copy_only_their_values() -> None:
         file, count = GltfFile(), 1024
         indices = file.accessor(np.arange(1023, dtype=np.uint16), "SCALAR", 5123)
         view = file.view(bytes(252 * count), byteStride=252)
-        for number in range(20):
+        for number in range(8):
             own = {"bufferView": file.view(bytes(12 * count))}
             place = {"bufferView": view, "byteOffset": 12 * number} if shared else own
             file.tree["accessors"].append({**place, "componentType": 5126, "count": count, "type": "VEC3"})
@@ -167,17 +159,6 @@ def test_obj_polygons_become_triangles_with_upright_uvs() -> None:
     np.testing.assert_allclose(mesh.normals, [[0, 0, 1]] * 4)
     corner = np.flatnonzero((mesh.vertices == [0, 1, 0]).all(axis=1))[0]
     np.testing.assert_allclose(mesh.uvs[corner], [0, 0])  # OBJ's v = 1 is the image's top
-
-
-@pytest.mark.parametrize("order", ["<", ">"])
-def test_binary_ply_is_read(order: str) -> None:
-    name = "little" if order == "<" else "big"
-    head = PLY[: PLY.index(b"end_header\n") + 11].replace(b"ascii", f"binary_{name}_endian".encode())
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], order + "f4").tobytes()
-    data = head + vertices + b"\x03" + np.array([0, 1, 2], order + "i4").tobytes()
-    ((mesh, _),) = load_object(data).parts
-    np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    np.testing.assert_allclose(mesh.normals, [[0, 0, 1]] * 3)
 
 
 def test_kind_and_name_come_from_the_file(tmp_path: Path) -> None:

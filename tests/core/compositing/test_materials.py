@@ -96,14 +96,6 @@ def exact_power(panorama: np.ndarray) -> np.ndarray:
     return (bilinear(panorama, rows) * panorama_solid_angles(rows)[..., None]).sum(axis=(0, 1))
 
 
-def test_densities_of_the_light_integrate_to_one() -> None:
-    from roomlight.conventions import panorama_rays, panorama_solid_angles
-
-    sampler = LightSampler(np.random.default_rng(3).random((12, 24, 3)).astype(np.float32))
-    total = (sampler.pdf(panorama_rays(96)).reshape(96, 192) * panorama_solid_angles(96)).sum()
-    assert total == pytest.approx(1, abs=1e-3)
-
-
 def test_black_panorama_is_sampled_evenly() -> None:
     sampler = LightSampler(np.zeros((8, 16, 3), np.float32))
     _, density = sampler.sample(np.random.default_rng(0).random((100, 2)))
@@ -119,30 +111,19 @@ def test_probe_weights_are_one_at_a_probe_and_sum_to_one() -> None:
     np.testing.assert_allclose(middle, [[2, 2, 2]], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"roughness": 1.5},
-        {"metallic": -0.1},
-        {"base_colour": (0.5, 2.0, 0.5)},
-        {"ior": 0.5},
-        {"opacity": float("nan")},
-        {"emissive": (float("inf"), 0.0, 0.0)},
-        {"alpha_cutoff": 2.0},
-    ],
-)
+@pytest.mark.parametrize("values", [
+    {"roughness": 1.5}, {"metallic": -0.1}, {"base_colour": (0.5, 2.0, 0.5)}, {"ior": 0.5}, {"opacity": float("nan")},
+    {"emissive": (float("inf"), 0.0, 0.0)}, {"alpha_cutoff": 2.0},
+])  # fmt: skip
 def test_material_values_out_of_range_are_refused(values: dict) -> None:
-    with pytest.raises(ObjectError, match=next(iter(values)).split("[")[0]):
+    with pytest.raises(ObjectError, match=next(iter(values))):
         Material(**values)
 
 
-def test_large_textures_are_reduced() -> None:
+def test_textures_are_reduced_to_the_limit_and_not_empty() -> None:
     texture = Texture.from_srgb8(np.full((4, 3000, 3), 255, np.uint8))
     assert texture.texels.shape[1] == MAX_TEXTURE_SIZE
     assert texture.texels.min() == 65535
-
-
-def test_empty_texture_is_refused() -> None:
     with pytest.raises(ObjectError, match="texel"):
         Texture(np.zeros((0, 4, 4), np.uint16))
 

@@ -25,12 +25,19 @@ def step_depth(width=160, height=120):
 
 
 def test_full_depth_hides_exactly():
-    real = real_depth(step_depth(), 160, 120, WHOLE)
-    seen = visibility(np.full((120, 160), 2.0, np.float32), real, guide_with_edge())
+    real, whole = real_depth(step_depth(), 160, 120, WHOLE), np.full((120, 160), 2.0, np.float32)
+    seen = visibility(whole, real, guide_with_edge())
     assert seen[:, : EDGE - 1].max() == 0
     assert seen[:, EDGE + 1 :].min() == 1
     assert seen[:, EDGE - 1].max() < 0.01  # beside the edge colour decides
     assert seen[:, EDGE].min() > 0.99
+    small = np.zeros((120, 160), np.float32)
+    small[40:80, 40:100] = 2.0
+    seen = visibility(small, real, guide_with_edge())
+    assert (seen[small == 0] == 1).all()  # pixels without object count as visible
+    assert seen[60, 50] == 0
+    unknown = real_depth(np.zeros((30, 40), np.float32), 160, 120, WHOLE)
+    assert (visibility(whole, unknown, guide_with_edge()) == 1).all()
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.015])
@@ -52,25 +59,12 @@ def test_without_a_colour_edge_the_alpha_is_soft():
     assert seen[60, 110] == 1
 
 
-def test_objects_are_visible_where_depth_is_unknown():
-    real = real_depth(np.zeros((30, 40), np.float32), 160, 120, WHOLE)
-    assert (visibility(np.full((120, 160), 2.0, np.float32), real, guide_with_edge()) == 1).all()
-
-
 def test_a_narrow_hole_is_decided_by_colour():
     depth = step_depth()
     depth[:, EDGE - 3 : EDGE + 3] = 0
     seen = visibility(np.full((120, 160), 2.0, np.float32), real_depth(depth, 160, 120, WHOLE), guide_with_edge())
     assert seen[:, : EDGE - 1].max() < 0.05
     assert seen[:, EDGE + 1 :].min() > 0.95
-
-
-def test_pixels_without_object_count_as_visible():
-    object_depth = np.zeros((120, 160), np.float32)
-    object_depth[40:80, 40:100] = 2.0
-    seen = visibility(object_depth, real_depth(step_depth(), 160, 120, WHOLE), guide_with_edge())
-    assert (seen[object_depth == 0] == 1).all()
-    assert seen[60, 50] == 0
 
 
 def test_the_plane_under_an_object_never_hides_it():
@@ -97,14 +91,10 @@ def test_a_grazing_floor_has_no_depth_edges():
     assert not edges[23:27, 23:27].any()
 
 
-def test_depth_is_not_averaged_across_edges():
-    resampled = real_depth(step_depth(40, 30), 160, 120, Crop(20, 10, 140, 100)).depth_m
-    assert set(np.unique(resampled)) == {1.0, 3.0}
-
-
 def test_depth_is_linear_within_a_surface():
     slope = np.add.outer(0.02 * np.arange(30), 0.01 * np.arange(40)).astype(np.float32) + 2
     crop = Crop(20, 10, 140, 100)
+    assert set(np.unique(real_depth(step_depth(40, 30), 160, 120, crop).depth_m)) == {1.0, 3.0}  # not across edges
     real = real_depth(slope, 160, 120, crop)
     rows, columns = ((np.arange(first, last) + 0.5) / 4 - 0.5 for first, last in ((10, 100), (20, 140)))
     assert real.certain.all()

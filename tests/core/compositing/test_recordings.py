@@ -38,18 +38,12 @@ def test_online_pictures_know_only_earlier_frames():
     assert (made(FRAMES, online=True)[0].image == first.image).all()
 
 
-def test_an_iterator_can_be_read_once_only():
+def test_recordings_that_do_not_fit_are_refused():
     with pytest.raises(OptionError, match="can be read once"):
         made(iter(FRAMES))
     assert len(made(iter(FRAMES), online=True)) == 3
-
-
-def test_a_recording_without_frames_is_refused():
     with pytest.raises(CaptureError, match="no usable frame"):
         made([], online=True)
-
-
-def test_a_pixel_of_a_missing_frame_is_refused():
     late = [SceneObject("late", sphere(0.1), AtPixel(32.0, 36.0, frame=99))]
     with pytest.raises(SceneError, match="late: the recording has no frame"):
         made(FRAMES, late, online=True)

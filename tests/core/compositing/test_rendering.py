@@ -93,13 +93,6 @@ def test_depth_is_along_the_optical_axis(quality) -> None:
     np.testing.assert_allclose(picture.depth_m, 3, rtol=1e-5)
 
 
-def test_nearest_object_is_named() -> None:
-    scene = TracedObjects([moved(sphere(0.3), 0.0), moved(sphere(0.1), 0.0, 0.0, 0.8)])
-    picture = render_objects(scene, CAMERA, POSE, ProbeSet.single(panorama()), quality="preview")
-    assert picture.object_id[24, 32] == 1
-    assert picture.object_id[24, 25] == 0
-
-
 def test_objects_shadow_each_other() -> None:
     light = np.zeros((32, 64, 3), np.float32)
     light[:6] = 1.0  # from above
@@ -301,15 +294,10 @@ def test_final_is_denoised_only_where_objects_are() -> None:
     assert errors[0] < errors[1]
 
 
-@pytest.mark.parametrize(
-    "quality", ["best", RenderSettings(3, 4, denoised=False), RenderSettings(16, 0, denoised=False)]
-)
-def test_unknown_qualities_are_refused(quality) -> None:
-    with pytest.raises(OptionError):
-        render_objects(TracedObjects([sphere(0.1)]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
-
-
-def test_empty_scene_is_refused() -> None:
+def test_unknown_qualities_and_empty_scenes_are_refused() -> None:
+    for quality in ("best", RenderSettings(3, 4, denoised=False), RenderSettings(16, 0, denoised=False)):
+        with pytest.raises(OptionError):
+            render_objects(TracedObjects([sphere(0.1)]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
     with pytest.raises(ObjectError, match="one object at least"):
         TracedObjects([])
 

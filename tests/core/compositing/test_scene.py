@@ -79,24 +79,17 @@ def test_damaged_json_is_refused(text):
         parse_scene(text, load=lambda _: cube(1.0))
 
 
-def test_two_objects_of_one_name_are_refused():
+def test_scenes_with_wrong_names_counts_and_files_are_refused(tmp_path):
     with pytest.raises(SceneError, match=r"objects\[1\]\.name: 'ball' is used twice"):
         scene_of(BALL, BALL)
-
-
-def test_more_objects_than_the_limit_are_refused():
     with pytest.raises(SceneError, match=r"objects: .*64"):
         scene_of(*({**BALL, "name": str(number)} for number in range(65)))
     with pytest.raises(SceneError, match="1 to 64 objects, got 0"):
         Scene(())
-
-
-def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(SceneError, match=r"scene\.json: cannot be read"):
         load_scene(tmp_path / "scene.json")
-    (tmp_path / "scene.json").write_text(
-        json.dumps({"objects": [{"name": "a", "file": "no.glb", "position": [0, 0, 0]}]})
-    )
+    document = {"objects": [{"name": "a", "file": "no.glb", "position": [0, 0, 0]}]}
+    (tmp_path / "scene.json").write_text(json.dumps(document))
     with pytest.raises(ObjectError, match=r"no\.glb"):
         load_scene(tmp_path / "scene.json")
 
@@ -117,23 +110,16 @@ def test_motion_is_interpolated_about_the_pivot():
     assert (middle @ np.append(pivot, 1))[:3] == pytest.approx([2, 0, 0])
 
 
-@pytest.mark.parametrize(("time", "x"), [(-5.0, 0), (1.0, 0), (3.0, 2), (99.0, 2)])
-def test_motion_is_held_before_and_after_its_keys(time, x):
-    assert motion_of().transform_at(time, np.zeros(3))[0, 3] == pytest.approx(x)
+def test_motion_in_time():
+    def at(time, **options):
+        return motion_of(**options).transform_at(time, np.zeros(3))[0, 3]
 
-
-def test_a_loop_begins_again():
-    looped = motion_of(loop=True)
-    assert looped.transform_at(2.5 + 4, np.zeros(3)) == pytest.approx(looped.transform_at(2.5, np.zeros(3)))
-
-
-def test_smooth_easing_stops_at_the_keys():
-    def at(time):
-        return motion_of(easing="smooth").transform_at(time, np.zeros(3))[0, 3]
-
-    assert at(2.0) == pytest.approx(1.0)
-    assert at(1.01) < 1e-3
-    assert 2 - at(2.99) < 1e-3
+    for time, x in ((-5.0, 0), (1.0, 0), (3.0, 2), (99.0, 2)):  # held before and after its keys
+        assert at(time) == pytest.approx(x)
+    assert at(2.5 + 4, loop=True) == pytest.approx(at(2.5))
+    assert at(2.0, easing="smooth") == pytest.approx(1.0)  # it stops at the keys
+    assert at(1.01, easing="smooth") < 1e-3
+    assert 2 - at(2.99, easing="smooth") < 1e-3
 
 
 def test_slerp_takes_the_shorter_arc():

@@ -18,8 +18,6 @@ from roomlight.engine.networks.runtime import OnnxRuntimeGraph
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError, OptionError
 
-FORMS_ASKED = ("single", "video", "auto")
-
 
 @pytest.fixture
 def folder(tiny_video, tmp_path):
@@ -29,12 +27,6 @@ def folder(tiny_video, tmp_path):
 
 def _load(folder, **options):
     return load_graphs(folder, **{"provider": "cpu", **options})
-
-
-def _chosen_form(model, **options):
-    graphs = choose_graphs(SessionOptions(model=model, **options))
-    assert graphs is not None
-    return graphs.form
 
 
 def _edit(folder, **changes):
@@ -51,35 +43,28 @@ def test_a_complete_folder_loads_with_its_shapes(folder):
     assert len(graphs.graphs) == 10
 
 
-def test_untrained_weights_are_refused(folder):
-    _edit(folder, card={"steps": 0})
-    with pytest.raises(ModelError, match=r"never trained \(steps = 0\).*roomlight train"):
+@pytest.mark.parametrize(
+    ("card", "message"), [({"steps": 0}, r"never trained \(steps = 0\).*train"), ({}, "not stated")]
+)
+def test_untrained_weights_are_refused(folder, card, message):
+    _edit(folder, card=card)
+    with pytest.raises(ModelError, match=message):
         load_graphs(folder, provider="cpu")
     with pytest.raises(ModelError, match="never trained"):
         Session(SessionOptions(weights=folder, provider="cpu"))
 
 
-def test_an_empty_card_counts_as_untrained(folder):
-    _edit(folder, card={})
-    with pytest.raises(ModelError, match="not stated"):
-        load_graphs(folder, provider="cpu")
-
-
-def test_a_changed_graph_is_refused(folder):
+def test_damaged_graphs_are_named(folder):
     path = folder / "video_sg_gru.onnx"
-    path.write_bytes(path.read_bytes() + b"\0")
+    whole = path.read_bytes()
+    path.write_bytes(whole + b"\0")
     with pytest.raises(ModelError, match=r"video_sg_gru\.onnx: is not the graph"):
         _load(folder)
-
-
-@pytest.mark.parametrize("name", ["single_sg_encoder", "video_blend_decoder"])
-def test_a_missing_graph_is_named(folder, name):
-    (folder / f"{name}.onnx").unlink()
-    with pytest.raises(ModelError, match=rf"{name}\.onnx: missing"):
-        _load(folder)
-
-
-def test_a_graph_that_the_index_does_not_name_is_missing(folder):
+    path.write_bytes(whole)
+    for name in ("video_blend_decoder", "single_sg_encoder"):
+        (folder / f"{name}.onnx").unlink()
+        with pytest.raises(ModelError, match=rf"{name}\.onnx: missing"):
+            _load(folder)
     index = json.loads((folder / "model.json").read_text())
     del index["graphs"]["single_blend_encoder"]
     _edit(folder, graphs=index["graphs"])
@@ -87,32 +72,21 @@ def test_a_graph_that_the_index_does_not_name_is_missing(folder):
         _load(folder)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"format": 2},
-        {"format": None},
-        {"form": "triple"},
-        {"form": ["video"]},
-        {"graphs": [1, 2]},
-        {"graphs": {"single_sg_encoder": "digest"}},
-        {"card": ["steps"]},
-    ],
-)
+@pytest.mark.parametrize("changes", [
+    {"format": 2}, {"format": None}, {"form": "triple"}, {"form": ["video"]}, {"graphs": [1, 2]},
+    {"graphs": {"single_sg_encoder": "digest"}}, {"card": ["steps"]},
+])  # fmt: skip
 def test_an_index_of_another_kind_is_refused(folder, changes):
     _edit(folder, **changes)
     with pytest.raises(ModelError, match=r"model\.json|missing"):
         _load(folder)
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe\x00", b'"text"'])
-def test_a_malformed_index_is_refused(folder, content):
-    (folder / "model.json").write_bytes(content)
-    with pytest.raises(ModelError, match=r"model\.json"):
-        _load(folder)
-
-
-def test_a_folder_without_a_model_is_refused(tmp_path):
+def test_a_malformed_index_is_refused(folder, tmp_path):
+    for content in (b"", b"{", b"[]", b"null", b"\xff\xfe\x00", b'"text"'):
+        (folder / "model.json").write_bytes(content)
+        with pytest.raises(ModelError, match=r"model\.json"):
+            _load(folder)
     with pytest.raises(ModelError, match=r"model\.json: cannot be read.*roomlight export"):
         load_graphs(tmp_path)
 
@@ -127,39 +101,27 @@ def test_what_onnx_runtime_refuses_is_named(folder):
         _load(folder)
 
 
-def test_a_single_view_folder_supports_single_and_auto_not_video(folder):
-    _edit(folder, form="single")
-    options = {"weights": folder, "provider": "cpu"}
-    for model in ("single", "auto"):
-        assert _chosen_form(model, **options) == "single"
-    with pytest.raises(OptionError, match="single-view weights only"):
-        choose_graphs(SessionOptions(model="video", **options))
-
-
-def test_a_video_folder_serves_every_form(folder):
-    options = {"weights": folder, "provider": "cpu"}
-    forms = {model: _chosen_form(model, **options) for model in FORMS_ASKED}
-    assert forms == {"single": "single", "video": "video", "auto": "video"}
-
-
-def test_shipped_video_weights_serve_every_form(folder, monkeypatch):
-    _edit(folder, card={"steps": 1000})
-    (folder.parent / "shipped").mkdir()
-    folder.rename(folder.parent / "shipped" / "video")
-    monkeypatch.setattr(choosing, "SHIPPED", folder.parent / "shipped")
-    forms = {model: _chosen_form(model, provider="cpu") for model in ("single", "video", "auto")}
-    assert forms == {"single": "single", "video": "video", "auto": "single"}
-
-
-def test_shipped_single_weights_serve_all_but_video(folder, monkeypatch):
-    _edit(folder, card={"steps": 1000}, form="single")
-    (folder.parent / "shipped").mkdir()
-    folder.rename(folder.parent / "shipped" / "single")
-    monkeypatch.setattr(choosing, "SHIPPED", folder.parent / "shipped")
-    assert {_chosen_form(model, provider="cpu") for model in ("single", "auto")} == {"single"}
-    assert choose_graphs(SessionOptions(model="classical")) is None
-    with pytest.raises(ModelError, match=r'model="video": .* no trained weights'):
-        choose_graphs(SessionOptions(model="video", provider="cpu"))
+@pytest.mark.parametrize("shipped", [False, True])
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_a_folder_serves_its_own_form_and_those_below(folder, monkeypatch, form, shipped):
+    _edit(folder, form=form, card={"steps": 1000})
+    options = {"provider": "cpu"} if shipped else {"provider": "cpu", "weights": folder}
+    if shipped:
+        (folder.parent / "shipped").mkdir()
+        folder.rename(folder.parent / "shipped" / form)
+        monkeypatch.setattr(choosing, "SHIPPED", folder.parent / "shipped")
+    expected = {"single": "single", "auto": "single" if shipped else form} | (
+        {"video": "video"} if form == "video" else {}
+    )
+    for model, chosen in expected.items():
+        graphs = choose_graphs(SessionOptions(model=model, **options))
+        assert graphs is not None
+        assert graphs.form == chosen
+    assert choose_graphs(SessionOptions(model="classical", **options)) is None
+    if form == "single":
+        error, message = (ModelError, "no trained weights") if shipped else (OptionError, "single-view weights only")
+        with pytest.raises(error, match=message):
+            choose_graphs(SessionOptions(model="video", **options))
 
 
 def _identity(shape):
@@ -180,22 +142,14 @@ def test_a_bound_graph_reads_and_writes_in_place():
         assert (y == value).all()
 
 
-def test_a_graph_without_static_shapes_is_refused():
+def test_buffers_that_do_not_fit_are_refused():
     with pytest.raises(ModelError, match="graph free: x has the shape"):
         Graph(_identity(["batch", 3]), "free")
-
-
-@pytest.mark.parametrize(
-    ("name", "shape", "message"),
-    [("z", (2, 3), r"has \['x'\], the engine gives \['z'\]"), ("x", (2, 4), r"x is \(2, 3\), the engine has \(2, 4\)")],
-)
-def test_mismatched_buffers_are_refused(name, shape, message):
     graph = Graph(_identity([2, 3]), "identity")
-    with pytest.raises(ModelError, match=message):
-        graph.bind({name: np.zeros(shape, np.float32)}, graph.new_outputs())
-
-
-def test_a_buffer_that_would_be_copied_is_refused():
-    graph = Graph(_identity([6]), "identity")
-    with pytest.raises(ModelError, match="not contiguous"):
-        graph.bind({"x": np.zeros((3, 4), np.float32)[:, ::2]}, graph.new_outputs())
+    for name, buffer, message in (
+        ("z", np.zeros((2, 3), np.float32), r"has \['x'\], the engine gives \['z'\]"),
+        ("x", np.zeros((2, 4), np.float32), r"x is \(2, 3\), the engine has \(2, 4\)"),
+        ("x", np.zeros((2, 6), np.float32)[:, ::2], "not contiguous"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            graph.bind({name: buffer}, graph.new_outputs())

@@ -30,32 +30,18 @@ def test_a_complete_folder_loads(tmp_path):
     assert graph.outputs == {"changes": (1, 6, 60, 120)}
 
 
-def test_another_form_is_named(tmp_path):
-    folder = write_part(tmp_path / "part", "objects")
-    with pytest.raises(ModelError, match="networks of the form objects, not clipping"):
-        load_part(folder, "clipping", provider="cpu")
-
-
-def test_a_part_alone_is_no_model(tmp_path):
-    folder = write_part(tmp_path / "part", "clipping")
-    with pytest.raises(ModelError, match="the form clipping, which no model runs by itself"):
-        load_graphs(folder, provider="cpu")
-
-
-def test_networks_of_a_model_are_no_part():
-    with pytest.raises(ModelError, match="of the form single, not objects"):
-        load_part(SHIPPED / "single", "objects", provider="cpu")
-
-
-def test_a_missing_folder_is_named(tmp_path):
-    with pytest.raises(ModelError, match=r"nowhere/model\.json: cannot be read.*roomlight export"):
-        load_part(tmp_path / "nowhere", "clipping", provider="cpu")
-
-
-def test_an_untrained_part_is_refused(tmp_path):
-    folder = write_part(tmp_path / "part", "objects", steps=0)
-    with pytest.raises(ModelError, match=r"never trained.*roomlight train objects"):
-        load_part(folder, "objects", provider="cpu")
+def test_other_folders_are_refused_with_the_reason(tmp_path):
+    objects, untrained = (write_part(tmp_path / f"part-{steps}", "objects", steps=steps) for steps in (1, 0))
+    for folder, form, message in (
+        (objects, "clipping", "networks of the form objects, not clipping"),
+        (SHIPPED / "single", "objects", "of the form single, not objects"),
+        (tmp_path / "nowhere", "clipping", r"nowhere/model\.json: cannot be read.*roomlight export"),
+        (untrained, "objects", r"never trained.*roomlight train objects"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            load_part(folder, form, provider="cpu")
+    with pytest.raises(ModelError, match="the form objects, which no model runs by itself"):
+        load_graphs(objects, provider="cpu")
 
 
 def test_a_graph_of_another_size_is_refused_when_it_runs(tmp_path):

@@ -1,25 +1,13 @@
 """ONNX Runtime is loaded without its telemetry, which writes `~/.cache/Microsoft` and looks up a host at its import."""
 
-import ast
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-FOLDERS = (
-    "bench",
-    "cli",
-    "client/roomlight_client",
-    "core",
-    "evaluation",
-    "examples",
-    "export",
-    "generator",
-    "model",
-    "server",
-)
 IMPORTS = {
     "engine": "import roomlight as rl; rl.Session(rl.SessionOptions(model='classical'))",
     "export": "import roomlight_export.exporting",
@@ -61,14 +49,8 @@ def test_roomlight_serve_writes_no_telemetry_file(home):
 
 
 def test_only_one_module_imports_onnx_runtime():
-    root = Path(__file__).parents[3]
-    importing = set()
-    for path in (
-        path for folder in FOLDERS for path in (root / folder).rglob("*.py") if "node_modules" not in path.parts
-    ):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            if any(name.partition(".")[0] == "onnxruntime" for name in names):
-                importing.add(path.name)
-    assert importing == {"runtime.py"}
+    importing = re.compile(r"^\s*(import|from) onnxruntime\b", re.MULTILINE)
+    root, folders = Path(__file__).parents[3], ("core", "model", "export", "server", "client", "lab", "cli", "examples")
+    sources = [path for folder in folders for path in (root / folder).rglob("*.py") if "node_modules" not in path.parts]
+    assert len(sources) > 300
+    assert {path.name for path in sources if importing.search(path.read_text(encoding="utf-8"))} == {"runtime.py"}

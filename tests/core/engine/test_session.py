@@ -13,7 +13,6 @@ from roomlight.engine.kernels.bracket import take_radiance
 from roomlight.engine.kernels.march import march_rays
 from roomlight.engine.kernels.volume_init import initialise_slices
 from roomlight.engine.models import choosing
-from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import FrameError, ModelError, ProbeError
 from rooms import BoxRoom, camera_at, pan
@@ -185,29 +184,6 @@ def test_a_later_frame_without_depth_changes_no_coverage(pan_frames):
     assert not reports[-1].keyframe
 
 
-def test_lights_are_copies(pan_frames):
-    session, _ = _run(pan_frames[:1], probes=PROBES[:1])
-    session.light(0).panorama[:] = -1
-    assert session.light(0).panorama.min() >= 0
-
-
-def test_there_is_no_light_before_the_first_frame():
-    session = Session(CLASSICAL)
-    handle = session.track(PROBES[0])
-    with pytest.raises(ProbeError, match="push a frame first"):
-        session.light_at(PROBES[0])
-    with pytest.raises(ProbeError, match="no frame has been pushed yet"):
-        session.light(handle)
-    assert list(session.lights()) == []
-
-
-@pytest.mark.parametrize("handle", [-1, 1, 99])
-def test_an_unknown_handle_has_no_light(pan_frames, handle):
-    session, _ = _run(pan_frames[:1], probes=PROBES[:1])
-    with pytest.raises(ProbeError, match="tracks 1"):
-        session.light(handle)
-
-
 @pytest.mark.parametrize("position", [(np.nan, 0.0, 0.0), (0.0, -np.inf, 0.0), (0.0, 0.0, 2000.0)])
 def test_an_invalid_position_is_refused(pan_frames, position):
     session, _ = _run(pan_frames[:1])
@@ -220,9 +196,21 @@ def test_an_invalid_position_is_refused(pan_frames, position):
 def test_handles_count_up_across_the_first_frame(pan_frames):
     session = Session(CLASSICAL)
     assert [session.track(PROBES[0]), session.track(PROBES[1])] == [0, 1]
+    for call, message in (
+        (lambda: session.light_at(PROBES[0]), "push a frame first"),
+        (lambda: session.light(0), "no frame has been pushed yet"),
+    ):
+        with pytest.raises(ProbeError, match=message):
+            call()
+    assert list(session.lights()) == []
     session.push(pan_frames[0])
     assert session.track(PROBES[2]) == 2
     assert [light.position for light in session.lights()] == list(PROBES)
+    for handle in (-1, 3, 99):
+        with pytest.raises(ProbeError, match="tracks 3"):
+            session.light(handle)
+    session.light(0).panorama[:] = -1  # a copy
+    assert session.light(0).panorama.min() >= 0
 
 
 def test_probes_outside_the_volume_and_inside_a_wall_get_light(pan_frames):
@@ -241,22 +229,15 @@ def test_panoramas_have_the_requested_height(pan_frames, height):
     assert light.observed.shape == (height, 2 * height)
 
 
-@pytest.mark.parametrize("height", [15, 2049, -1])
-def test_heights_out_of_range_are_refused(height):
-    with pytest.raises(ValueError, match=str(height)):
-        SessionOptions(height=height)
-
-
-@pytest.mark.parametrize("hedge", [-0.1, 1.5, float("nan")])
-def test_a_hedge_outside_0_to_1_is_refused(hedge):
-    with pytest.raises(ValueError, match=f"hedge is {hedge}; it must be 0 to 1"):
-        SessionOptions(hedge=hedge)
-
-
-@pytest.mark.parametrize("keyframes", [0, -3])
-def test_a_keyframe_store_of_size_zero_is_refused(keyframes):
-    with pytest.raises(ValueError, match=f"keyframes is {keyframes}; it must be 1 or more"):
-        SessionOptions(keyframes=keyframes)
+@pytest.mark.parametrize(
+    ("name", "values", "rule"),
+    [("height", (15, 2049, -1), "16 to 2,048"), ("hedge", (-0.1, 1.5, float("nan")), "0 to 1"),
+     ("keyframes", (0, -3), "1 or more")],
+)  # fmt: skip
+def test_options_out_of_range_are_refused(name, values, rule):
+    for value in values:
+        with pytest.raises(ValueError, match=f"{name} is {value}; it must be {rule}"):
+            SessionOptions(**{name: value})
 
 
 @pytest.mark.parametrize("unknown_depth", ["rim", "far", "drop"])
@@ -292,18 +273,12 @@ def test_large_frames_are_brought_to_the_working_size():
     assert np.quantile(abs(session.light(0).panorama - small.light(0).panorama), 0.95) < 0.05
 
 
-@pytest.mark.parametrize("model", ["single", "video"])
-def test_networks_without_weights_are_refused_by_name(model, monkeypatch, tmp_path):
-    monkeypatch.setattr(choosing, "SHIPPED", tmp_path)
-    with pytest.raises(ModelError, match=rf'model="{model}": .* no trained weights'):
-        Session(SessionOptions(model=model))
-
-
-def test_auto_without_weights_is_single(monkeypatch, tmp_path):
+def test_auto_is_single_and_networks_without_weights_are_refused_by_name(monkeypatch, tmp_path):
     assert Session(SessionOptions()).model == "single"
     monkeypatch.setattr(choosing, "SHIPPED", tmp_path)
-    with pytest.raises(ModelError, match=r'model="auto": .* no trained weights'):
-        choose_graphs(SessionOptions(model="auto"))
+    for model in ("single", "video", "auto"):
+        with pytest.raises(ModelError, match=rf'model="{model}": .* no trained weights'):
+            Session(SessionOptions(model=model))
 
 
 def test_after_warming_up_no_kernel_is_compiled_any_more(pan_frames):

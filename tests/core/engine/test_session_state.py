@@ -69,10 +69,11 @@ def saved(tmp_path_factory):
     return session, path
 
 
-@pytest.mark.parametrize("model", ["classical", "single", "video"])
-@pytest.mark.parametrize(
-    "at", [0, *(pytest.param(at, marks=pytest.mark.slow) for at in (1, 2)), 6, pytest.param(7, marks=pytest.mark.slow)]
-)
+QUICK = (("classical", 0), ("classical", 6), ("single", 6), ("video", 6))
+OTHERS = [(model, at) for model in ("classical", "single", "video") for at in (0, 1, 2, 7) if (model, at) not in QUICK]
+
+
+@pytest.mark.parametrize(("model", "at"), [*QUICK, *(pytest.param(*each, marks=pytest.mark.slow) for each in OTHERS)])
 def test_a_loaded_session_goes_on_with_the_same_bits(tiny_video, tmp_path, model, at):
     options = _options(model, tiny_video)
     whole = Session(options)
