@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from roomlight.engine.models.interface import Rendered
+from roomlight.engine.models.network_probe import hedged
 from roomlight.engine.models.network_volume import NetworkModel
 from roomlight.engine.networks.graphs import load_graphs
 from roomlight.engine.observations import CLOSER_M
@@ -17,6 +18,7 @@ from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.engine.volume.sglv import Sglv, render_panorama
 from roomlight.errors import ModelError
+from roomlight.metrics import log_l2
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.networks import Observation, VideoModel
 from rooms import BoxRoom, camera_at, pan
