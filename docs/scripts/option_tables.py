@@ -2,7 +2,8 @@
 
 A line `<!-- options: MODULE.CLASS name name ... -->` becomes a table of these fields, or of all without a name: flag,
 values and text, as `roomlight COMMAND --help` shows them. A setting without a flag is shown as its
-environment variable.
+environment variable. A line `<!-- fields: MODULE.CLASS name ... -->` becomes a table of the fields that its docstring
+describes.
 """
 
 import re
@@ -16,12 +17,24 @@ from roomlight_cli.commands.serve import FLAGS
 from roomlight_cli.options import CommandOptions, described
 from roomlight_server.base.settings import PREFIX
 
-_MARK = re.compile(r"^<!-- options: ([\w.]+)\.(\w+)((?:\s+\w+)*) -->$", re.MULTILINE)
+_MARK = re.compile(r"^<!-- (options|fields): ([\w.]+)\.(\w+)((?:\s+\w+)*) -->$", re.MULTILINE)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Replace the marks of a page; called by mkdocs."""
-    return _MARK.sub(lambda mark: option_table(getattr(import_module(mark[1]), mark[2]), mark[3].split()), markdown)
+    tables = {"options": option_table, "fields": field_table}
+    return _MARK.sub(lambda mark: tables[mark[1]](getattr(import_module(mark[2]), mark[3]), mark[4].split()), markdown)
+
+
+def field_table(described_class: type, names: list[str]) -> str:
+    """Return a table in Markdown of the fields in a class's docstring.
+
+    Raises:
+        KeyError: The docstring has no such field.
+    """
+    texts = described(described_class, "Attributes")
+    rows = ["| Field | Meaning |", "| --- | --- |"]
+    return "\n".join(rows + [f"| `{name}` | {texts[name]} |" for name in names or texts])
 
 
 def option_table(options: type, names: list[str]) -> str:

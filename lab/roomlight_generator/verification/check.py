@@ -257,15 +257,15 @@ def _compared(
     begin = time.perf_counter()
     frame = light.frame(camera, camera_to_world, seed=seed).radiance
     frame_s = time.perf_counter() - begin
-    eye = _PictureRays.through_pixels(camera, camera_to_world)
+    eye = PictureRays.through_pixels(camera, camera_to_world)
     frames = _rendered(reference, frame, frame_s, eye, samples=samples, seeds=seeds[:2])
 
     begin = time.perf_counter()
     panorama = light.panorama(probe, height=probe_height, seed=seed)
     panorama_s = time.perf_counter() - begin
-    around = _PictureRays.around(probe, probe_height)
+    around = PictureRays.around(probe, probe_height)
     panoramas = _rendered(reference, panorama, panorama_s, around, samples=samples, seeds=seeds[2:4])
-    _add_sun(panoramas.halves, reference, scene, probe)
+    add_sun(panoramas.halves, reference, scene, probe)
 
     begin = time.perf_counter()
     kinds = surface_kinds(tracer, camera, camera_to_world)
@@ -307,7 +307,7 @@ def _compared(
 
 
 @dataclass(frozen=True, eq=False)
-class _PictureRays:
+class PictureRays:
     """A picture's rays from one point (world frame), and the two vectors that span the pixel of each ray."""
 
     origin: Float[np.ndarray, "3"]
@@ -315,14 +315,16 @@ class _PictureRays:
     spread: Float[np.ndarray, "h w 2 3"]
 
     @classmethod
-    def through_pixels(cls, camera: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> "_PictureRays":
+    def through_pixels(cls, camera: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> "PictureRays":
+        """Return the rays of a frame."""
         rotation = camera_to_world[:3, :3]
         across = np.array([[1 / camera.fx, 0, 0], [0, -1 / camera.fy, 0]]) @ rotation.T
         spread = np.tile(across, (camera.height, camera.width, 1, 1))
         return cls(camera_to_world[:3, 3], camera.rays().astype(np.float64) @ rotation.T, spread)
 
     @classmethod
-    def around(cls, position: Float[np.ndarray, "3"], height: int) -> "_PictureRays":
+    def around(cls, position: Float[np.ndarray, "3"], height: int) -> "PictureRays":
+        """Return the rays of a panorama."""
         directions = panorama_directions(height).astype(np.float64)
         x, y, z = np.moveaxis(directions, -1, 0)
         ring = np.sqrt(x**2 + z**2)
@@ -335,7 +337,7 @@ def _rendered(
     reference: Reference,
     ours: Float[np.ndarray, "h w 3"],
     ours_s: float,
-    rays: _PictureRays,
+    rays: PictureRays,
     *,
     samples: int,
     seeds: list[int],
@@ -352,7 +354,7 @@ def _rendered(
     return View(ours, np.stack(halves), ours_s, time.perf_counter() - begin)
 
 
-def _add_sun(
+def add_sun(
     halves: Float[np.ndarray, "2 h w 3"], reference: Reference, scene: Scene, position: Float[np.ndarray, "3"]
 ) -> None:
     """Add the sun's disc to a panorama where it is in view, because paths do not meet it."""
@@ -378,7 +380,7 @@ def _blocks_of(kind: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Int[n
 
 
 def _points(
-    reference: Reference, rays: _PictureRays, at: Int[np.ndarray, "n 2"], *, size: int, paths: int, seed: int
+    reference: Reference, rays: PictureRays, at: Int[np.ndarray, "n 2"], *, size: int, paths: int, seed: int
 ) -> tuple[Float[np.ndarray, "2 n 3"], int]:
     """Compute the reference's halves over squares of pixels, given by their upper left pixels; also the paths used."""
     count = len(at)

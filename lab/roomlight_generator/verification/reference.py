@@ -145,6 +145,34 @@ class Reference:
             total += radiance.reshape(count, paths, 3).sum(1)
         return (total / samples).astype(np.float32)
 
+    def first_surfaces(
+        self,
+        origins: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+        *,
+        samples: int,
+        spread: Float[np.ndarray, "n 2 3"],
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """Compute albedo and normal of the first surfaces, means over `samples` rays of a pixel: a denoiser's guides.
+
+        Raises:
+            ImportError: The variant is `scalar_rgb`.
+        """
+        if not self._vectorised:
+            raise ImportError("guides of a denoiser need Mitsuba's llvm_ad_rgb: install LLVM 17 or newer")
+        mi = self._mi
+        integrator = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal"})
+        rng, total = np.random.default_rng(0), np.zeros((len(origins), 6), np.float32)
+        for number in range(samples):
+            d = directions + (spread * rng.uniform(-0.5, 0.5, (len(directions), 2, 1))).sum(1)
+            d = (d / np.linalg.norm(d, axis=1, keepdims=True)).astype(np.float32)
+            sampler = mi.load_dict({"type": "independent"})
+            sampler.seed(number, len(d))
+            ray = mi.RayDifferential3f(mi.Point3f(origins.T.astype(np.float32)), mi.Vector3f(d.T))
+            values = integrator.sample(self._scene, sampler, ray)[2]
+            total += np.stack([np.asarray(value, np.float32) for value in values[-6:]], 1) / samples
+        return np.clip(total[:, :3], 0, 1), total[:, 3:]
+
     def sun_seen(self, position: Float[np.ndarray, "3"], *, samples: int = 256) -> Float[np.ndarray, "n 3"]:
         """Return those of `samples` directions spread over the sun's disc that no surface blocks at a point."""
         if self._sun is None:
