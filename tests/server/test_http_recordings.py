@@ -49,6 +49,14 @@ def upload(server, folder: Path, **more):
     return url
 
 
+def test_the_sample_room_is_a_recording(server):
+    answer = server.call("POST", f"{URL}/sample")
+    assert (answer.status, answer.json["status"], answer.json["name"]) == (201, "ready", "Sample room")
+    body = {"session": "sample", "model": "classical", "height": 16, "fps": 2}
+    assert server.call("PUT", f"{URL}/{answer.json['id']}/replay", body).status == 202
+    assert finished(server, f"{URL}/{answer.json['id']}")["frame"] > 0
+
+
 def finished(server, url, status="finished", **more):
     """Wait for the end of a replay on the event loop itself, and return the recording."""
     while (described := server.call("GET", url, **more).json)["status"] == "playing":

@@ -156,7 +156,8 @@ export class LiveSession {
     const { selectedProbe, liveProbes } = this.state;
     const selected = selectedProbe.value ?? "";
     if (!liveProbes.value.has(selected) && !this.awaited.has(selected)) {
-      selectedProbe.value = liveProbes.value.keys().next().value ?? null;
+      const wanted = this.state.wantedProbe;
+      selectedProbe.value = wanted !== null && liveProbes.value.has(wanted) ? wanted : (liveProbes.value.keys().next().value ?? null);
     }
   }
 

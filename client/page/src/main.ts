@@ -27,9 +27,9 @@ let live: LiveSession | null = null;
 
 const objects = new PlacedObjects(state, () => live?.session ?? null, reportError);
 
-sessionsPanel(state);
+sessionsPanel(state, (id) => void removeSession(id));
 dialogs(api);
-uploadsPanel(api, (session) => (state.selected.value = session));
+const cancelUploads = uploadsPanel(api, (session) => (state.selected.value = session));
 cameraPanel(api, state, objects);
 timelinePanel(api, state);
 processingPanel(state);
@@ -49,12 +49,45 @@ state.selected.watch((id) => {
   state.ended.value = null;
   document.title = id ? `${id} · RoomLight` : "RoomLight";
   join(id);
+  showAddress();
 });
+state.selectedProbe.watch(showAddress);
+const wanted = new URLSearchParams(location.hash.slice(1));
+state.selected.value = wanted.get("session");
+state.wantedProbe = wanted.get("probe");
 void poll();
 // A page with a connection is not kept for the Back button.
 addEventListener("pagehide", () => live?.close());
 addEventListener("pageshow", ({ persisted }) => persisted && state.ended.value === null && join(state.selected.value));
 document.addEventListener("visibilitychange", () => !document.hidden && void readSessions());
+
+/** The address names the session and the probe, so that it can be kept and shared. */
+function showAddress(): void {
+  const shown = new URLSearchParams();
+  for (const [key, { value }] of [["session", state.selected], ["probe", state.selectedProbe]] as const) {
+    if (value !== null) {
+      shown.set(key, value);
+    }
+  }
+  history.replaceState(null, "", `${location.pathname}${location.search}${shown.size > 0 ? `#${shown}` : ""}`);
+}
+
+/** Delete a session on the server, with its light and its pictures. */
+async function removeSession(id: string): Promise<void> {
+  if (!confirm(`Delete the session ${id} with its light and its pictures?`)) {
+    return;
+  }
+  try {
+    cancelUploads(id);
+    await api.deleteSession(id);
+    if (state.selected.value === id) {
+      state.selected.value = null;
+    }
+    await readSessions();
+  } catch (error) {
+    reportError(error);
+  }
+}
 
 function join(id: string | null): void {
   live = id === null ? null : new LiveSession(api, state, id, reportError);

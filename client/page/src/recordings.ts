@@ -35,10 +35,16 @@ export class RecordingUpload {
     private readonly api: Api,
     name: string,
     files: readonly NamedFile[],
+    private readonly sample = false,
   ) {
     this.files = files.filter(({ path }) => !IGNORED.test(path));
     const bytes = this.files.reduce((sum, { file }) => sum + file.size, 0);
     this.state = new Signal<Upload>({ name, bytes, sent: 0, recording: null, error: null });
+  }
+
+  /** The recording that is part of RoomLight: nothing is uploaded. */
+  static ofSample(api: Api): RecordingUpload {
+    return new RecordingUpload(api, "Sample room", [], true);
   }
 
   get isDone(): boolean {
@@ -50,7 +56,7 @@ export class RecordingUpload {
   async run(playing: (session: string) => void): Promise<void> {
     const { name, bytes } = this.state.value;
     try {
-      let recording = await this.api.createRecording(name, bytes, this.files.length);
+      let recording = await (this.sample ? this.api.addSample() : this.api.createRecording(name, bytes, this.files.length));
       this.show({ recording });
       if (this.stopped.signal.aborted) {
         return await this.cancel(); // cancelled while the server made it

@@ -61,6 +61,8 @@ export class State {
   /** Light of the shown entry of the timeline; null: live. */
   readonly pastProbes = new Signal<ReadonlyMap<string, ProbeLight> | null>(null);
   readonly selectedProbe = new Signal<string | null>(null);
+  /** The probe that the page's address names: selected when its light arrives. */
+  wantedProbe: string | null = null;
 
   readonly exposureEv = new Signal(0);
   readonly falseColour = new Signal(false);

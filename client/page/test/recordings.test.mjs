@@ -21,6 +21,31 @@ const finished = (name) =>
     name,
   );
 
+test("the sample room is played", async () => {
+  await page.click("#play-sample");
+  await waitForLight(page);
+  assert.match(await page.title(), /^Sample-room-/);
+  await page.waitForFunction(() => location.hash.includes("probe="));
+  const { page: other } = await openPage(browser, { url: page.url() });
+  await waitForLight(other);
+  assert.equal(await other.title(), await page.title());
+  await other.close();
+});
+
+test("a session is deleted after a question", async () => {
+  const session = (await page.title()).split(" ")[0];
+  page.once("dialog", (dialog) => dialog.accept());
+  await page.click(`button[aria-label="Delete ${session}"]`);
+  await page.waitForSelector("#empty:not([hidden])");
+  assert.equal(await page.locator(".upload").count(), 0);
+});
+
+test("a 3D object is no recording", async () => {
+  await page.setInputFiles("#file-input", { name: "chair.glb", mimeType: "model/gltf-binary", buffer: Buffer.from("glTF") });
+  await page.waitForFunction(() => document.getElementById("notices").textContent.includes("chair.glb is a 3D object"));
+  assert.equal(await page.locator(".upload", { hasText: "chair.glb" }).count(), 0);
+});
+
 test("a dropped folder is uploaded and played", async () => {
   const { x, y } = { x: 600, y: 400 };
   const devtools = await page.context().newCDPSession(page);

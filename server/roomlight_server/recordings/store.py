@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, Literal
 
+from roomlight.sample import sample_capture
 from roomlight.wire.messages import SessionRequest
 from roomlight.wire.recordings import Recording, RecordingList, RecordingRequest, ReplayRequest
 from roomlight_server.base.problems import ProblemError
 from roomlight_server.base.request_context import Flow, current_flow
 from roomlight_server.base.settings import ServerSettings
-from roomlight_server.recordings.files import RecordingFiles
+from roomlight_server.recordings.files import RecordingFiles, append
 from roomlight_server.recordings.locked_folder import LockedFolder, remove_left_folders
 from roomlight_server.recordings.player import Player
 from roomlight_server.sessions.registry import Registry
@@ -98,6 +99,23 @@ class RecordingStore:
         files = RecordingFiles(root / f"r-{secrets.token_hex(8)}", announced)
         recording = StoredRecording(owner, files, self._clock())
         self._recordings[recording.id] = recording
+        return self.describe(recording)
+
+    async def add_sample(self, owner: str) -> Recording:
+        """Add the sample recording of the package, complete.
+
+        Raises:
+            ProblemError: The quota of the token (409) or of the server (503) is used up.
+        """
+        folder = sample_capture()
+        contents = {
+            path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+        }
+        announced = RecordingRequest(name="Sample room", bytes=sum(map(len, contents.values())), files=len(contents))
+        recording = self.find(owner, self.add(owner, announced).id)
+        for path, data in contents.items():
+            with recording.files.piece(path, 0, len(data)) as file:
+                await asyncio.to_thread(append, file, 0, data)
         return self.describe(recording)
 
     def find(self, owner: str, recording_id: str) -> StoredRecording:

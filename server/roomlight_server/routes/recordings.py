@@ -45,6 +45,17 @@ async def add_recording(
     return context.recordings.add(owner, body)
 
 
+@router.post(
+    "/sample",
+    summary="Add the sample room",
+    status_code=201,
+    responses=documented("unauthorized", "too-many-recordings", "recording-memory"),
+)
+async def add_sample(context: ContextDep, owner: OwnerDep) -> Recording:
+    """Add the recording that is part of RoomLight, 2 MB: it is complete and can be played."""
+    return await context.recordings.add_sample(owner)
+
+
 @router.get("", summary="List the recordings", responses=documented("unauthorized"))
 async def list_recordings(context: ContextDep, owner: OwnerDep) -> RecordingList:
     """Return the recordings of this token, the newest first."""

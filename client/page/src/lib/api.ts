@@ -28,7 +28,9 @@ export class Api {
       sessionStorage.setItem(TOKEN_KEY, this.tokenValue);
     }
     if (this.tokenValue || this.code) {
-      history.replaceState(null, "", location.pathname + location.search);
+      given.delete("token");
+      given.delete("pair");
+      history.replaceState(null, "", `${location.pathname}${location.search}${given.size > 0 ? `#${given}` : ""}`);
     }
     this.tokenValue ??= sessionStorage.getItem(TOKEN_KEY) ?? localStorage.getItem(TOKEN_KEY);
   }
@@ -65,6 +67,10 @@ export class Api {
     return this.json("v1/sessions");
   }
 
+  deleteSession(id: string): Promise<Response> {
+    return this.send(sessionPath(id), { method: "DELETE" });
+  }
+
   camera(id: string): Promise<CameraState> {
     return this.json(`${sessionPath(id)}/camera`);
   }
@@ -87,6 +93,11 @@ export class Api {
 
   createRecording(name: string, bytes: number, files: number): Promise<Recording> {
     return this.json("v1/recordings", { method: "POST", ...jsonBody({ name, bytes, files }) });
+  }
+
+  /** The recording that is part of RoomLight, uploaded already. */
+  addSample(): Promise<Recording> {
+    return this.json("v1/recordings/sample", { method: "POST" });
   }
 
   recording(id: string): Promise<Recording> {

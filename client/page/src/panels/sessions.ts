@@ -4,7 +4,7 @@ import type { SessionSummary } from "../lib/answers";
 import { byId, element } from "../lib/dom";
 import type { State } from "../state";
 
-export function sessionsPanel(state: State): void {
+export function sessionsPanel(state: State, onDelete: (id: string) => void): void {
   const list = byId("sessions");
   let shown = "";
   const show = () => {
@@ -16,7 +16,7 @@ export function sessionsPanel(state: State): void {
     }
     shown = content;
     const focused = document.activeElement?.getAttribute("data-session");
-    list.replaceChildren(...sessions.map((session) => element("li", {}, button(session, state))));
+    list.replaceChildren(...sessions.map((session) => element("li", { class: "session-row" }, button(session, state), deleteButton(session, onDelete))));
     if (focused) {
       list.querySelector<HTMLElement>(`[data-session="${CSS.escape(focused)}"]`)?.focus();
     }
@@ -54,6 +54,10 @@ function button(session: SessionSummary, state: State): HTMLButtonElement {
     ...failed,
     element("small", {}, summary(session)),
   );
+}
+
+function deleteButton({ id }: SessionSummary, onDelete: (id: string) => void): HTMLButtonElement {
+  return element("button", { class: "button quiet", type: "button", "aria-label": `Delete ${id}`, title: `Delete ${id}`, click: () => onDelete(id) }, "×");
 }
 
 function summary({ frames, idle_s }: SessionSummary): string {

@@ -5,15 +5,25 @@ import { byId, element } from "../lib/dom";
 import { chosenFiles, droppedFiles, RecordingUpload, type NamedFile, type Upload } from "../recordings";
 import { notify, reportError } from "./notices";
 
-export function uploadsPanel(api: Api, opened: (session: string) => void): void {
+const OBJECT = /\.(glb|gltf|obj|ply|usdz|fbx)$/i;
+
+/** Returns what cancels the recordings that play into a session. */
+export function uploadsPanel(api: Api, opened: (session: string) => void): (session: string) => void {
+  const uploads = new Map<RecordingUpload, HTMLElement>();
   const start = (found: { name: string; files: NamedFile[] } | null) => {
     byId<HTMLDialogElement>("recording-dialog").close();
     if (!found || found.files.length === 0) {
       return notify("There are no files in what was chosen.");
     }
-    const upload = new RecordingUpload(api, found.name, found.files);
+    if (found.files.every(({ path }) => OBJECT.test(path))) {
+      return notify(`${found.name} is a 3D object, not a recording of a room. In an open session, choose “GLB file” under Object.`);
+    }
+    play(new RecordingUpload(api, found.name, found.files));
+  };
+  const play = (upload: RecordingUpload) => {
     const item = element("li", { class: "upload" });
     byId("uploads").append(item);
+    uploads.set(upload, item);
     upload.state.watch((state) => showUpload(item, state, upload));
     void upload.run(opened);
   };
@@ -25,7 +35,17 @@ export function uploadsPanel(api: Api, opened: (session: string) => void): void 
       files.value = "";
     });
   }
+  byId("play-sample").addEventListener("click", () => play(RecordingUpload.ofSample(api)));
   listenToDrops((transfer) => void droppedFiles(transfer).then(start, reportError));
+  return (session) => {
+    for (const [upload, item] of uploads) {
+      if (upload.state.value.recording?.session === session) {
+        uploads.delete(upload);
+        item.remove();
+        upload.cancel().catch(reportError);
+      }
+    }
+  };
 }
 
 function showUpload(item: HTMLElement, state: Upload, upload: RecordingUpload): void {
