@@ -96,8 +96,9 @@ def check_rigid(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, 
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
         raise ValueError(f"the pose's last row is {matrix[3].tolist()}, not 0 0 0 1")
     rotation = matrix[:3, :3]
-    u, scale, vt = np.linalg.svd(rotation)
+    scale = np.ones(3)
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-12:
+        u, scale, vt = np.linalg.svd(rotation)
         rotation = u @ vt
     if np.linalg.det(rotation) < 0:
         raise ValueError("the pose's rotation is a mirror image (determinant -1)")

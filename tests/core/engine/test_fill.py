@@ -100,3 +100,62 @@ def test_at_most_white_keeps_darker_pixels():
     np.testing.assert_array_equal(cut[dim], image[dim])
     np.testing.assert_allclose(cut[~dim].max(-1), 1, rtol=1e-6)
     np.testing.assert_allclose(cut * image[..., :1], image * cut[..., :1], rtol=1e-5)
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_it_equals_the_same_pyramid_in_numpy(height, width):
+    rng = np.random.default_rng(2)
+    image, weight = scattered(height, width, 0.1)
+    weight = np.where(rng.random(weight.shape) < 0.3, rng.random(weight.shape), weight).astype(np.float32)
+    expected = fill_reference(image * weight[..., None], weight[..., None])
+    np.testing.assert_allclose(push_pull(image, weight), expected, rtol=1e-5, atol=1e-6)  # another order of sums
+
+
+def fill_reference(known, share):
+    if (share >= 1).all():
+        return known
+    height, width = share.shape[:2]
+    if height == 1 and width == 1:
+        return known / np.maximum(share, np.finfo(np.float32).tiny)
+    coarse_share = _halve(share)
+    # A coarse pixel has the weights of its pixels together, at most 1: saturation keeps the pull local, and the
+    # factor 4 gives full weight to a parent of one known pixel in four (Gortler's rule).
+    gain = np.minimum(1.0, 4.0 * coarse_share) / np.maximum(coarse_share, np.finfo(np.float32).tiny)
+    filled = fill_reference(_halve(known) * gain, coarse_share * gain)
+    return known + (1 - share) * _double(filled, height, width)
+
+
+def _halve(pixels):
+    """Halve the size (rounded up) by the tent filter; columns wrap, the pole rows repeat."""
+    if pixels.shape[0] > 1:
+        rows = _pad_rows(pixels, before=1, after=2 + pixels.shape[0] % 2)
+        count = (pixels.shape[0] + 1) // 2 * 2
+        pixels = (
+            rows[0:count:2] + 3 * rows[1 : count + 1 : 2] + 3 * rows[2 : count + 2 : 2] + rows[3 : count + 3 : 2]
+        ) / 8
+    if pixels.shape[1] > 1:
+        width = pixels.shape[1]
+        columns = np.arange(0, width, 2)
+        left, right = pixels[:, columns], pixels[:, (columns + 1) % width]
+        pixels = (pixels[:, columns - 1] + 3 * left + 3 * right + pixels[:, (columns + 2) % width]) / 8
+    return pixels
+
+
+def _double(pixels, height: int, width: int):
+    """Enlarge up to twice by linear interpolation (3/4, 1/4); the counterpart of `_halve`."""
+    if pixels.shape[0] < height:
+        rows = _pad_rows(pixels, before=1, after=1)
+        doubled = np.empty((2 * pixels.shape[0], *pixels.shape[1:]), np.float32)
+        doubled[0::2] = 0.75 * pixels + 0.25 * rows[:-2]
+        doubled[1::2] = 0.75 * pixels + 0.25 * rows[2:]
+        pixels = doubled[:height]
+    if pixels.shape[1] < width:
+        doubled = np.empty((height, 2 * pixels.shape[1], pixels.shape[2]), np.float32)
+        doubled[:, 0::2] = 0.75 * pixels + 0.25 * np.roll(pixels, 1, axis=1)
+        doubled[:, 1::2] = 0.75 * pixels + 0.25 * np.roll(pixels, -1, axis=1)
+        pixels = doubled[:, :width]
+    return pixels
+
+
+def _pad_rows(pixels, *, before: int, after: int):
+    return np.pad(pixels, ((before, after), (0, 0), (0, 0)), mode="edge")

@@ -9,7 +9,7 @@ windows and lamps end at their frames while walls go on.
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from roomlight.engine.models.interface import FILL_UPDATE, Arrays, Estimate, Rendered
 from roomlight.engine.panorama.blend import PanoramaState, latest_detail
@@ -51,13 +51,7 @@ class ClassicalVolume:
     def update(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
         """Add the volume to the average: alpha over the frames that observed a voxel, colour weighted by alpha."""
         self._fused.add(self.volume, clipping)
-        self._write_means(self.volume[3] > 0)
-
-    def _write_means(self, touched: Bool[np.ndarray, "z y x"]) -> None:
-        """Write the means into the SGLV; colour only where `touched`, because the rest has not changed."""
-        fused = self._fused
-        np.divide(fused.opacity, fused.count, out=self.sglv.alpha, where=fused.count > 0)
-        self.sglv.lobes[touched, :3] = fused.colour[touched] / fused.opacity[touched, None]
+        self._fused.write_surfaces(self.sglv, self.volume)
 
     def new_probe(self) -> "ClassicalProbe":
         """Begin a probe that has observed nothing."""
@@ -70,7 +64,7 @@ class ClassicalVolume:
     def restore(self, saved: Arrays) -> None:
         """Take over saved sums."""
         self._fused.restore(saved)
-        self._write_means(self._fused.opacity > 0)
+        self._fused.write_surfaces(self.sglv, None)
 
 
 class ClassicalProbe:

@@ -11,10 +11,12 @@ colour as an input (`roomlight.engine.networks.units`).
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
+from roomlight.engine.kernels.fusion import move_towards
 from roomlight.engine.models.interface import FILL_UPDATE, Arrays
 from roomlight.engine.models.network_probe import NetworkProbe
 from roomlight.engine.networks.graph import BoundGraph
@@ -25,6 +27,7 @@ from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Far, Sglv
 from roomlight.errors import ModelError
+from roomlight.threads import parallel_for
 
 
 @dataclass(frozen=True)
@@ -113,10 +116,11 @@ class SingleViewVolume:
         self._fused.write(self._mean)
         self._graphs.run()
         share = np.float32(FILL_UPDATE if self._frames > 0 else 1)
-        empty = self._mean[4] < 0
+        observed = self._mean[4].reshape(-1)
         for target, values in ((self._inferred.alpha, self.sglv.alpha), (self._inferred.lobes, self.sglv.lobes)):
-            values += share * (target - values)
-            values[empty] = 0
+            flat = (len(observed), -1)
+            move = partial(move_towards, values.reshape(flat), target.reshape(flat), share, observed)
+            parallel_for(move, len(observed))
         self._frames += 1
 
     def new_probe(self) -> NetworkProbe:

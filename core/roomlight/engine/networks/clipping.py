@@ -112,7 +112,8 @@ _SATURATED: Final = 0.95
 
 def white_of(frame: Frame) -> float:
     """Return the radiance at which a frame with clipped pixels saturates: 1 at the session's own exposure."""
-    return max(float(np.median(frame.image[frame.clipped].max(-1))), 1e-6)
+    red, green, blue = frame.image[frame.clipped].T
+    return max(float(np.median(np.maximum(np.maximum(red, green), blue))), 1e-6)
 
 
 def clipping_planes(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float32[np.ndarray, "11 side side"]:

@@ -15,6 +15,7 @@ at 33 probes in path-traced rooms the mean error of direction is 39.8 to 40.5 de
 degrees, 2 to 5 frames and ratios of 1.2 to 1.5.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -157,7 +158,9 @@ def _faded(light: MainLight, share: float) -> MainLight:
 
 
 def _angle_deg(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> float:
-    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second)))
+    (a, b, c), (x, y, z) = first.tolist(), second.tolist()  # np.cross takes 0.1 ms
+    across = math.hypot(b * z - c * y, c * x - a * z, a * y - b * x)
+    return math.degrees(math.atan2(across, a * x + b * y + c * z))
 
 
 def _turned(start: Float[np.ndarray, "3"], stop: Float[np.ndarray, "3"], angle_deg: float) -> Float[np.ndarray, "3"]:

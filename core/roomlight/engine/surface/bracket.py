@@ -48,7 +48,8 @@ def take_clipped_light(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlie
     """
     where = np.flatnonzero(frame.clipped)
     bound = frame.image.reshape(-1, 3)[where] @ LUMINANCE
-    sources = [mesh for mesh in reversed(list(earlier)) if _may_know(mesh, bound)]
+    white = float(np.median(bound)) if len(where) else float("inf")
+    sources = [mesh for mesh in reversed(list(earlier)) if _may_know(mesh, white)]
     if not sources:
         return frame
     depth_camera = frame.intrinsics.resized(depth_m.shape[1], depth_m.shape[0])
@@ -77,10 +78,10 @@ def update_keyframes(mesh: FrameMesh, keyframes: Iterable[FrameMesh]) -> int:
         texture = key.texture
         if key is mesh or texture.clipped is None or texture.guessed is None or left <= 0:
             continue
+        if not _may_know(mesh, texture.white):
+            continue
         where = np.flatnonzero(texture.clipped)[:left]
         bound = texture.bound.reshape(-1)[where]
-        if not _may_know(mesh, bound):
-            continue
         left -= len(where)
         local, known = _points(where, key.image_camera, key.grid_depth_m, key.grid_camera)
         where = where[known]
@@ -102,8 +103,8 @@ def _clipped_points(
     return PointArrays(world, radiance, bound, np.ones(len(local), bool))
 
 
-def _may_know(mesh: FrameMesh, bound: Float[np.ndarray, " n"]) -> bool:
-    return bound.size > 0 and mesh.texture.peak > MIN_RATIO * float(np.median(bound))
+def _may_know(mesh: FrameMesh, white: float) -> bool:
+    return mesh.texture.peak > MIN_RATIO * white
 
 
 def _source(mesh: FrameMesh) -> SourceArrays:

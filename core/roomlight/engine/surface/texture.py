@@ -65,6 +65,11 @@ class Texture:
         return float(self.bound.max())
 
     @cached_property
+    def white(self) -> float:
+        """The median of `bound` at the clipped pixels; infinite without one."""
+        return float("inf") if self.clipped is None else float(np.median(self.bound[self.clipped]))
+
+    @cached_property
     def checksum(self) -> int:
         """CRC-32 of all values: equal textures have equal ones."""
         parts = [part for part in (self.image, self.clipped, self.guessed) if part is not None]

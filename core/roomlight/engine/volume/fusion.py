@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roomlight.conventions import LUMINANCE
+from roomlight.engine.kernels.fusion import add_volume, write_mean, write_surfaces
 from roomlight.engine.observations import better_share
+from roomlight.engine.volume.sglv import Sglv
 
 
 @dataclass(frozen=True)
@@ -52,10 +54,7 @@ class FusedVolume:
         doubtful = self.clipping[0] > 0 if clipping is None else (self.clipping[0] > 0) | (clipping[0] > 0)
         where = np.flatnonzero(doubtful & (opacity > 0))
         reconciled = self._reconciled(where, volume, clipping) if len(where) else None
-        self.opacity[:] += opacity  # 0 where not observed
-        self.count[:] += (opacity > 0) | (volume[4] < 0)
-        for channel in range(3):
-            self.colour[..., channel] += volume[channel]
+        add_volume(volume.reshape(5, -1), *self._flat)
         if reconciled is not None:
             self.colour.reshape(-1, 3)[where] = reconciled[:, :3]
             self.clipping.reshape(2, -1)[:, where] = reconciled[:, 3:].T
@@ -83,8 +82,17 @@ class FusedVolume:
 
         The mean of one frame is that frame's volume, to the bit.
         """
-        frames = np.maximum(self.count, 1)
-        for channel in range(3):
-            np.divide(self.colour[..., channel], frames, out=out[channel])
-        np.divide(self.opacity, frames, out=out[3])
-        out[4] = np.where((self.count > 0) & (self.opacity == 0), np.float32(-1), np.float32(0))
+        write_mean(*self._flat, out.reshape(5, -1))
+
+    def write_surfaces(self, sglv: Sglv, volume: Float[np.ndarray, "5 z y x"] | None) -> None:
+        """Write the means into an SGLV: opacity over the frames that observed a voxel, colour weighted by opacity.
+
+        volume:  of the last frame: the rest has not changed; None: write all.
+        """
+        channels = sglv.lobes.shape[-1]
+        observed = None if volume is None else volume.reshape(5, -1)
+        write_surfaces(*self._flat, sglv.alpha.reshape(-1), sglv.lobes.reshape(-1, channels), observed)
+
+    @property
+    def _flat(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        return self.colour.reshape(-1, 3), self.opacity.reshape(-1), self.count.reshape(-1)

@@ -1,0 +1,92 @@
+# pyright: reportMissingParameterType=false
+"""Two levels of a push-pull pyramid; its tests have a readable twin in NumPy.
+
+Pixels are [row, column, channel], premultiplied by their weight, which is the last channel. Columns wrap around, the
+pole rows repeat.
+"""
+
+import numpy as np
+from numba import njit
+
+_TINY = np.finfo(np.float32).tiny
+
+
+@njit(nogil=True, cache=True)
+def halve(pixels, row_sums, out):
+    """Write the next coarser level, by the tent filter (1 3 3 1) / 8, with Gortler's gain of the weights.
+
+    Args:
+        pixels: a level [h, w, c].
+        row_sums: a buffer [w, c].
+        out: the coarser level [(h + 1) / 2, (w + 1) / 2, c].
+    """
+    height, width, channels = pixels.shape
+    eighth, three, tiny = np.float32(0.125), np.float32(3), np.float32(_TINY)
+    for row in range(out.shape[0]):
+        # 1. four rows, or the only one
+        if height == 1:
+            row_sums[:] = pixels[0]
+        else:
+            a, b = max(2 * row - 1, 0), 2 * row
+            c, d = min(2 * row + 1, height - 1), min(2 * row + 2, height - 1)
+            for column in range(width):
+                for channel in range(channels):
+                    row_sums[column, channel] = eighth * (
+                        pixels[a, column, channel]
+                        + three * (pixels[b, column, channel] + pixels[c, column, channel])
+                        + pixels[d, column, channel]
+                    )
+        # 2. four columns, or the only one
+        for column in range(out.shape[1]):
+            a, b = (2 * column - 1) % width, 2 * column
+            c, d = (2 * column + 1) % width, (2 * column + 2) % width
+            for channel in range(channels):
+                if width == 1:
+                    out[row, column, channel] = row_sums[0, channel]
+                else:
+                    out[row, column, channel] = eighth * (
+                        row_sums[a, channel]
+                        + three * (row_sums[b, channel] + row_sums[c, channel])
+                        + row_sums[d, channel]
+                    )
+            # 3. A coarse pixel has the weights of its pixels together, at most 1: saturation keeps the pull local, and
+            # the factor 4 gives full weight to a parent of one known pixel in four (Gortler's rule).
+            share = out[row, column, channels - 1]
+            gain = min(np.float32(1), np.float32(4) * share) / max(share, tiny)
+            for channel in range(channels):
+                out[row, column, channel] *= gain
+
+
+@njit(nogil=True, cache=True)
+def pull(coarse, level, row_sums, out):
+    """Write the filled level: its own colour, and that of the coarser one where its weight leaves room.
+
+    Args:
+        coarse: filled coarser level [h2, w2, c - 1].
+        level: pixels with weight [h, w, c].
+        row_sums: a buffer [w2, c - 1].
+        out: filled level [h, w, c - 1].
+    """
+    height, width, channels = level.shape
+    rows, columns, colours = coarse.shape[0], coarse.shape[1], channels - 1
+    near, far, one = np.float32(0.75), np.float32(0.25), np.float32(1)
+    for row in range(height):
+        if rows < height:
+            this = row // 2
+            other = min(this + 1, rows - 1) if row % 2 else max(this - 1, 0)
+            for column in range(columns):
+                for channel in range(colours):
+                    row_sums[column, channel] = (
+                        near * coarse[this, column, channel] + far * coarse[other, column, channel]
+                    )
+        else:
+            row_sums[:] = coarse[row]
+        for column in range(width):
+            this, other = column, column
+            if columns < width:
+                this = column // 2
+                other = (this + 1) % columns if column % 2 else (this - 1) % columns
+            room = one - level[row, column, colours]
+            for channel in range(colours):
+                around = near * row_sums[this, channel] + far * row_sums[other, channel]
+                out[row, column, channel] = level[row, column, channel] + room * around
