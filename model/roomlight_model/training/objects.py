@@ -1,8 +1,7 @@
 """The stage `objects`: the light of virtual objects, from what random streams have shown a probe.
 
 The loss is what one sees: errors of pictures of matte, glossy, metal and mirror spheres under the estimated light, cut
-at white as a camera cuts them, and of the shadow of a sphere. The brightness of matte surfaces counts in the logarithm
-too, so that half as bright and twice as bright cost the same. A weak log-L2 of the panoramas keeps light plausible that
+at white as a camera cuts them, and of the shadow of a sphere. A weak log-L2 of the panoramas keeps light plausible that
 these pictures do not show.
 """
 
@@ -43,8 +42,7 @@ MATERIALS: Final = ("diffuse", "glossy", "metal", "mirror", "shadow")
 USUAL_ERRORS: Final = (0.16, 0.2, 0.2, 0.22, 0.1)
 """Usual errors of `MATERIALS`, by which the loss divides them."""
 LOG_WEIGHT: Final = 0.3
-BRIGHTNESS_WEIGHT: Final = 1.5
-MODELS: Final[tuple[ModelName, ...]] = ("single", "classical", "single")
+MODELS: Final[tuple[ModelName, ...]] = ("classical", "single")
 """Models of the streams, in turn: trained on classical light alone, mirrors in the networks' light get worse."""
 _STREAMS: Final = 2
 """Streams of each recording."""
@@ -57,8 +55,6 @@ _GLOSS: Final = 0.058
 """Share of light that the glossy sphere of `roomlight.spheres` reflects in its lobe, in the mean over its picture."""
 _GLOSS_POWER: Final = 200
 _METAL_POWER: Final = 24
-_DARKEST: Final = 0.02
-"""Brightness of matte surfaces, relative to white, below which differences count less."""
 _BEYOND_WHITE: Final = 0.1
 """Slope of what is beyond white in a picture, so that too bright light has a gradient."""
 
@@ -209,31 +205,29 @@ class ObjectsStage:
     def losses(
         self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator, clock: StepClock
     ) -> Iterator[Losses]:
-        """Yield errors of pictures, divided by their usual errors, of brightness, and the log-L2 of both panoramas."""
+        """Yield the errors of pictures, divided by their usual errors, and the log-L2 of both panoramas."""
         with clock.part("forward"):
             shown, casting = object_lights(network, batch.panels)
         with clock.part("render"):
             errors = picture_errors(shown, casting, batch.truth) / torch.tensor(USUAL_ERRORS)
             pictures, wanted = errors.sum(dim=1).mean(), torch.log1p(batch.truth)
             logs = (torch.log1p(shown) - wanted).square().mean() + (torch.log1p(casting) - wanted).square().mean()
-            brightness = brightness_errors(shown, batch.truth).mean()
-            loss = pictures + BRIGHTNESS_WEIGHT * brightness + LOG_WEIGHT * logs
-        yield {"loss": loss, "pictures": pictures, "brightness": brightness, "log_l2": logs}
+        yield {"loss": pictures + LOG_WEIGHT * logs, "pictures": pictures, "log_l2": logs}
 
     # --- validation
 
     def scores(self, network: ObjectLightNetwork) -> Mapping[str, float]:
         """Score held-out examples: errors relative to those in the light that the session has, and their mean."""
-        errors, before = list[Tensor](), list[Tensor]()
+        ours, before = list[Tensor](), list[Tensor]()
         with torch.no_grad():
             for first in range(0, len(self._held_out), 32):
                 numbers = range(first, min(first + 32, len(self._held_out)))
                 batch = panels_batch(self._held_out.take(numbers))
                 session_light = batch.panels[:, 6:9]
-                errors.append(_all_errors(*object_lights(network, batch.panels), batch.truth))
-                before.append(_all_errors(session_light, session_light, batch.truth))
-        ratios = (torch.cat(errors).mean(dim=0) / torch.cat(before).mean(dim=0)).tolist()
-        return {"loss": float(np.mean(ratios)), **dict(zip((*MATERIALS, "brightness"), ratios, strict=True))}
+                ours.append(picture_errors(*object_lights(network, batch.panels), batch.truth))
+                before.append(picture_errors(session_light, session_light, batch.truth))
+        ratios = (torch.cat(ours).mean(dim=0) / torch.cat(before).mean(dim=0)).tolist()
+        return {"loss": float(np.mean(ratios)), **dict(zip(MATERIALS, ratios, strict=True))}
 
     def draw(self, network: ObjectLightNetwork, path: Path) -> None:
         """Draw nothing: the scores say all."""
@@ -284,19 +278,6 @@ def picture_errors(
     shaded = (wanted < float(np.exp(-SHADED))).float()
     shadow = ((_shadow(casting) - wanted).square() * shaded).sum(dim=1) / shaded.sum(dim=1).clamp(min=1)
     return torch.sqrt(torch.stack([*spheres, mirror, shadow], dim=1) + 1e-5)
-
-
-def brightness_errors(light: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]) -> Float[Tensor, " b"]:
-    """Return the mean absolute error of the logarithm of what matte surfaces of all directions receive."""
-    logs = [torch.log(_luminance(panorama).flatten(2) @ _reflection_lobe(1) + _DARKEST) for panorama in (light, truth)]
-    return (logs[0] - logs[1]).abs().mean((1, 2))
-
-
-def _all_errors(
-    shown: Float[Tensor, "b 3 h w"], casting: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]
-) -> Float[Tensor, "b 6"]:
-    """Return the errors of pictures and of brightness."""
-    return torch.cat([picture_errors(shown, casting, truth), brightness_errors(shown, truth)[:, None]], dim=1)
 
 
 def _spheres(light: Float[Tensor, "b 3 h w"]) -> list[Float[Tensor, "b 3 k"]]:
