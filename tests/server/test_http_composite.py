@@ -3,9 +3,11 @@
 import hashlib
 import io
 import json
+import re
 import struct
 import threading
 import zipfile
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,10 +17,17 @@ from gltf_files import packed, textured_quad
 from http_servers import InThread, RunningServer, box_shot
 from present import present
 from roomlight.compositing.objects.loading import load_object
+from roomlight.compositing.objects.materials import Material
+from roomlight.compositing.objects.textures import Texture
+from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
 from roomlight.conventions import linear_to_srgb8
+from roomlight.engine.memory import release_free_memory
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.images import decode_colour
+from roomlight.wire.compositing import CompositeRequest
 from roomlight_server.answers import composites
 from roomlight_server.work.object_packing import object_bytes, pack_object, unpack_object
+from rooms import BoxRoom, camera_at
 
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 BALL = {"shape": "sphere", "size_m": 0.4, "material": {"kind": "diffuse"}, "position": [0.2, 1.1, -0.4]}
@@ -164,6 +173,58 @@ def test_a_large_object_gets_fewer_paths_and_is_not_refused(server, monkeypatch)
     )
     assert composite(server, BALL, quality="good").status == 200
     assert traced[0].picture.samples == 1
+
+
+def test_a_composite_that_needs_too_much_memory_is_refused_before_it_is_made(monkeypatch):
+    monkeypatch.setattr(composites, "_TRIANGLE_BYTES", 2**24)  # as if the tetrahedron had many triangles
+    with RunningServer(max_pending_bytes=2**27) as server:
+        server.open()
+        assert server.push(0).status == 200
+        place = {"object": upload(server).json["id"], "size_m": 0.4, "position": [0.2, 1.1, -0.4]}
+        assert composite(server, place).status == 200
+        answer = composite(server, place, place)
+        assert (answer.status, answer.kind, answer.json["field"]) == (422, "invalid", "objects")
+        assert "simplify the objects" in answer.json["detail"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("quality", "width"), [("preview", 1024), ("good", 512)])
+def test_a_composite_takes_no_more_memory_than_estimated(quality, width):
+    """A strip of 125,000 triangles with a texture, beside glass that fills the picture; `VmHWM` is the peak."""
+    edge = np.linspace(-0.5, 0.5, 251, dtype=np.float32)
+    x, z = np.meshgrid(edge, edge)
+    at = np.arange(250 * 250) // 250 * 251 + np.arange(250 * 250) % 250
+    faces = np.concatenate(
+        [np.stack(corners, -1) for corners in ((at, at + 251, at + 1), (at + 1, at + 251, at + 252))]
+    )
+    mesh = TriangleMesh(
+        np.stack([x, 0.02 * np.sin(20 * x), z], -1).reshape(-1, 3),
+        np.tile(np.float32([0, 1, 0]), (251 * 251, 1)),
+        np.stack([x, z], -1).reshape(-1, 2) + np.float32(0.5),
+        faces.astype(np.int32),
+    )
+    texture = Texture(np.full((2048, 2048, 4), 30_000, np.uint16))
+    held = VirtualObject("object", ((mesh, Material(base_colour_texture=texture)),), ())
+    engine = Session(SessionOptions(model="classical", height=32))
+    room = BoxRoom(size_m=(4.0, 2.6, 3.6), lamp=((0.5, 2.6, 0.3), 0.3))
+    shot = room.frame(camera_at((0.2, 1.4, 0.8)), width=width, height=3 * width // 4)
+    engine.push(shot)
+    glass = [BALL | {"size_m": 1.0, "material": {"kind": "glass"}}] * 4
+    place = {"object": "0" * 64, "size_m": 0.4, "position": [0.2, 1.1, -0.4]}
+    request = CompositeRequest.model_validate({"objects": [*glass, place], "quality": quality})
+    scene = composites.scene_of(request, {"0" * 64: held}, 1.0)
+    composites.make(engine, shot.resized(64, 48), scene, quality)  # kernels are compiled
+    release_free_memory()
+    Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+    before = status_bytes("VmRSS")
+    composites.encode(composites.make(engine, shot, scene, quality).picture, "layers")
+    estimate = composites.memory_of((width, 3 * width // 4), quality, [held], [held])
+    assert status_bytes("VmHWM") - before < estimate + composites.WORKING_BYTES
+
+
+def status_bytes(name):
+    """Return an entry of this process's status."""
+    return int(re.search(rf"{name}:\s+(\d+) kB", Path("/proc/self/status").read_text())[1]) * 1024
 
 
 def test_one_composite_a_session_at_a_time(server, monkeypatch):

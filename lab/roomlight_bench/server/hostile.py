@@ -1,28 +1,32 @@
 """`roomlight bench hostile`: one client that does what no client should, beside a neighbour that streams.
 
 A server process on loopback has two tokens. The neighbour streams the sample capture with the one, first alone, then
-during each attack of `hostile_client` with the other. The hostile client is a process of low priority (nice 19),
-because it would be another machine in reality; its work still takes part of this machine's time.
+during each attack of `hostile_client` with the other. Attacks on TLS meet a second server with a certificate. The
+hostile client is a process of low priority (nice 19), because it would be another machine in reality; its work still
+takes part of this machine's time.
 """
 
 import asyncio
 import json
 import os
 import secrets
+import ssl
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
+import httpx
 from annotated_types import Interval
 
 from roomlight.captures import CaptureOptions, open_capture
+from roomlight.conventions import Position
 from roomlight.errors import OptionError, ServerError
 from roomlight.placement import point_in_view
 from roomlight.rules import check_options
@@ -30,19 +34,24 @@ from roomlight.sample import sample_capture
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.messages import ModelName
 from roomlight_bench.reporting import describe_machine
-from roomlight_bench.server.hostile_client import ATTACKS
+from roomlight_bench.server.hostile_client import ATTACKS, TLS_ATTACKS
 from roomlight_bench.server.hostile_report import AttackRow, HostileReport
 from roomlight_bench.server.server_load import Load, Outcome, Phones
 from roomlight_bench.server.server_process import ServerProcess
 from roomlight_bench.server.server_report import Latencies
 from roomlight_bench.timing import ProgressCallback
+from roomlight_client.calls import FRAME_MEDIA_TYPE
+from roomlight_server.base.tls import ensure_certificate
 
 SESSION_BYTES: Final = 2**31
 """Memory that the sessions of a token may reach."""
 PENDING_BYTES: Final = 2**29
 """Memory of all requests and answers in progress."""
-PROCESS_BYTES: Final = 512 * 2**20
-"""Allowance for what is not counted: the heap of the process, frames being decoded, threads and decoding processes."""
+OBJECT_BYTES: Final = 512 * 2**20
+"""Memory of the objects of all tokens, as the server's default."""
+CHURN_S: Final = 5.0
+PROCESS_BYTES: Final = (512 + 2 * 1300) * 2**20
+"""Allowance for what is not counted: the heap of the process and threads, and files in two decoding processes."""
 _RSS_EVERY_S: Final = 0.25
 _SETTLE_S: Final = 1.0
 """Time after an attack until memory is read: ended sessions return theirs by then."""
@@ -53,7 +62,9 @@ class HostileOptions:
     """What is measured.
 
     Attributes:
-        minutes: Minutes of the whole run: a fifth is the neighbour alone, the rest is shared by the attacks.
+        minutes: Minutes of the measurement: a fifth is the neighbour alone, the rest is shared by the attacks.
+        churn_minutes: Minutes of further attacks one after the other, beside sessions that are opened and deleted; the
+            slope of the server's memory is reported.
         attacks: Run this attack alone. Repeatable. Default: all.
         fps: Frames per second of the neighbour.
         model: Model of the neighbour's session.
@@ -61,6 +72,7 @@ class HostileOptions:
     """
 
     minutes: Annotated[float, Interval(ge=0.05, le=600)] = 10.0
+    churn_minutes: Annotated[float, Interval(ge=0, le=600)] = 0.0
     attacks: tuple[str, ...] = ()
     fps: Annotated[float, Interval(ge=0.1, le=60)] = 2.0
     model: ModelName = "auto"
@@ -99,31 +111,61 @@ def run_hostile(options: HostileOptions, *, progress: ProgressCallback | None = 
         "ROOMLIGHT_MAX_OWNER_SESSION_BYTES": str(SESSION_BYTES),
         "ROOMLIGHT_MAX_PENDING_BYTES": str(PENDING_BYTES),
     }
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as servers:
         tokens = Path(folder) / "tokens"
         tokens.write_text(f"{hostile}\n{neighbour}\n", encoding="utf-8")
         arguments = ["--token-file", str(tokens), "--model", options.model]
         report("starting a server")
-        with ServerProcess(arguments, variables=limits) as server:
-            before = server.resident_bytes() or 0
+        server = servers.enter_context(ServerProcess(arguments, variables=limits))
+        secure = server
+        if set(options.attacks) & set(TLS_ATTACKS):
+            certificate, key = ensure_certificate(Path(folder), ("127.0.0.1",))
+            trusting = ssl.create_default_context(cafile=certificate)
+            files = ["--tls-cert", str(certificate), "--tls-key", str(key)]
+            secure = servers.enter_context(ServerProcess([*arguments, *files], variables=limits, tls=trusting))
+        before = server.resident_bytes() or 0
 
-            def measured(attack: str, seconds: float) -> AttackRow:
-                report(f"{attack}: {seconds:g} s")
-                load = Load(1, seconds, options.fps, bodies, probe, options.model, options.height, neighbour)
-                return _measure(server, load, attack, hostile)
+        def measured(attack: str, seconds: float) -> AttackRow:
+            report(f"{attack}: {seconds:g} s")
+            chosen = secure if attack in TLS_ATTACKS else server
+            load = Load(1, seconds, options.fps, bodies, probe, options.model, options.height, neighbour, chosen.tls)
+            return _measure(chosen, load, attack, hostile)
 
-            alone = measured("alone", options.alone_s)
-            attacks = [measured(attack, options.attack_s) for attack in options.attacks]
+        for target in {server, secure}:  # code that is loaded once is no growth
+            _warm_up(target, bodies[0], probe, neighbour)
+        alone = measured("alone", options.alone_s)
+        attacks = [measured(attack, options.attack_s) for attack in options.attacks]
+        churn: list[tuple[float, int]] = []
+        plain = [attack for attack in options.attacks if attack not in TLS_ATTACKS]
+        start_s = time.monotonic()
+        while plain and time.monotonic() - start_s < 60 * options.churn_minutes:
+            row = measured(plain[len(churn) % len(plain)], CHURN_S)
+            churn.append((time.monotonic() - start_s, row.rss_after_bytes))
     return HostileReport(
         alone=alone,
         attacks=tuple(attacks),
+        churn=tuple(churn[len(plain) :]),  # the first round fills caches
         rss_start_bytes=before,
-        rss_bound_bytes=before + 2 * SESSION_BYTES + PENDING_BYTES + PROCESS_BYTES,
+        rss_bound_bytes=before + 2 * SESSION_BYTES + PENDING_BYTES + OBJECT_BYTES + PROCESS_BYTES,
         fps=options.fps,
         machine=describe_machine(),
         cores=os.cpu_count() or 1,
         busy=os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
     )
+
+
+def _warm_up(server: ServerProcess, body: bytes, probe: Position, token: str) -> None:
+    """Make a composite of each quality, whose code and kernels then stay in the server's memory."""
+    place = {"shape": "sphere", "size_m": 0.2, "position": probe, "material": {"kind": "glass"}}
+    verify: Any = True if server.tls is None else server.tls
+    with httpx.Client(base_url=server.url, headers={"Authorization": f"Bearer {token}"}, verify=verify) as client:
+        path = "/v1/sessions/warm"
+        client.put(path, json={"model": "classical"}).raise_for_status()
+        client.put(f"{path}/frames/0", content=body, headers={"Content-Type": FRAME_MEDIA_TYPE}, timeout=120)
+        for quality in ("preview", "good"):
+            request = {"objects": [place], "quality": quality}
+            client.post(f"{path}/composite", json=request, timeout=120).raise_for_status()
+        client.delete(path).raise_for_status()
 
 
 def _measure(server: ServerProcess, load: Load, attack: str, token: str) -> AttackRow:

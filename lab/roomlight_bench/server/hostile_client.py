@@ -37,6 +37,8 @@ ADDRESS: Final = "127.0.0.2"
 IDLE_ADDRESSES: Final = tuple(f"127.0.0.{last}" for last in range(2, 12))
 IDLE: Final = 1100
 ROWS: Final = 512
+CLIENT_HELLO: Final = b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03"
+"""The first bytes of a TLS handshake."""
 _END_S: Final = 10.0
 _JSON: Final = {"Content-Type": "application/json"}
 _FRAME: Final = {"Content-Type": "application/vnd.roomlight.frame"}
@@ -122,6 +124,18 @@ class Hostile:
             if len(writers) >= IDLE:
                 writers.pop(0).close()
             await asyncio.sleep(0.002)
+
+    async def unfinished_handshakes(self, hold: int, every_s: float, data: bytes) -> None:
+        """Open connections to a server with TLS that send `data` and nothing more, from ten addresses."""
+        writers: list[asyncio.StreamWriter] = []
+        while True:
+            with suppress(OSError):
+                writers.append((await self._connect(IDLE_ADDRESSES[self.requests % len(IDLE_ADDRESSES)]))[1])
+                writers[-1].write(data)
+            self.requests += 1
+            if len(writers) >= hold:
+                writers.pop(0).close()
+            await asyncio.sleep(every_s)
 
     async def hung_up_posts(self) -> None:
         """Request 64 late points twenty times and hang up; then again."""
@@ -304,6 +318,14 @@ ATTACKS: Final[dict[str, tuple[str, Callable[[Hostile], Awaitable[None]]]]] = {
     "unread-messages": ("15,000 messages without reading the answers", Hostile.unread_messages),
     "many-sessions": ("10,000 sessions, eight at a time", Hostile.many_sessions),
     "glb-bombs": ("GLB of 31 MiB, 25 accessors on one view", Hostile.glb_bombs),
+    "tls-handshakes": (
+        "1,400 TLS handshakes that are not begun",
+        partial(Hostile.unfinished_handshakes, hold=1400, every_s=0.0, data=b""),
+    ),
+    "tls-handshakes-slow": (
+        "50 TLS handshakes a second that are not finished",
+        partial(Hostile.unfinished_handshakes, hold=1400, every_s=0.02, data=CLIENT_HELLO),
+    ),
     "final-composites": ("`final` composites in four sessions", Hostile.final_composites),
     **{
         f"{name}{suffix}": (f"{kind.text}{words}", partial(Hostile.flood, name=name, bytes_per_s=rate))
@@ -312,6 +334,8 @@ ATTACKS: Final[dict[str, tuple[str, Callable[[Hostile], Awaitable[None]]]]] = {
     },
 }
 """The attacks by name, each with what it does."""
+TLS_ATTACKS: Final = ("tls-handshakes", "tls-handshakes-slow")
+"""Attacks on a server with HTTPS."""
 
 
 def _slow_jpeg(scans: int) -> bytes:

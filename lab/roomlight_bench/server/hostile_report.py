@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
+import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -15,6 +16,8 @@ KEPT_SHARE: Final = 0.8
 """Least share of its frames that a neighbour keeps, compared with the neighbour alone in the same run."""
 GROWN: Final = 1.2
 """Limit on the memory after an attack, relative to before."""
+SLOPE: Final = 0.01
+"""Limit on the growth of memory in a minute of churn, relative to the memory at its beginning."""
 P99_MS: Final = 1000.0
 """Limit on the response time of the neighbour's frames."""
 
@@ -62,6 +65,7 @@ class HostileReport:
     Attributes:
         alone: The neighbour without an attack.
         attacks: The neighbour during each attack.
+        churn: Seconds and the resident memory after each attack of the churn, without its first round.
         rss_start_bytes: Resident memory of the server before the first session.
         rss_bound_bytes: Bound on the resident memory: start, sessions of both tokens, requests and answers in
             progress, and an allowance for the rest of the process.
@@ -73,6 +77,7 @@ class HostileReport:
 
     alone: AttackRow
     attacks: tuple[AttackRow, ...]
+    churn: tuple[tuple[float, int], ...]
     rss_start_bytes: int
     rss_bound_bytes: int
     fps: float
@@ -83,6 +88,15 @@ class HostileReport:
     def kept(self, row: AttackRow) -> float:
         """Return the neighbour's share of frames during an attack, relative to the neighbour alone."""
         return row.share / self.alone.share if self.alone.share else 0.0
+
+    @property
+    def slope(self) -> float | None:
+        """Growth of memory in a minute of churn, relative to its beginning; None without enough of it."""
+        if len(self.churn) < 3:
+            return None
+        seconds, sizes = np.array(self.churn, float).T
+        growth, start = np.polyfit(seconds, sizes, 1)
+        return float(60.0 * growth / max(1.0, start + growth * seconds[0]))
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
@@ -97,6 +111,9 @@ class HostileReport:
             criteria.append(Criterion(f"{row.attack}: p99 under {P99_MS:g} ms", slowest, P99_MS, slowest < P99_MS))
         most, bound = max(row.rss_bytes for row in (self.alone, *self.attacks)) / 1e6, self.rss_bound_bytes / 1e6
         criteria.append(Criterion(f"memory under {bound:.0f} MB", most, bound, most <= bound))
+        if self.slope is not None:
+            demand = f"memory grows less than {SLOPE:.0%} a minute in {self.churn[-1][0] / 60:.0f} minutes of churn"
+            criteria.append(Criterion(demand, self.slope, SLOPE, self.slope < SLOPE))
         return tuple(criteria)
 
     def to_json(self) -> dict[str, Any]:
@@ -109,11 +126,15 @@ class HostileReport:
 
     def markdown(self) -> str:
         """Return the table of the documentation, and what does not hold below it."""
-        lines = ["| Attack | Frames kept | Frame, ms p50 / p99 | Server, MB |", "| --- | ---: | ---: | ---: |"]
+        lines = [
+            "| Attack | Frames kept | Frame, ms p50 / p99 | Server, MB | MB after / before |",
+            "| --- | ---: | ---: | ---: | ---: |",
+        ]
         for row in (self.alone, *self.attacks):
             kept = f"{row.processed} of {row.due}" if row is self.alone else f"{self.kept(row):.0%}".replace("%", " %")
             name = ATTACKS[row.attack][0] if row.attack in ATTACKS else "none"
-            lines.append(f"| {name} | {kept} | {_percentiles(row.frame)} | {row.rss_bytes / 1e6:,.0f} |")
+            returned = f"{row.rss_after_bytes / max(1, row.rss_before_bytes):.2f}"
+            lines.append(f"| {name} | {kept} | {_percentiles(row.frame)} | {row.rss_bytes / 1e6:,.0f} | {returned} |")
         failed = [criterion.demand for criterion in self.criteria if not criterion.holds]
         verdict = f"Does not hold: {'; '.join(failed)}." if failed else "All criteria hold."
         return "\n".join([*lines, "", verdict, ""])
@@ -125,14 +146,16 @@ class HostileReport:
             title=f"A neighbour that streams {self.fps:g} frames per second, during attacks of another client",
             title_justify="left",
             caption=f"frames: processed in time, of those due; kept: relative to the neighbour alone; ms: p50 / p99; "
-            f"MB: largest resident memory, {self.rss_start_bytes / 1e6:.0f} at the start; {self.cores} cores, "
+            f"MB: largest resident memory of all its processes, after: when the attack is over, relative to before; "
+            f"{self.rss_start_bytes / 1e6:.0f} at the start; {self.cores} cores, "
             f"{self.machine['processor']}{busy}",
             caption_justify="left",
             box=box.SIMPLE_HEAD,
             show_edge=False,
         )
-        for heading in ("attack", "s", "frames", "kept", "frame ms", "light ms", "MB", "its requests", "its answers"):
-            table.add_column(heading, justify="left" if heading in ("attack", "its answers") else "right")
+        headings = ("attack", "s", "frames", "kept", "frame ms", "light ms", "MB", "after", "requests", "answers")
+        for heading in headings:
+            table.add_column(heading, justify="left" if heading in ("attack", "answers") else "right")
         for row in (self.alone, *self.attacks):
             table.add_row(
                 row.attack,
@@ -142,6 +165,7 @@ class HostileReport:
                 _percentiles(row.frame),
                 _percentiles(row.light),
                 f"{row.rss_bytes / 1e6:.0f}",
+                f"{row.rss_after_bytes / max(1, row.rss_before_bytes):.2f}",
                 str(row.requests),
                 ", ".join(f"{status}: {count}" for status, count in sorted(row.answers.items())),
             )

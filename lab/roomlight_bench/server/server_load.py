@@ -9,7 +9,10 @@ import time
 from collections.abc import Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
+from ssl import SSLContext
 from typing import Final
+
+import httpx
 
 from roomlight.conventions import Position
 from roomlight.wire.messages import FrameResult, ModelName
@@ -62,6 +65,7 @@ class Load:
         model: Model of the sessions.
         height: Rows of the panoramas.
         token: The phones' bearer token.
+        tls: Trusts the certificate of a server with HTTPS.
     """
 
     sessions: int
@@ -72,6 +76,7 @@ class Load:
     model: ModelName
     height: int
     token: str | None = None
+    tls: SSLContext | None = None
 
 
 def frame_call(session_id: str, index: int, body: bytes) -> Call[FrameResult]:
@@ -98,7 +103,9 @@ class Phones:
         """Connect the phones one after the other, each on a connection of its own."""
         load = self._load
         for number in range(load.sessions):
-            client = await self._stack.enter_async_context(AsyncClient(self._url, token=load.token, timeouts=TIMEOUTS))
+            transport = None if load.tls is None else httpx.AsyncHTTPTransport(verify=load.tls)
+            made = AsyncClient(self._url, token=load.token, timeouts=TIMEOUTS, transport=transport)
+            client = await self._stack.enter_async_context(made)
             session = await client.open(model=load.model, height=load.height, reference_exposure=1.0)
             await session.track(PROBE, load.probe)
             phone = _Phone(client, session, load, number)

@@ -4,13 +4,14 @@ import http.client
 import json
 import os
 import re
+import ssl
 import subprocess
 import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -32,14 +33,19 @@ class ServerProcess:
     """
 
     def __init__(
-        self, arguments: Sequence[str], *, variables: Mapping[str, str] | None = None, wait_ready: bool = True
+        self,
+        arguments: Sequence[str],
+        *,
+        variables: Mapping[str, str] | None = None,
+        wait_ready: bool = True,
+        tls: ssl.SSLContext | None = None,
     ) -> None:
-        """Prepare `roomlight serve` with these arguments, besides the port.
+        """Prepare `roomlight serve` with these arguments, besides the port. `tls` trusts its certificate, if any.
 
         Of the environment's ROOMLIGHT_* variables, the server gets ROOMLIGHT_THREADS alone, and those of `variables`.
         With `wait_ready` False, the `with` statement waits until the server is alive; `ready_ms` stays 0.
         """
-        self._wait_ready = wait_ready
+        self._wait_ready, self.tls = wait_ready, tls
         self._variables = dict(variables or {})
         self._command = [sys.executable, "-c", _SERVE, "serve", "--port", "0", *arguments]
         self._log: deque[str] = deque(maxlen=30)
@@ -93,22 +99,25 @@ class ServerProcess:
     @property
     def url(self) -> str:
         """The server's address."""
-        return f"http://127.0.0.1:{self.port}"
+        return f"{'http' if self.tls is None else 'https'}://127.0.0.1:{self.port}"
 
     def resident_bytes(self) -> int | None:
-        """Return the resident memory of the process; None on systems without /proc."""
-        try:
-            status = Path(f"/proc/{self._process.pid}/status").read_text(encoding="utf-8")
-        except OSError:
+        """Return the resident memory of the process and its decoding processes; None on systems without /proc."""
+        own = _resident_bytes(self._process.pid)
+        if own is None:
             return None
-        match = re.search(r"^VmRSS:\s+(\d+) kB$", status, re.MULTILINE)
-        return None if match is None else int(match[1]) * 1024
+        children = Path(f"/proc/{self._process.pid}/task").glob("*/children")
+        pids: list[str] = []
+        for file in children:
+            with suppress(OSError):  # a thread that has ended
+                pids += file.read_text(encoding="ascii").split()
+        return own + sum(_resident_bytes(int(pid)) or 0 for pid in pids)
 
     def _read(self) -> None:
         assert self._process.stderr is not None
         for line in self._process.stderr:
             self._log.append(line.decode(errors="replace").rstrip())
-            match = re.search(r'"url": "http://127\.0\.0\.1:(\d+)"', self._log[-1])
+            match = re.search(r'"url": "https?://127\.0\.0\.1:(\d+)"', self._log[-1])
             if match is not None:
                 self.port = int(match[1])
                 self._port_known.set()
@@ -119,7 +128,7 @@ class ServerProcess:
         while time.perf_counter() - self._start_s < _START_TIMEOUT_S:
             if self._process.poll() is not None or not self.port:
                 break
-            if _status(self.port, path) == 200:
+            if _status(self.port, path, self.tls) == 200:
                 return 1e3 * (time.perf_counter() - self._start_s)
             time.sleep(_POLL_S)
         output = "\n".join(self._log) or "(no output)"
@@ -128,9 +137,21 @@ class ServerProcess:
         )
 
 
-def _status(port: int, path: str) -> int:
+def _resident_bytes(pid: int) -> int | None:
+    try:
+        status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    except OSError:
+        return None
+    match = re.search(r"^VmRSS:\s+(\d+) kB$", status, re.MULTILINE)
+    return None if match is None else int(match[1]) * 1024
+
+
+def _status(port: int, path: str, tls: ssl.SSLContext | None) -> int:
     """Return the status of a GET request; 0 without a response."""
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    if tls is None:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    else:
+        connection = http.client.HTTPSConnection("127.0.0.1", port, timeout=10, context=tls)
     try:
         connection.request("GET", path)
         return connection.getresponse().status

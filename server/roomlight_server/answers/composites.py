@@ -3,7 +3,7 @@
 import io
 import itertools
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,6 +22,7 @@ from roomlight.sample import sample_capture
 from roomlight.wire.compositing import CompositeFormat, CompositeMaterial, CompositeQuality, CompositeRequest
 from roomlight.wire.frame_message import column_major
 from roomlight_server.base.problems import ProblemError
+from roomlight_server.work.object_packing import object_bytes
 
 BOXES: Final[dict[CompositeQuality, tuple[int, int]]] = {
     "preview": (1920, 1440),
@@ -31,8 +32,14 @@ BOXES: Final[dict[CompositeQuality, tuple[int, int]]] = {
 """Width and height that frames are reduced to fit into, by quality; upright frames turn the box."""
 MAX_PATHS: Final = 20_000_000
 """Light paths of one composite, about 50 s of CPU time: larger objects get fewer paths a pixel."""
-_PIXEL_BYTES: Final = 150
-"""Memory a pixel while a composite is made: the frame, the layers and their files."""
+_PIXEL_BYTES: Final[dict[CompositeQuality, int]] = {"preview": 150, "good": 250, "final": 250}
+"""Memory a pixel while a composite is made: the frame, the layers and their files. At most 125 and 224 were measured,
+with sixteen glass spheres that fill the picture."""
+_TRIANGLE_BYTES: Final = 200
+"""Memory a triangle of the scene: its place in the world and Embree's tree."""
+WORKING_BYTES: Final = 192 * 2**20
+"""Memory besides, of a composite that is being made: blocks of rays, panoramas at the objects, Embree's own. It is part
+of what the process takes, because those that wait have none."""
 MEDIA_TYPES: Final[dict[CompositeFormat, str]] = {
     "png": "image/png",
     "jpeg": "image/jpeg",
@@ -72,10 +79,22 @@ def scene_of(request: CompositeRequest, files: Mapping[str, VirtualObject], scal
         raise ProblemError("invalid", str(error), field="objects", rule=str(error)) from error
 
 
-def memory_of(width: int, height: int, quality: CompositeQuality) -> int:
-    """Return the memory of a composite of a frame of this size, in bytes."""
+def memory_of(
+    size: tuple[int, int], quality: CompositeQuality, placed: Sequence[VirtualObject], files: Iterable[VirtualObject]
+) -> int:
+    """Return the most memory that a composite takes, in bytes.
+
+    Args:
+        size: Width and height of the frame.
+        quality: Of the composite.
+        placed: The uploaded object of each place, again where it stands twice.
+        files: The same without repetition: their textures are copied once.
+    """
     box_width, box_height = BOXES[quality]
-    return min(width * height, box_width * box_height) * _PIXEL_BYTES
+    pixels = min(size[0] * size[1], box_width * box_height)
+    triangles = sum(virtual.triangles for virtual in placed)
+    copied = sum(object_bytes(virtual) for virtual in files)
+    return pixels * _PIXEL_BYTES[quality] + triangles * _TRIANGLE_BYTES + copied
 
 
 def make(engine: Session, frame: Frame, scene: Scene, quality: CompositeQuality) -> Made:

@@ -79,9 +79,16 @@ async def _composite(
 ) -> Response:
     with live.composite_turn() as latest:
         lens = latest.message.intrinsics
-        reserved.add(memory_of(lens.width, lens.height, body.quality))
         digests = [item.object for item in body.objects if item.object is not None]
         files = {digest: context.objects.find(owner, digest) for digest in digests}
+        placed = [files[digest] for digest in digests]
+        needed = memory_of((lens.width, lens.height), body.quality, placed, files.values())
+        limit = context.settings.owner_pending_bytes
+        if needed > limit:
+            rule = f"at most {limit} bytes for one composite; send smaller frames, or simplify the objects"
+            detail = f"the composite could need {needed} bytes: {rule}"
+            raise ProblemError("invalid", detail, field="objects", value=needed, rule=rule)
+        reserved.add(needed)
         frame = await live.decode_latest(latest, BOXES[body.quality])
         scene = scene_of(body, files, frame.intrinsics.width / lens.width)
         start_s = time.perf_counter()
