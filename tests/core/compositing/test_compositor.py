@@ -40,8 +40,8 @@ def view(yaw=0.0, index=0, position=EYE):
 @pytest.fixture(scope="module")
 def session():
     held = Session(SessionOptions(model="classical", height=32))
-    for index in range(12):
-        held.push(ROOM.frame(camera_at(EYE, 30 * index, (index % 3) * 40 - 40), index=index))
+    for index in range(6):
+        held.push(ROOM.frame(camera_at(EYE, 60 * index, (index % 3) * 40 - 40), index=index, width=96, height=72))
     held.push(view(index=12))
     return held
 

@@ -70,13 +70,10 @@ def test_the_lit_top_of_the_block_keeps_its_shadow(scene):
     assert with_room == pytest.approx(without, abs=0.05)
 
 
-def test_even_light_has_no_lamp():
-    assert lamp_of(LightSampler(lit(60, [], level=1.0))) is None
-    assert lamp_of(LightSampler(lit(120, [(TOWARD, 2.0, 1.0)], level=1.0))) is None
-
-
-def test_the_lamp_is_the_brightest_direction():
+def test_the_lamp_is_the_brightest_direction_and_even_light_has_none():
     lamp = lamp_of(LightSampler(SUN))
     assert lamp is not None
     assert lamp.direction @ TOWARD > np.cos(np.radians(2.5))
     assert lamp.intensity == pytest.approx([3000 * np.pi * np.radians(2) ** 2] * 3, rel=0.2)
+    for even in (lit(60, [], level=1.0), lit(120, [(TOWARD, 2.0, 1.0)], level=1.0)):
+        assert lamp_of(LightSampler(even)) is None

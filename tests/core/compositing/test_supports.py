@@ -90,15 +90,6 @@ def test_ball_on_the_floor_is_darker_below_than_above() -> None:
     assert shaded.radiance[top].mean() > 0.95 * plain.radiance[top].mean()
 
 
-def test_light_from_above_knows_no_floor() -> None:
-    pose = look_at(tuple(EYE), tuple(CENTRE))
-    d = panorama_directions(32)
-    light = ProbeSet.single(np.repeat((d[..., 1:2] > 0).astype(np.float32), 3, axis=2), (0.3, 0.12, 0.0))
-    plain = render_objects(ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light)
-    shaded = render_objects(ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light, supports=supports(RADIUS))
-    np.testing.assert_allclose(shaded.radiance, plain.radiance, atol=0.02)
-
-
 @pytest.mark.parametrize("quality", ["preview", RenderSettings(16, 2, denoised=False)])
 def test_a_table_ends_beside_the_objects_on_it(quality: str | RenderSettings) -> None:
     pose = look_at(tuple(EYE), tuple(CENTRE))

@@ -52,14 +52,6 @@ def test_a_large_store_keeps_nearly_all_observed_cells(two_pans):
     assert _store(two_pans, 10).covered_cells() > 0.9 * all_cells
 
 
-def test_the_same_frame_twice_is_refused(two_pans):
-    grid, meshes = two_pans
-    store = KeyframeStore(grid, 5)
-    assert store.offer(0, meshes[0])
-    assert not store.offer(1, meshes[0])
-    assert len(store) == 1
-
-
 def test_frames_are_distinguished_without_their_indices(two_pans):
     grid, meshes = two_pans
     by_index, by_itself = (KeyframeStore(grid, 2) for _ in range(2))
@@ -67,12 +59,19 @@ def test_frames_are_distinguished_without_their_indices(two_pans):
         assert by_itself.offer(0, mesh) == by_index.offer(index, mesh)
 
 
-def test_a_frame_without_depth_is_refused(two_pans):
-    frame = ROOM.frame(camera_at((0, 1.5, 0)), **SIZE)
-    frame.depth_m[:] = 0
-    store = KeyframeStore(two_pans[0], 5)
-    assert not store.offer(0, FrameMesh(frame))
+def test_frames_without_new_cells_or_depth_are_refused(two_pans):
+    grid, meshes = two_pans
+    store = KeyframeStore(grid, 5)
+    blind = ROOM.frame(camera_at((0, 1.5, 0)), **SIZE)
+    blind.depth_m[:] = 0
+    assert not store.offer(0, FrameMesh(blind))
     assert store.covered_cells() == 0
+    assert store.offer(0, meshes[0])
+    assert not store.offer(1, meshes[0])
+    assert len(store) == 1
+    for capacity in (0, -1):
+        with pytest.raises(ValueError, match=str(capacity)):
+            KeyframeStore(grid, capacity)
 
 
 def test_keyframes_after_a_close_up_cover_the_room():
@@ -94,9 +93,3 @@ def test_offers_during_iteration_do_not_change_it(two_pans):
         assert key.index == 0
         store.offer(9, meshes[9])
     assert len(store) == 2
-
-
-@pytest.mark.parametrize("capacity", [0, -1])
-def test_a_store_of_capacity_zero_is_refused(two_pans, capacity):
-    with pytest.raises(ValueError, match=str(capacity)):
-        KeyframeStore(two_pans[0], capacity)

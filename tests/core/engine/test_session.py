@@ -44,7 +44,7 @@ def _area_mean(panorama, size):
 @pytest.fixture(scope="module")
 def pan_frames():
     """A pan over 240 degrees; only the first frames show the lamp."""
-    return pan(ROOM, 24, step_degrees=10)
+    return pan(ROOM, 16, step_degrees=15, width=128, height=96)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_coverage_grows_and_each_stage_is_timed(tracked):
     assert {"prepare", "volume", "sglv", "mesh", "keyframes", "render", "partial", "blend"} <= set(
         tracked[1][0].stage_ms
     )
-    assert [report.index for report in tracked[1]] == list(range(24))
+    assert [report.index for report in tracked[1]] == list(range(16))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_a_late_probe_has_what_only_an_early_frame_observed(pan_frames):
     to_lamp = np.array(LAMP[0]) - probe
     lamp = panorama_directions(48) @ (to_lamp / np.linalg.norm(to_lamp)) > np.cos(np.radians(4))
     session, _ = _run(pan_frames)
-    without, _ = _run(pan_frames[12:])  # the frames that do not show it
+    without, _ = _run(pan_frames[8:])  # the frames that do not show it
     assert session.light_at(probe).panorama[lamp].min() > 0.9 * ROOM.lamp_radiance
     assert (session.light_at(probe).observed[lamp] == 1).all()
     assert without.light_at(probe).panorama[lamp].max() < 0.5 * ROOM.lamp_radiance
@@ -243,13 +243,13 @@ def test_options_out_of_range_are_refused(name, values, rule):
 @pytest.mark.parametrize("unknown_depth", ["rim", "far", "drop"])
 def test_pixels_without_depth_follow_the_option(pan_frames, unknown_depth):
     holed = dataclasses.replace(pan_frames[0], depth_m=pan_frames[0].depth_m.copy())
-    holed.depth_m[40:70, 60:90] = 0
+    holed.depth_m[32:56, 48:72] = 0
     options = dataclasses.replace(CLASSICAL, unknown_depth=unknown_depth)
     session, _ = _run([holed], probes=[(0.3, 1.4, 0.2)], options=options)
     complete, _ = _run([pan_frames[0]], probes=[(0.3, 1.4, 0.2)])
     share = session.light(0).coverage / complete.light(0).coverage
-    # the hole is 5 % of the image: only its rim is a surface that the mesh can show
-    assert share == pytest.approx(1, abs=1e-3) if unknown_depth == "rim" else share < 0.98
+    # the hole is 5 % of the image: only its rim, cut by triangles, is a surface that the mesh can show
+    assert share == pytest.approx(1, abs=5e-3) if unknown_depth == "rim" else share < 0.98
 
 
 def test_an_upright_frame_gives_as_much_as_a_horizontal_one():
