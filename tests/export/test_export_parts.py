@@ -1,4 +1,4 @@
-"""Parts of the export: verification inputs, comparison, the RGB-alpha decoder's graph, the width table."""
+"""Parts of the export: verification inputs, comparison, and the RGB-alpha decoder's graph."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,6 @@ from roomlight_export.inputs import probe_frames, room_volume
 from roomlight_export.onnx_file import half_rounded, to_onnx
 from roomlight_export.ort_file import write_ort
 from roomlight_export.parity import compare_volumes, difference, torch_runner
-from roomlight_export.widths import GraphCost, WidthRow, describe, format_widths, measure_widths
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel, VideoModel
 
@@ -127,30 +126,3 @@ def test_a_folder_that_fills_meanwhile_is_not_replaced(tmp_path):
         fill_meanwhile()
     assert (out / "cat.jpg").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["model"]
-
-
-@pytest.mark.slow
-def test_widths_are_measured_and_tabulated():
-    messages = []
-    rows = measure_widths((TINY,), rounds=1, progress=messages.append)
-    assert messages == ["exporting SG 4/2, blend 2/2, norm none", "timing, round 1 of 1"]
-    row = rows[0]
-    assert row.video_sg.parameters > row.single_sg.parameters > 0
-    assert row.video_sg.gmac > row.sg_gru.gmac > 0
-    assert row.video_sg.ort_ms > row.sg_gru.ort_ms > 0
-    assert len(format_widths(rows).split("\n")) == 3
-
-
-def test_width_table_has_a_row_for_each_configuration():
-    cost = GraphCost(1_500_000, 2.0, 3.0, 4.0, float("nan"))
-    table = format_widths([WidthRow(TINY, cost, cost, cost, cost)] * 2).split("\n")
-    assert len(table) == 4
-    assert len({line.count("|") for line in table}) == 1
-    assert table[2].startswith("| SG 4/2, blend 2/2, norm none | 4.50 | 2.00 | 3 / 4 / - |")
-
-
-def test_costs_add_and_widths_describe_themselves():
-    assert GraphCost(1, 2.0, 3.0, 4.0, 5.0) + GraphCost(1, 1.0, 1.0, 1.0, 1.0) == GraphCost(2, 3.0, 4.0, 5.0, 6.0)
-    assert describe(ModelConfig()) == "SG 32/16, blend 16/8"
-    other = ModelConfig(SGConfig(full_layers=2, fine_gate_kernel=3, spherical_gaussians=False))
-    assert describe(other) == "SG 32/16, blend 16/8, 2 full layers, gates 3^3, RGB-alpha"

@@ -1,1 +1,1 @@
-"""Benchmarks of training: a step by its parts, and the rendering layer's sampling."""
+"""Benchmark of training: a step by its parts."""

@@ -43,19 +43,9 @@ BENCHMARKS: Final = (
         "Measure what virtual objects in a frame cost by part, and how much they shimmer.",
     ),
     CommandEntry(
-        "widths",
-        f"{_COMMANDS}.training:widths",
-        "Measure what each width of the networks costs (needs the `train` extra; minutes).",
-    ),
-    CommandEntry(
         "train",
         f"{_COMMANDS}.training:train",
         "Measure what a training step costs by part (needs the `train` extra).",
-    ),
-    CommandEntry(
-        "rendering",
-        f"{_COMMANDS}.training:rendering",
-        "Compare importance sampling of the rendering layer with uniform directions (needs the `train` extra).",
     ),
 )
 
