@@ -12,7 +12,6 @@ from server_process import ServerProcess
 from http_servers import InThread, RunningServer
 from present import present
 from roomlight.captures import CaptureOptions, CaptureWriter
-from roomlight.captures.stray_writer import RecordedFrame, write_stray_scanner
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, OutputError, WireError
@@ -21,6 +20,7 @@ from roomlight_cli.replays.remote_replay import replay_through
 from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
+from stray_captures import RecordedFrame, write_stray_scanner
 
 pytestmark = pytest.mark.usefixtures("small_pictures", "no_pictures")
 ROOM = BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3))

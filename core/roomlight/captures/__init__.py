@@ -1,4 +1,4 @@
-"""Recorded captures: readers that stream RGB-D frames with poses, and writers.
+"""Recorded captures: readers that stream RGB-D frames with poses, and a writer.
 
 Start at `open_capture` (`opening`), which detects the format by the files in the folder. Each format has a module;
 `native` specifies RoomLight's own format and has its `CaptureWriter`. Every reader yields `roomlight.frame.Frame` in
@@ -9,7 +9,6 @@ from roomlight.captures.capture import Capture, ProbeTruth, SkippedFrame
 from roomlight.captures.formats.native import CaptureWriter
 from roomlight.captures.opening import FORMATS, open_capture
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.stray_writer import RecordedFrame, write_stray_scanner
 
 __all__ = [
     "FORMATS",
@@ -17,8 +16,6 @@ __all__ = [
     "CaptureOptions",
     "CaptureWriter",
     "ProbeTruth",
-    "RecordedFrame",
     "SkippedFrame",
     "open_capture",
-    "write_stray_scanner",
 ]

@@ -7,11 +7,11 @@ import formats
 import numpy as np
 import pytest
 
-from roomlight.camera import Intrinsics, pose_from_quaternion
-from roomlight.captures import CaptureWriter, RecordedFrame, open_capture, write_stray_scanner
-from roomlight.captures.stray_writer import quaternion_from_rotation
+from roomlight.camera import Intrinsics
+from roomlight.captures import CaptureWriter, open_capture
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import OutputError, UnknownFormatError
+from stray_captures import RecordedFrame, write_stray_scanner
 
 VIEWS = formats.scene()
 CAMERA = Intrinsics(formats.FX, formats.FY, formats.CX, formats.CY, formats.WIDTH, formats.HEIGHT)
@@ -128,26 +128,3 @@ def test_invalid_input_to_the_native_writer_is_refused(tmp_path: Path) -> None:
         add(writer, whole)
         writer.close()  # closing early is closing once
     assert open_capture(tmp_path / "b").frame_count == 1
-
-
-def test_invalid_input_to_the_stray_scanner_writer_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="at least one frame"):
-        write_stray_scanner(tmp_path / "a", [])
-    square = Intrinsics(30.0, 30.0, 12.0, 12.0, 24, 24)
-    with pytest.raises(OutputError, match="4:3"):
-        write_stray_scanner(tmp_path / "b", recorded(srgb8=np.zeros((24, 24, 3), np.uint8), intrinsics=square))
-    with pytest.raises(OutputError, match="one camera"):
-        write_stray_scanner(tmp_path / "c", [recorded()[0], recorded(intrinsics=CAMERA.resized(64, 48))[1]])
-    assert not any((tmp_path / name / "odometry.csv").exists() for name in "abc")
-    write_stray_scanner(tmp_path / "d", recorded())
-    with pytest.raises(OutputError, match="holds a capture already"):
-        write_stray_scanner(tmp_path / "d", recorded())
-
-
-def test_quaternions_of_every_rotation_come_back() -> None:
-    rng = np.random.default_rng(1)
-    quaternions = [*rng.normal(size=(50, 4)), *np.eye(4), np.array([1.0, 1, 0, 0]), np.array([0, 1.0, 1e-9, 0])]
-    for quaternion in quaternions:
-        pose = pose_from_quaternion(quaternion, np.zeros(3))
-        again = pose_from_quaternion(np.array(quaternion_from_rotation(pose[:3, :3])), np.zeros(3))
-        np.testing.assert_allclose(again, pose, atol=1e-12)

@@ -29,6 +29,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -38,7 +39,6 @@ from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, Read
 from roomlight.captures.decoding import decode_confidence, read_rgbd
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
-from roomlight.captures.stray_writer import depth_to_png, encoded
 from roomlight.errors import CaptureError, FrameError, OutputError
 from roomlight.files import write_atomic
 from roomlight.images import write_exr
@@ -270,3 +270,19 @@ def _time(entry: dict[str, Any]) -> float | None:
         return fields.number(entry.get("timestamp_s"), "timestamp_s")
     except ValueError:
         return None
+
+
+def depth_to_png(depth_m: Float[np.ndarray, "h w"], *, name: str) -> bytes:
+    """Encode depth as a 16-bit PNG in millimetres; unknown depth and depth of 65.535 m and more become 0."""
+    known = np.isfinite(depth_m) & (depth_m > 0) & (depth_m < 65.5345)
+    millimetres = np.rint(np.where(known, depth_m, 0) * 1000).astype(np.uint16)
+    return encoded(".png", millimetres, name=name)
+
+
+def encoded(suffix: str, pixels: np.ndarray, *, name: str, quality: int | None = None) -> bytes:
+    """Encode pixels (BGR or grey) as a PNG or JPEG. Raises OutputError."""
+    parameters = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, quality]
+    ok, data = cv2.imencode(suffix, pixels, parameters)
+    if not ok:
+        raise OutputError(f"{name}: encoding {pixels.shape} {pixels.dtype} as {suffix} failed")
+    return data.tobytes()
