@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.errors import FurnitureError
-from roomlight_generator.rooms.furniture.exceptions import FRONT_ROTATION_DEGREES, KIND_OF
+from roomlight_generator.rooms.furniture.exceptions import KIND_OF
 from roomlight_generator.rooms.furniture.files.archive import Archive
 from roomlight_generator.rooms.furniture.files.materials import looks_like_shade, make_material
 from roomlight_generator.rooms.furniture.files.obj import MtlMaterial, Obj, parse_mtl, parse_obj
@@ -82,10 +82,6 @@ def _soup(obj: Obj, entry: LibraryEntry) -> TriangleSoup:
     extent = high - low
     points = (points - (low + high) / 2) * np.where(extent > 1e-9, size / np.maximum(extent, 1e-9), 0)
     points[:, 1] += entry.height_m / 2
-    degrees = FRONT_ROTATION_DEGREES.get(entry.id, 0)
-    if degrees:
-        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-        points = points @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
     uvs = np.concatenate([obj.uvs * [1, -1] + [0, 1], np.zeros((1, 2))])  # v down; the last for corners without any
     faces = obj.faces[:, ::-1] if np.linalg.det(rotation) < 0 else obj.faces
     uv_faces = obj.uv_faces[:, ::-1] if np.linalg.det(rotation) < 0 else obj.uv_faces

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.planner.arrangement import Arrangement
@@ -21,6 +22,7 @@ from roomlight_generator.rooms.planner.groups.loose_items import (
 from roomlight_generator.rooms.planner.groups.public_rooms import benches, double_rows, row_along
 from roomlight_generator.rooms.planner.groups.seating_groups import conversation_group, reading_corner, tv_lounge
 from roomlight_generator.rooms.planner.groups.tables import cafe_tables, desk, desk_islands, dining, reading_tables
+from roomlight_generator.rooms.tables import read_table
 
 
 def fill_spare_space(arrangement: Arrangement) -> int:
@@ -98,389 +100,25 @@ class RoomType:
                 step.fallback(arrangement)
 
 
-_HOME_WALLS: Final = (
-    ("picture", 2.2), ("mirror", 0.3), ("clock", 0.3), ("wall_shelf", 0.6), ("wall_lamp", 0.5),
-    ("air_conditioner", 0.12), ("wall_clutter", 0.15),
-)  # fmt: skip
-
-_CORNER_ITEMS: Final = (
-    Step(partial(place_in_corners, role="floor_lamp", number=0.6)),
-    Step(partial(place_in_corners, role="plant", number=1.1)),
-)
-
-_LIVING: Final = ("bookcase", "bookcase", "sideboard", "dresser", "side_table", "armchair", "plant", "stool")
-
-_CLUTTER: Final = Step(partial(scatter_on_floor, role="floor_clutter", number=0.9, by_walls=0.75))
+_GROUPS: Final[dict[str, Callable[..., object]]] = {
+    group.__name__: group
+    for group in (
+        bathroom, bed, benches, cafe_tables, conversation_group, desk, desk_islands, dining, double_rows,
+        fill_spare_space, fill_walls, kitchen, place_along_walls, place_in_corners, place_rug, reading_corner,
+        reading_tables, row_along, scatter_on_floor, tv_lounge,
+    )
+}  # fmt: skip
+"""What a step of `room_types.toml` can place, by name."""
 
 
-def _types() -> list[RoomType]:
-    return [
-        RoomType(
-            "living_room",
-            (
-                Step(tv_lounge, 0.75, conversation_group),
-                Step(partial(place_along_walls, roles=("fireplace",)), 0.15),
-                Step(partial(dining, seats=(2, 6)), 0.3),
-                Step(partial(place_along_walls, roles=("bookcase", "bookcase", "sideboard", "dresser"), number=(1, 3))),
-                Step(partial(place_along_walls, roles=("piano",)), 0.08),
-                Step(reading_corner, 0.35),
-                Step(desk, 0.1),
-                Step(fill_spare_space, 0.8),
-                *_CORNER_ITEMS,
-                Step(partial(fill_walls, roles=_LIVING, share=(0.2, 0.36)), 0.8),
-                Step(partial(place_along_walls, roles=("side_table", "stool", "bench"), number=(0, 1))),
-                _CLUTTER,
-                Step(partial(scatter_on_floor, role="floor_toy", number=0.6), 0.2),
-                Step(partial(place_rug, probability=0.2)),
-            ),
-            area_m2=(14.0, 42.0),
-            height_m=(2.4, 3.4),
-            windows=(2, 5),
-            p_l_shape=0.2,
-            wall_items=_HOME_WALLS,
-        ),
-        RoomType(
-            "bedroom",
-            (
-                Step(bed),
-                Step(partial(place_along_walls, roles=("wardrobe",), number=(1, 2)), 0.85),
-                Step(partial(place_along_walls, roles=("dresser", "dresser", "sideboard", "bookcase"), number=(0, 2))),
-                Step(desk, 0.25),
-                Step(reading_corner, 0.25),
-                *_CORNER_ITEMS,
-                Step(partial(fill_walls, roles=("wardrobe", "dresser", "bookcase", "bench"), share=(0.25, 0.42)), 0.8),
-                _CLUTTER,
-                Step(partial(place_along_walls, roles=("exercise",), depth=2.0), 0.05),
-                Step(partial(place_rug, probability=0.2)),
-            ),
-            area_m2=(9.0, 24.0),
-            windows=(1, 3),
-            p_attic=0.12,
-            wall_items=(("picture", 1.8), ("mirror", 0.5), ("wall_shelf", 0.4), ("wall_lamp", 0.4), ("clock", 0.15),
-                        ("air_conditioner", 0.2)),
-        ),
-        RoomType(
-            "kitchen",
-            (
-                Step(kitchen),
-                Step(partial(dining, seats=(2, 4)), 0.55),
-                Step(partial(place_along_walls, roles=("fridge", "sideboard", "bookcase", "dresser"), number=(0, 1))),
-                Step(partial(place_along_walls, roles=("stool", "chair"), number=(0, 1))),
-                Step(partial(place_in_corners, role="plant", number=0.4)),
-                Step(partial(scatter_on_floor, role="floor_clutter", number=0.8, by_walls=0.9)),
-                Step(partial(place_rug, probability=0.15, small=True)),
-            ),
-            area_m2=(7.0, 22.0),
-            windows=(1, 3),
-            p_attic=0.03,
-            wall_items=(("clock", 0.5), ("wall_shelf", 0.8), ("picture", 0.8), ("wall_clutter", 0.2)),
-            ceiling=(("middle", 0.45), ("spots", 0.35), ("panels", 0.15), ("none", 0.05)),
-        ),
-        RoomType(
-            "dining_room",
-            (
-                Step(partial(dining, seats=(4, 8), prefer="middle")),
-                Step(
-                    partial(place_along_walls, roles=("sideboard", "sideboard", "bookcase", "dresser"), number=(1, 3))
-                ),
-                Step(partial(place_along_walls, roles=("fireplace", "piano")), 0.15),
-                Step(reading_corner, 0.2),
-                *_CORNER_ITEMS,
-                Step(partial(fill_walls, roles=_LIVING), 0.8),
-                _CLUTTER,
-            ),
-            area_m2=(10.0, 28.0),
-            height_m=(2.4, 3.4),
-            wall_items=_HOME_WALLS,
-        ),
-        RoomType(
-            "bathroom",
-            (
-                Step(bathroom),
-                Step(partial(scatter_on_floor, role="floor_clutter", number=0.6, by_walls=0.9, tallest=0.8)),
-                Step(partial(place_in_corners, role="plant", number=0.25, widest=0.5)),
-                Step(partial(place_rug, probability=0.45, small=True)),
-            ),
-            area_m2=(3.4, 11.0),
-            aspect=(1.0, 2.0),
-            height_m=(2.25, 2.8),
-            windows=(0, 1),
-            doors=(1, 1),
-            p_windowless=0.3,
-            p_attic=0.1,
-            p_l_shape=0.06,
-            wall_items=(("mirror", 1.2), ("towel_rack", 1.3), ("wall_shelf", 0.5), ("wall_lamp", 0.7), ("picture", 0.3),
-                        ("wall_clutter", 0.3), ("wall_unit", 0.3)),
-            ceiling=(("middle", 0.55), ("spots", 0.35), ("panels", 0.1)),
-            people=0.03,
-            radiators=0.3,
-        ),
-        RoomType(
-            "home_office",
-            (
-                Step(partial(desk, facing_room=0.3)),
-                Step(desk, 0.2),
-                Step(partial(place_along_walls, roles=("bookcase", "bookcase", "sideboard", "dresser"), number=(1, 3))),
-                Step(partial(place_along_walls, roles=("sofa",), depth=1.1), 0.15),
-                Step(reading_corner, 0.3),
-                Step(partial(place_along_walls, roles=("exercise",), depth=2.0), 0.08),
-                *_CORNER_ITEMS,
-                Step(partial(fill_walls, roles=("bookcase", "bookcase", "dresser", "sideboard", "armchair")), 0.8),
-                _CLUTTER,
-                Step(partial(place_rug, probability=0.4)),
-            ),
-            area_m2=(7.0, 18.0),
-            windows=(1, 3),
-            p_attic=0.1,
-            wall_items=(("picture", 1.6), ("wall_shelf", 1.0), ("clock", 0.4), ("whiteboard", 0.25), ("wall_lamp", 0.2),
-                        ("wall_clutter", 0.2)),
-        ),
-        RoomType(
-            "children_room",
-            (
-                Step(partial(bed, role="child_bed", widest=1.4, rug=0.5)),
-                Step(partial(bed, role="child_bed", widest=1.2, rug=0.0), 0.2),
-                Step(partial(place_along_walls, roles=("wardrobe", "dresser"), number=(1, 2))),
-                Step(partial(desk, seat="chair"), 0.6),
-                Step(
-                    partial(
-                        place_along_walls,
-                        roles=("bookcase", "dresser", "side_table"),
-                        number=(0, 2),
-                        height=(0.0, 1.9),
-                    )
-                ),
-                Step(partial(scatter_on_floor, role="floor_toy", number=2.2, by_walls=0.3)),
-                Step(partial(place_rug, probability=0.6)),
-                Step(partial(fill_walls, roles=("bookcase", "dresser", "wardrobe", "bench"), share=(0.2, 0.4)), 0.7),
-                Step(partial(place_in_corners, role="floor_lamp", number=0.3)),
-                _CLUTTER,
-                Step(partial(place_in_corners, role="plant", number=0.3)),
-            ),
-            area_m2=(8.0, 18.0),
-            windows=(1, 3),
-            p_attic=0.12,
-            wall_items=(("picture", 2.2), ("wall_shelf", 0.8), ("clock", 0.2), ("wall_lamp", 0.3),
-                        ("wall_clutter", 0.4)),
-            clutter=(0.3, 1.0),
-        ),
-        RoomType(
-            "hallway",
-            (
-                Step(
-                    partial(
-                        place_along_walls,
-                        roles=("sideboard", "dresser", "bench", "bookcase"),
-                        number=(1, 2),
-                        depth=0.5,
-                    )
-                ),
-                Step(partial(place_along_walls, roles=("wardrobe", "bookcase"), depth=0.65), 0.4),
-                Step(partial(place_along_walls, roles=("chair", "stool", "side_table"), number=(0, 1), depth=0.6)),
-                Step(partial(place_in_corners, role="plant", number=0.5, widest=0.5)),
-                Step(partial(place_in_corners, role="floor_lamp", number=0.2, widest=0.45)),
-                Step(partial(scatter_on_floor, role="floor_clutter", number=1.2, by_walls=0.95)),
-                Step(partial(place_rug, probability=0.5, narrow=True)),
-            ),
-            area_m2=(4.5, 16.0),
-            aspect=(1.8, 5.0),
-            windows=(0, 2),
-            doors=(2, 4),
-            p_windowless=0.4,
-            p_attic=0.0,
-            p_second_room=0.7,
-            wall_items=(("picture", 1.8), ("mirror", 0.6), ("wall_clutter", 0.5), ("wall_lamp", 0.8), ("clock", 0.2),
-                        ("wall_shelf", 0.3)),
-            ceiling=(("middle", 0.5), ("spots", 0.3), ("pendants", 0.2)),
-            people=0.04,
-        ),
-        RoomType(
-            "studio",
-            (
-                Step(partial(kitchen, longest=3.2, corner=0.3, island=0.15)),
-                Step(partial(bed, widest=1.8)),
-                Step(tv_lounge, 0.6, conversation_group),
-                Step(partial(dining, seats=(2, 4)), 0.6),
-                Step(desk, 0.4),
-                Step(partial(place_along_walls, roles=("wardrobe", "bookcase", "sideboard", "dresser"), number=(1, 3))),
-                Step(partial(place_along_walls, roles=("exercise",), depth=2.0), 0.06),
-                Step(fill_spare_space, 0.6),
-                *_CORNER_ITEMS,
-                Step(partial(fill_walls, roles=(*_LIVING, "wardrobe"), share=(0.22, 0.38)), 0.8),
-                _CLUTTER,
-                Step(partial(place_rug, probability=0.25)),
-            ),
-            area_m2=(20.0, 46.0),
-            aspect=(1.0, 2.0),
-            height_m=(2.4, 3.6),
-            windows=(2, 6),
-            p_l_shape=0.35,
-            wall_items=(*_HOME_WALLS, ("picture", 1.0)),
-            ceiling=(("middle", 0.5), ("spots", 0.3), ("pendants", 0.15), ("none", 0.05)),
-        ),
-        RoomType(
-            "attic_room",
-            (
-                Step(bed, 0.65, reading_corner),
-                Step(desk, 0.5),
-                Step(conversation_group, 0.35),
-                Step(partial(place_along_walls, roles=("dresser", "bookcase", "sideboard", "wardrobe"), number=(1, 3))),
-                Step(reading_corner, 0.4),
-                Step(fill_spare_space, 0.5),
-                *_CORNER_ITEMS,
-                Step(partial(fill_walls, roles=(*_LIVING, "wardrobe", "bench")), 0.8),
-                Step(partial(scatter_on_floor, role="floor_clutter", number=1.8, by_walls=0.8)),
-                Step(partial(place_rug, probability=0.5)),
-            ),
-            area_m2=(10.0, 32.0),
-            windows=(1, 3),
-            p_attic=1.0,
-            p_l_shape=0.08,
-            wall_items=_HOME_WALLS,
-            ceiling=(("middle", 0.5), ("spots", 0.25), ("none", 0.25)),
-        ),
-        RoomType(
-            "open_office",
-            (
-                Step(desk_islands),
-                Step(partial(dining, seats=(4, 8), prefer="middle"), 0.3),
-                Step(partial(row_along, role="bookcase", longest=3.0), 0.6),
-                Step(conversation_group, 0.2),
-                Step(partial(place_along_walls, roles=("sideboard", "dresser", "bookcase"), number=(0, 3))),
-                Step(desk, 0.4),
-                Step(partial(fill_walls, roles=("bookcase", "sideboard", "dresser", "desk"), share=(0.16, 0.3)), 0.8),
-                Step(partial(place_in_corners, role="plant", number=2.2)),
-                Step(partial(place_in_corners, role="floor_lamp", number=0.3)),
-                Step(partial(scatter_on_floor, role="floor_clutter", number=2.0, by_walls=0.7)),
-            ),
-            area_m2=(22.0, 80.0),
-            aspect=(1.0, 2.2),
-            height_m=(2.5, 3.4),
-            windows=(3, 8),
-            p_windowless=0.05,
-            p_attic=0.0,
-            p_l_shape=0.1,
-            wall_items=(("whiteboard", 1.2), ("picture", 1.5), ("clock", 0.7), ("air_conditioner", 0.5),
-                        ("wall_shelf", 0.3)),
-            ceiling=(("panels", 0.75), ("pendants", 0.12), ("spots", 0.13)),
-            clutter=(0.2, 1.0),
-            people=0.08,
-            pets=0.0,
-            public=True,
-        ),
-        RoomType(
-            "classroom",
-            (
-                Step(reading_tables, 1.0),
-                Step(desk_islands, 0.4),
-                Step(partial(desk, facing_room=0.8), 0.8),
-                Step(partial(row_along, role="bookcase", longest=3.0), 0.5),
-                Step(partial(fill_walls, roles=("bookcase", "sideboard", "dresser", "bench"), share=(0.1, 0.25)), 0.7),
-                Step(partial(place_in_corners, role="plant", number=0.8)),
-                Step(partial(scatter_on_floor, role="floor_clutter", number=1.0, by_walls=0.7)),
-            ),
-            area_m2=(35.0, 85.0),
-            aspect=(1.0, 1.8),
-            height_m=(2.7, 4.0),
-            windows=(3, 8),
-            p_windowless=0.03,
-            p_attic=0.0,
-            p_l_shape=0.0,
-            p_second_room=0.2,
-            wall_items=(("whiteboard", 1.8), ("picture", 1.5), ("clock", 0.7), ("wall_shelf", 0.2)),
-            ceiling=(("panels", 0.7), ("pendants", 0.2), ("none", 0.1)),
-            clutter=(0.1, 0.8),
-            people=0.08,
-            pets=0.0,
-            public=True,
-        ),
-        RoomType(
-            "hall",
-            (
-                Step(reading_tables, 0.3),
-                Step(conversation_group, 0.5),
-                Step(partial(dining, seats=(4, 8), prefer="middle"), 0.35),
-                Step(benches, 0.7),
-                Step(partial(row_along, role="bookcase", longest=4.0), 0.3),
-                Step(partial(place_along_walls, roles=("piano", "fireplace")), 0.2),
-                Step(partial(place_along_walls, roles=("sideboard", "bench", "chair", "dresser"), number=(1, 4))),
-                Step(partial(place_in_corners, role="plant", number=1.5)),
-                Step(partial(place_in_corners, role="floor_lamp", number=1.2)),
-                Step(partial(scatter_on_floor, role="floor_clutter", number=1.5, by_walls=0.6)),
-            ),
-            area_m2=(50.0, 130.0),
-            aspect=(1.0, 2.4),
-            height_m=(3.2, 6.0),
-            windows=(2, 9),
-            p_windowless=0.08,
-            p_attic=0.1,
-            p_l_shape=0.1,
-            p_second_room=0.4,
-            wall_items=(("picture", 2.0), ("wall_lamp", 1.5), ("clock", 0.3), ("mirror", 0.2)),
-            ceiling=(("pendants", 0.4), ("panels", 0.25), ("spots", 0.15), ("none", 0.2)),
-            clutter=(0.0, 0.6),
-            people=0.1,
-            pets=0.0,
-            public=True,
-        ),
-        RoomType(
-            "library",
-            (
-                Step(partial(row_along, role="bookcase", longest=8.0)),
-                Step(partial(row_along, role="bookcase", longest=5.0), 0.8),
-                Step(reading_tables, 0.75),
-                Step(double_rows, 0.55),
-                Step(reading_corner, 0.7),
-                Step(conversation_group, 0.25),
-                Step(partial(row_along, role="bookcase", longest=3.0), 0.6),
-                Step(desk, 0.3),
-                Step(fill_spare_space, 0.7),
-                *_CORNER_ITEMS,
-                Step(
-                    partial(fill_walls, roles=("bookcase", "bookcase", "armchair", "sideboard"), share=(0.2, 0.36)),
-                    0.8,
-                ),
-                Step(partial(place_rug, probability=0.5)),
-            ),
-            split="test",
-            area_m2=(16.0, 60.0),
-            height_m=(2.5, 3.8),
-            windows=(1, 5),
-            p_attic=0.04,
-            wall_items=(("picture", 1.5), ("clock", 0.5), ("wall_lamp", 0.8)),
-            ceiling=(("middle", 0.3), ("pendants", 0.4), ("panels", 0.3)),
-            public=True,
-        ),
-        RoomType(
-            "cafe",
-            (
-                Step(partial(kitchen, longest=3.6, corner=0.25, island=0.7)),
-                Step(cafe_tables),
-                Step(partial(place_along_walls, roles=("sideboard", "fridge", "bookcase"), number=(0, 2))),
-                Step(benches, 0.5),
-                Step(conversation_group, 0.35),
-                Step(partial(place_in_corners, role="plant", number=2.0)),
-                Step(partial(place_in_corners, role="floor_lamp", number=0.5)),
-                Step(partial(scatter_on_floor, role="stool", number=0.7, by_walls=0.6)),
-            ),
-            split="test",
-            area_m2=(20.0, 70.0),
-            aspect=(1.0, 2.0),
-            height_m=(2.6, 4.0),
-            windows=(1, 5),
-            p_attic=0.0,
-            p_l_shape=0.2,
-            wall_items=(("picture", 3.0), ("mirror", 0.4), ("clock", 0.4), ("wall_lamp", 1.5), ("wall_shelf", 0.8),
-                        ("wall_clutter", 0.5)),
-            ceiling=(("pendants", 0.45), ("spots", 0.35), ("middle", 0.2)),
-            clutter=(0.3, 1.0),
-            people=0.15,
-            pets=0.01,
-            radiators=0.3,
-            public=True,
-        ),
-    ]  # fmt: skip
+def _step(place: str, *, chance: float = 1.0, fallback: str | None = None, **options: Any) -> Step:
+    if "roles" in options:
+        options["roles"] = tuple(options["roles"].split())
+    return Step(partial(_GROUPS[place], **options), chance, None if fallback is None else _GROUPS[fallback])
 
 
-ROOM_TYPES: Final[dict[str, RoomType]] = {room_type.name: room_type for room_type in _types()}
-"""Room types by name."""
+ROOM_TYPES: Final[dict[str, RoomType]] = {
+    name: RoomType(name, **table | {"programme": tuple(_step(**step) for step in table["programme"])})
+    for name, table in read_table(Path(__file__).with_name("room_types.toml")).items()
+}
+"""Room types by name, from `room_types.toml`."""
