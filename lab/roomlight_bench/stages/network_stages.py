@@ -1,13 +1,9 @@
 """The networks' stages: ONNX graphs with bound buffers, as the server runs them, beside PyTorch in eager mode.
 
-Without a model folder, graphs of the default widths are exported with untrained weights: times do not depend on the
-weights. The export and the eager modules need PyTorch, which is optional for `roomlight bench stages`: the functions
-that use it import it when they are called.
+PyTorch is optional for `roomlight bench stages`: functions that use it import it when they are called.
 """
 
-import importlib.util
 import json
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,14 +11,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.engine.networks.graph import Graph
 from roomlight.engine.networks.graphs import LightingGraphs, NetworkForm, load_graphs
 from roomlight.engine.networks.openvino_runtime import openvino_version
-from roomlight.engine.networks.providers import open_graph
 from roomlight.engine.networks.runtime import RuntimeName
+from roomlight_bench.stages import plain_torch
 from roomlight_bench.stages.bench_stage import BenchStage
-from roomlight_bench.stages.plain_torch import torch_installed
-from roomlight_bench.timing import Implementation, ProgressCallback
+from roomlight_bench.timing import Implementation
 from roomlight_model.config import ModelConfig
 
 _RUNTIME_TITLES: dict[RuntimeName, str] = {"cpu": "ONNX Runtime fp32", "openvino": "OpenVINO fp32"}
@@ -34,40 +28,16 @@ class Networks:
 
     config: ModelConfig
     loaded: dict[RuntimeName, LightingGraphs]
-    trained: bool
+
+    @property
+    def fastest(self) -> RuntimeName:
+        """The runtime in which whole frames are measured."""
+        return "openvino" if "openvino" in self.loaded else "cpu"
 
     @property
     def form(self) -> NetworkForm:
         """Whether the model is the single-view or the video form."""
         return next(iter(self.loaded.values())).form
-
-
-def export_possible() -> bool:
-    """Return whether the packages of `roomlight export` are installed, without importing them."""
-    return all(importlib.util.find_spec(name) is not None for name in ("torch", "onnx", "onnxscript"))
-
-
-def untrained_networks(config: ModelConfig, *, progress: ProgressCallback) -> Networks:
-    """Export and load a video model with untrained weights; its files are deleted again."""
-    from roomlight_export.graphs import graphs_of
-    from roomlight_export.onnx_file import half_rounded, to_onnx
-    from roomlight_model.networks import SingleModel, VideoModel
-
-    model = half_rounded(VideoModel(config).eval(), "untrained")
-    assert isinstance(model, SingleModel | VideoModel)
-    opened: dict[RuntimeName, dict[str, Graph]] = {runtime: {} for runtime in _runtimes()}
-    with tempfile.TemporaryDirectory() as folder:
-        for graph in graphs_of(model):
-            progress(f"exporting {graph.name}")
-            path = Path(folder) / f"{graph.name}.onnx"
-            path.write_bytes(to_onnx(graph, metadata={}).SerializeToString())
-            for runtime, graphs in opened.items():
-                graphs[graph.name] = open_graph(path, runtime)
-    loaded: dict[RuntimeName, LightingGraphs] = {
-        runtime: LightingGraphs(Path("untrained"), "video", {}, graphs, filled=True)
-        for runtime, graphs in opened.items()
-    }
-    return Networks(config, loaded, trained=False)
 
 
 def load_networks(model: Path) -> Networks:
@@ -80,7 +50,7 @@ def load_networks(model: Path) -> Networks:
         runtime: load_graphs(model, provider=runtime) for runtime in _runtimes()
     }
     described = json.loads((model / "model.json").read_text())
-    return Networks(ModelConfig.from_dict(described.get("config", {})), loaded, trained=True)
+    return Networks(ModelConfig.from_dict(described.get("config", {})), loaded)
 
 
 def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> list[BenchStage]:
@@ -105,7 +75,7 @@ def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> 
         ),
         ("2D GRU", ("video_blend_gru",), 2.1, "both levels"),
     ]
-    modules = _eager_modules(networks) if torch_installed() else None
+    modules = _eager_modules(networks) if plain_torch.torch_installed() else None
     stages: list[BenchStage] = []
     for name, graphs, paper_ms, note in plan:
         if not all(graph in networks.loaded["cpu"].graphs for graph in graphs):

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from roomlight.threads import thread_count
 from roomlight_bench.reporting import Criterion, criteria_table, describe_machine, short_number
+from roomlight_bench.stages.sessions import FURTHER, LATE
 from roomlight_bench.timing import Timing
 
 MARCH_FASTER: Final = 30.0
@@ -18,6 +19,10 @@ INITIALISATION_FASTER: Final = 5.0
 """Least speed-up of volume initialisation over plain NumPy."""
 PANORAMA_SHARE: Final = 1 / 3
 """Limit on the time of the partial-mesh panorama as a share of the SGLV network's."""
+FURTHER_PROBE_MS: Final = 8.0
+"""Limit on what a further tracked probe adds to a frame."""
+LATE_RATIO: Final = 4.0
+"""Limit on the time of `LATE` late points in one call, relative to one."""
 _PAPER: Final = "the paper's times are on its GPU, an RTX 2080 Ti: 77 ms together"
 
 
@@ -150,6 +155,16 @@ def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
             demand = f"{row.name}: at least {INITIALISATION_FASTER:g} x faster than plain NumPy"
             at_least(row, row.reference, INITIALISATION_FASTER, demand)
     least = {row.name: row.ours.least_ms for row in rows}
+    for name, ms in least.items():
+        kind, _, model = name.partition(", ")
+        if kind == f"frame with {FURTHER} further probes":
+            further_ms = (ms - least[f"frame, {model}"]) / FURTHER
+            demand = f"a further probe, {model}: at most {FURTHER_PROBE_MS:g} ms"
+            criteria.append(Criterion(demand, further_ms, FURTHER_PROBE_MS, further_ms <= FURTHER_PROBE_MS))
+        if kind == f"{LATE} late points":
+            ratio = ms / least[f"late point, {model}"]
+            demand = f"{name}: at most {LATE_RATIO:g} x the time of one"
+            criteria.append(Criterion(demand, ratio, LATE_RATIO, ratio <= LATE_RATIO))
     network = [ms for name, ms in least.items() if name.startswith("SGLV network")]
     if network:
         for name, ms in (
@@ -174,3 +189,36 @@ def _time_and_ratio(row: StageRow, timing: Timing | None) -> str:
 
 def _giga(value: float | None) -> str:
     return "-" if value is None else short_number(value / 1e9)
+
+
+@dataclass(frozen=True)
+class AgainstRow:
+    """Whole frames or late points of two checkouts: milliseconds, least of their rounds."""
+
+    name: str
+    here_ms: float
+    there_ms: float
+
+
+@dataclass(frozen=True)
+class AgainstReport:
+    """A run of `roomlight bench stages --against`."""
+
+    rows: tuple[AgainstRow, ...]
+    other: str
+    machine: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return asdict(self)
+
+    def table(self) -> RenderableType:
+        """Return a row for each measurement."""
+        table = Table(title=f"This checkout against {self.other}", title_justify="left", box=box.SIMPLE_HEAD)
+        table.add_column("", min_width=22)
+        for heading in ("here, ms", "there, ms", "ratio"):
+            table.add_column(heading, justify="right")
+        for row in self.rows:
+            ratio = f"{row.here_ms / row.there_ms:.2f}"
+            table.add_row(row.name, short_number(row.here_ms), short_number(row.there_ms), ratio)
+        return table

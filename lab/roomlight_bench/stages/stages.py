@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from typing import Final
 
 import numpy as np
@@ -11,27 +12,27 @@ from jaxtyping import Float
 from roomlight.conventions import panorama_directions
 from roomlight.engine.kernels.reference import accumulate_reference, initial_volume_reference, render_rays_reference
 from roomlight.engine.models.classical import ClassicalVolume
+from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.engine.panorama.blend import PanoramaState, accumulate, filled_detail
-from roomlight.engine.session import Session, SessionOptions, warm_up
+from roomlight.engine.session import warm_up
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.engine.volume.sglv import Far, Sglv, render_rays
 from roomlight.errors import OptionError
 from roomlight.frame import Frame
+from roomlight_bench.reporting import describe_machine
 from roomlight_bench.stages import plain_torch
 from roomlight_bench.stages.bench_stage import BenchStage, differences, largest_difference
 from roomlight_bench.stages.network_stages import (
     Networks,
-    export_possible,
     load_networks,
     network_stages,
-    untrained_networks,
 )
 from roomlight_bench.stages.peak import MatrixProduct
-from roomlight_bench.stages.report import StageRow, StagesReport
+from roomlight_bench.stages.report import AgainstReport, AgainstRow, StageRow, StagesReport
 from roomlight_bench.stages.room import PROBE, RoomSize, network_like, views
+from roomlight_bench.stages.sessions import MeasuredSession, measure_against
 from roomlight_bench.timing import Implementation, ProgressCallback, Timing, time_interleaved
-from roomlight_model.config import ModelConfig
 
 SLOW_RUNS: Final = 3
 """Most runs of the references that take seconds."""
@@ -48,17 +49,14 @@ def run_stages(
     model: Path | None = None,
     progress: ProgressCallback | None = None,
     size: RoomSize | None = None,
-    config: ModelConfig | None = None,
 ) -> StagesReport:
     """Time every stage; two to three minutes by default.
 
     Args:
         repeats: Interleaved runs of each stage.
-        model: A model folder of `roomlight export`. Without one, untrained networks of `config` are exported for the
-            run, or left out if the packages for the export are not installed: times do not depend on the weights.
+        model: A model folder of `roomlight export`; default: the single-view networks inside the package.
         progress: Called with what is being measured.
         size: Sizes of frames, volume and panoramas.
-        config: Widths of the untrained networks.
 
     Raises:
         ModelError: `model` is not a model folder.
@@ -72,21 +70,24 @@ def run_stages(
     warm_up()
     if plain_torch.torch_installed():
         plain_torch.use_our_threads()
-    networks = _networks(model, config or ModelConfig(), report)
+    networks = load_networks(model or SHIPPED / "single")
     report("building the room")
     frames = views(size.keyframes, size)
-    grid = VolumeGrid.from_frame(
-        frames[0], shape=networks.loaded["cpu"].volume_shape if networks else size.volume_shape
-    )
+    grid = VolumeGrid.from_frame(frames[0], shape=networks.loaded["cpu"].volume_shape)
     volume = initial_volume(grid, frames[0])
     report("warming up every stage")
     stages = [_volume_stage(grid, frames[0])]
-    stages += network_stages(networks, volume) if networks else []
+    stages += network_stages(networks, volume)
     stages += _march_stages(grid, frames, size)
     stages += _mesh_stages(frames[0], size)
     stages.append(_fill_stage(frames[0], grid, size))
     stages.append(_accumulate_stage(frames[0], grid, size))
-    stages += _catch_up_stages(frames, size, networks)
+    sessions = _sessions(size, networks, model)
+    stages += [
+        BenchStage(name, Implementation(run), note=f"{session.keyframes} keyframes" if "late" in name else "")
+        for session in sessions
+        for name, run in session.runs().items()
+    ]
     product = MatrixProduct()
     implementations = [
         (index, kind, implementation)
@@ -114,22 +115,49 @@ def run_stages(
         )
         for index, stage in enumerate(stages)
     ]
-    described = "none (no weights are given, and the packages that export untrained networks are not installed)"
-    if networks:
-        described = f"{networks.form}, {'trained' if networks.trained else 'untrained'}"
+    for session in sessions:
+        rows += [
+            StageRow(f"{stage}, {session.name}", _timing(times_ms), None, None, None, None, "of a frame", {})
+            for stage, times_ms in session.stage_ms.items()
+        ]
     return StagesReport.of(
         rows,
         product.flops_per_s(multiplied.least_ms),
         repeats=repeats,
-        networks=described,
+        networks=f"{networks.form}, {model or 'shipped'}",
         torch=plain_torch.torch_installed(),
     )
 
 
-def _networks(model: Path | None, config: ModelConfig, progress: ProgressCallback) -> Networks | None:
-    if model is not None:
-        return load_networks(model)
-    return untrained_networks(config, progress=progress) if export_possible() else None
+def run_against(other: Path, *, rounds: int, progress: ProgressCallback | None = None) -> AgainstReport:
+    """Measure whole frames and late points of this checkout and of another one, in turns.
+
+    Args:
+        other: Folder of the other checkout.
+        rounds: Measurements of each; the least counts.
+        progress: Called with what is being measured.
+
+    Raises:
+        OptionError: There is no checkout of RoomLight, or it cannot be measured.
+    """
+    if not (other / "core" / "roomlight").is_dir():
+        raise OptionError(f"{other}: is no checkout of RoomLight, it has no core/roomlight")
+    (progress or _ignore)("frames and late points, in turns with the other checkout")
+    rows = measure_against(other, ("classical", "single"), rounds=rounds)
+    return AgainstReport(tuple(AgainstRow(*row) for row in rows), str(other), describe_machine())
+
+
+def _sessions(size: RoomSize, networks: Networks, model: Path | None) -> list[MeasuredSession]:
+    """Return a session without networks and one with them, in the faster runtime."""
+    provider = networks.fastest
+    return [
+        MeasuredSession("classical", size, provider=provider),
+        MeasuredSession(networks.form, size, provider=provider, weights=model),
+    ]
+
+
+def _timing(times_ms: list[float]) -> Timing:
+    return Timing(min(times_ms), median(times_ms), len(times_ms))
 
 
 def _implementations(stage: BenchStage) -> list[tuple[str, Implementation]]:
@@ -310,26 +338,6 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchSt
         torch,
         differences=deviations,
     )
-
-
-def _catch_up_stages(frames: list[Frame], size: RoomSize, networks: Networks | None) -> list[BenchStage]:
-    """Time a late probe: the volume is rendered once, then every keyframe is rendered, blended and accumulated."""
-    options = SessionOptions(model="classical", height=size.panorama_height, keyframes=size.keyframes)
-    sessions = [("classical", Session(options))]
-    if networks:
-        runtime = "openvino" if "openvino" in networks.loaded else "cpu"
-        sessions.append((f"{networks.form} networks", Session(options, graphs=networks.loaded[runtime])))
-    stages: list[BenchStage] = []
-    for name, session in sessions:
-        for frame in frames:
-            session.push(frame)
-
-        def run(session: Session = session) -> object:
-            return session.light_at(PROBE)
-
-        run()
-        stages.append(BenchStage(f"late probe, {name}", Implementation(run), note=f"{session.keyframes} keyframes"))
-    return stages
 
 
 def _ignore(_: str) -> None:

@@ -10,18 +10,13 @@ from rich.console import Console
 
 from roomlight.camera import transform_points
 from roomlight.errors import ModelError, OptionError
-from roomlight_bench.stages import plain_torch, stages
+from roomlight_bench.stages import plain_torch, sessions, stages
 from roomlight_bench.stages.report import StageRow, StagesReport, judge
 from roomlight_bench.stages.room import PROBE, RoomSize, views
 from roomlight_bench.timing import Implementation, Timing, time_interleaved
 from roomlight_cli.console import print_table
-from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 
 SIZE = RoomSize(width=40, height=30, volume_shape=(16, 20, 24), panorama_height=32, samples=100, keyframes=3)
-CONFIG = ModelConfig(
-    SGConfig(volume_shape=(16, 20, 24), channels=8, full_channels=4),
-    BlendConfig(height=16, channels=4, full_channels=2),
-)
 NETWORK_STAGES = ("SGLV network", "3D GRU", "blending network", "2D GRU")
 OWN_STAGES = (
     "volume initialisation",
@@ -32,8 +27,12 @@ OWN_STAGES = (
     "partial-mesh panorama",
     "fill beyond the mesh",
     "accumulation",
-    "late probe, classical",
+    "frame, classical",
+    "frame with 4 further probes, classical",
+    "late point, classical",
+    "16 late points, classical",
 )
+FRAME_STAGES = ("prepare", "volume", "sglv", "mesh", "keyframes", "render", "partial", "blend", "lights")
 
 
 @pytest.fixture(scope="module")
@@ -54,19 +53,13 @@ def test_every_stage_has_its_times_and_work(report: StagesReport):
     assert set(OWN_STAGES) <= set(names)
     for network in NETWORK_STAGES:
         assert any(name.startswith(network) for name in names)
-    assert "late probe, video networks" in names
+    assert {"frame, video", "late point, video", "16 late points, video"} <= set(names)
+    assert {f"{stage}, {model}" for stage in FRAME_STAGES for model in ("classical", "video")} <= set(names)
     for stage in report.rows:
         assert 0 < stage.ours.least_ms <= stage.ours.median_ms
         assert stage.ours.runs == 2
         assert (stage.flops is not None) == stage.name.startswith(NETWORK_STAGES)
     assert sum(stage.paper_ms or 0 for stage in report.rows) == pytest.approx(77.4)  # the paper rounds to 77
-
-
-@pytest.mark.slow
-def test_untrained_networks_are_exported_without_weights():
-    report = stages.run_stages(repeats=1, size=replace(SIZE, panorama_height=16), config=CONFIG)
-    assert report.networks == "video, untrained"
-    assert any(stage.name.startswith("blending network") and stage.torch is not None for stage in report.rows)
 
 
 @pytest.mark.slow
@@ -101,25 +94,55 @@ def test_the_table_names_every_stage_and_every_criterion(report: StagesReport):
         print_table(narrow, report.table(width=80))
     assert "…" not in capture.get()
     assert "initialisation" in capture.get()
-    assert len(report.criteria) == 6
+    assert len(report.criteria) == 10
 
 
-def test_without_pytorch_all_other_stages_are_measured(monkeypatch: pytest.MonkeyPatch):
+def test_without_pytorch_all_stages_are_measured(monkeypatch: pytest.MonkeyPatch, tiny_video: tuple[Path, Path]):
     monkeypatch.setattr(plain_torch, "torch_installed", lambda: False)
-    monkeypatch.setattr(stages, "export_possible", lambda: False)
-    report = stages.run_stages(repeats=1, size=SIZE)
-    assert tuple(stage.name for stage in report.rows) == OWN_STAGES
+    report = stages.run_stages(repeats=1, size=SIZE, model=tiny_video[1])
+    assert set(OWN_STAGES) <= {stage.name for stage in report.rows}
     assert all(stage.torch is None for stage in report.rows)
     console = Console(width=300)
     with console.capture() as capture:
         console.print(report.table())
     assert "no comparison with PyTorch" in " ".join(capture.get().split())
-    assert [criterion.demand.split(":")[0] for criterion in report.criteria] == ["volume initialisation"]
+
+
+def test_another_checkout_is_measured_in_turns(monkeypatch: pytest.MonkeyPatch):
+    """Against itself, by a program that answers at once."""
+    program = """
+import json, sys
+for number, _ in enumerate(sys.stdin):
+    print(json.dumps({f"frame, {model}": 10.0 - number for model in sys.argv[1:]}), flush=True)
+"""
+    root = Path(stages.__file__).parents[3]
+    monkeypatch.setattr(sessions, "PROGRAM", ("-c", program))
+    report = stages.run_against(root, rounds=2)
+    assert [(row.name, row.here_ms, row.there_ms) for row in report.rows] == [
+        ("frame, classical", 8.0, 8.0), ("frame, single", 8.0, 8.0),
+    ]  # fmt: skip
+    console = Console(width=100)
+    with console.capture() as capture:
+        console.print(report.table())
+    assert "1.00" in capture.get()
+    monkeypatch.setattr(sessions, "PROGRAM", ("-c", "raise SystemExit(1)"))
+    with pytest.raises(OptionError, match="cannot be measured"):
+        stages.run_against(root, rounds=1)
+
+
+@pytest.mark.slow
+def test_frames_of_this_checkout_are_measured_by_the_program():
+    names = {
+        name for name, _, _ in sessions.measure_against(Path(stages.__file__).parents[3], ("classical",), rounds=1)
+    }
+    assert names == {name for name in OWN_STAGES if "classical" in name and "volume" not in name}
 
 
 def test_other_folders_and_zero_repeats_are_refused(tmp_path):
     with pytest.raises(ModelError, match=r"model\.json"):
         stages.run_stages(repeats=1, model=tmp_path, size=SIZE)
+    with pytest.raises(OptionError, match="no checkout of RoomLight"):
+        stages.run_against(tmp_path, rounds=1)
     with pytest.raises(OptionError, match="repeats must be at least 1"):
         stages.run_stages(repeats=0)
 
@@ -129,11 +152,18 @@ def test_criteria_hold_and_fail_at_their_limits():
         row("volume initialisation", ours=1.0, reference=5.0),
         row("ray tracing, network-like volume", ours=1.0, torch=29.9),
         row("SGLV network, ONNX Runtime fp32", ours=100.0),
-        row("SGLV network, OpenVINO bf16", ours=30.0),
+        row("SGLV network, OpenVINO fp32", ours=30.0),
         row("mesh building", ours=5.0),
         row("partial-mesh panorama", ours=6.0),
+        row("frame, single", ours=50.0),
+        row("frame with 4 further probes, single", ours=81.0),
+        row("late point, single", ours=10.0),
+        row("16 late points, single", ours=41.0),
     ]
-    initialisation, march, panorama, both = judge(rows)
+    initialisation, march, further, late, panorama, both = judge(rows)
+    assert further.holds
+    assert further.measured == pytest.approx(31 / 4)
+    assert not late.holds
     assert initialisation.holds
     assert not march.holds
     assert panorama.holds

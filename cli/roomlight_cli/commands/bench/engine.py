@@ -9,20 +9,32 @@ from roomlight.errors import OptionError
 from roomlight_bench.compositing.composite import run_composite
 from roomlight_bench.compositing.rivals import RivalReport, run_rivals, run_sizes
 from roomlight_bench.reporting import criteria_table
-from roomlight_bench.stages.stages import run_stages
+from roomlight_bench.stages.stages import run_against, run_stages
 from roomlight_cli import console
 from roomlight_cli.console import show_report
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import FiguresJson
 
 
-def stages(*, repeats: Annotated[int, Ge(1)] = 7, weights: Path | None = None, json: FiguresJson = None) -> None:
+def stages(
+    *,
+    repeats: Annotated[int, Ge(1)] = 7,
+    weights: Path | None = None,
+    against: Path | None = None,
+    json: FiguresJson = None,
+) -> None:
     """Time each stage beside its reference and plain PyTorch; networks also against this machine's peak.
 
     Args:
         repeats: Interleaved repeats of each stage.
-        weights: A model folder of `roomlight export`. Default: untrained networks are exported for the run.
+        weights: A model folder of `roomlight export`. Default: the single-view networks inside the package.
+        against: Instead: whole frames and late points in turns with those of this other checkout of RoomLight.
     """
+    if against is not None:
+        with Progress("measuring") as progress:
+            compared = run_against(against, rounds=repeats, progress=progress.say)
+        show_report(compared, json, compared.table())
+        return
     with Progress("measuring") as progress:
         report = run_stages(repeats=repeats, model=weights, progress=progress.say)
     show_report(report, json, report.table(width=console.out.width))
