@@ -36,14 +36,6 @@ def test_every_part_of_a_step_is_reported(costs):
 
 
 @pytest.mark.slow
-def test_the_blending_stage_is_measured_too():
-    progress: list[str] = []
-    options = replace(OPTIONS, stage="single-blend")
-    assert_consistent(measure_training(options, BoxRecordings(3), steps=3, device="cpu", progress=progress.append))
-    assert progress[-1] == "step 6 of 6"
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("stage", ["video-sglv", "video-joint"])
 def test_the_parts_of_a_video_step_are_reported(stage):
     options = replace(WALKS, stage=stage, steps=1000, frames=3, window=2)

@@ -20,7 +20,7 @@ from roomlight_evaluation.composites.regions import (
     regions,
     smoothed_truth,
 )
-from roomlight_evaluation.composites.scenes import MATERIALS, SHAPES, real_material, virtual_object
+from roomlight_evaluation.composites.scenes import MATERIALS, real_material, virtual_object
 from roomlight_evaluation.composites.scores import (
     CompositeScores,
     SceneScore,
@@ -151,12 +151,6 @@ def test_materials_agree_in_colour(material):
     else:
         assert look.base_colour == real.albedo
     assert (real.roughness or 0) == pytest.approx(look.roughness**2 if material == "glossy" else 0)
-
-
-@pytest.mark.parametrize(("shape", "size_m"), SHAPES.items())
-def test_objects_have_their_size(shape, size_m):
-    low, high = virtual_object(shape, "diffuse").bounds()
-    assert (high - low).max() == pytest.approx(size_m, rel=1e-5)
 
 
 class Unrendered:

@@ -351,18 +351,6 @@ def test_a_lost_line_of_the_index_is_repaired_too(damaged, undisturbed):
     assert Dataset(damaged).files(1) == Dataset(undisturbed).files(1)
 
 
-def test_a_deleted_shard_is_made_again(damaged, undisturbed):
-    (damaged / "train-00001.tar").unlink()
-    (damaged / "train-00001.jsonl").unlink()
-    assert generate(damaged, options(), workers=1).made == 4
-    assert bytes_of(damaged) == bytes_of(undisturbed)
-    (damaged / "train-00001.tar").unlink()
-    assert len(verify(damaged).damaged) == 4
-    assert verify(damaged, repair=True).whole == 8
-    assert generate(damaged, options(), workers=1).made == 4
-    assert bytes_of(damaged) == bytes_of(undisturbed)
-
-
 def test_nothing_is_repaired_while_another_process_writes(damaged):
     before = bytes_of(damaged)
     with locked(damaged), pytest.raises(OutputError, match="is writing"):

@@ -87,12 +87,6 @@ def test_the_same_state_gives_the_same_points():
     np.testing.assert_array_equal(once, again)
 
 
-def test_as_many_probes_as_requested():
-    rng, camera, pose, depth = first_view(4)
-    points = present(place_probes(ROOM, rng, intrinsics=camera, camera_to_world=pose, depth_m=depth, count=5))
-    assert points.shape == (5, 3)
-
-
 def test_without_clearance_there_is_no_place():
     rng, camera, pose, depth = first_view(6)
     full = FreeSpace(ROOM.walkable, ROOM.origin, ROOM.cell_m, lambda origins, _: np.full(len(origins), 0.1, np.float32))

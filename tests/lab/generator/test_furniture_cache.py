@@ -125,10 +125,6 @@ def test_a_cache_returns_what_was_stored(tmp_path):
     assert not list(path.parent.glob(".*"))
 
 
-def test_the_same_models_give_the_same_cache_bytes(tmp_path):
-    assert written(tmp_path / "a").read_bytes() == written(tmp_path / "b").read_bytes()
-
-
 def test_models_of_a_cache_can_be_pickled(tmp_path):
     cache = Cache(written(tmp_path / "f.rlf"))
     cache.surfaces()

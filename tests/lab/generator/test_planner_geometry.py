@@ -122,14 +122,3 @@ def test_a_piece_that_would_cut_off_a_door_is_refused() -> None:
     assert len(arrangement.pieces) == before
     assert arrangement.walkable()
     assert arrangement.place(model("wardrobe", (0.5, 2.0, 1.0)), 2.0, 1.5, 0.0) is not None
-
-
-def test_restore_removes_pieces_and_frees_their_cells() -> None:
-    arrangement = Arrangement(shell(SQUARE, {}), BoxCatalogue(), np.random.default_rng(0), "train")
-    free = arrangement.free_cells().copy()
-    snapshot = arrangement.snapshot()
-    assert arrangement.place(model("sofa", (1.0, 0.8, 0.6)), 2.0, 1.5, 10.0) is not None
-    assert (arrangement.free_cells() != free).any()
-    arrangement.restore(snapshot)
-    assert (arrangement.free_cells() == free).all()
-    assert not arrangement.pieces
