@@ -49,3 +49,7 @@ def test_files_of_the_architecture_exist():
     files = [path.as_posix() for source in SOURCES for path in source.rglob("*.py")]
     assert len(named) > 30
     assert {name for name in named if not any(file.endswith("/" + name) for file in files)} == set()
+
+
+def test_pages_have_at_most_130000_characters():
+    assert sum(len(page.read_text()) for page in DOCS.rglob("*.md")) <= 130_000
