@@ -29,7 +29,7 @@ def point_in_view(frame: Frame) -> Position:
     Raises:
         ProbeError: The frame has no depth.
 
-    Example:
+    Examples:
         >>> import roomlight as rl
         >>> frame = next(iter(rl.open_capture(rl.sample_capture())))
         >>> x, y, z = rl.point_in_view(frame)
@@ -56,7 +56,7 @@ def point_at_pixel(frame: Frame, u: float, v: float, *, above_m: float = ABOVE_M
         OptionError: The pixel lies outside the image, or `above_m` is negative or not finite.
         ProbeError: The frame has no depth at the pixel.
 
-    Example:
+    Examples:
         >>> import roomlight as rl
         >>> frame = next(iter(rl.open_capture(rl.sample_capture())))
         >>> x, y, z = rl.point_at_pixel(frame, 160.0, 180.0, above_m=0.05)

@@ -12,7 +12,7 @@ def sample_capture() -> Path:
     Raises:
         CaptureError: The installation lacks it.
 
-    Example:
+    Examples:
         >>> import roomlight as rl
         >>> rl.sample_capture().name
         'sample'

@@ -124,7 +124,7 @@ class Capture:
         probes: Ground-truth panoramas that come with the capture.
         skipped: Records that the latest iteration has skipped so far, each with its file and reason.
 
-    Example:
+    Examples:
         capture = open_capture("my-recording")
         frames = list(capture)
         print(*capture.notes, *capture.skipped, sep="\n")

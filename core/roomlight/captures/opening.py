@@ -69,7 +69,7 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
         UnknownFormatError: No reader recognises the files.
         CaptureError: The index is missing or damaged, so that no frame can be read.
 
-    Example:
+    Examples:
         >>> import roomlight as rl
         >>> next(iter(rl.open_capture(rl.sample_capture()))).image.shape
         (240, 320, 3)

@@ -401,7 +401,7 @@ def composite(
         OptionError: the quality is unknown.
         SceneError: the session has no frame, the scene or a place is refused, or an object is not in view.
 
-    Example:
+    Examples:
         >>> import roomlight as rl
         >>> frame, session = next(iter(rl.open_capture(rl.sample_capture()))), rl.Session()
         >>> report = session.push(frame)

@@ -44,7 +44,7 @@ def scene_of_object(
         SceneError: A value is refused; the message names its field.
         ObjectError: The file is refused.
 
-    Example:
+    Examples:
         >>> import roomlight as rl
         >>> [item.name for item in rl.scene_of_object("sphere", (160.0, 200.0), material="mirror").objects]
         ['sphere']
@@ -89,7 +89,7 @@ def composite_capture(
         CaptureError: The recording cannot be read, or has no frame.
         SceneError: The scene or a place is refused.
 
-    Example:
+    Examples:
         >>> import roomlight as rl
         >>> frames = list(rl.open_capture(rl.sample_capture()))[:2]
         >>> scene = rl.scene_of_object("sphere", (160.0, 200.0))

@@ -71,7 +71,7 @@ class _Clock:
 class Session:
     """The state of one stream: the room since the first frame, and the tracked probes.
 
-    Example:
+    Examples:
         >>> import roomlight as rl
         >>> session = rl.Session(rl.SessionOptions(height=32))
         >>> report = session.push(next(iter(rl.open_capture(rl.sample_capture()))))

@@ -16,7 +16,7 @@ from roomlight.threads import parallel_for
 class SessionView:
     """What a session knows of its room, for points that it does not track.
 
-    Example:
+    Examples:
         >>> import roomlight as rl
         >>> session = rl.Session(rl.SessionOptions(height=32))
         >>> report = session.push(next(iter(rl.open_capture(rl.sample_capture()))))

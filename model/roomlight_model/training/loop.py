@@ -120,7 +120,7 @@ class TrainingProgress:
 class Run:
     """One stage of training in one folder.
 
-    Example:
+    Examples:
         run = Run(stage, Path("runs/objects"))
         run.train(minutes=30)  # or until the last step, Ctrl-C or SIGTERM; the same lines continue
         print(run.card()["scores"])

@@ -85,7 +85,7 @@ class Recipe:
         data: For each dataset the options that generate it; empty if only a folder of this name is used.
         stages: The stages in order.
 
-    Example:
+    Examples:
         recipe = read_recipe("objects")
         recipe.stages[0].options.steps  # 6000
         quick = recipe.changed({"steps": 10})

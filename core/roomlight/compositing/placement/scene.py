@@ -151,7 +151,7 @@ class ObjectSpec(_Model):
         size_m: longest side of the bounding box; required for shapes, else the file's own metres.
         material: replaces the file's materials.
         position: world metres of the anchor; or
-        pose: [4][4] rigid, object axes to world; or
+        pose: 4 x 4 rigid matrix, object axes to world; or
         pixel: column and row in the frame of index `frame` (default: the first frame that is composited).
         yaw_degrees: about the surface's normal, with `position` or `pixel`.
         anchor: point of the object that is placed, with `position` or `pose`.
@@ -272,7 +272,7 @@ def load_scene(path: str | Path) -> Scene:
         SceneError: the file cannot be read, or a field is refused; the message names it.
         ObjectError: an object's file is refused.
 
-    Example:
+    Examples:
         >>> import roomlight as rl, pathlib, tempfile
         >>> path = pathlib.Path(tempfile.mkdtemp()) / "scene.json"
         >>> sphere = '{"name": "sphere", "shape": "sphere", "size_m": 0.2, "pixel": [160, 200]}'
