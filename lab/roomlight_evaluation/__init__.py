@@ -1,12 +1,16 @@
 """Score light estimates against ground truth.
 
-Two questions, each with an evaluation, its scores and its tables:
+Each folder answers one question, with the measurement in `evaluation`, its figures in `scores` and its tables in
+`tables`:
 
-- How good is the light of a video stream? `evaluate_captures` scores estimators frame by frame at the ground-truth
-  probes of captures (`roomlight eval captures`): `capture_evaluation`, `capture_scores`, `capture_tables`. An
-  `Estimator` is a session, a baseline, or a folder of panoramas that any program wrote (`estimators`).
-- How good is the light of a single image? `evaluate_dataset` scores methods on the first frames of a dataset's rooms
-  (`roomlight eval dataset`): `dataset_evaluation`, `dataset_scores`, `dataset_tables`, `dataset_picture`.
+- `captures`: How good is the light of a stream, at the ground-truth probes of captures (`roomlight eval captures`)?
+  An `Estimator` is a session, a baseline, or a folder of panoramas that any program wrote (`estimators`). Also the main
+  light (`main_light`), a later frame's view (`views`), and the rule that chooses the default model (`ship_rule`).
+- `datasets`: How good is the light of a single image (`roomlight eval dataset`), and of walks (`walks`)?
+- `objects`: How well does the light shade spheres and cast a shadow (`roomlight eval objects`)?
+- `composites`: How near are composites to pictures with the object really there (`roomlight eval composite`)?
+
+`baselines` has mean colour and warp-and-fill, `confidence` bootstrap intervals, `tables` what all tables share.
 
 The metrics themselves are in `roomlight.metrics`.
 """
