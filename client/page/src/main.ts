@@ -115,7 +115,7 @@ function pick(tool: "object" | "probe", { point, normal }: SurfacePoint): void {
   if (tool === "probe") {
     addProbe(point.clone().addScaledVector(normal, PROBE_ABOVE_M).toArray());
   } else if (state.shownEntry.value === null) {
-    objects.add({ ...chosen(), place: { position: point.toArray() } });
+    objects.put({ ...chosen(), place: { position: point.toArray() } });
   }
 }
 

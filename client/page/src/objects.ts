@@ -33,6 +33,7 @@ export interface PlacedObject {
 
 const PAUSE_MS = 400; // a session's frames wait while a composite is made
 const MARGIN = 0.02; // of the picture's width and height
+const MOST_UNDONE = 50;
 const BAD_PLACES = new Set(["bad-place", "invalid"]);
 
 export class PlacedObjects {
@@ -40,9 +41,13 @@ export class PlacedObjects {
   /** The picture with the objects; null without objects. */
   readonly composite = new Signal<Picture | null>(null);
   readonly busy = new Signal(false);
+  /** The object that a click moves; null: a click places another one. */
+  readonly selected = new Signal<string | null>(null);
   quality: Quality = "preview";
   private placed = 0;
   private cleared = 0;
+  private past: (readonly PlacedObject[])[] = [];
+  private undone: (readonly PlacedObject[])[] = [];
 
   constructor(
     private readonly state: State,
@@ -52,19 +57,79 @@ export class PlacedObjects {
 
   add(object: Omit<PlacedObject, "name" | "pose">): void {
     const name = `${object.shape}-${++this.placed}`;
-    this.list.value = [...this.list.value, { ...object, name, pose: null }];
-    this.update();
+    this.change([...this.list.value, { ...object, name, pose: null }]);
+  }
+
+  /** Place another object, or move the selected one. */
+  put(object: Omit<PlacedObject, "name" | "pose">): void {
+    const selected = this.selected.value;
+    if (selected === null) {
+      return this.add(object);
+    }
+    this.edit(selected, ({ pose: _, ...kept }) => ({ ...kept, place: object.place, pose: null }));
+  }
+
+  /** Turn an object about its own upright axis. */
+  turn(name: string, degrees: number): void {
+    this.edit(name, (object) => (object.pose ? { ...object, pose: turned(object.pose, degrees) } : object));
+  }
+
+  setMaterial(name: string, material: Surface): void {
+    this.edit(name, (object) => ({ ...object, material }));
   }
 
   remove(name: string): void {
-    this.list.value = this.list.value.filter((object) => object.name !== name);
-    this.update();
+    this.change(this.list.value.filter((object) => object.name !== name));
+  }
+
+  get canUndo(): boolean {
+    return this.past.length > 0;
+  }
+
+  get canRedo(): boolean {
+    return this.undone.length > 0;
+  }
+
+  undo(): void {
+    this.goTo(this.past, this.undone);
+  }
+
+  redo(): void {
+    this.goTo(this.undone, this.past);
   }
 
   clear(): void {
     this.cleared++;
-    this.list.value = [];
+    [this.past, this.undone] = [[], []];
+    this.show([]);
     this.showComposite(null);
+  }
+
+  private edit(name: string, change: (object: PlacedObject) => PlacedObject): void {
+    this.change(this.list.value.map((object) => (object.name === name ? change(object) : object)));
+  }
+
+  private change(next: readonly PlacedObject[]): void {
+    this.past = [...this.past.slice(-MOST_UNDONE), this.list.value];
+    this.undone = [];
+    this.show(next);
+    this.update();
+  }
+
+  private goTo(from: (readonly PlacedObject[])[], to: (readonly PlacedObject[])[]): void {
+    const next = from.pop();
+    if (next) {
+      to.push(this.list.value);
+      this.show(next);
+      this.update();
+    }
+  }
+
+  private show(next: readonly PlacedObject[]): void {
+    if (!next.some(({ name }) => name === this.selected.value)) {
+      this.selected.value = null;
+    }
+    this.list.value = next;
   }
 
   /** Render the newest frame with the objects again. */
@@ -107,7 +172,8 @@ export class PlacedObjects {
     if (isPlace) {
       const kept = this.list.value.filter(({ pose }) => pose !== null);
       if (kept.length < this.list.value.length) {
-        this.list.value = kept;
+        const before = this.past.pop();
+        this.show(before?.every(({ pose }) => pose !== null) ? before : kept); // a moved object goes back
         this.report(error);
         this.update();
       } else {
@@ -127,6 +193,19 @@ function asRequest({ name, shape, file, material, size_m, place, pose }: PlacedO
   const where = pose ? { pose, anchor: "origin" as const } : place;
   const what = shape === "file" ? { object: file!.id } : { shape };
   return { name, ...what, size_m, ...(material === "own" ? {} : { material: { kind: material } }), ...where };
+}
+
+/** A pose after a turn about its second axis; poses are column by column. */
+function turned(pose: readonly number[], degrees: number): readonly number[] {
+  const [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
+  const x = pose.slice(0, 4);
+  const z = pose.slice(8, 12);
+  return [
+    ...x.map((value, row) => cos * value - sin * z[row]!),
+    ...pose.slice(4, 8),
+    ...x.map((value, row) => sin * value + cos * z[row]!),
+    ...pose.slice(12),
+  ];
 }
 
 /** Whether the middle of a placed object is in the picture; the server refuses objects that are not. */

@@ -16,7 +16,7 @@ const connection = (text) => page.waitForFunction((text) => document.getElementB
 
 test("an empty server says how to start", async () => {
   await page.waitForSelector("#empty:not([hidden])");
-  assert.match(await page.locator("#empty").innerText(), /roomlight demo[\s\S]*\.r3d[\s\S]*phone/i);
+  assert.match(await page.locator("#empty").innerText(), /sample room[\s\S]*\.r3d[\s\S]*phone/i);
   await connection("Connected");
 });
 
@@ -64,11 +64,13 @@ test("a page that the Back button brings back joins its session again", async ()
 test("a lost server is shown, and the page connects again", async () => {
   await control("stop");
   await page.waitForFunction(() => ["reconnecting", "disconnected"].includes(document.getElementById("connection").dataset.state));
+  await page.waitForSelector("#gone:not([hidden])");
   await control("start");
   await page.waitForSelector("#ended:not([hidden])"); // the new server has no session
   await control("push", { session: "room", count: 2 });
   await waitForLight(page);
   await connection("Live");
+  assert.ok(await page.isHidden("#gone"));
   assert.match(await page.locator("#camera-frame").innerText(), /Frame 1/);
 });
 

@@ -41,8 +41,36 @@ test("a click on the picture places an object there", async () => {
   const changed = placed.map((value, at) => Math.abs(value - before[at]) > 8);
   const rows = changed.flatMap((is, at) => (is ? [Math.floor(at / 4 / 64)] : []));
   assert.ok(Math.min(...rows) > 6, `the object is near the click, not in row ${Math.min(...rows)} of 32`);
-  await page.click("#objects .chip button");
+  await page.click('#objects .chip button[aria-label^="Remove"]');
   await page.waitForFunction(() => document.getElementById("objects").children.length === 0);
+  await noNotices();
+});
+
+test("a placed object is turned and moved, and both are undone", async () => {
+  const { width, height } = await page.locator("#picture-image").boundingBox();
+  await page.selectOption("#object-shape", "cube");
+  assert.equal(await page.inputValue("#object-material"), "diffuse");
+  let before = await pixelsOf(page, "#picture-image");
+  await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.75 * height } });
+  const placed = await waitForChange(page, "#picture-image", before);
+  await page.click("#objects .chip-name");
+  before = placed;
+  for (const act of [
+    () => page.click("#object-right"),
+    () => page.click("#picture-button", { position: { x: 0.35 * width, y: 0.8 * height } }),
+  ]) {
+    await act();
+    before = await waitForChange(page, "#picture-image", before);
+  }
+  assert.equal(await page.locator("#objects .chip").count(), 1);
+  await page.click("#object-undo");
+  before = await waitForChange(page, "#picture-image", before);
+  await page.keyboard.press("Delete");
+  await page.waitForFunction(() => document.getElementById("objects").children.length === 0);
+  await page.click("#object-undo");
+  await page.waitForSelector("#objects .chip");
+  await page.click('#objects .chip button[aria-label^="Remove"]');
+  await page.selectOption("#object-shape", "sphere");
   await noNotices();
 });
 

@@ -11,6 +11,17 @@ import { notify, reportError } from "./notices";
 /** The GLB file for new objects. */
 let chosenFile: ObjectFile | null = null;
 
+const PLACES = "Click a surface to place an object there. Keyboard: arrows move the cross, Enter places.";
+const TURN_DEG = 15;
+/** Size and material that a shape usually has. */
+const USUAL: Readonly<Record<Shape, { readonly size_cm: number | null; readonly material: Surface }>> = {
+  sphere: { size_cm: 20, material: "mirror" },
+  cube: { size_cm: 20, material: "diffuse" },
+  plane: { size_cm: 40, material: "mirror" },
+  chair: { size_cm: 85, material: "own" },
+  vase: { size_cm: 30, material: "own" },
+  file: { size_cm: null, material: "own" },
+};
 const CROSS_STEP = 0.02; // of the picture, for an arrow key; with Shift five times as much
 
 export function cameraPanel(api: Api, state: State, objects: PlacedObjects): void {
@@ -69,7 +80,7 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
   const place = (x: number, y: number) => {
     const intrinsics = state.camera.value?.intrinsics;
     if (intrinsics) {
-      objects.add({ ...chosen(), place: { pixel: [x * intrinsics.width, y * intrinsics.height] } });
+      objects.put({ ...chosen(), place: { pixel: [x * intrinsics.width, y * intrinsics.height] } });
     }
   };
 
@@ -105,13 +116,53 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
   state.shownEntry.watch(show);
   objects.composite.watch(show);
   objects.busy.watch((busy) => (byId("picture-busy").hidden = !busy));
-  objects.list.watch((list) => byId("objects").replaceChildren(...list.map((object) => chip(object, objects))));
+  objectTools(objects);
   byId<HTMLSelectElement>("object-quality").addEventListener("change", ({ target }) => {
     objects.quality = (target as HTMLSelectElement).value as Quality;
     objects.update();
   });
   byId("object-form").addEventListener("submit", (event) => event.preventDefault());
   listenToFile(api);
+}
+
+/** The placed objects, and what can be done with the selected one. */
+function objectTools(objects: PlacedObjects): void {
+  const show = () => {
+    const selected = objects.selected.value;
+    byId("objects").replaceChildren(...objects.list.value.map((object) => chip(object, objects)));
+    byId("object-tools").hidden = !objects.canUndo && !objects.canRedo;
+    for (const id of ["object-left", "object-right"]) {
+      byId<HTMLButtonElement>(id).disabled = selected === null;
+    }
+    byId<HTMLButtonElement>("object-undo").disabled = !objects.canUndo;
+    byId<HTMLButtonElement>("object-redo").disabled = !objects.canRedo;
+    byId("picture-help").textContent = selected === null ? PLACES : `Click a surface to move ${selected} there. Click its name again to place other objects.`;
+  };
+  objects.list.watch(show);
+  objects.selected.watch(show);
+  const turn = (degrees: number) => objects.selected.value && objects.turn(objects.selected.value, degrees);
+  byId("object-left").addEventListener("click", () => turn(-TURN_DEG));
+  byId("object-right").addEventListener("click", () => turn(TURN_DEG));
+  byId("object-undo").addEventListener("click", () => objects.undo());
+  byId("object-redo").addEventListener("click", () => objects.redo());
+  addEventListener("keydown", (event) => {
+    const isTyping = event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement;
+    if (!isTyping && (event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z") {
+      event.preventDefault();
+      (event.shiftKey ? () => objects.redo() : () => objects.undo())();
+    } else if (!isTyping && event.key === "Delete" && objects.selected.value) {
+      objects.remove(objects.selected.value);
+    }
+  });
+  const [shape, material] = [byId<HTMLSelectElement>("object-shape"), byId<HTMLSelectElement>("object-material")];
+  shape.addEventListener("change", () => {
+    const usual = USUAL[shape.value as Shape];
+    material.value = usual.material;
+    if (usual.size_cm !== null) {
+      byId<HTMLInputElement>("object-size").value = String(usual.size_cm);
+    }
+  });
+  material.addEventListener("change", () => objects.selected.value && objects.setMaterial(objects.selected.value, material.value as Surface));
 }
 
 /** Ask for a GLB file when that is chosen, and upload it; without one there is a sphere. */
@@ -155,8 +206,16 @@ export function chosen(): Pick<PlacedObject, "shape" | "file" | "material" | "si
 
 function chip({ name, material }: PlacedObject, objects: PlacedObjects): HTMLLIElement {
   const label = material === "own" ? name : `${name}, ${material}`;
+  const isSelected = objects.selected.value === name;
+  const select = {
+    class: "chip-name",
+    type: "button",
+    "aria-pressed": String(isSelected),
+    title: "Select it to move or turn it",
+    click: () => (objects.selected.value = isSelected ? null : name),
+  };
   const remove = { type: "button", "aria-label": `Remove ${label}`, click: () => objects.remove(name) };
-  return element("li", { class: "chip" }, label, element("button", remove, "×"));
+  return element("li", { class: "chip" }, element("button", select, label), element("button", remove, "×"));
 }
 
 function clamp(value: number): number {

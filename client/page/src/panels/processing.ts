@@ -8,11 +8,22 @@ import { totalMs } from "./timeline";
 
 /** Names of the counts and what they mean. */
 const COUNTS = [
-  ["superseded", "Superseded", "A newer frame arrived first"],
-  ["gaps", "Missing", "Indices that never arrived"],
-  ["skipped", "Skipped", "Tracking was poor"],
-  ["refused", "Refused", "Invalid frames"],
+  ["superseded", "Superseded", "A newer frame arrived before this one was processed: harmless, the light has the newer one"],
+  ["gaps", "Missing", "Indices that were not sent, because the sender leaves frames out to keep up: harmless"],
+  ["skipped", "Skipped", "The camera's tracking was poor"],
+  ["refused", "Refused", "The server refused these frames: the sender has the reason"],
 ] as const;
+const STAGES: Readonly<Record<string, string>> = {
+  prepare: "Reduce the frame, complete its depth, estimate its clipped light",
+  volume: "Project the frame into a volume around the camera",
+  sglv: "The networks turn the volume into light: the spherical Gaussian lighting volume",
+  mesh: "Connect the depth to a mesh",
+  keyframes: "Keep the frame for points that are requested later",
+  render: "Ray trace the volume at each probe",
+  partial: "What each probe sees of the mesh",
+  blend: "Blend both into each probe's panorama",
+  lights: "Find the main lights",
+};
 
 export function processingPanel(state: State): void {
   const show = () => {
@@ -22,7 +33,7 @@ export function processingPanel(state: State): void {
     byId("stages").replaceChildren(...stages.map(([name, ms]) => stage(name, ms, longest)));
     byId("speed-total").textContent = entry ? `${totalMs(entry).toFixed(0)} ms · ${rateText(history.value)}` : "";
     const processed = state.sessions.value?.find(({ id }) => id === state.selected.value)?.frames.processed;
-    const counts = COUNTS.map(([key, label, meaning]) => count(label, entry?.[key] ?? 0, meaning, true));
+    const counts = COUNTS.map(([key, label, meaning]) => count(label, entry?.[key] ?? 0, meaning, key === "refused"));
     byId("counts").replaceChildren(count("Processed", processed ?? history.value.length, "In the light", false), ...counts);
   };
   state.history.watch(() => timed("processing panel", show));
@@ -34,7 +45,7 @@ function stage(name: string, ms: number, longest: number): HTMLLIElement {
   const fill = element("span", { class: "bar-fill" });
   fill.style.width = `${(100 * ms) / longest}%`;
   const track = element("span", { class: "bar-track", "aria-hidden": "true" }, fill);
-  return element("li", {}, element("span", {}, name), track, element("span", { class: "value" }, `${ms.toFixed(1)} ms`));
+  return element("li", { title: STAGES[name] ?? null }, element("span", {}, name), track, element("span", { class: "value" }, `${ms.toFixed(1)} ms`));
 }
 
 function count(label: string, value: number, meaning: string, isLoss: boolean): HTMLDivElement {

@@ -29,6 +29,7 @@ export function sessionsPanel(state: State, onDelete: (id: string) => void): voi
     const pill = byId("connection");
     pill.dataset["state"] = kind;
     pill.textContent = text;
+    byId("gone").hidden = !["reconnecting", "disconnected"].includes(kind) || state.selected.value === null;
     showMessage(state);
   });
   byId("ended-close").addEventListener("click", () => {

@@ -15,7 +15,7 @@ const PAUSE_MS = 1000; // between two requests for the light of all objects
 
 interface Shown {
   readonly group: Group;
-  readonly object: PlacedObject;
+  object: PlacedObject;
   environment: Texture | null;
   /** What identifies the light that it shows. */
   etag: string;
@@ -82,7 +82,21 @@ export class RoomObjects {
         this.shown.delete(name);
       }
     }
-    for (const object of placed.filter(({ name }) => !this.shown.has(name))) {
+    for (const object of placed) {
+      const before = this.shown.get(object.name);
+      if (before && before.object.material === object.material) {
+        if (before.object !== object) {
+          before.object = object;
+          before.etag = "";
+          before.group.matrix.fromArray([...object.pose!]);
+        }
+        continue;
+      }
+      if (before) {
+        this.view.scene.remove(before.group);
+        disposeOf(before.group);
+        before.environment?.dispose();
+      }
       try {
         const group = await shapeOf(object);
         group.matrixAutoUpdate = false;
