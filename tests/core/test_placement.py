@@ -65,16 +65,13 @@ def test_a_lone_depth_pixel_is_lifted_toward_the_camera(frame):
     assert point == pytest.approx(surface + 0.5 * line / np.linalg.norm(line), abs=0.002)
 
 
-@pytest.mark.parametrize(("u", "v"), [(-1.0, 5.0), (160.0, 5.0), (5.0, 120.0), (float("nan"), 5.0)])
-def test_a_pixel_outside_the_image_is_refused(frame, u, v):
-    with pytest.raises(OptionError, match="image is 160 x 120 pixels: columns are 0 to 159, rows 0 to 119"):
-        point_at_pixel(frame, u, v)
-
-
-@pytest.mark.parametrize("above_m", [-0.1, float("nan"), float("inf")])
-def test_a_bad_distance_is_refused(frame, above_m):
-    with pytest.raises(OptionError, match="above_m"):
-        point_at_pixel(frame, 5.0, 5.0, above_m=above_m)
+def test_a_pixel_outside_the_image_and_a_bad_distance_are_refused(frame):
+    for u, v in ((-1.0, 5.0), (160.0, 5.0), (5.0, 120.0), (float("nan"), 5.0)):
+        with pytest.raises(OptionError, match="image is 160 x 120 pixels: columns are 0 to 159, rows 0 to 119"):
+            point_at_pixel(frame, u, v)
+    for above_m in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(OptionError, match="above_m"):
+            point_at_pixel(frame, 5.0, 5.0, above_m=above_m)
 
 
 def test_a_pixel_without_depth_names_the_nearest_with_depth(frame):

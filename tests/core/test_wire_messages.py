@@ -57,14 +57,9 @@ def test_json_contains_data_in_base64():
     assert "bytes" not in plain
 
 
-@pytest.mark.parametrize("text", ["a", "A-Z_09", "x" * 64])
-def test_valid_ids_are_accepted(text):
-    assert is_id(text)
-
-
-@pytest.mark.parametrize("text", ["", "x" * 65, "a b", "a/b", "..", "a\n", "\u00e9", "a\0"])
-def test_invalid_ids_are_rejected(text):
-    assert not is_id(text)
+def test_ids_are_1_to_64_letters_digits_and_marks():
+    assert all(map(is_id, ("a", "A-Z_09", "x" * 64)))
+    assert not any(map(is_id, ("", "x" * 65, "a b", "a/b", "..", "a\n", "\u00e9", "a\0")))
 
 
 def test_the_size_of_a_form_depends_on_its_format():

@@ -58,16 +58,12 @@ def test_datasets_made_before_clipped_radiance_have_none(folder):
     assert example.recording.clipped_radiance is None
 
 
-def test_a_name_that_is_not_there_says_which_are(folder):
+def test_what_is_not_there_is_an_error(folder, tmp_path):
     with pytest.raises(DatasetError, match="no sequence 'train-000024'; it has 24, from train-000000 to train-000023"):
         Dataset(folder).number_of("train-000024")
-
-
-def test_a_folder_without_a_manifest_is_no_dataset(tmp_path):
-    with pytest.raises(DatasetError, match="is not a dataset"):
-        Dataset(tmp_path)
-    with pytest.raises(DatasetError, match="is not a dataset"):
-        Dataset(tmp_path / "nowhere")
+    for path in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(DatasetError, match="is not a dataset"):
+            Dataset(path)
 
 
 def test_a_stream_has_every_sequence_once_ordered_by_its_seed(folder):

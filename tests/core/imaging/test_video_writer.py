@@ -47,26 +47,16 @@ def test_an_old_video_stays_until_the_new_one_is_complete(tmp_path: Path) -> Non
     assert path.read_bytes() == b"old"
 
 
-def test_without_pictures_there_is_no_file(tmp_path: Path) -> None:
-    write_video(tmp_path / "replay.mp4")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_pictures_of_odd_or_changing_sizes_are_refused(tmp_path: Path) -> None:
+def test_what_makes_no_video_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
+    write_video(tmp_path / "replay.mp4")  # no pictures
     with pytest.raises(ValueError, match="even sides"):
         write_video(tmp_path / "a.mp4", picture(10, 47))
     with pytest.raises(ValueError, match="the video is 64 x 48"):
         write_video(tmp_path / "b.mp4", picture(10), picture(10, 48, 32))
+    for rate in (0.0, -1.0, float("nan"), 1e6):
+        with pytest.raises(OptionError, match="frames_per_second"):
+            VideoWriter(tmp_path / "a.mp4", frames_per_second=rate)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), 1e6])
-def test_absurd_rates_are_refused(tmp_path: Path, rate: float) -> None:
-    with pytest.raises(OptionError, match="frames_per_second"):
-        VideoWriter(tmp_path / "a.mp4", frames_per_second=rate)
-
-
-def test_a_place_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match=r"replay\.mp4"):
         write_video(tmp_path / "file" / "replay.mp4", picture(10))
