@@ -11,7 +11,7 @@ from pathlib import Path
 from filelock import FileLock
 
 ROOT = Path(__file__).parent.parent
-SOURCES = ("core/roomlight/engine", "export/roomlight_export", "model/roomlight_model")
+SOURCES = ("core/roomlight/engine/networks", "export/roomlight_export", "model/roomlight_model")
 
 
 def kept_export(name: str, build: Callable[[Path], object] | partial[object]) -> Path:

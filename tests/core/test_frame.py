@@ -31,6 +31,8 @@ def test_mismatched_parts_are_refused_with_the_frames_name(parts, message):
     with pytest.raises(FrameError, match=message) as caught:
         _changed(**parts)
     assert "room frame 7" in str(caught.value)
+    with pytest.raises(FrameError, match=r"^frame 7: "):
+        _changed(source="", **parts)
 
 
 @pytest.mark.parametrize(
@@ -69,24 +71,16 @@ def test_invalid_depth_becomes_unknown(value):
     assert (frame.depth_m > 0).sum() == depth.size - 10
 
 
-def test_arrays_of_other_types_become_contiguous_float32():
+def test_arrays_of_other_types_become_contiguous_float32_and_valid_ones_are_not_copied():
     mirrored = np.asfortranarray(FRAME.image[..., ::-1].astype(np.float64))
     frame = _changed(image=mirrored, depth_m=FRAME.depth_m.astype(np.float16))
     for array in (frame.image, frame.depth_m):
         assert array.dtype == np.float32
         assert array.flags.c_contiguous
     assert (frame.image == FRAME.image[..., ::-1]).all()
-
-
-def test_valid_arrays_are_not_copied():
     again = _changed(index=8)
     assert again.image is FRAME.image
     assert again.depth_m is FRAME.depth_m
-
-
-def test_without_a_source_the_index_names_the_frame():
-    with pytest.raises(FrameError, match=r"^frame 7: "):
-        _changed(source="", depth_m=FRAME.depth_m[:, :60])
 
 
 def test_the_pose_is_cleaned():
@@ -95,20 +89,15 @@ def test_the_pose_is_cleaned():
     assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
 
 
-def test_shrinking_keeps_the_mean_energy_and_the_aspect():
+def test_shrinking_keeps_the_mean_energy_and_the_aspect_and_enlarges_nothing():
     small = FRAME.resized(40, 40)
     assert small.image.shape == (30, 40, 3)
     # 4 x 4 blocks divide the image evenly: area averages keep the mean up to float32 sums
     assert small.image.mean(axis=(0, 1)) == pytest.approx(FRAME.image.mean(axis=(0, 1)), rel=1e-5)
     assert (small.intrinsics.width, small.intrinsics.height) == (40, 30)
-
-
-def test_shrunk_depth_is_some_depth_that_was_measured():
-    assert np.isin(FRAME.resized(40, 30).depth_m, FRAME.depth_m).all()
-
-
-def test_depth_smaller_than_the_target_stays_as_it_is():
+    assert np.isin(small.depth_m, FRAME.depth_m).all()
     assert FRAME.resized(100, 100).depth_m is FRAME.depth_m
+    assert FRAME.resized(4000, 4000).image is FRAME.image
 
 
 def test_the_box_is_swapped_for_an_upright_image():
@@ -121,10 +110,6 @@ def test_the_box_is_swapped_for_an_upright_image():
     )
     assert upright.resized(40, 30).image.shape == (40, 30, 3)
     assert upright.resized(30, 40).image.shape == (40, 30, 3)
-
-
-def test_nothing_is_enlarged():
-    assert FRAME.resized(4000, 4000).image is FRAME.image
 
 
 def test_a_pixel_is_clipped_when_half_of_it_was():

@@ -38,10 +38,7 @@ def test_log_l2_is_the_papers_formula_as_a_mean() -> None:
     assert log_l2(prediction, truth) == pytest.approx(1.0, rel=1e-6)
     truth[..., 1] = np.e - 1
     assert log_l2(prediction, truth) == pytest.approx(2 / 3, rel=1e-6)
-
-
-def test_radiance_below_zero_counts_as_none() -> None:
-    assert log_l2(np.full((4, 8, 3), np.float32(-5)), np.zeros((4, 8, 3), np.float32)) == 0
+    assert log_l2(np.full((4, 8, 3), np.float32(-5)), np.zeros((4, 8, 3), np.float32)) == 0  # below zero is none
 
 
 def test_ldr_error_ignores_light_above_white() -> None:
@@ -81,13 +78,9 @@ def test_angular_error_of_known_angles() -> None:
     assert angular_error_deg(red, red) == 0
     assert angular_error_deg(red, green) == pytest.approx(90)
     assert angular_error_deg(red, 0.1 * (red + green)) == pytest.approx(45)
-
-
-def test_black_agrees_with_black_only() -> None:
-    black, grey = np.zeros((3, 3)), np.full((3, 3), 0.2)
+    black = np.zeros((10, 3))
     assert angular_error_deg(black, black) == 0
-    assert angular_error_deg(black, grey) == 90
-    assert angular_error_deg(grey, black) == 90
+    assert angular_error_deg(black, red) == angular_error_deg(red, black) == 90
 
 
 def test_sphere_scores_are_zero_for_the_truth_and_detect_errors() -> None:
@@ -138,26 +131,15 @@ def test_interval_means() -> None:
         intervals(-1)
 
 
-def test_energy_is_a_ratio_to_the_truths() -> None:
+def test_energy_is_a_ratio_to_the_truths_weighted_by_solid_angle() -> None:
     truth = panorama(3)
     assert energy_ratio(truth, truth) == pytest.approx(1)
     assert energy_ratio(2.5 * truth, truth) == pytest.approx(2.5)
     assert energy_ratio(np.zeros_like(truth), truth) == 0
-
-
-def test_energy_weights_pixels_by_solid_angle() -> None:
-    truth = np.ones((16, 32, 3), np.float32)
+    assert np.isnan(energy_ratio(truth, np.zeros_like(truth)))
     polar = np.zeros_like(truth)
     polar[0] = 1
-    assert energy_ratio(polar, truth) == pytest.approx((1 - np.cos(np.pi / 16)) / 2, rel=1e-5)
-
-
-def test_energy_of_a_black_truth_is_unknown() -> None:
-    black = np.zeros((16, 32, 3), np.float32)
-    assert np.isnan(energy_ratio(panorama(1), black))
-
-
-def test_energy_sums_bright_pixels_without_loss() -> None:
+    assert energy_ratio(polar, np.ones_like(truth)) == pytest.approx((1 - np.cos(np.pi / 16)) / 2, rel=1e-5)
     truth = np.full((16, 32, 3), np.float32(1e-3))
     truth[8, 5] = 1e9
-    assert energy_ratio(truth, truth) == pytest.approx(1, rel=1e-9)
+    assert energy_ratio(truth, truth) == pytest.approx(1, rel=1e-9)  # sums without loss

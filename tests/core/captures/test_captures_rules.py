@@ -267,12 +267,6 @@ def test_transparent_and_masked_pixels_are_not_seen(transforms: Path) -> None:
         assert frame.image[hidden].min() > 0.02  # the colour around, not black
 
 
-def test_a_mask_of_everything_skips_the_frame(transforms: Path) -> None:
-    formats.save(transforms / "mask.png", formats.image(".png", np.zeros((24, 32), np.uint8)))
-    edit(transforms / "transforms.json", lambda index: index["frames"][2].update(mask_path="mask.png"))
-    one_skipped(transforms, 2, "no pixel that is seen")
-
-
 # Colour of video, orientation
 
 
@@ -320,10 +314,13 @@ def test_exif_orientation_of_a_capture_is_said_and_not_applied(transforms: Path)
 # What is marked, unread, nested, guessed
 
 
-@pytest.mark.parametrize("mark", [True, 1, "true"])
-def test_frames_marked_bad_are_skipped(transforms: Path, mark: object) -> None:
-    edit(transforms / "transforms.json", lambda index: index["frames"][2].update(is_bad=mark))
-    one_skipped(transforms, 2, "is_bad")
+def test_frames_that_are_marked_bad_or_masked_are_skipped(transforms: Path) -> None:
+    for mark in (True, 1, "true"):
+        edit(transforms / "transforms.json", lambda index, mark=mark: index["frames"][2].update(is_bad=mark))
+        one_skipped(transforms, 2, "is_bad")
+    formats.save(transforms / "mask.png", formats.image(".png", np.zeros((24, 32), np.uint8)))
+    edit(transforms / "transforms.json", lambda index: index["frames"][2].update(is_bad=False, mask_path="mask.png"))
+    one_skipped(transforms, 2, "no pixel that is seen")
 
 
 def test_keys_that_are_not_read_are_listed_once(transforms: Path) -> None:

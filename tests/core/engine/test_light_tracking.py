@@ -152,27 +152,20 @@ def test_a_lamp_switched_off_hands_over_in_stated_frames(other: str) -> None:
     assert max(steps_deg(lights)) <= MAX_TURN_DEG + 1e-6
 
 
-def test_a_new_lamp_fades_in_by_halves() -> None:
+def test_a_lamp_fades_in_by_halves_and_out_until_it_is_dropped() -> None:
     tracker = settled(lamp(LEFT))
     lights = run(tracker, [(lamp(LEFT), lamp(RIGHT, 0.8))] * 4)
     strengths = [next(one for one in state.sources if one.number == 1).intensity[0] for state in lights]
     np.testing.assert_allclose(strengths, [0.4, 0.6, 0.7, 0.75])
-
-
-def test_a_lamp_not_found_fades_out_and_is_dropped() -> None:
     tracker = settled(lamp(LEFT), lamp(RIGHT, 0.8))
-    lights = run(tracker, [(lamp(LEFT),)] * DROP_FRAMES)
-    assert [len(state.sources) for state in lights] == [2] * (DROP_FRAMES - 1) + [1]
-    fading = [state.sources[1].intensity[0] for state in lights[:-1]]
+    lights = run(tracker, [(lamp(LEFT),)] * (DROP_FRAMES - 1))
+    assert [len(state.sources) for state in lights] == [2] * (DROP_FRAMES - 1)
+    fading = [state.sources[1].intensity[0] for state in lights]
     np.testing.assert_allclose(fading, [0.8 * 0.5**n for n in range(1, DROP_FRAMES)])
-
-
-def test_a_lamp_found_again_keeps_its_number() -> None:
-    tracker = settled(lamp(LEFT), lamp(RIGHT, 0.8))
-    run(tracker, [(lamp(LEFT),)] * (DROP_FRAMES - 1))
-    lights = run(tracker, [(lamp(LEFT), lamp(RIGHT, 0.8))] * 12)
+    lights = run(tracker, [(lamp(LEFT), lamp(RIGHT, 0.8))] * 12)  # found again in time, it keeps its number
     assert [one.number for one in lights[-1].sources] == [0, 1]
     np.testing.assert_allclose(lights[-1].sources[1].intensity, 0.8, rtol=1e-3)
+    assert len(run(tracker, [(lamp(LEFT),)] * DROP_FRAMES)[-1].sources) == 1
 
 
 def test_a_light_that_moves_is_followed_with_its_number() -> None:
@@ -191,14 +184,9 @@ def test_darkness_leaves_the_direction_and_no_intensity() -> None:
     assert max(steps_deg(lights)) < 1e-6
     assert lights[-1].main.intensity.max() < 1e-6
     assert lights[-1].sources == ()
-
-
-def test_no_light_from_the_start_is_from_above_and_black() -> None:
-    tracker = LightTracker()
-    tracker.update(())
-    assert tracker.lights.main.direction.tolist() == [0, 1, 0]
-    assert tracker.lights.main.intensity.tolist() == [0, 0, 0]
-    assert isinstance(tracker.lights, TrackedLights)
+    (dark,) = run(LightTracker(), [()])
+    assert isinstance(dark, TrackedLights)
+    assert (dark.main.direction.tolist(), dark.main.intensity.tolist()) == ([0, 1, 0], [0, 0, 0])  # from above
 
 
 def test_opposite_lamps_hand_over_through_the_zenith() -> None:

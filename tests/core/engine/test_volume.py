@@ -47,47 +47,32 @@ def _depths_and_offsets(grid, frame):
     return seen, outside, (frame.depth_m[0, 0] - depth) / grid.edge_m
 
 
-def test_the_volume_is_the_papers_table():
-    grid = VolumeGrid.from_frame(_plane_frame(2.0))
+def test_the_volume_is_the_papers_table_in_the_first_camera():
+    pose = camera_at((1.0, 1.5, -0.5), 70, 10)
+    grid = VolumeGrid.from_frame(_plane_frame(2.0, camera_to_world=pose))
     assert grid.shape == VOLUME_SHAPE == (64, 60, 84)
     assert grid.depth_max_m == 2.0
     assert grid.lower_m == pytest.approx([-2.2, -1.6, -2.4])
     assert grid.upper_m == pytest.approx([2.2, 1.6, 1.0])
     assert grid.voxel_m == pytest.approx([grid.edge_m] * 3, rel=0.02)
-
-
-def test_centres_are_half_a_voxel_in_from_the_corners():
-    grid = VolumeGrid.from_frame(_plane_frame(2.0), shape=SMALL)
-    centres = grid.centres_m()
-    assert centres.shape == (*SMALL, 3)
-    assert centres[0, 0, 0] == pytest.approx(grid.lower_m + grid.voxel_m / 2)
-    assert centres[-1, -1, -1] == pytest.approx(grid.upper_m - grid.voxel_m / 2)
-
-
-def test_the_volume_stands_in_the_first_camera():
-    pose = camera_at((1.0, 1.5, -0.5), 70, 10)
-    grid = VolumeGrid.from_frame(_plane_frame(2.0, camera_to_world=pose))
     assert grid.contains((1.0, 1.5, -0.5))
-    ahead = pose[:3, 3] - 2.3 * pose[:3, 2]
-    behind = pose[:3, 3] + 1.1 * pose[:3, 2]
-    assert grid.contains(tuple(ahead))  # to 1.2 D_max in front
-    assert not grid.contains(tuple(behind))  # to 0.5 D_max behind
+    assert grid.contains(tuple(pose[:3, 3] - 2.3 * pose[:3, 2]))  # to 1.2 D_max in front
+    assert not grid.contains(tuple(pose[:3, 3] + 1.1 * pose[:3, 2]))  # to 0.5 D_max behind
+    small = VolumeGrid.from_frame(_plane_frame(2.0), shape=SMALL)
+    centres = small.centres_m()
+    assert centres.shape == (*SMALL, 3)
+    assert centres[0, 0, 0] == pytest.approx(small.lower_m + small.voxel_m / 2)
+    assert centres[-1, -1, -1] == pytest.approx(small.upper_m - small.voxel_m / 2)
 
 
-@pytest.mark.parametrize("depth_m", [0.02, 0.3, 0.49])
-def test_a_close_up_gets_the_least_volume_size(depth_m):
-    grid = VolumeGrid.from_frame(_plane_frame(depth_m))
-    assert grid.depth_max_m == DEPTH_MAX_FLOOR_M
-    assert grid.upper_m[0] - grid.lower_m[0] == pytest.approx(1.1)
-
-
-def test_one_stray_pixel_does_not_enlarge_the_volume():
+def test_depth_sets_the_size_of_the_volume():
+    for depth_m in (0.02, 0.3, 0.49):  # a close-up gets the least size
+        grid = VolumeGrid.from_frame(_plane_frame(depth_m))
+        assert grid.depth_max_m == DEPTH_MAX_FLOOR_M
+        assert grid.upper_m[0] - grid.lower_m[0] == pytest.approx(1.1)
     frame = _plane_frame(2.0)
     frame.depth_m[5, 5] = 900.0
     assert VolumeGrid.from_frame(frame).depth_max_m == pytest.approx(2.0)
-
-
-def test_a_first_frame_without_depth_is_refused():
     with pytest.raises(FrameError, match="frame 0: no pixel has a depth"):
         VolumeGrid.from_frame(_plane_frame(0.0))
 

@@ -20,14 +20,15 @@ def rows_of(image: np.ndarray, channel: int) -> np.ndarray:
     return np.nonzero(((image[..., channel] > 150) & (others < 120)).any(axis=1))[0]
 
 
-def test_a_larger_value_is_drawn_higher() -> None:
+def test_a_larger_value_is_drawn_higher_and_within_the_plot() -> None:
     image = drawn(Plot("a plot", [0, 10], [Series((0.9, 0.9), RED), Series((0.1,), GREEN)], top=1.0))
     assert rows_of(image, 0).max() < rows_of(image, 1).min()
-
-
-def test_values_above_the_axis_stay_within_the_plot() -> None:
     image = drawn(Plot("a plot", [0, 10], [Series((0.5, 7.0), RED)], top=1.0))
-    assert rows_of(image, 0).min() >= 26
+    assert rows_of(image, 0).min() >= 26  # above the axis
+    image = drawn(Plot("", [3], [Series((0.5,), RED)], top=1.0))
+    assert (image[..., 0] > 150).sum() > 200  # one time is a level
+    image = drawn(Plot("", [0, 9], [Series((1.0,), RED, filled=True)], top=1.0))
+    assert image[100, 150, 0] > image[100, 150, 1] + 20  # below a filled line
 
 
 def test_a_dashed_line_has_gaps() -> None:
@@ -36,16 +37,6 @@ def test_a_dashed_line_has_gaps() -> None:
         for dash in (False, True)
     )
     assert 0.4 * whole < dashed < 0.8 * whole
-
-
-def test_the_area_below_a_filled_line_is_tinted() -> None:
-    image = drawn(Plot("", [0, 9], [Series((1.0,), RED, filled=True)], top=1.0))
-    assert image[100, 150, 0] > image[100, 150, 1] + 20
-
-
-def test_one_time_is_drawn_as_a_level() -> None:
-    image = drawn(Plot("", [3], [Series((0.5,), RED)], top=1.0))
-    assert (image[..., 0] > 150).sum() > 200
 
 
 def test_a_series_of_another_length_is_refused() -> None:
