@@ -2,6 +2,18 @@
 
 Volumes are [batch, channel, z, y, x] in the session's volume frame. The input's channels are c (3, linear
 radiance), alpha and e (-1 in voxels that are empty by the depth map, else 0).
+
+Layers for a volume of 64 x 60 x 84, with C = `channels` and F = `full_channels`; K is the kernel, S the stride:
+
+    input              5 x 64 x 60 x 84   c enters as log(1 + c)
+    f0 (first skip)    C x 32 x 30 x 42   C-K4-S2, C-K3, tanh
+    quarter            2C x 16 x 15 x 21  2C-K4-S2, 2C-K3
+    f1 (second skip)   4C x 8 x 7 x 10    4C-K4-S2, 4C-K3, 4C-K3, tanh
+    decoder, eighth    2C                 2C-K3 plus a matrix product of f1's mean over the volume, added to every voxel
+    decoder, quarter   2C                 resize, 2C-K3 twice
+    decoder, half      C, then F          resize, join f0, C-K3, F-K3
+    decoder, full      F                  resize, F-K3 (`full_layers` times), then all heads as one 1 x 1 x 1
+    output             alpha, and c (3), w (3), lambda, s (3) channels last; V_x (1 + e) on each
 """
 
 import math
