@@ -111,7 +111,7 @@ def test_it_learns_what_its_examples_show(tmp_path):
     before = stage.scores(cast(ObjectLightNetwork, run.averaged()))["loss"]
     run.train()
     after = load_checkpoint(tmp_path / "run" / "best.pt").card["scores"]
-    assert set(after) == {"loss", "brightness", *MATERIALS}
+    assert set(after) == {"loss", *MATERIALS}
     assert after["loss"] < 0.6 * before
     assert all(np.isfinite(value) for value in after.values())
 
