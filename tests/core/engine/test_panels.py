@@ -53,8 +53,8 @@ def test_panels_have_one_size_and_limit_for_every_panorama(height):
     given["detail"][:] = given["fill"][:] = 1e12
     given["depth_m"][:] = 1e6
     panels = panorama_panels(**given)
-    assert (panels[:3].max(), panels[6:].max()) == pytest.approx((BRIGHTEST, BRIGHTEST))
-    assert panels[5].max() == FARTHEST_M
+    limits = (panels[:3].max(), panels[6:].max(), panels[5].max())
+    assert limits == pytest.approx((BRIGHTEST, BRIGHTEST, FARTHEST_M))  # to rounding: panels are resampled
 
 
 @pytest.mark.parametrize("height", [32, 60, 120])
