@@ -40,6 +40,7 @@ def test_missing_fields_take_defaults():
         ({"sg": {"channels": "many"}}, "sg.channels: .*integer.*got 'many'"),
         ({"sg": {"channels": True}}, "sg.channels"),
         ({"sg": {"channels": 30}}, "multiple of 4"),
+        ({"sg": {"channels": 0}}, "multiple of 4"),
         ({"sg": {"volume_shape": [64, 60]}}, "volume_shape"),
         ({"sg": {"volume_shape": [64, 60, 4]}}, "volume_shape"),
         ({"sg": {"volume_shape": [64, 60, 84.5]}}, "volume_shape"),

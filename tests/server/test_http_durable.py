@@ -381,6 +381,8 @@ def test_ages_count_the_time_of_servers_alone(tmp_path):
     ages = SavedAges(tmp_path / "ages.json", lambda: now_s)
     now_s += 10
     assert ages.advance({"a": "1", "b": "2"}, ()) == {"a": 70.0, "b": 10.0}
+    now_s -= 5  # a clock that is set back makes nothing younger
+    assert ages.advance({"a": "1", "b": "2"}, ()) == {"a": 70.0, "b": 10.0}
     for damaged in ("", "[]", '{"a": 1}', '{"a": ["1", "x"]}'):
         (tmp_path / "ages.json").write_text(damaged)
         assert SavedAges(tmp_path / "ages.json", lambda: now_s).advance({"a": "1"}, ()) == {"a": 0.0}

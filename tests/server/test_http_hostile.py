@@ -173,7 +173,7 @@ def test_a_body_over_the_limit_is_rejected_also_if_chunked(server):
     declared = server.push(6, bytes(LIMIT + 1))
     assert (declared.status, declared.kind) == (413, "too-large")
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
-    chunks = (bytes(2**16) for _ in range(40))
+    chunks = (bytes(2**16) for _ in range(LIMIT // 2**16 + 1))
     connection.request(
         "PUT", "/v1/sessions/room/frames/6", chunks, encode_chunked=True, headers={"Transfer-Encoding": "chunked"}
     )

@@ -37,6 +37,12 @@ def test_options_override_the_environment(monkeypatch):
     assert (settings.port, settings.max_sessions, settings.max_probes) == (9001, 3, 16)
 
 
+def test_an_owner_gets_half_if_there_are_several():
+    one, several = load_settings(tokens=(TOKEN,)), load_settings(tokens=(TOKEN, f"{TOKEN}-two"))
+    assert one.owner_pending_bytes == one.max_pending_bytes == 2 * several.owner_pending_bytes
+    assert one.owner_sessions == one.max_sessions == 2 * several.owner_sessions
+
+
 def test_lists_are_split_at_spaces_and_commas(monkeypatch):
     monkeypatch.setenv("ROOMLIGHT_ALLOW_ORIGINS", "https://a.example, https://b.example  https://c.example")
     assert load_settings().allow_origins == ("https://a.example", "https://b.example", "https://c.example")

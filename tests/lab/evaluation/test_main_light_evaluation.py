@@ -64,7 +64,7 @@ def test_jumps_count_from_the_fifth_frame_on() -> None:
 
 def test_share_below_is_of_all_frames() -> None:
     scores = MainLightScores(tuple(tracks([UP, DOWN, unit(1, -0.01, 0), EAST])))
-    assert scores.summary("tracked").below == 0.5
+    assert scores.summary("tracked").below == scores.tracks[0].below == 0.5
 
 
 def test_errors_are_means_over_probes_with_intervals() -> None:
