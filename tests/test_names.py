@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-WORDS = {"one", "found", "held", "each", "standing", "placing"}
+WORDS = {"one", "found", "held", "each", "casting", "standing", "placing"}
 CANDIDATE = re.compile(rf"\b_*(?:{'|'.join(WORDS)})_*\b *(?:[=.,:)\[\]]|in\b)")  # parsing only these files is faster
 
 

@@ -15,8 +15,9 @@ from roomlight.conventions import Position
 from roomlight.errors import ImageError, RoomLightError, WireError
 from roomlight.images import decode_colour, decode_grey8
 from roomlight.light.cube import CubeMap
-from roomlight.light.light import FileFormat, Light, use_of
+from roomlight.light.light import Light
 from roomlight.light.main_light import MainLight
+from roomlight.light.sources import FileFormat, use_of
 from roomlight.light.spherical_harmonics import HarmonicsKind, SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
 from roomlight.wire.messages import EncodedLight, LightFormat, LightResponse, LightUse
@@ -34,7 +35,7 @@ class LightFile:
 
 @dataclass(frozen=True)
 class ReceivedForms:
-    """The forms of one light in a response, in its order; implements `roomlight.light.light.FormReader`.
+    """The forms of one light in a response, in its order; implements `roomlight.light.sources.FormReader`.
 
     Every method returns None for a form that was not sent, and raises BadReplyError for one that cannot be read.
     """

@@ -80,10 +80,11 @@ class DatasetError(RoomLightError):
 class WireError(RoomLightError):
     """A message of the wire format is refused; it had no effect.
 
-    kind:   short name of the mistake, e.g. `bad-header`; `too-large` where a limit was passed.
-    field:  where it is, as a path in the message (`depth.width`), or "" for the message as a whole.
-    value:  the refused value, shortened.
-    rule:   what is allowed there.
+    Attributes:
+        kind: Short name of the mistake, e.g. `bad-header`; `too-large` where a limit was passed.
+        field: Where it is, as a path in the message (`depth.width`), or "" for the message as a whole.
+        value: The refused value, shortened.
+        rule: What is allowed there.
     """
 
     def __init__(self, kind: str, *, field: str, value: object, rule: str) -> None:

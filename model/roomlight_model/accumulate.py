@@ -118,9 +118,10 @@ def with_brackets(
 ) -> Float[Tensor, "b 1 h w"]:
     """Raise the weight after `conservative` where the new observation of the same surface knows more.
 
-    ruled, weight:  the weight after the conservative rule, and before it.
-    better:         `better_share`.
-    distance:       difference of the accumulated depth and the new one.
+    Args:
+        ruled, weight: The weight after the conservative rule, and before it.
+        better: `better_share`.
+        distance: Difference of the accumulated depth and the new one.
     """
     same = distance.abs() < margin
     return torch.where(same, torch.maximum(ruled, better * weight.clamp(max=1)), ruled)

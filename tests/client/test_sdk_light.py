@@ -9,7 +9,7 @@ from light_rooms import room
 
 import roomlight as rl
 import roomlight_client as sdk
-from roomlight.light.light import FileFormat, FormReader, LightPanoramas
+from roomlight.light.sources import FileFormat, FormReader, LightPanoramas
 from roomlight.light.spherical_harmonics import SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, pack_light
 from roomlight.wire.messages import EncodedLight, LightResponse, ProbeLight

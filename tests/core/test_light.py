@@ -14,9 +14,10 @@ from roomlight.errors import OptionError
 from roomlight.images import decode_colour, decode_grey8
 from roomlight.light.coverage import coverage
 from roomlight.light.cube import CubeMap, observed_cube
-from roomlight.light.light import SAVED_AS, Light, LightPanoramas
+from roomlight.light.light import SAVED_AS, Light
 from roomlight.light.main_light import main_light
 from roomlight.light.prefilter import prefilter
+from roomlight.light.sources import LightPanoramas
 from roomlight.light.spherical_harmonics import SphericalHarmonics, project
 
 ROOM = room(24)

@@ -26,7 +26,8 @@ from roomlight.errors import CaptureError, FrameError
 from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr
-from roomlight.light.light import Light, LightUse
+from roomlight.light.light import Light
+from roomlight.light.sources import LightUse
 from roomlight.placement import point_at_pixel, point_in_view
 from roomlight_cli.replays.pictures import ReplayPictures, Titles
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign

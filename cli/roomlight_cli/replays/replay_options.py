@@ -10,7 +10,7 @@ from roomlight.conventions import Position
 from roomlight.engine.session import SessionOptions
 from roomlight.engine.volume.sglv import check_position
 from roomlight.errors import OptionError
-from roomlight.light.light import LightUse
+from roomlight.light.sources import LightUse
 from roomlight.placement import ABOVE_M
 from roomlight.rules import check_options
 from roomlight_cli.options import Flag, Without

@@ -31,8 +31,8 @@ from roomlight.engine.networks.graphs import SHIPPED, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.panels import BRIGHTEST, PANELS, changed_light, panel, panorama_panels
-from roomlight.light.light import LightPanoramas
 from roomlight.light.main_light import TrackedLights, lights_of, relit
+from roomlight.light.sources import LightPanoramas
 
 LIGHTING_PANELS: Final = PANELS + 1
 """Input: the panorama's panels, and the luminance that was estimated for clipped pixels."""

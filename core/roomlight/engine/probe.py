@@ -16,8 +16,9 @@ from roomlight.engine.room import Room, RoomView
 from roomlight.engine.state.snapshot import ProbeSnapshot
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.sglv import render_panorama
-from roomlight.light.light import GivenPanorama, Light
+from roomlight.light.light import Light
 from roomlight.light.main_light import find_lights
+from roomlight.light.sources import GivenPanorama
 from roomlight.threads import parallel_for, thread_count
 
 _VIEWS_AT_ONCE: Final = 4 * thread_count()

@@ -1,11 +1,11 @@
 """Forms of light for renderers, each computed from one panorama.
 
-    light                the light at a point, with all of its forms: start here
+    light, sources       the light at a point, with all of its forms: start here; where it comes from
     spherical_harmonics  nine coefficients a channel, in the signs and orders of ARCore, ARKit and three.js
     main_light           the directional light that casts the shadows
     cube, cube_geometry  cube maps; resample maps panoramas to them and back
     prefilter            specular mips: a cube map for each roughness
-encode, ktx2         image files: EXR, Radiance HDR, PNG; KTX 2.0
+    encode, ktx2         image files: EXR, Radiance HDR, PNG; KTX 2.0
     coverage             how much of the light was observed
     prior                the default light before the first frame
 

@@ -19,13 +19,12 @@ requested; what it did not send is computed from the panorama if that was sent. 
 import hashlib
 import io
 from copy import copy
-from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol, get_args, runtime_checkable
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.errors import OptionError, RoomLightError
@@ -37,23 +36,16 @@ from roomlight.light.cube import DEFAULT_SIZE, CubeMap, observed_cube
 from roomlight.light.encode import to_exr, to_hdr, to_png
 from roomlight.light.main_light import MainLight, TrackedLights, find_lights, no_light
 from roomlight.light.prefilter import SpecularMips, prefilter
+from roomlight.light.sources import (
+    FileFormat,
+    FormReader,
+    GivenPanorama,
+    LightSource,
+    LightUse,
+    use_of,
+)
 from roomlight.light.spherical_harmonics import HarmonicsKind, SphericalHarmonics, project
 from roomlight.spheres import resize_panorama
-
-FileFormat = Literal["exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular"]
-"""Encodings that are bytes: the panorama as exr, hdr, png or npy; `observed` as a grey PNG (confidence); a cube map as
-raw half floats (cube) or KTX2; specular mips as KTX2."""
-
-LightUse = Literal["lighting", "reflection"]
-"""What light is for: it lights a thing, or it is seen in a mirror and behind things."""
-DEFAULT_USES: Final[dict[str, LightUse]] = {"png": "reflection"}
-"""Uses of formats that are not of lighting unless another use is asked for: a PNG is looked at."""
-
-
-def use_of(light_format: str, use: LightUse | None = None) -> LightUse:
-    """Return the use of a form: the one that is asked for, or the format's own."""
-    return use or DEFAULT_USES.get(light_format, "lighting")
-
 
 SAVED_AS: Final[dict[str, FileFormat | Literal["json"]]] = {
     ".exr": "exr",
@@ -79,95 +71,15 @@ _CONVENTIONS: Final = {
 }
 
 
-@runtime_checkable  # the test run checks annotations with isinstance
-class FormReader(Protocol):
-    """Reader of the forms that a server sent; each method returns None for a form that is not there."""
-
-    def panorama(self, use: LightUse) -> Float32[np.ndarray, "h w 3"] | None:
-        """Return linear RGB [H, 2H, 3]."""
-        ...
-
-    def observed(self) -> Float32[np.ndarray, "h w"] | None:
-        """Return how far each direction was observed, 0 to 1, [H, 2H]."""
-        ...
-
-    def main_light(self, use: LightUse) -> MainLight | None:
-        """Return the main directional light."""
-        ...
-
-    def lights(self, use: LightUse) -> tuple[MainLight, ...] | None:
-        """Return the lights, the strongest first."""
-        ...
-
-    def harmonics(self, kind: HarmonicsKind, use: LightUse) -> SphericalHarmonics | None:
-        """Return the L2 harmonics of this kind."""
-        ...
-
-    def cube(self, size: int | None, use: LightUse) -> CubeMap | None:
-        """Return the cube map, if its faces have this size (None: any)."""
-        ...
-
-    def file(self, file_format: FileFormat, use: LightUse) -> bytes | None:
-        """Return the bytes of a form."""
-        ...
-
-    def missing(self, form: str, request: str) -> RoomLightError:
-        """Return the error for a form that is not there; `request` is how to ask for it."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class LightPanoramas:
-    """The panoramas of one light by use, and its main lights where a session followed them.
-
-    Attributes:
-        lighting: float32 linear RGB [H, 2H, 3].
-        reflection: the same for what is seen.
-        tracked: the main lights that a session has seen, as strong as in `lighting`; None: to be found in the panorama.
-    """
-
-    lighting: Float[np.ndarray, "h w 3"]
-    reflection: Float[np.ndarray, "h w 3"]
-    tracked: TrackedLights | None = None
-
-
-@runtime_checkable
-class LightSource(Protocol):
-    """What a light is computed from when it is asked for."""
-
-    def panoramas(self) -> LightPanoramas:
-        """Compute the panoramas."""
-        ...
-
-    def digest(self) -> str:
-        """Return an identity, without computing the panoramas: equal sources give equal light, to the bit."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class GivenPanorama:
-    """A panorama that is used for everything, and its main lights where a session followed them."""
-
-    panorama: Float[np.ndarray, "h w 3"]
-    tracked: TrackedLights | None = None
-
-    def panoramas(self) -> LightPanoramas:
-        """Return it for both uses."""
-        return LightPanoramas(self.panorama, self.panorama, self.tracked)
-
-    def digest(self) -> str:
-        """Hash its values."""
-        return hashlib.sha256(np.ascontiguousarray(self.panorama).tobytes()).hexdigest()[:24]
-
-
 class Light:
     """The light at one point. Forms are computed on first use and kept, except cube maps and files.
 
-    position:  world metres, y up.
-    coverage:  share of the sphere of directions that was observed, by solid angle, 0 to 1.
-    frame:     index of the last frame that contributed; -1 (`NO_FRAME`) if none did.
-    name:      of a tracked probe, else None.
-    etag:      a server's identity of this light: equal as long as the light is the same. None from the engine.
+    Attributes:
+        position: World metres, y up.
+        coverage: Share of the sphere of directions that was observed, by solid angle, 0 to 1.
+        frame: Index of the last frame that contributed; -1 (`NO_FRAME`) if none did.
+        name: Name of a tracked probe, else None.
+        etag: A server's identity of this light: equal as long as the light is the same. None from the engine.
     """
 
     def __init__(

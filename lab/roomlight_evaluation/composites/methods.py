@@ -52,7 +52,8 @@ def harmonics_and_directional(panorama: Float[np.ndarray, "h w 3"]) -> Panorama:
 def composites(scene: CompositeScene, session: Session, *, quality: str = "good") -> dict[str, Picture]:
     """Return the composite of each of `METHODS`, in linear radiance, without the camera's noise on the object.
 
-    session:  has seen the scene's frames.
+    Args:
+        session: Has seen the scene's frames.
     """
     warped, mean = WarpAndFill(), MeanColour()
     for frame in scene.frames:

@@ -42,9 +42,10 @@ def regions(
 ) -> dict[str, Mask]:
     """Return a mask of each of `REGIONS`.
 
-    with_object, without:  undeveloped radiance in units of white.
-    covered:  pixels that show the object.
-    distance_m:  of each pixel's surface to the object's centre; radius_m is its bounding sphere's.
+    Args:
+        with_object, without: Undeveloped radiance in units of white.
+        covered: Pixels that show the object.
+        distance_m: Of each pixel's surface to the object's centre; radius_m is its bounding sphere's.
     """
     mask = covered.astype(np.uint8)
     inside = cv2.erode(mask, _box(RIM_PX)).astype(bool)
@@ -71,9 +72,10 @@ def smoothed_truth(
 ) -> Float32[np.ndarray, "h w 3"]:
     """Return the picture with the object, without the noise of the renders outside of it; linear light.
 
-    frame:  without the object, as the session got it.
-    developed:  with the object, by the same sensor: used in the object and on its rim.
-    clean:  undeveloped radiance with the object and without, in units of white.
+    Args:
+        frame: Without the object, as the session got it.
+        developed: With the object, by the same sensor: used in the object and on its rim.
+        clean: Undeveloped radiance with the object and without, in units of white.
     """
     with_object, without = clean
     rim = cv2.dilate(covered.astype(np.uint8), _box(RIM_PX)).astype(bool)

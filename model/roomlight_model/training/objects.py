@@ -207,11 +207,11 @@ class ObjectsStage:
     ) -> Iterator[Losses]:
         """Yield the errors of pictures, divided by their usual errors, and the log-L2 of both panoramas."""
         with clock.part("forward"):
-            shown, casting = object_lights(network, batch.panels)
+            lighting, reflection = object_lights(network, batch.panels)
         with clock.part("render"):
-            errors = picture_errors(shown, casting, batch.truth) / torch.tensor(USUAL_ERRORS)
+            errors = picture_errors(lighting, reflection, batch.truth) / torch.tensor(USUAL_ERRORS)
             pictures, wanted = errors.sum(dim=1).mean(), torch.log1p(batch.truth)
-            logs = (torch.log1p(shown) - wanted).square().mean() + (torch.log1p(casting) - wanted).square().mean()
+            logs = (torch.log1p(lighting) - wanted).square().mean() + (torch.log1p(reflection) - wanted).square().mean()
         yield {"loss": pictures + LOG_WEIGHT * logs, "pictures": pictures, "log_l2": logs}
 
     # --- validation
@@ -259,24 +259,24 @@ def object_lights(
         changes = network(panels)
     known, guessed, light = panels[:, 3:4], panels[:, 9:10], panels[:, 6:9]
     free = torch.maximum(1 - known, (guessed / _luminance(light).clamp(min=1e-6)).clamp(0, 1))
-    shown, casting = (
+    lighting, reflection = (
         torch.expm1((torch.log1p(light) + change.float() * free).clamp(0, 11)) for change in changes.chunk(2, dim=1)
     )
-    return shown, casting
+    return lighting, reflection
 
 
 def picture_errors(
-    shown: Float[Tensor, "b 3 h w"], casting: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]
+    lighting: Float[Tensor, "b 3 h w"], reflection: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]
 ) -> Float[Tensor, "b 5"]:
     """Return the root of the mean squared error of each of `MATERIALS`."""
     spheres = [
         _squared_below_white(ours, theirs).mean((1, 2))
-        for ours, theirs in zip(_spheres(shown), _spheres(truth), strict=True)
+        for ours, theirs in zip(_spheres(lighting), _spheres(truth), strict=True)
     ]
-    mirror = (_squared_below_white(casting, truth) * _solid_angles() / _solid_angles().mean()).mean((1, 2, 3))
+    mirror = (_squared_below_white(reflection, truth) * _solid_angles() / _solid_angles().mean()).mean((1, 2, 3))
     wanted = _shadow(truth)
     shaded = (wanted < float(np.exp(-SHADED))).float()
-    shadow = ((_shadow(casting) - wanted).square() * shaded).sum(dim=1) / shaded.sum(dim=1).clamp(min=1)
+    shadow = ((_shadow(reflection) - wanted).square() * shaded).sum(dim=1) / shaded.sum(dim=1).clamp(min=1)
     return torch.sqrt(torch.stack([*spheres, mirror, shadow], dim=1) + 1e-5)
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.light.cube import DEFAULT_SIZE
-from roomlight.light.light import Light, LightUse, use_of
+from roomlight.light.light import Light
 from roomlight.light.prior import prior_panorama
+from roomlight.light.sources import LightUse, use_of
 from roomlight.light.spherical_harmonics import CoefficientOrder, Phase
 from roomlight.wire.messages import (
     CUBE_FORMATS,

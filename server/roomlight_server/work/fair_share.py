@@ -162,7 +162,7 @@ class FairShare:
 
     def pause(self, turn: Turn) -> None:
         """Give the slot to jobs that are ahead of this one and wait for it again; called on the thread of the job."""
-        slice_s = 0.0 if any(each.order < turn.order for each in tuple(self._waiting)) else SLICE_S
+        slice_s = 0.0 if any(waiting.order < turn.order for waiting in tuple(self._waiting)) else SLICE_S
         if self._waiting and not self._closed and self._clock() - turn.since_s >= slice_s:
             loop = turn.granted.get_loop()
             asyncio.run_coroutine_threadsafe(self._pause(turn), loop).result()

@@ -33,8 +33,9 @@ MAX_PIECES: Final = 96
 class _Piece:
     """What one frame added.
 
-    vertices, faces, centres: triangles left, with their centroids [n, 3].
-    spacing_m:                distance between samples at each centroid.
+    Attributes:
+        vertices, faces, centres: Triangles left, with their centroids [n, 3].
+        spacing_m: Distance between samples at each centroid.
     """
 
     index: int

@@ -47,10 +47,12 @@ class DetailArrays(NamedTuple):
     """What one frame shows a probe.
 
     radiance to guessed:         as in `roomlight.engine.surface.mesh.PartialPanorama`.
-    weight:                      of the frame, 0 where its mesh is not visible.
-    lowest, highest, brightest:  around each pixel, the least lower bound, the greatest possible luminance and the
-                                 greatest lower bound (`roomlight.engine.panorama.blend.extremes_around`).
-    camera:                      its position in metres from the probe, world axes.
+
+    Attributes:
+        weight: Of the frame, 0 where its mesh is not visible.
+        lowest, highest, brightest: Around each pixel, the least lower bound, the greatest possible luminance and the
+            greatest lower bound (`roomlight.engine.panorama.blend.extremes_around`).
+        camera: Its position in metres from the probe, world axes.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]

@@ -25,10 +25,11 @@ _WIDEST_CONE = np.float32(0.2)
 class Raster(NamedTuple):
     """Nearest triangles by pixel of an H x 2H panorama, row by row.
 
-    distance:  along the ray in metres; infinite where nothing is hit.
-    triangle:  number of the triangle, -1 where nothing is hit.
-    weights:   barycentric weights of the triangle's second and third corner.
-    front:     1 where the ray meets the side that is counter-clockwise, 0 elsewhere.
+    Attributes:
+        distance: Along the ray in metres; infinite where nothing is hit.
+        triangle: Number of the triangle, -1 where nothing is hit.
+        weights: Barycentric weights of the triangle's second and third corner.
+        front: 1 where the ray meets the side that is counter-clockwise, 0 elsewhere.
     """
 
     distance: Float32[np.ndarray, " p"]
@@ -173,9 +174,10 @@ def _cone_bounds(offsets, i, j, k, height):
 class Surface(NamedTuple):
     """What the corners of triangles know of the image that the mesh was made from.
 
-    faces:    [n, 3] vertices.
-    pixels:   [v, 2] (column, row) of a vertex in the image, centres at whole numbers.
-    depth_m:  [v] z-depth.
+    Attributes:
+        faces: [n, 3] vertices.
+        pixels: [v, 2] (column, row) of a vertex in the image, centres at whole numbers.
+        depth_m: [v] z-depth.
     """
 
     faces: Int32[np.ndarray, "n 3"]

@@ -16,7 +16,8 @@ class Graph:
     def __init__(self, loaded: LoadedGraph, name: str, digest: str = "") -> None:
         """Check that all shapes are static.
 
-        digest:  SHA-256 of the graph's file.
+        Args:
+            digest: SHA-256 of the graph's file.
 
         Raises:
             ModelError: a shape is dynamic.

@@ -93,8 +93,9 @@ class FrameMesh:
     ) -> None:
         """Triangulate. A frame without depth has no triangle, and is seen from nowhere.
 
-        sensor_depth_m:  depth before it was completed, of the same size; default: the frame's depth.
-        sensor_clipped:  clipped pixels before any was taken from other frames; default: the frame's.
+        Args:
+            sensor_depth_m: Depth before it was completed, of the same size; default: the frame's depth.
+            sensor_clipped: Clipped pixels before any was taken from other frames; default: the frame's.
         """
         sensor_depth_m = frame.depth_m if sensor_depth_m is None else sensor_depth_m
         clipped = frame.clipped if sensor_clipped is None else sensor_clipped

@@ -48,7 +48,8 @@ class FusedVolume:
     def add(self, volume: Float[np.ndarray, "5 z y x"], clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
         """Add the initial volume of one more frame.
 
-        clipping:  as `roomlight.engine.volume.grid.initial_volume` writes it; None: the frame has no clipped pixel.
+        Args:
+            clipping: As `roomlight.engine.volume.grid.initial_volume` writes it; None: the frame has no clipped pixel.
         """
         opacity = volume[3]
         doubtful = self.clipping[0] > 0 if clipping is None else (self.clipping[0] > 0) | (clipping[0] > 0)
@@ -87,7 +88,8 @@ class FusedVolume:
     def write_surfaces(self, sglv: Sglv, volume: Float[np.ndarray, "5 z y x"] | None) -> None:
         """Write the means into an SGLV: opacity over the frames that observed a voxel, colour weighted by opacity.
 
-        volume:  of the last frame: the rest has not changed; None: write all.
+        Args:
+            volume: Of the last frame: the rest has not changed; None: write all.
         """
         channels = sglv.lobes.shape[-1]
         observed = None if volume is None else volume.reshape(5, -1)
