@@ -37,6 +37,7 @@ from roomlight.engine.volume.sglv import Sglv, check_position
 from roomlight.errors import ProbeError, StateError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
+from roomlight.threads import parallel_for
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class FrameReport:
     Attributes:
         index: of the frame.
         stage_ms: milliseconds by processing stage: prepare, volume, sglv, mesh, keyframes, render, partial, blend,
-            lights (main light of each tracked probe).
+            lights (main light of each tracked probe). Those of probes are sums over probes, also of such that were
+            computed at the same time.
         keyframe: whether it was kept as a keyframe.
         coverage: of each tracked probe, in the order of `Session.handles`.
     """
@@ -65,7 +67,11 @@ class _Clock:
     def stage(self, name: str):
         began = time.perf_counter()
         yield
-        self.stage_ms[name] = self.stage_ms.get(name, 0.0) + (time.perf_counter() - began) * 1e3
+        self.add(_Clock({name: (time.perf_counter() - began) * 1e3}))
+
+    def add(self, other: "_Clock") -> None:
+        for name, ms in other.stage_ms.items():
+            self.stage_ms[name] = self.stage_ms.get(name, 0.0) + ms
 
 
 class Session:
@@ -194,19 +200,31 @@ class Session:
         for handle, position in self._pending.items():
             self._probes[handle] = Probe.fresh(position, room, height=options.height)
         self._pending.clear()
-        for probe in self._probes.values():
-            with clock.stage("render"):
-                rendered = probe.render()
-            with clock.stage("partial"):
-                partial = probe.view(mesh)
-            with clock.stage("blend"):
-                probe.blend(rendered, partial, mesh)
-            with clock.stage("lights"):
-                probe.update_lights()
+        self._push_to_probes(mesh, clock)
         self._room, self._last_index = room, frame.index
         self.frames += 1
         coverage = tuple(probe.panorama.coverage() for probe in self._probes.values())
         return FrameReport(frame.index, clock.stage_ms, is_keyframe, coverage)
+
+    def _push_to_probes(self, mesh: FrameMesh, clock: _Clock) -> None:
+        """Blend the frame into every probe; many probes are computed side by side, on all cores."""
+        probes = list(self._probes.values())
+        clocks = [_Clock() for _ in probes]
+
+        def push(start: int, stop: int) -> None:
+            for probe, own in zip(probes[start:stop], clocks[start:stop], strict=True):
+                with own.stage("render"):
+                    rendered = probe.render()
+                with own.stage("partial"):
+                    partial = probe.view(mesh)
+                with own.stage("blend"):
+                    probe.blend(rendered, partial, mesh)
+                with own.stage("lights"):
+                    probe.update_lights()
+
+        parallel_for(push, len(probes), most=1)
+        for own in clocks:
+            clock.add(own)
 
     def light(self, handle: int) -> Light:
         """Return the light at a tracked position after the last frame.

@@ -111,6 +111,15 @@ def test_a_late_probe_has_what_only_an_early_frame_observed(pan_frames):
     assert session.light(handle).panorama[lamp].min() > 0.9 * ROOM.lamp_radiance
 
 
+def test_probes_that_are_computed_side_by_side_have_the_bits_of_single_ones(pan_frames, monkeypatch):
+    monkeypatch.setenv("ROOMLIGHT_THREADS", "2")
+    points = [(0.1 * number, 1.2, -0.3) for number in range(5)]
+    together, _ = _run(pan_frames[:4], probes=points)
+    for handle, point in enumerate(points):
+        alone, _ = _run(pan_frames[:4], probes=[point])
+        assert together.light(handle).digest() == alone.light(0).digest()
+
+
 def test_several_late_points_have_the_bits_of_single_ones(pan_frames):
     session, _ = _run(pan_frames[:6])
     together = session.lights_at(PROBES)
