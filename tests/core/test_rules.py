@@ -45,11 +45,6 @@ def test_a_value_outside_its_rule_is_refused(changed, message):
     assert str(refused.value) == message
 
 
-def test_values_at_the_limits_are_accepted():
-    assert Options(height=16, fps=99.9, quality="final", counts=(1, 1000)) is not None
-    assert Options(height=2048, fps=None, folder=Path("x")) is not None
-
-
 @pytest.mark.parametrize(
     ("annotation", "text"),
     [
@@ -64,7 +59,9 @@ def test_rules_in_words(annotation, text):
     assert Rule.of(annotation).text == text
 
 
-def test_none_is_a_value_only_where_the_type_says_so():
+def test_values_at_the_limits_are_accepted_and_none_where_the_type_says_so():
+    assert Options(height=16, fps=99.9, quality="final", counts=(1, 1000)) is not None
+    assert Options(height=2048, fps=None, folder=Path("x")) is not None
     assert not Rule.of(Annotated[int, Ge(1)]).allows(None)
     assert Rule.of(Annotated[int | None, Ge(1)]).allows(None)
     assert Rule.of(FROM_1 | None).allows(None)

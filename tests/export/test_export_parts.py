@@ -97,32 +97,26 @@ def test_rgb_alpha_exports_and_prints_nothing(tmp_path, capfd):
         write_ort(path, tmp_path / "decoder.ort", graph, tolerance=-1.0)
 
 
-def test_a_failed_export_leaves_the_old_model(tmp_path):
-    out = tmp_path / "model"
-    out.mkdir()
-    (out / "model.json").write_text('{"graphs": {}}')
+def test_an_export_that_fails_or_whose_folder_fills_meanwhile_replaces_nothing(tmp_path):
+    old, other = tmp_path / "model", tmp_path / "photos"
+    old.mkdir()
+    (old / "model.json").write_text('{"graphs": {}}')
 
     def stop_halfway():
-        with new_folder(out) as folder:
+        with new_folder(old) as folder:
             (folder / "half.onnx").write_text("")
             raise ModelError("stopped")
 
+    def fill_meanwhile():
+        with new_folder(other) as folder:
+            (folder / "model.json").write_text("{}")
+            other.mkdir()
+            (other / "cat.jpg").write_text("")
+
     with pytest.raises(ModelError):
         stop_halfway()
-    assert [path.name for path in out.iterdir()] == ["model.json"]
-    assert [path.name for path in tmp_path.iterdir()] == ["model"]
-
-
-def test_a_folder_that_fills_meanwhile_is_not_replaced(tmp_path):
-    out = tmp_path / "model"
-
-    def fill_meanwhile():
-        with new_folder(out) as folder:
-            (folder / "model.json").write_text("{}")
-            out.mkdir()
-            (out / "cat.jpg").write_text("")
-
     with pytest.raises(OutputError, match="other files"):
         fill_meanwhile()
-    assert (out / "cat.jpg").exists()
-    assert [path.name for path in tmp_path.iterdir()] == ["model"]
+    assert [path.name for path in old.iterdir()] == ["model.json"]
+    assert [path.name for path in other.iterdir()] == ["cat.jpg"]
+    assert {path.name for path in tmp_path.iterdir()} == {"model", "photos"}

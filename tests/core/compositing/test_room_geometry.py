@@ -78,18 +78,15 @@ def test_completed_depth_is_no_surface():
     assert (fused[4:36, 4:-4] > 0).mean() > 0.99  # a ray through a vertex may slip through
 
 
-def test_hits_face_the_ray():
+def test_hits_face_the_ray_and_without_frames_nothing_is_hit():
     geometry = RoomGeometry()
+    empty = geometry.cast(np.zeros((2, 3), np.float32), np.eye(3, dtype=np.float32)[:2])
+    assert np.isinf(empty.distance_m).all()
     geometry.add(0, FrameMesh(ROOM.frame(POSE)))
     direction = transform_points(POSE, np.array([0.0, 0, -1])) - POSE[:3, 3]
     for origin, along in ((POSE[:3, 3], direction), (POSE[:3, 3] + 20 * direction, -direction)):
         hits = geometry.cast(origin[None].astype(np.float32), along[None].astype(np.float32))
         assert float(hits.normals[0] @ along) < 0
-
-
-def test_without_frames_nothing_is_hit():
-    hits = RoomGeometry().cast(np.zeros((2, 3), np.float32), np.eye(3, dtype=np.float32)[:2])
-    assert np.isinf(hits.distance_m).all()
 
 
 @pytest.mark.slow
