@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from roomlight.conventions import LUMINANCE
 from roomlight.engine.models.interface import Rendered
-from roomlight.engine.models.network_probe import hedged
+from roomlight.engine.models.network_probe import OWN_COLOUR, hedged, muted
 from roomlight.engine.models.network_volume import NetworkModel
 from roomlight.engine.networks.graphs import load_graphs
 from roomlight.engine.observations import CLOSER_M
@@ -150,11 +151,22 @@ def test_the_hedge_is_between_networks_and_fill(tiny_video, form):
     for session in (alone, half, fill):
         session.track(PROBE)
         session.push(FRAMES[0])
-    networks, mean, classical = (np.log1p(session.estimate(0).panorama) for session in (alone, half, fill))
-    np.testing.assert_allclose(mean, (networks + classical) / 2, atol=0.03)
+    networks, mean, fills = (np.log1p(session.estimate(0).panorama @ LUMINANCE) for session in (alone, half, fill))
+    np.testing.assert_allclose(mean, (networks + fills) / 2, atol=0.03)
     unseen = half.light(0).observed == 0
-    assert np.abs(networks - classical)[unseen].max() > 0.03
-    np.testing.assert_allclose(mean[unseen], (networks + classical)[unseen] / 2, atol=1e-5)
+    assert np.abs(networks - fills)[unseen].max() > 0.03
+
+
+def test_inferred_colours_move_toward_the_mean_of_what_was_seen():
+    green, known = np.array([0.1, 0.6, 0.2], np.float32), np.zeros((8, 16), np.float32)
+    known[4:] = 1
+    detail = np.full((8, 16, 3), 0.5, np.float32) * np.array([1.2, 1.0, 0.8], np.float32)
+    quiet = muted(np.broadcast_to(green, (8, 16, 3)).copy(), detail, known)
+    np.testing.assert_allclose(quiet @ LUMINANCE, green @ LUMINANCE, rtol=1e-5)
+    mean = detail[0, 0] / (detail[0, 0] @ LUMINANCE) * (green @ LUMINANCE)
+    np.testing.assert_allclose(quiet[0, 0], mean + OWN_COLOUR * (green - mean), rtol=1e-5)
+    nothing = np.zeros_like(known)
+    np.testing.assert_array_equal(muted(detail, detail, nothing), detail)
 
 
 def test_hedged_light_has_no_more_error_than_the_mean_of_both():
