@@ -56,7 +56,7 @@ class Picture:
         errors = self.denoised if denoise else self.raw
         logs = np.log([[paths, max(errors[paths], 1e-9)] for paths in PATHS]).T
         lowest = np.minimum.accumulate(logs[1])
-        paths = float(np.exp(np.interp(-np.log(self.ours), -lowest, logs[0])))
+        paths = float(np.exp(np.interp(-np.log(max(self.ours, 1e-9)), -lowest, logs[0])))
         return paths * self.path_s + denoise * self.denoise_s
 
 
