@@ -154,6 +154,24 @@ def test_deleting_erases_the_files(saved, tmp_path):
         assert list((folder / "sessions").iterdir()) == []
 
 
+def test_the_disk_of_a_token_is_limited(tmp_path):
+    """What is saved stays and goes on; there is room again when a session is deleted."""
+    tokens = ("a-token-of-sixteen", "another-of-sixteen")
+    settings = {"tokens": tokens, "state_dir": tmp_path, "state_interval_s": 0.1, "max_owner_state_bytes": 2**16}
+    with RunningServer(**settings) as server:
+        first, other = tokens
+        server.open(token=first)
+        server.push(0, token=first)
+        while server.state(token=first)["frames"]["durable_index"] != 0:
+            pass
+        answer = server.call("PUT", "/v1/sessions/second", SMALL, token=first)
+        assert (answer.status, answer.kind, answer.json["field"]) == (429, "owner-quota", "session")
+        assert server.push(1, token=first).json["status"] == "processed"
+        server.open("second", token=other)
+        server.call("DELETE", "/v1/sessions/room", token=first)
+        assert server.open("second", token=first).status == 201
+
+
 def test_the_owner_is_kept_and_the_token_is_not(tmp_path):
     tokens = ("first-token-of-this-test", "second-token-of-this-test")
     with server_on(tmp_path / "state", tokens=tokens) as server:

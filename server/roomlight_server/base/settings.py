@@ -59,6 +59,7 @@ class ServerSettings(BaseSettings):
         state_interval_s: A change of a session is on disk after this many seconds at the latest.
         state_expiry_s: Erase a saved session after this many seconds without a request; only time in which a server
             runs counts, whatever its clock says.
+        max_owner_state_bytes: Disk of the saved sessions of one token; beyond it no new one is opened.
         body_timeout_s: Time limit for receiving the body of a request.
         max_body_bytes: Largest frame in bytes.
         max_colour_pixels: Largest colour image of a frame.
@@ -132,6 +133,7 @@ class ServerSettings(BaseSettings):
     state_shared: bool = False
     state_interval_s: Annotated[float, Field(ge=0.1, le=3600)] = 5.0
     state_expiry_s: Annotated[float, Field(gt=0, le=1e8)] = 86_400.0
+    max_owner_state_bytes: Annotated[int, Field(ge=2**16)] = 2**33
     body_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
     max_body_bytes: Annotated[int, Field(ge=2**16, le=2**30)] = FrameLimits().max_body_bytes
     max_colour_pixels: Annotated[int, Field(ge=1)] = FrameLimits().max_colour_pixels

@@ -106,6 +106,7 @@ class Registry:
         if existing is not None:
             return self._reopen(existing, request), False
         self._check_capacity()
+        await self._check_disk(owner)
         self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
         base = self._workers.base_options
         options = replace(
@@ -183,6 +184,15 @@ class Registry:
             rule = f"at most {limit} bytes per session; a lower height needs less"
             raise ProblemError("invalid", detail, field="height", value=live.request.height, rule=rule)
         self._quotas.check_session(owner, live.bound_bytes, retry_after_s=self._expected_wait_s(owner))
+
+    async def _check_disk(self, owner: str) -> None:
+        """Check that a new session of an owner may be saved. Raises ProblemError otherwise (429)."""
+        heads = [] if self._states is None else await self._states.listed(owner)
+        used, limit = sum(head.bytes for head in heads), self._settings.max_owner_state_bytes
+        if used >= limit:
+            rule = f"at most {limit} bytes of saved sessions for one token"
+            detail = f"the {len(heads)} saved sessions of the token have {used} bytes; delete some first"
+            raise ProblemError("owner-quota", detail, field="session", value=used, rule=rule, retry_after_s=60)
 
     @contextmanager
     def use(self, owner: str, name: str) -> Generator[LiveSession]:

@@ -24,11 +24,13 @@ class SavedHead:
         values: of the server.
         model: of the engine.
         idle_s: seconds since it was written, or left memory.
+        bytes: of its files.
     """
 
     values: SavedValues
     model: str
     idle_s: float
+    bytes: int
 
 
 class SavedList:
@@ -51,7 +53,8 @@ class SavedList:
                 changed_s = self._read(folder)
                 _, values, model = self._known[folder.name]
                 if values is not None and values.owner == owner:
-                    heads.append(SavedHead(values, model, max(0.0, time.time() - changed_s)))
+                    size = sum(file.stat().st_size for file in folder.iterdir())
+                    heads.append(SavedHead(values, model, max(0.0, time.time() - changed_s), size))
         for name in self._known.keys() - {folder.name for folder in folders}:
             del self._known[name]
         return sorted(heads, key=lambda head: head.idle_s)
