@@ -3,18 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Final
+from typing import Any
 
 import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-APP_OPTIONS: Final[dict[str, Any]] = {
-    "pretty_exceptions_enable": False,
-    "rich_markup_mode": "markdown",  # paragraphs flow to the terminal's width, and [brackets] are text
-    "context_settings": {"help_option_names": ["-h", "--help"]},
-}
-"""Options of every `typer.Typer` of the command line."""
+from roomlight_cli.app_options import APP_OPTIONS
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,12 @@ class Intrinsics:
 
     Raises:
         ValueError: a value is impossible for a camera; the message names field and value.
+
+    Examples:
+        >>> import roomlight as rl
+        >>> camera = rl.Intrinsics(fx=300.0, fy=300.0, cx=160.0, cy=120.0, width=320, height=240)
+        >>> camera.resized(160, 120).fx
+        150.0
     """
 
     fx: float

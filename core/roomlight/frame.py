@@ -47,6 +47,12 @@ class Frame:
 
     Raises:
         FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid.
+
+    Examples:
+        >>> import roomlight as rl
+        >>> frame = next(iter(rl.open_capture(rl.sample_capture())))
+        >>> frame.image.shape == (frame.intrinsics.height, frame.intrinsics.width, 3)
+        True
     """
 
     index: int

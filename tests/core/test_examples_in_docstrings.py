@@ -1,4 +1,4 @@
-"""Every public function has an example in its docstring, and the examples run."""
+"""Public functions, and classes that users make, have an example in their docstrings, and the examples run."""
 
 import doctest
 import inspect
@@ -8,9 +8,10 @@ import pytest
 import roomlight as rl
 
 FUNCTIONS = [name for name in rl.__all__ if inspect.isfunction(getattr(rl, name))]
+CLASSES = ["Compositor", "CubeMap", "Frame", "Intrinsics", "Light", "MainLight", "Session", "SphericalHarmonics"]
 
 
-@pytest.mark.parametrize("name", [*FUNCTIONS, "Session"])
+@pytest.mark.parametrize("name", [*FUNCTIONS, *CLASSES])
 def test_the_example_runs(name):
     public = getattr(rl, name)
     (example,) = doctest.DocTestFinder(recurse=False).find(public, name, globs={})

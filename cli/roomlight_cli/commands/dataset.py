@@ -22,9 +22,9 @@ from roomlight.errors import DatasetError, FurnitureError, OutputError
 from roomlight.files import write_json
 from roomlight.images import write_png
 from roomlight_cli import console
+from roomlight_cli.app_options import APP_OPTIONS
 from roomlight_cli.console import run, say
 from roomlight_cli.generation import cost_text, show_generation
-from roomlight_cli.lazy import APP_OPTIONS
 from roomlight_cli.options import Flag, Without, add_command
 from roomlight_cli.progress import Progress, duration
 from roomlight_generator.generate import GenerateOptions

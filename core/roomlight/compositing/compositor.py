@@ -66,7 +66,15 @@ def shadow_step(quality: Quality, width: int) -> int:
 
 
 class Compositor:
-    """Puts the objects of a scene into the frames of a session. Not thread-safe, as the session."""
+    """Puts the objects of a scene into the frames of a session. Not thread-safe, as the session.
+
+    Examples:
+        >>> import roomlight as rl
+        >>> frame, session = next(iter(rl.open_capture(rl.sample_capture()))), rl.Session()
+        >>> report = session.push(frame)
+        >>> scene = rl.scene_of_object("sphere", (160.0, 200.0))
+        >>> composite = rl.Compositor(session, scene, quality="preview").composite(frame)
+    """
 
     def __init__(
         self,

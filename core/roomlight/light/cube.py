@@ -27,6 +27,11 @@ class CubeMap:
 
     Raises:
         ValueError: a value is not finite.
+
+    Examples:
+        >>> import numpy as np, roomlight as rl
+        >>> rl.CubeMap(np.ones((6, 8, 8, 3), np.float32)).faces.dtype
+        dtype('float32')
     """
 
     faces: Float[np.ndarray, "6 s s 3"]

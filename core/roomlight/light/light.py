@@ -80,6 +80,12 @@ class Light:
         frame: Index of the last frame that contributed; -1 (`NO_FRAME`) if none did.
         name: Name of a tracked probe, else None.
         etag: A server's identity of this light: equal as long as the light is the same. None from the engine.
+
+    Examples:
+        >>> import numpy as np, roomlight as rl
+        >>> light = rl.Light((0.0, 0.0, 0.0), np.ones((16, 32, 3), np.float32))
+        >>> light.cube(size=16).faces.shape
+        (6, 16, 16, 3)
     """
 
     def __init__(

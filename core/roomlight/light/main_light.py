@@ -58,6 +58,13 @@ class MainLight:
         emitted: 1 where the light is brighter than any surface that the room's light could explain (a lamp, a window),
             toward 0 where it may be a bright surface.
         number: identity of the light at a tracked probe, equal from frame to frame; elsewhere its rank, 0 the first.
+
+    Examples:
+        >>> import numpy as np, roomlight as rl
+        >>> panorama = np.full((16, 32, 3), 0.1, np.float32)
+        >>> panorama[2, 10] = 100  # a lamp above
+        >>> bool(rl.Light((0.0, 0.0, 0.0), panorama).main_light.direction[1] > 0.8)
+        True
     """
 
     direction: Float[np.ndarray, "3"]

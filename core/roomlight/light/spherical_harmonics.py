@@ -51,6 +51,12 @@ class SphericalHarmonics:
 
     Raises:
         ValueError: a coefficient is not finite.
+
+    Examples:
+        >>> import numpy as np, roomlight as rl
+        >>> light = rl.Light((0.0, 0.0, 0.0), np.ones((16, 32, 3), np.float32))
+        >>> light.harmonics.coefficients.shape
+        (9, 3)
     """
 
     coefficients: Float[np.ndarray, "9 3"]
