@@ -75,6 +75,7 @@ def march_rays(volume, rays, radiance, transmittance, start, stop):
     )
     for ray in range(start, stop):
         dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        # 1. Where the ray enters and leaves the volume: slabs, in index space.
         sx, sy, sz = dx / voxel[0], dy / voxel[1], dz / voxel[2]
         enter, leave = zero, np.float32(1e30)
         hit = True
@@ -96,13 +97,14 @@ def march_rays(volume, rays, radiance, transmittance, start, stop):
         transmittance[ray] = one
         if not hit or leave <= enter:
             continue
+        # 2. Samples with t < leave, then the exit point.
         total[:] = zero
         left = one
-        # samples with t < leave, then the exit point
         inside = int(min(np.float32(samples), np.ceil((leave - enter) / step - half)))
         count = inside + 1 if boundary else inside
         done = 0
         while done < count and left >= OPAQUE:
+            # 2a. Voxels and fractions of a block of samples, without branches on what they hold.
             for b in range(BLOCK):
                 t = enter + (np.float32(done + b) + half) * step
                 if done + b >= inside:
@@ -118,6 +120,7 @@ def march_rays(volume, rays, radiance, transmittance, start, stop):
                 fraction_x[b] = x - np.float32(i)
                 fraction_y[b] = y - np.float32(j)
                 fraction_z[b] = z - np.float32(k)
+            # 2b. Opacity at each sample, and the lobes weighted by what the ray still sees.
             for b in range(min(BLOCK, count - done)):
                 fx, fy, fz = fraction_x[b], fraction_y[b], fraction_z[b]
                 gx, gy, gz = one - fx, one - fy, one - fz
@@ -145,6 +148,7 @@ def march_rays(volume, rays, radiance, transmittance, start, stop):
                 if left < OPAQUE:
                     break
             done += BLOCK
+        # 3. The mean lobe toward the ray.
         cosine = dx * total[7] + dy * total[8] + dz * total[9]
         lobe = np.exp(total[6] * (cosine - one))
         radiance[ray, 0] = total[0] + total[3] * lobe

@@ -58,6 +58,7 @@ def initialise_slices(view, grid, far_unknown, volume, clipping, start, stop):
             py = lower[1] + (np.float32(j) + half) * voxel[1]
             for i in range(columns):
                 px = lower[0] + (np.float32(i) + half) * voxel[0]
+                # 1. Project the voxel into the image: depth z, and (u, v) as shares of its width and height.
                 z = -(m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + m[2, 3])
                 if z <= zero:
                     continue
@@ -67,6 +68,7 @@ def initialise_slices(view, grid, far_unknown, volume, clipping, start, stop):
                 v = lens[3] - lens[1] * (m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz + m[1, 3]) / z
                 if v < zero or v >= one:
                     continue
+                # 2. Depth of the surface there, bilinear over the pixels with known depth.
                 column = min(max(u * depth_width - half, zero), np.float32(depth_width - 1))
                 row = min(max(v * depth_height - half, zero), np.float32(depth_height - 1))
                 i0, j0 = int(column), int(row)
@@ -88,6 +90,7 @@ def initialise_slices(view, grid, far_unknown, volume, clipping, start, stop):
                 if unknown:
                     if not far_unknown:
                         continue
+                    # the volume's far side along the ray
                     dx, dy, dz = px - camera[0], py - camera[1], pz - camera[2]
                     reach = np.float32(1e30)
                     if abs(dx) > np.float32(1e-9):
@@ -99,6 +102,7 @@ def initialise_slices(view, grid, far_unknown, volume, clipping, start, stop):
                     surface = z * reach - edge
                 else:
                     surface /= share
+                # 3. Opacity by the distance to the surface, in voxels.
                 offset = (surface - z) * inverse_edge
                 if not unknown and offset > np.float32(3):
                     volume[4, k, j, i] = -one
@@ -107,6 +111,7 @@ def initialise_slices(view, grid, far_unknown, volume, clipping, start, stop):
                 alpha = min(max(np.float32(4) * ramp, zero), one)
                 if alpha <= zero:
                     continue
+                # 4. Colour there, bilinear, times opacity; clipped light likewise.
                 column = min(max(u * width - half, zero), np.float32(width - 1))
                 row = min(max(v * height - half, zero), np.float32(height - 1))
                 i0, j0 = int(column), int(row)
