@@ -7,6 +7,7 @@ addresses.
 """
 
 import asyncio
+import hashlib
 import json
 import re
 import struct
@@ -51,6 +52,7 @@ class Hostile:
         """Prepare frames of the sample capture, and the images of the attack."""
         self._port, self._token = port, token
         self._opened: set[str] = set()
+        self._uploaded: list[str] = []
         self.requests = 0
         self.answers: Counter[str] = Counter()
         frames = list(open_capture(sample_capture(), CaptureOptions(max_frames=8)))
@@ -210,6 +212,7 @@ class Hostile:
     async def glb_bombs(self) -> None:
         """Upload objects of 31 MiB whose 25 accessors share one view."""
         body = interleaved_glb()
+        self._uploaded.append(hashlib.sha256(body).hexdigest())
         while True:
             await self._call("POST", "/v1/objects", body, {"Content-Type": "model/gltf-binary"})
 
@@ -240,7 +243,9 @@ class Hostile:
             await self._call("PUT", f"/v1/sessions/{session}/frames/{index}", body, _FRAME)
 
     async def end(self) -> None:
-        """Delete the sessions that were opened."""
+        """Delete the sessions and objects that were made."""
+        for digest in self._uploaded:
+            await self._call("DELETE", f"/v1/objects/{digest}", b"", {})
         for session in sorted(self._opened):
             await self._call("DELETE", f"/v1/sessions/{session}", b"", {})
 

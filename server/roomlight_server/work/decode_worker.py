@@ -5,6 +5,7 @@ ends. A result is plain numbers and no pickle, so that a decoder taken over by a
 server. This module imports no engine: a process takes 94 MB and starts in 0.6 s.
 """
 
+import ctypes
 import json
 import os
 import resource
@@ -29,6 +30,8 @@ RESULT: Final = struct.Struct("<IQ")
 READY: Final = b"ready\n"
 MAX_MEMORY_BYTES: Final = 2 * 2**30
 """Address space of the process, of which libraries take 0.7 GB: a file may take 1.3 GB."""
+_trim: Final = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+"""Returns free memory to the system: an object of 31 MiB leaves 32 MB that glibc would keep."""
 _NO_LIMITS: Final = FrameLimits(2**62, 2**62, 2**62)  # the server has checked its own
 
 
@@ -132,14 +135,18 @@ def serve(requests: BinaryIO, results: BinaryIO) -> None:
         arguments = json.loads(requests.read(text_bytes))
         body = requests.read(length)
         signal.alarm(seconds)  # ends this process, even inside a decoder, if the server that would kill it is gone
-        result = (_object_result if arguments.pop("work") == "object" else _frame_result)(body, **arguments)
+        is_object = arguments.pop("work") == "object"
+        result = (_object_result if is_object else _frame_result)(body, **arguments)
         signal.alarm(0)
         results.write(result)
         results.flush()
+        if is_object and _trim is not None:
+            del body, result
+            _trim(0)
 
 
 def _limit_memory() -> None:
-    """Bound this process, and let large blocks of a file that was decoded go back to the system."""
+    """Bound the address space of this process."""
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
