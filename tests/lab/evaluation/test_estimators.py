@@ -31,8 +31,10 @@ def test_a_late_probe_is_lit_nearly_as_a_tracked_one():
         for estimator in (tracked, late):
             estimator.push(frame)
         tracked_light, late_light = tracked.light_at(POINT), late.light_at(POINT)
-    # every frame is a keyframe here: only the SGLV's part of the fill (weight 0.01) has another history
-    assert log_l2(tracked_light, late_light) < 1e-4
+    # the tracked probe blends five estimates, one a keyframe; the late one estimates once, from all views: 2.5e-4 apart
+    truth = BoxRoom().panorama(POINT, height=32)[0]
+    assert log_l2(tracked_light, late_light) < 5e-4
+    assert log_l2(late_light, truth) <= log_l2(tracked_light, truth) < 0.025
     assert (tracked.name, late.name) == ("classical", "classical, late probe")
 
 
