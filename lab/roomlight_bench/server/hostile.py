@@ -35,7 +35,7 @@ from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.messages import ModelName
 from roomlight_bench.reporting import describe_machine
 from roomlight_bench.server.hostile_client import ATTACKS, TLS_ATTACKS
-from roomlight_bench.server.hostile_report import AttackRow, HostileReport
+from roomlight_bench.server.hostile_report import GROWN, AttackRow, HostileReport
 from roomlight_bench.server.server_load import Load, Outcome, Phones
 from roomlight_bench.server.server_process import ServerProcess
 from roomlight_bench.server.server_report import Latencies
@@ -53,8 +53,8 @@ CHURN_S: Final = 5.0
 PROCESS_BYTES: Final = (512 + 2 * 1300) * 2**20
 """Allowance for what is not counted: the heap of the process and threads, and files in two decoding processes."""
 _RSS_EVERY_S: Final = 0.25
-_SETTLE_S: Final = 1.0
-"""Time after an attack until memory is read: ended sessions return theirs by then."""
+_SETTLE_S: Final = 10.0
+"""Time after an attack within which memory must return: work of its sessions may still end."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,10 @@ def _measure(server: ServerProcess, load: Load, attack: str, token: str) -> Atta
     before = server.resident_bytes() or 0
     with _watching_memory(server) as sizes:
         outcome, done = asyncio.run(run())
-    time.sleep(_SETTLE_S)
+    settled_s = time.monotonic() + _SETTLE_S
+    time.sleep(1.0)
+    while (server.resident_bytes() or 0) > GROWN * before and time.monotonic() < settled_s:
+        time.sleep(_RSS_EVERY_S)
     return AttackRow(
         attack=attack,
         seconds=seconds,
