@@ -52,9 +52,11 @@ def upload(server, folder: Path, **more):
 def test_the_sample_room_is_a_recording(server):
     answer = server.call("POST", f"{URL}/sample")
     assert (answer.status, answer.json["status"], answer.json["name"]) == (201, "ready", "Sample room")
-    body = {"session": "sample", "model": "classical", "height": 16, "fps": 2}
-    assert server.call("PUT", f"{URL}/{answer.json['id']}/replay", body).status == 202
-    assert finished(server, f"{URL}/{answer.json['id']}")["frame"] > 0
+    url = f"{URL}/{answer.json['id']}"
+    assert server.call("PUT", f"{url}/replay", {"session": "sample", "model": "classical", "height": 16}).status == 202
+    while (playing := server.call("GET", url).json)["frame"] == 0:
+        assert playing["status"] == "playing", playing
+    assert server.call("DELETE", f"{url}/replay").json["frames"] == 31
 
 
 def finished(server, url, status="finished", **more):
