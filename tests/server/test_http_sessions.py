@@ -206,7 +206,7 @@ def test_the_document_describes_every_route(server):
     below = ("", "/frames/{index}", "/probe", "/probes", "/probes/{name}", "/composite", "/camera", "/colour", "/mesh")
     below += ("/usdz", "/history", "/history/{index}/colour", "/history/{index}/probes/{name}")
     ours = {f"/v1/sessions/{{session_id}}{path}" for path in below}
-    recordings = ("", "/{recording_id}", "/{recording_id}/files/{path}", "/{recording_id}/replay")
+    recordings = ("", "/sample", "/{recording_id}", "/{recording_id}/files/{path}", "/{recording_id}/replay")
     ours |= {
         "/v1/objects",
         "/v1/objects/{object_id}",
