@@ -269,7 +269,8 @@ def test_a_sphere_is_as_bright_in_three_js_as_in_the_compositor(web_root: tuple[
     for frame in frames:
         session.push(frame)
     camera = frames[-1].camera_to_world
-    position = tuple(float(axis) for axis in camera[:3, 3] - 0.7 * camera[:3, 2])
+    x, y, z = (float(axis) for axis in camera[:3, 3] - 0.7 * camera[:3, 2])
+    position = (x, y, z)
     sphere = {"name": "ball", "shape": "sphere", "size_m": 0.2, "position": position}
     material = {"kind": "diffuse", "base_colour": [0.2, 0.2, 0.2]}
     (folder / "scene.json").write_text(json.dumps({"objects": [sphere | {"material": material}]}))

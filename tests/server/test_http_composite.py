@@ -199,7 +199,7 @@ def test_a_composite_takes_no_more_memory_than_estimated(quality, width):
     )
     mesh = TriangleMesh(
         np.stack([x, 0.02 * np.sin(20 * x), z], -1).reshape(-1, 3),
-        np.tile(np.float32([0, 1, 0]), (251 * 251, 1)),
+        np.tile(np.array([0, 1, 0], np.float32), (251 * 251, 1)),
         np.stack([x, z], -1).reshape(-1, 2) + np.float32(0.5),
         faces.astype(np.int32),
     )
@@ -224,7 +224,9 @@ def test_a_composite_takes_no_more_memory_than_estimated(quality, width):
 
 def status_bytes(name):
     """Return an entry of this process's status."""
-    return int(re.search(rf"{name}:\s+(\d+) kB", Path("/proc/self/status").read_text())[1]) * 1024
+    line = re.search(rf"{name}:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    assert line is not None
+    return int(line[1]) * 1024
 
 
 def test_one_composite_a_session_at_a_time(server, monkeypatch):

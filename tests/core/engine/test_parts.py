@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -11,7 +12,7 @@ import pytest
 
 from part_models import write_part
 from roomlight.engine.networks.clipping import ClippingModel, shipped_clipping
-from roomlight.engine.networks.graphs import SHIPPED, load_graphs, load_part, read_description
+from roomlight.engine.networks.graphs import SHIPPED, PartForm, load_graphs, load_part, read_description
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError, ProbeError
 from rooms import BoxRoom, camera_at
@@ -32,12 +33,13 @@ def test_a_complete_folder_loads(tmp_path):
 
 def test_other_folders_are_refused_with_the_reason(tmp_path):
     objects, untrained = (write_part(tmp_path / f"part-{steps}", "objects", steps=steps) for steps in (1, 0))
-    for folder, form, message in (
+    refused: tuple[tuple[Path, PartForm, str], ...] = (
         (objects, "clipping", "networks of the form objects, not clipping"),
         (SHIPPED / "single", "objects", "of the form single, not objects"),
         (tmp_path / "nowhere", "clipping", r"nowhere/model\.json: cannot be read.*roomlight export"),
         (untrained, "objects", r"never trained.*roomlight train objects"),
-    ):
+    )
+    for folder, form, message in refused:
         with pytest.raises(ModelError, match=message):
             load_part(folder, form, provider="cpu")
     with pytest.raises(ModelError, match="the form objects, which no model runs by itself"):
