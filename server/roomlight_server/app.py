@@ -139,6 +139,7 @@ def create_app(
     app.state.context = context
     for module in _ROUTES:
         app.include_router(module.router)
+    app.include_router(recording_routes.sample_router)
     _add_health(app)
     _add_middleware(app, context)
     app.openapi = lambda: _openapi(app, tokens=bool(settings.tokens))

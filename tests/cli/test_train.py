@@ -37,6 +37,7 @@ sphere_samples = 4
 volume_shape = [16, 15, 21]
 panorama_height = 16
 held_out = 1
+bf16 = false
 """
 MODELS = f"""
 ships = "recurrent/model.pt"

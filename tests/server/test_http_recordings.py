@@ -50,7 +50,7 @@ def upload(server, folder: Path, **more):
 
 
 def test_the_sample_room_is_a_recording(server):
-    answer = server.call("POST", f"{URL}/sample")
+    answer = server.call("POST", "/v1/sample-recording")
     assert (answer.status, answer.json["status"], answer.json["name"]) == (201, "ready", "Sample room")
     url = f"{URL}/{answer.json['id']}"
     assert server.call("PUT", f"{url}/replay", {"session": "sample", "model": "classical", "height": 16}).status == 202

@@ -206,12 +206,13 @@ def test_the_document_describes_every_route(server):
     below = ("", "/frames/{index}", "/probe", "/probes", "/probes/{name}", "/composite", "/camera", "/colour", "/mesh")
     below += ("/usdz", "/history", "/history/{index}/colour", "/history/{index}/probes/{name}")
     ours = {f"/v1/sessions/{{session_id}}{path}" for path in below}
-    recordings = ("", "/sample", "/{recording_id}", "/{recording_id}/files/{path}", "/{recording_id}/replay")
+    recordings = ("", "/{recording_id}", "/{recording_id}/files/{path}", "/{recording_id}/replay")
     ours |= {
         "/v1/objects",
         "/v1/objects/{object_id}",
         "/v1/sessions",
         "/v1/pairing",
+        "/v1/sample-recording",
         "/v1/phones",
         "/v1/phones/{phone_id}",
     }

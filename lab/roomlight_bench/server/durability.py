@@ -153,7 +153,7 @@ class _Uninterrupted:
 
     def __init__(self, bodies: list[bytes], probes: dict[str, Position], options: DurabilityOptions) -> None:
         self._bodies = bodies
-        self._session = Session(SessionOptions(model=options.model, height=options.height))
+        self._session = Session(SessionOptions(model=options.model, height=options.height, provider="cpu"))
         self._handles = {name: self._session.track(position) for name, position in probes.items()}
         self._next = 0
 
@@ -220,7 +220,7 @@ class _Run:
         server.kill()
 
     def _server(self) -> AbstractContextManager[ServerProcess]:
-        arguments = ["--model", self._options.model, "--state-dir", str(self._folder)]
+        arguments = ["--model", self._options.model, "--provider", "cpu", "--state-dir", str(self._folder)]
         arguments += ["--state-interval-s", str(self._options.interval_s)]
         # one decoding process is enough for one client, and each adds half a second of computing to a start
         variables = {"ROOMLIGHT_DECODE_TIMEOUT_S": "60", "ROOMLIGHT_DECODE_THREADS": "1"}

@@ -14,6 +14,7 @@ from roomlight_server.routes.context import ContextDep, OwnerDep, ReservationDep
 RECORDINGS_PATH: Final = "/v1/recordings"
 OFFSET_HEADER: Final = "Upload-Offset"
 router = APIRouter(prefix=RECORDINGS_PATH, tags=["recordings"])
+sample_router = APIRouter(tags=["recordings"])
 RecordingPath = Annotated[str, Path(pattern=r"^r-[0-9a-f]{16}$", description="Id of the recording.")]
 _PROBLEMS: Final = ("unauthorized", "recording-not-found", "invalid")
 _PIECE: Final[dict[str, Any]] = {
@@ -45,8 +46,8 @@ async def add_recording(
     return context.recordings.add(owner, body)
 
 
-@router.post(
-    "/sample",
+@sample_router.post(
+    "/v1/sample-recording",
     summary="Add the sample room",
     status_code=201,
     responses=documented("unauthorized", "too-many-recordings", "recording-memory"),

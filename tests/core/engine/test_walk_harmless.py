@@ -102,10 +102,11 @@ def test_light_never_observed_does_not_grow_by_looking(walked):
 
 
 def test_inferred_light_is_bounded_by_what_is_white(walked, options):
-    """The fill takes at most white from the doorway, which is six times as bright and a small part of the view."""
+    """The fill takes at most white from the doorway, which is six times as bright and a small part of the view; the
+    prior, a mean over rooms, expects more light around bright things."""
     found, truth = walked
     half_again = options.parts is not None  # expm1(log1p(L) + log 1.5) = 1.5 L + 0.5
-    assert max(found) < (1.5 * 1.5 * truth + 0.5 * 4 * np.pi if half_again else 1.5 * truth)
+    assert max(found) < (1.5 * 1.5 * truth + 0.5 * 4 * np.pi if half_again else 1.65 * truth)
 
 
 def test_looking_twice_gives_the_same_light(options, frames):

@@ -97,7 +97,7 @@ export class Api {
 
   /** The recording that is part of RoomLight, uploaded already. */
   addSample(): Promise<Recording> {
-    return this.json("v1/recordings/sample", { method: "POST" });
+    return this.json("v1/sample-recording", { method: "POST" });
   }
 
   recording(id: string): Promise<Recording> {
