@@ -30,9 +30,11 @@ export interface components {
         /**
          * @description The first part: the colour image, in sensor orientation (no EXIF rotation), of the size of the intrinsics.
          *
-         *     jpeg, png, heic: an 8-bit sRGB file.
-         *     rgb8:            8-bit sRGB, row by row, 3 bytes per pixel.
-         *     linear_f32:      float32 linear RGB [h, w, 3], then uint8 [h, w], 1 where the sensor clipped; lossless, for replays.
+         *     Attributes:
+         *         encoding: jpeg, png, heic: an 8-bit sRGB file; heic requires a server with the decoder. rgb8: 8-bit sRGB, row by
+         *             row, 3 bytes per pixel. linear_f32: float32 linear RGB [h, w, 3], then uint8 [h, w], 1 where the sensor
+         *             clipped; lossless, for replays.
+         *         bytes: length of the part.
          */
         readonly ColourPart: {
             /** @enum {string} */
@@ -118,7 +120,16 @@ export interface components {
              */
             readonly format?: "png" | "jpeg" | "exr" | "layers";
         };
-        /** @description The optional third part: one byte per depth pixel (0 low, 1 medium, 2 high), of the size of the depth map. */
+        /**
+         * @description The optional third part: one byte per depth pixel (0 low, 1 medium, 2 high), of the size of the depth map.
+         *
+         *     Attributes:
+         *         format: uint8: 0 low, 1 medium, 2 high.
+         *         encoding: raw, zstd or png (8-bit grey).
+         *         width: that of the depth map.
+         *         height: that of the depth map.
+         *         bytes: length of the part.
+         */
         readonly ConfidencePart: {
             /**
              * @default uint8
@@ -140,7 +151,13 @@ export interface components {
         /**
          * @description The second part: depth along the optical axis, row by row, little-endian, in the view of the colour image.
          *
-         *     Unknown depth is 0 or 65535 in millimetres; in metres, any value that is not finite and positive.
+         *     Attributes:
+         *         format: uint16_mm (0 and 65535 are unknown), float16_m or float32_m (unknown where not positive or above 100
+         *             km).
+         *         encoding: raw, zstd (one zstd frame of the raw values) or png (16-bit grey, uint16_mm only).
+         *         width: pixels; the aspect is that of the image within 3 %.
+         *         height: pixels.
+         *         bytes: length of the part.
          */
         readonly DepthPart: {
             /** @enum {string} */
@@ -225,11 +242,19 @@ export interface components {
          * @description Everything about a frame except its pixels.
          *
          *     Attributes:
-         *         index: required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
-         *         camera_to_world: 16 numbers, column by column, as `simd_float4x4` is stored: x axis, y axis, z axis, position.
+         *         version: 1.
+         *         index: integer from 0, required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
+         *         colour: the colour image, below.
+         *         depth: the depth map, below.
+         *         confidence: confidence of the depth, below; optional.
+         *         intrinsics: fx, fy, cx, cy, width, height in pixels of the colour image.
+         *         camera_to_world: 16 numbers, column by column, as `simd_float4x4` and WebGL store them: x axis, y axis, z axis,
+         *             position, with fourth components 0, 0, 0, 1.
+         *         timestamp_s: seconds from any origin; optional.
          *         exposure: exposure of the image in the unit of the session's reference exposure (for example shutter seconds x
-         *             ISO); linear radiance is divided by exposure / reference exposure.
-         *         tracking_state: ARKit's tracking state. Only `normal` frames are used, unless the session allows `limited` ones.
+         *             ISO); linear radiance is divided by exposure / reference exposure. Default 1.
+         *         tracking_state: normal (default), limited or not_available, as in ARKit. Frames that are not normal are counted
+         *             and skipped; sessions with `use_limited_tracking` also use limited ones.
          */
         readonly FrameHeader: {
             /**
