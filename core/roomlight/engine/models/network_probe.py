@@ -18,7 +18,7 @@ from roomlight.engine.models.interface import FILL_UPDATE, Arrays, Estimate, Ren
 from roomlight.engine.networks.graph import BoundGraph
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.networks.runtime import Buffers
-from roomlight.engine.panorama.blend import PanoramaState, fill_in, filled_detail, latest_detail
+from roomlight.engine.panorama.blend import PanoramaState, fill_beyond, fill_in, latest_detail
 from roomlight.engine.panorama.prior import shipped_prior
 from roomlight.engine.surface.mesh import PartialPanorama
 
@@ -113,12 +113,12 @@ class NetworkProbe:
         """Estimate HDR panorama and weight; the weight is the network's, within the mesh."""
         first = self.frames == 0
         hdr = rendered.radiance
-        ldr = filled_detail(panorama, partial.radiance, partial.depth_m, mask=partial.mask, hdr=hdr)
+        detail, known = latest_detail(panorama, partial.radiance, partial.depth_m, mask=partial.mask)
+        ldr = fill_beyond(detail, known, partial.radiance, mask=partial.mask, hdr=hdr)
         weight = self.weigh(panorama, hdr, replace(partial, radiance=ldr), depth_max_m)
         if self._graphs.filled:
             hdr = fill_in(hdr, ldr, partial.mask, weight=weight)
         if self._hedge > 0:
-            detail, known = latest_detail(panorama, partial.radiance, partial.depth_m, mask=partial.mask)
             hdr = muted(hedged(hdr, (ldr, shipped_prior().fill(detail, known)), share=self._hedge), detail, known)
         if (self._graphs.form == "single" or self._hedge > 0) and not first:  # the fill has no memory of its own
             hdr = panorama.radiance + np.float32(FILL_UPDATE) * (hdr - panorama.radiance)

@@ -227,6 +227,18 @@ def filled_detail(
     The blending network mixes it with the SGLV's panorama `hdr`, which is returned where nothing was observed yet.
     """
     radiance, known = latest_detail(state, detail, detail_depth_m, mask=mask)
+    return fill_beyond(radiance, known, detail, mask=mask, hdr=hdr)
+
+
+def fill_beyond(
+    radiance: Float[np.ndarray, "h w 3"],
+    known: Float[np.ndarray, "h w"],
+    detail: Float[np.ndarray, "h w 3"],
+    *,
+    mask: Bool[np.ndarray, "h w"],
+    hdr: Float[np.ndarray, "h w 3"],
+) -> Float[np.ndarray, "h w 3"]:
+    """Return what `filled_detail` does, from the result of `latest_detail`."""
     around = fill_unknown(radiance, known) if known.any() else hdr
     return np.where(mask[..., None], detail, around)
 
