@@ -5,9 +5,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Interval
 
-from roomlight.errors import OptionError
 from roomlight_bench.compositing.composite import run_composite
-from roomlight_bench.compositing.rivals import RivalReport, run_rivals, run_sizes
 from roomlight_bench.reporting import criteria_table
 from roomlight_bench.stages.stages import run_against, run_stages
 from roomlight_cli import console
@@ -44,8 +42,6 @@ def composite(
     *,
     frames: Annotated[int, Interval(ge=1, le=1000)] = 30,
     final: bool = False,
-    sizes: bool = False,
-    mitsuba: bool = False,
     json: FiguresJson = None,
 ) -> None:
     """Measure what virtual objects in a frame cost by part, and how much they shimmer.
@@ -53,21 +49,7 @@ def composite(
     Args:
         frames: Measured frames of a preview; good takes a quarter, final a tenth.
         final: Also measure the quality final (minutes).
-        sizes: Instead: a sphere by triangles and pixels.
-        mitsuba: Instead: the same spheres in Mitsuba 3, if it is installed.
     """
     with Progress("measuring") as progress:
-        if not sizes and not mitsuba:
-            report = run_composite(frames=frames, final=final, progress=progress.say)
-            tables = [report.table(), report.shimmer_table(), criteria_table(report.criteria())]
-        else:
-            try:
-                report = RivalReport(
-                    run_sizes(progress=progress.say) if sizes else (),
-                    run_rivals(progress=progress.say) if mitsuba else (),
-                )
-            except ImportError as error:
-                raise OptionError(f"`mitsuba` needs Mitsuba 3, pip install mitsuba: {error}") from error
-            tables = [report.size_table()] if sizes else []
-            tables += [report.rival_table(), criteria_table(report.criteria())] if mitsuba else []
-    show_report(report, json, *tables)
+        report = run_composite(frames=frames, final=final, progress=progress.say)
+    show_report(report, json, report.table(), report.shimmer_table(), criteria_table(report.criteria()))
