@@ -48,7 +48,7 @@ COMMANDS: Final = (
     CommandEntry(
         "dataset",
         f"{_COMMANDS}.dataset:app",
-        "Generate, view, measure and check datasets of path-traced rooms.",
+        "Generate, view, measure and extract datasets of path-traced rooms.",
         _TRAIN,
     ),
     CommandEntry(

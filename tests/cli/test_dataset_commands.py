@@ -197,10 +197,3 @@ def test_generate_names_the_panoramas_of_each_split(run, monkeypatch, tmp_path):
     assert sorted(named) == ["barn", "cellar", "hall_1", "hall_2", "lounge", "shed", "studio"]
     assert ("hall_1" in used) == ("hall_2" in used)
     assert (asked[0].panoramas, asked[0].furniture_share) == (tmp_path, 0.2)
-
-
-def test_a_missing_path_tracer_is_named(run, monkeypatch):
-    monkeypatch.setattr(dataset_commands, "find_spec", lambda _: None)
-    result = run("check")
-    assert result.code == 1
-    assert "pip install mitsuba" in result.err

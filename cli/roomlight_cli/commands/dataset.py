@@ -1,11 +1,10 @@
-"""`roomlight dataset`: generate, view, measure, check and extract datasets of path-traced rooms.
+"""`roomlight dataset`: generate, view, measure and extract datasets of path-traced rooms.
 
 `python -m roomlight_cli.commands.dataset` runs the same commands on a machine that only generates. It needs NumPy,
 numba, OpenCV, Pillow, embreex, OpenEXR, jaxtyping, typer and rich, and none of onnxruntime, PyAV, FastAPI and PyTorch.
 """
 
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +19,6 @@ from roomlight.dataset.recording import Recording, Split
 from roomlight.dataset.verify import verify as verify_dataset
 from roomlight.errors import DatasetError, FurnitureError, OutputError
 from roomlight.files import write_json
-from roomlight.images import write_png
 from roomlight_cli import console
 from roomlight_cli.app_options import APP_OPTIONS
 from roomlight_cli.console import run, say
@@ -31,14 +29,12 @@ from roomlight_generator.generate import GenerateOptions
 from roomlight_generator.generate import generate as run_generator
 from roomlight_generator.light_stats import LightComparison, compare_light
 from roomlight_generator.panoramas.library import panorama_files, split_of
-from roomlight_generator.reports.check import compose_check, describe_room, print_check
 from roomlight_generator.reports.preview import write_previews
 from roomlight_generator.reports.tables import print_light, print_stats
 from roomlight_generator.rooms.furniture import build_cache
 from roomlight_generator.rooms.furniture.catalogue import installed_libraries, library_files
 from roomlight_generator.sample import SEED, generate_sample
 from roomlight_generator.stats import collect
-from roomlight_generator.verification.check import RoomCheck, check_rooms
 
 DatasetFolder = Annotated[Path, Flag(text="A dataset folder.")]
 OnlySplit = Annotated[Split | None, Flag(text="Use this split only.")]
@@ -164,48 +160,6 @@ def extract(folder: DatasetFolder, name: str, *, out: Path) -> None:
     say(f"Written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
 
 
-def check(
-    *,
-    rooms: Annotated[int, Ge(1)] = 12,
-    seed: Annotated[int, Ge(0)] = 0,
-    first: Annotated[int, Ge(0)] = 0,
-    split: Split = "train",
-    samples: Annotated[int, Ge(2)] = 64,
-    paths: Annotated[int, Ge(1000)] = 12_000_000,
-    furniture: Path | None = None,
-    out: Path | None = None,
-) -> None:
-    """Compare generated rooms with the path tracer Mitsuba: errors of frames and probes.
-
-    Args:
-        rooms: Number of rooms.
-        seed: The dataset's seed.
-        first: Number of the first room.
-        split: Which split's rooms.
-        samples: Paths per pixel of the reference's frame and probe.
-        paths: Most paths for the points of a room at which surfaces are compared.
-        furniture: A .sh3f library, or a cache of several; default: the installed libraries.
-        out: Folder for pictures: RoomLight, the reference, the signed error.
-    """
-    if find_spec("mitsuba") is None:
-        raise DatasetError("the check needs the path tracer Mitsuba: pip install mitsuba")
-    with Progress("comparing rooms") as progress:
-        progress.count(0, rooms)
-
-        def show(room: RoomCheck) -> None:
-            if out:
-                write_png(out / f"{room.name}.png", compose_check(room))
-            console.err.print(describe_room(room), soft_wrap=True, markup=False)
-            progress.advance()
-
-        report = check_rooms(
-            rooms, seed=seed, first=first, split=split, furniture=furniture, samples=samples, paths=paths, done=show
-        )
-    print_check(console.out, report)
-    if out:
-        say(f"Pictures: {out}")
-
-
 def furniture(*, out: Path, library: tuple[Path, ...] = ()) -> None:
     """Pack furniture libraries into one compact file: meshes, textures, authors. It takes about 90 seconds.
 
@@ -272,9 +226,9 @@ def sample(*, out: Path, seed: Annotated[int, Ge(0)] | None = None) -> None:
 
 
 app = typer.Typer(
-    help="Generate, view, measure and check datasets of path-traced rooms.", no_args_is_help=True, **APP_OPTIONS
+    help="Generate, view, measure and extract datasets of path-traced rooms.", no_args_is_help=True, **APP_OPTIONS
 )
-for _command in (generate, preview, stats, verify, extract, check, furniture, prior, sample):
+for _command in (generate, preview, stats, verify, extract, furniture, prior, sample):
     add_command(app, _command)
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""Reports about datasets: contact sheets, tables of statistics, the comparison with a path tracer."""
+"""Reports about datasets: contact sheets and tables of statistics."""
