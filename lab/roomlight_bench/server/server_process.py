@@ -37,15 +37,13 @@ class ServerProcess:
         arguments: Sequence[str],
         *,
         variables: Mapping[str, str] | None = None,
-        wait_ready: bool = True,
         tls: ssl.SSLContext | None = None,
     ) -> None:
         """Prepare `roomlight serve` with these arguments, besides the port. `tls` trusts its certificate, if any.
 
         Of the environment's ROOMLIGHT_* variables, the server gets ROOMLIGHT_THREADS alone, and those of `variables`.
-        With `wait_ready` False, the `with` statement waits until the server is alive; `ready_ms` stays 0.
         """
-        self._wait_ready, self.tls = wait_ready, tls
+        self.tls = tls
         self._variables = dict(variables or {})
         self._command = [sys.executable, "-c", _SERVE, "serve", "--port", "0", *arguments]
         self._log: deque[str] = deque(maxlen=30)
@@ -73,8 +71,7 @@ class ServerProcess:
         try:
             self._port_known.wait(_START_TIMEOUT_S)
             self.alive_ms = self._wait_for("/healthz")
-            if self._wait_ready:
-                self.ready_ms = self._wait_for("/readyz")
+            self.ready_ms = self._wait_for("/readyz")
         except BaseException:
             self.__exit__()
             raise
@@ -91,10 +88,6 @@ class ServerProcess:
         self._reader.join()
         assert self._process.stderr is not None
         self._process.stderr.close()
-
-    def kill(self) -> None:
-        """Kill the process at once (SIGKILL)."""
-        self._process.kill()
 
     @property
     def url(self) -> str:

@@ -23,21 +23,6 @@ BENCHMARKS: Final = (
         "Attack a server on this machine while a neighbour streams: frames that it keeps, latency, memory.",
     ),
     CommandEntry(
-        "durability",
-        f"{_COMMANDS}.server:durability",
-        "Kill a server on this machine while a client streams: frames that are lost, light, time to restore.",
-    ),
-    CommandEntry(
-        "replicas",
-        f"{_COMMANDS}.server:replicas",
-        "Compare replicas under Ray Serve with a plain server on this machine (3 minutes; extra `ray`).",
-    ),
-    CommandEntry(
-        "capacity",
-        f"{_COMMANDS}.server:capacity",
-        "Compute the machines for 100, 10,000 and a million phones from what a server does here (half a minute).",
-    ),
-    CommandEntry(
         "composite",
         f"{_COMMANDS}.engine:composite",
         "Measure what virtual objects in a frame cost by part, and how much they shimmer.",
