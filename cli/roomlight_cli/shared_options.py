@@ -21,8 +21,6 @@ Token = Annotated[
 FiguresJson = Annotated[Path | None, Flag(text="Also write the figures as JSON.")]
 ScoresJson = Annotated[Path | None, Flag(text="Also write every score as JSON.")]
 Device = Annotated[Literal["auto", "cpu", "cuda"], Flag(text="Where PyTorch runs; auto: a GPU if there is one.")]
-Resolution = Literal["half", "full"]
-"""Of the lighting volume; half costs an eighth of full."""
 
 
 def refuse_unused_weights(session: SessionOptions) -> None:

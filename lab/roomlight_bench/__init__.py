@@ -4,7 +4,6 @@ Each benchmark is a command, a function that runs it and a report with a table a
 
     roomlight bench stages     `stages.run_stages`              the engine's stages, one by one
     roomlight bench server     `server.run_server_bench`        a server under streaming phones
-    roomlight bench train      `training.measure_training`      a training step by its parts (needs PyTorch)
 
 Start with `stages`. A `BenchStage` is one row of its table: our implementation, a readable NumPy reference and a plain
 PyTorch one (`plain_torch`); networks also as a share of the machine's peak (`peak`). `timing` interleaves the runs, so

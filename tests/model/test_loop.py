@@ -44,18 +44,16 @@ class SmallStage:
         network.room.requires_grad_(False)
         return network
 
-    def batch(self, step, clock):
+    def batch(self, step):
         drawn = [index for index, _ in self.options.draw_examples(len(self), step)]
-        with clock.part("data"):
-            planes = self._planes[drawn] + 0.01 * float(self.options.rng(step).normal())
+        planes = self._planes[drawn] + 0.01 * float(self.options.rng(step).normal())
         return ClippingBatch(planes, torch.zeros(len(drawn), 3, 16, 16), torch.ones(len(drawn), 1, 16, 16))
 
-    def losses(self, network, batch, generator, clock):
+    def losses(self, network, batch, generator):
         """Two windows, as of a sequence: the upper and the lower half of the square."""
         noise = 0.01 * torch.randn(1, generator=generator)
         for half in batch.planes.split(16, dim=2):
-            with clock.part("forward"):
-                error = (network(half) - 2 - noise).square().mean() / 2
+            error = (network(half) - 2 - noise).square().mean() / 2
             yield {"loss": self._factor * error, "half": error}
 
     def scores(self, network):
@@ -71,8 +69,8 @@ class SmallStage:
 class OneWindowStage(SmallStage):
     """The same losses at once."""
 
-    def losses(self, network, batch, generator, clock):
-        windows = list(super().losses(network, batch, generator, clock))
+    def losses(self, network, batch, generator):
+        windows = list(super().losses(network, batch, generator))
         yield {name: windows[0][name] + windows[1][name] for name in windows[0]}
 
 
@@ -133,11 +131,11 @@ SCRIPT = textwrap.dedent("""
     import test_loop as t
 
     class Waiting(t.SmallStage):
-        def batch(self, step, clock):
+        def batch(self, step):
             if step == 4:
                 print("waiting", flush=True)
                 sys.stdin.readline()
-            return super().batch(step, clock)
+            return super().batch(step)
 
     run = t.Run(Waiting(), Path(sys.argv[1]))
     run.train(checkpoint_s=0.0)

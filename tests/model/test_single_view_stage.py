@@ -14,7 +14,7 @@ from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.training.batches import collate
 from roomlight_model.training.examples import example_of, read_example
-from roomlight_model.training.gradients import BatchGradients, StepClock
+from roomlight_model.training.gradients import BatchGradients
 from roomlight_model.training.loop import Run
 from roomlight_model.training.losses import render_rays
 from roomlight_model.training.single_view import predict_panoramas
@@ -24,7 +24,7 @@ STAGES = ["single-sglv", "single-blend", "single-joint"]
 
 
 def losses_of(stage, model, batch):
-    (losses,) = stage.losses(model, batch, torch.Generator().manual_seed(1), StepClock())
+    (losses,) = stage.losses(model, batch, torch.Generator().manual_seed(1))
     return losses
 
 
@@ -126,7 +126,7 @@ def test_pieces_of_a_batch_add_up_to_its_gradient():
     gradients = BatchGradients(
         lambda *given: stage.losses(model, *given), parameters, stage.options, device=CPU, piece_size=2
     )  # fmt: skip
-    losses = gradients.of(batch, 0, StepClock())
+    losses = gradients.of(batch, 0)
     pieces = [parameter.grad for parameter in parameters]
     model.zero_grad(set_to_none=True)
     whole = losses_of(stage, model, batch)

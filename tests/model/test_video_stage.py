@@ -12,13 +12,11 @@ from roomlight.errors import ModelError, OptionError
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.networks import VideoModel
-from roomlight_model.training.gradients import StepClock
 from roomlight_model.training.loop import Run
 from roomlight_model.training.video import Unroll
 from tiny_stages import TINY, WALKS, dimmed, logged, single_view_weights, trained_networks, video_stage
 
 STAGES = ["video-sglv", "video-blend", "video-joint"]
-OFF = StepClock(enabled=False)
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -83,7 +81,7 @@ def test_options_out_of_range_are_refused(wrong, message):
 
 def test_light_changes_reach_the_batches():
     changed, same = (
-        video_stage(replace(WALKS, stage="video-sglv"), change_light=change).batch(0, OFF) for change in (dimmed, None)
+        video_stage(replace(WALKS, stage="video-sglv"), change_light=change).batch(0) for change in (dimmed, None)
     )
     assert changed.lights.shape[1] == 2
     assert same.lights.shape[1] == 1
@@ -93,19 +91,19 @@ def test_light_changes_reach_the_batches():
 def test_shorter_walks_shorten_the_sequences_of_their_batch(monkeypatch):
     recordings = BoxRecordings(3)
     monkeypatch.setattr(recordings, "frames_of", lambda index: 2 if index == 0 else 31)
-    assert video_stage(replace(WALKS, batch=3, stage="video-sglv"), rooms=recordings).batch(0, OFF).frames == 2
+    assert video_stage(replace(WALKS, batch=3, stage="video-sglv"), rooms=recordings).batch(0).frames == 2
 
 
 def test_kept_sequences_give_the_fixed_networks_panoramas(tmp_path):
     """A stored sequence has the losses of one whose 3D networks run, up to half precision."""
     options = replace(WALKS, stage="video-blend", variants=2, batch=1, frames=2)
     stage = video_stage(options, cache=tmp_path / "cache")
-    kept = stage.batch(0, OFF)
+    kept = stage.batch(0)
     assert kept.hdr is not None
     assert kept.volume.numel() == 0
     assert len(list((tmp_path / "cache").iterdir())) == 1
     (index, _), *_ = options.draw_examples(3, 0)
-    live = stage._read([(index, options.rng(0, index, 0))], options.rng(0, 0, 0, 0), OFF)
+    live = stage._read([(index, options.rng(0, index, 0))], options.rng(0, 0, 0, 0))
     assert live.frames == kept.frames
     losses = []
     for given in (live, kept):
@@ -147,6 +145,6 @@ def test_validation_reports_the_papers_intervals(tmp_path, stage):
 def test_walks_are_read_as_often_as_they_are_drawn():
     """Each step has other sequences; the same step has the same ones."""
     stage = video_stage(replace(WALKS, stage="video-sglv", batch=1))
-    first, again, other = stage.batch(0, OFF), stage.batch(0, OFF), stage.batch(1, OFF)
+    first, again, other = stage.batch(0), stage.batch(0), stage.batch(1)
     np.testing.assert_array_equal(first.volume, again.volume)
     assert not (first.frames == other.frames and first.volume.equal(other.volume))

@@ -9,7 +9,6 @@ import torch
 from present import present
 from recordings import BoxRecordings
 from roomlight_model.training import video
-from roomlight_model.training.gradients import StepClock
 from roomlight_model.training.sequences import PreparedWalk, collate_walks, read_walk, with_views
 from roomlight_model.training.video import Unroll
 from tiny_stages import SHAPE, WALKS, dimmed, video_stage
@@ -48,7 +47,7 @@ def gradients(model, batch, options):
     names = [name for name, weight in stage.network().named_parameters() if weight.requires_grad]
     trained = [model.get_parameter(name) for name in names]
     sums, found = {}, [None] * len(trained)
-    for losses in stage.losses(model, batch, torch.Generator().manual_seed(0), StepClock(enabled=False)):
+    for losses in stage.losses(model, batch, torch.Generator().manual_seed(0)):
         window = torch.autograd.grad(losses["loss"], trained, allow_unused=True)
         found = [g if f is None else f if g is None else f + g for f, g in zip(found, window, strict=True)]
         for name, value in losses.items():

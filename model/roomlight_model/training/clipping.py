@@ -23,7 +23,6 @@ from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
-from roomlight_model.training.gradients import StepClock
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
 
@@ -169,11 +168,10 @@ class ClippingStage:
         """Return the number of training frames."""
         return len(self._training)
 
-    def batch(self, step: int, clock: StepClock) -> ClippingBatch:
+    def batch(self, step: int) -> ClippingBatch:
         """Expose the frames of a step anew."""
         numbers = [index for index, _ in self.options.draw_examples(len(self), step)]
-        with clock.part("data"):
-            return clipping_batch(self._training.take(numbers), self.options.rng(step))
+        return clipping_batch(self._training.take(numbers), self.options.rng(step))
 
     # --- network, forward and loss
 
@@ -186,11 +184,9 @@ class ClippingStage:
             network.load_state_dict(self._start_from.model.state_dict())
         return network
 
-    def losses(
-        self, network: ClippingNetwork, batch: ClippingBatch, _: torch.Generator, clock: StepClock
-    ) -> Iterator[Losses]:
+    def losses(self, network: ClippingNetwork, batch: ClippingBatch, _: torch.Generator) -> Iterator[Losses]:
         """Yield squared errors of log radiance: of pixels, and of each frame's clipped light."""
-        with clock.part("forward"), torch.autocast("cpu", dtype=torch.bfloat16):
+        with torch.autocast("cpu", dtype=torch.bfloat16):
             predicted = network(batch.planes)
         pixels, energy = _errors(predicted.float(), batch)
         yield {"loss": pixels + ENERGY_WEIGHT * energy, "pixels": pixels, "energy": energy}

@@ -1,15 +1,12 @@
-"""Gradients of a batch's loss, and the time of a step's parts.
+"""Gradients of a batch's loss.
 
 On CPUs the pieces of a batch run on threads of their own. oneDNN's 3D convolutions have too little work at the coarse
 levels to share between threads, which then wait for each other; two halves of a batch on a thread each do not.
 """
 
-import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -18,45 +15,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
 
-BACKGROUND: Final = ("data", "mesh")
-"""Parts of a step on separate threads."""
-PARTS: Final = (*BACKGROUND, "forward", "render", "march", "blend", "backward", "optimiser")
-"""Parts of a step. data: decoding, phone depth, initial volumes. mesh: meshes and what the probes see of them. forward:
-the 3D networks. render: ray marching, 2D networks, sphere, losses of a single view; march, blend: the same of a frame
-of a sequence. backward includes the recomputed forward pass of sequences. optimiser: clipping, AdamW, EMA."""
-
-
-@dataclass
-class StepClock:
-    """Collects one value in milliseconds per step and part, wall and processor time; several threads may report.
-
-    Attributes:
-        enabled: Whether to collect.
-        wall_ms: Wall time by part.
-        thread_ms: Processor time of the reporting thread by part, without PyTorch's own threads.
-    """
-
-    enabled: bool = True
-    wall_ms: dict[str, list[float]] = field(default_factory=dict[str, list[float]])
-    thread_ms: dict[str, list[float]] = field(default_factory=dict[str, list[float]])
-
-    @contextmanager
-    def part(self, name: str) -> Generator[None]:
-        """Time the block."""
-        wall, own = time.perf_counter(), time.thread_time()
-        yield
-        if self.enabled:
-            self.wall_ms.setdefault(name, []).append((time.perf_counter() - wall) * 1e3)
-            self.thread_ms.setdefault(name, []).append((time.thread_time() - own) * 1e3)
-
-    def add_sums(self, other: "StepClock") -> None:
-        """Add one value per part: the sum of another clock's values, such as those of a sequence's frames."""
-        for mine, theirs in ((self.wall_ms, other.wall_ms), (self.thread_ms, other.thread_ms)):
-            for name, values in theirs.items():
-                mine.setdefault(name, []).append(sum(values))
-
-
-LossFunction = Callable[[Any, torch.Generator, StepClock], Iterator[Losses]]
+LossFunction = Callable[[Any, torch.Generator], Iterator[Losses]]
 """A stage's losses of some examples, in one or more windows: gradients are taken after each (`loop.Stage.losses`)."""
 
 
@@ -99,12 +58,12 @@ class BatchGradients:
         )
         self._piece_size = piece_size if pieces > 1 else options.batch
 
-    def of(self, batch: Tensors, step: int, clock: StepClock) -> dict[str, float]:
+    def of(self, batch: Tensors, step: int) -> dict[str, float]:
         """Compute gradients and return the mean losses; random directions follow from (seed, step)."""
         pieces = batch.pieces(self._piece_size)
 
         def compute(number: int) -> _Piece:
-            return self._piece(pieces[number], (step, number), len(pieces[number]) / len(batch), clock)
+            return self._piece(pieces[number], (step, number), len(pieces[number]) / len(batch))
 
         done = [compute(0)] if len(pieces) == 1 else list(self._pool.map(compute, range(len(pieces))))
         with torch.no_grad():
@@ -112,18 +71,15 @@ class BatchGradients:
                 _accumulate(parameter, [(piece.gradients[index], piece.share) for piece in done])
         return {name: sum(piece.losses[name] * piece.share for piece in done) for name in done[0].losses}
 
-    def _piece(self, batch: Tensors, keys: tuple[int, int], share: float, clock: StepClock) -> _Piece:
+    def _piece(self, batch: Tensors, keys: tuple[int, int], share: float) -> _Piece:
         generator = torch.Generator().manual_seed(int(self._options.rng(*keys).integers(2**31)))
-        spent = StepClock(enabled=clock.enabled)
         sums: dict[str, float] = {}
         gradients: list[Tensor | None] = [None for _ in self._parameters]
-        for losses in self._losses(batch.to(self._device), generator, spent):
-            with spent.part("backward"):
-                window = torch.autograd.grad(losses["loss"], self._parameters, allow_unused=True)
+        for losses in self._losses(batch.to(self._device), generator):
+            window = torch.autograd.grad(losses["loss"], self._parameters, allow_unused=True)
             gradients = [_added(total, added) for total, added in zip(gradients, window, strict=True)]
             for name, value in losses.items():
                 sums[name] = sums.get(name, 0.0) + float(value.detach())
-        clock.add_sums(spent)
         return _Piece(sums, gradients, share)
 
 

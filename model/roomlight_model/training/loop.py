@@ -24,7 +24,7 @@ from torch.utils.tensorboard import SummaryWriter
 from roomlight.errors import ModelError
 from roomlight_model.checkpoint import Network
 from roomlight_model.training.batches import Tensors
-from roomlight_model.training.gradients import BatchGradients, StepClock
+from roomlight_model.training.gradients import BatchGradients
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunFolder, RunOptions
 
@@ -72,11 +72,11 @@ class Stage(Protocol):
         """Build the network that training starts with, on `device`; what is trained requires a gradient."""
         ...
 
-    def batch(self, step: int, clock: StepClock, /) -> Tensors:
+    def batch(self, step: int, /) -> Tensors:
         """Prepare the batch of a step; runs on a thread of its own, ahead of the step."""
         ...
 
-    def losses(self, network: Any, batch: Any, generator: torch.Generator, clock: StepClock, /) -> Iterator[Losses]:
+    def losses(self, network: Any, batch: Any, generator: torch.Generator, /) -> Iterator[Losses]:
         """Yield the losses of a batch, as parts that sum up to its mean: one part, or one for each window of frames.
 
         The gradient of each part's "loss" is taken before the next one is computed.
@@ -137,7 +137,7 @@ class Run:
         options = stage.options
         if len(stage) < options.batch:
             raise ModelError(f"{len(stage)} examples are fewer than a batch of {options.batch}")
-        self.stage, self.folder, self.clock = stage, RunFolder(out), StepClock(enabled=False)
+        self.stage, self.folder = stage, RunFolder(out)
         self.network = stage.network()
         self._parameters = [weight for weight in self.network.parameters() if weight.requires_grad]
         self._gradients = BatchGradients(
@@ -179,7 +179,7 @@ class Run:
         ends = began + 60 * minutes if minutes is not None else float("inf")
         waited, counted = 0.0, 0
         curves = SummaryWriter(str(self.folder.path / "tensorboard"), purge_step=self.step)
-        with batches_ahead(self.stage, self.step, self.clock) as batches, _signals() as signals:
+        with batches_ahead(self.stage, self.step) as batches, _signals() as signals:
             self.network.train()
             while self.step < options.steps and not signals and time.monotonic() < ends and not stop():
                 requested = time.monotonic()
@@ -223,18 +223,17 @@ class Run:
         options = self.stage.options
         for group in self._optimizer.param_groups:
             group["lr"] = learning_rate(options, self.step)
-        losses = self._gradients.of(batch, self.step, self.clock)
+        losses = self._gradients.of(batch, self.step)
         if not np.isfinite(losses["loss"]):
             raise ModelError(
                 f"{self.folder.path}: the loss is {losses['loss']} at step {self.step}; use a lower learning rate"
             )
-        with self.clock.part("optimiser"):
-            torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
-            self._optimizer.step()
-            decay = min(options.ema, (1 + self.step) / (10 + self.step))
-            with torch.no_grad():
-                for name, value in self.network.state_dict().items():
-                    self.average[name].lerp_(value, 1 - decay)
+        torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
+        self._optimizer.step()
+        decay = min(options.ema, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            for name, value in self.network.state_dict().items():
+                self.average[name].lerp_(value, 1 - decay)
         self.step += 1
         self._scores = None
         for name, value in losses.items():
@@ -330,7 +329,7 @@ def learning_rate(options: RunOptions, step: int) -> float:
 
 
 @contextmanager
-def batches_ahead(stage: Stage, step: int, clock: StepClock) -> Generator[Iterator[Tensors]]:
+def batches_ahead(stage: Stage, step: int) -> Generator[Iterator[Tensors]]:
     """Yield an iterator over the batches from a step on, prepared in advance by two threads."""
     with ThreadPoolExecutor(2, thread_name_prefix="examples") as pool:
         waiting: list[Future[Tensors]] = []
@@ -339,7 +338,7 @@ def batches_ahead(stage: Stage, step: int, clock: StepClock) -> Generator[Iterat
             following = step
             while True:
                 while len(waiting) < _AHEAD:
-                    waiting.append(pool.submit(stage.batch, following, clock))
+                    waiting.append(pool.submit(stage.batch, following))
                     following += 1
                 yield waiting.pop(0).result()
 

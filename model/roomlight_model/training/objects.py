@@ -33,7 +33,6 @@ from roomlight_model.object_light_network import ObjectLightNetwork
 from roomlight_model.sphere_shadow import ROWS, SHADED, shadow_tables
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
-from roomlight_model.training.gradients import StepClock
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
 
@@ -185,11 +184,10 @@ class ObjectsStage:
         """Return the number of training examples."""
         return len(self._training)
 
-    def batch(self, step: int, clock: StepClock) -> PanelsBatch:
+    def batch(self, step: int) -> PanelsBatch:
         """Augment and stack the examples of a step."""
         numbers = [index for index, _ in self.options.draw_examples(len(self), step)]
-        with clock.part("data"):
-            return panels_batch(self._training.take(numbers), self.options.rng(step))
+        return panels_batch(self._training.take(numbers), self.options.rng(step))
 
     # --- network, forward and loss
 
@@ -202,16 +200,12 @@ class ObjectsStage:
             network.load_state_dict(self._start_from.model.state_dict())
         return network
 
-    def losses(
-        self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator, clock: StepClock
-    ) -> Iterator[Losses]:
+    def losses(self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator) -> Iterator[Losses]:
         """Yield the errors of pictures, divided by their usual errors, and the log-L2 of both panoramas."""
-        with clock.part("forward"):
-            lighting, reflection = object_lights(network, batch.panels)
-        with clock.part("render"):
-            errors = picture_errors(lighting, reflection, batch.truth) / torch.tensor(USUAL_ERRORS)
-            pictures, wanted = errors.sum(dim=1).mean(), torch.log1p(batch.truth)
-            logs = (torch.log1p(lighting) - wanted).square().mean() + (torch.log1p(reflection) - wanted).square().mean()
+        lighting, reflection = object_lights(network, batch.panels)
+        errors = picture_errors(lighting, reflection, batch.truth) / torch.tensor(USUAL_ERRORS)
+        pictures, wanted = errors.sum(dim=1).mean(), torch.log1p(batch.truth)
+        logs = (torch.log1p(lighting) - wanted).square().mean() + (torch.log1p(reflection) - wanted).square().mean()
         yield {"loss": pictures + LOG_WEIGHT * logs, "pictures": pictures, "log_l2": logs}
 
     # --- validation

@@ -27,7 +27,6 @@ from roomlight_model.networks import SingleModel
 from roomlight_model.sphere_rendering import shade
 from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.examples import DepthKind, Recordings, read_example
-from roomlight_model.training.gradients import StepClock
 from roomlight_model.training.losses import (
     Losses,
     draw_sphere,
@@ -144,18 +143,17 @@ class SingleViewStage:
         """Return the number of training sequences."""
         return len(self._training)
 
-    def batch(self, step: int, clock: StepClock) -> Batch:
+    def batch(self, step: int) -> Batch:
         """Read, augment and collate the examples of a step."""
         options = self.options
-        with clock.part("data"):
-            examples = [
-                read_example(
-                    self._training, index, rng, depth=options.depth, augment=options.augment, frames=options.frames
-                )
-                for index, rng in options.draw_examples(len(self), step)
-            ]
-            height = None if options.stage == "single-sglv" else options.panorama_height
-            return collate(examples, volume_shape=options.volume_shape, panorama_height=height)
+        examples = [
+            read_example(
+                self._training, index, rng, depth=options.depth, augment=options.augment, frames=options.frames
+            )
+            for index, rng in options.draw_examples(len(self), step)
+        ]
+        height = None if options.stage == "single-sglv" else options.panorama_height
+        return collate(examples, volume_shape=options.volume_shape, panorama_height=height)
 
     # --- networks
 
@@ -173,21 +171,17 @@ class SingleViewStage:
 
     # --- forward and loss
 
-    def losses(
-        self, model: SingleModel, batch: Batch, generator: torch.Generator, clock: StepClock
-    ) -> Iterator[Losses]:
+    def losses(self, model: SingleModel, batch: Batch, generator: torch.Generator) -> Iterator[Losses]:
         """Yield the losses of a batch."""
         options = self.options
-        with clock.part("forward"):
-            trains_volume = options.stage != "single-blend" and torch.is_grad_enabled()
-            with self._autocast(), torch.set_grad_enabled(trains_volume):
-                sglv = model(batch.volume)
-        with clock.part("render"):
-            if options.stage == "single-sglv":
-                log_l2, rendering = self._ray_losses(sglv, batch, generator)
-            else:
-                log_l2, rendering = self._panorama_losses(model, sglv, batch, generator)
-            total = log_l2 + options.rendering_weight * rendering
+        trains_volume = options.stage != "single-blend" and torch.is_grad_enabled()
+        with self._autocast(), torch.set_grad_enabled(trains_volume):
+            sglv = model(batch.volume)
+        if options.stage == "single-sglv":
+            log_l2, rendering = self._ray_losses(sglv, batch, generator)
+        else:
+            log_l2, rendering = self._panorama_losses(model, sglv, batch, generator)
+        total = log_l2 + options.rendering_weight * rendering
         yield {"loss": total, "log_l2": log_l2, "rendering": rendering}
 
     def _ray_losses(self, sglv: SGVolume, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:

@@ -32,7 +32,6 @@ from roomlight_model.networks import BlendState, Observation, SGState, SingleMod
 from roomlight_model.sphere_rendering import shade
 from roomlight_model.training.batches import fill_detail
 from roomlight_model.training.examples import Recordings
-from roomlight_model.training.gradients import StepClock
 from roomlight_model.training.light_changes import LightChanges
 from roomlight_model.training.losses import (
     Losses,
@@ -148,51 +147,46 @@ class VideoStage:
         """Return the number of walks to train on."""
         return len(self._training)
 
-    def batch(self, step: int, clock: StepClock) -> WalkBatch:
+    def batch(self, step: int) -> WalkBatch:
         """Draw, augment and collate the sequences of a step; with `variants`, what the 3D networks make of them."""
         options, drawn = self.options, list(self.options.draw_examples(len(self), step))
         if not options.variants:
-            return self._read(drawn, options.rng(step), clock)
+            return self._read(drawn, options.rng(step))
         variant = step * options.batch // len(self) % options.variants
 
         def prepare(index: int) -> WalkBatch:
             # the lengths of a batch are equal: they follow from the variant alone
-            batch = self._read([(index, options.rng(variant, index, 0))], options.rng(variant, 0, 0, 0), clock)
-            with clock.part("mesh"):
-                return self._with_renderings(batch)
+            batch = self._read([(index, options.rng(variant, index, 0))], options.rng(variant, 0, 0, 0))
+            return self._with_renderings(batch)
 
         return join_walks([self._cache.get(index, variant, partial(prepare, index)) for index, _ in drawn])
 
-    def _read(
-        self, drawn: Sequence[tuple[int, np.random.Generator]], rng: np.random.Generator, clock: StepClock
-    ) -> WalkBatch:
+    def _read(self, drawn: Sequence[tuple[int, np.random.Generator]], rng: np.random.Generator) -> WalkBatch:
         """Prepare one sequence of each walk; `rng` draws their common length: they run side by side."""
         options = self.options
         most = min(options.frames, *(self._training.frames_of(index) for index, _ in drawn))
         length = draw_length(most, rng) if options.augment else most
-        with clock.part("data"):
-            walks = [
-                PreparedWalk.of(
-                    read_walk(
-                        self._training,
-                        index,
-                        own,
-                        depth=options.depth,
-                        length=length,
-                        augment=options.augment,
-                        change_light=self._change_light,
-                        revisits=options.revisits,
-                    ),
-                    options.volume_shape,
-                )
-                for index, own in drawn
-            ]
-            height = None if options.stage == "video-sglv" else options.panorama_height
-            batch = collate_walks(walks, panorama_height=height)
+        walks = [
+            PreparedWalk.of(
+                read_walk(
+                    self._training,
+                    index,
+                    own,
+                    depth=options.depth,
+                    length=length,
+                    augment=options.augment,
+                    change_light=self._change_light,
+                    revisits=options.revisits,
+                ),
+                options.volume_shape,
+            )
+            for index, own in drawn
+        ]
+        height = None if options.stage == "video-sglv" else options.panorama_height
+        batch = collate_walks(walks, panorama_height=height)
         if height is None:
             return batch
-        with clock.part("mesh"):
-            return with_views(batch, walks, panorama_height=height)
+        return with_views(batch, walks, panorama_height=height)
 
     @torch.no_grad()
     def _with_renderings(self, batch: WalkBatch) -> WalkBatch:
@@ -232,11 +226,9 @@ class VideoStage:
 
     # --- forward and loss
 
-    def losses(
-        self, model: VideoModel, batch: WalkBatch, generator: torch.Generator, clock: StepClock
-    ) -> Iterator[Losses]:
+    def losses(self, model: VideoModel, batch: WalkBatch, generator: torch.Generator) -> Iterator[Losses]:
         """Yield the losses of each window of frames, as shares of the mean over all frames after the first."""
-        sequence = Unroll(model, batch, self.options, generator=generator, clock=clock)
+        sequence = Unroll(model, batch, self.options, generator=generator)
         for start in range(1, batch.frames, self.options.window):
             frames = range(start, min(start + self.options.window, batch.frames))
             window = [sequence.advance(frame) for frame in frames]
@@ -283,11 +275,9 @@ class Unroll:
         options: VideoOptions,
         *,
         generator: torch.Generator,
-        clock: StepClock | None = None,
     ) -> None:
         """Draw the directions of the losses and run the first frame."""
         self._model, self._batch, self._options = model, batch, options
-        self._clock = clock or StepClock(enabled=False)
         self._device = batch.origins.device
         self._blends = options.stage != "video-sglv"
         self._trains_volume = options.stage != "video-blend"
@@ -306,7 +296,7 @@ class Unroll:
         self.probe_state: BlendState | None = None
         with torch.no_grad():
             if batch.hdr is None:
-                with self._clock.part("forward"), _autocast(options, self._device):
+                with _autocast(options, self._device):
                     self._volume_state = _in_float32(model.start(batch.volume[:, 0]))
             self._hdr, self._light = self._observe(0)
 
@@ -329,12 +319,11 @@ class Unroll:
     def advance(self, frame: int) -> Losses:
         """Run one frame after the first and return its losses."""
         if self._volume_state is not None:
-            with self._clock.part("forward"), torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
+            with torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
                 self._volume_state = self._volume_step(self._batch.volume[:, frame], self._volume_state)
         before = self._light
         self._hdr, self._light = self._observe(frame)
-        with self._clock.part("blend" if self._blends else "march"):
-            return self._losses(frame, before)
+        return self._losses(frame, before)
 
     def detach(self) -> None:
         """End the way back in time here: the states have no gradient from now on."""
@@ -345,7 +334,7 @@ class Unroll:
     def _observe(self, frame: int) -> tuple[Tensor, Tensor]:
         """Render the volume at the probes; return (HDR, the light of the loss): along rays, or blended panoramas."""
         batch = self._batch
-        with self._clock.part("march"), torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
+        with torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
             if not self._blends:
                 light = render_rays(self.volume_state.volume, batch, self._directions)
                 return light, light
@@ -353,9 +342,8 @@ class Unroll:
                 hdr = batch.hdr[:, frame]
             else:
                 hdr = render_panoramas(self.volume_state.volume, batch, height=batch.lights.shape[-2])
-        with self._clock.part("blend"):
-            self.probe_state = self._probe_step(self._observation(frame, hdr.flatten(0, 1)), self.probe_state)
-            return hdr, self.probe_state.panorama.radiance.unflatten(0, hdr.shape[:2])
+        self.probe_state = self._probe_step(self._observation(frame, hdr.flatten(0, 1)), self.probe_state)
+        return hdr, self.probe_state.panorama.radiance.unflatten(0, hdr.shape[:2])
 
     def _losses(self, frame: int, before: Tensor) -> Losses:
         """Compare the light of a frame with its truth, and with the light before."""

@@ -27,11 +27,6 @@ BENCHMARKS: Final = (
         f"{_COMMANDS}.engine:composite",
         "Measure what virtual objects in a frame cost by part, and how much they shimmer.",
     ),
-    CommandEntry(
-        "train",
-        f"{_COMMANDS}.training:train",
-        "Measure what a training step costs by part (needs the `train` extra).",
-    ),
 )
 
 app = lazy_app(BENCHMARKS, help_text="Measure speed: every figure as a ratio within one run.")

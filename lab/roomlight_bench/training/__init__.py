@@ -1,1 +1,0 @@
-"""Benchmark of training: a step by its parts."""
