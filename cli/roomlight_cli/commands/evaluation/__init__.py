@@ -11,9 +11,6 @@ EVALUATIONS: Final = (
         "captures", f"{_COMMANDS}.captures:captures", "Score light against the ground-truth probes of recordings."
     ),
     CommandEntry(
-        "views", f"{_COMMANDS}.captures:views", "Predict later frames of recordings from the frames before them."
-    ),
-    CommandEntry(
         "dataset",
         f"{_COMMANDS}.rooms:dataset",
         "Score light from single images on a dataset of rooms that no network was trained on.",

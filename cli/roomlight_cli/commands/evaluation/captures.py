@@ -1,30 +1,24 @@
-"""`roomlight eval captures` and `views`: light scored on recordings."""
+"""`roomlight eval captures`: light scored on recordings."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import typer
-from annotated_types import Ge
 
 from roomlight.captures import CaptureOptions
-from roomlight.engine.options import ModelName
 from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
 from roomlight_cli.console import print_tables, say
-from roomlight_cli.options import Without
 from roomlight_cli.progress import Progress
-from roomlight_cli.shared_options import ScoredLight, ScoredNetworks, ScoresJson
+from roomlight_cli.shared_options import ScoredLight, ScoresJson
 from roomlight_evaluation.captures.evaluation import evaluate_engine, evaluate_predictions
 from roomlight_evaluation.captures.main_light import evaluate_main_lights
 from roomlight_evaluation.captures.main_light_tables import main_light_table
 from roomlight_evaluation.captures.ship_rule import apply_ship_rule, ship_rule_table, write_rule
 from roomlight_evaluation.captures.tables import capture_tables
-from roomlight_evaluation.captures.view_tables import view_table
-from roomlight_evaluation.captures.views import HEIGHT, evaluate_views
 
 _COMPILING: Final = "compiling kernels (first run only)"
-_VIEW_MODELS: Final[tuple[ModelName, ...]] = ("single", "video")
 
 
 @dataclass(frozen=True)
@@ -108,39 +102,3 @@ def _ship_rule(captures: tuple[Path, ...], light: SessionOptions, reading: Captu
         say(f"  {line}")
     say(f"{light.model} {'fails' if failures else 'passes'}: {len(failures)} of its figures break the rule")
     raise typer.Exit(1 if failures else 0)
-
-
-def views(
-    captures: tuple[Path, ...],
-    light: ScoredNetworks,
-    reading: Annotated[CaptureOptions, Without("every")],
-    *,
-    model: ModelName | None = None,
-    ahead: Annotated[int, Ge(1)] = 10,
-    spacing: Annotated[int, Ge(1)] = 5,
-    json: ScoresJson = None,
-) -> None:
-    """Predict later frames of recordings from the frames before them.
-
-    Directions that the earlier frames have shown are scored apart from the others. Compared are mean colour,
-    warp-and-fill, the classical model and, by default, the single-view and the recurrent networks.
-
-    Args:
-        captures: Captures; they need no ground truth.
-        light: How to estimate the light.
-        reading: How to read the captures.
-        model: Beside the classical one; default: single and video.
-        ahead: How many frames after the last known one to predict.
-        spacing: Predict every n-th frame.
-    """
-    names = _VIEW_MODELS if model is None else (model,)
-    sessions = [replace(light, model=name, height=HEIGHT) for name in names]
-    with Progress(_COMPILING) as progress:
-        warm_up()
-        scores = evaluate_views(
-            captures, sessions, ahead=ahead, spacing=spacing, options=reading, progress=progress.count_of
-        )
-    print_tables(view_table(scores))
-    if json:
-        scores.write(json)
-        say(f"Scores: {json}")
