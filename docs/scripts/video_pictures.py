@@ -24,7 +24,7 @@ from roomlight.imaging.drawing import HEADING, LABEL_ROWS, Canvas, text_width
 from roomlight.metrics import log_l2, smoothness
 from roomlight.spheres import SphereRenderer, view_toward
 from roomlight_evaluation.captures.estimators import EngineEstimator
-from roomlight_evaluation.datasets.walks import FrameAlone, WalkModels, walk_frames
+from roomlight_evaluation.walks import FrameAlone, WalkModels, walk_frames
 
 IMAGES = Path(__file__).parents[1] / "images"
 FRAMES = (1, 8, 16, 31)

@@ -6,9 +6,10 @@ Each folder answers one question, with the measurement in `evaluation`, its figu
 - `captures`: How good is the light of a stream, at the ground-truth probes of captures (`roomlight eval captures`)?
   An `Estimator` is a session, a baseline, or a folder of panoramas that any program wrote (`estimators`). Also the main
   light (`main_light`), and the rule that chooses the default model (`ship_rule`).
-- `datasets`: How good is the light of a single image (`roomlight eval dataset`), and of walks (`walks`)?
 - `objects`: How well does the light shade spheres and cast a shadow (`roomlight eval objects`)?
 - `composites`: How near are composites to pictures with the object really there (`roomlight eval composite`)?
+
+`walks` scores the networks on walks of datasets and on single images (`roomlight eval walks`).
 
 `baselines` has mean colour and warp-and-fill, `confidence` bootstrap intervals, `tables` what all tables share.
 
@@ -23,22 +24,14 @@ from roomlight_evaluation.captures.evaluation import (
     evaluate_predictions,
 )
 from roomlight_evaluation.captures.scores import CaptureScores
-from roomlight_evaluation.datasets.evaluation import evaluate_dataset
-from roomlight_evaluation.datasets.methods import BaselineMethod, EngineMethod, Method
-from roomlight_evaluation.datasets.scores import DatasetScores
 
 __all__ = [
-    "BaselineMethod",
     "CaptureScores",
-    "DatasetScores",
     "EngineEstimator",
-    "EngineMethod",
     "Estimator",
-    "Method",
     "PredictionFolder",
     "evaluate_capture",
     "evaluate_captures",
-    "evaluate_dataset",
     "evaluate_engine",
     "evaluate_predictions",
 ]

@@ -1,4 +1,4 @@
-"""A mean with its 95 % bootstrap interval: the figure that every table of an evaluation shows."""
+"""A mean with its 95 % bootstrap interval: the figure that every table of an evaluation shows; what it is taken of."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -51,3 +51,10 @@ def ratio_of_means(above: Iterable[float], below: Iterable[float]) -> MeanWithIn
 def _resampled_rows(count: int) -> Int[np.ndarray, "b n"]:
     """Draw rows with replacement; seeded, so that a table comes out the same twice and methods draw equal pairs."""
     return np.random.default_rng(0).integers(0, count, (BOOTSTRAP_SAMPLES, count))
+
+
+def evenly_spread(count: int, wanted: int | None) -> list[int]:
+    """Return `wanted` of the numbers below `count`, evenly spread, or all."""
+    if wanted is None or wanted >= count:
+        return list(range(count))
+    return [at * count // wanted for at in range(wanted)]

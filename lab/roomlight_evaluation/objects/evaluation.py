@@ -27,8 +27,7 @@ from roomlight.frame import Frame
 from roomlight.spheres import view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
-from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
-from roomlight_evaluation.datasets.evaluation import evenly_spread
+from roomlight_evaluation.confidence import MeanWithInterval, evenly_spread, mean_with_interval, ratio_of_means
 from roomlight_evaluation.objects.lit_objects import LOOKS, SHADOW, LitObjects
 
 COMPOSITED: Final = "as composited"

@@ -11,11 +11,13 @@ from recordings import BoxRecordings
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import DatasetError, OptionError
 from roomlight.metrics import log_l2
+from roomlight_evaluation.baselines import MeanColour
 from roomlight_evaluation.captures.estimators import EngineEstimator
-from roomlight_evaluation.datasets.walks import (
+from roomlight_evaluation.walks import (
     LATE_FROM,
     NO_RNN,
     FrameAlone,
+    ImageModels,
     LateProbe,
     SimpleAverage,
     WalkModels,
@@ -109,6 +111,41 @@ def test_scores_are_of_the_walk_s_own_truth(evaluated, models):
     truth = recording.probe_panoramas[0] * np.float32(recording.exposure[0])
     track = next(one for one in evaluated.tracks if one.method == NO_RNN and one.probe == 0)
     assert track.scores["log_l2"][2] == pytest.approx(log_l2(alone.light_at(position), truth), rel=1e-5)
+
+
+def test_single_images_are_first_frames_with_both_kinds_of_depth(tiny_video):
+    models = ImageModels.load(SessionOptions(weights=tiny_video[1], height=HEIGHT))
+    walks = Walks(3, height=HEIGHT)
+    scores = evaluate_walks([walks], models, limit=2)
+    names = ("warp and fill", "classical", "single")
+    assert scores.methods == ("mean colour", *names, *(f"{name}, phone depth" for name in names))
+    assert {track.frames for track in scores.tracks} == {(0,)}
+    assert [capture.frames for capture in scores.captures] == [1, 1]
+    baseline = MeanColour(HEIGHT)
+    baseline.push(next(iter(walk_frames(walks[0], "exact"))))
+    truth = walks[0].true_panoramas()[0]
+    track = next(track for track in scores.tracks if track.method == "mean colour" and track.probe == 0)
+    x, y, z = (float(value) for value in walks[0].probe_positions[0])
+    assert track.scores["log_l2"][0] == pytest.approx(log_l2(baseline.light_at((x, y, z)), truth), rel=1e-5)
+
+
+def test_phone_depth_is_seeded_by_the_walk_s_name():
+    recording = Walks(2, height=HEIGHT)[0]
+    once, again = ([frame.depth_m for frame in walk_frames(recording, "arkit")] for _ in range(2))
+    np.testing.assert_array_equal(once, again)
+    renamed = replace(recording, name="another")
+    assert not np.array_equal(once, [frame.depth_m for frame in walk_frames(renamed, "arkit")])
+
+
+def test_walks_without_depth_are_left_out(models):
+    class Blind(Walks):
+        def __getitem__(self, number):
+            recording = super().__getitem__(number)
+            return recording if number else replace(recording, depth_mm=np.zeros_like(recording.depth_mm))
+
+    assert len(evaluate_walks([Blind(2, height=HEIGHT)], models).captures) == 1
+    with pytest.raises(DatasetError, match="no walk can be used"):
+        evaluate_walks([Blind(1, height=HEIGHT)], models)
 
 
 def test_an_empty_dataset_and_single_view_weights_are_refused(models):

@@ -11,14 +11,9 @@ EVALUATIONS: Final = (
         "captures", f"{_COMMANDS}.captures:captures", "Score light against the ground-truth probes of recordings."
     ),
     CommandEntry(
-        "dataset",
-        f"{_COMMANDS}.rooms:dataset",
-        "Score light from single images on a dataset of rooms that no network was trained on.",
-    ),
-    CommandEntry(
         "walks",
         f"{_COMMANDS}.rooms:walks",
-        "Score the recurrent networks on walks through rooms that no network was trained on.",
+        "Score the networks on walks through rooms that no network was trained on.",
     ),
     CommandEntry(
         "composite",

@@ -1,11 +1,13 @@
-"""Score models on walks of a dataset, frame by frame: the paper's comparisons of the recurrent form.
+"""Score models on walks of a dataset, frame by frame, or on their first frames alone.
 
-Each walk is streamed to every method at once, with exact depth and again with depth as a phone measures it. The phone's
+`WalkModels` are the paper's comparisons of the recurrent form, `ImageModels` those of single images. Each walk is
+streamed to every method at once, with exact depth and again with depth as a phone measures it. The phone's
 depth is seeded by the walk's name, so that every method and every run gets the same one.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Final, Protocol, runtime_checkable
 
@@ -14,6 +16,7 @@ from jaxtyping import Float
 
 from roomlight.conventions import Position
 from roomlight.dataset.arkit_depth import arkit_like
+from roomlight.dataset.loader import DepthKind
 from roomlight.dataset.recording import Recording
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
@@ -24,7 +27,7 @@ from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
 from roomlight_evaluation.captures.evaluation import score_frames
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
-from roomlight_evaluation.datasets.evaluation import DepthKind, ProgressCallback, evenly_spread
+from roomlight_evaluation.confidence import evenly_spread
 
 Panorama = Float[np.ndarray, "h w 3"]
 LATE_FROM: Final = 25
@@ -32,6 +35,8 @@ LATE_FROM: Final = 25
 NO_RNN: Final = "each frame alone"
 AVERAGE: Final = "simple average"
 PHONE: Final = "phone depth"
+ProgressCallback = Callable[[int, int], object]
+"""Called as (walks done, walks in all) after each walk."""
 
 
 @runtime_checkable
@@ -60,6 +65,7 @@ class WalkModels:
     video_graphs: LightingGraphs
     single: SessionOptions
     single_graphs: LightingGraphs
+    frames: int | None = None
 
     @classmethod
     def load(cls, options: SessionOptions) -> "WalkModels":
@@ -97,6 +103,36 @@ class WalkModels:
             Renamed(EngineEstimator(classical, None), f"classical, {PHONE}"),
             Renamed(EngineEstimator(self.video, self.video_graphs), f"video, {PHONE}"),
         ]
+
+
+@dataclass(frozen=True)
+class ImageModels:
+    """The single-view networks and the methods without learning, on the first `frames` of each walk."""
+
+    single: SessionOptions
+    graphs: LightingGraphs
+    frames: int | None = 1
+
+    @classmethod
+    def load(cls, options: SessionOptions) -> "ImageModels":
+        """Load the single-view networks of `options`.
+
+        Raises:
+            ModelError: The weights are missing, damaged or untrained.
+        """
+        single = replace(options, model="single")
+        graphs = choose_graphs(single)
+        assert graphs is not None
+        return cls(single, graphs)
+
+    def estimators(self) -> list[Estimator]:
+        """Return new estimators of every comparison on exact depth."""
+        classical = EngineEstimator(replace(self.single, model="classical", weights=None), None)
+        return [MeanColour(), WarpAndFill(), classical, EngineEstimator(self.single, self.graphs)]
+
+    def phone_estimators(self) -> list[Estimator]:
+        """Return new estimators of the comparison on phone-like depth."""
+        return [Renamed(estimator, f"{estimator.name}, {PHONE}") for estimator in self.estimators()[1:]]
 
 
 class FrameAlone:
@@ -183,7 +219,7 @@ class Renamed:
 
 def evaluate_walks(
     datasets: Sequence[Walks],
-    models: WalkModels,
+    models: WalkModels | ImageModels,
     *,
     limit: int | None = None,
     progress: ProgressCallback | None = None,
@@ -215,7 +251,8 @@ def evaluate_walks(
         if walk_tracks is not None:
             tracks += walk_tracks
             probes = len({track.probe for track in walk_tracks})
-            summaries.append(CaptureSummary(name, str(dataset.folder), len(recording.colour), 0, probes))
+            frames = len(walk_tracks[0].frames)
+            summaries.append(CaptureSummary(name, str(dataset.folder), frames, 0, probes))
         if progress is not None:
             progress(done, len(chosen))
     if not tracks:
@@ -223,7 +260,7 @@ def evaluate_walks(
     return CaptureScores(tuple(summaries), tuple(tracks))
 
 
-def score_walk(recording: Recording, models: WalkModels, *, name: str) -> list[Track]:
+def score_walk(recording: Recording, models: WalkModels | ImageModels, *, name: str) -> list[Track]:
     """Score every comparison on one walk.
 
     Raises:
@@ -234,9 +271,15 @@ def score_walk(recording: Recording, models: WalkModels, *, name: str) -> list[T
         (number, (float(x), float(y), float(z)), panorama)
         for number, ((x, y, z), panorama) in enumerate(zip(recording.probe_positions, truth, strict=True))
     ]
-    _, exact = score_frames(name, walk_frames(recording, "exact"), probes, models.estimators())
-    _, phone = score_frames(name, walk_frames(recording, "arkit"), probes, models.phone_estimators())
-    return exact + phone
+    sensors: tuple[tuple[DepthKind, list[Estimator]], ...] = (
+        ("exact", models.estimators()),
+        ("arkit", models.phone_estimators()),
+    )
+    tracks: list[Track] = []
+    for depth, estimators in sensors:
+        frames = islice(walk_frames(recording, depth), models.frames)
+        tracks += score_frames(name, frames, probes, estimators)[1]
+    return tracks
 
 
 def walk_frames(recording: Recording, depth: DepthKind) -> Iterable[Frame]:

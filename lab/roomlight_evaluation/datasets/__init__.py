@@ -1,1 +1,0 @@
-"""Light scored on a dataset's rooms: single images, and walks."""
