@@ -12,6 +12,7 @@ from rich.table import Table
 
 from roomlight.engine.networks.openvino_runtime import openvino_version
 from roomlight.engine.networks.runtime import ort
+from roomlight.tables import figure_table
 from roomlight.threads import processor_name
 
 Counts = tuple[Annotated[int, Interval(ge=1, le=1000)], ...]
@@ -30,9 +31,7 @@ class Criterion:
 
 def criteria_table(criteria: Sequence[Criterion]) -> Table:
     """Return a table with a row per criterion: demand, figure, verdict."""
-    table = Table(title="Criteria", title_justify="left")
-    for heading in ("demand", "measured", ""):
-        table.add_column(heading)
+    table = figure_table("Criteria", ("measured", ""))
     for criterion in criteria:
         verdict = "[green]holds[/green]" if criterion.holds else "[red]does not hold[/red]"
         table.add_row(criterion.demand, f"{criterion.measured:.3g}", verdict)

@@ -6,10 +6,10 @@ from statistics import mean, median
 from typing import Any, Final
 
 import numpy as np
-from rich import box
 from rich.table import Table
 
-from roomlight_bench.reporting import Criterion, short_number
+from roomlight.tables import figure_table
+from roomlight_bench.reporting import Criterion, criteria_table, short_number
 
 PREVIEW_MS: Final = 30.0
 """Limit of a preview of a sphere in 640 x 480 pixels, on two idle cores."""
@@ -117,21 +117,15 @@ class CompositeReport:
             for row in spheres
         )
 
-    def table(self) -> Table:
-        """Return a table with a row per part, preset by preset and object by object."""
-        width, height = self.image
-        table = Table(
-            title=f"A frame of {width} x {height} pixels with depth of {self.depth[0]} x {self.depth[1]}, milliseconds",
-            title_justify="left",
+    def tables(self) -> list[Table]:
+        """Return a table with a row per part, preset by preset and object by object; shimmer; the criteria."""
+        (width, height), (columns, rows) = self.image, self.depth
+        table = figure_table(
+            f"A frame of {width} x {height} pixels with depth of {columns} x {rows}, milliseconds",
+            ("median", "p95", "CPU median", "CPU p95", "CPU mean", "ratio"),
             caption="ratio: mean processor time / processor time of the engine's stage volume in the same run; "
             + self.denoiser_note(),
-            caption_justify="left",
-            box=box.SIMPLE_HEAD,
-            show_edge=False,
         )
-        table.add_column("part")
-        for heading in ("median", "p95", "CPU median", "CPU p95", "CPU mean", "ratio"):
-            table.add_column(heading, justify="right", no_wrap=True)
         for row in self.times:
             table.add_section()
             table.add_row(f"[bold]{row.preset}, {row.object}[/bold]")
@@ -141,25 +135,15 @@ class CompositeReport:
                 table.add_row(part.name, *(short_number(value) for value in values), ratio)
             about = f"{row.frames} frames, {row.triangles} triangles, {row.pixels:.0f} pixels"
             table.add_row(f"[dim]{about}[/dim]")
-        return table
-
-    def shimmer_table(self) -> Table:
-        """Return a table with a row per preset and resting object."""
-        table = Table(
-            title="Shimmer, standard deviation over time",
-            title_justify="left",
+        shimmer = figure_table(
+            "Shimmer, standard deviation over time",
+            ("picture at rest", "with noisy depth", "shadow, moving camera"),
             caption="picture: around the object, in steps of 8 bits; shadow: light with objects / without, warped back",
-            caption_justify="left",
-            box=box.SIMPLE_HEAD,
-            show_edge=False,
         )
-        table.add_column("object")
-        for heading in ("picture at rest", "with noisy depth", "shadow, moving camera"):
-            table.add_column(heading, justify="right")
         for row in self.shimmer:
             values = f"{row.rest_steps:.3f}", f"{row.noisy_depth_steps:.3f}", f"{100 * row.moving_shadow:.2f} %"
-            table.add_row(f"{row.preset}, {row.object}", *values)
-        return table
+            shimmer.add_row(f"{row.preset}, {row.object}", *values)
+        return [table, shimmer, criteria_table(self.criteria())]
 
     def denoiser_note(self) -> str:
         """Say whether `final` denoises."""

@@ -24,13 +24,11 @@ class Flood:
     """What a connection sends.
 
     Attributes:
-        text: Description for the report.
         head: Sent first; `{token}` is replaced.
         unit: Repeated until the server closes the connection; then a new one begins.
         websocket: The head is a handshake: its answer is read before the units are sent.
     """
 
-    text: str
     head: bytes
     unit: bytes
     websocket: bool = False
@@ -49,11 +47,11 @@ _UPGRADE: Final = (
     b"Sec-WebSocket-Version: 13\r\n\r\n"
 )
 FLOODS: Final[dict[str, Flood]] = {
-    "pipelined-requests": Flood("requests without waiting for answers", b"", _GET + b"\r\n"),
-    "tiny-headers": Flood("requests of 4,000 headers", b"", _GET + b"a:\r\n" * 4000 + b"\r\n"),
-    "tiny-chunks": Flood("a body in chunks of one byte", _CHUNKED, b"1\r\nx\r\n"),
-    "empty-fragments": Flood("a WebSocket message of empty fragments", _UPGRADE, _frame(0x00), websocket=True),
-    "pings": Flood("WebSocket pings whose answers are not read", _UPGRADE, _frame(0x89, bytes(125)), websocket=True),
+    "pipelined-requests": Flood(b"", _GET + b"\r\n"),
+    "tiny-headers": Flood(b"", _GET + b"a:\r\n" * 4000 + b"\r\n"),
+    "tiny-chunks": Flood(_CHUNKED, b"1\r\nx\r\n"),
+    "empty-fragments": Flood(_UPGRADE, _frame(0x00), websocket=True),
+    "pings": Flood(_UPGRADE, _frame(0x89, bytes(125)), websocket=True),
 }
 """The floods by name. Each is an attack twice: at full speed, and at `SLOW_BYTES_PER_S` with `-slow` at its end."""
 

@@ -4,12 +4,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
-from rich import box
-from rich.console import Group, RenderableType
 from rich.table import Table
 
+from roomlight.tables import figure_table
 from roomlight_bench.reporting import Criterion, criteria_table, short_number
-from roomlight_bench.server.hostile_client import ATTACKS
 from roomlight_bench.server.server_report import Latencies
 
 KEPT_SHARE: Final = 0.8
@@ -124,38 +122,17 @@ class HostileReport:
         values["alone"]["share"] = self.alone.share
         return values | {"criteria": [asdict(criterion) for criterion in self.criteria]}
 
-    def markdown(self) -> str:
-        """Return the table of the documentation, and what does not hold below it."""
-        lines = [
-            "| Attack | Frames kept | Frame, ms p50 / p99 | Server, MB | MB after / before |",
-            "| --- | ---: | ---: | ---: | ---: |",
-        ]
-        for row in (self.alone, *self.attacks):
-            kept = f"{row.processed} of {row.due}" if row is self.alone else f"{self.kept(row):.0%}".replace("%", " %")
-            name = ATTACKS[row.attack][0] if row.attack in ATTACKS else "none"
-            returned = f"{row.rss_after_bytes / max(1, row.rss_before_bytes):.2f}"
-            lines.append(f"| {name} | {kept} | {_percentiles(row.frame)} | {row.rss_bytes / 1e6:,.0f} | {returned} |")
-        failed = [criterion.demand for criterion in self.criteria if not criterion.holds]
-        verdict = f"Does not hold: {'; '.join(failed)}." if failed else "All criteria hold."
-        return "\n".join([*lines, "", verdict, ""])
-
-    def table(self) -> RenderableType:
+    def tables(self) -> list[Table]:
         """Return the table of the neighbour, and the criteria."""
         busy = "" if self.busy is None else f", load average {self.busy:.1f}"
-        table = Table(
-            title=f"A neighbour that streams {self.fps:g} frames per second, during attacks of another client",
-            title_justify="left",
+        table = figure_table(
+            f"A neighbour that streams {self.fps:g} frames per second, during attacks of another client",
+            ("s", "frames", "kept", "frame ms", "light ms", "MB", "after", "requests"),
             caption=f"frames: processed in time, of those due; kept: relative to the neighbour alone; ms: p50 / p99; "
             f"MB: largest resident memory of all its processes, after: when the attack is over, relative to before; "
-            f"{self.rss_start_bytes / 1e6:.0f} at the start; {self.cores} cores, "
-            f"{self.machine['processor']}{busy}",
-            caption_justify="left",
-            box=box.SIMPLE_HEAD,
-            show_edge=False,
+            f"{self.rss_start_bytes / 1e6:.0f} at the start; {self.cores} cores, {self.machine['processor']}{busy}",
         )
-        headings = ("attack", "s", "frames", "kept", "frame ms", "light ms", "MB", "after", "requests", "answers")
-        for heading in headings:
-            table.add_column(heading, justify="left" if heading in ("attack", "answers") else "right")
+        table.add_column("answers")
         for row in (self.alone, *self.attacks):
             table.add_row(
                 row.attack,
@@ -169,7 +146,7 @@ class HostileReport:
                 str(row.requests),
                 ", ".join(f"{status}: {count}" for status, count in sorted(row.answers.items())),
             )
-        return Group(table, "", criteria_table(self.criteria))
+        return [table, criteria_table(self.criteria)]
 
 
 def _percentiles(latencies: Latencies) -> str:

@@ -5,10 +5,9 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
-from rich import box
-from rich.console import Group, RenderableType
 from rich.table import Table
 
+from roomlight.tables import figure_table
 from roomlight_bench.reporting import Criterion, criteria_table, short_number
 from roomlight_bench.server.server_load import IN_FLIGHT
 
@@ -185,29 +184,18 @@ class ServerReport:
             entry |= {"share": row.share, "share_of_engine": row.share_of_engine}
         return values | {"criteria": [asdict(criterion) for criterion in self.criteria]}
 
-    def table(self) -> RenderableType:
+    def tables(self) -> list[Table]:
         """Return all tables, with the criteria at the end."""
-        return Group(
-            self._overhead_table(),
-            "",
-            self._load_table(),
-            "",
-            self._probes_table(),
-            "",
-            criteria_table(self.criteria),
-        )
+        return [self._overhead_table(), self._load_table(), self._probes_table(), criteria_table(self.criteria)]
 
     def _overhead_table(self) -> Table:
         alive, ready = (np.median(values) / 1e3 for values in (self.start_alive_ms, self.start_ready_ms))
         busy = "" if self.busy is None else f", load average before the run {self.busy:.1f}"
         rounds = self.overhead[0].rounds
-        return _table(
+        return figure_table(
             "One session, one frame after the other, in this process and over HTTP, ms: "
             f"median of each frame's least of {rounds}",
-            f"model {self.model}; {self.threads} engine threads, {self.cores} cores, {self.machine['processor']}"
-            f"{busy}; the server started {len(self.start_ready_ms)} times: /healthz after {alive:.1f} s, ready after "
-            f"{ready:.1f} s (median; most {max(self.start_ready_ms) / 1e3:.1f})",
-            ("colour", "kB", "frames", "engine", "+ decoding", "+ HTTP", "HTTP adds", "to the engine alone"),
+            ("kB", "frames", "engine", "+ decoding", "+ HTTP", "HTTP adds", "to the engine alone"),
             [
                 (
                     row.colour,
@@ -219,19 +207,19 @@ class ServerReport:
                 )
                 for row in self.overhead
             ],
+            caption=f"model {self.model}; {self.threads} engine threads, {self.cores} cores, "
+            f"{self.machine['processor']}{busy}; the server started {len(self.start_ready_ms)} times: /healthz after "
+            f"{alive:.1f} s, ready after {ready:.1f} s (median; most {max(self.start_ready_ms) / 1e3:.1f})",
         )
 
     def _load_table(self) -> Table:
-        return _table(
+        return figure_table(
             f"Sessions at the same time, each streaming for {self.seconds:g} s: frames per second and session, "
             "ms p50 / p95 / p99",
-            "light: harmonics and main light of the tracked probe, requested after each frame; lost: dropped by the "
-            f"phone because {IN_FLIGHT} frames were unanswered, or skipped by the server for a newer one; MB: resident "
-            "memory per session with this many keyframes; stated: what sessions report for themselves",
-            ("sessions", "wanted", "held", "lost", "frame", "light", "/healthz", "most", "MB", "stated", "keyframes"),
+            ("wanted", "held", "lost", "frame", "light", "/healthz", "most", "MB", "stated", "keyframes"),
             [
                 (
-                    f"{row.sessions}",
+                    f"{row.sessions} sessions",
                     f"{row.wanted_fps:g}",
                     f"{row.held_fps:.2f}",
                     f"{row.lost:.0%}",
@@ -243,18 +231,18 @@ class ServerReport:
                 )
                 for row in self.load
             ],
+            caption="light: harmonics and main light of the tracked probe, requested after each frame; lost: dropped "
+            f"by the phone because {IN_FLIGHT} frames were unanswered, or skipped by the server for a newer one; MB: "
+            "resident memory per session with this many keyframes; stated: what sessions report for themselves",
         )
 
     def _probes_table(self) -> Table:
-        return _table(
+        return figure_table(
             "Light at several points of one session: in one request, and in a request each, median ms",
-            "harmonics and main light; tracked: from the first frame on, every frame updates them; late: computed from "
-            "the keyframes on request; x: a request each / one request",
-            ("points", "", "keyframes", "frame", "one request", "a request each", "x"),
+            ("keyframes", "frame", "one request", "a request each", "x"),
             [
                 (
-                    f"{row.count}",
-                    "tracked" if row.tracked else "late",
+                    f"{row.count} {'tracked' if row.tracked else 'late'}",
                     f"{row.keyframes}",
                     _or_dash(row.frame_ms),
                     short_number(row.batched_ms),
@@ -263,25 +251,9 @@ class ServerReport:
                 )
                 for row in self.probes
             ],
+            caption="harmonics and main light; tracked: from the first frame on, every frame updates them; late: "
+            "computed from the keyframes on request; x: a request each / one request",
         )
-
-
-def _table(title: str, caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """Make a table whose columns are as wide as their content; the console must be wide enough."""
-    table = Table(
-        title=title,
-        title_justify="left",
-        caption=caption,
-        caption_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        show_edge=False,
-    )
-    for heading, *cells in zip(headings, *rows, strict=True):
-        table.add_column(heading, justify="right", no_wrap=True, min_width=max(map(len, (heading, *cells))))
-    for row in rows:
-        table.add_row(*row)
-    return table
 
 
 def _percentiles(latencies: Latencies) -> str:

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from rich import box
-from rich.console import Group, RenderableType
 from rich.table import Table
 
+from roomlight.tables import figure_table
 from roomlight.threads import thread_count
 from roomlight_bench.reporting import Criterion, criteria_table, describe_machine, short_number
 from roomlight_bench.stages.sessions import FURTHER, LATE
@@ -78,52 +77,21 @@ class StagesReport:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values; `from_json` restores an equal report."""
+        """Return plain JSON values."""
         return asdict(self) | {"rows": [asdict(row) for row in self.rows], "criteria": list(map(asdict, self.criteria))}
 
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> "StagesReport":
-        """Read what `to_json` wrote."""
-
-        def timing(entry: dict[str, Any] | None) -> Timing | None:
-            return None if entry is None else Timing(**entry)
-
-        rows = [
-            StageRow(
-                **row
-                | {"ours": Timing(**row["ours"]), "reference": timing(row["reference"]), "torch": timing(row["torch"])}
-            )
-            for row in values["rows"]
-        ]
-        criteria = tuple(Criterion(**entry) for entry in values["criteria"])
-        parts: dict[str, Any] = {"rows": tuple(rows), "criteria": criteria}
-        return cls(**{**values, **parts})
-
-    def table(self, *, width: int = 120) -> RenderableType:
-        """Return the stages and the criteria; below 120 columns of width without differences and operations."""
-        return Group(self._stages_table(brief=width < 120), criteria_table(self.criteria))
-
-    def _stages_table(self, *, brief: bool) -> Table:
-        table = Table(
-            title=f"Stages of one frame and one probe, ms; ours: least / median of {self.repeats} runs, others: least",
-            title_justify="left",
+    def tables(self) -> list[Table]:
+        """Return the stages and the criteria."""
+        table = figure_table(
+            f"Stages of one frame and one probe, ms; ours: least / median of {self.repeats} runs, others: least",
+            ("ours", "NumPy", "PyTorch", "max diff", "GFLOP", "of peak", "paper"),
             caption=(
                 f"{self.threads} threads (ours, ONNX Runtime, PyTorch), {self.machine['processor']}; networks: "
                 f"{self.networks}; {'' if self.torch else 'no comparison with PyTorch, which is not installed; '}"
                 f"x: times as long as ours, by least times; of peak: a network's operations per second relative to "
                 f"{self.peak_flops_per_s / 1e9:.0f} GFLOP/s, a fp32 matrix product; {_PAPER}"
             ),
-            caption_justify="left",
-            box=box.SIMPLE_HEAD,
-            padding=0,
-            show_edge=False,
         )
-        table.add_column("stage", min_width=22)
-        table.add_column("ours", justify="right", no_wrap=True)
-        table.add_column("NumPy", justify="right", no_wrap=True)
-        table.add_column("PyTorch", justify="right", no_wrap=True)
-        for heading in (*(() if brief else ("max diff", "GFLOP")), "of peak", "paper"):
-            table.add_column(heading, justify="right", no_wrap=True)
         for row in self.rows:
             largest = max(row.differences.values(), default=None)
             table.add_row(
@@ -131,11 +99,12 @@ class StagesReport:
                 f"{short_number(row.ours.least_ms)} / {short_number(row.ours.median_ms)}",
                 _time_and_ratio(row, row.reference),
                 _time_and_ratio(row, row.torch),
-                *(() if brief else ("-" if largest is None else f"{largest:.1e}", _giga(row.flops))),
+                "-" if largest is None else f"{largest:.1e}",
+                _giga(row.flops),
                 "-" if row.flops is None else f"{1e3 * row.flops / row.ours.least_ms / self.peak_flops_per_s:.0%}",
                 "-" if row.paper_ms is None else f"{row.paper_ms:g}",
             )
-        return table
+        return [table, criteria_table(self.criteria)]
 
 
 def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
@@ -212,13 +181,10 @@ class AgainstReport:
         """Return plain JSON values."""
         return asdict(self)
 
-    def table(self) -> RenderableType:
+    def tables(self) -> list[Table]:
         """Return a row for each measurement."""
-        table = Table(title=f"This checkout against {self.other}", title_justify="left", box=box.SIMPLE_HEAD)
-        table.add_column("", min_width=22)
-        for heading in ("here, ms", "there, ms", "ratio"):
-            table.add_column(heading, justify="right")
-        for row in self.rows:
-            ratio = f"{row.here_ms / row.there_ms:.2f}"
-            table.add_row(row.name, short_number(row.here_ms), short_number(row.there_ms), ratio)
-        return table
+        rows = (
+            (row.name, short_number(row.here_ms), short_number(row.there_ms), f"{row.here_ms / row.there_ms:.2f}")
+            for row in self.rows
+        )
+        return [figure_table(f"This checkout against {self.other}", ("here, ms", "there, ms", "ratio"), rows)]

@@ -4,9 +4,9 @@ import math
 
 from rich.table import Table
 
+from roomlight.tables import figure_table
 from roomlight_evaluation.captures.main_light import JUMP_DEG, METHODS, SETTLED_FRAME, MainLightScores
 from roomlight_evaluation.confidence import MeanWithInterval
-from roomlight_evaluation.tables import figure_table
 
 
 def main_light_table(scores: MainLightScores) -> Table:

@@ -19,6 +19,7 @@ from roomlight.captures import CaptureOptions
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import SessionOptions
 from roomlight.files import write_json
+from roomlight.tables import figure_table
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
 from roomlight_evaluation.captures.evaluation import ProgressCallback, evaluate_captures
 from roomlight_evaluation.captures.scores import CaptureScores
@@ -147,10 +148,8 @@ def rule_of(scores: CaptureScores, model: str, reference: str) -> ShipRule:
 def ship_rule_table(rule: ShipRule) -> Table:
     """Return the ratios by capture, with those of the means over captures at the end."""
     limits = ", ".join(f"{TITLES[metric]} below {limit}" for metric, limit in BELOW.items())
-    table = Table(title=f"{rule.model} to {rule.reference}: {limits}; no capture's log-L2 above {WORST}")
-    table.add_column("capture")
-    for heading in (*TITLES.values(), "energy, last"):
-        table.add_column(heading, justify="right")
+    title = f"{rule.model} to {rule.reference}: {limits}; no capture's log-L2 above {WORST}"
+    table = figure_table(title, (*TITLES.values(), "energy, last"))
     for errors in rule.captures:
         table.add_row(errors.capture, *(f"{errors.ratio(metric):.2f}" for metric in BELOW), f"{errors.energy:.2f}")
     means = [rule.ratio(metric) for metric in BELOW]

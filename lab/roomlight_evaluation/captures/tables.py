@@ -5,9 +5,9 @@ import math
 from rich.table import Table
 
 from roomlight.metrics import METRICS, Metric
+from roomlight.tables import figure_table
 from roomlight_evaluation.captures.scores import CaptureScores
 from roomlight_evaluation.confidence import MeanWithInterval
-from roomlight_evaluation.tables import figure_table
 
 
 def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[Table]:

@@ -2,10 +2,11 @@
 
 from rich.table import Table
 
+from roomlight.tables import figure_table
 from roomlight_evaluation.composites.methods import HARMONICS
 from roomlight_evaluation.objects.evaluation import ObjectScores
 from roomlight_evaluation.objects.lit_objects import LOOKS
-from roomlight_evaluation.tables import figure_table, mean_cell
+from roomlight_evaluation.tables import mean_cell
 
 
 def object_tables(scores: ObjectScores) -> list[Table]:

@@ -1,27 +1,16 @@
 """The statistics of a dataset as tables for a terminal."""
 
-from collections.abc import Sequence
 from typing import Final
 
-from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
+from roomlight.tables import figure_table
 from roomlight_generator.light_stats import TOLERANCE, LightComparison
 from roomlight_generator.stats import DatasetStats, Spread
 
 _LISTED: Final = 14
 """Most kinds listed per line; the JSON has all."""
-
-
-def figure_table(title: str, headings: Sequence[str]) -> Table:
-    """Return a table with names in the first column, and these columns of figures."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-    table.add_column("", no_wrap=True)
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
 
 
 def print_stats(console: Console, stats: DatasetStats) -> None:

@@ -23,7 +23,7 @@ def test_every_part_of_every_preset_is_reported():
         assert row.frames == 1
     assert len(report.shimmer) == 2 * (len(names) - 1)  # objects that rest
     assert all(row.rest_steps < 0.05 for row in report.shimmer)
-    assert "Open Image Denoise is " in str(report.table().caption)
+    assert "Open Image Denoise is " in str(report.tables()[0].caption)
     assert len(json.loads(json.dumps(report.to_json()))["criteria"]) == 3
 
 

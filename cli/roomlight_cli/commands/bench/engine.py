@@ -6,9 +6,7 @@ from typing import Annotated
 from annotated_types import Ge, Interval
 
 from roomlight_bench.compositing.composite import run_composite
-from roomlight_bench.reporting import criteria_table
 from roomlight_bench.stages.stages import run_against, run_stages
-from roomlight_cli import console
 from roomlight_cli.console import show_report
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import FiguresJson
@@ -31,11 +29,11 @@ def stages(
     if against is not None:
         with Progress("measuring") as progress:
             compared = run_against(against, rounds=repeats, progress=progress.say)
-        show_report(compared, json, compared.table())
+        show_report(compared, json, *compared.tables())
         return
     with Progress("measuring") as progress:
         report = run_stages(repeats=repeats, model=weights, progress=progress.say)
-    show_report(report, json, report.table(width=console.out.width))
+    show_report(report, json, *report.tables())
 
 
 def composite(
@@ -52,4 +50,4 @@ def composite(
     """
     with Progress("measuring") as progress:
         report = run_composite(frames=frames, final=final, progress=progress.say)
-    show_report(report, json, report.table(), report.shimmer_table(), criteria_table(report.criteria()))
+    show_report(report, json, *report.tables())

@@ -1,8 +1,5 @@
 """`roomlight bench server` and `hostile`: real servers on this machine."""
 
-from pathlib import Path
-
-from roomlight.files import write_atomic
 from roomlight_bench.server.hostile import HostileOptions, run_hostile
 from roomlight_bench.server.server import ServerBenchOptions, run_server_bench
 from roomlight_cli.console import show_report
@@ -18,18 +15,15 @@ def server(options: ServerBenchOptions, *, json: FiguresJson = None) -> None:
     """
     with Progress("measuring") as progress:
         report = run_server_bench(options, progress=progress.say)
-    show_report(report, json, report.table())
+    show_report(report, json, *report.tables())
 
 
-def hostile(options: HostileOptions, *, json: FiguresJson = None, markdown: Path | None = None) -> None:
+def hostile(options: HostileOptions, *, json: FiguresJson = None) -> None:
     """Attack a server on this machine while a neighbour streams: frames that it keeps, latency, memory.
 
     Args:
         options: What to measure.
-        markdown: Also write the table of the documentation.
     """
     with Progress("measuring") as progress:
         report = run_hostile(options, progress=progress.say)
-    show_report(report, json, report.table())
-    if markdown:
-        write_atomic(markdown, report.markdown().encode())
+    show_report(report, json, *report.tables())

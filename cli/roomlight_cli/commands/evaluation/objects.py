@@ -8,7 +8,6 @@ from annotated_types import Ge
 
 from roomlight.dataset.recording import Split
 from roomlight.engine.session import warm_up
-from roomlight.files import write_atomic
 from roomlight_cli.console import print_tables, say
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoresJson
@@ -17,7 +16,6 @@ from roomlight_evaluation.composites.scores import write_line
 from roomlight_evaluation.composites.tables import composite_tables, summary
 from roomlight_evaluation.objects.evaluation import evaluate_objects
 from roomlight_evaluation.objects.tables import object_tables
-from roomlight_evaluation.tables import markdown as markdown_of
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,6 @@ class CompositeScoreOptions:
         keep: Folder of rendered scenes, to score several models on the same ones.
         pictures: Also write a PNG of each scene: truth, ours, true panorama, SH + directional.
         mitsuba: Score six views rendered by Mitsuba instead (needs mitsuba).
-        markdown: Also write the tables as Markdown.
     """
 
     scenes: Annotated[int, Ge(1)] = 40
@@ -38,7 +35,6 @@ class CompositeScoreOptions:
     keep: Path | None = None
     pictures: Path | None = None
     mitsuba: bool = False
-    markdown: Path | None = None
 
 
 def composite(out: Path, options: CompositeScoreOptions, light: ScoredLight) -> None:
@@ -73,8 +69,6 @@ def composite(out: Path, options: CompositeScoreOptions, light: ScoredLight) -> 
     if options.mitsuba:
         for score in scores.scenes:
             write_line(out, score)
-    if options.markdown:
-        write_atomic(options.markdown, markdown_of(tables).encode())
 
 
 def objects(
@@ -85,7 +79,6 @@ def objects(
     split: Split = "test",
     limit: Annotated[int, Ge(1)] | None = None,
     json: ScoresJson = None,
-    markdown: Path | None = None,
 ) -> None:
     """Score spheres and a sphere's shadow in the light after a few frames, in many rooms with ground truth.
 
@@ -98,7 +91,6 @@ def objects(
         frames: Show this many frames of each recording, evenly spread.
         split: Of dataset folders; no network is trained on test.
         limit: Use this many walks of each dataset.
-        markdown: Also write the tables as Markdown.
     """
     with Progress("compiling kernels (first run only)") as progress:
         warm_up()
@@ -108,5 +100,3 @@ def objects(
     if json:
         scores.write(json)
         say(f"Scores: {json}")
-    if markdown:
-        write_atomic(markdown, markdown_of(tables).encode())
