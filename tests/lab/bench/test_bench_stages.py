@@ -1,6 +1,5 @@
 """`roomlight bench stages` on a tiny room: the report is complete, consistent and readable. Speed is not tested."""
 
-import json
 from pathlib import Path
 
 import pytest
