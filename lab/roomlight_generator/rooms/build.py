@@ -53,12 +53,7 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
     """
     rng = room_generator(index, seed=seed, split=split)
     room_type = _choose_type(split, rng)
-    finishes = shell_finishes(
-        room_type.name,
-        rng,
-        wall_textures=catalogue.surfaces("wall", split),
-        floor_textures=catalogue.surfaces("floor", split),
-    )
+    finishes = shell_finishes(room_type.name, rng)
     kind = list(LIGHT_KINDS)[int(rng.choice(len(LIGHT_KINDS), p=list(LIGHT_KINDS.values())))]
     shell = build_shell(_shell_style(room_type, kind, rng), finishes, rng)
     placements = furnish(shell, room_type, catalogue, rng, split=split)

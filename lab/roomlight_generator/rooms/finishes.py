@@ -3,13 +3,11 @@
 About 64 % of the walls are white, grey or beige, the rest clearly coloured.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from roomlight.conventions import srgb8_to_linear
 from roomlight_generator.rooms.colour import paint
 from roomlight_generator.rooms.palettes import (
     cloth_colour,
@@ -24,7 +22,7 @@ from roomlight_generator.rooms.palettes import (
     white,
     wood_colour,
 )
-from roomlight_generator.rooms.scene import Material, Rgb, Texture
+from roomlight_generator.rooms.scene import Material, Rgb
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +75,6 @@ class Finishes:
     translucent_blind: Material
 
 
-_TEXTURED_SHARE: Final = 0.35
-"""Share of floors, and of coloured walls, with a texture of the furniture library, if it has any."""
-
-_UNTINTED: Final[Rgb] = (0.95, 0.95, 0.95)
-"""Albedo under a texture."""
-
 _FLOOR_SHADE: Final = (0.53, 0.9)
 _WALL_SHADE: Final = (0.82, 1.0)
 _CEILING_SHADE: Final = (0.64, 0.96)
@@ -121,16 +113,9 @@ def room_kind(room_type: str) -> str:
     return next((kind for kind, words in _KINDS if any(word in name for word in words)), "living")
 
 
-def shell_finishes(
-    room_type: str,
-    rng: np.random.Generator,
-    *,
-    wall_textures: Sequence[Texture] = (),
-    floor_textures: Sequence[Texture] = (),
-) -> Finishes:
-    """Choose materials for a whole shell. The textures, if given, are on 35 % of the floors and of the coloured
-    walls."""
-    chooser = _FinishChooser(rng, tuple(wall_textures), tuple(floor_textures))
+def shell_finishes(room_type: str, rng: np.random.Generator) -> Finishes:
+    """Choose materials for a whole shell."""
+    chooser = _FinishChooser(rng)
     room = chooser.room(room_kind(room_type))
     second = chooser.room("living")
     if rng.random() < 0.5:
@@ -158,8 +143,6 @@ def shell_finishes(
 @dataclass(frozen=True)
 class _FinishChooser:
     rng: np.random.Generator
-    wall_textures: tuple[Texture, ...]
-    floor_textures: tuple[Texture, ...]
 
     def room(self, kind: str) -> RoomFinishes:
         """Choose the large surfaces of one room."""
@@ -172,7 +155,7 @@ class _FinishChooser:
         elif pick < 0.8 and kind not in ("bath", "kitchen"):
             skirting = Material("skirting", wood_colour(rng), roughness=self.optional_roughness(0.55, 0.12, 0.4))
         elif pick < 0.92:
-            skirting = Material("skirting", _mean(wall), roughness=wall.roughness)
+            skirting = Material("skirting", wall.albedo, roughness=wall.roughness)
         else:
             dark = paint(rng.uniform(0.03, 0.2), 0.01, 250)
             skirting = Material("skirting", dark, roughness=self.optional_roughness(0.5, 0.2, 0.4))
@@ -195,14 +178,11 @@ class _FinishChooser:
         if rng.random() < 0.64:
             colour = self.shaded(neutral_wall(rng), _WALL_SHADE)
             return Material("wall", colour, roughness=self.optional_roughness(0.14, 0.4, 0.6))
-        return self.coloured("wall", kind)
+        return self.coloured("wall")
 
-    def coloured(self, name: str, kind: str = "living") -> Material:
-        """Choose a coloured paint, or one of the library's textures."""
-        rng = self.rng
-        if self.wall_textures and kind != "bath" and rng.random() < _TEXTURED_SHARE:
-            return Material(name, _UNTINTED, texture=self.wall_textures[int(rng.integers(len(self.wall_textures)))])
-        colour = self.shaded(wall_colour(rng), _WALL_SHADE)
+    def coloured(self, name: str) -> Material:
+        """Choose a coloured paint."""
+        colour = self.shaded(wall_colour(self.rng), _WALL_SHADE)
         return Material(name, colour, roughness=self.optional_roughness(0.14, 0.4, 0.6))
 
     def accent(self) -> Material:
@@ -227,10 +207,6 @@ class _FinishChooser:
     def floor(self, kind: str) -> Material:
         """Choose the floor of a room of this kind."""
         rng = self.rng
-        if self.floor_textures and rng.random() < _TEXTURED_SHARE:
-            texture = self.floor_textures[int(rng.integers(len(self.floor_textures)))]
-            coat = self.optional_roughness(0.5, 0.1, 0.4)
-            return Material("floor", self.shaded(_UNTINTED, _FLOOR_SHADE), texture=texture, roughness=coat)
         covering = int(rng.choice(4, p=_FLOORS[kind]))
         colour = self.shaded((wood_colour, stone_colour, cloth_colour, stone_colour)[covering](rng), _FLOOR_SHADE)
         return Material("floor", colour, roughness=self.optional_roughness(*_FLOOR_COATS[covering]))
@@ -238,7 +214,7 @@ class _FinishChooser:
     def ceiling(self, wall: Material) -> Material:
         """Choose the ceiling: white paint in four rooms of ten, otherwise the walls' paint, grey, boards, a colour."""
         if self.rng.random() < 0.15:
-            return Material("ceiling", self.shaded(_mean(wall), _CEILING_SHADE))
+            return Material("ceiling", self.shaded(wall.albedo, _CEILING_SHADE))
         kinds = (white, grey, wood_colour, off_white, dark_wall)
         colour = kinds[int(self.rng.choice(5, p=(0.47, 0.24, 0.14, 0.06, 0.09)))](self.rng)
         return Material("ceiling", self.shaded(colour, _CEILING_SHADE))
@@ -278,12 +254,3 @@ class _FinishChooser:
         if pick < 0.7:
             return Material("blind", wood_colour(rng), roughness=self.optional_roughness(0.55, 0.12, 0.4))
         return Material("blind", cloth_colour(rng) if pick < 0.9 else dark_wall(rng))
-
-
-def _mean(material: Material) -> Rgb:
-    """Return a material's mean reflectance."""
-    if material.texture is None:
-        return material.albedo
-    mean = srgb8_to_linear(material.texture.image[::4, ::4]).mean((0, 1)).astype(float)
-    colour = mean * np.array(material.albedo)
-    return float(colour[0]), float(colour[1]), float(colour[2])

@@ -15,7 +15,7 @@ from roomlight.rays import RayTree
 from roomlight_generator.rooms.colour import blackbody_rgb
 from roomlight_generator.rooms.plan import Placement, Shell
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Rgb, Sky
-from roomlight_generator.rooms.shapes import box, sphere, with_material
+from roomlight_generator.rooms.shapes import block, sphere, with_material
 from roomlight_generator.rooms.sky import make_sky, vertical_irradiance
 
 Scenario = Literal["sunny", "bright", "overcast", "golden", "dusk", "night"]
@@ -320,7 +320,7 @@ def _ceiling_fixture(shell: Shell, rng: np.random.Generator, *, bulb: bool) -> I
         mesh = with_material(sphere(float(rng.uniform(*_BULB_M)), rings=6, segments=12), material)
         return Item("bulb", "ceiling_lamp", mesh.placed(float(x), top - 0.1, float(z)))
     side = float(rng.uniform(0.25, 0.7))
-    mesh = with_material(box(side, 0.03, side), material)
+    mesh = with_material(block(side, 0.03, side), material)
     return Item("panel", "ceiling_lamp", mesh.placed(float(x), top - 0.05, float(z)))
 
 
@@ -334,7 +334,7 @@ def _ceiling_spots(shell: Shell, rng: np.random.Generator) -> list[Item]:
     if not places:
         return [_ceiling_fixture(shell, rng, bulb=True)]
     chosen = np.linspace(0, len(places) - 1, min(len(places), _MOST_SPOTS)).round().astype(int)
-    mesh = with_material(box(side, 0.01, side), Material(name="shade", albedo=(0.8, 0.8, 0.8)))
+    mesh = with_material(block(side, 0.01, side), Material(name="shade", albedo=(0.8, 0.8, 0.8)))
     return [
         Item("spot", "ceiling_lamp", mesh.placed(x, shell.ceiling_at(x, z) - 0.02, z))
         for x, z in (places[int(number)] for number in chosen)
@@ -361,14 +361,14 @@ def _accessory_lamps(
     if units and rng.random() < (0.5 if night else 0.2):
         for placement in units:
             strip = with_material(
-                box(0.85 * placement.model.width_m, 0.012, 0.03), Material(name="strip", albedo=(0.8, 0.8, 0.8))
+                block(0.85 * placement.model.width_m, 0.012, 0.03), Material(name="strip", albedo=(0.8, 0.8, 0.8))
             )
             placed = strip.placed(placement.x, placement.y - 0.016, placement.z, degrees=placement.degrees)
             lamps.append((Item("light strip", "wall_lamp", placed), "strip", (0.1, 0.8)))
     if shell.spots and (only_second or rng.random() < 0.65):
         x, z, _ = shell.spots[0]
         bright = only_second or rng.random() < _BRIGHT_SECOND_ROOM
-        shape = box(0.6, 0.04, 0.6) if bright else sphere(0.12, rings=8, segments=16)
+        shape = block(0.6, 0.04, 0.6) if bright else sphere(0.12, rings=8, segments=16)
         lamp = with_material(shape, Material(name="globe", albedo=(0.8, 0.8, 0.8)))
         height = 2.2 if bright else min(2.0, shell.height_m - 0.3)
         item = Item("globe", "ceiling_lamp", lamp.placed(x, height, z))

@@ -23,12 +23,9 @@ class Texture:
 
     Attributes:
         image: sRGB-encoded, row 0 at the top.
-        size_m: Width and height of a repeat if the texture has a physical size (walls and floors), for the code that
-            makes the coordinates.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
-    size_m: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.plan import Gap, Shell, Wall
-from roomlight_generator.rooms.shapes import box
+from roomlight_generator.rooms.shapes import block
 
 TOPPED = {
     "dining_table", "coffee_table", "side_table", "desk", "nightstand", "dresser", "bookcase", "sideboard", "tv_stand",
@@ -71,7 +71,7 @@ def model(role: str, size: tuple[float, float, float], split: Split = "train", t
         width_m=width,
         height_m=height,
         depth_m=depth,
-        load=lambda: box(width, height, depth),
+        load=lambda: block(width, height, depth),
         top_m=height if role in TOPPED else None,
     )
 

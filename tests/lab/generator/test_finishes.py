@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from roomlight.conventions import srgb8_to_linear
 from roomlight_generator.rooms.colour import LUMINANCE, linear_to_oklab, luminance
 from roomlight_generator.rooms.finishes import RoomFinishes, room_kind, shell_finishes
 from roomlight_generator.rooms.palettes import (
@@ -23,16 +22,8 @@ from roomlight_generator.rooms.palettes import (
     wood_colour,
 )
 from roomlight_generator.rooms.palettes import white as white_paint
-from roomlight_generator.rooms.scene import Texture
 
 TYPES = ("living_room", "bedroom", "kitchen", "bathroom", "office")
-
-
-def mean(material):
-    colour = np.array(material.albedo)
-    if material.texture is not None:
-        colour = colour * srgb8_to_linear(material.texture.image).mean((0, 1))
-    return colour
 
 
 def materials(finishes):
@@ -59,7 +50,7 @@ def test_surface_albedos_and_roughness_are_in_range(rooms):
     for _, finishes in rooms:
         for name, material in materials(finishes):
             assert all(0 < channel <= 0.95 for channel in material.albedo), name
-            assert 0.005 < float(mean(material).min()) <= float(mean(material).max()) < 0.95, name
+            assert min(material.albedo) > 0.005, name
             assert material.roughness is None or 0.03 <= material.roughness <= 0.6, name
             assert not material.emits
             assert material.mirror == 0
@@ -70,7 +61,7 @@ def test_surface_albedos_and_roughness_are_in_range(rooms):
 def test_ceilings_are_brighter_than_floors_and_many_floors_coated():
     rooms = finished(20)
     ceilings, floors = (
-        [float(LUMINANCE @ mean(getattr(finishes.room, name))) for _, finishes in rooms]
+        [float(LUMINANCE @ np.array(getattr(finishes.room, name).albedo)) for _, finishes in rooms]
         for name in ("ceiling", "floor")
     )
     assert 0.4 < np.median(ceilings) < 0.6
@@ -86,22 +77,10 @@ def test_ceilings_are_brighter_than_floors_and_many_floors_coated():
 def test_walls_have_the_documented_proportions(count, tolerance):
     strong = 0
     for seed in range(count):
-        lab = linear_to_oklab(mean(shell_finishes("living_room", np.random.default_rng(seed)).room.wall))
+        lab = linear_to_oklab(np.array(shell_finishes("living_room", np.random.default_rng(seed)).room.wall.albedo))
         strong += int(np.hypot(lab[1], lab[2]) > 0.04 or lab[0] < 0.55)
     # Three binomial standard deviations; a few beiges count and a few pale colours do not.
     assert strong / count == pytest.approx(0.35, abs=tolerance)
-
-
-@pytest.mark.parametrize(
-    ("count", "tolerance"), [(24, 0.3), pytest.param(150, 0.12, marks=[pytest.mark.slow, pytest.mark.statistical])]
-)
-def test_textures_of_the_library_are_on_a_third_of_the_floors(count, tolerance):
-    mine = Texture(np.full((8, 8, 3), 90, np.uint8))
-    textured = sum(
-        shell_finishes("bedroom", np.random.default_rng(k), floor_textures=(mine,)).room.floor.texture is mine
-        for k in range(count)
-    )
-    assert textured / count == pytest.approx(0.35, abs=tolerance)
 
 
 @pytest.mark.parametrize(

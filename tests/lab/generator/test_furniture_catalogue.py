@@ -15,7 +15,7 @@ from roomlight_generator.rooms.furniture import Catalogue, build_cache, load_cat
 from roomlight_generator.rooms.furniture.catalogue import cache_folder, installed_libraries, library_files
 from roomlight_generator.rooms.furniture.splits import assign_splits
 from roomlight_generator.rooms.furniture_model import FurnitureModel
-from roomlight_generator.rooms.shapes import box
+from roomlight_generator.rooms.shapes import block
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +37,7 @@ def chosen_id(catalogue, role, split, rng, **options):
 
 
 def made(identity, role="sofa", split: Split = "train", width=1.0):
-    return FurnitureModel(identity, identity, role, split, width, 1.0, 1.0, load=lambda: box(1, 1, 1))
+    return FurnitureModel(identity, identity, role, split, width, 1.0, 1.0, load=lambda: block(1, 1, 1))
 
 
 @given(
@@ -108,7 +108,6 @@ def test_library_folder_and_cache_give_the_same_catalogue(tmp_path):
         assert models == {(model.id, model.split, model.width_m, model.top_m) for model in catalogues[0].library}
         assert {model.role for model in catalogue.library} == {"chair"}
         assert catalogue.attributions == ["Chair: Ann Onymous, CC-BY 3.0"]
-        assert catalogue.surfaces("wall", "train") == []
     assert len(list(cache_folder().iterdir())) == 1
     assert sum(model.split == "test" for model in catalogues[0].library) == 1
 
@@ -144,7 +143,7 @@ def test_a_damaged_cache_is_rebuilt(tmp_path):
     warnings: list[str] = []
     assert len(load_catalogue(path, warn=warnings.append).library) == 3
     assert len(warnings) == 1
-    assert "truncated" in warnings[0]
+    assert "damaged" in warnings[0]
     load_catalogue(path, warn=refuse)
 
 
@@ -180,9 +179,6 @@ def test_the_environment_and_installed_libraries_are_found(tmp_path, monkeypatch
     (installed / "furniture").mkdir(parents=True)
     simple_library(installed / "furniture" / "a.sh3f", ("a", "b"))
     assert [path.name for path in installed_libraries(installed)] == ["a.sh3f"]
-    (installed / "sweethome3d.jar").touch()
-    assert [path.name for path in installed_libraries(installed)] == ["a.sh3f", "sweethome3d.jar"]
-    (installed / "sweethome3d.jar").unlink()
     monkeypatch.setattr("roomlight_generator.rooms.furniture.catalogue.INSTALLED_FOLDER", installed)
     assert len(load_catalogue(warn=refuse).library) == 2
     monkeypatch.setenv("ROOMLIGHT_FURNITURE", str(simple_library(tmp_path / "mine.sh3f", ("x", "y", "z"))))
@@ -199,8 +195,8 @@ def test_an_unusable_library_path_is_refused(tmp_path):
     with pytest.raises(FurnitureError, match="not a zip file"):
         load_catalogue(tmp_path / "text.sh3f", warn=refuse)
     bare = write_library(tmp_path / "bare.sh3f", None, {"x": "y"})
-    with pytest.raises(FurnitureError, match="holds neither furniture"):
+    with pytest.raises(FurnitureError, match="has no PluginFurnitureCatalog"):
         load_catalogue(bare, warn=refuse)
     cars = simple_library(tmp_path / "cars.sh3f", name="Car", category="Vehicles", tags="Car")
-    with pytest.raises(FurnitureError, match="no furniture and no textures in"):
+    with pytest.raises(FurnitureError, match="no furniture in"):
         load_catalogue(cars, warn=refuse)

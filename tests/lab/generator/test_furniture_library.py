@@ -11,7 +11,6 @@ from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture.assemble import build_mesh
 from roomlight_generator.rooms.furniture.files.archive import Archive
 from roomlight_generator.rooms.furniture.files.sh3f import read_entries
-from roomlight_generator.rooms.furniture.files.surfaces import read_surfaces
 
 
 def load(path, *, role="chair", warn=None):
@@ -200,34 +199,3 @@ def test_a_model_with_zero_area_is_refused(tmp_path):
     flat = "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"
     with pytest.raises(FurnitureError, match="zero area or are transparent"):
         load(library(tmp_path, flat))
-
-
-def test_surface_textures_have_their_physical_size(tmp_path):
-    catalogue = "license=CC0\n" + "".join(
-        f"id#{k}=t{k}\nname#{k}={name}\ncategory#{k}={kind}\nimage#{k}=/{image}\nwidth#{k}={width}\nheight#{k}=30\n"
-        for k, (name, kind, image, width) in enumerate(
-            [
-                ("Oak", "Floor", "t.png", 40),
-                ("Brick", "Wall", "t.png", 60),
-                ("Grass", "Floor", "t.png", 40),
-                ("Blue sky", "Sky", "t.png", 40),
-                ("Lost", "Wall", "gone.png", 40),
-                ("Vast", "Wall", "t.png", 40_000),
-                ("Odd", "Wall", "t.png", "?"),
-            ],
-            start=1,
-        )
-    )
-    path = tmp_path / "t.sh3t"
-    with zipfile.ZipFile(path, "w") as out:
-        out.writestr("PluginTexturesCatalog.properties", catalogue)
-        out.writestr("t.png", png(np.full((8, 8, 3), 100, np.uint8)))
-    warnings = []
-    with Archive(path) as archive:
-        surfaces = read_surfaces(archive, warnings.append)
-    assert [(surface.id, surface.kind, surface.texture.size_m) for surface in surfaces] == [
-        ("t1", "floor", (0.4, 0.3)),
-        ("t2", "wall", (0.6, 0.3)),
-    ]
-    assert surfaces[0].attribution == "Oak: CC0"
-    assert len(warnings) == 3

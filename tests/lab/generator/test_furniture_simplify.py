@@ -13,7 +13,7 @@ from roomlight_generator.rooms.furniture.simplify import (
 )
 from roomlight_generator.rooms.furniture.support_height import measure_top_m
 from roomlight_generator.rooms.scene import Mesh
-from roomlight_generator.rooms.shapes import box, lathe
+from roomlight_generator.rooms.shapes import block, lathe
 
 
 def soup_of(points, faces, *, uvs=None, uv_faces=None, materials=None):
@@ -123,14 +123,14 @@ def test_creases_are_sharp_and_curves_smooth():
 
 
 def test_a_table_has_a_supporting_surface_and_a_cone_has_none():
-    assert measure_top_m(box(1, 0.75, 0.6), listed_m=None) == pytest.approx(0.75, abs=0.001)
+    assert measure_top_m(block(1, 0.75, 0.6), listed_m=None) == pytest.approx(0.75, abs=0.001)
     assert measure_top_m(lathe([[(0.3, 0.0), (0.001, 1.0)]]), listed_m=1.0) is None
 
 
 def test_a_listed_height_is_used_if_a_surface_is_there():
-    low, ridge = box(1, 0.5, 1), box(1, 0.9, 0.04).placed(0.0, 0.0, -0.48)
+    low, ridge = block(1, 0.5, 1), block(1, 0.9, 0.04).placed(0.0, 0.0, -0.48)
     mesh = Mesh.joined([low, ridge])
     assert measure_top_m(mesh, listed_m=0.5) == pytest.approx(0.5)
     assert measure_top_m(mesh, listed_m=0.3) == pytest.approx(0.5, abs=0.01)
-    hutch = Mesh.joined([low, box(1, 0.9, 0.4).placed(0.0, 0.0, -0.3)])
+    hutch = Mesh.joined([low, block(1, 0.9, 0.4).placed(0.0, 0.0, -0.3)])
     assert measure_top_m(hutch, listed_m=0.5) is None

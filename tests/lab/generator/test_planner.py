@@ -15,8 +15,8 @@ from roomlight_generator.rooms.planner import ROOM_TYPES, RoomType, free_floor, 
 from roomlight_generator.rooms.planner.body import Body
 from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
 from roomlight_generator.rooms.roles import CEILING_ROLES, ROLES, TOP_ROLES, WALL_ROLES
-from roomlight_generator.rooms.scene import Item
-from roomlight_generator.rooms.shapes import box
+from roomlight_generator.rooms.scene import Item, Mesh
+from roomlight_generator.rooms.shapes import block
 
 SEATS = {"chair", "office_chair", "stool"}
 TABLES = {"dining_table", "desk", "side_table"}
@@ -334,10 +334,10 @@ def test_pieces_stand_on_the_spots_of_the_second_room() -> None:
 
 
 def test_furniture_avoids_curtains_beams_and_open_doors() -> None:
-    curtain = box(0.08, 2.3, 1.2).placed(0.2, 0.0, 2.0)
-    leaf = box(0.8, 2.0, 0.04).placed(3.4, 0.0, 0.5, degrees=40.0)
-    beam = box(4.0, 0.2, 0.2).placed(2.0, 2.4, 2.0)
-    skirting = box(4.0, 0.1, 0.02).placed(2.0, 0.0, 0.01)
+    curtain = block(0.08, 2.3, 1.2).placed(0.2, 0.0, 2.0)
+    leaf = block(0.8, 2.0, 0.04).placed(3.4, 0.0, 0.5, degrees=40.0)
+    beam = block(4.0, 0.2, 0.2).placed(2.0, 2.4, 2.0)
+    skirting = block(4.0, 0.1, 0.02).placed(2.0, 0.0, 0.01)
     items = tuple(
         Item(name=role, role=role, mesh=mesh)
         for role, mesh in (("curtain", curtain), ("door_leaf", leaf), ("beam", beam), ("skirting", skirting))
@@ -359,7 +359,7 @@ def test_furniture_avoids_curtains_beams_and_open_doors() -> None:
 
 
 def test_a_rafter_is_cut_into_low_boxes() -> None:
-    rafter = box(0.1, 0.15, 2.0, step=0.1)
+    rafter = Mesh.joined([block(0.1, 0.15, 0.1).placed(0.0, 0.0, z) for z in np.arange(-0.95, 1, 0.1).tolist()])
     turn = np.array([[1, 0, 0], [0, np.cos(0.8), -np.sin(0.8)], [0, np.sin(0.8), np.cos(0.8)]], np.float32)
     mesh = rafter.transformed(turn, np.array([2.0, 1.8, 1.5], np.float32))
     bare = shell([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)], {})

@@ -14,7 +14,7 @@ from roomlight_generator.rooms.lights import light_room, switch_on
 from roomlight_generator.rooms.plan import Placement
 from roomlight_generator.rooms.planner import ROOM_TYPES
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import box, lathe, with_material
+from roomlight_generator.rooms.shapes import block, lathe, with_material
 
 
 @cache
@@ -103,7 +103,7 @@ def test_scenarios_and_lamp_states_vary(seeds, expected):
 
 
 def test_a_closed_shade_emits_the_whole_flux():
-    shade = with_material(box(0.3, 0.3, 0.3), Material(name="shade"))
+    shade = with_material(block(0.3, 0.3, 0.3), Material(name="shade"))
     placement = lamp(shade, (LightSource(np.array([0.0, 0.15, 0.0]), 0.05),))
     lit = switch_on(placement.item(), placement, flux_klm=0.8, colour=(1.0, 1.0, 1.0))
     assert flux_klm(lit.mesh) == pytest.approx(0.8, rel=1e-3)
@@ -127,7 +127,7 @@ def test_an_open_shade_shares_the_flux_with_its_bulb():
 
 
 def test_a_lamp_without_bulb_or_shade_gets_a_bulb_below():
-    plain = with_material(box(0.2, 0.1, 0.2), Material(name="metal"))
+    plain = with_material(block(0.2, 0.1, 0.2), Material(name="metal"))
     placement = lamp(plain)
     lit = switch_on(placement.item(), placement, flux_klm=0.5, colour=(1.0, 1.0, 1.0))
     assert flux_klm(lit.mesh) == pytest.approx(0.5, rel=0.06)

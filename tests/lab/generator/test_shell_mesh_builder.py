@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomlight_generator.rooms.scene import Material, Mesh, Texture
+from roomlight_generator.rooms.scene import Material, Mesh
 from roomlight_generator.rooms.shapes import faces_match_normals
 from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
 from roomlight_generator.rooms.shell.outline import choose_outline, envelope, offset_outline
@@ -88,16 +88,6 @@ def test_swept_profiles_are_mitred_or_capped(mitre: float | None, length: float)
     front = (mesh.vertices - WALL.origin) @ WALL.normal > 0.019
     assert np.ptp(along[front]) == pytest.approx(length, abs=1e-4)
     assert faces_match_normals(mesh).all()
-
-
-def test_texture_coordinates_are_metres_and_upright() -> None:
-    image = np.zeros((4, 8, 3), np.uint8)
-    builder = MeshBuilder()
-    builder.panel(WALL, rect(0.0, 2.0, 0.0, 3.0), Material("paper", texture=Texture(image, (0.5, 0.25))))
-    mesh = builder.mesh()
-    assert np.ptp(mesh.uvs, axis=0) == pytest.approx([4.0, 12.0])
-    highest = mesh.vertices[:, 1].argmax()
-    assert mesh.uvs[highest, 1] == mesh.uvs[:, 1].min()
 
 
 def test_empty_meshes_and_impossible_styles_are_refused() -> None:

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plain_shapes import rectangle
 
 from roomlight.camera import Intrinsics
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Scene, Sky
-from roomlight_generator.rooms.shapes import box, rectangle, with_material
+from roomlight_generator.rooms.shapes import block, with_material
 from roomlight_generator.transport import RoomLight, Tracer
 
 CAMERA = Intrinsics(30.0, 30.0, 20.0, 6.0, 40, 32)
@@ -21,7 +22,7 @@ NIGHT = Sky(np.zeros((4, 8, 3), np.float32))
 def box_room() -> list[Mesh]:
     """4 x 2.6 x 4 m about the y axis: its floor is coated, its far wall holds a mirror, a panel lights it."""
     coated = Material("floor", (0.4, 0.3, 0.2), roughness=0.2)
-    panel = with_material(box(0.8, 0.03, 0.8), Material("panel", (0.8, 0.8, 0.8), emission=(5.0, 4.0, 3.0)))
+    panel = with_material(block(0.8, 0.03, 0.8), Material("panel", (0.8, 0.8, 0.8), emission=(5.0, 4.0, 3.0)))
     return [
         with_material(rectangle((-2, 0, 2), (4, 0, 0), (0, 0, -4), step=5), coated),
         with_material(rectangle((-2, 2.6, -2), (4, 0, 0), (0, 0, 4), step=5), WHITE),

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from plain_shapes import rectangle
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import direction_to_uv, panorama_directions, panorama_solid_angles
 from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Opening, Scene, Sky, Sun
-from roomlight_generator.rooms.shapes import box, rectangle, sphere, with_material
+from roomlight_generator.rooms.shapes import block, sphere, with_material
 from roomlight_generator.transport import RoomLight, Tracer
 
 NIGHT = Sky(np.zeros((32, 64, 3), np.float32))
@@ -264,7 +265,7 @@ def test_a_coat_reflects_the_sun_about_the_mirrored_direction():
 def test_a_closed_lamps_inside_does_not_leak_through_a_bulb():
     """Half of a bulb's face lies in a glowing box, in a furnace of 4 / (1 - 0.8) = 20; outside, the rest of it and the
     box's bottom receive little."""
-    shade = with_material(box(0.3, 0.06, 0.3), Material("shade", (0.8, 0.8, 0.8), emission=(4.0, 4.0, 4.0)))
+    shade = with_material(block(0.3, 0.06, 0.3), Material("shade", (0.8, 0.8, 0.8), emission=(4.0, 4.0, 4.0)))
     bulb = with_material(sphere(0.04), Material("bulb", (0.8, 0.8, 0.8), emission=(0.5, 0.5, 0.5)))
     lamp = Mesh.joined([shade, bulb.placed(0.0, -0.005, 0.0)]).placed(0.0, 2.0, 0.0)
     light = solved([*walls(BLACK), Item("lamp", "lamp", lamp)])

@@ -7,7 +7,7 @@ import pytest
 from present import present
 from roomlight.camera import Intrinsics
 from roomlight_generator.rooms.scene import Item, Material, Scene, Sky
-from roomlight_generator.rooms.shapes import box, with_material
+from roomlight_generator.rooms.shapes import block, with_material
 from roomlight_generator.sequences.with_object import (
     find_resting_place,
     height_above_surface,
@@ -24,7 +24,7 @@ SIZE = (4.0, 2.5, 4.0)
 
 
 def cuboid(size, centre, material):
-    mesh = with_material(box(*size), material)
+    mesh = with_material(block(*size), material)
     return mesh.transformed(np.eye(3), np.float32(centre) - mesh.bounds().mean(axis=0))
 
 
@@ -45,7 +45,7 @@ def looking_down():
     return pose
 
 
-def block(material, centre=(0, 0.2, 0)):
+def cube_of(material, centre=(0, 0.2, 0)):
     mesh = cuboid((0.4, 0.4, 0.4), centre, material)
     return object_mesh(mesh.vertices, mesh.normals, mesh.faces, material)
 
@@ -56,7 +56,7 @@ def block(material, centre=(0, 0.2, 0)):
 )
 def test_an_object_covers_pixels_and_shades_the_floor(material):
     scene = room()
-    made = render_with_object(scene, block(material), CAMERA, looking_down(), seed=0)
+    made = render_with_object(scene, cube_of(material), CAMERA, looking_down(), seed=0)
     before = RoomLight.solve(Tracer(scene), 0).frame(CAMERA, looking_down(), seed=0)
     nearer = made.view.depth_m < before.depth_m - 0.02
     assert made.covered.sum() > 100
@@ -100,7 +100,7 @@ def test_precise_views_have_no_blotches():
 @pytest.mark.slow
 def test_a_pair_shares_its_noise():
     """An object out of sight behind the camera hardly changes the light: what differs is noise."""
-    scene, mesh = lamp_behind_a_screen(), block(GREY, centre=(1.7, 0.1, 1.7))
+    scene, mesh = lamp_behind_a_screen(), cube_of(GREY, centre=(1.7, 0.1, 1.7))
     made, bare = render_pair(scene, mesh, CAMERA, looking_down(), seed=0)
     assert not made.covered.any()
     other = RoomLight.solve(Tracer(scene), 1, precise=True).frame(CAMERA, looking_down(), seed=1)
@@ -120,7 +120,7 @@ def test_resting_places_are_level_and_free():
 
 
 def test_an_object_without_room_has_no_place():
-    crowded = [block(GREY, (x, 0.2, z)) for x in np.arange(-1.75, 1.8, 0.5) for z in np.arange(-1.75, 1.8, 0.5)]
+    crowded = [cube_of(GREY, (x, 0.2, z)) for x in np.arange(-1.75, 1.8, 0.5) for z in np.arange(-1.75, 1.8, 0.5)]
     scene = room()
     for mesh in crowded:
         scene = with_object(scene, mesh)

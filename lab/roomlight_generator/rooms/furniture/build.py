@@ -15,8 +15,7 @@ from roomlight_generator.rooms.furniture.cache import CacheWriter
 from roomlight_generator.rooms.furniture.classify import elevation_m, has_surface, role_of
 from roomlight_generator.rooms.furniture.exceptions import LIGHT_OFFSETS_M
 from roomlight_generator.rooms.furniture.files.archive import Archive
-from roomlight_generator.rooms.furniture.files.sh3f import CATALOGUE_FILE, LibraryEntry, WarningCallback, read_entries
-from roomlight_generator.rooms.furniture.files.surfaces import read_surfaces
+from roomlight_generator.rooms.furniture.files.sh3f import LibraryEntry, WarningCallback, read_entries
 from roomlight_generator.rooms.furniture.support_height import measure_top_m
 from roomlight_generator.rooms.furniture_model import FurnitureModel, LightSource
 from roomlight_generator.rooms.scene import Mesh
@@ -24,8 +23,8 @@ from roomlight_generator.rooms.scene import Mesh
 ProgressCallback = Callable[[int, int], None]
 """Called with the number of finished models and their total number."""
 
-SUFFIXES: Final = (".sh3f", ".sh3t", ".jar")
-"""Furniture libraries, texture libraries, and Sweet Home 3D itself (for its textures)."""
+SUFFIX: Final = ".sh3f"
+"""Of furniture libraries."""
 
 
 def build_cache(
@@ -42,26 +41,14 @@ def build_cache(
         progress: Called with the numbers of finished models and of all models.
 
     Raises:
-        FurnitureError: a source is not a library, or the sources contain neither models nor textures.
+        FurnitureError: a source is not a library, or the sources contain no models.
         OutputError: `out` cannot be written.
     """
     writer = CacheWriter()
     entries: list[tuple[Path, LibraryEntry, str]] = []
-    surfaces: set[str] = set()
     known: set[str] = set()
     for source in sources:
         with Archive(source) as archive:
-            library_surfaces = read_surfaces(archive, warn)
-            for surface in library_surfaces:
-                if surface.id not in surfaces:
-                    writer.add_surface(surface)
-                    surfaces.add(surface.id)
-            if archive.find(CATALOGUE_FILE) is None:
-                if not library_surfaces:
-                    raise FurnitureError(
-                        f"{source}: holds neither furniture ({CATALOGUE_FILE}) nor wall or floor textures"
-                    )
-                continue
             for entry in read_entries(archive, warn):
                 role = role_of(entry)
                 if entry.id in known:
@@ -69,8 +56,8 @@ def build_cache(
                 elif role is not None:
                     entries.append((source, entry, role))
                 known.add(entry.id)
-    if not entries and not surfaces:
-        raise FurnitureError(f"no furniture and no textures in {', '.join(map(str, sources)) or 'no files'}")
+    if not entries:
+        raise FurnitureError(f"no furniture in {', '.join(map(str, sources)) or 'no files'}")
     done = 0
     for source in sources:
         chosen = [(entry, role) for path, entry, role in entries if path == source]

@@ -12,19 +12,17 @@ import numpy as np
 
 from roomlight.dataset.recording import Split
 from roomlight.errors import FurnitureError, OutputError
-from roomlight_generator.rooms.furniture.build import SUFFIXES, ProgressCallback, build_cache
+from roomlight_generator.rooms.furniture.build import SUFFIX, ProgressCallback, build_cache
 from roomlight_generator.rooms.furniture.cache import VERSION, Cache, is_cache
 from roomlight_generator.rooms.furniture.files.sh3f import WarningCallback
-from roomlight_generator.rooms.furniture.files.surfaces import SurfaceKind, SurfaceTexture
 from roomlight_generator.rooms.furniture.splits import assign_splits
 from roomlight_generator.rooms.furniture_model import FurnitureModel
-from roomlight_generator.rooms.scene import Texture
 
 ENVIRONMENT_VARIABLE: Final = "ROOMLIGHT_FURNITURE"
 """Environment variable with a cache file, a library or a folder of libraries, used if no path is given."""
 
 INSTALLED_FOLDER: Final = Path("/usr/share/sweethome3d")
-"""Folder where Debian's packages sweethome3d-furniture and sweethome3d install their libraries and textures."""
+"""Folder where Debian's package sweethome3d-furniture installs its libraries."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +30,6 @@ class Catalogue:
     """Models by role and split; the `fallbacks` are used where the library has none that fits."""
 
     library: tuple[FurnitureModel, ...] = ()
-    library_surfaces: tuple[tuple[SurfaceTexture, Split], ...] = ()
     fallbacks: tuple[FurnitureModel, ...] = ()
     _by_role: dict[tuple[str, Split], tuple[list[FurnitureModel], list[FurnitureModel]]] = field(
         init=False,
@@ -80,15 +77,10 @@ class Catalogue:
         chosen = library or fallbacks
         return chosen[min(int(place * len(chosen)), len(chosen) - 1)] if chosen else None
 
-    def surfaces(self, kind: SurfaceKind, split: Split) -> list[Texture]:
-        """Return the library's wall or floor textures with their physical size; empty without a texture library."""
-        return [surface.texture for surface, own in self.library_surfaces if surface.kind == kind and own == split]
-
     @property
     def attributions(self) -> list[str]:
-        """Sorted, distinct attributions of the models and the surfaces."""
+        """Sorted, distinct attributions of the models."""
         texts = {model.attribution for model in (*self.library, *self.fallbacks)}
-        texts |= {surface.attribution for surface, _ in self.library_surfaces}
         return sorted(text for text in texts if text)
 
 
@@ -124,12 +116,7 @@ def catalogue_from_cache(cache: Cache) -> Catalogue:
     splits = assign_splits(
         {entry.model.id: entry.model.role for entry in stored}, {entry.model.id: entry.shared for entry in stored}
     )
-    surfaces = cache.surfaces()
-    by_id = assign_splits({surface.id: surface.kind for surface in surfaces}, {})
-    return Catalogue(
-        library=tuple(replace(entry.model, split=splits[entry.model.id]) for entry in stored),
-        library_surfaces=tuple((surface, by_id[surface.id]) for surface in surfaces),
-    )
+    return Catalogue(library=tuple(replace(entry.model, split=splits[entry.model.id]) for entry in stored))
 
 
 def library_files(path: Path) -> list[Path]:
@@ -139,9 +126,9 @@ def library_files(path: Path) -> list[Path]:
         FurnitureError: the path does not exist, or the folder has no libraries.
     """
     if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() == SUFFIX)
         if not files:
-            raise FurnitureError(f"{path}: has no furniture library in it ({', '.join(SUFFIXES)})")
+            raise FurnitureError(f"{path}: has no furniture library in it (*{SUFFIX})")
         return files
     if not path.exists():
         raise FurnitureError(f"{path}: no such file or folder")
@@ -155,11 +142,8 @@ def named_library() -> Path | None:
 
 
 def installed_libraries(root: Path | None = None) -> list[Path]:
-    """Return the libraries of Debian's packages, and Sweet Home 3D's own textures if they are installed too."""
-    root = root or INSTALLED_FOLDER
-    files = sorted((root / "furniture").glob("*.sh3f"))
-    jar = root / "sweethome3d.jar"
-    return [*files, jar] if files and jar.exists() else files
+    """Return the libraries of Debian's packages."""
+    return sorted(((root or INSTALLED_FOLDER) / "furniture").glob("*.sh3f"))
 
 
 def _open_or_build_cache(sources: Sequence[Path], warn: WarningCallback, progress: ProgressCallback | None) -> Cache:

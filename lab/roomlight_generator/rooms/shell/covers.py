@@ -135,9 +135,7 @@ def _vertical(window: Window, plane: Plane, finishes: Finishes, builder: MeshBui
     for n in range(count):
         s = s0 - 0.05 + (n + 0.5) * (s1 - s0 + 0.1) / count
         corners = [(s - along, low, at - out), (s + along, low, at + out)]
-        builder.quad(
-            plane, [*corners, (s + along, high, at + out), (s - along, high, at - out)], finishes.blind, grain_up=True
-        )
+        builder.quad(plane, [*corners, (s + along, high, at + out), (s - along, high, at - out)], finishes.blind)
     builder.bar(plane, (s0 - 0.06, s1 + 0.06, high, high + 0.035), (at - 0.02, at + 0.02), finishes.frame)
 
 
@@ -222,14 +220,12 @@ def _add_cloth(cloth: _Cloth, plane: Plane, material: Material, rng: np.random.G
     local[..., 0] = np.clip(span[0] + t * (span[1] - span[0]) + sideways * ends, *span)
     local[..., 1] = (heights[0] + rows * (heights[1] - heights[0]))[:, None]
     local[..., 2] = np.minimum(cloth.depth_m - depth_m * depth * swell * np.sin(phase + drift), -0.004)
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(local[2], axis=0), axis=1))])
-    uvs = np.stack(np.broadcast_arrays(length[None], -local[..., 1]), -1)
     index = np.arange(local.shape[0] * columns).reshape(-1, columns)
     a, b, c, d = index[:-1, :-1].ravel(), index[:-1, 1:].ravel(), index[1:, 1:].ravel(), index[1:, :-1].ravel()
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
     world = plane.points(local.reshape(-1, 3))
     normals = smooth_normals(world.astype(np.float32), faces)
-    builder.add(world, normals, uvs.reshape(-1, 2), faces, material)
+    builder.add(world, normals, faces, material)
 
 
 def _rod(plane: Plane, start: float, end: float, h: float, at: float, metal: Material, builder: MeshBuilder) -> None:
@@ -242,13 +238,12 @@ def _rod(plane: Plane, start: float, end: float, h: float, at: float, metal: Mat
         k = np.arange(8)
         # (s, h, depth) is left-handed, so the vertex order is reversed to make the faces point outward.
         faces = np.concatenate([np.stack([k, k + 10, k + 1], 1), np.stack([k, k + 9, k + 10], 1)])
-        uvs = np.stack([local[:, 0], np.tile(angle * radius, 2)], 1)
-        builder.add(plane.points(local), normals, uvs, faces, metal)
+        builder.add(plane.points(local), normals, faces, metal)
         for place, sign in ((low, -1.0), (high, 1.0)):
             disc = np.concatenate([[[place, h, at]], radius * ring + [place, h, at]])
             fan = np.stack([np.zeros(8, np.int64), k + 1, k + 2], 1)
             fan = fan if sign < 0 else fan[:, ::-1]
             facing = np.broadcast_to(sign * plane.u, disc.shape)
-            builder.add(plane.points(disc), facing, disc[:, 1:], fan, metal)
+            builder.add(plane.points(disc), facing, fan, metal)
     for s in (start + 0.05, end - 0.05):
         builder.bar(plane, (s - 0.006, s + 0.006, h - 0.01, h + 0.01), (at, 0.001), metal)

@@ -48,7 +48,7 @@ def door_items(door: Door, plane: Plane, finishes: Finishes, floor: Material, *,
         if not door.to_second_room and k == 0:
             edge = 2 * OVERLAP
             back = rect(s0 - edge, s1 + edge, h0 - edge, h1 + edge)
-            leaf.panel(plane, back, finishes.door, depth=door.depth_m, grain_up=True)
+            leaf.panel(plane, back, finishes.door, depth=door.depth_m)
         # Of two leaves the second is rarely opened as far.
         angle = design.open_degrees * (1.0 if k == 0 else 0.85)
         hung = _leaf_plane(plane, door, shut, angle, hinge_right=hinge_right)
@@ -117,7 +117,7 @@ def _leaf(
         for field in fields:
             pieces = list(difference(pieces, rect(*field)))
         for piece in pieces:
-            builder.panel(face, piece, finishes.door, grain_up=True)
+            builder.panel(face, piece, finishes.door)
         for field in fields:
             _panel(face, field, finishes.door, builder)
         # The handle is far from the hinge: s is measured from the hinge on one face and toward it on the other.
@@ -154,7 +154,7 @@ def _panel(face: Plane, field: tuple[float, float, float, float], material: Mate
     depth_m, bevel = 0.009, 0.022
     outer = [(s0, h0), (s1, h0), (s1, h1), (s0, h1)]
     inner = [(s0 + bevel, h0 + bevel), (s1 - bevel, h0 + bevel), (s1 - bevel, h1 - bevel), (s0 + bevel, h1 - bevel)]
-    builder.panel(face, inner, material, depth=depth_m, grain_up=True)
+    builder.panel(face, inner, material, depth=depth_m)
     for k in range(4):
         a, b, c, d = outer[k], outer[(k + 1) % 4], inner[(k + 1) % 4], inner[k]
         builder.quad(face, [(*a, 0.0), (*b, 0.0), (*c, depth_m), (*d, depth_m)], material)

@@ -51,7 +51,6 @@ class MeshBuilder:
     def __init__(self) -> None:
         self._vertices: list[np.ndarray] = []
         self._normals: list[np.ndarray] = []
-        self._uvs: list[np.ndarray] = []
         self._faces: list[np.ndarray] = []
         self._owners: list[np.ndarray] = []
         self._materials: dict[int, tuple[int, Material]] = {}
@@ -65,17 +64,13 @@ class MeshBuilder:
         self,
         vertices: Float[np.ndarray, "v 3"],
         normals: Float[np.ndarray, "v 3"],
-        uvs: Float[np.ndarray, "v 2"],
         faces: np.ndarray,
         material: Material,
     ) -> None:
-        """Add triangles in world coordinates; texture coordinates in metres."""
+        """Add triangles in world coordinates."""
         place, _ = self._materials.setdefault(id(material), (len(self._materials), material))
-        if material.texture is not None:
-            uvs = uvs / np.asarray(material.texture.size_m)
         self._vertices.append(vertices)
         self._normals.append(normals)
-        self._uvs.append(uvs)
         self._faces.append(faces + self._count)
         self._owners.append(np.full(len(faces), place, np.int32))
         self._count += len(vertices)
@@ -87,40 +82,31 @@ class MeshBuilder:
         material: Material,
         *,
         depth: float = 0.0,
-        grain_up: bool = False,
     ) -> None:
-        """Add a convex flat piece that faces the room. uv = (s, -h) in metres, or (h, s) if the grain runs up."""
+        """Add a convex flat piece that faces the room."""
         local = np.empty((len(outline), 3))
         local[:, :2] = outline
         local[:, 2] = depth
-        uvs = local[:, 1::-1] if grain_up else local[:, :2] * np.array([1.0, -1.0])
         corner = np.arange(1, len(outline) - 1)
         faces = np.stack([np.zeros_like(corner), corner, corner + 1], 1)
         normals = np.broadcast_to(plane.normal, local.shape)
-        self.add(plane.points(local), normals, uvs, faces, material)
+        self.add(plane.points(local), normals, faces, material)
 
     def quad(
         self,
         plane: Plane,
         corners: Sequence[tuple[float, float, float]],
         material: Material,
-        *,
-        grain_up: bool = False,
     ) -> None:
-        """Add a quadrilateral of corners (s, h, depth), counter-clockwise from its front; u runs along the first
-        edge."""
+        """Add a quadrilateral of corners (s, h, depth), counter-clockwise from its front."""
         world = plane.points(np.array(corners, np.float64))
-        first, last = world[1] - world[0], world[3] - world[0]
-        normal = np.cross(first, last)
+        normal = np.cross(world[1] - world[0], world[3] - world[0])
         size = float(np.linalg.norm(normal))
         if size < 1e-10:
             return
-        length_u, length_v = float(np.linalg.norm(first)), float(np.linalg.norm(last))
-        uvs = np.array([[0, 0], [length_u, 0], [length_u, -length_v], [0, -length_v]])
         self.add(
             world,
             np.broadcast_to(normal / size, (4, 3)),
-            uvs[:, ::-1] if grain_up else uvs,
             np.array([[0, 1, 2], [0, 2, 3]]),
             material,
         )
@@ -149,17 +135,13 @@ class MeshBuilder:
             along *= OVERLAP / max(float(np.linalg.norm(along)), 1e-9)
             (s0, h0), (s1, h1) = np.array(a) - along, np.array(b) + along
             chosen = (others or {}).get(i, material)
-            # Wallpaper continues around the corner: u along the depth on upright sides.
             corners = [(s0, h0, near), (s1, h1, near), (s1, h1, far), (s0, h0, far)]
-            if abs(b[1] - a[1]) > abs(b[0] - a[0]):
-                corners = [*corners[1:], corners[0]]
             self.quad(plane, [(float(s), float(h), float(d)) for s, h, d in corners], chosen)
 
     def bar(
         self, plane: Plane, where: Rect, depths: tuple[float, float], material: Material, *, back: bool = True
     ) -> None:
-        """Add a box: s and h from `where`, between two depths (the lesser nearer the room); u along its longest
-        edge."""
+        """Add a box: s and h from `where`, between two depths (the lesser nearer the room)."""
         s0, s1, h0, h1 = where
         self.bars(plane, np.array([[s0, s1, h0, h1, *depths]], np.float64), material, back=back)
 
@@ -168,21 +150,10 @@ class MeshBuilder:
         pick = _BOX_CORNERS if back else _BOX_CORNERS[:20]
         local = sizes[:, pick]  # [n, 24, 3]
         count = len(pick)
-        lengths = sizes[:, 1::2] - sizes[:, ::2]
-        order = np.argsort(-lengths, axis=1, kind="stable")
-        axis = np.array([2, 0, 0, 1, 1, 2])[np.repeat(np.arange(count // 4), 4)]
-        uvs = np.empty((len(sizes), count, 2))
-        for k in range(len(sizes)):
-            rank = np.argsort(order[k])
-            for corner_axis in range(3):
-                rows = axis == corner_axis
-                if rows.any():
-                    pair = sorted({0, 1, 2} - {corner_axis}, key=lambda a: int(rank[a]))
-                    uvs[k, rows] = local[k][rows][:, pair]
         normals = plane.directions(np.tile(_BOX_NORMALS[:count], (len(sizes), 1)))
         quads = np.arange(0, count * len(sizes), 4)[:, None]
         faces = np.concatenate([quads + np.array([0, 1, 2]), quads + np.array([0, 2, 3])])
-        self.add(plane.points(local.reshape(-1, 3)), normals, uvs.reshape(-1, 2), faces, material)
+        self.add(plane.points(local.reshape(-1, 3)), normals, faces, material)
 
     def swept(
         self,
@@ -219,7 +190,7 @@ class MeshBuilder:
             faces = np.stack([np.zeros_like(corner), corner, corner + 1], 1)
             faces = faces if sign < 0 else faces[:, ::-1]
             normals = np.broadcast_to(sign * plane.u, local.shape)
-            self.add(plane.points(local), normals, local[:, 1:], faces, material)
+            self.add(plane.points(local), normals, faces, material)
 
     def mesh(self) -> Mesh:
         """Join everything that was added into one mesh.
@@ -232,7 +203,7 @@ class MeshBuilder:
         return Mesh(
             np.concatenate(self._vertices).astype(np.float32),
             np.concatenate(self._normals).astype(np.float32),
-            np.concatenate(self._uvs).astype(np.float32),
+            np.zeros((self._count, 2), np.float32),
             np.concatenate(self._faces).astype(np.int32),
             np.concatenate(self._owners),
             tuple(material for _, material in self._materials.values()),
