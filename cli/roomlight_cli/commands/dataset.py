@@ -17,7 +17,7 @@ from roomlight.dataset.extract import extract as extract_sequence
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording, Split
 from roomlight.dataset.verify import verify as verify_dataset
-from roomlight.errors import DatasetError, FurnitureError, OutputError
+from roomlight.errors import DatasetError, FurnitureError
 from roomlight.files import write_json
 from roomlight_cli import console
 from roomlight_cli.app_options import APP_OPTIONS
@@ -27,14 +27,12 @@ from roomlight_cli.options import Flag, Without, add_command
 from roomlight_cli.progress import Progress, duration
 from roomlight_generator.generate import GenerateOptions
 from roomlight_generator.generate import generate as run_generator
-from roomlight_generator.light_stats import LightComparison, compare_light
+from roomlight_generator.light_stats import compare_light
 from roomlight_generator.panoramas.library import panorama_files, split_of
 from roomlight_generator.reports.preview import write_previews
-from roomlight_generator.reports.tables import print_light, print_stats
+from roomlight_generator.reports.tables import print_light
 from roomlight_generator.rooms.furniture import build_cache
 from roomlight_generator.rooms.furniture.catalogue import installed_libraries, library_files
-from roomlight_generator.sample import SEED, generate_sample
-from roomlight_generator.stats import collect
 
 DatasetFolder = Annotated[Path, Flag(text="A dataset folder.")]
 OnlySplit = Annotated[Split | None, Flag(text="Use this split only.")]
@@ -104,28 +102,21 @@ def preview(
 def stats(
     folder: DatasetFolder,
     *,
+    against: Path,
     sequences: Annotated[int, Ge(1)] | None = None,
     split: OnlySplit = None,
-    against: Path | None = None,
     json: Path | None = None,
 ) -> None:
-    """Print figures of motion, range, exposure, coverage, sizes and room contents; or of light, beside real rooms'.
+    """Print figures of the light of first frames and probes, beside those of real HDR panoramas.
 
     Args:
+        against: A folder of real HDR panoramas (.exr, .hdr).
         sequences: Measure this many, evenly spread; default: all.
-        against: Compare the light of first frames and probes with the real HDR panoramas (.exr, .hdr) of this folder.
         json: Also write the figures as JSON.
     """
-    dataset = Dataset(folder, split)
     with Progress("measuring") as progress:
-        if against is None:
-            figures = collect(dataset, limit=sequences, progress=progress.count)
-        else:
-            figures = compare_light(dataset, against, limit=sequences, progress=progress.count)
-    if isinstance(figures, LightComparison):
-        print_light(console.out, figures)
-    else:
-        print_stats(console.out, figures)
+        figures = compare_light(Dataset(folder, split), against, limit=sequences, progress=progress.count)
+    print_light(console.out, figures)
     if json:
         write_json(json, figures.to_json())
 
@@ -211,24 +202,10 @@ def _probes_of(dataset: Dataset) -> Iterator[Recording]:
     return (dataset.read(number, frames=(0,)) for number in range(len(dataset)))
 
 
-def sample(*, out: Path, seed: Annotated[int, Ge(0)] | None = None) -> None:
-    """Generate a sample capture such as the one in the package: a walk through one room, with true light.
-
-    Args:
-        out: Capture folder to write: a new or an empty one.
-        seed: Seed of the room.
-    """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):  # said now, not after a minute of rendering
-        raise OutputError(f"{out}: exists already; choose another folder or delete it")
-    with Progress("solving the room's light and rendering the frames"):
-        generate_sample(out, seed=SEED if seed is None else seed)
-    say(f"Written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
-
-
 app = typer.Typer(
     help="Generate, view, measure and extract datasets of path-traced rooms.", no_args_is_help=True, **APP_OPTIONS
 )
-for _command in (generate, preview, stats, verify, extract, furniture, prior, sample):
+for _command in (generate, preview, stats, verify, extract, furniture, prior):
     add_command(app, _command)
 
 if __name__ == "__main__":

@@ -122,10 +122,6 @@ class Dataset:
             raise DatasetError(f"{self.folder}: has no sequence {name!r}; it has {len(self)}{first}")
         return self._numbers[name]
 
-    def size_of(self, number: int) -> int:
-        """Return the size of a sequence in its shard in bytes."""
-        return self._places[number].entry.length
-
     def frames_of(self, number: int) -> int:
         """Return the number of frames of a sequence. Raises IndexError for an unknown number."""
         _ = self._places[number]  # raises IndexError

@@ -135,15 +135,6 @@ def read_facts(files: Mapping[str, bytes | memoryview]) -> dict[str, Any]:
     return json.loads(bytes(_file(files, FACTS)))
 
 
-def part_sizes(files: Mapping[str, bytes | memoryview]) -> dict[str, int]:
-    """Return bytes by kind of file: colour, depth, surface, clipped, probes, and `text` for the two JSON files."""
-    sizes: dict[str, int] = {}
-    for name, data in files.items():
-        part = name.split("/")[0] if "/" in name else "text"
-        sizes[part] = sizes.get(part, 0) + len(data)
-    return sizes
-
-
 def _check(recording: Recording) -> None:
     """Raise ValueError for a recording that the files cannot hold or a reader would refuse."""
     count, height, width, _ = recording.colour.shape
