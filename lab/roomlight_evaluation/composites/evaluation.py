@@ -14,7 +14,6 @@ from roomlight.errors import SceneError
 from roomlight.files import write_atomic
 from roomlight_evaluation.composites.files import kept_scene
 from roomlight_evaluation.composites.methods import HARMONICS, OURS, TRUE_LIGHT, composites
-from roomlight_evaluation.composites.mitsuba import VIEWS, mitsuba_scene
 from roomlight_evaluation.composites.regions import SHADOW, darker_part
 from roomlight_evaluation.composites.scenes import CompositeScene
 from roomlight_evaluation.composites.scores import (
@@ -69,19 +68,6 @@ def evaluate_composites(
         if progress is not None:
             progress(len(done), count, note)
     return CompositeScores(tuple(done[:count]))
-
-
-def evaluate_mitsuba(*, options: SessionOptions | None = None, pictures: Path | None = None) -> CompositeScores:
-    """Score the views of `composite_mitsuba`, rendered anew; `pictures` as in `evaluate_composites`.
-
-    Raises:
-        ImportError: Mitsuba is not installed.
-    """
-    scored: list[SceneScore] = []
-    for number, view in enumerate(VIEWS):
-        scene = mitsuba_scene(view)
-        scored.append(_score(number, scene, scene.session(options or SessionOptions()), pictures))
-    return CompositeScores(tuple(scored))
 
 
 def _score(number: int, scene: CompositeScene, session: Session, pictures: Path | None) -> SceneScore:

@@ -11,8 +11,7 @@ from roomlight.engine.session import warm_up
 from roomlight_cli.console import print_tables, say
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoresJson
-from roomlight_evaluation.composites.evaluation import evaluate_composites, evaluate_mitsuba
-from roomlight_evaluation.composites.scores import write_line
+from roomlight_evaluation.composites.evaluation import evaluate_composites
 from roomlight_evaluation.composites.tables import composite_tables, summary
 from roomlight_evaluation.objects.evaluation import evaluate_objects
 from roomlight_evaluation.objects.tables import object_tables
@@ -27,14 +26,12 @@ class CompositeScoreOptions:
         seed: Of rooms, walks and objects.
         keep: Folder of rendered scenes, to score several models on the same ones.
         pictures: Also write a PNG of each scene: truth, ours, true panorama, SH + directional.
-        mitsuba: Score six views rendered by Mitsuba instead (needs mitsuba).
     """
 
     scenes: Annotated[int, Ge(1)] = 40
     seed: Annotated[int, Ge(0)] = 0
     keep: Path | None = None
     pictures: Path | None = None
-    mitsuba: bool = False
 
 
 def composite(out: Path, options: CompositeScoreOptions, light: ScoredLight) -> None:
@@ -49,26 +46,19 @@ def composite(out: Path, options: CompositeScoreOptions, light: ScoredLight) -> 
     """
     with Progress("compiling kernels (first run only)") as progress:
         warm_up()
-        if options.mitsuba:
-            progress.say("rendering with Mitsuba")
-            scores = evaluate_mitsuba(options=light, pictures=options.pictures)
-        else:
-            scores = evaluate_composites(
-                options.scenes,
-                out,
-                seed=options.seed,
-                options=light,
-                keep=options.keep,
-                pictures=options.pictures,
-                progress=lambda done, total, note: progress.count_of(note, done, total),
-            )
+        scores = evaluate_composites(
+            options.scenes,
+            out,
+            seed=options.seed,
+            options=light,
+            keep=options.keep,
+            pictures=options.pictures,
+            progress=lambda done, total, note: progress.count_of(note, done, total),
+        )
     tables = composite_tables(scores)
     print_tables(*tables)
     for line in summary(scores):
         say(line)
-    if options.mitsuba:
-        for score in scores.scenes:
-            write_line(out, score)
 
 
 def objects(
