@@ -2,7 +2,7 @@
 
 Panoramas are linear HDR radiance, float32 [h, 2h, 3], world-aligned. The paper's losses (sections 3 and 4, equations of
 L2, LR and Lsm) are sums; as in its tables, means over pixels and channels are reported here. They are plain pixel
-means, as in the paper, which overweights the poles; `solid_angle=True` weights pixels by solid angle.
+means, as in the paper, which overweights the poles.
 """
 
 from dataclasses import dataclass
@@ -46,23 +46,23 @@ METRICS: Final = (
 """All metrics, in the order of the tables. For all of them lower is better."""
 
 
-def log_l2(prediction: Panorama, truth: Panorama, *, solid_angle: bool = False) -> float:
+def log_l2(prediction: Panorama, truth: Panorama) -> float:
     """Mean of (log(1 + L) - log(1 + Lgt))^2: the paper's HDR environment map error and its training loss L2.
 
     Radiance below 0 counts as 0. Zero exactly when the two are equal.
     """
     difference = np.log1p(np.maximum(prediction, 0)) - np.log1p(np.maximum(truth, 0))
-    return _mean_square(difference, solid_angle=solid_angle)
+    return _mean_square(difference)
 
 
-def ldr_l2(prediction: Panorama, truth: Panorama, *, solid_angle: bool = False) -> float:
+def ldr_l2(prediction: Panorama, truth: Panorama) -> float:
     """Mean squared difference after clamping both to [0, 1]: the paper's LDR environment map error."""
-    return _mean_square(np.clip(prediction, 0, 1) - np.clip(truth, 0, 1), solid_angle=solid_angle)
+    return _mean_square(np.clip(prediction, 0, 1) - np.clip(truth, 0, 1))
 
 
-def smoothness(current: Panorama, previous: Panorama, *, solid_angle: bool = False) -> float:
+def smoothness(current: Panorama, previous: Panorama) -> float:
     """log-L2 between the estimates of consecutive frames at one point: the paper's Lsm."""
-    return log_l2(current, previous, solid_angle=solid_angle)
+    return log_l2(current, previous)
 
 
 def energy_ratio(prediction: Panorama, truth: Panorama) -> float:
@@ -154,7 +154,5 @@ def interval_means(values: Float[np.ndarray, " n"], frames: int) -> Float[np.nda
     return np.array([part.mean() if len(part) else np.nan for part in parts])
 
 
-def _mean_square(difference: Panorama, *, solid_angle: bool) -> float:
-    square = np.mean(difference.astype(np.float64) ** 2, axis=(1, 2))
-    weights = panorama_solid_angles(len(square))[:, 0] if solid_angle else None
-    return float(np.average(square, weights=weights))
+def _mean_square(difference: Panorama) -> float:
+    return float(np.mean(difference.astype(np.float64) ** 2, axis=(1, 2)).mean())

@@ -12,8 +12,7 @@ from roomlight_cli.progress import Progress, duration
 def test_a_line_says_what_how_much_and_for_how_long() -> None:
     with Progress("replaying", Console(file=io.StringIO(), width=100)) as shown:
         assert shown.line() == "replaying, 0:00"
-        shown.count(3, 31)
-        shown.advance()
+        shown.count(4, 31)
         assert shown.line() == "replaying 4 of 31, 0:00"
         shown.say("drawing")
         shown.count_of("scoring [room]", 1, 2)

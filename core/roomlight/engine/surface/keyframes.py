@@ -100,10 +100,6 @@ class KeyframeStore:
         self._keyframes.append(keyframe)
         self._counts += keyframe.cells
 
-    def covered_cells(self) -> int:
-        """Return the number of cells that at least one keyframe shows."""
-        return int((self._counts > 0).sum())
-
     def _cells_of(self, vertices_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " cells"]:
         grid = self._grid
         local = vertices_world @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
