@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from roomlight.compositing.objects.polygons import corner_normals
 from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture.exceptions import KIND_OF
 from roomlight_generator.rooms.furniture.files.archive import Archive
@@ -15,7 +16,7 @@ from roomlight_generator.rooms.furniture.files.materials import looks_like_shade
 from roomlight_generator.rooms.furniture.files.obj import MtlMaterial, Obj, parse_mtl, parse_obj
 from roomlight_generator.rooms.furniture.files.sh3f import LibraryEntry, WarningCallback
 from roomlight_generator.rooms.furniture.files.textures import MAX_SIDE, TextureImage, read_image
-from roomlight_generator.rooms.furniture.simplify import TriangleSoup, corner_normals, simplified, welded
+from roomlight_generator.rooms.furniture.simplify import TriangleSoup, simplified, welded
 from roomlight_generator.rooms.roles import CEILING_ROLES, TOP_ROLES
 from roomlight_generator.rooms.scene import Material, Mesh, Texture
 
@@ -204,17 +205,17 @@ def _subdivided(corners: Float[np.ndarray, "f 3 c"]) -> Float[np.ndarray, "g 3 c
 def _indexed_mesh(soup: TriangleSoup, materials: tuple[Material, ...]) -> Mesh:
     """Build a mesh whose vertices are unique in position, texture coordinates and normal; only used materials are
     kept."""
-    normals, _ = corner_normals(soup)
+    normals = corner_normals(soup.points, soup.faces.astype(np.int64))
     uvs = soup.uvs[soup.uv_faces].reshape(-1, 2)
-    keys = np.concatenate(
-        [soup.faces.reshape(-1, 1), np.rint(normals.reshape(-1, 3) * 200), np.rint(uvs * 4096)], axis=1
-    ).astype(np.int64)
+    keys = np.concatenate([soup.faces.reshape(-1, 1), np.rint(normals * 200), np.rint(uvs * 4096)], axis=1).astype(
+        np.int64
+    )
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     used, face_materials = np.unique(soup.materials, return_inverse=True)
     uvs = uvs[first]
     return Mesh(
         vertices=soup.points[soup.faces.reshape(-1)[first]].astype(np.float32),
-        normals=normals.reshape(-1, 3)[first].astype(np.float32),
+        normals=normals[first].astype(np.float32),
         uvs=(uvs - np.floor(uvs.min(0))).astype(np.float32),
         faces=index.reshape(-1, 3).astype(np.int32),
         face_materials=face_materials.reshape(-1).astype(np.int32),

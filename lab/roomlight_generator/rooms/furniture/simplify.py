@@ -9,10 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from roomlight_generator.rooms.furniture.kernels.collapse import collapse_round, crease_normals, quadrics
-
-CREASE_DEGREES: Final = 40.0
-"""Faces that meet at a smaller angle are shaded as one curved surface."""
+from roomlight_generator.rooms.furniture.kernels.collapse import collapse_round, quadrics
 
 _WELD: Final = 1e-5
 """Vertices closer than this share of the model's size are merged."""
@@ -88,17 +85,6 @@ def simplified(soup: TriangleSoup, target: int) -> TriangleSoup:
             if before - len(faces) < max(4, before // 2000):
                 break
     return _thin_parts(replace(soup, faces=faces, uv_faces=wedges, materials=materials), part, area, target)
-
-
-def corner_normals(soup: TriangleSoup) -> tuple[Float[np.ndarray, "f 3 3"], Float[np.ndarray, "f 3"]]:
-    """Return corner normals, split at creases, and face normals."""
-    corners = soup.points[soup.faces]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(area, axis=1, keepdims=True)
-    normals = area / np.maximum(length, 1e-30)
-    cosine = float(np.cos(np.radians(CREASE_DEGREES)))
-    faces = np.ascontiguousarray(soup.faces, np.int64)
-    return crease_normals(soup.points, faces, normals, length[:, 0], cosine), normals
 
 
 def connected_parts(faces: Int[np.ndarray, "f 3"], count: int) -> Int[np.ndarray, " count"]:

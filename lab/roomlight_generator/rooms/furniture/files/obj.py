@@ -11,13 +11,11 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
+from roomlight.compositing.objects.polygons import triangles_of
 from roomlight.errors import FurnitureError
 
 MAX_TRIANGLES: Final = 3_000_000
 """The largest of Debian's 820 models has 198,396."""
-
-_MAX_CLIPPED_CORNERS: Final = 256
-"""Maximum number of corners of a polygon for ear clipping (cubic time); a larger one becomes a triangle fan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +89,10 @@ def parse_obj(data: bytes, name: str) -> Obj:
     points = _numbers(positions, 3, name)
     coordinates = _numbers(uvs, 2, name)
     corner_points, corner_uvs = _corners(corners, len(points), len(coordinates), name)
-    index, face_of = _triangulated(points, corner_points, np.array(sizes))
+    index = triangles_of(np.array(sizes), corner_points, points)
+    face_of = np.repeat(np.arange(len(sizes)), sizes)[index[:, 0]]
+    order = np.argsort(face_of, kind="stable")
+    index, face_of = index[order], face_of[order]
     return Obj(
         positions=points,
         uvs=coordinates,
@@ -200,86 +201,3 @@ def _corners(
         raise FurnitureError(f"{name}: has faces with vertices that are not in the file (it has {points})")
     table[(table[:, 1] < 0) | (table[:, 1] >= uvs), 1] = -1
     return table[which, 0], table[which, 1]
-
-
-def _triangulated(
-    points: Float[np.ndarray, "v 3"], corners: Int[np.ndarray, " n"], sizes: Int[np.ndarray, " p"]
-) -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, " f"]]:
-    """Return, for each triangle, indices into the list of corners and its polygon, in the polygons' order."""
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    places: list[np.ndarray] = []
-    owners: list[np.ndarray] = []
-    for size in np.unique(sizes):
-        chosen = np.flatnonzero(sizes == size)
-        if size <= 4:
-            fans = np.array([[0, k, k + 1] for k in range(1, size - 1)])
-            if size == 4:
-                places.append(_quads(points, corners, starts[chosen]).reshape(-1, 3))
-            else:
-                places.append((starts[chosen][:, None, None] + fans).reshape(-1, 3))
-            owners.append(np.repeat(chosen, len(fans)))
-        else:
-            for polygon in chosen:
-                at = int(starts[polygon])
-                ears = _clip_ears(points[corners[at : at + int(size)]])
-                places.append(at + ears)
-                owners.append(np.full(len(ears), polygon))
-    place, owner = np.concatenate(places), np.concatenate(owners)
-    order = np.argsort(owner, kind="stable")
-    return place[order], owner[order]
-
-
-def _quads(
-    points: Float[np.ndarray, "v 3"], corners: Int[np.ndarray, " n"], starts: Int[np.ndarray, " q"]
-) -> Int[np.ndarray, "q 2 3"]:
-    """Cut each quad into two triangles along the diagonal on which both have the same orientation (a dart has only
-    one)."""
-    index = starts[:, None] + np.arange(4)
-    p = points[corners[index]]
-    first = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    second = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 0])
-    opposed = (first * second).sum(1) < 0
-    cut = np.where(opposed[:, None, None], [[1, 2, 3], [1, 3, 0]], [[0, 1, 2], [0, 2, 3]])
-    return starts[:, None, None] + cut
-
-
-def _clip_ears(polygon: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "f 3"]:
-    """Triangulate a flat polygon by ear clipping; if no ear is left (self-crossing), the rest becomes a fan."""
-    following = np.roll(polygon, -1, axis=0)
-    normal = np.cross(polygon - polygon[0], following - polygon[0]).sum(0)
-    drop = int(np.argmax(np.abs(normal)))
-    flat = np.delete(polygon, drop, axis=1) * [1.0, 1.0 if (normal[drop] > 0) == (drop != 1) else -1.0]
-    left = list(range(len(flat)))
-    triangles: list[tuple[int, int, int]] = []
-    while 3 < len(left) <= _MAX_CLIPPED_CORNERS:
-        ear = next((k for strict in (False, True) for k in range(len(left)) if _is_ear(flat, left, k, strict)), None)
-        if ear is None:
-            break
-        triangles.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
-        left.pop(ear)
-    triangles += [(left[0], left[k], left[k + 1]) for k in range(1, len(left) - 1)]
-    return np.array(triangles)
-
-
-def _is_ear(flat: Float[np.ndarray, "n 2"], left: list[int], k: int, strict: bool) -> bool:
-    """Return whether corner k is an ear: it is convex and no other corner lies in it (nor on its edge, unless
-    strict)."""
-    a, b, c = flat[left[k - 1]], flat[left[k]], flat[left[(k + 1) % len(left)]]
-    if _cross(a, b, c) <= 0:
-        return False
-    rest = flat[[i for i in left if i not in (left[k - 1], left[k], left[(k + 1) % len(left)])]]
-    sides = np.stack([_cross_products(a, b, rest), _cross_products(b, c, rest), _cross_products(c, a, rest)])
-    inside = (sides > 0).all(0) if strict else (sides >= 0).all(0)
-    # A hole's bridge passes the same point twice.
-    same = ((rest == a).all(1)) | ((rest == b).all(1)) | ((rest == c).all(1))
-    return not bool((inside & ~same).any())
-
-
-def _cross_products(
-    a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, " n"]:
-    return (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
-
-
-def _cross(a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], c: Float[np.ndarray, "2"]) -> float:
-    return float(_cross_products(a, b, c[None])[0])

@@ -238,22 +238,3 @@ def collapse_round(points, faces, wedges, quadric, target, strict):
                         wedges[face, place] = moved[k - starts[u]]
             break
     return keep
-
-
-@njit(cache=True, nogil=True)
-def crease_normals(points, faces, normals, areas, cosine):
-    """Return a normal for each corner: the area-weighted mean of the triangles around its vertex whose angle to its
-    own triangle is below the crease angle."""
-    starts, around = incidence(faces, len(points))
-    result = np.empty((len(faces), 3, 3))
-    for face in range(len(faces)):
-        for corner in range(3):
-            vertex = faces[face, corner]
-            total = np.zeros(3)
-            for k in range(starts[vertex], starts[vertex + 1]):
-                other = around[k]
-                if np.sum(normals[other] * normals[face]) >= cosine:
-                    total += areas[other] * normals[other]
-            length = np.sqrt(np.sum(total * total))
-            result[face, corner] = total / length if length > 0 else normals[face]
-    return result
