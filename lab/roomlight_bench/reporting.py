@@ -12,7 +12,7 @@ from rich.table import Table
 
 from roomlight.engine.networks.openvino_runtime import openvino_version
 from roomlight.engine.networks.runtime import ort
-from roomlight.tables import figure_table
+from roomlight.imaging.tables import figure_table
 from roomlight.threads import processor_name
 
 Counts = tuple[Annotated[int, Interval(ge=1, le=1000)], ...]

@@ -62,7 +62,7 @@ finally:
     assert not loaded & {"numpy", "cv2", "numba", "onnxruntime", "httpx", "torch"}
 
 
-@pytest.mark.parametrize("command", [["export", "a.pt", "--out", "model"], ["bench", "train", "data"]])
+@pytest.mark.parametrize("command", [["export", "a.pt", "--out", "model"], ["train", "objects", "data"]])
 def test_a_missing_extra_is_named(command: list[str], tmp_path: Path) -> None:
     code = "import sys; sys.modules['torch'] = None; from roomlight_cli.main import main; main()"
     result = python(code, *command, cwd=tmp_path)

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from rich.table import Table
 
-from roomlight.tables import figure_table
+from roomlight.imaging.tables import figure_table
 from roomlight_bench.reporting import Criterion, criteria_table, short_number
 from roomlight_bench.server.server_load import IN_FLIGHT
 

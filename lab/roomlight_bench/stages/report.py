@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from roomlight.tables import figure_table
+from roomlight.imaging.tables import figure_table
 from roomlight.threads import thread_count
 from roomlight_bench.reporting import Criterion, criteria_table, describe_machine, short_number
 from roomlight_bench.stages.sessions import FURTHER, LATE

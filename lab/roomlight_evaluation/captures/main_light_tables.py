@@ -4,7 +4,7 @@ import math
 
 from rich.table import Table
 
-from roomlight.tables import figure_table
+from roomlight.imaging.tables import figure_table
 from roomlight_evaluation.captures.main_light import JUMP_DEG, METHODS, SETTLED_FRAME, MainLightScores
 from roomlight_evaluation.confidence import MeanWithInterval
 

@@ -19,7 +19,7 @@ from roomlight.captures import CaptureOptions
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import SessionOptions
 from roomlight.files import write_json
-from roomlight.tables import figure_table
+from roomlight.imaging.tables import figure_table
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
 from roomlight_evaluation.captures.evaluation import ProgressCallback, evaluate_captures
 from roomlight_evaluation.captures.scores import CaptureScores

@@ -4,8 +4,8 @@ import math
 
 from rich.table import Table
 
+from roomlight.imaging.tables import figure_table
 from roomlight.metrics import METRICS, Metric
-from roomlight.tables import figure_table
 from roomlight_evaluation.captures.scores import CaptureScores
 from roomlight_evaluation.confidence import MeanWithInterval
 

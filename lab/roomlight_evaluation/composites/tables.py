@@ -2,7 +2,7 @@
 
 from rich.table import Table
 
-from roomlight.tables import figure_table
+from roomlight.imaging.tables import figure_table
 from roomlight_evaluation.composites.methods import HARMONICS, METHODS, NO_SHADOW, OURS, TRUE_LIGHT
 from roomlight_evaluation.composites.regions import ELSEWHERE, OBJECT, REGIONS, SHADOW
 from roomlight_evaluation.composites.scenes import MATERIALS

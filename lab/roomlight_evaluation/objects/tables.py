@@ -2,7 +2,7 @@
 
 from rich.table import Table
 
-from roomlight.tables import figure_table
+from roomlight.imaging.tables import figure_table
 from roomlight_evaluation.composites.methods import HARMONICS
 from roomlight_evaluation.objects.evaluation import ObjectScores
 from roomlight_evaluation.objects.lit_objects import LOOKS

@@ -2,7 +2,7 @@
 
 from rich.console import Console
 
-from roomlight.tables import figure_table
+from roomlight.imaging.tables import figure_table
 from roomlight_generator.light_stats import TOLERANCE, LightComparison
 
 

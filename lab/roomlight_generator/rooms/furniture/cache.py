@@ -10,7 +10,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -33,7 +33,7 @@ _QUALITY: Final = 84
 _STEPS: Final = 65535
 _FIELDS: Final = ("id", "name", "role", "width_m", "height_m", "depth_m", "elevation_m", "top_m", "attribution")
 """Fields of a model that are stored as they are."""
-_DAMAGE: Final = (OSError, zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError, TypeError, IndexError)
+_DAMAGE: Final = (OSError, zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError, RuntimeError)
 
 Box = list[list[float]]
 """Least and greatest values of columns."""
@@ -129,8 +129,8 @@ class Cache:
         """
         self.path: Final = path
         try:
-            self._archive: Any = np.load(path)
-            index = json.loads(self._archive[_INDEX].tobytes())
+            self._archive = zipfile.ZipFile(path)
+            index = json.loads(self._read(_INDEX).tobytes())
         except _DAMAGE as error:
             raise FurnitureError(f"{path}: is not a furniture cache, or is damaged ({error})") from error
         if index["version"] != VERSION:
@@ -189,9 +189,9 @@ class Cache:
 
     def _material(self, record: dict[str, Any]) -> Material:
         number = record["texture"]
-        texture = None if number is None else self._texture(number)
-        colours = {name: _rgb(record[name]) for name in ("albedo", "emission")}
-        return replace(Material(**{**record, **colours}), texture=texture)
+        values: dict[str, Any] = {name: _rgb(record[name]) for name in ("albedo", "emission")}
+        values["texture"] = None if number is None else self._texture(number)
+        return Material(**{**record, **values})
 
     def _texture(self, number: int) -> Texture:
         """Return a texture; the same object while it is referenced elsewhere."""
@@ -205,11 +205,14 @@ class Cache:
 
     def _array(self, name: str) -> np.ndarray:
         try:
-            return self._archive[name]
+            return self._read(name)
         except _DAMAGE as error:
             raise FurnitureError(
                 f"{self.path}: {name} of the furniture cache is damaged ({error}); delete it to rebuild it"
             ) from error
+
+    def _read(self, name: str) -> np.ndarray:
+        return np.load(BytesIO(self._archive.read(f"{name}.npy")))
 
 
 def is_cache(path: Path) -> bool:
