@@ -26,8 +26,10 @@ from roomlight.depth import clean_depth
 from roomlight.errors import ImageError, OutputError
 from roomlight.files import write_atomic
 from roomlight.frame import CLIPPED_SRGB8
+from roomlight.imaging.colour_spaces import ColourSpace
 from roomlight.imaging.exif import ExifCamera, oriented, read_exif
 from roomlight.imaging.exr import exr_size, read_exr
+from roomlight.imaging.heic import heic_exif, heic_size, is_heic, read_heic
 from roomlight.imaging.limits import MAX_JPEG_SEGMENTS, check_jpeg, check_png
 from roomlight.imaging.tags import ImageTags, profile_to_srgb8, read_tags
 from roomlight.notes import Note
@@ -44,6 +46,21 @@ _EXR: Final = b"\x76\x2f\x31\x01"
 
 
 @dataclass(frozen=True)
+class OwnDepth:
+    """The depth map that a portrait photo (HEIC) holds.
+
+    Attributes:
+        depth_m: Depth in metres, float32 [dh, dw], 0 = unknown; turned like the picture.
+        focal: Focal length relative to the photo's longer side; None if not stated.
+        notes: What is uncertain about the depth.
+    """
+
+    depth_m: Float[np.ndarray, "dh dw"]
+    focal: float | None
+    notes: tuple[Note, ...]
+
+
+@dataclass(frozen=True)
 class ColourImage:
     """A decoded picture.
 
@@ -52,12 +69,14 @@ class ColourImage:
         clipped: Pixels whose stored value saturated.
         seen: Pixels that show something; None if all do. The others are transparent, or outside an EXR's data window.
         notes: What the file states and was not used.
+        own_depth: The depth map in the same file; None without one.
     """
 
     image: Float[np.ndarray, "h w 3"]
     clipped: Bool[np.ndarray, "h w"]
     seen: Bool[np.ndarray, "h w"] | None = None
     notes: tuple[Note, ...] = ()
+    own_depth: OwnDepth | None = None
 
 
 def exif_camera(data: bytes, name: str) -> ExifCamera:
@@ -68,6 +87,8 @@ def exif_camera(data: bytes, name: str) -> ExifCamera:
     Raises:
         ImageError: The header is damaged, or declares more than `MAX_PIXELS`.
     """
+    if is_heic(data):
+        return heic_exif(data, name)
     if data[:8] != _PNG and data[:2] != _JPEG:
         return ExifCamera()
     _check_size(data, name)
@@ -86,7 +107,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> ColourImage:
-    """Decode a JPEG, PNG, EXR or HDR file to linear RGB by the file's colour space.
+    """Decode a JPEG, PNG, HEIC, EXR or HDR file to linear RGB by the file's colour space.
 
     Files of 8 and 16 bits clip at `CLIPPED_SRGB8`, and are rotated by their EXIF orientation unless `as_stored`. EXR
     and HDR are linear and never clip.
@@ -102,7 +123,9 @@ def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> Colour
         if alpha is not None:
             opaque = alpha >= MIN_ALPHA
             seen = opaque if seen is None else seen & opaque
-        return ColourImage(image, np.zeros(image.shape[:2], bool), _unless_all(seen))
+        return ColourImage(image, np.zeros(image.shape[:2], bool), _unless_all(seen), exr.notes)
+    if is_heic(data):
+        return _decode_heic(data, name)
     if data[:2] == _HDR:
         if b"32-bit_rle_xyze" in data[:4096]:
             raise ImageError(f"{name}: the HDR holds XYZ, which is not read; convert it to RGB")
@@ -110,6 +133,25 @@ def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> Colour
         image = _finite(np.ascontiguousarray(encoded[..., ::-1], np.float32), name)
         return ColourImage(image, np.zeros(image.shape[:2], bool))
     return _decode_encoded(data, name, as_stored=as_stored)
+
+
+def _decode_heic(data: bytes, name: str) -> ColourImage:
+    _check_size(data, name)
+    photo = read_heic(data, name)
+    rgb, notes = np.ascontiguousarray(photo.pixels[..., :3]), photo.notes
+    top = int(np.iinfo(rgb.dtype).max)
+    clipped = np.max(rgb, axis=-1) >= CLIPPED_SRGB8 * (top // 255)
+    seen = photo.pixels[..., 3] >= top * MIN_ALPHA if photo.pixels.shape[2] == 4 else None
+    space = photo.space
+    if photo.profile is not None:
+        rgb8 = (rgb >> 8).astype(np.uint8) if rgb.dtype == np.uint16 else rgb
+        converted, more = profile_to_srgb8(rgb8, photo.profile, name)
+        rgb, notes = rgb8 if converted is None else converted, notes + more
+        space = ColourSpace()
+    image = srgb8_to_linear(rgb) if space.is_srgb and rgb.dtype == np.uint8 else space.to_linear(rgb)
+    depth_m = photo.depth_m
+    depth = None if depth_m is None else OwnDepth(depth_m, photo.focal, photo.depth_notes)
+    return ColourImage(image, clipped, _unless_all(seen), notes, depth)
 
 
 def _decode_encoded(data: bytes, name: str, *, as_stored: bool) -> ColourImage:
@@ -301,7 +343,8 @@ def _unturned(tags: ImageTags, name: str) -> Note:
 
 def _check_size(data: bytes, name: str) -> tuple[int, int]:
     """Read (width, height) from the header. Raises ImageError above `MAX_PIXELS` and the limits of JPEG and PNG."""
-    width, height = exr_size(data, name) if data[:4] == _EXR else peek_size(data, name)
+    read_size = exr_size if data[:4] == _EXR else heic_size if is_heic(data) else peek_size
+    width, height = read_size(data, name)
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ImageError(f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read")
     return width, height

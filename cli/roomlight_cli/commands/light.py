@@ -16,19 +16,26 @@ from roomlight_cli.shared_options import LightOptions
 
 
 def light(
-    image: Path, points: PhotoPoints, reading: PhotoOptions, options: LightOptions, *, depth: Path, out: Path
+    image: Path,
+    points: PhotoPoints,
+    reading: PhotoOptions,
+    options: LightOptions,
+    *,
+    out: Path,
+    depth: Path | None = None,
 ) -> None:
     """Light points of one photograph that has depth.
 
     Each point gets an HDR panorama (EXR and PNG), a picture of a mirror sphere and a glossy sphere, and its main light.
 
     Args:
-        image: The photograph: JPEG, PNG, or linear EXR.
+        image: The photograph: JPEG, PNG, HEIC, or linear EXR.
         points: Where to light.
         reading: How to read the photograph.
         options: How to estimate the light.
-        depth: Its depth: 16-bit PNG in millimetres, EXR in metres, or .npy (integers: mm, floats: m).
         out: Folder for panoramas and pictures.
+        depth: Its depth: 16-bit PNG in millimetres, EXR in metres, or .npy (integers: mm, floats: m). Default: the
+            depth map inside a HEIC portrait.
     """
     photo = read_photo(image, depth, reading)
     positions = points.positions(photo.frame)
@@ -47,6 +54,7 @@ def light(
 def _print_field_of_view(photo: Photo) -> None:
     sources = {
         "option": "from --fov",
+        "depth": "from the calibration of the photo's depth",
         "exif": f"from the focal length in EXIF, {photo.focal_35mm or 0:g} mm on 35 mm film",
         "default": "the default",
     }

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
-from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
+from roomlight.captures.options import UP_AXES, CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
 from roomlight.errors import CaptureError, FrameError, ImageError, RoomLightError
@@ -25,6 +25,9 @@ from roomlight.notes import Note
 
 DEPTH_MEDIAN_M: Final = (0.01, 100.0)
 """Allowed range of the median known depth. Rooms lie inside; a wrong unit (factor 1000) falls outside."""
+
+_LEVEL_FRAMES: Final = 8
+"""Frames after which the assumed up direction is compared with how the camera was held."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,7 @@ class Capture:
         self._indices = selected if options.max_frames is None else selected[: options.max_frames]
         stored = reader.timestamps()
         self._timeline = timeline(stored or [None] * reader.count, str(path))
-        self._notes = dict.fromkeys([*reader.notes, *self._timeline.notes])
+        self._notes = dict.fromkeys(self._timeline.notes)
         self.probes = tuple(
             ProbeTruth(position=_tuple3(self._to_y_up[:3, :3] @ position), panorama_path=panorama)
             for position, panorama in reader.probes
@@ -174,7 +177,7 @@ class Capture:
     @property
     def notes(self) -> tuple[Note, ...]:
         """What the files state and was left out, guessed or changed, as far as they have been read."""
-        return tuple(self._notes)
+        return tuple(dict.fromkeys([*self._reader.notes, *self._notes]))
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames in order. `Frame.index` is the record's index: every = 10 yields 0, 10, 20, ...
@@ -186,6 +189,7 @@ class Capture:
         """
         self.skipped = skipped = list[SkippedFrame]()
         good = 0
+        turns: list[Float[np.ndarray, "3 3"]] = []
         with self._reader.records() as read:
             for index in self._indices:
                 try:
@@ -194,6 +198,9 @@ class Capture:
                     skipped.append(SkippedFrame(index, self._reader.name_of(index), str(error)))
                     continue
                 good += 1
+                turns.append(frame.camera_to_world[:3, :3])
+                if self._up_is_assumed and good == _LEVEL_FRAMES:
+                    self._check_up(turns)
                 yield frame
         if good == 0:
             first = skipped[0]
@@ -256,6 +263,24 @@ class Capture:
             upward = float(-frame.camera_to_world[1, 2])
             if np.abs(pose[:3, :3] - np.eye(3)).max() < 0.02 and abs(upward) > 0.99 and self._up_is_assumed:
                 self._notes[_lying_camera(frame.source, self._camera_convention, upward)] = None
+
+    def _check_up(self, turns: list[Float[np.ndarray, "3 3"]]) -> None:
+        """Note another axis of the stored world about which the cameras were held level, if the assumed one is none."""
+        mean = np.mean(turns, axis=0)[:, :2]  # where the image's x and y point, on average, in the y-up world
+
+        def level(axis: str) -> float:
+            return float(np.abs(self._to_y_up[:3, :3] @ np.array(UP_AXES[axis]) @ mean).max())
+
+        if np.abs(mean[1]).max() > 0.6:
+            return
+        axis = max(("x", "y", "z"), key=level)
+        if level(axis) > 0.9:
+            note = Note(
+                f"{self.path}: the cameras are level about the {axis} axis of the stored world, not the assumed up",
+                "the panorama may be turned by 90 degrees",
+                f"state world_up (--world-up {axis} or -{axis})",
+            )
+            self._notes[note] = None
 
     def _to_conventions(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """Convert a stored, rigid pose to camera-to-world with OpenGL camera axes in a y-up world."""

@@ -1,7 +1,9 @@
 """Depth, confidence and pinhole parameters as the phone and robot formats store them. Metres and pixels."""
 
 import io
+import re
 from dataclasses import dataclass, replace
+from typing import Final
 
 import cv2
 import numpy as np
@@ -12,6 +14,9 @@ from roomlight.captures.source import FolderSource, Source
 from roomlight.depth import clean_depth
 from roomlight.errors import ImageError
 from roomlight.images import MAX_PIXELS, ColourImage, decode_depth, decode_grey8, decode_picture, peek_size
+
+_COLMAP: Final = re.compile(rb"(\d{1,5})&(\d{1,5})&1&")
+"""Width, height and channels at the start of a COLMAP map; rows of float32 follow."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ def with_mask(picture: ColourImage, mask: Bool[np.ndarray, "mh mw"]) -> ColourIm
 def decode_depth_map(
     data: bytes, label: str, *, unit_m: float | None, integer_m: float = 0.001
 ) -> Float[np.ndarray, "h w"]:
-    """Decode depth in metres (0 = unknown) from a 16-bit PNG, a .npy or an EXR.
+    """Decode depth in metres (0 = unknown) from a 16-bit PNG, a .npy, an EXR or a map of COLMAP.
 
     Args:
         data: The file.
@@ -68,6 +73,13 @@ def decode_depth_map(
     Raises:
         ImageError: The data is damaged, too large or no depth map; the message begins with `label`.
     """
+    if match := _COLMAP.match(data):
+        width, height = int(match[1]), int(match[2])
+        if not 0 < width * height <= MAX_PIXELS or len(data) != match.end() + 4 * width * height:
+            raise ImageError(f"{label}: a COLMAP map of {width} x {height} does not have {len(data)} bytes")
+        stored = np.frombuffer(data, "<f4", offset=match.end()).reshape(height, width)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return clean_depth(stored * np.float32(1.0 if unit_m is None else unit_m))
     if data[:6] != b"\x93NUMPY":
         return decode_depth(data, label, unit_m=unit_m, integer_m=integer_m)
     stream = io.BytesIO(data)
@@ -116,3 +128,29 @@ def intrinsics_without_size(
             "the intrinsics are for another size"
         )
     return Intrinsics(float(matrix[0, 0]), float(matrix[1, 1]), cx, cy, width, height)
+
+
+def registered(
+    depth_m: Float[np.ndarray, "h w"],
+    depth_camera: Intrinsics,
+    colour_camera: Intrinsics,
+    depth_to_colour: Float[np.ndarray, "4 4"],
+) -> Float[np.ndarray, "dh dw"]:
+    """Project depth into the colour camera's view; both cameras have OpenCV axes.
+
+    The result has four fifths of the depth map's resolution, so that few pixels stay empty; of several points in a
+    pixel the nearest is kept.
+    """
+    height, width = depth_m.shape
+    near = depth_camera.resized(width, height)
+    scale = 0.8 * near.fx / colour_camera.fx
+    size = max(2, round(colour_camera.width * scale)), max(2, round(colour_camera.height * scale))
+    camera = colour_camera.resized(*size)
+    flip = np.array([1.0, -1.0, -1.0])
+    points = (near.rays() * flip * depth_m[..., None])[depth_m > 0] @ depth_to_colour[:3, :3].T + depth_to_colour[:3, 3]
+    xy, z = camera.project(points * flip)
+    inside = (z > 0) & (xy >= 0).all(axis=-1) & (xy < size).all(axis=-1)
+    column, row = np.floor(xy[inside]).astype(np.int64).T
+    result = np.full((size[1], size[0]), np.inf, np.float32)
+    np.minimum.at(result, (row, column), z[inside].astype(np.float32))
+    return np.where(np.isfinite(result), result, np.float32(0))

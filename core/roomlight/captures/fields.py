@@ -148,6 +148,13 @@ def matrix4(value: object, what: str) -> Float[np.ndarray, "4 4"]:
     return np.stack(rows)
 
 
+def rows(value: object, count: int, what: str) -> list[object]:
+    """Check for a list of `count` rows."""
+    if not isinstance(value, list) or len(value) != count:
+        raise ValueError(f"{what} is {_short(value)}, not {count} rows")
+    return list(value)
+
+
 def objects(value: object, what: str) -> list[dict[str, Any]]:
     """Check for a list of JSON objects. Other entries become empty objects, which fail when they are read."""
     if not isinstance(value, list):

@@ -27,7 +27,8 @@ class CaptureOptions:
 
     Attributes:
         format: Use this reader instead of the one that recognises the files: roomlight, nerfstudio, stray-scanner,
-            record3d, tum, seven-scenes, polycam, 3d-scanner-app, arkitscenes, scannet or colmap.
+            record3d, tum, seven-scenes, polycam, 3d-scanner-app, arkitscenes, scannet, scannetpp, rtabmap, ros-bag or
+            colmap.
         camera_convention: Camera axes of the stored poses: opengl (y up, z backward) or opencv (y down, z forward).
         pose_direction: Direction in which the stored poses map.
         world_up: Up direction of the stored world: x, y, z, -x, -y, -z, or a vector X,Y,Z.

@@ -24,7 +24,7 @@ from roomlight.rules import check_options
 
 DepthOrientation = Literal["auto", "upright", "stored"]
 """Whether the depth map is upright as viewers show the photo, or has the photo's stored rows and columns."""
-FovSource = Literal["option", "exif", "default"]
+FovSource = Literal["option", "exif", "depth", "default"]
 
 DEFAULT_FOV_DEG: Final = 60.0
 """Horizontal field of view without any better knowledge: a phone's main camera held level has 65 to 70 degrees, upright
@@ -38,9 +38,9 @@ class PhotoOptions:
     """What the files of a photograph do not state.
 
     Attributes:
-        fov_deg: Horizontal field of view of the upright photo in degrees. Default: by the focal length in its EXIF,
-            else 60.
-        depth_unit_m: Metres per stored unit of a PNG or .npy.
+        fov_deg: Horizontal field of view of the upright photo in degrees. Default: by the calibration of its own depth,
+            else by the focal length in its EXIF, else 60.
+        depth_unit_m: Metres per stored unit of the depth; of a portrait's own depth map a factor.
         depth_orientation: For a photo that EXIF rotates: whether the depth is upright, as viewers show the photo, or
             has its stored rows and columns. auto decides by the aspect.
 
@@ -63,7 +63,7 @@ class Photo:
     Attributes:
         frame: The upright photograph with its depth; the camera's pose is the identity.
         fov_deg: Horizontal field of view of the upright photograph, in degrees.
-        fov_source: The caller's option, the photo's EXIF, or `DEFAULT_FOV_DEG`.
+        fov_source: The caller's option, the calibration of the photo's own depth, its EXIF, or `DEFAULT_FOV_DEG`.
         focal_35mm: EXIF's focal length in millimetres, equivalent on 36 x 24 mm film; None if not stated.
         notes: What the file states and was not used.
     """
@@ -75,28 +75,40 @@ class Photo:
     notes: tuple[Note, ...] = ()
 
 
-def read_photo(image: Path, depth: Path, options: PhotoOptions | None = None) -> Photo:
+def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | None = None) -> Photo:
     """Read a photograph and its depth; both come out upright.
 
     Args:
-        image: JPEG, PNG, or linear EXR. Its EXIF orientation is applied.
-        depth: A 16-bit PNG or integer .npy in millimetres, an EXR or float .npy in metres.
+        image: JPEG, PNG, HEIC, or linear EXR. Its orientation is applied.
+        depth: A 16-bit PNG or integer .npy in millimetres, an EXR or float .npy in metres. None: the depth map that
+            the photo itself holds, as portraits of phones do.
         options: What the files do not state.
 
     Raises:
         ImageError: A file cannot be read.
-        FrameError: Depth and photo do not fit, or the depth is empty or in another unit.
+        FrameError: Depth and photo do not fit, the depth is empty or in another unit, or there is none.
         OptionError: `depth_orientation` "auto" cannot decide, because the depth's aspect fits both orientations; or it
             fits only the orientation that was not stated.
     """
     options = options or PhotoOptions()
     data = read_bytes(image)
     picture = decode_picture(data, str(image))
-    colour, exif = picture.image, exif_camera(data, str(image))
+    colour, exif, own = picture.image, exif_camera(data, str(image)), picture.own_depth
     height, width = colour.shape[:2]
-    depth_m = _read_depth(depth, options.depth_unit_m)
-    depth_m = _upright_depth(depth_m, exif.orientation, (width, height), options.depth_orientation, str(depth))
+    notes = picture.notes
+    if depth is not None:
+        depth_m = decode_depth_map(read_bytes(depth), str(depth), unit_m=options.depth_unit_m)
+        _check_depth(depth_m, str(depth))
+        depth_m = _upright_depth(depth_m, exif.orientation, (width, height), options.depth_orientation, str(depth))
+    elif own is not None:
+        depth_m = own.depth_m * np.float32(options.depth_unit_m or 1.0)
+        _check_depth(depth_m, f"{image}: its own depth map")
+        notes = (*notes, *(own.notes if options.depth_unit_m is None else ()))
+    else:
+        raise FrameError(f"{image}: holds no depth map of its own; give --depth (a HEIC portrait of a phone holds one)")
     fov_deg, source = options.fov_deg, "option"
+    if fov_deg is None and own is not None and own.focal is not None:
+        fov_deg, source = math.degrees(2 * math.atan(0.5 * width / (own.focal * max(width, height)))), "depth"
     if fov_deg is None:
         fov_deg, source = exif.fov_deg(width, height), "exif"
     if fov_deg is None:
@@ -114,13 +126,11 @@ def read_photo(image: Path, depth: Path, options: PhotoOptions | None = None) ->
         camera_to_world=np.eye(4),
         source=str(image),
     )
-    return Photo(frame, fov_deg, source, exif.focal_35mm, picture.notes)
+    return Photo(frame, fov_deg, source, exif.focal_35mm, notes)
 
 
-def _read_depth(path: Path, unit_m: float | None) -> Float[np.ndarray, "h w"]:
-    """Return the depth in metres as stored. Raises ImageError, and FrameError for empty or mis-scaled depth."""
-    data = read_bytes(path)
-    depth_m = decode_depth_map(data, str(path), unit_m=unit_m)
+def _check_depth(depth_m: Float[np.ndarray, "h w"], path: str) -> None:
+    """Raise FrameError for depth that is empty or in another unit."""
     known = depth_m[depth_m > 0]
     if known.size == 0:
         raise FrameError(f"{path}: no pixel has a depth; the light cannot be placed in the room without it")
@@ -130,7 +140,6 @@ def _read_depth(path: Path, unit_m: float | None) -> Float[np.ndarray, "h w"]:
             f"{path}: its median depth would be {median_m:.3g} m, which no room has; state the metres per stored unit "
             f"as depth_unit_m (integers are taken for millimetres, floats for metres)"
         )
-    return depth_m
 
 
 def _upright_depth(

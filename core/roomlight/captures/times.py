@@ -4,7 +4,9 @@ Files state seconds; some tools write nanoseconds, and a single wrong stamp woul
 years.
 """
 
+import bisect
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -33,6 +35,12 @@ class Timeline:
         known = [time for time in self.times_s if time is not None]
         step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
         return step if step > 1e-6 else None
+
+
+def nearest(times: Sequence[float], time_s: float) -> int:
+    """Return the index of the time that is nearest, of increasing ones."""
+    at = bisect.bisect_left(times, time_s)
+    return min(range(max(0, at - 1), min(len(times), at + 1)), key=lambda index: abs(times[index] - time_s))
 
 
 def timeline(stored: list[float | None], name: str) -> Timeline:

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 from types import TracebackType
-from typing import Final
+from typing import Any, Final
 
 import av
 import numpy as np
 from av.error import FFmpegError
+from av.stream import Disposition
 from av.video.frame import VideoFrame
 
 from roomlight.conventions import srgb8_to_linear
@@ -23,27 +24,29 @@ _BT2020: Final = 9
 
 
 class VideoFrames:
-    """The frames of an MP4's first video stream, numbered in order of presentation.
+    """The frames of the first video stream of an MP4 or Matroska file, numbered in order of presentation.
 
     Packets are numbered by presentation time before decoding, so that a packet that does not decode loses only its
     own frame and does not shift the numbers of later frames.
     """
 
     def __init__(self, path: Path, label: str) -> None:
-        """Index the packets and open the decoder. Raises FrameError if the file is not a readable MP4 video."""
+        """Index the packets and open the decoder. Raises FrameError if the file is not a readable video."""
         self._label = label
         self._path = path
+        self._kind = "matroska" if path.suffix.lower() == ".mkv" else "mp4"
         try:
-            with av.open(str(path), format="mp4") as container:
-                times = {packet.pts for packet in container.demux(video=0) if packet.pts is not None}
+            with av.open(str(path), format=self._kind) as container:
+                stream, self._notes = _main_stream(container, label)
+                times = {packet.pts for packet in container.demux(stream) if packet.pts is not None}
             self._number_of = {pts: number for number, pts in enumerate(sorted(times))}
             self._open()
         except (FFmpegError, OSError, ValueError, IndexError) as error:
-            raise FrameError(f"{label}: is not a readable MP4 video ({error})") from error
+            raise FrameError(f"{label}: is not a readable video ({error})") from error
 
     def _open(self) -> None:
-        self._container = av.open(str(self._path), format="mp4")
-        stream = self._container.streams.video[0]
+        self._container = av.open(str(self._path), format=self._kind)
+        stream, _ = _main_stream(self._container, self._label)
         # A stream whose codec FFmpeg does not know has no such attributes at all.
         width, height = int(getattr(stream, "width", 0)), int(getattr(stream, "height", 0))
         if not 0 < width * height <= MAX_PIXELS:
@@ -122,16 +125,31 @@ class VideoFrames:
         except (FFmpegError, ValueError, MemoryError) as error:
             raise FrameError(f"{self._label}: frame {number} does not convert to RGB ({error})") from error
         clipped = np.max(rgb, axis=-1) >= CLIPPED_SRGB8 * (1 if rgb.dtype == np.uint8 else 257)
-        notes: tuple[Note, ...] = ()
+        notes = self._notes
         if frame.rotation:
             rotation = Note(
                 f"{self._label}: its rotation of {frame.rotation} degrees",
                 "frames are read as stored, which is what intrinsics and poses refer to",
                 "rotate the video, and its intrinsics and poses, if they are for upright frames",
             )
-            notes = (rotation,)
+            notes = (*notes, rotation)
         image = srgb8_to_linear(rgb) if space.is_srgb else space.to_linear(rgb)
         return ColourImage(image, clipped, notes=notes)
+
+
+def _main_stream(container: Any, label: str) -> tuple[Any, tuple[Note, ...]]:
+    """Return the video stream that is no cover picture, and what is unusual about it. Raises IndexError for none."""
+    streams = [stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic]
+    stream, notes = streams[0], list[Note]()
+    if len(streams) > 1:
+        notes.append(Note(f"{label}: {len(streams)} video streams", "the first is read", "keep the one that is meant"))
+    shape = getattr(stream, "sample_aspect_ratio", None)
+    if shape and abs(float(shape) - 1) > 0.01:
+        text = "pixels are read as squares, as intrinsics count them"
+        notes.append(
+            Note(f"{label}: its pixels are {float(shape):.3g} times as wide as high", text, "resample the video")
+        )
+    return stream, tuple(notes)
 
 
 def _colour_space(frame: VideoFrame) -> ColourSpace:

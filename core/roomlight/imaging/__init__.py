@@ -1,1 +1,1 @@
-"""What image files state beside their pixels: limits, colour spaces, orientation, alpha, and the channels of EXR."""
+"""What image files state beside their pixels: limits, colour spaces, orientation, alpha, HEIC, the channels of EXR."""

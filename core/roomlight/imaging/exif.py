@@ -44,13 +44,20 @@ def read_exif(data: bytes) -> ExifCamera:
     """Read the EXIF of a JPEG or PNG whose structure has been checked; missing or damaged EXIF gives the defaults."""
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as image:
-            exif = image.getexif()
-            orientation = exif.get(ExifTags.Base.Orientation)
-            details = exif.get_ifd(ExifTags.IFD.Exif)
-            focal = details.get(ExifTags.Base.FocalLengthIn35mmFilm)
-            interoperability = exif.get_ifd(ExifTags.IFD.Interop).get(_INTEROPERABILITY_INDEX)
-            adobe = details.get(ExifTags.Base.ColorSpace) == 2 or interoperability in ("R03", b"R03\0", "R03\0")
+            return exif_camera_of(image.getexif())
     except Exception:  # Pillow raises whatever the damaged bytes lead to: SyntaxError, struct.error, KeyError, ...
+        return ExifCamera()
+
+
+def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
+    """Return what EXIF states; `upright` leaves out its orientation. Damaged EXIF gives the defaults."""
+    try:
+        orientation = 1 if upright else exif.get(ExifTags.Base.Orientation)
+        details = exif.get_ifd(ExifTags.IFD.Exif)
+        focal = details.get(ExifTags.Base.FocalLengthIn35mmFilm)
+        interoperability = exif.get_ifd(ExifTags.IFD.Interop).get(_INTEROPERABILITY_INDEX)
+        adobe = details.get(ExifTags.Base.ColorSpace) == 2 or interoperability in ("R03", b"R03\0", "R03\0")
+    except Exception:  # as above
         return ExifCamera()
     return ExifCamera(
         focal_35mm=float(focal) if isinstance(focal, int) and focal > 0 else None,  # 0 is EXIF's "unknown"

@@ -8,6 +8,7 @@ called depth, or the only channel of the file; a Z beside X and Y is a vector, a
 import os
 import struct
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +19,7 @@ from jaxtyping import Bool, Float
 
 from roomlight.errors import ImageError
 from roomlight.imaging.colour_spaces import REC709, to_rec709
+from roomlight.notes import Note
 
 _COMBINED: Final = ("combined", "rgba", "rgb", "beauty", "color", "colour", "image", "composite", "main")
 _DEEPEST: Final = 65504.0
@@ -32,6 +34,7 @@ class ExrChannels:
     channels: dict[str, Float[np.ndarray, "h w"]]
     primaries: tuple[float, ...]
     seen: Bool[np.ndarray, "h w"] | None
+    notes: tuple[Note, ...] = ()
 
     def colour(self) -> Float[np.ndarray, "h w 3"]:
         """Return linear Rec. 709 RGB; a grey channel is repeated.
@@ -186,7 +189,20 @@ def _joined(parts: list[tuple[dict[str, Any], dict[str, np.ndarray]]], name: str
             channels[full] = whole
     stated = parts[0][0].get("chromaticities")
     primaries = tuple(float(value) for value in np.ravel(stated)) if stated is not None else REC709
-    return ExrChannels(name, channels, primaries if len(primaries) == 8 else REC709, seen)
+    primaries = primaries if len(primaries) == 8 else REC709
+    return ExrChannels(name, channels, primaries, seen, tuple(_notes(parts[0][0], name)))
+
+
+def _notes(header: dict[str, Any], name: str) -> Iterator[Note]:
+    """Yield what the header says of pixels that no pinhole camera has."""
+    shape = float(header.get("pixelAspectRatio", 1.0))
+    if abs(shape - 1) > 0.01:
+        effect = "pixels are read as squares, as intrinsics count them"
+        yield Note(f"{name}: its pixels are {shape:.3g} times as wide as high", effect, "resample it")
+    if "envmap" in header:
+        yield Note(
+            f"{name}: it is an environment map", "it is read as the picture of a pinhole", "cut a view out of it"
+        )
 
 
 def _window(box: Any) -> tuple[int, int, int, int]:

@@ -5,6 +5,7 @@ without any is sRGB. ICC profiles are applied by LittleCMS (Pillow).
 """
 
 import io
+import re
 import struct
 import zlib
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ _ICC_SEGMENT: Final = b"ICC_PROFILE\0"
 _GAIN_MAPS: Final = (b"hdrgm:Version", b"http://ns.apple.com/HDRGainMap/", b"urn:iso:std:iso:ts:21496:-1")
 
 
+_PANORAMA: Final = re.compile(rb"GPano:ProjectionType\W{1,12}(?:equirectangular|cylindrical)", re.IGNORECASE)
 _SRGB: Final = ColourSpace()
 _NO_EXIF: Final = ExifCamera()
 
@@ -68,6 +70,8 @@ def _jpeg_tags(data: bytes, name: str) -> ImageTags:
             pieces[body[12]] = body[14:]
         elif marker == 0xE1 and body.startswith(b"Exif\0\0"):
             exif = read_exif(data)
+        if marker == 0xE1 and _PANORAMA.search(body):
+            raise ValueError("is a panorama (GPano), not the picture of a pinhole camera; cut a view out of it")
         if marker in (0xE1, 0xE2) and any(mark in body for mark in _GAIN_MAPS):
             notes = [
                 Note(
@@ -89,14 +93,21 @@ def _png_tags(data: bytes, name: str) -> ImageTags:
         length, kind = struct.unpack_from(">I4s", data, offset)
         if kind == b"IEND":
             break
-        if kind in (b"IHDR", b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM", b"tRNS", b"eXIf", b"acTL"):
+        if kind in (b"IHDR", b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM", b"tRNS", b"eXIf", b"acTL", b"pHYs"):
             chunks.setdefault(kind, data[offset + 8 : offset + 8 + length])
         offset += 12 + length
     alpha = b"tRNS" in chunks or (len(chunks.get(b"IHDR", b"")) >= 10 and chunks[b"IHDR"][9] in (4, 6))
     exif = read_exif(data) if b"eXIf" in chunks else ExifCamera()
-    notes = []
+    notes: list[Note] = []
     if b"acTL" in chunks:
         notes.append(Note(f"{name}: the frames of an animated PNG", "the first is read", "give one file a frame"))
+    if len(chunks.get(b"pHYs", b"")) == 9:
+        across, down, _ = struct.unpack(">IIB", chunks[b"pHYs"])
+        if min(across, down) > 0 and abs(across / down - 1) > 0.01:
+            effect = "pixels are read as squares, as intrinsics count them"
+            notes.append(
+                Note(f"{name}: its pixels are {down / across:.3g} times as wide as high", effect, "resample it")
+            )
     space, profile = ColourSpace(), None
     if len(chunks.get(b"cICP", b"")) == 4:
         space = ColourSpace.of_codes(chunks[b"cICP"][0], chunks[b"cICP"][1])

@@ -3,29 +3,19 @@
 `frame_message.parse` has checked every size against the header; decompression stops at these sizes.
 """
 
-import importlib
-import importlib.util
-from typing import Any, Final
-
 import numpy as np
 import zstandard
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from roomlight.captures.capture import DEPTH_MEDIAN_M
 from roomlight.conventions import srgb8_to_linear
 from roomlight.depth import clean_depth
 from roomlight.errors import RoomLightError, WireError
-from roomlight.frame import CLIPPED_SRGB8, Frame
-from roomlight.images import decode_colour, decode_depth, decode_grey8
+from roomlight.frame import CLIPPED_SRGB8, Frame, hidden
+from roomlight.images import ColourImage, decode_depth, decode_grey8, decode_picture
+from roomlight.imaging.heic import heic_available, heic_size
 from roomlight.wire.frame_header import DEPTH_BYTES, ConfidencePart, DepthPart
 from roomlight.wire.frame_message import FrameMessage
-
-_HEIC: Final = "pillow_heif"
-
-
-def heic_available() -> bool:
-    """Return whether HEIC can be decoded (the extra `heic` is installed)."""
-    return importlib.util.find_spec(_HEIC) is not None
 
 
 def decode_frame(
@@ -38,16 +28,22 @@ def decode_frame(
     Raises:
         WireError: A part does not decode or has unusable values; `field` names it.
     """
-    image, clipped = _colour(message)
+    picture = _colour(message)
+    image = picture.image
     ratio = message.header.exposure / reference_exposure
     if ratio != 1.0:  # keeps unscaled images bit-exact
         image = image / np.float32(ratio)
     depth_m = _depth(message, min_confidence)
+    if picture.seen is not None:
+        image, depth_m = hidden(image, depth_m, picture.seen)
+        if not depth_m.any():
+            raise _error("depth", "0 pixels", "at least one pixel that is opaque must have a known depth")
     try:
         return Frame(
             index=index,
             image=image,
-            clipped=clipped,
+            clipped=picture.clipped,
+            seen=picture.seen,
             depth_m=depth_m,
             intrinsics=message.intrinsics,
             camera_to_world=message.camera_to_world,
@@ -58,47 +54,36 @@ def decode_frame(
         raise WireError("bad-frame", field="colour", value=message.header.colour.encoding, rule=str(error)) from error
 
 
-def _colour(message: FrameMessage) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+def _colour(message: FrameMessage) -> ColourImage:
     encoding, data = message.header.colour.encoding, message.colour
     width, height = message.intrinsics.width, message.intrinsics.height
     if encoding == "linear_f32":
         image = np.frombuffer(data, "<f4", height * width * 3).reshape(height, width, 3).astype(np.float32)
         clipped = np.frombuffer(data, np.uint8, offset=12 * height * width).reshape(height, width)
-        return image, clipped > 0
-    if encoding in ("rgb8", "heic"):
-        rgb = np.frombuffer(data, np.uint8).reshape(height, width, 3) if encoding == "rgb8" else _heic(message)
-        return srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8
-    try:
-        # turned by its EXIF orientation, the image would no longer fit its depth and intrinsics
-        image, clipped = decode_colour(bytes(data), "the image", as_stored=True)
-    except RoomLightError as error:
-        raise _error("colour", f"{len(data)} bytes of {encoding}", str(error)) from error
-    if image.shape[:2] != (height, width):
-        rule = f"the image must have the size stated in the header, {width} x {height}"
-        raise _error("colour", f"{image.shape[1]} x {image.shape[0]}", rule)
-    return image, clipped
-
-
-def _heic(message: FrameMessage) -> UInt8[np.ndarray, "h w 3"]:
-    """Decode HEIC to 8-bit sRGB; the size in the file's header is checked before any pixel is decoded."""
-    if not heic_available():
+        return ColourImage(image, clipped > 0)
+    if encoding == "rgb8":
+        rgb = np.frombuffer(data, np.uint8).reshape(height, width, 3)
+        return ColourImage(srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8)
+    if encoding == "heic" and not heic_available():
         rule = "the server has no HEIC decoder (pip install 'roomlight[heic]'); send jpeg or png"
         raise _error("colour.encoding", "heic", rule)
-    heif: Any = importlib.import_module(_HEIC)
-    size = (message.intrinsics.width, message.intrinsics.height)
     try:
-        image = heif.open_heif(bytes(message.colour), convert_hdr_to_8bit=True)
-        if image.size != size:
-            rule = f"the image must have the size stated in the header, {size[0]} x {size[1]}"
-            raise _error("colour", f"{image.size[0]} x {image.size[1]}", rule)
-        pixels = np.asarray(image)
+        if encoding == "heic":  # its size is known before any pixel is decoded
+            _check_size(heic_size(bytes(data), "the image"), (width, height))
+        # turned by its EXIF orientation, the image would no longer fit its depth and intrinsics
+        picture = decode_picture(bytes(data), "the image", as_stored=True)
     except WireError:
         raise
-    except Exception as error:  # whatever the damaged bytes lead to: IndexError without a primary image, ...
-        raise _error("colour", f"{len(message.colour)} bytes of heic", f"does not decode ({error})") from error
-    if pixels.dtype != np.uint8 or pixels.shape not in ((size[1], size[0], 3), (size[1], size[0], 4)):
-        raise _error("colour", f"{pixels.dtype} {pixels.shape}", "8-bit RGB")
-    return np.ascontiguousarray(pixels[..., :3])
+    except RoomLightError as error:
+        raise _error("colour", f"{len(data)} bytes of {encoding}", str(error)) from error
+    _check_size(picture.image.shape[1::-1], (width, height))
+    return picture
+
+
+def _check_size(size: tuple[int, ...], stated: tuple[int, int]) -> None:
+    if size != stated:
+        rule = f"the image must have the size stated in the header, {stated[0]} x {stated[1]}"
+        raise _error("colour", f"{size[0]} x {size[1]}", rule)
 
 
 def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh dw"]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import formats
 import pytest
+from builders import BUILDERS
 
 
 @pytest.fixture
@@ -21,6 +22,6 @@ def stray(tmp_path: Path) -> Path:
     return formats.stray_scanner(tmp_path / "capture", formats.scene())
 
 
-@pytest.fixture(params=formats.BUILDERS)
+@pytest.fixture(params=BUILDERS)
 def built(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
-    return request.param, formats.BUILDERS[request.param](tmp_path / "capture", formats.scene())
+    return request.param, BUILDERS[request.param](tmp_path / "capture", formats.scene())

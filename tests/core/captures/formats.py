@@ -366,28 +366,6 @@ def colmap_text(path: Path, views: list[View]) -> Path:
     return path
 
 
-BUILDERS = {
-    "nerfstudio": nerfstudio,
-    "nerfcapture": nerfcapture,
-    "seven-scenes": seven_scenes,
-    "stray-scanner": stray_scanner,
-    "record3d": record3d,
-    "record3d-export": record3d_export,
-    "tum": tum,
-    "roomlight": roomlight,
-    "polycam": polycam,
-    "3d-scanner-app": scanner_app,
-    "arkitscenes": arkit_scenes,
-    "scannet": scannet,
-    "colmap": colmap,
-    "colmap-text": colmap_text,
-}
-FORMAT_OF = {
-    name: {"nerfcapture": "nerfstudio", "record3d-export": "record3d", "colmap-text": "colmap"}.get(name, name)
-    for name in BUILDERS
-}
-
-
 def png_with_size(data: bytes, width: int, height: int) -> bytes:
     """A PNG whose header declares another size, its checksum made to fit."""
     header = b"IHDR" + struct.pack(">II", width, height) + data[24:29]

@@ -10,6 +10,7 @@ import cv2
 import formats
 import numpy as np
 import pytest
+from builders import BUILDERS
 from capture_checks import edit, one_skipped
 
 from roomlight.captures import CaptureOptions, open_capture
@@ -288,7 +289,7 @@ LENS = [b"0 0 16\n0 27 12\n0 0 1", b"28 0 16", b"a b c\n" * 3, b"28 0 nan\n0 27 
 def test_a_broken_file_of_all_frames_refuses_the_capture(
     tmp_path: Path, name: str, file: str, contents: list[bytes | None]
 ) -> None:
-    path = formats.BUILDERS[name](tmp_path / "capture", VIEWS)
+    path = BUILDERS[name](tmp_path / "capture", VIEWS)
     for content in contents:
         if content is None:
             (path / file).unlink()

@@ -13,6 +13,7 @@ from pathlib import Path
 import formats
 import numpy as np
 import pytest
+from builders import BUILDERS
 from damage import damaged
 
 from roomlight.camera import check_rigid
@@ -28,14 +29,14 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
     def build(name: str) -> Path:
         if name not in built:
-            built[name] = formats.BUILDERS[name](root / name, formats.scene())
+            built[name] = BUILDERS[name](root / name, formats.scene())
         return built[name]
 
     return build
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", formats.BUILDERS)
+@pytest.mark.parametrize("name", BUILDERS)
 def test_a_damaged_capture_is_refused_or_loses_frames(
     name: str, seed: int, whole: Callable[[str], Path], tmp_path: Path
 ) -> None:

@@ -440,3 +440,63 @@ def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:
     (path / "sparse/cameras.txt").write_text(text.replace("PINHOLE", "FOV").rstrip() + " 0.9\n")
     with pytest.raises(CaptureError, match="FOV"):
         list(open_capture(path))
+
+
+def turning(count: int) -> list[formats.View]:
+    """The room from a camera that turns about the vertical."""
+    views = formats.scene(count)
+    for index, view in enumerate(views):
+        view.pose[:3, :3] = formats.rotation("y", 10 + 25.0 * index)
+    return views
+
+
+def test_cameras_that_are_level_about_another_axis_are_pointed_out(transforms: Path) -> None:
+    """ARKit's poses in a transforms.json, whose world counts as z-up."""
+    views = turning(9)
+    path = formats.nerfstudio(transforms.parent / "level", views)
+    list(capture := open_capture(path))
+    assert capture.notes == ()
+    for frame, view in zip((index := json.loads((path / "transforms.json").read_text()))["frames"], views, strict=True):
+        frame["transform_matrix"] = view.pose.tolist()
+    (path / "transforms.json").write_text(json.dumps(index))
+    list(capture := open_capture(path))
+    (note,) = capture.notes
+    assert "level about the y axis" in note.left_out
+    assert "--world-up y" in note.advice
+    list(stated := open_capture(path, CaptureOptions(world_up="y")))
+    assert stated.notes == ()
+
+
+def test_several_colmap_models_are_noted(tmp_path: Path) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    shutil.copytree(path / "sparse/0", path / "sparse/1")
+    assert any("sparse/1" in note.left_out for note in open_capture(path).notes)
+
+
+def test_tum_lists_with_tabs(tmp_path: Path) -> None:
+    path = formats.tum(tmp_path / "tum", VIEWS)
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        (path / name).write_text((path / name).read_text().replace(" ", "\t"))
+    assert len(list(open_capture(path))) == 4
+
+
+def test_a_scale_of_depth_under_another_name_is_noted(transforms: Path) -> None:
+    edit(transforms / "transforms.json", lambda index: index.update(depth_scale=1000.0, depth_far=10.0))
+    (note,) = open_capture(transforms).notes
+    assert "depth_far, depth_scale" in note.left_out
+
+
+def test_a_video_with_a_cover_picture_or_wide_pixels(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    expected = next(iter(open_capture(path))).image
+    with av.open(str(path / "rgb.mp4")) as source, av.open(str(path / "new.mp4"), "w") as target:
+        stream = target.add_stream_from_template(source.streams.video[0])
+        stream.sample_aspect_ratio = 2
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                target.mux(packet)
+    (path / "new.mp4").replace(path / "rgb.mp4")
+    frame = next(iter(capture := open_capture(path)))
+    np.testing.assert_array_equal(frame.image, expected)
+    assert any("2 times as wide as high" in note.left_out for note in capture.notes)

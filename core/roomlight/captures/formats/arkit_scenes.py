@@ -9,7 +9,6 @@ world z-up. A `.pincam` holds `width height fx fy cx cy`, used unchanged. Depth 
 0, 1 or 2.
 """
 
-import bisect
 from pathlib import Path
 
 import cv2
@@ -23,6 +22,7 @@ from roomlight.captures.decoding import read_rgbd
 from roomlight.captures.formats.listed import ListedReader, files_of
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import FolderSource, read_index
+from roomlight.captures.times import nearest
 from roomlight.errors import CaptureError, FrameError
 
 TRAJECTORY = "lowres_wide.traj"
@@ -69,7 +69,7 @@ class ArkitScenesReader(ListedReader):
             time_s = _time_of(colour_name)
             if time_s is None:
                 raise ValueError("its name has no time (ID_TIME.png)")
-            at = _nearest([pose[0] for pose in self._poses], time_s)
+            at = nearest([pose[0] for pose in self._poses], time_s)
             gap_s = abs(self._poses[at][0] - time_s)
             if gap_s > MAX_GAP_S:
                 raise ValueError(f"the nearest pose is {gap_s:.3f} s away; at most {MAX_GAP_S} s is allowed")
@@ -99,7 +99,7 @@ class ArkitScenesReader(ListedReader):
     def _intrinsics(self, time_s: float, label: str) -> Intrinsics:
         if not self._pincams:
             raise FrameError(f"{label}: there is no lowres_wide_intrinsics/*.pincam")
-        name = self._pincams[_nearest([time for time, _ in self._pincams], time_s)][1]
+        name = self._pincams[nearest([time for time, _ in self._pincams], time_s)][1]
         pincam = self._source.label(name)
         lines = fields.parse_text(self._source.read(name, max_bytes=4096), pincam)
         with fields.naming(pincam, FrameError):
@@ -113,11 +113,6 @@ def _time_of(name: str) -> float | None:
         return fields.number(float(Path(name).name.rpartition(".")[0].rpartition("_")[2]), "the time")
     except ValueError:
         return None
-
-
-def _nearest(times: list[float], time_s: float) -> int:
-    at = bisect.bisect_left(times, time_s)
-    return min(range(max(0, at - 1), min(len(times), at + 1)), key=lambda index: abs(times[index] - time_s))
 
 
 def _transform(values: list[float]) -> Float[np.ndarray, "4 4"]:

@@ -2,7 +2,7 @@
 
 COLMAP knows neither metres nor gravity: a capture must have been scaled to metres, and its up direction is assumed to
 be -y, that of a camera held level; both are noted. Depth maps lie in `depth`, `depths` or `depth_maps`, named like
-the image, in the model's unit (integers: a thousandth of it).
+the image, in the model's unit (integers: a thousandth of it); or COLMAP's own, `stereo/depth_maps/NAME.geometric.bin`.
 
 Conventions: world-to-camera quaternions (w, x, y, z), OpenCV camera. Principal points have pixel centres at half
 integers and are used unchanged. Lens models are those of `roomlight.captures.lenses`.
@@ -28,7 +28,14 @@ from roomlight.errors import CaptureError, FrameError
 from roomlight.notes import Note
 
 FOLDERS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
-_DEPTH: Final = ("depth", "depths", "depth_maps")
+_DEPTH: Final = (
+    "depth",
+    "depths",
+    "depth_maps",
+    "stereo/depth_maps",
+    "dense/stereo/depth_maps",
+    "dense/0/stereo/depth_maps",
+)
 _MODELS: Final = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -59,9 +66,9 @@ class _Image:
     """World-to-camera; a text says why there is none."""
 
 
-def model_folder(source: FolderSource) -> str | None:
-    """Return the folder that holds a model; None without one."""
-    for folder in FOLDERS:
+def model_folder(source: FolderSource, *folders: str) -> str | None:
+    """Return the first of these folders that holds a model, by default of `FOLDERS`; None without one."""
+    for folder in folders or FOLDERS:
         prefix = f"{folder}/" if folder else ""
         if any(source.has(f"{prefix}cameras.{end}") and source.has(f"{prefix}images.{end}") for end in ("bin", "txt")):
             return folder
@@ -100,18 +107,26 @@ class ColmapReader(ListedReader):
         root = next((name for name in ("images", "colmap/images", "dense/images") if source.has(name)), "")
         colour = [f"{root}/{image.name}" if root else image.name for image in self._images]
         super().__init__(folder, options, colour, expected=f"image in {label}")
-        self._depth = next((name for name in _DEPTH if source.has(name)), "depth")
+        self._depth = next((name for name in _DEPTH if next(iter(source.names(name)), None)), "depth")
         note = Note(
             f"{folder}: COLMAP's scale and up direction",
             "the model is taken for metres, and up for the opposite of its y axis",
             "scale the model to metres and state world_up",
         )
         self.notes = [note]
+        others = [name for name in source.names("sparse") if name != model and model_folder(source, name) is not None]
+        if others:
+            text = f"{folder}: the models {', '.join(others[:4])}"
+            self.notes.append(Note(text, f"{model or folder} alone is read", "name one model, or merge them"))
 
     def _read(self, index: int) -> RawFrame:
         image, label = self._images[index], self.name_of(index)
         stem = str(PurePosixPath(image.name).with_suffix(""))
-        depth_name = self._source.with_suffix(f"{self._depth}/{stem}", (".png", ".exr", ".npy"))
+        if self._depth.endswith("stereo/depth_maps"):
+            ends = (".geometric.bin", ".photometric.bin")
+            depth_name = self._source.with_suffix(f"{self._depth}/{image.name}", ends)
+        else:
+            depth_name = self._source.with_suffix(f"{self._depth}/{stem}", (".png", ".exr", ".npy"))
         with fields.naming(label, FrameError):
             if isinstance(image.pose, str):
                 raise ValueError(image.pose)

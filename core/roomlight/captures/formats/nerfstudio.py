@@ -150,7 +150,11 @@ class NerfstudioReader:
 
     def _unread_keys(self) -> list[Note]:
         keys = {str(key)[:40] for entry in (self._shared, *self._frames) for key in entry} - _READ - _HARMLESS
-        keys = {key for key in keys if not key.startswith(("ftheta", "aabb", "depth"))}
+        keys = {
+            key
+            for key in keys
+            if not key.startswith(("ftheta", "aabb")) and not (key.startswith("depth") and "path" in key)
+        }
         if not keys:
             return []
         listed = ", ".join(sorted(keys)[:8]) + (" and more" if len(keys) > 8 else "")

@@ -23,8 +23,11 @@ _IMAGES = ("keyframes/corrected_images", "keyframes/images", "corrected_images",
 
 
 def is_polycam(source: FolderSource) -> bool:
-    """Whether the folder has Polycam's cameras."""
-    return any(source.has(name) for name in ("keyframes/cameras", "keyframes/corrected_cameras", "corrected_cameras"))
+    """Whether the folder has Polycam's cameras; without `keyframes` their first file tells."""
+    if any(source.has(name) for name in ("keyframes/cameras", "keyframes/corrected_cameras", "corrected_cameras")):
+        return True
+    first = next(iter(files_of(source, "cameras", (".json",))), None)
+    return first is not None and b'"t_00"' in source.read(first, max_bytes=1 << 20)
 
 
 class PolycamReader(ListedReader):

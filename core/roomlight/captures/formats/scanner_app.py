@@ -9,10 +9,9 @@ Conventions: `cameraPoseARFrame` holds the rows of the camera-to-world pose, ARK
 import re
 from pathlib import Path
 
-from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import RawFrame
-from roomlight.captures.decoding import read_rgbd
+from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.formats.listed import ListedReader, files_of, row_major
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import FolderSource
@@ -61,7 +60,7 @@ class ScannerAppReader(ListedReader):
         with fields.naming(self._source.label(json_name), FrameError):
             pose = row_major(stated.get("cameraPoseARFrame"), 4, "cameraPoseARFrame")
             k = row_major(stated.get("intrinsics"), 3, "intrinsics")
-            intrinsics = Intrinsics(float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), width, height)
+            intrinsics = intrinsics_without_size(k, width=width, height=height)
         return RawFrame(
             name=self.name_of(index),
             picture=read.picture,

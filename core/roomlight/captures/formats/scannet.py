@@ -1,8 +1,12 @@
-"""ScanNet's `.sens`: one binary file of JPEG colour, compressed depth and poses, version 4.
+"""ScanNet: its `.sens`, one binary file of JPEG colour, compressed depth and poses, version 4; or the frames of it.
+
+Frames are `color/0.jpg`, `depth/0.png`, `pose/0.txt` (4 x 4) and `intrinsic/intrinsic_color.txt` or
+`intrinsics_color.txt`, as the data set's tools unpack them.
 
 Conventions: camera-to-world, OpenCV camera, world z-up; lost poses are -inf. K of the colour camera has pixel centres
-at whole numbers, so that half a pixel is added. Depth is uint16 times 1 / depthShift metres, from a camera that is
-taken for the colour camera at another size. Times are microseconds; a file without them has zeros.
+at whole numbers, so that half a pixel is added. Depth is uint16 times 1 / depthShift metres (frames: millimetres);
+where the depth camera of a `.sens` is not the colour camera at another size, depth is projected into the colour
+image. Times are microseconds; a file without them has zeros.
 """
 
 import struct
@@ -16,11 +20,13 @@ from typing import BinaryIO, Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.camera import Intrinsics
+from roomlight.camera import Intrinsics, check_rigid
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.decoding import intrinsics_without_size, read_rgbd, registered
+from roomlight.captures.formats.listed import ListedReader, files_of
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FILE_BYTES, MAX_FRAMES
+from roomlight.captures.source import MAX_FILE_BYTES, MAX_FRAMES, FolderSource, read_index
 from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
 from roomlight.images import MAX_PIXELS, decode_picture
@@ -30,6 +36,7 @@ VERSION: Final = 4
 _COLOUR: Final = {1: "PNG", 2: "JPEG"}
 _RAW_DEPTH, _ZLIB_DEPTH = 0, 1
 _FRAME: Final = struct.Struct("<16f4Q")
+_MATRICES: Final = ("intrinsic/intrinsic_color.txt", "intrinsics_color.txt", "intrinsic_color.txt")
 
 
 @dataclass(frozen=True)
@@ -96,8 +103,11 @@ class ScanNetReader:
         if version != VERSION or name_bytes > 4096:
             raise CaptureError(f"{self._path}: is no .sens file of version {VERSION} (it states version {version})")
         file.read(name_bytes)
-        matrices = np.frombuffer(file.read(256), "<f4").reshape(4, 4, 4)
-        self._k = matrices[0].astype(np.float64)
+        matrices = np.frombuffer(file.read(256), "<f4").reshape(4, 4, 4).astype(np.float64)
+        self._k, self._depth_k = matrices[0], matrices[2]
+        self._depth_to_colour = np.eye(4)
+        if all(np.isfinite(pose).all() and abs(np.linalg.det(pose)) > 0.5 for pose in matrices[1::2]):
+            self._depth_to_colour = np.linalg.inv(matrices[1]) @ matrices[3]
         values = struct.unpack("<2i4IfQ", file.read(36))
         self._colour_kind, self._depth_kind = values[:2]
         self._colour_size, self._depth_size = values[2:4], values[4:6]
@@ -111,13 +121,17 @@ class ScanNetReader:
             for width, height in (self._colour_size, self._depth_size):
                 if not 0 < width * height <= MAX_PIXELS:
                     raise ValueError(f"declares images of {width} x {height} pixels")
-            self._intrinsics()
+            self._intrinsics = _camera(self._k, self._colour_size)
 
-    def _intrinsics(self) -> Intrinsics:
-        k = self._k
-        return Intrinsics(
-            float(k[0, 0]), float(k[1, 1]), float(k[0, 2]) + 0.5, float(k[1, 2]) + 0.5, *self._colour_size
-        )
+    def _in_colour(self, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "dh dw"]:
+        """Project depth into the colour image unless its camera is the colour camera, to 1 % of a focal length."""
+        if not np.isfinite(self._depth_k).all() or self._depth_k[0, 0] <= 0:
+            return depth_m
+        near, same = _camera(self._depth_k, self._depth_size), self._intrinsics.resized(*self._depth_size)
+        off = max(abs(getattr(near, key) - getattr(same, key)) for key in ("fx", "fy", "cx", "cy"))
+        if off < 0.01 * same.fx and np.abs(self._depth_to_colour - np.eye(4)).max() < 0.005:
+            return depth_m
+        return registered(depth_m, near, self._intrinsics, check_rigid(self._depth_to_colour))
 
     def _listed(self, file: BinaryIO, size: int) -> list[_Entry]:
         entries: list[_Entry] = []
@@ -145,9 +159,9 @@ class ScanNetReader:
         return RawFrame(
             name=label,
             picture=decode_picture(colour, label, as_stored=True),
-            depth_m=self._depth(depth, label),
+            depth_m=self._in_colour(self._depth(depth, label)),
             depth_name=label,
-            intrinsics=self._intrinsics(),
+            intrinsics=self._intrinsics,
             pose=pose,
         )
 
@@ -168,3 +182,46 @@ class ScanNetReader:
         metres = stored.astype(np.float32) * np.float32(self._unit_m)
         metres[stored == 65535] = 0.0
         return clean_depth(metres)
+
+
+def _camera(k: Float[np.ndarray, "4 4"], size: tuple[int, int]) -> Intrinsics:
+    return Intrinsics(float(k[0, 0]), float(k[1, 1]), float(k[0, 2]) + 0.5, float(k[1, 2]) + 0.5, *size)
+
+
+def intrinsics_file(source: FolderSource) -> str | None:
+    """Return the file of the colour camera's K in a folder of frames; None without one."""
+    return next((name for name in _MATRICES if source.has(name) and source.has("pose")), None)
+
+
+class ScanNetFramesReader(ListedReader):
+    """Reads the frames of a `.sens` in a folder."""
+
+    format = "scannet"
+    conventions = ScanNetReader.conventions
+
+    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        """List the images and read K.
+
+        Raises:
+            CaptureError: There is no image or no K.
+        """
+        source = FolderSource(folder)
+        name = intrinsics_file(source)
+        if name is None:
+            raise CaptureError(f"{folder}: has neither a .sens file nor pose/ and {_MATRICES[0]}")
+        label = source.label(name)
+        with fields.naming(label, CaptureError):
+            self._matrix = fields.matrix_of_text(read_index(source, name), 3, label)
+        super().__init__(folder, options, files_of(source, "color", (".jpg", ".png")), expected="color/0.jpg")
+
+    def _read(self, index: int) -> RawFrame:
+        stem, label = Path(self._colour[index]).stem, self.name_of(index)
+        pose_name, depth_name = f"pose/{stem}.txt", f"depth/{stem}.png"
+        pose_label = self._source.label(pose_name)
+        with fields.naming(pose_label, FrameError):
+            pose = fields.matrix_of_text(self._source.read(pose_name, max_bytes=65536), 4, pose_label)
+        read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
+        height, width = read.picture.image.shape[:2]
+        with fields.naming(label, FrameError):
+            intrinsics = intrinsics_without_size(self._matrix, width=width, height=height, shift=0.5)
+        return RawFrame(label, read.picture, read.depth_m, self._source.label(depth_name), intrinsics, pose)

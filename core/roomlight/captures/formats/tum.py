@@ -8,7 +8,6 @@ Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth 
 640 x 480. K has pixel centres at whole numbers, so that half a pixel is added here.
 """
 
-import bisect
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +22,7 @@ from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.formats.seven_scenes import INTRINSICS, read_matrix
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.times import nearest
 from roomlight.errors import CaptureError, FrameError
 from roomlight.notes import Note
 
@@ -103,7 +103,7 @@ class TumReader:
             if not line.strip() or line.lstrip().startswith("#"):
                 continue
             with fields.naming(f"{label}: line {row}", CaptureError):
-                first, _, rest = line.strip().replace(",", " ").partition(" ")
+                first, rest = [*line.replace(",", " ").split(maxsplit=1), ""][:2]
                 try:
                     time_s = float(first)
                 except ValueError:
@@ -115,8 +115,7 @@ class TumReader:
 
 
 def _nearest(entries: list[tuple[float, str]], time_s: float, what: str) -> str:
-    at = bisect.bisect_left(entries, (time_s,))
-    near = min(entries[max(0, at - 1) : at + 1], key=lambda entry: abs(entry[0] - time_s))
+    near = entries[nearest([time for time, _ in entries], time_s)]
     gap_s = abs(near[0] - time_s)
     if gap_s > MAX_GAP_S:
         raise FrameError(f"{what}: the nearest in time is {gap_s:.3f} s away; at most {MAX_GAP_S} s is allowed")

@@ -128,7 +128,7 @@ class MaterialArrays(NamedTuple):
     texture: Int32[np.ndarray, "m 4"]
 
 
-_TEXTURES = ("base_colour", "metallic_roughness", "normal", "emissive")  # columns of `MaterialArrays.texture`
+TEXTURES = ("base_colour", "metallic_roughness", "normal", "emissive")  # columns of `MaterialArrays.texture`
 
 
 def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, TextureArrays]:
@@ -136,7 +136,7 @@ def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, Text
     textures: dict[Texture, int] = {}
     rows: list[list[int]] = []
     for material in materials:
-        used = [getattr(material, f"{name}_texture") for name in _TEXTURES]
+        used = [getattr(material, f"{name}_texture") for name in TEXTURES]
         rows.append([-1 if texture is None else textures.setdefault(texture, len(textures)) for texture in used])
 
     def column(name: str) -> Float32[np.ndarray, " m"]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Float32, Int32, Int64
 
-from roomlight.compositing.objects.materials import Material
+from roomlight.compositing.objects.materials import TEXTURES, Material
 from roomlight.compositing.objects.polygons import CREASE_DEG, corner_normals, row_keys
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
 from roomlight.compositing.objects.virtual_object import TriangleMesh
@@ -74,7 +74,7 @@ def with_vertex_colours(
     count = len(mesh.faces)
     across = math.ceil(math.sqrt(count))
     texels = min(_TEXELS, MAX_TEXTURE_SIZE // across)
-    textured = (material.base_colour_texture, material.metallic_roughness_texture, material.normal_texture)
+    textured = [getattr(material, f"{name}_texture") for name in TEXTURES]
     uniform = bool(np.abs(used - mean).max() < _SAME)
     if uniform or any(texture is not None for texture in textured) or texels < 2:
         return mesh, _tinted(material, mean), uniform

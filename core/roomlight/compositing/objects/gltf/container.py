@@ -27,11 +27,9 @@ def split(data: bytes, name: str) -> tuple[bytes, bytes | None]:
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         raise ObjectError(f"{name}: GLB version 2 is read, this is {version}")
-    if length > len(data):
-        raise ObjectError(f"{name}: the GLB declares {length} bytes, {len(data)} are there: it is truncated")
     chunks: dict[bytes, bytes] = {}
     offset = 12
-    while offset + 8 <= length:
+    while offset + 8 <= min(length, len(data)):
         size, kind = struct.unpack_from("<I4s", data, offset)
         if offset + 8 + size > len(data):
             raise ObjectError(f"{name}: the GLB's {kind!r} chunk declares {size} bytes and is truncated")

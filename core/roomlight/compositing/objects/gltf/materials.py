@@ -38,6 +38,7 @@ class Surface:
         uv_set: Number of the set of texture coordinates.
         uv_transform: What its textures do to these coordinates, 2 x 3.
         repeats: Whether all its textures repeat outside [0, 1].
+        unlit: Whether the surface shows its base colour as it is (`unlit_of`, after vertex colours).
         notes: What was left out.
     """
 
@@ -45,6 +46,7 @@ class Surface:
     uv_set: int = 0
     uv_transform: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     repeats: bool = True
+    unlit: bool = False
     notes: tuple[Note, ...] = ()
 
 
@@ -94,8 +96,6 @@ class MaterialReader:
         else:
             material = self._from_metallic(material, stated, pixels, means)
         material = self._rest(material, stated, pixels, means)
-        if "KHR_materials_unlit" in stated.extensions:
-            material = _unlit(material)
         if stated.occlusionTexture is not None:
             notes.append(
                 Note(f"{label}.occlusionTexture", "the object shades itself by ray tracing instead", "nothing to do")
@@ -106,6 +106,7 @@ class MaterialReader:
             uv_set,
             ((rows[0][0], rows[0][1], rows[0][2]), (rows[1][0], rows[1][1], rows[1][2])),
             all(slot is None or slot.repeats for slot in slots.values()),
+            "KHR_materials_unlit" in stated.extensions,
             tuple(notes),
         )
 
@@ -290,7 +291,7 @@ def _with_reflectance(
     return replace(material, ior=min(max((1 + root) / (1 - root), 1.0), MAX_IOR))
 
 
-def _unlit(material: Material) -> Material:
+def unlit_of(material: Material) -> Material:
     """Return a surface that emits its base colour and reflects nothing."""
     black: Colour = (0.0, 0.0, 0.0)
     return replace(

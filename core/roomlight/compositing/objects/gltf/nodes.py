@@ -30,11 +30,11 @@ def placed_meshes(gltf: Gltf, accessors: Accessors, name: str, limits: ObjectLim
         raise ObjectError(f"{name}: scene {gltf.scene} of {len(gltf.scenes)} does not exist")
     children = {child for node in gltf.nodes for child in node.children}
     roots = gltf.scenes[gltf.scene].nodes if gltf.scenes else sorted(set(range(len(gltf.nodes))) - children)
-    transforms = _transforms(gltf, roots, name, limits)
+    transforms, hidden = _transforms(gltf, roots, name, limits)
     placed: list[Placed] = []
     for index, transform in transforms.items():
         node = gltf.nodes[index]
-        if node.mesh is None:
+        if node.mesh is None or index in hidden:
             continue
         if node.mesh >= len(gltf.meshes):
             raise ObjectError(f"{name}: node {index} names mesh {node.mesh} of {len(gltf.meshes)}")
@@ -47,10 +47,13 @@ def placed_meshes(gltf: Gltf, accessors: Accessors, name: str, limits: ObjectLim
     return placed
 
 
-def _transforms(gltf: Gltf, roots: list[int], name: str, limits: ObjectLimits) -> dict[int, Float[np.ndarray, "4 4"]]:
-    """Return the transform to the root of each node of the scene, in order."""
+def _transforms(
+    gltf: Gltf, roots: list[int], name: str, limits: ObjectLimits
+) -> tuple[dict[int, Float[np.ndarray, "4 4"]], set[int]]:
+    """Return the transform to the root of each node of the scene, in order, and which are hidden."""
     queue = [(root, np.eye(4), 1) for root in reversed(roots)]
     transforms: dict[int, np.ndarray] = {}
+    hidden: set[int] = set()
     while queue:
         index, above, depth = queue.pop()
         if index >= len(gltf.nodes):
@@ -59,9 +62,14 @@ def _transforms(gltf: Gltf, roots: list[int], name: str, limits: ObjectLimits) -
             raise ObjectError(f"{name}: node {index} has two parents or is its own; nodes must form trees")
         limits.check("node_depth", depth, name)
         node = gltf.nodes[index]
+        shown = node.extensions.get("KHR_node_visibility")
+        if isinstance(shown, dict) and shown.get("visible") is False:
+            hidden.add(index)
         transforms[index] = above @ _local(node)
+        if index in hidden:
+            hidden.update(node.children)
         queue.extend((child, transforms[index], depth + 1) for child in reversed(node.children))
-    return transforms
+    return transforms, hidden
 
 
 def _local(node: Node) -> Float[np.ndarray, "4 4"]:

@@ -14,7 +14,7 @@ from roomlight.compositing.objects.gltf.accessors import Accessors
 from roomlight.compositing.objects.gltf.container import buffer_views, json_size, parsed, split
 from roomlight.compositing.objects.gltf.draco import DRACO, decode_draco, draco_available
 from roomlight.compositing.objects.gltf.images import Images
-from roomlight.compositing.objects.gltf.materials import MaterialReader, Surface
+from roomlight.compositing.objects.gltf.materials import MaterialReader, Surface, unlit_of
 from roomlight.compositing.objects.gltf.nodes import Placed, placed_meshes
 from roomlight.compositing.objects.gltf.schema import Gltf, Primitive
 from roomlight.compositing.objects.limits import ObjectLimits
@@ -30,7 +30,14 @@ SUPPORTED_EXTENSIONS: Final = frozenset(
     {
         *("KHR_materials_transmission", "KHR_materials_ior", "KHR_materials_specular", "KHR_materials_unlit"),
         *("KHR_materials_emissive_strength", "KHR_materials_pbrSpecularGlossiness", "KHR_texture_transform"),
-        *("KHR_mesh_quantization", "EXT_mesh_gpu_instancing", "EXT_texture_webp", "EXT_texture_avif", DRACO),
+        *(
+            "KHR_mesh_quantization",
+            "EXT_mesh_gpu_instancing",
+            "KHR_node_visibility",
+            "EXT_texture_webp",
+            "EXT_texture_avif",
+            DRACO,
+        ),
     }
 )
 _LOOKS: Final = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "EXT_lights_")
@@ -114,7 +121,9 @@ def _extension_notes(gltf: Gltf, name: str) -> list[Note]:
     if DRACO in gltf.extensionsRequired and not draco_available():
         raise ObjectError(f"{name}: needs {DRACO}: pip install 'roomlight[draco]', or export without compression")
     notes: list[Note] = []
-    for key in sorted(set(gltf.extensionsUsed) - SUPPORTED_EXTENSIONS):
+    objects = (*gltf.materials, *gltf.textures, *gltf.nodes, *gltf.meshes, gltf)
+    used = {*gltf.extensionsUsed, *(key for part in objects for key in part.extensions)}  # some exporters list none
+    for key in sorted(used - SUPPORTED_EXTENSIONS):
         if key.startswith(_HARMLESS):
             continue
         effect = _EFFECTS.get(key, "it is not read")
@@ -202,7 +211,7 @@ class _PrimitiveReader:
                 notes.append(
                     Note(f"{label}: its vertex colours", "their mean tints the textures", "bake them into the texture")
                 )
-        return mesh.transformed(transform), material, notes
+        return mesh.transformed(transform), unlit_of(material) if surface.unlit else material, notes
 
     def _corners(self, primitive: Primitive, mesh: int) -> int:
         index = primitive.attributes.get("POSITION") if primitive.indices is None else primitive.indices

@@ -1,0 +1,253 @@
+"""Bags of ROS 1 and 2 (`.bag`, or a folder or file of `.db3` or `.mcap`), by the extra `rosbags`.
+
+A record is a colour image with the depth image nearest in time. Topics are chosen by their type and name: colour by
+`color` or `rgb`, depth by `depth`, `aligned` or `registered` first. Depth of another camera is projected into the
+colour image by the fixed transforms of tf.
+
+Conventions: the pose is that of the colour image's frame in the root of tf; without one there, Odometry, PoseStamped or
+TransformStamped messages carry it. Optical frames are OpenCV's, the world is z-up (REP 103). Pixel centres are at whole
+numbers (`CameraInfo`), so that half a pixel is added. 16UC1 is millimetres, 32FC1 metres.
+"""
+
+import importlib
+import importlib.util
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import Intrinsics
+from roomlight.captures import fields
+from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.decoding import registered
+from roomlight.captures.formats.ros.images import (
+    camera_of,
+    decode_colour_image,
+    decode_depth_image,
+    pose_values,
+    seconds,
+)
+from roomlight.captures.formats.ros.transform_tree import TransformTree
+from roomlight.captures.lenses import straightened
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import MAX_FRAMES
+from roomlight.captures.times import nearest
+from roomlight.errors import CaptureError, FrameError, RoomLightError
+from roomlight.notes import Note
+
+SUFFIXES: Final = (".bag", ".db3", ".mcap")
+MAX_GAP_S: Final = 0.025
+_IMAGES: Final = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_INFO: Final = "sensor_msgs/msg/CameraInfo"
+_POSES: Final = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+_TREES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """An image: the time in its header, and where it lies in the bag."""
+
+    time_s: float
+    logged: int
+
+
+class RosBagReader:
+    """Reads a bag."""
+
+    format = "ros-bag"
+    conventions = PoseConventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
+
+    def __init__(self, path: Path, options: CaptureOptions) -> None:
+        """Read the poses and the times of the images.
+
+        Raises:
+            CaptureError: The bag is damaged, holds no colour, depth, camera or poses, or `rosbags` is not installed.
+        """
+        if importlib.util.find_spec("rosbags") is None:
+            raise CaptureError(f"{path}: is a ROS bag, which needs pip install 'roomlight[rosbag]'")
+        self._path, self._unit_m = path, options.depth_unit_m
+        self.probes: list[RawProbe] = []
+        self.notes: list[Note] = []
+        self._tree = TransformTree()
+        self._cameras: dict[str, Any] = {}
+        self._frames: dict[str, str] = {}
+        self._entries: dict[str, list[_Entry]] = {}
+        with self._opened() as bag:
+            topics = {connection.topic: connection.msgtype for connection in bag.connections}
+            self._colour = self._topic(topics, ("color", "rgb", "image"), ("depth", "infra", "fisheye", "mask", "conf"))
+            self._depth = self._topic(topics, ("aligned", "registered", "depth"), (), "depth")
+            self._index(bag, topics)
+        self.count = len(self._entries.get(self._colour, []))
+        if self.count > MAX_FRAMES:
+            raise CaptureError(f"{path}: has {self.count} frames; up to {MAX_FRAMES} are read")
+        if self._colour not in self._cameras:
+            raise CaptureError(f"{path}: has no CameraInfo beside {self._colour}; record its camera_info too")
+        self._frame_id = self._frames.get(self._colour, "")
+        if self.count and not self._tree.moves(self._frame_id):
+            raise CaptureError(
+                f"{path}: has no poses of {self._frame_id or 'the camera'} (tf, Odometry, PoseStamped); recordings of "
+                "RealSense alone hold none: run a SLAM such as RTAB-Map on it, and export that"
+            )
+
+    def name_of(self, index: int) -> str:
+        """Return the bag, the topic and the image's number."""
+        return f"{self._path}: {self._colour} {index}"
+
+    def timestamps(self) -> list[float | None]:
+        """Return the times in the images' headers."""
+        return [entry.time_s for entry in self._entries[self._colour]]
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Hold the bag open for one pass."""
+        with self._opened() as bag:
+            yield lambda index: self._read(index, bag)
+
+    @contextmanager
+    def _opened(self) -> Generator[Any]:
+        highlevel: Any = importlib.import_module("rosbags.highlevel")
+        typesys: Any = importlib.import_module("rosbags.typesys")
+        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        try:
+            bag = highlevel.AnyReader([self._path], default_typestore=store)
+            bag.open()
+        except Exception as error:  # of the container, the index or the storage plugin
+            raise CaptureError(f"{self._path}: is not a readable ROS bag ({error})") from error
+        try:
+            yield bag
+        finally:
+            bag.close()
+
+    def _topic(self, topics: dict[str, str], words: tuple[str, ...], without: tuple[str, ...], needed: str = "") -> str:
+        """Return the image topic whose name fits best. Raises CaptureError with what there is."""
+        images = [topic for topic, kind in sorted(topics.items()) if kind in _IMAGES and needed in topic.lower()]
+        fitting = [topic for topic in images if not any(word in topic.lower() for word in without)]
+        for word in words:
+            for topic in sorted(fitting, key=lambda topic: "compressed" in topic):
+                if word in topic.lower():
+                    return topic
+        listed = ", ".join(sorted(topics)[:12]) or "nothing"
+        raise CaptureError(f"{self._path}: has no topic of {needed or 'colour'} images; its topics are {listed}")
+
+    def _index(self, bag: Any, topics: dict[str, str]) -> None:
+        """Take the poses and cameras, and the times of the images."""
+        wanted = (*_TREES, *_POSES, _INFO)
+        images = {self._colour, self._depth}
+        chosen = [c for c in bag.connections if topics[c.topic] in wanted or c.topic in images]
+        loose: list[tuple[str, str, Float[np.ndarray, 7], float]] = []
+        try:
+            for connection, logged, raw in bag.messages(connections=chosen):
+                kind, topic = connection.msgtype, connection.topic
+                if topic in images:
+                    self._add_image(bag, topic, kind, raw, logged)
+                    continue
+                message = bag.deserialize(raw, kind)
+                if kind in _TREES:
+                    for stamped in message.transforms:
+                        self._add(stamped, fixed="static" in topic)
+                elif kind == _INFO:
+                    for image in images:
+                        if _space(image) == _space(topic):
+                            self._cameras.setdefault(image, message)
+                elif kind.endswith("TransformStamped"):
+                    self._add(message, fixed=False)
+                else:
+                    pose = message.pose.pose if kind.endswith("Odometry") else message.pose
+                    values, time_s = pose_values(pose.position, pose.orientation), seconds(message.header)
+                    loose.append((message.header.frame_id, getattr(message, "child_frame_id", ""), values, time_s))
+        except RoomLightError:
+            raise
+        except Exception as error:  # rosbags raises whatever the damaged bytes lead to
+            raise CaptureError(f"{self._path}: is damaged ({error})") from error
+        frame = self._frames.get(self._colour, "")
+        if loose and not self._tree.moves(frame):
+            top = self._tree.root(frame)
+            for parent, child, values, time_s in loose:
+                self._tree.add(parent or "world", child or top, values, time_s=time_s)
+            if not any(child for _, child, _, _ in loose):
+                text = f"taken for the poses of {top or 'the camera'}"
+                self.notes.append(Note(f"{self._path}: PoseStamped messages", text, "record tf to be sure"))
+
+    def _add_image(self, bag: Any, topic: str, kind: str, raw: Any, logged: int) -> None:
+        """Keep where an image lies; a damaged one is found when it is read."""
+        time_s = logged * 1e-9
+        try:
+            header = bag.deserialize(raw, kind).header
+            time_s = seconds(header)
+            self._frames.setdefault(topic, header.frame_id)
+        except Exception:  # as below
+            pass
+        self._entries.setdefault(topic, []).append(_Entry(time_s, logged))
+
+    def _add(self, stamped: Any, *, fixed: bool) -> None:
+        transform = stamped.transform
+        values = pose_values(transform.translation, transform.rotation)
+        self._tree.add(
+            stamped.header.frame_id, stamped.child_frame_id, values, time_s=seconds(stamped.header), fixed=fixed
+        )
+
+    def _read(self, index: int, bag: Any) -> RawFrame:
+        label = self.name_of(index)
+        entry = self._entries[self._colour][index]
+        depths = self._entries.get(self._depth, [])
+        with fields.naming(label, FrameError):
+            if not depths:
+                raise ValueError(f"{self._depth} has no image")
+            depth_entry = depths[nearest([d.time_s for d in depths], entry.time_s)]
+            if abs(depth_entry.time_s - entry.time_s) > MAX_GAP_S:
+                raise ValueError(f"the nearest depth is {abs(depth_entry.time_s - entry.time_s):.3f} s away")
+            pose = self._tree.pose(self._frame_id, entry.time_s)
+            picture = decode_colour_image(self._message(bag, self._colour, entry), label)
+            depth_m = decode_depth_image(self._message(bag, self._depth, depth_entry), label, self._unit_m)
+            camera, lens = camera_of(self._cameras[self._colour], raw="rect" not in self._colour)
+            depth_m = self._in_colour(depth_m, camera)
+            if not lens.straight and picture.image.shape[:2] == (camera.height, camera.width):
+                picture, depth_m, camera = straightened(picture, depth_m, camera, lens)
+        return RawFrame(label, picture, depth_m, f"{self._path}: {self._depth}", camera, pose)
+
+    def _message(self, bag: Any, topic: str, entry: _Entry) -> Any:
+        """Read an image again, by the time at which it was recorded."""
+        connections = [connection for connection in bag.connections if connection.topic == topic]
+        try:
+            for connection, _, raw in bag.messages(connections=connections, start=entry.logged, stop=entry.logged + 1):
+                message = bag.deserialize(raw, connection.msgtype)
+                if seconds(message.header) == entry.time_s:
+                    return message
+        except Exception as error:  # as above
+            raise FrameError(f"{self._path}: {topic} does not decode ({error})") from error
+        raise FrameError(f"{self._path}: {topic} has no message of {entry.time_s:.3f} s")
+
+    def _in_colour(self, depth_m: Float[np.ndarray, "h w"], colour: Intrinsics) -> Float[np.ndarray, "dh dw"]:
+        """Project depth of another camera into the colour image."""
+        frame, info = self._frames.get(self._depth, ""), self._cameras.get(self._depth)
+        if frame == self._frame_id or any(word in self._depth for word in ("aligned", "registered")) or info is None:
+            return depth_m
+        between = self._tree.between(self._frame_id, frame)
+        if between is None:
+            text = "taken for depth of the colour camera"
+            note = Note(f"{self._path}: no fixed transform from {frame!r}", text, "record tf_static, or aligned depth")
+            if note not in self.notes:
+                self.notes.append(note)
+            return depth_m
+        return registered(depth_m, camera_of(info, raw=False)[0], colour, between)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag: a file of its endings, or ROS 2's folder."""
+    if path.is_file():
+        return path.suffix.lower() in SUFFIXES
+    return (path / "metadata.yaml").is_file() and any(file.suffix in SUFFIXES for file in path.iterdir())
+
+
+def _space(topic: str) -> str:
+    """Return the namespace of a camera: of `camera/color/image_raw/compressed` it is `camera/color`."""
+    parts = topic.split("/")
+    for end in ("image", "info", "camera_info", "compressed", "compressedDepth"):
+        for at, part in enumerate(parts):
+            if at and (part == end or part.startswith("image")):
+                return "/".join(parts[:at])
+    return topic

@@ -1,0 +1,110 @@
+"""Images and cameras of ROS messages."""
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import Intrinsics
+from roomlight.captures import fields
+from roomlight.captures.decoding import decode_depth_map
+from roomlight.captures.lenses import Lens, lens_of
+from roomlight.conventions import srgb8_to_linear
+from roomlight.depth import clean_depth
+from roomlight.frame import CLIPPED_SRGB8
+from roomlight.images import MAX_PIXELS, ColourImage, decode_picture
+
+_ORDERS: Final = {
+    "rgb8": "RGB",
+    "bgr8": "BGR",
+    "rgba8": "RGBA",
+    "bgra8": "BGRA",
+    "8uc3": "BGR",
+    "mono8": "L",
+    "8uc1": "L",
+}
+_CONVERSIONS: Final = {  # OpenCV names Bayer patterns by their second row
+    "bayer_rggb8": cv2.COLOR_BayerBG2RGB,
+    "bayer_bggr8": cv2.COLOR_BayerRG2RGB,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2RGB,
+    "bayer_grbg8": cv2.COLOR_BayerGB2RGB,
+    "yuv422": cv2.COLOR_YUV2RGB_UYVY,
+    "uyvy": cv2.COLOR_YUV2RGB_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
+    "yuyv": cv2.COLOR_YUV2RGB_YUY2,
+}
+_PLUMB_BOB: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+def seconds(header: Any) -> float:
+    """Return the time of a header."""
+    return float(header.stamp.sec) + float(header.stamp.nanosec) * 1e-9
+
+
+def pose_values(position: Any, turn: Any) -> Float[np.ndarray, "7"]:
+    """Return translation and quaternion (x, y, z, w). Raises ValueError."""
+    numbers = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
+    return fields.coordinates(numbers, "a pose")
+
+
+def camera_of(info: Any, *, raw: bool) -> tuple[Intrinsics, Lens]:
+    """Return camera and lens: K and D of raw images, P of rectified ones."""
+    k, d, p = (np.asarray(getattr(info, key, getattr(info, key.upper(), ()))).tolist() for key in "kdp")
+    fx, fy, cx, cy = (k[0], k[4], k[2], k[5]) if raw or not p[0] else (p[0], p[5], p[2], p[6])
+    camera = Intrinsics(fx, fy, cx + 0.5, cy + 0.5, int(info.width), int(info.height))
+    keys = ("k1", "k2", "k3", "k4") if info.distortion_model in ("equidistant", "fisheye") else _PLUMB_BOB
+    stated: dict[str, Any] = dict(zip(keys, d, strict=False)) if raw else {}
+    if len(keys) == 4 and stated:
+        stated["camera_model"] = "OPENCV_FISHEYE"
+    elif len(d) > 5 and stated:
+        stated["camera_model"] = "FULL_OPENCV"
+    return camera, lens_of(stated, {})
+
+
+def decode_colour_image(message: Any, label: str) -> ColourImage:
+    """Decode an Image or a CompressedImage. Raises ValueError and ImageError."""
+    if hasattr(message, "format"):
+        return decode_picture(bytes(message.data), label, as_stored=True)
+    encoding = message.encoding.lower()
+    if encoding in _CONVERSIONS:
+        values = _rows(message, np.dtype(np.uint8), 1 if "bayer" in encoding else 2)
+        rgb = cv2.cvtColor(values, _CONVERSIONS[encoding])
+    elif encoding in _ORDERS:
+        order = _ORDERS[encoding]
+        values = _rows(message, np.dtype(np.uint8), len(order))
+        rgb = np.ascontiguousarray(values[..., [order.index(key) if key in order else 0 for key in "RGB"]])
+    else:
+        raise ValueError(f"colour of {message.encoding[:40]!r} is not read; record rgb8 or bgr8")
+    return ColourImage(srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8)
+
+
+def decode_depth_image(message: Any, label: str, unit_m: float | None) -> Float[np.ndarray, "h w"]:
+    """Return depth in metres of an Image or a CompressedImage (compressedDepth). Raises ValueError and ImageError."""
+    if hasattr(message, "format"):  # 12 bytes of parameters, then a PNG
+        data = bytes(message.data)
+        at = data.find(b"\x89PNG", 0, 64)
+        if at < 0 or "32FC1" in message.format:
+            raise ValueError(f"compressed depth of {message.format[:40]!r} is not read; 16UC1 as PNG is")
+        return decode_depth_map(data[at:], label, unit_m=unit_m)
+    kinds = {"16uc1": ("u2", 0.001), "mono16": ("u2", 0.001), "32fc1": ("f4", 1.0)}
+    if message.encoding.lower() not in kinds:
+        raise ValueError(f"depth of {message.encoding[:40]!r} is not read; 16UC1 and 32FC1 are")
+    kind, default_m = kinds[message.encoding.lower()]
+    stored = _rows(message, np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<"), 1)[..., 0]
+    with np.errstate(over="ignore", invalid="ignore"):
+        metres = stored.astype(np.float32) * np.float32(unit_m or default_m)
+    if kind == "u2":
+        metres[stored == 65535] = 0.0
+    return clean_depth(metres)
+
+
+def _rows(message: Any, dtype: np.dtype, channels: int) -> np.ndarray:
+    """Return an image's values [h, w, channels]. Raises ValueError for a size that does not fit its bytes."""
+    height, width, data = int(message.height), int(message.width), np.asarray(message.data, np.uint8)
+    item = channels * dtype.itemsize
+    step = int(message.step) or width * item
+    if not 0 < height * width <= MAX_PIXELS or step < width * item or step * height > len(data):
+        raise ValueError(f"{len(data)} bytes are no image of {width} x {height} {message.encoding[:20]}")
+    lines = data[: step * height].reshape(height, step)[:, : width * item]
+    return np.ascontiguousarray(lines).view(dtype).reshape(height, width, channels)

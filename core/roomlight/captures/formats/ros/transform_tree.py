@@ -1,0 +1,104 @@
+"""Frames of reference that move against each other over time, as ROS's tf has them."""
+
+import bisect
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import pose_from_quaternion, rigid_inverse
+
+MAX_GAP_S: Final = 0.5
+"""Longest time between two poses that are interpolated."""
+_MAX_FRAMES: Final = 1000
+
+
+class TransformTree:
+    """Poses of frames in their parents, fixed or by time."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, str] = {}
+        self._fixed: set[str] = set()
+        self._times: dict[str, list[float]] = {}
+        self._poses: dict[str, list[Float[np.ndarray, 7]]] = {}
+
+    def add(self, parent: str, child: str, pose: Float[np.ndarray, "7"], *, time_s: float, fixed: bool = False) -> None:
+        """Add a pose of `child` in `parent`: translation and quaternion (x, y, z, w)."""
+        parent, child = parent.lstrip("/"), child.lstrip("/")
+        if parent == child or self._parents.get(child, parent) != parent or len(self._parents) >= _MAX_FRAMES:
+            return  # a second parent would make the tree ambiguous; tf keeps the first too
+        self._parents[child] = parent
+        if fixed:
+            self._fixed.add(child)
+        at = bisect.bisect_right(self._times.setdefault(child, []), time_s)
+        self._times[child].insert(at, time_s)
+        self._poses.setdefault(child, []).insert(at, pose)
+
+    def has(self, frame: str) -> bool:
+        """Whether a frame has a parent."""
+        return frame.lstrip("/") in self._parents
+
+    def root(self, frame: str) -> str:
+        """Return the frame above all others."""
+        return self._chain(frame)[-1]
+
+    def moves(self, frame: str) -> bool:
+        """Whether a frame moves against its root."""
+        return any(name in self._parents and name not in self._fixed for name in self._chain(frame))
+
+    def pose(self, frame: str, time_s: float) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of a frame in its root.
+
+        Raises:
+            ValueError: A frame on the way has no pose near this time.
+        """
+        total = np.eye(4)
+        for name in self._chain(frame)[:-1]:
+            total = self._at(name, time_s) @ total
+        return total
+
+    def between(self, target: str, source: str) -> Float[np.ndarray, "4 4"] | None:
+        """Return the fixed transform from `source` to `target`; None if they are not fixed to each other."""
+        poses: list[Float[np.ndarray, "4 4"]] = []
+        ends: list[str] = []
+        for frame in (target, source):
+            total = np.eye(4)
+            chain = self._chain(frame)
+            for name in chain:
+                if name not in self._fixed:
+                    ends.append(name)
+                    break
+                total = self._at(name, self._times[name][-1]) @ total
+            poses.append(total)
+        return rigid_inverse(poses[0]) @ poses[1] if ends[0] == ends[1] else None
+
+    def _chain(self, frame: str) -> list[str]:
+        chain = [frame.lstrip("/")]
+        while chain[-1] in self._parents and self._parents[chain[-1]] not in chain:
+            chain.append(self._parents[chain[-1]])
+        return chain
+
+    def _at(self, frame: str, time_s: float) -> Float[np.ndarray, "4 4"]:
+        times, poses = self._times[frame], self._poses[frame]
+        if frame in self._fixed:
+            return _matrix(poses[-1])
+        after = bisect.bisect_left(times, time_s)
+        if after < len(times) and times[after] - time_s < 1e-4:
+            return _matrix(poses[after])
+        before = after - 1
+        gap_s = times[after] - times[before] if 0 < after < len(times) else np.inf
+        if gap_s > MAX_GAP_S:
+            nearest = min(range(max(0, before), min(len(times), after + 1)), key=lambda at: abs(times[at] - time_s))
+            if abs(times[nearest] - time_s) > 0.05:
+                raise ValueError(
+                    f"the pose of {frame[:60]!r} nearest in time is {abs(times[nearest] - time_s):.3f} s away"
+                )
+            return _matrix(poses[nearest])
+        share = (time_s - times[before]) / gap_s
+        a, b = poses[before], poses[after]
+        b = np.concatenate([b[:3], b[3:] * (1.0 if a[3:] @ b[3:] >= 0 else -1.0)])
+        return _matrix(a + share * (b - a))  # normalised: a slerp to 1e-3 degrees for the turns within a step
+
+
+def _matrix(pose: Float[np.ndarray, "7"]) -> Float[np.ndarray, "4 4"]:
+    return pose_from_quaternion(pose[3:], pose[:3])

@@ -1,0 +1,134 @@
+"""The iPhone recordings of ScanNet++: `pose_intrinsic_imu.json` beside colour and depth, as downloaded or unpacked.
+
+| what   | downloaded                                              | unpacked by the data set's tools |
+|--------|---------------------------------------------------------|----------------------------------|
+| colour | `rgb.mkv` or `rgb.mp4`                                  | `rgb/frame_000000.jpg`           |
+| masks  | `rgb_mask.mkv` (not read)                               | `rgb_masks/frame_000000.png`     |
+| depth  | `depth.bin`: packed maps of 256 x 192                   | `depth/frame_000000.png`         |
+
+Conventions: `aligned_pose` (in the world of the scan, z-up; `pose`, ARKit's own, is not read) is camera-to-world with
+OpenCV axes, `intrinsic` is K for the colour image. Pixels that are 0 in a mask are not seen.
+"""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from roomlight.captures import fields
+from roomlight.captures.capture import PoseConventions, RawFrame, ReadRecord
+from roomlight.captures.decoding import decode_depth_map, intrinsics_without_size, read_mask, read_picture, with_mask
+from roomlight.captures.formats.listed import ListedReader
+from roomlight.captures.formats.packed_depth import SHAPE, DepthMaps
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import FolderSource, read_index
+from roomlight.captures.video import VideoFrames
+from roomlight.depth import clean_depth
+from roomlight.errors import CaptureError, FrameError
+from roomlight.images import ColourImage
+from roomlight.notes import Note
+
+INDEX: Final = "pose_intrinsic_imu.json"
+_VIDEOS: Final = ("rgb.mkv", "rgb.mp4")
+_MAX_PACKED: Final = 1 << 36
+
+
+class ScanNetPPReader(ListedReader):
+    """Reads the `iphone` folder of a scene."""
+
+    format = "scannetpp"
+    conventions = PoseConventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
+
+    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        """Read the index and find colour and depth.
+
+        Raises:
+            CaptureError: The index is missing or damaged, or there is neither video nor images, or no depth.
+        """
+        source = FolderSource(folder)
+        label = source.label(INDEX)
+        index = fields.parse_json(read_index(source, INDEX), label)
+        self._entries: dict[str, Any] = {key: index[key] for key in sorted(index, key=fields.natural_key)}
+        self._video = None if source.has("rgb") else next((name for name in _VIDEOS if source.has(name)), "")
+        if self._video == "":
+            raise CaptureError(f"{folder}: has neither rgb/ nor rgb.mkv; download the scene's iPhone video")
+        if not source.has("depth") and not source.has("depth.bin"):
+            raise CaptureError(f"{folder}: has neither depth/ nor depth.bin; download the scene's iPhone depth")
+        stems = [key for key in self._entries if self._video or source.has(f"rgb/{key}.jpg")]
+        super().__init__(folder, options, [f"rgb/{stem}.jpg" for stem in stems], expected=f"rgb image of {INDEX}")
+        self._stems = stems
+        if source.has("rgb_mask.mkv") and not source.has("rgb_masks"):
+            advice = "unpack it to rgb_masks/frame_000000.png"
+            self.notes.append(Note(f"{folder}: rgb_mask.mkv", "blurred people and screens count as seen", advice))
+        self._depth: DepthMaps | None = None
+
+    def name_of(self, index: int) -> str:
+        """Return the colour file, or the video with the frame's name."""
+        name = self._colour[index] if self._video is None else f"{self._video} ({self._stems[index]})"
+        return self._source.label(name)
+
+    def timestamps(self) -> list[float | None]:
+        """Return the times of the index, in seconds."""
+        times: list[float | None] = []
+        for stem in self._stems:
+            try:
+                times.append(fields.number(self._entry(stem).get("timestamp"), "timestamp"))
+            except (FrameError, ValueError):
+                times.append(None)
+        return times
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Hold the video open for one pass."""
+        if self._video is None:
+            yield lambda index: self._record(index, read_picture(self._source, self._colour[index]))
+            return
+        try:
+            path = self._source.path(self._video, max_bytes=_MAX_PACKED)
+            video = VideoFrames(path, self._source.label(self._video))
+        except FrameError as error:
+            raise CaptureError(str(error)) from error
+        with video:
+            yield lambda index: self._record(index, video.frame(self._number(index)))
+
+    def _entry(self, stem: str) -> dict[str, Any]:
+        entry = self._entries[stem]
+        if not isinstance(entry, dict):
+            raise FrameError(f"{self._source.label(INDEX)}: {stem[:60]} is no object with keys")
+        return entry
+
+    def _number(self, index: int) -> int:
+        digits = self._stems[index].rpartition("_")[2]
+        if not (digits.isascii() and digits.isdigit() and len(digits) < 9):
+            raise FrameError(f"{self._source.label(INDEX)}: {self._stems[index][:60]!r} is not named frame_000000")
+        return int(digits)
+
+    def _record(self, index: int, picture: ColourImage) -> RawFrame:
+        stem, label = self._stems[index], self.name_of(index)
+        entry = self._entry(stem)
+        height, width = picture.image.shape[:2]
+        with fields.naming(f"{self._source.label(INDEX)}: {stem}", FrameError):
+            pose = fields.matrix4(entry.get("aligned_pose"), "aligned_pose")
+            rows = [fields.vector(row, 3, "intrinsic") for row in fields.rows(entry.get("intrinsic"), 3, "intrinsic")]
+            intrinsics = intrinsics_without_size(np.stack(rows), width=width, height=height)
+        mask_name = f"rgb_masks/{stem}.png"
+        if self._source.has(mask_name):
+            picture = with_mask(picture, read_mask(self._source, mask_name))
+        depth_name = f"depth/{stem}.png"
+        if self._source.has("depth"):
+            depth_label = self._source.label(depth_name)
+            depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        else:
+            depth_label = f"{self._source.label('depth.bin')} ({stem})"
+            with fields.naming(depth_label, FrameError):
+                metres = self._maps().read(self._number(index))
+            scale = 1.0 if self._unit_m is None else self._unit_m / 0.001
+            depth_m = clean_depth((metres * np.float32(scale)).reshape(SHAPE))
+        return RawFrame(label, picture, depth_m, depth_label, intrinsics, pose)
+
+    def _maps(self) -> DepthMaps:
+        if self._depth is None:
+            self._depth = DepthMaps(self._source.path("depth.bin", max_bytes=_MAX_PACKED))
+        return self._depth

@@ -1,0 +1,166 @@
+"""Recognise a capture's format by the files in its folder, and say what the nearest format lacks."""
+
+import zipfile
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+from roomlight.captures.formats import native, nerfstudio, record3d, scannetpp, stray_scanner
+from roomlight.captures.formats.arkit_scenes import TRAJECTORY
+from roomlight.captures.formats.colmap import model_folder
+from roomlight.captures.formats.polycam import is_polycam
+from roomlight.captures.formats.ros.bag import is_bag
+from roomlight.captures.formats.rtabmap import export_name
+from roomlight.captures.formats.scanner_app import is_scanner_app
+from roomlight.captures.formats.scannet import intrinsics_file
+from roomlight.captures.source import FolderSource, ZipSource
+from roomlight.errors import UnknownFormatError
+
+_PARTS: Final[dict[str, tuple[str, ...]]] = {
+    "roomlight": (native.INDEX,),
+    "nerfstudio": (nerfstudio.INDEX,),
+    "stray-scanner": (stray_scanner.VIDEO, stray_scanner.ODOMETRY, stray_scanner.MATRIX, "depth"),
+    "record3d": ("metadata|metadata.json", "rgbd|rgb"),
+    "tum": ("rgb.txt", "depth.txt", "groundtruth.txt"),
+    "seven-scenes": ("frame-*.color.*", "frame-*.depth.png", "frame-*.pose.txt"),
+    "polycam": ("keyframes/images|images", "keyframes/cameras|cameras", "keyframes/depth|depth"),
+    "3d-scanner-app": ("frame_*.jpg", "frame_*.json", "depth_*.png"),
+    "arkitscenes": ("lowres_wide", "lowres_depth", "lowres_wide_intrinsics", TRAJECTORY),
+    "scannet": ("color", "depth", "pose", "intrinsic/intrinsic_color.txt"),
+    "scannetpp": (scannetpp.INDEX, "rgb|rgb.mkv", "depth|depth.bin"),
+    "rtabmap": ("*rgb", "*depth", "*calib", "*camera_poses.txt"),
+    "ros-bag": ("metadata.yaml", "*.db3|*.mcap"),
+    "colmap": ("sparse/0/cameras.*|sparse/cameras.*", "images", "depth|stereo/depth_maps"),
+}
+"""Files and folders of each format; `|` stands between alternatives."""
+
+_IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr", ".heic")
+_VIDEOS: Final = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+_MODELS: Final = (
+    *(".usdz", ".usda", ".usdc", ".glb", ".gltf", ".obj", ".ply", ".fbx", ".stl", ".dae"),
+    *(".spz", ".splat", ".ksplat", ".las", ".laz", ".e57", ".pts", ".xyz"),
+)
+_LISTED: Final = 1000
+"""Most files of a folder that are looked at for a message."""
+
+
+def recognised(path: Path) -> str:
+    """Return the format's name by the files in the folder or the archive.
+
+    Raises:
+        UnknownFormatError: It is none that is known; says what the nearest one lacks.
+    """
+
+    def has(*names: str) -> bool:
+        return any(source.has(name) for name in names)
+
+    source = FolderSource(path)
+    if is_bag(path):
+        return "ros-bag"
+    if path.is_file():
+        if path.suffix.lower() == ".r3d":
+            return "record3d"
+        if path.suffix.lower() == ".sens":
+            return "scannet"
+        if zipfile.is_zipfile(path):
+            return _of_zip(path)
+    elif has(native.INDEX):
+        return "roomlight"
+    elif has(scannetpp.INDEX):
+        return "scannetpp"
+    elif has(nerfstudio.INDEX):
+        return "nerfstudio"
+    elif has(stray_scanner.ODOMETRY, stray_scanner.MATRIX):
+        return "stray-scanner"
+    elif has("metadata", "metadata.json"):
+        return "record3d"
+    elif has("groundtruth.txt") or (has("rgb.txt") and has("depth.txt")):
+        return "tum"
+    elif any(path.glob("frame-*.*.*")):
+        return "seven-scenes"
+    elif is_polycam(source):
+        return "polycam"
+    elif has(TRAJECTORY):
+        return "arkitscenes"
+    elif intrinsics_file(source) is not None:
+        return "scannet"
+    elif export_name(source) is not None:
+        return "rtabmap"
+    elif model_folder(source) is not None:
+        return "colmap"
+    elif is_scanner_app(source):
+        return "3d-scanner-app"
+    if reason := _known_otherwise(path):
+        raise UnknownFormatError(f"{path}: {reason}")
+    known = "; ".join(f"{name}: {', '.join(parts).replace('|', ' or ')}" for name, parts in _PARTS.items())
+    raise UnknownFormatError(
+        f"{path}: no capture format recognised. {_nearest(path)}{_bare_images(path)}Set `format` to force one. "
+        f"Known are .r3d (record3d), .sens (scannet) and .bag (ros-bag) files, and folders of {known}"
+    )
+
+
+def _nearest(path: Path) -> str:
+    """Return which format has most of its parts there, and what it lacks, as a sentence."""
+    best: tuple[float, int, str] = (0.0, 0, "")
+    if not path.is_dir():
+        return ""
+    for name, parts in _PARTS.items():
+        there = [part for part in parts if _is_there(path, part)]
+        share = len(there) / len(parts)
+        if there and share < 1 and (share, len(there)) > best[:2]:
+            lacking = " and ".join(part.replace("|", " or ") for part in parts if part not in there)
+            best = share, len(there), f"The nearest is {name}, which lacks {lacking}. "
+    return best[2]
+
+
+def _is_there(path: Path, part: str) -> bool:
+    return any(next(iter(path.glob(pattern)), None) is not None for pattern in part.split("|"))
+
+
+def _known_otherwise(path: Path) -> str:
+    """Say what a path is instead of a recording; empty if that is not known."""
+    files = [path] if path.is_file() else [file for file in islice(path.iterdir(), _LISTED) if file.is_file()]
+    ends = {file.suffix.lower() for file in files if file.name[0] != "."}
+    models = [file.name for file in files if file.suffix.lower() in _MODELS]
+    if models and not ends & {*_IMAGES, *_VIDEOS, ".json", ".txt", ".csv"}:
+        return (
+            f"{models[0]} is a model, not a recording; Scaniverse exports models only. Record the room with Record3D, "
+            "Stray Scanner, NeRFCapture, Polycam (export raw data) or 3D Scanner App (export all data)"
+        )
+    if any(file.suffix.lower() == ".db" for file in files) and ends <= {".db"}:
+        return "is RTAB-Map's database; export it: rtabmap-export --images --poses_camera FILE.db"
+    if path.is_file() and path.suffix.lower() in _VIDEOS:
+        return "is a video without camera poses and depth; record with an app that stores them, such as Stray Scanner"
+    if path.is_file() and path.suffix.lower() in _IMAGES:
+        return "is one photo; `roomlight light IMAGE --depth DEPTH` lights it"
+    return ""
+
+
+def _bare_images(path: Path) -> str:
+    """Return what images without an index lack, as a sentence; empty if the folder holds no image."""
+    if not path.is_dir():
+        return ""
+    names = sorted(file.name for file in islice(path.iterdir(), _LISTED) if file.suffix.lower() in _IMAGES)
+    if not names:
+        return ""
+    listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return (
+        f"The folder holds {listed} without focal lengths and camera poses: add them in {nerfstudio.INDEX}, also for a "
+        "single frame; `roomlight light IMAGE --depth DEPTH` takes one photo without them. "
+    )
+
+
+def _of_zip(path: Path) -> str:
+    """Return "record3d" if the archive's listing is Record3D's. Raises UnknownFormatError with what it holds."""
+    source = ZipSource(path)
+    members = list(source.names())
+    for index, folder in record3d.LAYOUTS:
+        if index in members and any(name.startswith(f"{folder}/") for name in members):
+            return "record3d"
+    top = sorted({f"{name.split('/')[0]}/" if "/" in name else name for name in members})
+    top = [source.prefix] if source.prefix else top
+    contents = ", ".join(top[:6]) + (f" and {len(top) - 6} more" if len(top) > 6 else "")
+    raise UnknownFormatError(
+        f"{path}: this zip archive is not a Record3D capture (metadata with rgbd/, or metadata.json with rgb/); "
+        f"it holds {contents or 'nothing'}. Unpack a capture of another format first"
+    )

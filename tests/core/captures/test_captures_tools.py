@@ -1,0 +1,292 @@
+"""Layouts of data sets and tools beside those that `test_captures_readers` covers, and what is refused by name."""
+
+import shutil
+import struct
+from pathlib import Path
+
+import av
+import cv2
+import formats
+import numpy as np
+import pytest
+import tool_formats
+from capture_checks import edit, one_skipped
+
+from roomlight.captures import CaptureOptions, open_capture
+from roomlight.captures.formats.packed_depth import lz4_block
+from roomlight.conventions import srgb8_to_linear
+from roomlight.errors import CaptureError, UnknownFormatError
+
+VIEWS = formats.scene()
+
+
+# ScanNet and ScanNet++
+
+
+@pytest.mark.parametrize("kind", ["stream", "deflate", "lz4"])
+def test_scannetpp_as_downloaded(tmp_path: Path, kind: str) -> None:
+    """A video of 21 frames in which every tenth is listed, and packed depth of 256 x 192."""
+    path = tool_formats.scannetpp(tmp_path / "iphone", VIEWS[:3])
+    shutil.rmtree(path / "rgb")
+    shutil.rmtree(path / "depth")
+    edit(path / "pose_intrinsic_imu.json", lambda index: [index.pop(key) for key in list(index) if key.endswith("1")])
+    with av.open(str(path / "rgb.mkv"), "w", format="matroska") as container:
+        stream = container.add_stream("libx264", rate=60, options={"crf": "4"})
+        stream.width, stream.height, stream.pix_fmt = formats.WIDTH, formats.HEIGHT, "yuv420p"
+        for number in range(21):
+            frame = av.VideoFrame.from_ndarray(VIEWS[number // 10].srgb8 // (1 + number % 10), format="rgb24")
+            container.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace="ITU709")))
+        container.mux(stream.encode())
+    maps = [np.full((192, 256), 1 + 0.1 * number, np.float32) for number in range(21)]
+    for depth_m in maps:
+        depth_m[96:] += 0.5
+    (path / "depth.bin").write_bytes(tool_formats.packed_depth(maps, kind))
+    capture = open_capture(path)
+    frames = list(capture)
+    assert capture.skipped == []
+    for number, (frame, view) in enumerate(zip(frames, VIEWS[:3], strict=True)):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-9)
+        np.testing.assert_allclose(frame.depth_m, maps[10 * number], atol=6e-4)
+        assert np.abs(frame.image - srgb8_to_linear(view.srgb8)).mean() < 0.012
+    np.testing.assert_allclose(capture.frame_at(0).depth_m, maps[0], atol=6e-4)
+    data = (path / "depth.bin").read_bytes()
+    (path / "depth.bin").write_bytes(data[: len(data) * 2 // 3])
+    capture = open_capture(path)
+    assert len(list(capture)) < 3
+    assert all("depth.bin" in skipped.reason for skipped in capture.skipped)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00\x00", b"\xf0\xff\xff", b"\x10A\x05\x00", b"\x1fA\x01\x00" + b"\xff" * 99])
+def test_damaged_lz4_is_refused(data: bytes) -> None:
+    with pytest.raises((ValueError, IndexError)):
+        lz4_block(data, 64)
+
+
+def test_scannetpp_masks_and_missing_parts(tmp_path: Path) -> None:
+    path = tool_formats.scannetpp(tmp_path / "iphone", VIEWS)
+    mask = np.full((24, 32), 255, np.uint8)
+    mask[:6] = 0
+    formats.save(path / "rgb_masks/frame_000010.png", formats.image(".png", mask))
+    (path / "rgb_mask.mkv").write_bytes(b"x")
+    plain, masked, *_ = open_capture(path)
+    assert plain.seen is None
+    assert masked.seen is not None
+    assert not masked.seen[:6].any()
+    shutil.rmtree(path / "rgb_masks")
+    assert any("rgb_mask.mkv" in note.left_out for note in open_capture(path).notes)
+    shutil.rmtree(path / "depth")
+    with pytest.raises(CaptureError, match=r"neither depth/ nor depth\.bin"):
+        open_capture(path)
+    shutil.rmtree(path / "rgb")
+    with pytest.raises(CaptureError, match=r"neither rgb/ nor rgb\.mkv"):
+        open_capture(path)
+
+
+def test_depth_of_another_camera_is_projected_into_the_colour_image(tmp_path: Path) -> None:
+    """A wall at 2 m and one at 1 m before its right half, seen by a depth camera 10 cm to the right."""
+    depth = np.full((48, 64), 2000, np.uint16)
+    near = np.zeros((48, 64), bool)
+    near[:, 40:] = True
+    depth[near] = 1000
+    views = [formats.View(VIEWS[0].srgb8, depth / np.float32(1000), VIEWS[0].confidence, VIEWS[0].pose, 0.0)]
+    path = formats.scannet(tmp_path / "capture", views)
+    data = bytearray(path.read_bytes())
+    at = 12 + 15
+    k = np.eye(4, dtype="<f4")
+    k[:2, :3] = [[60.0, 0, 31.5], [0, 60.0, 23.5]]
+    moved = np.eye(4, dtype="<f4")
+    moved[0, 3] = 0.1  # the depth camera's place, seen by the colour camera
+    data[at + 128 : at + 192], data[at + 192 : at + 256] = k.tobytes(), moved.tobytes()
+    data[at + 272 : at + 280] = struct.pack("<2i", 64, 48)
+    path.write_bytes(data)
+    (frame,) = open_capture(path)
+    rows, columns = np.nonzero(np.isclose(frame.depth_m, 1.0, atol=1e-3))
+    left = columns.min() / frame.depth_m.shape[1] * formats.WIDTH
+    edge = (40 + 0.5 - 32.0) / 60.0 * 1.0 + 0.1  # x of the near wall's edge at 1 m
+    assert left == pytest.approx(formats.CX + formats.FX * edge, abs=1.2)
+    assert len(rows) > 100
+    assert np.isin(np.round(frame.depth_m, 3), [0.0, 1.0, 2.0]).all()
+
+
+# RTAB-Map
+
+
+def test_rtabmap_by_time_with_the_robots_poses(tmp_path: Path) -> None:
+    """Names are times, the poses are the robot's, and the calibration holds the camera's place on it."""
+    path = tool_formats.rtabmap(tmp_path / "capture", VIEWS)
+    mount = ", ".join(str(float(value)) for value in tool_formats.MOUNT[:3].reshape(-1))
+    extra = f"local_transform:\n   rows: 3\n   cols: 4\n   data: [ {mount} ]\n"
+    lines = []
+    for index, view in enumerate(VIEWS):
+        number, stem = 3 * index + 10, f"{view.time_s:.6f}"
+        (path / f"room_rgb/{number}.jpg").rename(path / f"room_rgb/{stem}.jpg")
+        (path / f"room_depth/{number}.png").rename(path / f"room_depth/{stem}.png")
+        (path / f"room_calib/{number}.yaml").unlink()
+        formats.save(path / f"room_calib/{stem}.yaml", tool_formats.opencv_yaml(stem, extra).encode())
+        base = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP @ np.linalg.inv(tool_formats.MOUNT)
+        values = [view.time_s, *base[:3, 3], *tool_formats.quaternion_of_any(base[:3, :3])]
+        lines.append(" ".join(map(str, values)))
+    (path / "room_camera_poses.txt").unlink()
+    (path / "room_poses.txt").write_text("\n".join(lines))
+    for frame, view in zip(open_capture(path), VIEWS, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+        assert frame.timestamp_s == pytest.approx(view.time_s)
+    formats.save(path / f"room_calib/{VIEWS[1].time_s:.6f}.yaml", tool_formats.opencv_yaml("x").encode())
+    one_skipped(path, 1, "local_transform", "--poses_camera")
+
+
+def test_rtabmap_without_a_pose_or_a_camera(tmp_path: Path) -> None:
+    path = tool_formats.rtabmap(tmp_path / "capture", VIEWS)
+    poses = (path / "room_camera_poses.txt").read_text()
+    (path / "room_camera_poses.txt").write_text(poses.replace(" 13\n", " 14\n"))
+    one_skipped(path, 1, "the poses have none")
+    (path / "room_camera_poses.txt").write_text(poses)
+    (path / "room_calib/13.yaml").write_text("%YAML:1.0\nimage_width: 32\n")
+    one_skipped(path, 1, "13.yaml", "camera_matrix")
+    for number in (10, 13, 16, 19):
+        text = tool_formats.opencv_yaml(number).replace("[ 0., 0.", "[ 0.1, 0.")
+        (path / f"room_calib/{number}.yaml").write_text(text)
+    capture = open_capture(path)
+    assert len(list(capture)) == 4
+    assert "distortion" in capture.notes[0].left_out
+    (path / "room_camera_poses.txt").write_text("1.0 2.0\n")
+    with pytest.raises(CaptureError, match=r"room_camera_poses\.txt: line 1.*--poses_format 11"):
+        open_capture(path)
+
+
+# COLMAP
+
+
+def test_colmaps_own_depth_maps(tmp_path: Path) -> None:
+    path = formats.colmap(tmp_path / "dense", VIEWS)
+    shutil.rmtree(path / "depth")
+    for index, view in enumerate(VIEWS):
+        data = f"{formats.WIDTH}&{formats.HEIGHT}&1&".encode() + view.depth_m.astype("<f4").tobytes()
+        formats.save(path / f"stereo/depth_maps/frame_{index + 1:05d}.png.geometric.bin", data)
+    for frame, view in zip(open_capture(path), VIEWS, strict=True):
+        np.testing.assert_allclose(frame.depth_m, view.depth_m, rtol=1e-6)
+    doubled = next(iter(open_capture(path, CaptureOptions(depth_unit_m=2.0))))
+    np.testing.assert_allclose(doubled.depth_m, 2 * VIEWS[0].depth_m, rtol=1e-6)
+    (path / "stereo/depth_maps/frame_00002.png.geometric.bin").write_bytes(b"32&24&1&1234")
+    one_skipped(path, 1, "COLMAP map of 32 x 24")
+
+
+# ROS
+
+
+def with_messages(path: Path, change: dict[str, str], drop: str = "\0") -> Path:
+    messages = [message for message in tool_formats.ros_messages(VIEWS) if not message[0].startswith(drop)]
+    return tool_formats.ros2_bag(path, [(change.get(topic, topic), *rest) for topic, *rest in messages])
+
+
+def test_a_bag_without_poses_depth_or_camera_says_so(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"no poses of camera_color_optical_frame.*RTAB-Map"):
+        open_capture(with_messages(tmp_path / "a", {}, drop="/tf"))
+    with pytest.raises(CaptureError, match=r"no topic of depth images; its topics are /camera/color/camera_info"):
+        open_capture(with_messages(tmp_path / "b", {}, drop="/camera/aligned"))
+    with pytest.raises(CaptureError, match="no CameraInfo beside /camera/color/image_raw"):
+        open_capture(with_messages(tmp_path / "c", {}, drop="/camera/color/camera_info"))
+    (tmp_path / "d.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(99))
+    with pytest.raises(CaptureError, match=r"d\.bag: is not a readable ROS bag"):
+        open_capture(tmp_path / "d.bag")
+
+
+def test_a_pose_topic_stands_in_for_tf(tmp_path: Path) -> None:
+    messages = [message for message in tool_formats.ros_messages(VIEWS) if not message[0].startswith("/tf")]
+    for view in VIEWS:
+        pose = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP
+        cdr = tool_formats.Cdr().header(view.time_s, "map")
+        cdr.put("d", *pose[:3, 3], *tool_formats.quaternion_of_any(pose[:3, :3]))
+        messages.append(("/slam/pose", "geometry_msgs/msg/PoseStamped", view.time_s, cdr.bytes()))
+    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
+    for frame, view in zip(capture, VIEWS, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+    assert "PoseStamped" in capture.notes[0].left_out
+
+
+def test_poses_between_two_of_tf_are_interpolated(tmp_path: Path) -> None:
+    messages = tool_formats.ros_messages(VIEWS)
+    moved = [message for message in messages if message[0] != "/tf"]
+    for view in (VIEWS[0], VIEWS[2], VIEWS[3]):
+        base = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP @ np.linalg.inv(tool_formats.MOUNT)
+        data = tool_formats.transforms_message(view.time_s, "map", "base_link", base)
+        moved.append(("/tf", "tf2_msgs/msg/TFMessage", view.time_s, data))
+    second = open_capture(tool_formats.ros2_bag(tmp_path / "bag", moved)).frame_at(1)
+    assert np.abs(second.camera_to_world[:3, 3] - VIEWS[1].pose[:3, 3]).max() < 0.03
+    assert np.degrees(np.arccos((second.camera_to_world[:3, 2] * VIEWS[1].pose[:3, 2]).sum())) < 0.5
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "rgba8", "mono8", "jpeg", "bayer_rggb8"])
+def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
+    rgb = VIEWS[0].srgb8
+    pixels = {
+        "rgb8": rgb,
+        "rgba8": np.dstack([rgb, np.full(rgb.shape[:2], 255, np.uint8)]),
+        "mono8": rgb[..., 1],
+        "bayer_rggb8": np.where(np.indices((24, 32)).sum(axis=0) % 2, rgb[..., 1], rgb[..., 0]),
+    }
+    if encoding == "bayer_rggb8":
+        pixels[encoding][1::2, 1::2] = rgb[1::2, 1::2, 2]
+    messages = []
+    for topic, kind, time_s, data in tool_formats.ros_messages(VIEWS[:1]):
+        if topic == "/camera/color/image_raw" and encoding == "jpeg":
+            cdr = tool_formats.Cdr().header(VIEWS[0].time_s, "camera_color_optical_frame").text("rgb8; jpeg compressed")
+            data = cdr.raw(formats.image(".jpg", rgb)).bytes()
+            topic, kind = "/camera/color/image_raw/compressed", "sensor_msgs/msg/CompressedImage"
+        elif topic == "/camera/color/image_raw":
+            stored = np.ascontiguousarray(pixels[encoding])
+            data = tool_formats.image_message(VIEWS[0].time_s, "camera_color_optical_frame", encoding, stored)
+        messages.append((topic, kind, time_s, data))
+    (frame,) = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
+    expected = np.repeat(rgb[..., 1:2], 3, axis=2) if encoding == "mono8" else rgb
+    error = np.abs(frame.image - srgb8_to_linear(expected))[2:-2, 2:-2]
+    assert error.mean() < (0.03 if encoding == "bayer_rggb8" else 0.012)
+
+
+# Refused by name
+
+
+def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
+    for name, words in (
+        ("room.usdz", "a model, not a recording; Scaniverse"),
+        ("splat.spz", "a model, not a recording"),
+        ("map.db", "rtabmap-export --images --poses_camera"),
+        ("walk.mov", "a video without camera poses and depth"),
+        ("photo.heic", "one photo"),
+    ):
+        (tmp_path / name).write_bytes(b"x" * 99)
+        with pytest.raises(UnknownFormatError, match=words):
+            open_capture(tmp_path / name)
+    formats.save(tmp_path / "scan/scene.glb", b"x")
+    with pytest.raises(UnknownFormatError, match=r"scene\.glb is a model"):
+        open_capture(tmp_path / "scan")
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [
+        (["keyframes/images/1.jpg", "keyframes/depth/1.png"], "nearest is polycam, which lacks keyframes/cameras"),
+        (["frame_00000.jpg", "depth_00000.png"], r"nearest is 3d-scanner-app, which lacks frame_\*\.json"),
+        (["lowres_wide/a_1.0.png", "lowres_depth/a_1.0.png", "lowres_wide_intrinsics/a"], r"lacks lowres_wide\.traj"),
+        (["rgb.mp4", "depth/000000.png"], r"nearest is stray-scanner, which lacks odometry\.csv and camera_matrix"),
+        (["sparse/0/cameras.bin", "images/1.jpg"], "nearest is colmap, which lacks depth or stereo"),
+    ],
+)
+def test_the_nearest_format_and_what_it_lacks_are_named(tmp_path: Path, files: list[str], message: str) -> None:
+    for name in files:
+        formats.save(tmp_path / "folder" / name, b"x")
+    with pytest.raises(UnknownFormatError, match=message) as caught:
+        open_capture(tmp_path / "folder")
+    assert "Known are .r3d" in str(caught.value)
+
+
+def test_polycams_folders_without_keyframes_are_known_by_their_cameras(tmp_path: Path) -> None:
+    path = formats.polycam(tmp_path / "a", VIEWS)
+    for name in ("corrected_images", "corrected_cameras"):
+        shutil.rmtree(path / "keyframes" / name)
+    for folder in (path / "keyframes").iterdir():
+        folder.rename(path / folder.name)
+    (path / "keyframes").rmdir()
+    assert open_capture(path).format == "polycam"
+    assert next(iter(open_capture(path))).camera_to_world[0, 3] == 99.0
+    assert cv2.imread(str(next((path / "images").iterdir()))) is not None
