@@ -1,17 +1,24 @@
-"""Every shape at every quality: finite, no light above the room's, no seams, and contact with the floor."""
+"""Shapes and GLB files at every quality: finite, no light above the room's, no seams, and contact with the floor."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from gltf_files import GltfFile
 
+from roomlight.captures import open_capture
 from roomlight.compositing.compositor import Compositor
+from roomlight.compositing.objects.loading import load_object
 from roomlight.compositing.objects.materials import diffuse, glossy, mirror
 from roomlight.compositing.objects.primitives import chair, cube, plane, sphere, vase
 from roomlight.compositing.objects.teapot import teapot
-from roomlight.compositing.placement.scene import AtPosition, SceneObject
+from roomlight.compositing.objects.virtual_object import VirtualObject
+from roomlight.compositing.picture.layers import Composite
+from roomlight.compositing.placement.scene import AtPixel, AtPosition, SceneObject
 from roomlight.engine.session import Session, SessionOptions
+from roomlight.sample import sample_capture
 from rooms import BoxRoom, camera_at
 
 QUALITIES = ("preview", "good", "final")
@@ -58,6 +65,115 @@ def test_shapes_are_lit_by_the_room_without_seams_and_stand_on_the_floor(composi
         assert largest_step(picture.objects[..., 1], picture.object_id == list(SHAPES).index(name)) < 0.15
     for name in ("cube", "chair", "vase"):
         assert contact(picture.shadow.mean(axis=-1), picture.object_id == list(SHAPES).index(name)) < 0.8
+
+
+TOP, LEGS = (0.5, 0.03, 0.35), [(x, z) for x in (-0.21, 0.21) for z in (-0.14, 0.14)]
+LEG_M = 0.025
+TABLES = {
+    "plain": (-0.75, 0.0, -0.2),
+    "emissive": (0.0, 0.0, -0.2),
+    "texture transform": (0.75, 0.0, -0.2),
+    "vertex colours": (0.05, 0.0, -1.9),
+    "skin": (0.7, 0.0, -1.9),
+    "double sided": (1.35, 0.0, -1.9),
+    "draco": (1.95, 0.0, -1.9),
+}
+
+
+def table(kind: str) -> VirtualObject:
+    """Return a table on four thin legs, from a GLB file with one of the ways in which files state things."""
+    box, _ = cube(1.0).parts[0]
+    unit = box.vertices - box.vertices.mean(axis=0)
+    parts = [((0, 0.45, 0), TOP), *(((x, 0.22, z), (LEG_M, 0.44, LEG_M)) for x, z in LEGS)]
+    points = np.concatenate([unit * np.array(size, np.float32) + np.array(at, np.float32) for at, size in parts])
+    faces = np.concatenate([box.faces + number * len(unit) for number in range(len(parts))])
+    normals, uvs = (np.tile(values, (len(parts), 1)) for values in (box.normals, box.uvs))
+    file = GltfFile()
+    pbr: dict[str, Any] = {"baseColorFactor": [0.5, 0.35, 0.2, 1], "metallicFactor": 0, "roughnessFactor": 0.9}
+    material: dict[str, Any] = {"pbrMetallicRoughness": pbr, "doubleSided": kind == "double sided"}
+    if kind == "emissive":  # bright in its factor, and nearly black in its texture
+        spots = np.zeros((64, 64, 3), np.uint8)
+        spots[0, :2] = 255
+        material |= {"emissiveFactor": [0.5, 0.5, 0.5], "emissiveTexture": {"index": file.image(spots)}}
+    if kind == "texture transform":
+        stripes = np.tile(np.array([[[90] * 3, [200] * 3]], np.uint8), (8, 4, 1))
+        moved = {"KHR_texture_transform": {"scale": [3, 3], "rotation": 0.5}}
+        pbr["baseColorTexture"] = {"index": file.image(stripes), "extensions": moved}
+    number, more = file.material(**material), {}
+    if kind == "draco":
+        library = pytest.importorskip("DracoPy")
+        data = library.encode(points.astype(np.float64), faces.astype(np.uint32), quantization_bits=14)
+        decoded = library.decode(data)
+        stated = {"bufferView": file.view(data), "attributes": {"POSITION": decoded.attributes[0]["unique_id"]}}
+        file.tree["accessors"] = [
+            {"componentType": 5126, "count": len(decoded.points), "type": "VEC3"},
+            {"componentType": 5125, "count": faces.size, "type": "SCALAR"},
+        ]
+        extensions = {"KHR_draco_mesh_compression": stated}
+        primitive = {"attributes": {"POSITION": 0}, "indices": 1, "material": number, "extensions": extensions}
+        file.tree["meshes"] = [{"primitives": [primitive]}]
+        file.tree["extensionsRequired"] = file.tree["extensionsUsed"] = list(extensions)
+    else:
+        file.mesh(points, faces, uvs=uvs, normals=normals, material=number)
+    attributes = file.tree["meshes"][0]["primitives"][0]["attributes"]
+    if kind == "vertex colours":
+        colours = np.linspace(0.2, 0.8, 3 * len(points), dtype=np.float32).reshape(-1, 3)
+        attributes["COLOR_0"] = file.accessor(colours, "VEC3", 5126)
+    if kind == "skin":  # a joint that shrinks what its bind pose enlarges
+        attributes["JOINTS_0"] = file.accessor(np.zeros((len(points), 4), np.uint8), "VEC4", 5121)
+        weights = np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1))
+        attributes["WEIGHTS_0"] = file.accessor(weights, "VEC4", 5126)
+        bind = np.diag([100.0, 100, 100, 1]).astype(np.float32).reshape(1, 16)
+        file.tree["skins"] = [{"joints": [1], "inverseBindMatrices": file.accessor(bind, "MAT4", 5126)}]
+        more = {"skin": 0}
+    file.node(mesh=0, **more)
+    if kind == "skin":
+        file.node(scale=[0.01] * 3)
+    return load_object(file.glb())
+
+
+@pytest.mark.parametrize("quality", [*QUALITIES[:-1], pytest.param(QUALITIES[-1], marks=pytest.mark.slow)])
+def test_files_are_lit_by_the_room_without_seams_and_stand_on_every_foot(session: Session, quality: str) -> None:
+    scene = [SceneObject(kind, table(kind), AtPosition(place)) for kind, place in TABLES.items()]
+    made = Compositor(session, scene, quality=quality)
+    picture = made.composite(ROOM.frame(VIEW.camera_to_world, index=20, width=400, height=300))
+    made.close()
+    for layer in (picture.objects, picture.alpha, picture.shadow):
+        assert np.isfinite(layer).all()
+    assert picture.radiance.max() < WHITE
+    assert picture.shadow.max() < 1.35
+    for number, (x, y, z) in enumerate(TABLES.values()):
+        assert largest_step(picture.objects[..., 1], picture.object_id == number) < 0.15
+        feet = [contact_of_foot(picture, np.array([x + aside, y, z + along])) for aside, along in LEGS]
+        assert max(feet) < 0.7  # those at the far end of the room are 1.6 pixels wide
+        assert np.mean(feet) < 0.67
+
+
+@pytest.mark.slow
+def test_objects_in_the_frames_of_a_recording_have_no_seams_and_cast_no_light() -> None:
+    frames = list(open_capture(sample_capture()))
+    session = Session(SessionOptions(height=60))
+    for frame in frames:
+        session.push(frame)
+    floor = AtPixel(160.0, 200.0, frames[0].index)
+    for quality in QUALITIES:
+        made = Compositor(session, [SceneObject("table", table("texture transform"), floor)], quality=quality)
+        for frame in frames[::10]:
+            picture = made.composite(frame)
+            assert np.isfinite(picture.radiance).all()
+            assert picture.shadow.max() < 1.35
+            assert largest_step(picture.objects[..., 1], picture.object_id == 0) < 0.2
+        assert len(frames[::10]) > 2
+        made.close()
+
+
+def contact_of_foot(picture: Composite, foot: np.ndarray) -> float:
+    """Return the darkest shadow on the visible floor within three pixels of a foot."""
+    camera, inverse = picture.frame.intrinsics, np.linalg.inv(picture.frame.camera_to_world)
+    ((column, row),), _ = camera.project((inverse[:3, :3] @ foot + inverse[:3, 3])[None])
+    near = np.s_[int(row) - 3 : int(row) + 5, int(column) - 3 : int(column) + 5]
+    floor = picture.alpha[near] < 0.1
+    return float(picture.shadow[near].mean(axis=-1)[floor].min(initial=1))
 
 
 def largest_step(radiance: np.ndarray, of_object: np.ndarray) -> float:

@@ -152,6 +152,17 @@ def test_coarse_shadows_agree_with_fine_ones():
     assert np.percentile(np.abs(fine - coarse), 99) < 0.15
 
 
+@pytest.mark.parametrize("step", [2, 4])
+def test_contact_has_the_detail_of_fine_shadows(step):
+    small = ball(lit(60, [], level=1.0), radius=0.06, height=0.06)
+    fine = shadow_ratio([small], floor_depth(), CAMERA, POSE, FINE)
+    coarse = shadow_ratio([small], floor_depth(), CAMERA, POSE, ShadowQuality(step, 64, 0))
+    _, grid = ratio_of(small)
+    below = grid.known & (np.linalg.norm(grid.points, axis=-1) < 0.06)
+    assert fine[below].min() < 0.15
+    assert np.abs(fine - coarse)[below].mean() < 0.04 * (step - 2) + 1e-6  # interpolation alone: 0.06 and 0.15
+
+
 @pytest.mark.parametrize("rim", [np.s_[:, 70:71], np.s_[80:81, :]])
 def test_a_rim_of_one_pixel_has_no_normals_and_stays_unchanged(rim):
     held = ball(lit(60, [((0.35, 1.0, 0.2), 15.0, 10.0)], level=0.5), height=0.2)

@@ -14,7 +14,7 @@ pixel's own samples disagree: borders of hard shadows stay sharp. World metres.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -57,6 +57,10 @@ SNAP_SHARE: Final = 0.01
 LIFT_M: Final = 5e-4
 RATIO_RANGE: Final = (0.02, 4.0)
 _EDGE: Final = 0.04
+_CONTACT_PIXELS: Final = 3.0
+"""Where what takes the light is nearer than this many computed pixels, the shadow has detail between them."""
+_CONTACT_RATIO: Final = 0.93
+"""Lighter shadows have no contact to show."""
 _EVEN_SHARE: Final = np.float32(0.25)
 _MOST_REFLECTED: Final = np.float32(12.0)
 """Of one pixel's few rays, relative to its irradiance; the mean over neighbours is limited by `RATIO_RANGE`."""
@@ -188,23 +192,85 @@ def shadow_ratio(
     if supports is None:
         supports = [caster.support for caster in casters if caster.support is not None]
     grid = surface_grid(coarse_depth, coarse_camera, camera_to_world, supports)
+    parts = [_filtered(caster, grid, quality) for caster in casters]
     ratio = np.ones((*coarse_depth.shape, 3), np.float32)
-    for caster in casters:
-        ratio *= coarse_ratio(caster, grid, quality)
+    for part, _ in parts:
+        ratio *= part
     if smooth is not None:
         ratio = smooth(ratio, grid, coarse_depth, coarse_camera)
-    return spread_ratio(ratio, grid.known, coarse_depth, depth_m, step)
+    out = spread_ratio(ratio, grid.known, coarse_depth, depth_m, step)
+    if step == 1:
+        return out
+    pixel_m = coarse_depth / np.float32(coarse_camera.fx)
+    for caster, (part, occluder_m) in zip(casters, parts, strict=True):
+        fine = grid.known & (occluder_m < _CONTACT_PIXELS * pixel_m) & (part.min(axis=-1) < _CONTACT_RATIO)
+        if fine.any():
+            coarse = _Coarse(part, grid.known, coarse_depth, fine)
+            _add_contact(out, caster, coarse, depth_m, (camera, camera_to_world, supports), quality)
+    return out
+
+
+@dataclass(frozen=True)
+class _Coarse:
+    """The ratio of one caster on every `step`-th pixel, and which of these have detail between them: `fine`."""
+
+    ratio: Float32[np.ndarray, "h w 3"]
+    known: Bool[np.ndarray, "h w"]
+    depth_m: Float32[np.ndarray, "h w"]
+    fine: Bool[np.ndarray, "h w"]
+
+
+def _add_contact(
+    out: Float32[np.ndarray, "fh fw 3"],
+    caster: Caster,
+    coarse: _Coarse,
+    depth_m: Float[np.ndarray, "fh fw"],
+    view: tuple[CropCamera, Float[np.ndarray, "4 4"], list[Plane]],
+    quality: ShadowQuality,
+) -> None:
+    """Replace a caster's interpolated ratio by that of a grid twice as fine where it touches a surface, in place."""
+    step, fine, (camera, pose, supports) = quality.step, quality.step // 2, view
+    soft = cv2.blur(cv2.dilate(coarse.fine.astype(np.float32), np.ones((3, 3), np.uint8)), (3, 3))
+    crops: list[slice] = []
+    for axis in (0, 1):
+        used = np.flatnonzero(soft.any(axis=1 - axis))
+        crops.append(slice(int(used[0]) // TILE * TILE, int(used[-1]) + 1))  # whole tiles: samples stay where they are
+    rows, columns = crops
+    top, left = rows.start * step, columns.start * step
+    box = slice(top, rows.stop * step), slice(left, columns.stop * step)
+    part = np.ascontiguousarray(depth_m[box])
+    height, width = part.shape
+    lens = replace(camera, cx=camera.cx - left, cy=camera.cy - top, width=width, height=height).every(fine)
+    sampled = np.ascontiguousarray(part[fine // 2 :: fine, fine // 2 :: fine])
+    if min(sampled.shape) < TILE:
+        return
+    share = cv2.resize(soft[rows, columns], None, fx=step, fy=step, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    grid = surface_grid(sampled, lens, pose, supports)
+    wanted = share[fine // 2 :: fine, fine // 2 :: fine] > 0.1
+    detailed, _ = _filtered(caster, grid, quality, wanted)
+    detailed = spread_ratio(detailed, grid.known, sampled, part, fine)
+    cut = [np.ascontiguousarray(values[rows, columns]) for values in (coarse.ratio, coarse.known, coarse.depth_m)]
+    change = detailed / np.maximum(spread_ratio(cut[0], cut[1], cut[2], part, step), RATIO_RANGE[0])
+    share *= cv2.resize(grid.known.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
+    out[box] *= 1 + share[..., None] * (change - 1)
 
 
 def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> Float32[np.ndarray, "h w 3"]:
     """Return the ratio of one caster on a grid of surfaces; 1 beyond its reach and where the surface is not known."""
+    return _filtered(caster, grid, quality)[0]
+
+
+def _filtered(
+    caster: Caster, grid: SurfaceGrid, quality: ShadowQuality, wanted: Bool[np.ndarray, "h w"] | None = None
+) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
+    """Return the ratio on the wanted points of a grid, and the mean distance of what takes the light there."""
     height, width = grid.known.shape
     out = np.ones((height, width, 3), np.float32)
     fade = _fade(caster.spheres, grid, quality.reach)
-    near = grid.known & (fade > 0)
+    near = grid.known & (fade > 0) if wanted is None else grid.known & (fade > 0) & wanted
     rows, columns = np.nonzero(near)
     if len(rows) == 0:
-        return out
+        return out, np.full((height, width), _FAR_M, np.float32)
     subset = (rows % TILE * TILE + columns % TILE).astype(np.int32)
     lamp = lamp_of(caster.reflection) if caster.room is not None and quality.room_shade else None
     seen = np.ones(len(rows), np.float32)
@@ -228,7 +294,7 @@ def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> F
     change = Change(dark, noise, occluder_m, glow, near)
     arguments = (change, grid, quality.radius, np.float32(0.02), np.float32(RATIO_RANGE[1]), out)
     parallel_for(lambda start, stop: filter_change(*arguments, start, stop), height)
-    return out
+    return out, occluder_m
 
 
 def spread_ratio(
