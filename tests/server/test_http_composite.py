@@ -16,7 +16,7 @@ from gltf_files import packed, textured_quad
 
 from http_servers import InThread, RunningServer, box_shot
 from present import present
-from roomlight.compositing.objects.loading import load_object
+from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject

@@ -3,7 +3,7 @@
 `Compositor` (`compositor.py`) composites one frame after the other, `recordings.py` whole recordings. An object
 gets its picture in this order:
 
-1. `objects`: its meshes, materials and textures, from a file or a shape.
+1. `objects`: its meshes, materials and textures, from a file (`loading.py`) or a shape.
 2. `placement`: the scene's description, the room's surfaces, and the object's place on them (`placed_object.py`).
 3. `light`: panoramas at its probes, changed to what objects need, eased over time, as tables to
    draw directions from (`lighting.py`).

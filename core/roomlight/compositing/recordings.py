@@ -49,7 +49,7 @@ def scene_of_object(
         >>> [item.name for item in rl.scene_of_object("sphere", (160.0, 200.0), material="mirror").objects]
         ['sphere']
     """
-    from roomlight.compositing.objects.loading import load_object  # the loader's libraries are slow to import
+    from roomlight.compositing.loading import load_object  # the loader's libraries are slow to import
 
     shape = str(source) if str(source) in SHAPE_SIZE_M else None
     spec: dict[str, Any] = {"name": Path(source).stem, "pixel": list(pixel), "yaw_degrees": yaw_degrees, "up": up}

@@ -5,8 +5,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.limits import ObjectLimits
-from roomlight.compositing.objects.loading import load_object
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, png, textured_quad
 
+from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.limits import ObjectLimits
-from roomlight.compositing.objects.loading import load_object
 from roomlight.compositing.objects.textures import Texture
 from roomlight.errors import ObjectError
 
@@ -303,7 +303,7 @@ def test_damaged_json_is_refused(text: bytes) -> None:
         (OBJ + b"f 1 2 999999999\n", "damaged|point at"),
         (OBJ + b"f 0 1 2\n", "line 11"),
         (OBJ + b"f -1 -2 -9\n", "line 11"),
-        (OBJ + b"f 1 2\n", "line 11"),
+        (OBJ + b"f 1 2\n", "has no face"),
         (b"v 0 nan 0\n" + OBJ_FACE, "line 1"),
         (b"v 1e999 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
     ],

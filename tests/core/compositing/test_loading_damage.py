@@ -10,7 +10,7 @@ from damaged_objects import damaged
 from gltf_files import packed, textured_quad
 from test_loading import OBJ, OBJ_FACE, PLY
 
-from roomlight.compositing.objects.loading import load_object
+from roomlight.compositing.loading import load_object
 from roomlight.errors import ObjectError
 
 _VALUES = [0, -1, 1, 7, 2**31 - 1, 2**32, 2**63, 1e38, -0.5, "x", "", None, [], {}, True, [0] * 16, "data:;base64,AAAA"]

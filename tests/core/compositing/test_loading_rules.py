@@ -10,8 +10,8 @@ import pytest
 from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, textured_quad
 from PIL import Image
 
+from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.gltf.materials import metal_of
-from roomlight.compositing.objects.loading import load_object
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.polygons import ear_clipped
 from roomlight.compositing.objects.textures import Texture

@@ -40,3 +40,10 @@ class ObjectLimits:
         limit = getattr(self, field)
         if value > limit:
             raise ObjectError(f"{name}: {field.replace('_', ' ')} are limited to {limit}, the file has {value}")
+
+
+def plain_text(data: bytes) -> bytes:
+    """Return text as UTF-8 without a byte order mark; UTF-16 with its mark is converted."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", "replace").encode()
+    return data.removeprefix(b"\xef\xbb\xbf")

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int64
 
-from roomlight.compositing.objects.limits import ObjectLimits
+from roomlight.compositing.objects.limits import ObjectLimits, plain_text
 from roomlight.compositing.objects.materials import Material, diffuse
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
 from roomlight.compositing.objects.shading import joined_corners, with_vertex_colours
@@ -21,7 +21,11 @@ from roomlight.notes import Note
 _MAX_CORNERS: Final = 4096
 """Corners of one polygon: clipping ears takes their square."""
 _VALUES: Final = {b"v": 3, b"vt": 1, b"vn": 3}
-_FREE_FORM: Final = (b"curv", b"curv2", b"surf", b"parm", b"cstype")
+_LEFT_OUT: Final = {
+    **dict.fromkeys((b"curv", b"curv2", b"surf", b"parm", b"cstype"), b"free-form curves and surfaces"),
+    **dict.fromkeys((b"l", b"p"), b"lines and points"),
+    b"usemtl": b"materials",
+}
 
 
 @dataclass
@@ -34,14 +38,14 @@ class _Content:
     groups: list[int] = field(default_factory=list)
     states_groups: bool = False
     library: str = ""
-    curves: bool = False
+    left_out: set[bytes] = field(default_factory=set)
 
 
 def read_obj(
     data: bytes, name: str, limits: ObjectLimits
 ) -> tuple[tuple[tuple[TriangleMesh, Material], ...], tuple[Note, ...]]:
-    """Read an OBJ file; see `roomlight.compositing.objects.loading`. Raises ObjectError."""
-    content = _content(data.removeprefix(b"\xef\xbb\xbf"), name, limits)
+    """Read an OBJ file; see `roomlight.compositing.loading`. Raises ObjectError."""
+    content = _content(plain_text(data), name, limits)
     if not content.sizes:
         raise ObjectError(f"{name}: has no face; a point cloud has no surface to light")
     limits.check("triangles", sum(content.sizes) - 2 * len(content.sizes), name)
@@ -86,8 +90,9 @@ def _notes(content: _Content, name: str) -> tuple[Note, ...]:
                 "export as GLB, or state a material",
             )
         )
-    if content.curves:
-        notes.append(Note(f"{name}: free-form curves and surfaces", "they are missing", "export polygons"))
+    for kind in sorted(content.left_out - ({b"materials"} if content.library else set())):
+        effect = "the object is grey" if kind == b"materials" else "they are missing"
+        notes.append(Note(f"{name}: {kind.decode()}", effect, "export polygons, with materials as GLB"))
     return tuple(notes)
 
 
@@ -109,14 +114,14 @@ def _content(data: bytes, name: str, limits: ObjectLimits) -> _Content:
             content.states_groups = True
         elif keyword == b"mtllib" and len(words) > 1:
             content.library = words[1].decode("utf-8", "replace")[:60]
-        elif keyword in _FREE_FORM:
-            content.curves = True
+        elif keyword in _LEFT_OUT:
+            content.left_out.add(_LEFT_OUT[keyword])
     return content
 
 
 def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list[float]:
     try:
-        values = [float(word) for word in words[1:8]]
+        values = [float(word.replace(b",", b".")) for word in words[1:8]]
     except ValueError:
         values = []
     if len(values) < _VALUES[keyword]:
@@ -146,8 +151,11 @@ def _add_face(content: _Content, words: list[bytes], group: int, name: str, numb
         if a < 0 or stated[0] == 0 or min(b, c) < -1:
             raise ObjectError(f"{name}: line {number} has the corner {word[:40].decode('utf-8', 'replace')!r}")
         face.append((a, b, c))
-    if not 3 <= len(face) <= _MAX_CORNERS:
-        raise ObjectError(f"{name}: line {number} is a face of {len(face)} corners; 3 to {_MAX_CORNERS} are read")
+    if len(face) > _MAX_CORNERS:
+        raise ObjectError(f"{name}: line {number} is a face of {len(face)} corners; up to {_MAX_CORNERS} are read")
+    if len(face) < 3:
+        content.left_out.add(b"faces of less than three corners")
+        return
     content.corners.extend(face)
     content.sizes.append(len(face))
     content.groups.append(group)

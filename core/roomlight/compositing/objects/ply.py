@@ -55,7 +55,8 @@ class _Rows:
 def read_ply(
     data: bytes, name: str, limits: ObjectLimits
 ) -> tuple[tuple[tuple[TriangleMesh, Material], ...], tuple[Note, ...]]:
-    """Read a PLY file; see `roomlight.compositing.objects.loading`. Raises ObjectError."""
+    """Read a PLY file; see `roomlight.compositing.loading`. Raises ObjectError."""
+    data = data.removeprefix(b"\xef\xbb\xbf")
     match = re.search(rb"\nend_header[ \t]*(\r\n|\n|\r)", data[:_HEADER_BYTES])
     if match is None:
         raise ObjectError(f"{name}: the PLY header does not end within {_HEADER_BYTES} bytes")
@@ -69,6 +70,9 @@ def read_ply(
         raise ObjectError(f"{name}: has no face; a point cloud has no surface to light")
     try:
         rows = _rows(data[match.end() :], order, elements, name)
+        alpha = rows["vertex"].scalars.get("alpha") if "vertex" in rows else None
+        if alpha is not None and len(alpha) and alpha.min() < _largest(alpha):
+            notes = (*notes, Note(f"{name}: its alpha", "the surface is opaque", "export as GLB"))
         return _object(rows, name, limits), notes
     except ObjectError as error:
         message = str(error)
@@ -147,7 +151,7 @@ class _TextSource:
         if not any(p.count_kind for p in element.properties):
             width = len(element.properties)
             block = self._take(element.count * width).reshape(element.count, width)
-            return _Rows({p.name: block[:, column] for column, p in enumerate(element.properties)}, {})
+            return _Rows({p.name: _typed(block[:, at], p.kind) for at, p in enumerate(element.properties)}, {})
         scalars: dict[str, list[float]] = {p.name: [] for p in element.properties if not p.count_kind}
         sizes: dict[str, list[int]] = {p.name: [] for p in element.properties if p.count_kind}
         items: dict[str, list[np.ndarray]] = {key: [] for key in sizes}
@@ -162,7 +166,8 @@ class _TextSource:
                 sizes[p.name].append(int(value))
                 items[p.name].append(self._take(int(value)))
         lists = {key: (np.array(sizes[key], np.int64), np.concatenate([*items[key], np.zeros(0)])) for key in sizes}
-        return _Rows({key: np.array(values) for key, values in scalars.items()}, lists)
+        kinds = {p.name: p.kind for p in element.properties}
+        return _Rows({key: _typed(np.array(values), kinds[key]) for key, values in scalars.items()}, lists)
 
     def _take(self, count: int) -> Float[np.ndarray, " n"]:
         end = self._at + count
@@ -170,6 +175,14 @@ class _TextSource:
             raise ObjectError(f"{self._name}: the PLY ends after {len(self._values)} values: it is truncated")
         values, self._at = self._values[self._at : end], end
         return values
+
+
+def _typed(values: Float[np.ndarray, " n"], kind: str) -> np.ndarray:
+    """Return numbers of a text as their property's type."""
+    if kind[0] == "f":
+        return values
+    limits = np.iinfo(kind)
+    return np.clip(np.nan_to_num(values), limits.min, limits.max).astype(kind)
 
 
 class _BinarySource:
@@ -323,6 +336,11 @@ def _corner_uvs(
     return np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1)
 
 
+def _largest(values: np.ndarray) -> float:
+    """Return what stands for 1: the largest integer of a type, or 1 of floats."""
+    return float(np.iinfo(values.dtype.name).max) if values.dtype.kind in "ui" else 1.0
+
+
 def _corner_colours(
     vertex: _Rows, face: _Rows, vertices: Int64[np.ndarray, " t"], polygons: Int64[np.ndarray, " t"]
 ) -> Float[np.ndarray, "t 4"] | None:
@@ -332,7 +350,10 @@ def _corner_colours(
             encoded = _columns(rows, names)
             if encoded is None or len(encoded) == 0:
                 continue
-            if rows.scalars[names[0]].dtype.kind in "ui" or encoded.max() > 1:
+            largest = _largest(rows.scalars[names[0]])
+            if largest != 1:
+                encoded = encoded / largest
+            elif encoded.max() > 1:
                 encoded = encoded / 255
             linear = srgb_to_linear(np.clip(encoded, 0, 1))
             return np.concatenate([linear, np.ones((len(linear), 1))], axis=1)[which]

@@ -280,7 +280,7 @@ def load_scene(path: str | Path) -> Scene:
         >>> len(rl.load_scene(path).objects)
         1
     """
-    from roomlight.compositing.objects.loading import load_object  # the loader's libraries are slow to import
+    from roomlight.compositing.loading import load_object  # the loader's libraries are slow to import
 
     path = Path(path)
     try:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from roomlight.compositing.objects.gltf.schema import Gltf
+from roomlight.compositing.objects.limits import plain_text
 from roomlight.errors import ObjectError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -21,7 +22,7 @@ def split(data: bytes, name: str) -> tuple[bytes, bytes | None]:
         ObjectError: The GLB is truncated or of another version.
     """
     if data[:4] != b"glTF":
-        return data.removeprefix(b"\xef\xbb\xbf"), None
+        return plain_text(data), None
     if len(data) < 20:
         raise ObjectError(f"{name}: a GLB has 20 bytes of header, this file has {len(data)}")
     version, length = struct.unpack_from("<II", data, 4)
@@ -37,7 +38,7 @@ def split(data: bytes, name: str) -> tuple[bytes, bytes | None]:
         offset += 8 + size + -size % 4
     if b"JSON" not in chunks:
         raise ObjectError(f"{name}: the GLB has no JSON chunk")
-    return chunks[b"JSON"].rstrip(b"\0 "), chunks.get(b"BIN\0")
+    return plain_text(chunks[b"JSON"]).rstrip(b"\0 "), chunks.get(b"BIN\0")
 
 
 def json_size(text: bytes) -> int:
@@ -51,7 +52,7 @@ def parsed(text: bytes, name: str, clamped: list[str]) -> Gltf:
         gltf = Gltf.model_validate_json(text, context=clamped)
     except ValidationError as error:
         raise ObjectError(f"{name}: {explained(error, 'glTF')}") from None
-    if not gltf.asset.version.startswith("2."):
+    if gltf.asset.version.partition(".")[0] != "2":
         raise ObjectError(f"{name}: glTF 2 is read, this is version {gltf.asset.version[:20]!r}")
     return gltf
 

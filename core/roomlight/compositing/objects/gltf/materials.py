@@ -38,6 +38,7 @@ class Surface:
         uv_set: Number of the set of texture coordinates.
         uv_transform: What its textures do to these coordinates, 2 x 3.
         repeats: Whether all its textures repeat outside [0, 1].
+        opaque: Whether alpha counts for nothing.
         unlit: Whether the surface shows its base colour as it is (`unlit_of`, after vertex colours).
         notes: What was left out.
     """
@@ -46,6 +47,7 @@ class Surface:
     uv_set: int = 0
     uv_transform: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     repeats: bool = True
+    opaque: bool = True
     unlit: bool = False
     notes: tuple[Note, ...] = ()
 
@@ -106,6 +108,7 @@ class MaterialReader:
             uv_set,
             ((rows[0][0], rows[0][1], rows[0][2]), (rows[1][0], rows[1][1], rows[1][2])),
             all(slot is None or slot.repeats for slot in slots.values()),
+            stated.alphaMode == "OPAQUE",
             "KHR_materials_unlit" in stated.extensions,
             tuple(notes),
         )

@@ -18,7 +18,7 @@ from roomlight.compositing.objects.gltf.materials import MaterialReader, Surface
 from roomlight.compositing.objects.gltf.nodes import Placed, placed_meshes
 from roomlight.compositing.objects.gltf.schema import Gltf, Primitive
 from roomlight.compositing.objects.limits import ObjectLimits
-from roomlight.compositing.objects.materials import Material
+from roomlight.compositing.objects.materials import TEXTURES, Material
 from roomlight.compositing.objects.shading import shaded_mesh, with_vertex_colours
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.errors import ObjectError
@@ -70,7 +70,7 @@ class _Arrays:
 
 
 def read_gltf(data: bytes, name: str, limits: ObjectLimits) -> tuple[Parts, tuple[Note, ...]]:
-    """Read a GLB or glTF file; see `roomlight.compositing.objects.loading`. Raises ObjectError."""
+    """Read a GLB or glTF file; see `roomlight.compositing.loading`. Raises ObjectError."""
     text, binary = split(data, name)
     limits.check("json_bytes", json_size(text), name)
     clamped: list[str] = []
@@ -121,7 +121,8 @@ def _extension_notes(gltf: Gltf, name: str) -> list[Note]:
     if DRACO in gltf.extensionsRequired and not draco_available():
         raise ObjectError(f"{name}: needs {DRACO}: pip install 'roomlight[draco]', or export without compression")
     notes: list[Note] = []
-    objects = (*gltf.materials, *gltf.textures, *gltf.nodes, *gltf.meshes, gltf)
+    primitives = [primitive for mesh in gltf.meshes for primitive in mesh.primitives]
+    objects = (*gltf.materials, *gltf.textures, *gltf.nodes, *gltf.meshes, *primitives, gltf)
     used = {*gltf.extensionsUsed, *(key for part in objects for key in part.extensions)}  # some exporters list none
     for key in sorted(used - SUPPORTED_EXTENSIONS):
         if key.startswith(_HARMLESS):
@@ -195,6 +196,10 @@ class _PrimitiveReader:
                     f"{label}: a texture that is clamped or mirrored outside 0 to 1", "it repeats", "keep uv in 0 to 1"
                 )
             )
+        textures = (getattr(surface.material, f"{key}_texture") for key in TEXTURES)
+        if uvs is None and any(texture is not None for texture in textures):
+            effect = "its textures show the one texel at (0, 0)"
+            notes.append(Note(f"{label}: no TEXCOORD_{surface.uv_set}", effect, "unwrap the object"))
         points = points.astype(np.float32)
         if normals is None:
             # the corners' colours follow their vertices through the split
@@ -206,6 +211,7 @@ class _PrimitiveReader:
                 mesh = TriangleMesh(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces, tangents)
         material = surface.material
         if colours is not None:
+            colours = np.where([True, True, True, not surface.opaque], colours, np.float32(1)).astype(np.float32)
             mesh, material, kept = with_vertex_colours(mesh, colours, material)
             if not kept:
                 notes.append(

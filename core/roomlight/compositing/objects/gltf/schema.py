@@ -16,11 +16,20 @@ def _clamped(value: Any, info: Any) -> Any:
     return value
 
 
+def _with_alpha(value: Any) -> Any:
+    return [*value, 1.0] if isinstance(value, list) and len(value) == 3 else value
+
+
+def _upper(value: Any) -> Any:
+    return value.upper() if isinstance(value, str) else value
+
+
 Index = Annotated[int, Field(ge=0, lt=1 << 31)]
 Share = Annotated[float, BeforeValidator(_clamped), Field(ge=0, le=1)]
 Number = Annotated[float, Field(ge=-1e9, le=1e9)]
 Positive = Annotated[float, Field(ge=0, le=1e6)]
 Three = tuple[Number, Number, Number]
+Tint = Annotated[tuple[Share, Share, Share, Share], BeforeValidator(_with_alpha)]
 
 
 class _Model(BaseModel):
@@ -149,7 +158,7 @@ class TextureInfo(_Model):
 class MetallicRoughness(_Model):
     """The base of every material."""
 
-    baseColorFactor: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)  # noqa: N815
+    baseColorFactor: Tint = (1.0, 1.0, 1.0, 1.0)  # noqa: N815
     baseColorTexture: TextureInfo | None = None  # noqa: N815
     metallicFactor: Share = 1.0  # noqa: N815
     roughnessFactor: Share = 1.0  # noqa: N815
@@ -159,7 +168,7 @@ class MetallicRoughness(_Model):
 class SpecularGlossiness(_Model):
     """KHR_materials_pbrSpecularGlossiness."""
 
-    diffuseFactor: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)  # noqa: N815
+    diffuseFactor: Tint = (1.0, 1.0, 1.0, 1.0)  # noqa: N815
     diffuseTexture: TextureInfo | None = None  # noqa: N815
     specularFactor: tuple[Share, Share, Share] = (1.0, 1.0, 1.0)  # noqa: N815
     glossinessFactor: Share = 1.0  # noqa: N815
@@ -202,7 +211,7 @@ class GltfMaterial(_Model):
     occlusionTexture: TextureInfo | None = None  # noqa: N815
     emissiveTexture: TextureInfo | None = None  # noqa: N815
     emissiveFactor: tuple[Positive, Positive, Positive] = (0.0, 0.0, 0.0)  # noqa: N815
-    alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"  # noqa: N815
+    alphaMode: Annotated[Literal["OPAQUE", "MASK", "BLEND"], BeforeValidator(_upper)] = "OPAQUE"  # noqa: N815
     alphaCutoff: Positive = 0.5  # noqa: N815
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from roomlight.compositing.objects.gltf.reader import read_gltf
-from roomlight.compositing.objects.limits import ObjectLimits
+from roomlight.compositing.objects.limits import ObjectLimits, plain_text
 from roomlight.compositing.objects.obj import read_obj
 from roomlight.compositing.objects.ply import read_ply
 from roomlight.compositing.objects.virtual_object import VirtualObject
@@ -76,9 +76,10 @@ def _read(path: Path, limits: ObjectLimits) -> bytes:
 def _kind(data: bytes, ending: str, label: str) -> str:
     if data[:4] == b"glTF":
         return "glb"
-    if data[:4].rstrip() == b"ply":
+    head = plain_text(data[:64])
+    if head[:4].rstrip() == b"ply":
         return "ply"
-    if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{":
+    if head.lstrip()[:1] == b"{":
         return "gltf"
     if ending in get_args(ObjectKind):
         return ending

@@ -1,0 +1,156 @@
+"""What other programs write and read is read, and what of it is left out is noted: variants of one quad."""
+
+import codecs
+import json
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed
+
+from roomlight.compositing.loading import load_object
+from roomlight.compositing.objects.virtual_object import VirtualObject
+
+RED = np.array([[1, 0, 0, 0.25]] * 4, np.float32)
+MIXED = np.array([[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 0, 1]], np.float32)
+OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
+
+
+def quad(material: dict[str, Any], *, colours: np.ndarray | None = None, uvs: bool = True) -> GltfFile:
+    file = GltfFile()
+    index = file.material(**material)
+    mesh = file.mesh(QUAD, QUAD_FACES, uvs=QUAD_UVS if uvs else None, normals=[[0, 0, 1]] * 4, material=index)
+    if colours is not None:
+        file.tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = file.accessor(colours, "VEC4", 5126)
+    file.node(mesh=mesh)
+    return file
+
+
+def area(found: VirtualObject) -> float:
+    ((mesh, _),) = found.parts
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+@pytest.mark.parametrize("colours", [RED, MIXED], ids=["red", "mixed"])
+def test_unlit_surfaces_emit_their_vertex_colours(colours: np.ndarray) -> None:
+    ((_, material),) = load_object(quad({"extensions": {"KHR_materials_unlit": {}}}, colours=colours).glb()).parts
+    assert material.base_colour == (0, 0, 0)
+    if colours is RED:
+        assert material.emissive == (1, 0, 0)
+    else:
+        assert material.emissive == (1, 1, 1)
+        assert material.emissive_texture is not None
+
+
+@pytest.mark.parametrize(("mode", "opacity"), [("OPAQUE", 1.0), ("BLEND", 0.25), ("blend", 0.25)])
+def test_alpha_of_vertex_colours_counts_unless_the_material_is_opaque(mode: str, opacity: float) -> None:
+    ((_, material),) = load_object(quad({"alphaMode": mode}, colours=RED).glb()).parts
+    assert material.opacity == opacity
+
+
+def test_vertex_colours_keep_the_coordinates_of_an_emissive_texture() -> None:
+    file = quad({}, colours=MIXED)
+    file.tree["materials"][0].update(
+        emissiveTexture={"index": file.image(np.full((2, 2, 3), 90, np.uint8))}, emissiveFactor=[1, 1, 1]
+    )
+    found = load_object(file.glb())
+    ((mesh, _),) = found.parts
+    np.testing.assert_array_equal(np.unique(mesh.uvs), [0, 1])
+    assert any("vertex colours" in note.left_out for note in found.notes)
+
+
+def test_textures_without_coordinates_are_noted() -> None:
+    for uvs, coordinates in ((False, 0), (True, 1)):
+        file = quad({}, uvs=uvs)
+        texture = {"index": file.image(np.zeros((2, 2, 3), np.uint8)), "texCoord": coordinates}
+        file.tree["materials"][0]["pbrMetallicRoughness"] = {"baseColorTexture": texture}
+        assert any(f"no TEXCOORD_{coordinates}" in note.left_out for note in load_object(file.glb()).notes)
+
+
+def test_extensions_that_the_file_does_not_declare_are_noted_too() -> None:
+    file = quad({"extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": 1}}})
+    file.tree["meshes"][0]["primitives"][0]["extensions"] = {"KHR_materials_variants": {"mappings": []}}
+    left_out = [note.left_out for note in load_object(file.glb()).notes]
+    assert len(left_out) == 2
+    assert "clearcoat" in left_out[0]
+    assert "variants" in left_out[1]
+
+
+def test_hidden_nodes_are_left_out() -> None:
+    file = quad({})
+    file.node(children=[0], root=False)
+    file.node(children=[1], root=False, extensions={"KHR_node_visibility": {"visible": False}})
+    file.tree["nodes"].append({"mesh": 0, "translation": [5, 0, 0]})
+    file.tree["scenes"][0]["nodes"] = [2, 3]
+    found = load_object(file.glb())
+    assert len(found.parts) == 1
+    assert found.bounds()[0, 0] == 5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tree: tree["materials"][0].update(pbrMetallicRoughness={"baseColorFactor": [1, 0, 0]}),
+        lambda tree: tree["asset"].update(version="2"),
+        lambda tree: tree.pop("scene"),
+        lambda tree: tree["materials"][0].update(alphaMode="opaque", alphaCutoff=None),
+    ],
+)
+def test_gltf_that_others_read(change: Any) -> None:
+    file = quad({})
+    change(file.tree)
+    assert area(load_object(file.glb())) == pytest.approx(1)
+
+
+def test_containers_that_others_read() -> None:
+    file = quad({})
+    plain = file.glb()
+    text = json.dumps(file.tree).encode()
+    longer = plain[:8] + struct.pack("<I", len(plain) + 4) + plain[12:]
+    marked = packed(codecs.BOM_UTF8 + text, bytes(file.content))
+    padded = packed(text + bytes(-len(text) % 4 + 4), bytes(file.content))
+    for data in (plain, longer, marked, padded):
+        assert area(load_object(data)) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        OBJ.encode("utf-16"),
+        OBJ.replace("\n", "\r").encode(),
+        OBJ.replace("v 1 1 0", "v 1,0 1,0 0,0").encode(),
+        OBJ.replace("f 1 2 3 4", "f 1// 2// 3// 4//").encode(),
+        (OBJ + "f 1 2\nl 1 2\nusemtl red\n").encode(),
+    ],
+    ids=["utf-16", "cr", "decimal comma", "slashes", "left out"],
+)
+def test_obj_that_others_read(data: bytes) -> None:
+    found = load_object(data, "obj")
+    assert area(found) == pytest.approx(1)
+    kinds = ["faces of less than three corners", "lines and points", "materials"] if b"usemtl" in data else []
+    assert [note.left_out.partition(": ")[2] for note in found.notes] == kinds
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "red"),
+    [
+        ("uchar", (255, 0, 0), 1.0),
+        ("uchar", (1, 0, 0), 1 / 255 / 12.92),
+        ("ushort", (32896, 0, 0), 0.2158605),
+        ("float", (1, 0, 0), 1.0),
+    ],
+)
+def test_ply_colours_by_their_type(kind: str, values: tuple[int, int, int], red: float) -> None:
+    names = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
+    corners = [f"{x} {y} 0 {' '.join(map(str, values))} 9" for x, y, _ in QUAD]
+    text = (
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+        f"{names}property uchar alpha\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    data = codecs.BOM_UTF8 + (text + "\n".join([*corners, "4 0 1 2 3"])).encode()
+    found = load_object(data)
+    ((_, material),) = found.parts
+    assert material.base_colour[0] == pytest.approx(red, abs=2e-5)
+    assert "alpha" in found.notes[0].left_out
