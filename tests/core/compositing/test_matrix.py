@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 from gltf_files import GltfFile
-from roomlight.compositing.objects.loading import load_object
 
 from roomlight.captures import open_capture
 from roomlight.compositing.compositor import Compositor
+from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.materials import diffuse, glossy, mirror
 from roomlight.compositing.objects.primitives import chair, cube, plane, sphere, vase
 from roomlight.compositing.objects.teapot import teapot
