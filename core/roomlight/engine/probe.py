@@ -74,7 +74,8 @@ class Probe:
             views: dict[int, PartialPanorama] = {}
 
             def look(first: int, last: int, some: Sequence[FrameMesh] = some, views: dict[int, Any] = views) -> None:
-                views.update((number, self.view(some[number])) for number in range(first, last))
+                # of copies: the triangles of all keyframes would take 40 MB
+                views.update((number, self.view(some[number].passing())) for number in range(first, last))
 
             parallel_for(look, len(some))
             yield from ((mesh, views[number]) for number, mesh in enumerate(some))

@@ -1,7 +1,6 @@
 """What the frames of a session have shown of the room: it exists from the first frame on."""
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,7 +54,8 @@ class Room:
         """Return the room as it is, which later frames do not change: the SGLV is copied, 14 MB."""
         sglv = replace(self.sglv, alpha=self.sglv.alpha.copy(), lobes=self.sglv.lobes.copy())
         # a later frame may give a mesh another texture
-        return RoomView(self.grid, sglv, self.far, self.new_probe, [(index, copy(mesh)) for index, mesh in self.meshes])
+        meshes = [(index, mesh.passing()) for index, mesh in self.meshes]
+        return RoomView(self.grid, sglv, self.far, self.new_probe, meshes)
 
     def write_volume(self, prepared: PreparedFrame, unknown_depth: UnknownDepth) -> Float[np.ndarray, "2 z y x"] | None:
         """Write the frame's initial volume into the model's buffer; return what of it was clipped (None: nothing)."""

@@ -137,7 +137,7 @@ class Session:
     @property
     def meshes(self) -> list[tuple[int, FrameMesh]]:
         """Frame index and mesh of every keyframe in order of time, then of the last frame if it is no keyframe."""
-        return [] if self._room is None else self._room.meshes
+        return [] if self._room is None else [(index, mesh.passing()) for index, mesh in self._room.meshes]
 
     @property
     def handles(self) -> tuple[int, ...]:
@@ -186,7 +186,7 @@ class Session:
         options, clock = self.options, _Clock()
         with clock.stage("prepare"):
             measured, depth_m = at_working_size(frame, options.unknown_depth)
-            earlier = [mesh for _, mesh in self.meshes]
+            earlier = [] if self._room is None else [mesh for _, mesh in self._room.meshes]
             prepared = PreparedFrame.of(measured, depth_m, earlier, clipping=self._clipping)
             room = self._room or self._new_room(VolumeGrid.from_frame(prepared.frame, shape=self._model.volume_shape))
         with clock.stage("volume"):
@@ -201,6 +201,7 @@ class Session:
             self._probes[handle] = Probe.fresh(position, room, height=options.height)
         self._pending.clear()
         self._push_to_probes(mesh, clock)
+        mesh.forget()
         self._room, self._last_index = room, frame.index
         self.frames += 1
         coverage = tuple(probe.panorama.coverage() for probe in self._probes.values())

@@ -22,6 +22,30 @@ _WIDEST_CONE = np.float32(0.2)
 """Least cosine of a bounding cone's half angle; wider triangles are tested at every pixel."""
 
 
+@njit(nogil=True, cache=True)
+def join_quads(depth, ratio, faces):
+    """Write the triangles of a depth grid's quads into `faces` [n, 3], upper ones first; return their number.
+
+    Only triangles whose depths are known and differ by at most `ratio`.
+    """
+    rows, columns = depth.shape
+    count = 0
+    for lower in range(2):
+        for row in range(rows - 1):
+            for column in range(columns - 1):
+                first = depth[row + 1, column]
+                second = depth[row, column + 1]
+                third = depth[row + 1, column + 1] if lower else depth[row, column]
+                low = min(first, second, third)
+                if low > 0 and max(first, second, third) <= np.float32(ratio) * low:
+                    corner = row * columns + column
+                    faces[count, 0] = corner + lower
+                    faces[count, 1] = corner + columns
+                    faces[count, 2] = corner + 1 + lower * columns
+                    count += 1
+    return count
+
+
 class Raster(NamedTuple):
     """Nearest triangles by pixel of an H x 2H panorama, row by row.
 

@@ -108,11 +108,11 @@ def _may_know(mesh: FrameMesh, white: float) -> bool:
 
 
 def _source(mesh: FrameMesh) -> SourceArrays:
-    texture = mesh.texture
-    clipped = np.zeros(texture.bound.shape, bool) if texture.clipped is None else texture.clipped
+    texture, bound = mesh.texture, mesh.texture.bound
+    clipped = np.zeros(bound.shape, bool) if texture.clipped is None else texture.clipped
     pose = rigid_inverse(mesh.camera_to_world).astype(np.float32)
     lens, grid = _lens(mesh.image_camera), _lens(mesh.grid_camera)
-    return SourceArrays(texture.image, clipped, texture.bound, mesh.grid_depth_m, lens, grid, pose)
+    return SourceArrays(texture.image, clipped, bound, mesh.grid_depth_m, lens, grid, pose)
 
 
 def _lens(k: Intrinsics) -> Float[np.ndarray, "4"]:

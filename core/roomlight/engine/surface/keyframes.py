@@ -90,8 +90,13 @@ class KeyframeStore:
             last: Index and mesh of the last frame if it is no keyframe.
         """
         for index, mesh in keyframes.items():
-            self._append(self._keyframe(index, mesh))
-        self._last = None if last is None else self._keyframe(*last)
+            self._append(self._restored(index, mesh))
+        self._last = None if last is None else self._restored(*last)
+
+    def _restored(self, index: int, mesh: FrameMesh) -> Keyframe:
+        keyframe = self._keyframe(index, mesh)
+        mesh.forget()
+        return keyframe
 
     def _keyframe(self, index: int, mesh: FrameMesh) -> Keyframe:
         return Keyframe(index, mesh, self._cells_of(mesh.vertices[mesh.known]))

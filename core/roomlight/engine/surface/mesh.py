@@ -5,15 +5,18 @@ rasterised (`roomlight.engine.kernels.rasterise`) and textured with the frame's 
 (`roomlight.engine.surface.texture`): what rays through its pixel centres meet, without a tree.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import Intrinsics, transform_points
 from roomlight.conventions import panorama_rays
-from roomlight.engine.kernels.rasterise import Raster, Surface, locate, place_vertices, rasterise
-from roomlight.engine.surface.texture import Texture
+from roomlight.engine.kernels.rasterise import Raster, Surface, join_quads, locate, place_vertices, rasterise
+from roomlight.engine.surface.texture import Pyramid, Texture
 from roomlight.frame import Frame
 
 EDGE_RATIO = 1.08
@@ -73,15 +76,30 @@ class MeshGrid:
         return cls(np.ascontiguousarray(depth_m[where]), sensor_depth_m[where] > 0, (height, width))
 
     def uv(self) -> Float[np.ndarray, "gh gw 2"]:
-        """Return (u, v) of each vertex in the image, 0 to 1; float32."""
-        height, width = self.depth_shape
-        rows, columns = _samples(height, width, _stride(height, width, self.depth_m.size))
-        u, v = np.meshgrid((columns + 0.5) / width, (rows + 0.5) / height)
-        return np.stack([u, v], axis=-1).astype(np.float32)
+        """Return (u, v) of each vertex in the image, 0 to 1; float32, read-only."""
+        return _uv(self.depth_shape, self.depth_m.size)
+
+
+class _Triangles(NamedTuple):
+    """What follows from a mesh's depth samples and camera.
+
+    Attributes:
+        vertices: [v, 3] world metres.
+        faces: [n, 3] vertices.
+        pixels: [v, 2] (column, row) of a vertex in the image.
+    """
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "n 3"]
+    pixels: Float[np.ndarray, "v 2"]
 
 
 class FrameMesh:
-    """A frame's depth as a textured triangle mesh, ready to be ray traced from any point."""
+    """A frame's depth as a textured triangle mesh, ready to be ray traced from any point.
+
+    It holds what it was made from, 1.5 MB. Triangles and the texture's pyramid, 1 to 2 MB, are kept until `forget`,
+    and made again when they are wanted.
+    """
 
     def __init__(
         self,
@@ -100,8 +118,9 @@ class FrameMesh:
         sensor_depth_m = frame.depth_m if sensor_depth_m is None else sensor_depth_m
         clipped = frame.clipped if sensor_clipped is None else sensor_clipped
         grid = MeshGrid.of(frame.depth_m, sensor_depth_m, max_vertices)
-        self._triangulate(Texture.of(frame), frame.intrinsics, frame.camera_to_world, grid)
+        self._take(Texture.of(frame), frame.intrinsics, frame.camera_to_world, grid)
         self.sensor_clipped = clipped if clipped.any() else None
+        self._made = self._triangulated()
 
     @classmethod
     def of_grid(
@@ -115,29 +134,68 @@ class FrameMesh:
     ) -> "FrameMesh":
         """Make a mesh again from what another mesh kept: equal to the bit."""
         mesh = cls.__new__(cls)
-        mesh._triangulate(texture, image_camera, camera_to_world, grid)
+        mesh._take(texture, image_camera, camera_to_world, grid)
         mesh.sensor_clipped = sensor_clipped
         return mesh
 
-    def _triangulate(
+    def _take(
         self, texture: Texture, k: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], grid: MeshGrid
     ) -> None:
-        depth, uv = grid.depth_m, grid.uv()
         self.texture = texture
-        self._focal_px = (k.fx + k.fy) / 2
-        self._depth_m = depth.reshape(-1)
+        self.camera_to_world = camera_to_world
+        self.image_camera, self._depth_shape = k, grid.depth_shape
+        self.grid_depth_m = grid.depth_m
+        self.measured = grid.measured  # [gh, gw]; elsewhere depth is completed
+        self._made: _Triangles | None = None
+
+    def forget(self) -> None:
+        """Release what can be made again."""
+        self._made = self._pyramid = None
+
+    def passing(self) -> "FrameMesh":
+        """Return a copy that shares the arrays: what is made for it goes with it."""
+        return copy(self)
+
+    @property
+    def texture(self) -> Texture:
+        """The frame's image; a keyframe gets another one when a later frame knows more of its clipped pixels."""
+        return self._texture
+
+    @texture.setter
+    def texture(self, texture: Texture) -> None:
+        self._texture = texture
+        self._pyramid: Pyramid | None = None
+
+    @property
+    def vertices(self) -> Float[np.ndarray, "v 3"]:
+        """World metres, row by row of `grid_depth_m`."""
+        return self._triangles.vertices
+
+    @property
+    def faces(self) -> Int[np.ndarray, "n 3"]:
+        """Vertices of each triangle."""
+        return self._triangles.faces
+
+    @property
+    def known(self) -> Bool[np.ndarray, " v"]:
+        """Vertices whose depth is known."""
+        return self.grid_depth_m.reshape(-1) > 0
+
+    @property
+    def _triangles(self) -> _Triangles:
+        made = self._made  # once: another thread may forget it
+        if made is None:
+            made = self._made = self._triangulated()
+        return made
+
+    def _triangulated(self) -> _Triangles:
+        k, depth, uv = self.image_camera, self.grid_depth_m, self.grid.uv()
         points = np.empty((*depth.shape, 3), np.float32)
         points[..., 0] = (uv[..., 0] * k.width - k.cx) / k.fx * depth
         points[..., 1] = -(uv[..., 1] * k.height - k.cy) / k.fy * depth
         points[..., 2] = -depth
-        self.vertices = transform_points(camera_to_world, points.reshape(-1, 3))
-        self.known = depth.reshape(-1) > 0
-        self.camera_to_world = camera_to_world
-        self.image_camera, self._depth_shape = k, grid.depth_shape
-        self.grid_depth_m = depth
-        self.measured = grid.measured  # [gh, gw]; elsewhere depth is completed
-        self.faces = grid_faces(depth)
-        self._pixel = (uv.reshape(-1, 2) * [k.width, k.height] - 0.5).astype(np.float32)
+        pixels = _pixels(self._depth_shape, depth.size, (k.width, k.height))
+        return _Triangles(transform_points(self.camera_to_world, points.reshape(-1, 3)), grid_faces(depth), pixels)
 
     @property
     def grid(self) -> MeshGrid:
@@ -163,9 +221,13 @@ class FrameMesh:
         raster = self._rasterise(position_world, height)
         maps, levels = np.empty((pixels, 2), np.float32), np.empty(pixels, np.int8)
         distance = np.empty(pixels, np.float32)
-        surface = Surface(self.faces, self._pixel, self._depth_m)
-        locate(raster, surface, np.float32(self._focal_px * np.pi / height), maps, levels, distance)
-        radiance, clipping = self.texture.sample(maps, levels)
+        made, k = self._triangles, self.image_camera
+        surface = Surface(made.faces, made.pixels, self.grid_depth_m.reshape(-1))
+        locate(raster, surface, np.float32((k.fx + k.fy) / 2 * np.pi / height), maps, levels, distance)
+        pyramid = self._pyramid
+        if pyramid is None:
+            pyramid = self._pyramid = self.texture.pyramid()
+        radiance, clipping = pyramid.sample(maps, levels)
         clipped, guessed = (None, None) if clipping is None else (clipping[:, 0], clipping[:, 1])
         return PartialPanorama(
             radiance.reshape(*shape, 3),
@@ -176,7 +238,8 @@ class FrameMesh:
         )
 
     def _rasterise(self, position_world: Float[np.ndarray, "3"], height: int) -> Raster:
-        count, pixels = len(self.vertices), 2 * height * height
+        vertices, faces, _ = self._triangles
+        count, pixels = len(vertices), 2 * height * height
         raster = Raster(
             np.full(pixels, np.inf, np.float32),
             np.full(pixels, -1, np.int32),
@@ -185,34 +248,18 @@ class FrameMesh:
         )
         offsets, places = np.empty((count, 3), np.float32), np.empty((count, 2), np.float32)
         position = np.asarray(position_world, np.float64)
-        place_vertices(self.vertices, position, height, offsets, places, 0, count)
-        rasterise(self.faces, offsets, places, panorama_rays(height), height, raster, 0, len(self.faces))
+        place_vertices(vertices, position, height, offsets, places, 0, count)
+        rasterise(faces, offsets, places, panorama_rays(height), height, raster, 0, len(faces))
         return raster
 
 
 def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:
     """Make two triangles of each quad of a depth grid, counter-clockwise seen from the camera.
 
-    A triangle with an unknown corner, or across a depth edge (`EDGE_RATIO`), is left out. 0.3 ms for 160 x 120: corners
-    are compared as shifted grids; gathering them by face took 3 ms.
+    A triangle with an unknown corner, or across a depth edge (`EDGE_RATIO`), is left out.
     """
-    width = depth.shape[1]
-    a, b, c, d = depth[:-1, :-1], depth[1:, :-1], depth[:-1, 1:], depth[1:, 1:]  # a c / b d
-    upper, lower = _one_surface(a, b, c), _one_surface(c, b, d)
-    faces = np.empty((len(upper) + len(lower), 3), np.int32)
-    faces[: len(upper)] = upper[:, None] + np.array([0, width, 1], np.int32)
-    faces[len(upper) :] = lower[:, None] + np.array([1, width, width + 1], np.int32)
-    return faces
-
-
-def _one_surface(
-    first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"], third: Float[np.ndarray, "h w"]
-) -> Int[np.ndarray, " n"]:
-    """Return the vertex index of corner a of each quad whose triangle, of these corner depths, is one surface."""
-    low = np.minimum(np.minimum(first, second), third)
-    high = np.maximum(np.maximum(first, second), third)
-    quad = np.flatnonzero((low > 0) & (high <= EDGE_RATIO * low))
-    return (quad + quad // low.shape[1]).astype(np.int32)  # a row has one vertex more than quads
+    faces = np.empty((2 * (depth.shape[0] - 1) * (depth.shape[1] - 1), 3), np.int32)
+    return faces[: join_quads(depth, EDGE_RATIO, faces)]
 
 
 def _stride(height: int, width: int, max_vertices: int) -> int:
@@ -226,3 +273,19 @@ def _stride(height: int, width: int, max_vertices: int) -> int:
 def _samples(height: int, width: int, stride: int) -> tuple[Int[np.ndarray, " gh"], Int[np.ndarray, " gw"]]:
     """Return the rows and columns of the depth samples that are vertices."""
     return np.arange(stride // 2, height, stride), np.arange(stride // 2, width, stride)
+
+
+@lru_cache(8)
+def _uv(depth_shape: tuple[int, int], vertices: int) -> Float[np.ndarray, "gh gw 2"]:
+    height, width = depth_shape
+    rows, columns = _samples(height, width, _stride(height, width, vertices))
+    u, v = np.meshgrid((columns + 0.5) / width, (rows + 0.5) / height)
+    uv = np.stack([u, v], axis=-1).astype(np.float32)
+    uv.setflags(write=False)
+    return uv
+
+
+@lru_cache(8)
+def _pixels(depth_shape: tuple[int, int], vertices: int, size: tuple[int, int]) -> Float[np.ndarray, "v 2"]:
+    """Return (column, row) of each vertex in an image of this (width, height)."""
+    return (_uv(depth_shape, vertices).reshape(-1, 2) * np.array(size) - 0.5).astype(np.float32)

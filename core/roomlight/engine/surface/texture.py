@@ -8,7 +8,7 @@ would be noise. Classical model over three path-traced rooms, every third frame:
 import zlib
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,6 +20,29 @@ from roomlight.frame import Frame
 
 TEXTURE_LEVELS: Final = 4
 """Levels of the pyramid, each half of the one before: a panorama's pixel seldom spans over 8 image pixels."""
+
+
+class Pyramid(NamedTuple):
+    """A texture at all levels.
+
+    Attributes:
+        image: The image and its halves.
+        clipping: Share of clipped pixels, and estimated luminance; None: nothing was clipped.
+    """
+
+    image: list[Float[np.ndarray, "_ _ 3"]]
+    clipping: list[Float[np.ndarray, "_ _ 2"]] | None
+
+    def sample(
+        self, maps: Float[np.ndarray, "p 2"], levels: Int[np.ndarray, " p"]
+    ) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "p 2"] | None]:
+        """Sample at (column, row) on the given levels of the pyramid; 0 where the level is -1.
+
+        Returns:
+            The image, and the share of clipped pixels with the estimated luminance (None: nothing was clipped).
+        """
+        clipping = None if self.clipping is None else _sample(self.clipping, maps, levels)
+        return _sample(self.image, maps, levels), clipping
 
 
 @dataclass(frozen=True)
@@ -41,19 +64,14 @@ class Texture:
         guessed = np.zeros(frame.clipped.shape, np.float32) if frame.guessed is None else frame.guessed
         return cls(frame.image, frame.clipped, guessed)
 
-    @cached_property
-    def levels(self) -> list[Float[np.ndarray, "_ _ 3"]]:
-        """The image and its halves."""
-        return _pyramid(self.image)
-
-    @cached_property
-    def _clipping_levels(self) -> list[Float[np.ndarray, "_ _ 2"]]:
-        """Share of clipped pixels, and estimated luminance."""
+    def pyramid(self) -> Pyramid:
+        """Return the texture at all levels."""
         if self.clipped is None or self.guessed is None:
-            return []
-        return _pyramid(np.stack([self.clipped.astype(np.float32), self.guessed], axis=-1))
+            return Pyramid(_pyramid(self.image), None)
+        clipping = np.stack([self.clipped.astype(np.float32), self.guessed], axis=-1)
+        return Pyramid(_pyramid(self.image), _pyramid(clipping))
 
-    @cached_property
+    @property
     def bound(self) -> Float[np.ndarray, "h w"]:
         """The least luminance that each pixel can have: the image's, less what was estimated."""
         luminance = np.einsum("hwc,c->hw", self.image, LUMINANCE)
@@ -74,17 +92,6 @@ class Texture:
         """CRC-32 of all values: equal textures have equal ones."""
         parts = [part for part in (self.image, self.clipped, self.guessed) if part is not None]
         return reduce(lambda crc, part: zlib.crc32(np.ascontiguousarray(part).data, crc), parts, 0)
-
-    def sample(
-        self, maps: Float[np.ndarray, "p 2"], levels: Int[np.ndarray, " p"]
-    ) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "p 2"] | None]:
-        """Sample at (column, row) on the given levels of the pyramid; 0 where the level is -1.
-
-        Returns:
-            The image, and the share of clipped pixels with the estimated luminance (None: nothing was clipped).
-        """
-        clipping = None if self.clipped is None else _sample(self._clipping_levels, maps, levels)
-        return _sample(self.levels, maps, levels), clipping
 
 
 def _sample(
