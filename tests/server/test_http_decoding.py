@@ -18,9 +18,10 @@ from slow_images import jpeg_of_scans, png_of_texts
 from http_servers import InThread, RunningServer, box_shot, header_of, parts_of
 from present import present
 from roomlight.wire.frame_header import FrameHeader
-from roomlight.wire.frame_message import pack
+from roomlight.wire.frame_message import FrameLimits, pack, parse
 from roomlight_server.work import decode_processes
 from roomlight_server.work.decode_worker import MAX_MEMORY_BYTES
+from roomlight_server.work.shared_block import SharedBlock
 
 
 def colour_frame(encoding, data, width=48, height=36):
@@ -145,3 +146,35 @@ def test_the_processes_end_with_the_server():
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
+
+
+def test_a_process_cannot_cut_the_memory_that_the_server_reads():
+    block = SharedBlock()
+    other = SharedBlock(os.dup(block.descriptor))
+    other.write(b"abc", bytearray(b"de"))
+    assert block.read(5) == b"abcde"
+    with pytest.raises(PermissionError):
+        os.ftruncate(other.descriptor, 0)
+    other.close()
+    assert block.read(2) == b"ab"
+    block.close()
+
+
+def test_a_large_result_gives_its_memory_back():
+    block = SharedBlock()
+    block.write(bytes([7]) * 2**23)
+    assert 512 * os.fstat(block.descriptor).st_blocks >= 2**23
+    block.release(2**10)
+    assert block.read(1) == b"\7"
+    block.release(2**23)
+    assert (os.fstat(block.descriptor).st_blocks, block.read(1)) == (0, b"\0")
+    block.close()
+
+
+def test_a_decoded_frame_has_arrays_of_its_own(one_decoder):
+    """A kept image kept the depth of its frame too, in one buffer."""
+    server, _ = one_decoder
+    processes = server.app.state.context.workers.decode_processes
+    message = parse(colour_frame("jpeg", jpeg()), FrameLimits(2**30, 2**30, 2**30))
+    frame = processes.decode(message, 1, 1.0, 0, (320, 240))
+    assert all(array.base is None for array in (frame.image, frame.clipped, frame.depth_m))

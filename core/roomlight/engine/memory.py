@@ -11,9 +11,9 @@ from roomlight.engine.networks.graph import Graph
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.volume.grid import VOLUME_SHAPE
 
-KEYFRAME_BYTES: Final = 4_000_000
-"""Memory of one frame of 320 x 240 with its mesh: image and pyramid 1.2 MB, mesh 0.9 MB, which pixels were clipped and
-what was estimated for them 1.6 MB."""
+KEYFRAME_BYTES: Final = 320 * 240 * (3 * 4 + 1 + 1 + 4) + 160 * 120 * (4 + 1)
+"""Memory of a kept frame: its image, which pixels the sensor clipped and which still are, what was estimated for them;
+depth at the mesh's vertices, and where it was measured. Triangles and pyramids are made when they are wanted."""
 _SUM_CHANNELS: Final = 7
 """Float32 a voxel of the sums over frames: colour, opacity, count, clipping."""
 _CLASSICAL_CHANNELS: Final = 5 + _SUM_CHANNELS + 11

@@ -211,6 +211,8 @@ class Registry:
         finally:
             live.users -= 1
             live.last_used_s = self._clock()
+            if live.ended is not None and not live.users:
+                self._workers.release_memory()  # of work that was running when the session ended
 
     def listed(self, owner: str) -> list[tuple[LiveSession, float]]:
         """Return the sessions of an owner and its phones, and the seconds since the last use, last used first."""

@@ -18,10 +18,10 @@ from roomlight.frame import Frame
 from roomlight.wire.frame_message import FrameMessage
 from roomlight_server.work.decode_worker import READY, REQUEST, RESULT, unpack_frame
 from roomlight_server.work.object_packing import unpack_object
+from roomlight_server.work.shared_block import BLOCK_BYTES, SharedBlock
 
 _log = logging.getLogger("roomlight.server")
 _START_S: Final = 60.0
-_MAX_RESULT_BYTES: Final = 2**28
 
 
 class _DeadlineError(Exception):
@@ -36,8 +36,12 @@ class _Process:
     """One decoding process; used by one thread at a time."""
 
     def __init__(self) -> None:
-        command = [sys.executable, "-P", "-m", "roomlight_server.work.decode_worker"]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+        self._block = SharedBlock()
+        shared = self._block.descriptor
+        command = [sys.executable, "-P", "-m", "roomlight_server.work.decode_worker", str(shared)]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, pass_fds=(shared,)
+        )
         os.set_blocking(self._pipe(self._process.stdin).fileno(), False)
         self._ready = False
 
@@ -58,19 +62,24 @@ class _Process:
         poll.register(self._pipe(self._process.stdout).fileno(), select.POLLIN)
         return bool(poll.poll(0))
 
-    def request(self, head: bytes, body: bytes, timeout_s: float) -> tuple[dict[str, Any], bytearray]:
+    def request(self, head: bytes, body: bytes, timeout_s: float) -> tuple[dict[str, Any], bytes]:
         """Return JSON and arrays of the result. Raises _DeadlineError, or OSError if the process has ended."""
         if not self._ready:
             self._read(len(READY), time.monotonic() + _START_S)
             self._ready = True
         deadline = time.monotonic() + timeout_s
-        for part in (head, body):
-            self._write(part, deadline)
+        if len(body) <= BLOCK_BYTES:
+            self._block.write(body)
+            self._write(head, deadline)
+        else:
+            for part in (head, body):
+                self._write(part, deadline)
         text_bytes, data_bytes = RESULT.unpack(self._read(RESULT.size, deadline))
-        if text_bytes + data_bytes > _MAX_RESULT_BYTES:
+        if text_bytes + data_bytes > BLOCK_BYTES:
             raise OSError("the result is too large")
-        text = json.loads(self._read(text_bytes, deadline))
-        return text, self._read(data_bytes, deadline)
+        text, data = json.loads(self._read(text_bytes, deadline)), self._block.read(data_bytes)
+        self._block.release(max(len(body), data_bytes))
+        return text, data
 
     def kill(self) -> None:
         """End the process at once. The thread that uses it, if any, calls `close`."""
@@ -82,6 +91,7 @@ class _Process:
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
             self._pipe(pipe).close()
+        self._block.close()
 
     @staticmethod
     def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
@@ -188,7 +198,7 @@ class DecodeProcesses:
         except ObjectError as error:
             raise WireError("bad-object", field="body", value=value, rule=str(error)) from error
 
-    def _request(self, arguments: dict[str, Any], body: bytes, timeout_s: float) -> tuple[dict[str, Any], bytearray]:
+    def _request(self, arguments: dict[str, Any], body: bytes, timeout_s: float) -> tuple[dict[str, Any], bytes]:
         """Return the result of one request. Raises _KilledError if the process took too long or has ended."""
         text = json.dumps(arguments).encode()
         head = REQUEST.pack(len(text), len(body), int(timeout_s) + 10) + text

@@ -1,8 +1,9 @@
-"""Decoding of frames and objects, and the process that does it: `python -m roomlight_server.work.decode_worker`.
+"""Decoding of frames and objects, and the process that does it: `python -m roomlight_server.work.decode_worker FD`.
 
 The process reads requests from standard input and writes results to standard output, one at a time, until the input
-ends. A result is plain numbers and no pickle, so that a decoder taken over by a hostile image cannot run code in the
-server. This module imports no engine: a process takes 94 MB and starts in 0.6 s.
+ends. Files and arrays are in the block of the descriptor FD (`shared_block`). A result is plain numbers and no pickle,
+so that a decoder taken over by a hostile image cannot run code in the server. This module imports no engine: a process
+takes 94 MB and starts in 0.6 s.
 """
 
 import ctypes
@@ -22,13 +23,17 @@ from roomlight.errors import ObjectError, RoomLightError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.decoding import decode_frame
 from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
+from roomlight_server.work.shared_block import BLOCK_BYTES, SharedBlock
 
 REQUEST: Final = struct.Struct("<IQI")
-"""Lengths of the JSON (`work` and its arguments) and of the file, and seconds to live."""
+"""Lengths of the JSON (`work` and its arguments) and of the file, and seconds to live. A file that is larger than the
+block follows the JSON."""
 RESULT: Final = struct.Struct("<IQ")
 """Lengths of the JSON and of the arrays."""
 READY: Final = b"ready\n"
-MAX_MEMORY_BYTES: Final = 2 * 2**30
+Result = tuple[dict[str, Any], tuple[bytes | memoryview, ...]]
+"""JSON and arrays."""
+MAX_MEMORY_BYTES: Final = 2 * 2**30 + BLOCK_BYTES
 """Address space of the process, of which libraries take 0.7 GB: a file may take 1.3 GB."""
 _trim: Final = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 """Returns free memory to the system: an object of 31 MiB leaves 32 MB that glibc would keep."""
@@ -53,8 +58,8 @@ def decode_to_box(
         raise WireError("bad-frame", field="intrinsics", value=size, rule=str(error)) from error
 
 
-def pack_frame(frame: Frame) -> bytes:
-    """Return a decoded frame as the bytes of a result."""
+def pack_frame(frame: Frame) -> Result:
+    """Return a decoded frame as a result."""
     k = frame.intrinsics
     text = {
         "image": frame.image.shape[:2],
@@ -62,11 +67,12 @@ def pack_frame(frame: Frame) -> bytes:
         "intrinsics": [k.fx, k.fy, k.cx, k.cy, k.width, k.height],
     }
     image, depth_m = (values.astype("<f4", copy=False) for values in (frame.image, frame.depth_m))
-    return _pack(text, b"".join(part.tobytes() for part in (image, depth_m, frame.clipped.view(np.uint8))))
+    parts = (image, depth_m, frame.clipped.view(np.uint8))
+    return text, tuple(memoryview(np.ascontiguousarray(part).reshape(-1)).cast("B") for part in parts)
 
 
-def unpack_frame(text: dict[str, Any], data: bytearray, message: FrameMessage, index: int) -> Frame:
-    """Return the frame of a result of `pack_frame`. `data` is a bytearray, so that the frame's arrays are writable.
+def unpack_frame(text: dict[str, Any], data: bytes, message: FrameMessage, index: int) -> Frame:
+    """Return the frame of a result of `pack_frame`, with arrays of its own: a kept image keeps no depth in memory.
 
     Raises:
         WireError: The decoder rejected the frame.
@@ -81,9 +87,9 @@ def unpack_frame(text: dict[str, Any], data: bytearray, message: FrameMessage, i
     depth_at = 12 * pixels
     return Frame(
         index=index,
-        image=np.frombuffer(data, "<f4", 3 * pixels).reshape(height, width, 3),
+        image=np.frombuffer(data, "<f4", 3 * pixels).reshape(height, width, 3).copy(),
         clipped=np.frombuffer(data, np.uint8, pixels, depth_at + 4 * depth_pixels).reshape(height, width) > 0,
-        depth_m=np.frombuffer(data, "<f4", depth_pixels, depth_at).reshape(depth_height, depth_width),
+        depth_m=np.frombuffer(data, "<f4", depth_pixels, depth_at).reshape(depth_height, depth_width).copy(),
         intrinsics=Intrinsics(*text["intrinsics"]),
         camera_to_world=message.camera_to_world,
         timestamp_s=message.header.timestamp_s,
@@ -91,57 +97,54 @@ def unpack_frame(text: dict[str, Any], data: bytearray, message: FrameMessage, i
     )
 
 
-def _pack(text: dict[str, Any], data: bytes = b"") -> bytes:
-    encoded = json.dumps(text).encode()
-    return RESULT.pack(len(encoded), len(data)) + encoded + data
-
-
-def _frame_result(body: bytes, index: int, reference: float, min_confidence: int, box: list[int]) -> bytes:
+def _frame_result(body: bytes, index: int, reference: float, min_confidence: int, box: list[int]) -> Result:
     try:
         return pack_frame(decode_to_box(parse(body, _NO_LIMITS), index, reference, min_confidence, (box[0], box[1])))
     except MemoryError:
         rule = "must decode within the memory of a decoding process"
-        return _pack(
-            {"rejected": {"kind": "bad-frame", "field": "colour", "value": f"{len(body)} bytes", "rule": rule}}
-        )
+        return {"rejected": {"kind": "bad-frame", "field": "colour", "value": f"{len(body)} bytes", "rule": rule}}, ()
     except WireError as error:
         fields = {"kind": error.kind, "field": error.field, "value": str(error.value)[:1000], "rule": error.rule}
-        return _pack({"rejected": fields})
+        return {"rejected": fields}, ()
     except Exception:
-        return _pack({"failed": traceback.format_exc()[-4000:]})
+        return {"failed": traceback.format_exc()[-4000:]}, ()
 
 
-def _object_result(body: bytes, kind: str | None, limits: dict[str, int]) -> bytes:
+def _object_result(body: bytes, kind: str | None, limits: dict[str, int]) -> Result:
     from roomlight_server.work.object_packing import pack_object  # most processes decode frames only
 
     try:
-        return _pack(*pack_object(body, kind, limits))
+        text, data = pack_object(body, kind, limits)
+        return text, (data,)
     except ObjectError as error:
         value = f"{len(body)} bytes"
-        return _pack({"rejected": {"kind": "bad-object", "field": "body", "value": value, "rule": str(error)[:1000]}})
+        return {"rejected": {"kind": "bad-object", "field": "body", "value": value, "rule": str(error)[:1000]}}, ()
     except MemoryError:
         rule = "must decode within the memory of a decoding process"
-        return _pack({"rejected": {"kind": "bad-object", "field": "body", "value": f"{len(body)} bytes", "rule": rule}})
+        return {"rejected": {"kind": "bad-object", "field": "body", "value": f"{len(body)} bytes", "rule": rule}}, ()
     except Exception:
-        return _pack({"failed": traceback.format_exc()[-4000:]})
+        return {"failed": traceback.format_exc()[-4000:]}, ()
 
 
-def serve(requests: BinaryIO, results: BinaryIO) -> None:
+def serve(requests: BinaryIO, results: BinaryIO, block: SharedBlock) -> None:
     """Answer requests until the input ends."""
     results.write(READY)
     results.flush()
     while len(head := requests.read(REQUEST.size)) == REQUEST.size:
         text_bytes, length, seconds = REQUEST.unpack(head)
         arguments = json.loads(requests.read(text_bytes))
-        body = requests.read(length)
+        body = block.read(length) if length <= BLOCK_BYTES else requests.read(length)
         signal.alarm(seconds)  # ends this process, even inside a decoder, if the server that would kill it is gone
         is_object = arguments.pop("work") == "object"
-        result = (_object_result if is_object else _frame_result)(body, **arguments)
+        text, parts = (_object_result if is_object else _frame_result)(body, **arguments)
+        encoded, size = json.dumps(text).encode(), sum(map(len, parts))
+        if size <= BLOCK_BYTES:  # else the server refuses it
+            block.write(*parts)
         signal.alarm(0)
-        results.write(result)
+        results.write(RESULT.pack(len(encoded), size) + encoded)
         results.flush()
         if is_object and _trim is not None:
-            del body, result
+            del body, text, parts, encoded
             _trim(0)
 
 
@@ -156,4 +159,4 @@ if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends its processes
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not enter the results
-    serve(sys.stdin.buffer, output)
+    serve(sys.stdin.buffer, output, SharedBlock(int(sys.argv[1])))

@@ -42,7 +42,7 @@ def pack_object(body: bytes, kind: str | None, limits: dict[str, int]) -> tuple[
     return {"parts": parts, "textures": sizes, "notes": notes}, b"".join(array.tobytes() for array in arrays)
 
 
-def unpack_object(text: dict[str, Any], data: bytearray) -> VirtualObject:
+def unpack_object(text: dict[str, Any], data: bytes) -> VirtualObject:
     """Return the object of `pack_object`; indices and coordinates are checked again.
 
     Raises:
@@ -54,7 +54,7 @@ def unpack_object(text: dict[str, Any], data: bytearray) -> VirtualObject:
     def take(kind: str, *shape: int) -> np.ndarray:
         nonlocal at
         count = int(np.prod(shape))
-        array = np.frombuffer(data, kind, count, at).reshape(shape)
+        array = np.frombuffer(data, kind, count, at).reshape(shape).copy()
         at += array.nbytes
         return array
 

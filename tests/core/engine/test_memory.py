@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roomlight.engine.memory import KEYFRAME_BYTES, Footprint, release_free_memory
-from roomlight.engine.networks.graphs import load_graphs
+from roomlight.engine.networks.graphs import SHIPPED, load_graphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.sglv import Sglv
@@ -65,6 +65,45 @@ def test_the_networks_volume_and_probe(tiny_video, form):
 @pytest.mark.parametrize(("started", "expected"), [(False, 300), (True, 300 + 1000 + 3 * KEYFRAME_BYTES)])
 def test_the_total_counts_the_parts(started, expected):
     assert Footprint(1000, 100).total(keyframes=2, probes=3, started=started) == expected
+
+
+def everything_in(thing, met):
+    """Bytes of all arrays that an object of this package refers to, each buffer counted once and as a whole."""
+    if isinstance(thing, np.ndarray):
+        while isinstance(thing.base, np.ndarray):
+            thing = thing.base
+        assert thing.base is None or isinstance(thing.base, int), type(thing.base)
+    if id(thing) in met:
+        return 0
+    met[id(thing)] = thing
+    if isinstance(thing, np.ndarray):
+        return thing.nbytes
+    if isinstance(thing, dict):
+        return everything_in(list(thing.values()), met)
+    if isinstance(thing, list | tuple):
+        return sum(everything_in(item, met) for item in thing)
+    if type(thing).__module__.startswith("roomlight.") and hasattr(thing, "__dict__"):
+        return everything_in(vars(thing), met)
+    return 0
+
+
+def test_twenty_keyframes_take_what_is_counted():
+    """60 MB with networks: each keyframe held 3.6 MB, of which it can make 2.1 again."""
+    session = Session(SessionOptions(model="classical"))
+    session.track((0.2, 1.2, -0.2))
+    room = BoxRoom(lamp=((0.0, 2.6, 0.0), 0.4))
+    for number in range(40):
+        pose = camera_at((0.3, 1.4, 0.2), 37.0 * number, 50.0 * np.sin(number))
+        session.push(room.frame(pose, index=number, width=320, height=240))
+    session.light_at((0.1, 1.0, 0.1))
+    session.track((0.1, 1.1, 0.1))
+    for _, mesh in session.meshes:
+        assert len(mesh.faces) > 0
+    assert session.keyframes >= 20
+    counted = Footprint.of(None, 120).total(keyframes=session.keyframes, probes=2, started=True)
+    assert 0.7 * counted < everything_in(session, {}) < 1.03 * counted
+    with_networks = Footprint.of(load_graphs(SHIPPED / "single"), 120)
+    assert with_networks.total(keyframes=20, probes=1, started=True) < 48e6
 
 
 def test_releasing_memory_runs_anywhere():

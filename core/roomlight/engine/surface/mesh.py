@@ -138,9 +138,7 @@ class FrameMesh:
         mesh.sensor_clipped = sensor_clipped
         return mesh
 
-    def _take(
-        self, texture: Texture, k: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], grid: MeshGrid
-    ) -> None:
+    def _take(self, texture: Texture, k: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], grid: MeshGrid) -> None:
         self.texture = texture
         self.camera_to_world = camera_to_world
         self.image_camera, self._depth_shape = k, grid.depth_shape
