@@ -68,7 +68,7 @@ def pack_frame(frame: Frame) -> Result:
     }
     image, depth_m = (values.astype("<f4", copy=False) for values in (frame.image, frame.depth_m))
     parts = (image, depth_m, frame.clipped.view(np.uint8))
-    return text, tuple(memoryview(np.ascontiguousarray(part).reshape(-1)).cast("B") for part in parts)
+    return text, tuple(np.ascontiguousarray(part).reshape(-1).data.cast("B") for part in parts)
 
 
 def unpack_frame(text: dict[str, Any], data: bytes, message: FrameMessage, index: int) -> Frame:
