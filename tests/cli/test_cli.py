@@ -13,11 +13,9 @@ from roomlight.errors import FrameError, ModelError, OptionError, RoomLightError
 from roomlight.sample import sample_capture
 from roomlight_cli import console
 from roomlight_cli import main as cli
-from roomlight_cli.commands import demo as demo_command
 from roomlight_cli.commands.bench import BENCHMARKS
 from roomlight_cli.commands.evaluation import EVALUATIONS
 from roomlight_cli.lazy import CommandEntry, load_command
-from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_evaluation.captures.evaluation import evaluate_predictions
 
 
@@ -197,21 +195,6 @@ def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: 
     scored = roomlight("eval", "captures", sample, "--predictions", out, "--every", "10", cwd=tmp_path)
     assert scored.code == 0, scored.err
     assert "predictions" in scored.out
-
-
-def test_the_demo_without_a_browser_replays_the_sample(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, roomlight: RunCommand
-) -> None:
-    calls: list[tuple[Path, Path, ReplayOptions]] = []
-    monkeypatch.setattr(demo_command, "run_replay", lambda *arguments: calls.append(arguments))
-    monkeypatch.setattr(demo_command, "score_line", lambda capture, out: f"{capture} {out}")
-    monkeypatch.setattr(demo_command, "composite_recording", lambda *given, **_: f"film: {given[2].out}")
-    result = roomlight("demo", "--no-browser", cwd=tmp_path)
-    expected = ReplayOptions(probes_from_capture=True, overwrite=True)
-    assert calls == [(sample_capture(), Path("roomlight-demo"), expected)]
-    first, film = result.out.strip().splitlines()
-    assert first == f"{sample_capture()} roomlight-demo"
-    assert film.endswith("film: roomlight-demo/composite.mp4")
 
 
 @pytest.mark.slow

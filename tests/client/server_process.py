@@ -1,6 +1,5 @@
 """A real `roomlight serve` that a test kills and starts again on the same port."""
 
-import asyncio
 import signal
 import socket
 import subprocess
@@ -57,6 +56,3 @@ class ServerProcess:
     def restart(self) -> None:
         self.kill()
         self.start()
-
-    async def restart_async(self) -> None:
-        await asyncio.to_thread(self.restart)

@@ -365,14 +365,6 @@ def test_a_malformed_form_raises_when_it_is_accessed(kind, form, read):
         access(light, read)
 
 
-@pytest.mark.parametrize("name", ["panorama", "observed", "harmonics", "ambient", "main_light", "cube"])
-def test_a_missing_form_says_how_to_request_it(name):
-    form = {"format": "png", "media_type": "image/png", "data": ""}
-    light = run(Script(OPENED, light_json(form)), "sync", lambda session: session.light_at((0.0, 1.0, 2.0), ("png",)))
-    with pytest.raises(RoomLightError, match="requested was png; request it with forms="):
-        access(light, name)
-
-
 @BOTH
 @pytest.mark.parametrize(
     "answer",

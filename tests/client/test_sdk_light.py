@@ -9,11 +9,11 @@ from light_rooms import room
 
 import roomlight as rl
 import roomlight_client as sdk
-from roomlight.light.sources import FileFormat, FormReader, LightPanoramas
+from roomlight.light.sources import FileFormat, LightPanoramas
 from roomlight.light.spherical_harmonics import SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, pack_light
 from roomlight.wire.messages import EncodedLight, LightResponse, ProbeLight
-from roomlight_client.light import ReceivedForms, parse_lights
+from roomlight_client.light import parse_lights
 
 ROOM = room(24)
 OBSERVED = np.tile(np.array([0, 1], np.float32), (24, 24))
@@ -48,11 +48,6 @@ def received(*forms: Any) -> rl.Light:
     result = ProbeLight(position=[1.0, 0.5, -2.0], name="table", coverage=ENGINE.coverage, etag="e", forms=encoded)
     (light,) = parse_lights(pack_light(LightResponse(frame=7, results=[result]), parts), MEDIA_TYPE)
     return light
-
-
-def test_engine_and_client_have_one_class():
-    assert sdk.Light is rl.Light
-    assert isinstance(ReceivedForms(()), FormReader)
 
 
 @pytest.mark.parametrize(
@@ -102,12 +97,6 @@ def test_both_save_the_same_file(suffix, tmp_path):
     ENGINE.save(tmp_path / f"engine{suffix}")
     received(*BOTH).save(tmp_path / f"client{suffix}")
     assert (tmp_path / f"client{suffix}").read_bytes() == (tmp_path / f"engine{suffix}").read_bytes()
-
-
-@pytest.mark.parametrize("form", ["exr", "hdr", "png", "ktx2"])
-def test_a_sent_file_is_saved_without_the_panorama(form, tmp_path):
-    received(form).save(tmp_path / f"light.{form}")
-    assert (tmp_path / f"light.{form}").read_bytes() == ENGINE.file(form)
 
 
 def test_json_is_saved_from_harmonics_and_main_light(tmp_path):

@@ -11,7 +11,7 @@ from server_process import ServerProcess
 import roomlight_client as sdk
 from http_servers import InThread
 from roomlight.engine.session import Session, SessionOptions
-from roomlight_client import AsyncClient, Client, Retry, StreamStatus
+from roomlight_client import Client, Retry
 from rooms import BoxRoom, pan
 
 pytestmark = pytest.mark.slow
@@ -44,40 +44,6 @@ class Waiting:
         with self._changed:
             assert self._changed.wait_for(lambda: any(map(condition, self.values)), timeout=120)
             return next(value for value in self.values if condition(value))
-
-
-def test_an_async_stream_survives_a_killed_server(server):
-    lit, statuses = Waiting(), Waiting()
-
-    async def main():
-        async with AsyncClient(server.url, reconnect=PATIENT) as client:
-            session = await client.open(**SMALL)
-            async with await session.stream(on_lighting=lit, on_status=statuses) as stream:
-                await stream.track("table", POINT)
-                await stream.subscribe(["sh"])
-                assert (await stream.push(FRAMES[0])).status == "processed"
-                first = await stream.light_at("table")
-                await server.restart_async()
-                result = await stream.push(FRAMES[1])
-                light = await stream.light_at("table")
-                state = await session.state()
-                await asyncio.to_thread(lit.until, lambda lights: lights[0].frame == 1)
-            await session.close()
-            return first, result, light, state, stream.status
-
-    first, result, light, state, ended = asyncio.run(main())
-    assert (result.index, result.status) == (1, "processed")
-    assert first.coverage > 0
-    assert light.coverage >= first.coverage
-    assert state.frames.processed == 2  # frame 0 was sent again to the new session
-    assert state.probes == {"table": list(POINT)}
-    states = [status.state for status in statuses.values]
-    assert states[:3] == ["connecting", "open", "reconnecting"]
-    assert states[-2:] == ["open", "closed"]
-    reopened = [status for status in statuses.values if status.state == "open"][-1]
-    assert reopened.reopened
-    assert not reopened.incomplete
-    assert ended.state == "closed"
 
 
 def test_a_blocking_stream_survives_a_killed_server(server):
@@ -133,20 +99,6 @@ def test_a_missing_session_is_opened_again_by_any_call(server):
         assert session.light_at("table").frame == 0
         assert joined.light_at("table").frame == 0
         session.close()
-
-
-def test_a_status_says_what_is_wrong(server):
-    statuses = Waiting()
-    short = Retry(attempts=2, first_delay_s=0.0, max_delay_s=0.0)
-    with Client(server.url, reconnect=short) as client:
-        session = client.open(**SMALL)
-        with session.stream(on_status=statuses) as stream:
-            server.kill()
-            ended: StreamStatus = statuses.until(lambda status: status.state == "closed")
-            assert isinstance(ended.error, sdk.UnreachableError)
-            with pytest.raises(sdk.UnreachableError):
-                stream.push(FRAMES[0])
-    server.start()
 
 
 # --- a server with a state directory ----------------------------------------------------------------------------

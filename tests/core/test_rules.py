@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from annotated_types import Ge, Gt, Interval, Le, Lt
 
-from roomlight.captures import FORMATS, CaptureOptions
+from roomlight.captures import CaptureOptions
 from roomlight.errors import OptionError
 from roomlight.rules import Rule, check_options, rules_of
 
@@ -69,8 +69,3 @@ def test_values_at_the_limits_are_accepted_and_none_where_the_type_says_so():
 
 def test_every_field_has_a_rule():
     assert rules_of(CaptureOptions).keys() == {field.name for field in fields(CaptureOptions)}
-
-
-def test_the_formats_are_named_where_they_are_chosen():
-    described = " ".join((CaptureOptions.__doc__ or "").split())
-    assert all(f" {name}" in described for name in FORMATS)

@@ -8,7 +8,7 @@ import pytest
 
 from roomlight_server.base.request_context import Flow, current_flow
 from roomlight_server.work import fair_share
-from roomlight_server.work.fair_share import AbandonedError, FairShare
+from roomlight_server.work.fair_share import FairShare
 
 
 class Clock:
@@ -184,19 +184,6 @@ async def paused_job(share, *, owner, steps, entered):
 
 
 @in_loop
-async def test_a_long_job_gives_way_and_continues(monkeypatch):
-    monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
-    share, steps, entered = FairShare(1), threading.Event(), threading.Event()
-    long = asyncio.create_task(paused_job(share, owner="a", steps=steps, entered=entered))
-    await asyncio.to_thread(entered.wait)
-    current_flow.set(Flow("b", "s"))
-    async with share.slot():  # not before the long job has given its slot up
-        assert not long.done()
-    steps.set()
-    await long
-
-
-@in_loop
 async def test_closing_lets_paused_jobs_finish(monkeypatch):
     monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
     share, steps, entered = FairShare(1), threading.Event(), threading.Event()
@@ -207,12 +194,3 @@ async def test_closing_lets_paused_jobs_finish(monkeypatch):
         steps.set()
         share.close()
         await long
-
-
-@in_loop
-async def test_an_abandoned_job_ends_at_its_next_pause(clock):
-    async with FairShare(1, clock=clock).slot() as turn:
-        turn.pause()
-        turn.abandon()
-        with pytest.raises(AbandonedError):
-            turn.pause()

@@ -20,12 +20,22 @@ def server():
 
 
 @pytest.mark.parametrize(
-    "path", ["/metrics", "/docs", "/openapi.json", "/docs-assets/swagger-ui.css", "/v1/sessions/a"]
+    "path",
+    [
+        "/",
+        "/phone",
+        "/assets/icon.png",
+        "/metrics",
+        "/docs",
+        "/openapi.json",
+        "/docs-assets/swagger-ui.css",
+        "/v1/sessions/a",
+    ],
 )
 def test_a_server_without_token_checks_the_host_of_every_path(server, path):
     """/metrics and /docs were answered for any `Host`, so that a page of another site could read them."""
     answer = server.call("GET", path, headers={"Host": "evil.example"})
-    assert (answer.status, answer.kind) == (403, "forbidden-origin")
+    assert (answer.status, answer.kind, answer.json["field"]) == (403, "forbidden-origin", "Host")
     assert server.call("GET", path).status in (200, 404)
 
 

@@ -328,10 +328,3 @@ def test_a_packed_object_is_the_same_object():
         assert texture is not None
         assert own_texture is not None
         assert (texture.texels == own_texture.texels).all()
-
-
-def test_composites_and_objects_are_measured(server):
-    text = server.call("GET", "/metrics").body.decode()
-    assert 'roomlight_composite_seconds_count{quality="preview"}' in text
-    assert "roomlight_objects_refused_total" in text
-    assert "roomlight_object_bytes" in text

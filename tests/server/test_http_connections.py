@@ -2,7 +2,6 @@
 
 import http.client
 import json
-import logging
 import socket
 
 import pytest
@@ -227,15 +226,3 @@ def test_a_client_that_does_not_read_is_closed(caplog):
             )
             while not refusals(caplog, "slow-reader"):
                 assert server.call("GET", "/healthz").status == 200
-
-
-def test_the_metrics_count_connections(caplog):
-    caplog.set_level(logging.WARNING)
-    with RunningServer(max_connections_per_address=1) as server:
-        with dial(server), dial(server) as second:
-            assert answer_of(second)[0] == 503
-        while server.call("GET", "/healthz").status != 200:
-            pass
-        text = server.call("GET", "/metrics").body.decode()
-        assert 'roomlight_connections_refused_total{kind="too-many-connections"}' in text
-        assert "roomlight_connections 1.0" in text

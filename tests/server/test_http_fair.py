@@ -214,16 +214,6 @@ def test_late_points_do_not_hold_up_frames_of_their_session(server, monkeypatch)
     connection.close()
 
 
-def test_a_paused_computation_ends_when_its_client_is_gone(server, monkeypatch):
-    running, never = threading.Event(), threading.Event()
-    monkeypatch.setattr(SessionView, "light_at", endless(running, never))
-    connection = post(server, late(1))
-    assert running.wait(60)
-    connection.close()
-    wait_until(server, lambda: idle(server))
-    assert server.push(1, frame(1)).json["status"] == "processed"
-
-
 def test_a_composite_ends_when_its_client_is_gone(server, monkeypatch):
     """A composite of high quality takes up to 50 s of CPU time."""
     running, never = threading.Event(), threading.Event()

@@ -120,18 +120,6 @@ def test_too_many_frames_in_flight_are_answered_with_429(held):
     assert held.push(2).status == 200
 
 
-def test_respond_async_answers_before_the_engine(held):
-    queued(held, 0)
-    HeldSession.wait_entered()
-    queued(held, 1, body=frame(1))
-    queued(held, 2, body=frame(2))
-    assert held.state()["frames"]["superseded"] == 1
-    HeldSession.release(2)
-    replay = held.push(2, frame(2))
-    assert replay.json["status"] == "processed"
-    assert replay.json["replay"]
-
-
 def test_health_is_answered_during_a_frame(held):
     for _ in range(10_000):
         if held.call("GET", "/readyz").status == 200:

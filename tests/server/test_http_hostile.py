@@ -91,18 +91,8 @@ HUGE = LENS | {"fx": 9e3, "fy": 9e3, "width": 16384, "height": 12288}
 
 HOSTILE = {
     "empty": (b"", 422, None),
-    "other magic": (b"POST" + frame()[4:], 422, "magic"),
-    "header longer than the message": (b"RLF1\xff\xff\xff\x7f" + frame()[8:], 422, "header length"),
-    "header of nested lists": (build([], b"")[:4] + struct.pack("<I", 16000) + b"[" * 16000, 422, None),
     "cut off": (frame()[:-1], 422, None),
-    "something after it": (frame() + b"?", 422, None),
     "NaN in the pose": (with_parts(camera_to_world=pose(row0=[1, 0, 0, np.nan])), 422, "camera_to_world.12"),
-    "infinite position": (with_parts(camera_to_world=pose(row1=[0, 1, 0, np.inf])), 422, "camera_to_world.13"),
-    "no rotation": (with_parts(camera_to_world=[0.0] * 15 + [1.0]), 422, "camera_to_world"),
-    "a mirror": (with_parts(camera_to_world=column_major(np.diag([-1.0, 1, 1, 1]))), 422, "camera_to_world"),
-    "a scale": (with_parts(camera_to_world=column_major(np.diag([3.0, 3, 3, 1]))), 422, "camera_to_world"),
-    "zero focal length": (with_parts(intrinsics=LENS | {"fx": 0.0}), 422, "intrinsics"),
-    "negative focal length": (with_parts(intrinsics=LENS | {"fy": -30.0}), 422, "intrinsics"),
     "other aspect": (with_parts(intrinsics=LENS | {"width": 36, "height": 48}), 422, "depth"),
     "an image of 201 megapixels": (with_parts(intrinsics=HUGE), 413, "intrinsics"),
     "a PNG bomb": (with_parts(({"encoding": "png"}, png_bomb(30000, 22500))), 422, "colour"),
@@ -112,7 +102,6 @@ HOSTILE = {
     "a JPEG of another size": (with_parts(({"encoding": "jpeg"}, jpeg(1200, 900))), 422, "colour"),
     "a cut JPEG": (with_parts(({"encoding": "jpeg"}, jpeg()[:-40])), 422, "colour"),
     "a JPEG of noise": (with_parts(({"encoding": "jpeg"}, jpeg()[:200] + b"\xff\xd9")), 422, "colour"),
-    "an EXR as JPEG": (with_parts(({"encoding": "jpeg"}, b"\x76\x2f\x31\x01" + bytes(99))), 422, "colour"),
     "no HEIC": (with_parts(({"encoding": "heic"}, b"\0\0\0\x18ftypheic" + bytes(99))), 422, "colour"),
     "NaN in linear light": (
         with_parts(({"encoding": "linear_f32"}, np.full(48 * 36 * 3, np.nan, "<f4").tobytes() + bytes(48 * 36))),
@@ -127,19 +116,13 @@ HOSTILE = {
     "a zstd frame with a huge window": (
         with_parts(depth=({"encoding": "zstd"}, b"\x28\xb5\x2f\xfd\x00\xff" + bytes(40))), 422, "depth",
     ),
-    "zstd of too little": (with_parts(depth=streamed(bytes(9))), 422, "depth"),
     "zstd that breaks off": (
         with_parts(depth=({"encoding": "zstd"}, zstandard.ZstdCompressor().compress(parts_of(box_shot(0))[1])[:-9])),
         422, "depth",
     ),
     "depth of nothing": (with_parts(depth=depth(0.0)), 422, "depth"),
-    "depth of NaN": (with_parts(depth=depth(np.nan)), 422, "depth"),
-    "depth in millimetres": (with_parts(depth=depth(1500.0)), 422, "depth"),
-    "depth of 8 bits": (with_parts(depth=(PNG_MM, depth_png(9, np.uint8))), 422, "depth"),
-    "depth in colour": (with_parts(depth=(PNG_MM, depth_png(9, np.uint16, (36, 48, 3)))), 422, "depth"),
     "no confidence at all": (with_parts(confidence=({}, bytes(48 * 36))), 422, "confidence"),
     "confidence of 16 bits": (with_parts(confidence=({"encoding": "png"}, depth_png(2))), 422, "confidence"),
-    "confidence of another size": (with_parts(confidence=({"width": 24, "height": 18}, bytes(432))), 422, "confidence"),
     "another index in the header": (frame(index=77), 422, "index"),
 }  # fmt: skip
 

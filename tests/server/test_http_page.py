@@ -95,13 +95,6 @@ def test_unusable_pages_are_refused(tmp_path, monkeypatch):
         page_routes.page_files.__wrapped__(tmp_path)
 
 
-@pytest.mark.parametrize("path", ["/", "/phone", "/assets/icon.png", "/v1/sessions"])
-def test_a_name_that_resolves_to_this_machine_is_refused(server, path):
-    """DNS rebinding: the browser sends the attacker's name as Host and has no Origin."""
-    answer = server.call("GET", path, headers={"Host": "evil.example:8090"})
-    assert (answer.status, answer.kind, answer.json["field"]) == (403, "forbidden-origin", "Host")
-
-
 @pytest.mark.usefixtures("page")
 def test_allowed_hosts_are_checked_with_tokens_too():
     with RunningServer(tokens=(TOKEN,), allow_hosts=("room.local", "10.0.0.7", "fe80::1")) as server:

@@ -366,11 +366,6 @@ def test_a_reader_that_hangs_is_killed(server, monkeypatch):
     assert "more than 0.01 s" in finished(server, url, "failed")["problem"]["detail"]
 
 
-def test_a_wrong_method_names_those_of_the_files(server):
-    answer = server.call("DELETE", f"{announce(server, 1)}/files/a/b")
-    assert (answer.status, answer.kind, answer.headers["allow"]) == (405, "method-not-allowed", "PUT")
-
-
 def test_pages_of_allowed_origins_can_upload(tmp_path):
     asked = {
         "Origin": "https://room.example",

@@ -4,7 +4,6 @@ import http.client
 import json
 import logging
 import socket
-import struct
 
 import cv2
 import numpy as np
@@ -181,26 +180,6 @@ def test_every_line_of_the_log_is_json_without_tokens():
         lines = server.lines
     assert any("Corrupt JPEG" in json.loads(line)["event"] for line in lines)
     assert not any(TOKEN in line for line in lines)
-
-
-def with_orientation(jpeg, orientation):
-    """Return a JPEG with an EXIF orientation."""
-    tiff = struct.pack("<2sHLHHHLHHL", b"II", 42, 8, 1, 0x0112, 3, 1, orientation, 0, 0)
-    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", 8 + len(tiff)) + b"Exif\0\0" + tiff + jpeg[2:]
-
-
-@pytest.mark.parametrize("orientation", [2, 3, 6, 8])
-def test_an_exif_orientation_is_ignored(server, orientation):
-    """The image was turned by its EXIF orientation, and no longer fitted its depth."""
-    ramp = np.tile(np.linspace(0, 255, 48, dtype=np.uint8), (36, 1))
-    jpeg = cv2.imencode(".jpg", np.stack([ramp, 255 - ramp, ramp // 2], axis=-1))[1].tobytes()
-    tags = []
-    for number, colour in enumerate((jpeg, with_orientation(jpeg, orientation))):
-        name = f"turned-{orientation}-{number}"
-        server.open(name)
-        assert server.push(0, with_colour("jpeg", colour), name=name).json["status"] == "processed"
-        tags.append(server.call("GET", f"/v1/sessions/{name}/probe?x=0.2&y=1.2&z=-0.2&format=npy").headers["etag"])
-    assert tags[0] == tags[1]
 
 
 def test_json_of_many_unknown_names_is_refused_before_it_is_checked():

@@ -11,7 +11,6 @@ import pytest
 
 from http_servers import RunningServer, box_shot, frame, header_of
 from present import present
-from roomlight.conventions import panorama_directions
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.wire.frame_encoding import CameraFrame, pack_camera_frame
 from roomlight_server.answers.room_mesh import _without_copies, room_mesh, to_glb
@@ -258,17 +257,6 @@ def test_usdz_is_aligned_and_holds_the_panorama(server):
     assert archive.read("light.exr") == server.call("GET", f"{ROOM}/probes/table?format=exr").body
     again = server.call("GET", f"{ROOM}/usdz?name=table", headers={"If-None-Match": answer.headers["etag"]})
     assert again.status == 304
-
-
-def test_the_dome_is_turned_from_openexr_to_our_axes():
-    """OpenEXR: longitude is pi at the left edge and -pi at the right; 0 is +z, pi/2 is +x. `rotateY = 90`."""
-    rows = 8
-    longitude = np.pi - (np.arange(2 * rows) + 0.5) / (2 * rows) * 2 * np.pi
-    latitude = np.pi / 2 - (np.arange(rows) + 0.5) / rows * np.pi
-    longitude, latitude = np.meshgrid(longitude, latitude)
-    local = np.stack([np.sin(longitude) * np.cos(latitude), np.sin(latitude), np.cos(longitude) * np.cos(latitude)], -1)
-    turn = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # 90 degrees about y: z becomes x, x becomes -z
-    np.testing.assert_allclose(local @ turn.T, panorama_directions(rows), atol=1e-6)
 
 
 @pytest.mark.parametrize("query", ["", "?name=table&x=1&y=1&z=1", "?x=1&y=1", "?name=a/b"])

@@ -201,24 +201,8 @@ def test_an_unknown_method_is_answered_with_the_allowed_ones(server):
     assert (answer.status, answer.kind, answer.headers["allow"]) == (405, "method-not-allowed", "DELETE, GET, PUT")
 
 
-def test_the_document_describes_every_route(server):
+def test_the_document_describes_problems_and_messages(server):
     document = server.call("GET", "/openapi.json").json
-    below = ("", "/frames/{index}", "/probe", "/probes", "/probes/{name}", "/composite", "/camera", "/colour", "/mesh")
-    below += ("/usdz", "/history", "/history/{index}/colour", "/history/{index}/probes/{name}")
-    ours = {f"/v1/sessions/{{session_id}}{path}" for path in below}
-    recordings = ("", "/{recording_id}", "/{recording_id}/files/{path}", "/{recording_id}/replay")
-    ours |= {
-        "/v1/objects",
-        "/v1/objects/{object_id}",
-        "/v1/sessions",
-        "/v1/pairing",
-        "/v1/sample-recording",
-        "/v1/phones",
-        "/v1/phones/{phone_id}",
-    }
-    ours |= {f"/v1/recordings{path}" for path in recordings}
-    page = {"/", "/phone", "/assets/{name}"}
-    assert set(document["paths"]) == ours | page | {"/healthz", "/readyz", "/metrics"}
     for operations in document["paths"].values():
         for operation in operations.values():
             for status, response in operation["responses"].items():

@@ -262,15 +262,6 @@ def test_a_stream_without_a_session_is_closed_with_its_code(server, name, status
         assert stream.close_code() == code
 
 
-def test_a_dropped_connection_keeps_its_session(server):
-    server.open("dropped")
-    with streaming(server, "dropped") as stream:
-        stream.send(frame(0, index=0))
-        stream.socket.socket.close()
-    assert server.state("dropped")["status"] == "open"
-    assert server.push(7, frame(7), name="dropped").json["status"] == "processed"
-
-
 def test_a_stream_needs_a_token_and_an_allowed_origin(server):
     server.open("guarded")
     with pytest.raises(InvalidStatus, match="403"), streaming(server, "guarded", origin="https://evil.example"):

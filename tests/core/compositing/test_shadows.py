@@ -84,16 +84,6 @@ def test_umbra_of_a_small_light_is_the_analytic_one():
     assert 0.3 < between.mean() < 0.7
 
 
-def test_sphere_under_a_white_sky_shades_by_its_form_factor():
-    ratio, grid = ratio_of(ball(lit(60, [], level=1.0), height=0.2))
-    distance = np.linalg.norm(grid.points - np.array([0, 0.2, 0]), axis=-1)
-    expected = 1 - 0.2**2 * 0.2 / distance**3  # the sphere is above the horizon everywhere
-    checked = grid.known & (distance < 0.6) & (distance > 0.23)
-    assert checked.sum() > 500
-    assert np.abs(ratio[checked].mean(axis=-1) - expected[checked]).max() < 0.06
-    assert abs((ratio[checked].mean(axis=-1) - expected[checked]).mean()) < 0.01
-
-
 def test_far_from_objects_nothing_changes():
     ratio, grid = ratio_of(ball(lit(60, [], level=1.0)))
     distance = np.linalg.norm(grid.points - np.array([0, 0.5, 0]), axis=-1)

@@ -1,7 +1,6 @@
 """`FusedVolume`: means of initial volumes over the frames that observed a voxel."""
 
 import numpy as np
-import pytest
 
 from roomlight.engine.volume.fusion import FusedVolume
 
@@ -27,11 +26,6 @@ def fused(frames):
     return out
 
 
-def test_of_one_frame_it_is_that_frame():
-    (frame,) = volumes(1)
-    np.testing.assert_array_equal(fused([frame]), frame)
-
-
 def test_nothing_seen_is_an_empty_volume():
     np.testing.assert_array_equal(fused([]), np.zeros((5, *SHAPE), np.float32))
 
@@ -44,14 +38,3 @@ def test_it_is_the_mean_over_the_frames_that_saw_a_voxel():
         wanted = np.mean([one[:4] for one in seen], axis=0) if seen else np.zeros(4)
         np.testing.assert_allclose(out[:4, *at], wanted, rtol=1e-5)
         assert out[4, *at] == (-1 if seen and all(one[3] == 0 for one in seen) else 0)
-
-
-def test_the_order_of_frames_does_not_matter():
-    frames = list(volumes(5, seed=2))
-    np.testing.assert_allclose(fused(frames), fused(frames[::-1]), rtol=1e-5)
-
-
-@pytest.mark.parametrize("times", [2, 30])
-def test_a_repeated_frame_is_that_frame(times):
-    (frame,) = volumes(1, seed=3)
-    np.testing.assert_allclose(fused([frame] * times), frame, rtol=1e-5)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roomlight.engine.memory import KEYFRAME_BYTES, Footprint, release_free_memory
+from roomlight.engine.memory import KEYFRAME_BYTES, Footprint
 from roomlight.engine.networks.graphs import SHIPPED, load_graphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.volume.fusion import FusedVolume
@@ -104,7 +104,3 @@ def test_twenty_keyframes_take_what_is_counted():
     assert 0.7 * counted < everything_in(session, {}) < 1.03 * counted
     with_networks = Footprint.of(load_graphs(SHIPPED / "single"), 120)
     assert with_networks.total(keyframes=20, probes=1, started=True) < 48e6
-
-
-def test_releasing_memory_runs_anywhere():
-    release_free_memory()

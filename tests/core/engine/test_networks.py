@@ -258,16 +258,6 @@ def test_warm_up_runs_every_graph_and_keeps_no_state(graphs):
     np.testing.assert_array_equal(fresh.light(0).panorama, warm.light(0).panorama)
 
 
-def test_a_late_probe_gets_light_from_the_keyframes(tiny_video):
-    session = Session(_options(tiny_video, "video"))
-    for frame in FRAMES:
-        session.push(frame)
-    light = session.light_at(PROBE)
-    early = FrameMesh(FRAMES[0]).render_panorama(np.array(PROBE), height=HEIGHT).mask
-    late = FrameMesh(FRAMES[-1]).render_panorama(np.array(PROBE), height=HEIGHT).mask
-    assert (light.observed[early & ~late] > 0).all()
-
-
 def test_the_volume_before_is_kept_while_the_next_is_written(graphs):
     recurrent = NetworkModel(graphs).begin(GRID)
     initial_volume(GRID, FRAMES[0], out=recurrent.volume)
