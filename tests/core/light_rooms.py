@@ -41,9 +41,3 @@ def mean_light(panorama):
 def rotate_panorama_90(panorama):
     """The panorama rotated by 90 degrees about +Y: light from +X then comes from +Z."""
     return np.roll(panorama, panorama.shape[1] // 4, axis=1)
-
-
-def rotate_directions_90(directions):
-    """Directions rotated as `rotate_panorama_90` rotates a panorama."""
-    x, y, z = np.moveaxis(np.asarray(directions), -1, 0)
-    return np.stack([-z, y, x], axis=-1)

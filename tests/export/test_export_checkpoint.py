@@ -51,12 +51,6 @@ def test_model_json_describes_the_folder(exported):
     assert not list(exported.folder.parent.glob(".*"))
 
 
-def test_single_graphs_have_the_renderers_shapes(single):
-    graphs = json.loads((single.folder / "model.json").read_text())["graphs"]
-    assert graphs["single_sg_decoder"]["outputs"] == {"alpha": list(SHAPE), "lobes": [*SHAPE, 10]}
-    assert graphs["single_blend_decoder"]["outputs"] == {"weight": [1, 1, 18, 36]}
-
-
 def test_video_graphs_take_the_previous_state():
     graphs = {graph.name: graph for graph in graphs_of(VideoModel(CONFIG))}
     assert set(graphs) == SINGLE | VIDEO

@@ -136,15 +136,6 @@ def test_first_frame_is_the_recursion_from_nothing_seen():
         torch.testing.assert_close(one, other)
 
 
-@pytest.mark.parametrize(
-    ("seen_m", "now_m", "kept"), [(2.0, 2.0, False), (2.0, 1.8, False), (2.0, 1.74, True), (2.0, 3.0, False)]
-)
-def test_only_a_clearly_closer_surface_replaces(seen_m, now_m, kept):
-    weight = torch.full((1, 1, 1, 1), 0.8)
-    ruled = conservative(weight, torch.full_like(weight, now_m), torch.full_like(weight, seen_m))
-    assert float(ruled) == pytest.approx(0.8 if kept else 0.0)
-
-
 def test_gradients_pass_where_the_rule_keeps_the_weight():
     weight = torch.full((1, 1, 1, 2), 0.5, requires_grad=True)
     depth = torch.tensor([[[[1.0, 2.0]]]])

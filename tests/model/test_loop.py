@@ -291,13 +291,9 @@ def test_an_epoch_has_every_example_once():
     ("change", "message"),
     [
         ({"steps": 0}, "steps is 0; it must be 1 or more"),
-        ({"batch": 0}, "batch is 0; it must be 1 or more"),
         ({"learning_rate": 0.0}, r"learning_rate is 0\.0; it must be above 0 to 1"),
-        ({"learning_rate": 2.0}, r"learning_rate is 2\.0"),
         ({"ema": 1.1}, r"ema is 1\.1; it must be 0 to 1"),
         ({"seed": -1}, "seed is -1; it must be 0 or more"),
-        ({"warm_up": -1}, "warm_up is -1"),
-        ({"validate_steps": 0}, "validate_steps is 0"),
     ],
 )
 def test_options_out_of_range_are_refused(change, message):

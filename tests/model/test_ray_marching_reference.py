@@ -87,38 +87,6 @@ def test_agrees_with_serving(far, position):
         assert np.abs(transmittance.numpy() - left).max() < 1e-4
 
 
-def test_an_opaque_volume_shows_its_own_colour():
-    """alpha = 1: the first sample is all there is; no transmittance is left for the boundary."""
-    _, lobes = random_volume()
-    lobes[..., :3] = torch.tensor([0.2, 0.4, 0.6])
-    lobes[..., 3:6] = 0.0
-    radiance, transmittance = render(torch.ones(SHAPE), lobes, random_directions(20))
-    torch.testing.assert_close(radiance, torch.tensor([0.2, 0.4, 0.6]).expand(20, 3))
-    assert transmittance.max() < 1e-6  # what trilinear weights of 1 leave after rounding
-
-
-def test_an_empty_volume_is_its_boundary():
-    _, lobes = random_volume()
-    lobes[..., :3] = torch.tensor([0.2, 0.4, 0.6])
-    lobes[..., 3:6] = 0.0
-    directions = random_directions(20)
-    radiance, transmittance = render(torch.zeros(SHAPE), lobes, directions)
-    torch.testing.assert_close(radiance, torch.tensor([0.2, 0.4, 0.6]).expand(20, 3))
-    assert torch.equal(transmittance, torch.ones(20))
-    assert not render(torch.zeros(SHAPE), lobes, directions, far="none")[0].any()
-
-
-def test_a_lobe_is_brightest_along_its_axis():
-    """Equation 2 in an opaque volume: c + w at the axis, falling off by exp(lambda (cos - 1))."""
-    lobes = torch.zeros((*SHAPE, 10))
-    lobes[..., 3:6], lobes[..., 6], lobes[..., 8] = 3.0, 4.0, 1.0
-    directions = random_directions(50)
-    directions[0] = torch.tensor([0.0, 1.0, 0.0])
-    radiance, _ = render(torch.ones(SHAPE), lobes, directions)
-    torch.testing.assert_close(radiance[:, 0], 3 * torch.exp(4 * (directions[:, 1] - 1)))
-    assert radiance[:, 0].argmax() == 0
-
-
 def test_default_step_is_the_mean_edge():
     alpha, lobes = random_volume()
     directions = random_directions(30)

@@ -66,12 +66,8 @@ def test_a_stage_needs_weights_to_start_from(weights):
     ("wrong", "message"),
     [
         ({"frames": 1}, "frames is 1; it must be 2 or more"),
-        ({"variants": -1}, "variants is -1; it must be 0 or more"),
         ({"variants": 1}, "only video-blend has fixed 3D networks"),
-        ({"window": 0}, "window is 0; it must be 1 or more"),
-        ({"smoothness_weight": -1.0}, r"smoothness_weight is -1\.0; it must be 0 to 100"),
         ({"revisits": 1.5}, r"revisits is 1\.5; it must be 0 to 1"),
-        ({"light_changes": -0.5}, r"light_changes is -0\.5"),
     ],
 )
 def test_options_out_of_range_are_refused(wrong, message):

@@ -202,15 +202,6 @@ def test_merge_is_a_convex_mix_of_every_channel():
     torch.testing.assert_close(merged.alpha, torch.lerp(alpha[0], alpha[1], update))
 
 
-def test_merge_needs_an_update_volume():
-    with pytest.raises(ValueError, match="recurrent"):
-        merge(
-            SGVolume(torch.zeros(1, 2, 2, 2), torch.zeros(1, 2, 2, 2, 10)),
-            torch.zeros(1, 2, 2, 2),
-            torch.zeros(1, 2, 2, 2, 10),
-        )
-
-
 @pytest.mark.parametrize("kernel", [1, 3])
 def test_gru_gates_do_what_they_are_for(kernel):
     gru = SGGRU(4, gate_kernel=kernel)

@@ -13,12 +13,6 @@ from roomlight_server.transport import auth
 TOKEN = "a-token-of-sixteen-or-more"
 
 
-@pytest.fixture(scope="module")
-def server():
-    with RunningServer() as running:
-        yield running
-
-
 @pytest.mark.parametrize(
     "path",
     [

@@ -13,12 +13,6 @@ from roomlight.wire.frame_message import pack
 from roomlight_server.sessions import live_session
 
 
-@pytest.fixture(scope="module")
-def server():
-    with RunningServer() as running:
-        yield running
-
-
 @pytest.fixture
 def held(monkeypatch):
     """Yield a server whose engine waits in every push."""

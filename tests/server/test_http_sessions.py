@@ -8,12 +8,6 @@ from roomlight.engine.networks.graphs import SHIPPED
 TOKENS = ("first-token-of-this-test", "second-token-of-this-test")
 
 
-@pytest.fixture(scope="module")
-def server():
-    with RunningServer() as running:
-        yield running
-
-
 def test_opening_with_the_same_options_changes_nothing(server):
     first = server.open("twice")
     again = server.open("twice")

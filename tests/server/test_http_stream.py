@@ -18,12 +18,6 @@ POINT = [0.2, 1.2, -0.2]
 TOKEN = "token-of-the-stream-test"
 
 
-@pytest.fixture(scope="module")
-def server():
-    with RunningServer() as running:
-        yield running
-
-
 class Stream:
     """A connection with messages as dicts."""
 

@@ -27,12 +27,6 @@ def holding(report):
     return [criterion.holds for criterion in report.criteria]
 
 
-def test_what_is_kept_is_relative_to_the_neighbour_alone():
-    report = report_of(row("a", 8), alone=10)
-    assert report.kept(report.attacks[0]) == pytest.approx(0.8)
-    assert holding(report) == [True, True, True, True]
-
-
 def test_each_criterion_can_fail():
     assert holding(report_of(row("a", 15))) == [False, True, True, True]
     assert holding(report_of(row("a", 20, p99_ms=1001.0))) == [True, True, False, True]

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions
@@ -16,12 +15,10 @@ from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
-from roomlight_cli.console import print_table
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import Estimator
 from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_predictions
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
-from roomlight_evaluation.captures.tables import capture_tables
 from written_captures import write_capture
 
 PROBES = ((0.0, 0.0, -1.0), (0.3, 0.1, -1.5))
@@ -235,23 +232,3 @@ def test_column_headings_are_the_papers_for_31_frames() -> None:
     mixed = uniform_scores({("a", 0): 1.0})
     shorter = dataclasses.replace(mixed.captures[0], name="b", frames=12)
     assert dataclasses.replace(mixed, captures=(*mixed.captures, shorter)).columns[0] == "part 1 of 5"
-
-
-def test_tables_show_every_metric_method_and_interval() -> None:
-    good = uniform_scores({("a", 0): 0.1, ("b", 0): 0.2}, method="good")
-    bad = uniform_scores({("a", 0): 0.3, ("b", 0): 0.4}, method="bad")
-    both = CaptureScores(good.captures, good.tracks + bad.tracks)
-    console = Console(width=160, record=True, color_system=None, force_terminal=False)
-    tables = capture_tables(both, per_capture=True)
-    assert [table.title for table in tables] == ["2 captures, 2 probes", "a", "b"]
-    with console.capture() as printed:
-        for table in tables:
-            console.print(table)
-    text = printed.get()
-    narrow = Console(width=40, color_system=None, force_terminal=False)
-    with narrow.capture() as printed_narrow:
-        print_table(narrow, tables[0])
-    assert max(map(len, printed_narrow.get().splitlines())) <= 80  # a terminal's usual width, and a pipe's
-    assert "…" not in printed_narrow.get()
-    for wanted in (*PAPER_INTERVALS, *(metric.title for metric in METRICS), "good", "bad", "1.5", "1-2"):
-        assert wanted in text

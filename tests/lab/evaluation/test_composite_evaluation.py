@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from roomlight.compositing.compositor import Compositor
-from roomlight.compositing.objects.materials import mirror
-from roomlight.compositing.objects.primitives import sphere
-from roomlight.compositing.placement.scene import AtPosition, SceneObject
 from roomlight.conventions import panorama_rays, panorama_solid_angles
-from roomlight.engine.session import Session, SessionOptions
+from roomlight.engine.session import SessionOptions
 from roomlight_evaluation.composites import evaluation as composite_evaluation
 from roomlight_evaluation.composites.methods import HARMONICS, METHODS, OURS, TRUE_LIGHT, harmonics_and_directional
 from roomlight_evaluation.composites.regions import (
@@ -20,7 +16,7 @@ from roomlight_evaluation.composites.regions import (
     regions,
     smoothed_truth,
 )
-from roomlight_evaluation.composites.scenes import MATERIALS, real_material, virtual_object
+from roomlight_evaluation.composites.scenes import MATERIALS
 from roomlight_evaluation.composites.scores import (
     CompositeScores,
     SceneScore,
@@ -30,7 +26,6 @@ from roomlight_evaluation.composites.scores import (
     write_line,
 )
 from roomlight_evaluation.composites.tables import composite_tables, summary, targets_met
-from rooms import BoxRoom, camera_at
 
 FLOOR = np.full((60, 80, 3), 0.5, np.float32)
 
@@ -112,44 +107,6 @@ def test_harmonics_and_directional_keep_the_light():
     assert kept == pytest.approx(1, abs=0.1)  # harmonics that would be negative are cut
     assert made.max() > 20  # all of the lamp is in the small disc
     assert rays[np.unravel_index(made[..., 0].argmax(), (64, 128))] @ np.array([0.6, 0.8, 0.0]) > 0.99
-
-
-def test_a_compositor_takes_a_light_from_elsewhere():
-    room, session = BoxRoom(), Session(SessionOptions(model="classical", height=32))
-    frame = room.frame(camera_at((0.2, 1.4, 1.4), 0, -30))
-    session.push(frame)
-    ball = SceneObject("ball", sphere(0.2, mirror()), AtPosition((0.2, 0.0, -0.8)))
-    asked = []
-
-    def red(position):
-        asked.append(position)
-        return np.broadcast_to(np.array([2, 0, 0], np.float32), (32, 64, 3)).copy()
-
-    compositor = Compositor(session, [ball], quality="preview", match_camera=False, light=red)
-    made = []
-    for number in range(2):
-        session.push(room.frame(camera_at((0.2, 1.4, 1.4), 0, -30), index=number + 1))
-        made.append(compositor.composite(frame))
-    inside = made[-1].alpha > 0.99
-    shown = made[-1].objects
-    upper = inside & (np.cumsum(inside.any(axis=1)) <= inside.any(axis=1).sum() // 3)[:, None]
-    assert upper.sum() > 20
-    assert np.abs(shown[upper] - [2, 0, 0]).max() < 0.02
-    assert np.abs(shown[inside][:, 1:]).max() < 0.02
-    assert shown[inside].max() < 2.02  # below, the ball mirrors its own shade on the floor
-    assert asked == [pytest.approx((0.2, 0.2, -0.8), abs=1e-5)]
-
-
-@pytest.mark.parametrize("material", MATERIALS)
-def test_materials_agree_in_colour(material):
-    (_, look), *_ = virtual_object("cube", material).parts
-    real = real_material(material)
-    if material == "mirror":
-        assert look.metallic == 1
-        assert real.mirror == 1
-    else:
-        assert look.base_colour == real.albedo
-    assert (real.roughness or 0) == pytest.approx(look.roughness**2 if material == "glossy" else 0)
 
 
 class Unrendered:

@@ -5,12 +5,10 @@ import math
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from roomlight.metrics import METRICS
-from roomlight_cli.console import print_table
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
-from roomlight_evaluation.captures.ship_rule import BELOW, WORST, ShipRule, rule_of, ship_rule_table, write_rule
+from roomlight_evaluation.captures.ship_rule import BELOW, WORST, ShipRule, rule_of, write_rule
 
 FRAMES = 3
 BETTER: dict[str, float | list[float]] = {"log_l2": 0.8, "render_l2": 0.7}
@@ -91,15 +89,6 @@ def test_energy_is_that_of_the_last_frame():
     scored = rule(BETTER | {"energy": [0.2, 0.3, 0.9]}, BETTER | {"energy": black})
     assert scored.captures[0].energy == pytest.approx(0.9)
     assert math.isnan(scored.captures[1].energy)
-
-
-def test_the_table_has_each_capture_and_the_means():
-    console = Console(width=200, record=True)
-    print_table(console, ship_rule_table(rule(BETTER | {"energy": 0.75}, BETTER)))
-    lines = console.export_text().split("\n")
-    assert "single to classical" in lines[0]
-    assert all(text in next(line for line in lines if "room-0" in line) for text in ("0.80", "0.70", "0.75"))
-    assert "0.800 (0.800-0.800)" in next(line for line in lines if "all, 95 %" in line)
 
 
 def test_scores_and_rule_are_written_as_json(tmp_path: Path):

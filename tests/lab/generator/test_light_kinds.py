@@ -68,10 +68,6 @@ def first_views(lit_room, views=6):
     return measured
 
 
-def test_the_shares_of_all_kinds_are_one():
-    assert sum(LIGHT_KINDS.values()) == pytest.approx(1)
-
-
 @pytest.mark.slow
 @pytest.mark.statistical
 def test_each_kind_has_about_its_share():

@@ -219,17 +219,6 @@ def test_a_partly_covered_window_keeps_its_whole_opening(kind: CoverKind) -> Non
     assert any(gap.covered for gap in gaps) == (kind != "none")
 
 
-def test_openings_lie_in_the_outer_face_of_the_wall() -> None:
-    style = ShellStyle(windows=(3, 3), wall_m=(0.3, 0.3), covers=(("none", 1.0),), slanted=0.0, second_window=0.0)
-    for seed in range(5):
-        shell = build_shell(style, finishes(), np.random.default_rng(seed))
-        for opening in shell.openings:
-            centre = opening.corner + (opening.edge_u + opening.edge_v) / 2
-            depths = [float((centre[[0, 2]] - wall.start) @ -wall.inward) for wall in shell.walls]
-            assert min(abs(depth - 0.3) for depth in depths) < 1e-5
-            assert not shell.contains(float(centre[0]), float(centre[2]))
-
-
 def test_daylight_comes_in_through_the_second_rooms_window() -> None:
     """The opening lies beyond the second room, and a ray from outside reaches the second room's floor through it."""
     style = ShellStyle(windows=(0, 0), open_door=0.0, passage=1.0, second_window=1.0, slanted=0.0, skylights=0.0)
