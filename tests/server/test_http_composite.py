@@ -318,7 +318,7 @@ def test_an_object_beyond_the_time_limit_is_refused():
 def test_a_packed_object_is_the_same_object():
     body = textured_quad().glb()
     text, data = pack_object(body, None, {})
-    held, direct = unpack_object(json.loads(json.dumps(text)), bytearray(data)), load_object(body)
+    held, direct = unpack_object(json.loads(json.dumps(text)), data), load_object(body)
     assert object_bytes(held) == object_bytes(direct) == len(data)
     for (mesh, material), (own_mesh, own_material) in zip(held.parts, direct.parts, strict=True):
         for name in ("vertices", "normals", "uvs", "faces"):
