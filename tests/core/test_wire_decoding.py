@@ -84,6 +84,28 @@ def test_heic_decodes_if_the_decoder_is_installed():
         assert caught.value.field == "colour"
 
 
+def test_transparent_pixels_of_a_png_are_not_seen():
+    pixels = np.dstack([RGB[..., ::-1], np.full((HEIGHT, WIDTH), 255, np.uint8)])
+    pixels[: HEIGHT // 2, :, 3] = 0
+    frame = decode_frame(message(("png", cv2.imencode(".png", pixels)[1].tobytes())), 0)
+    assert frame.seen is not None
+    assert frame.seen.mean() == pytest.approx(0.5, abs=0.02)
+    assert not frame.depth_m[: frame.depth_m.shape[0] // 2 - 1].any()
+    assert frame.depth_m[frame.depth_m.shape[0] // 2 + 1 :].any()
+    pixels[..., 3] = 0
+    with pytest.raises(WireError, match="opaque"):
+        decode_frame(message(("png", cv2.imencode(".png", pixels)[1].tobytes())), 0)
+
+
+def test_the_colour_space_of_heic_counts_on_the_wire_too():
+    stream = io.BytesIO()
+    red = np.broadcast_to(np.array([200, 40, 40], np.uint8), (HEIGHT, WIDTH, 3)).tobytes()
+    image = pillow_heif.from_bytes("RGB", (WIDTH, HEIGHT), red)
+    image.save(stream, format="HEIF", quality=95, color_primaries=12, transfer_characteristics=13)
+    frame = decode_frame(message(("heic", stream.getvalue())), 0)
+    assert frame.image[..., 0].mean() > 0.62  # 0.578 as sRGB; 0.70 as Display P3
+
+
 def test_heic_without_the_decoder_is_rejected_with_advice(monkeypatch):
     monkeypatch.setattr("roomlight.wire.decoding.heic_available", lambda: False)
     with pytest.raises(WireError, match=r"roomlight\[heic\]"):

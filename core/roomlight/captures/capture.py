@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
+from roomlight.captures.consistency import DepthCheck
 from roomlight.captures.options import UP_AXES, CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
@@ -190,6 +191,7 @@ class Capture:
         self.skipped = skipped = list[SkippedFrame]()
         good = 0
         turns: list[Float[np.ndarray, "3 3"]] = []
+        depths = DepthCheck()
         with self._reader.records() as read:
             for index in self._indices:
                 try:
@@ -201,6 +203,8 @@ class Capture:
                 turns.append(frame.camera_to_world[:3, :3])
                 if self._up_is_assumed and good == _LEVEL_FRAMES:
                     self._check_up(turns)
+                if self._options.depth_unit_m is None and depths.add(frame) and (factor := depths.factor()):
+                    self._notes[_wrong_scale(str(self.path), factor)] = None
                 yield frame
         if good == 0:
             first = skipped[0]
@@ -328,6 +332,15 @@ def _lying_camera(name: str, convention: str, upward: float) -> Note:
         "in the world that the format assumes",
         "the panorama may be turned by 90 degrees",
         f"state world_up (--world-up {up} if the first camera was held level)",
+    )
+
+
+def _wrong_scale(name: str, factor: float) -> Note:
+    """Make the note for depth whose unit is not that of the poses."""
+    return Note(
+        f"{name}: depth contradicts the poses; they agree with depth about {factor:.2g} times as large",
+        "the unit of depth, or of the poses, seems wrong",
+        "state depth_unit_m, the metres for one stored unit of depth, or scale the poses to metres",
     )
 
 

@@ -103,8 +103,10 @@ def decode_depth_map(
 
 
 def decode_confidence(data: bytes, label: str) -> UInt8[np.ndarray, "h w"]:
-    """Decode confidence levels from an 8-bit grey PNG. Raises ImageError."""
-    return decode_grey8(data, label)
+    """Decode confidence levels from an 8-bit grey PNG; 0, 127 and 255 become 0, 1 and 2. Raises ImageError."""
+    levels = decode_grey8(data, label)
+    spread = levels.max(initial=0) > 2 and bool(np.isin(levels, (0, 127, 128, 254, 255)).all())
+    return np.digitize(levels, [1, 200]).astype(np.uint8) if spread else levels
 
 
 def intrinsics_without_size(

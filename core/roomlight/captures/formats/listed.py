@@ -63,13 +63,8 @@ class ListedReader:
         return fields.parse_json(self._source.read(name, max_bytes=1 << 20), self._source.label(name))
 
     def _confidence(self, name: str) -> UInt8[np.ndarray, "h w"] | None:
-        """Read confidence if the file exists; levels of 0, 127 and 255 become 0, 1 and 2."""
-        if not self._source.has(name):
-            return None
-        levels = decode_confidence(self._source.read(name), self._source.label(name))
-        if levels.max(initial=0) <= 2:
-            return levels
-        return np.digitize(levels, [1, 200]).astype(np.uint8)
+        """Read confidence if the file exists."""
+        return decode_confidence(self._source.read(name), self._source.label(name)) if self._source.has(name) else None
 
 
 def files_of(source: FolderSource, folder: str, suffixes: tuple[str, ...]) -> list[str]:

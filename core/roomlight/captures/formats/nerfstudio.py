@@ -19,6 +19,7 @@ nerfstudio does. `probes: [{position, file_path}]` are ground-truth panoramas in
 """
 
 import math
+import re
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,6 +37,7 @@ from roomlight.images import ColourImage
 from roomlight.notes import Note
 
 INDEX: Final = "transforms.json"
+_DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr")
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
 _READ: Final = frozenset(
@@ -85,8 +87,9 @@ class NerfstudioReader:
                 "depth_path" in frame for frame in self._frames
             )
             self.conventions = PoseConventions("opengl", "camera-to-world", self._world_up())
-            self._unit_m = options.depth_unit_m or self._depth_unit()
-            self._scale = fields.positive(self._shared.get("applied_scale", 1.0), "applied_scale")
+            self._stated_unit_m = options.depth_unit_m
+            self._depth_unit({})  # refuses the capture for what concerns all frames
+            fields.positive(self._shared.get("applied_scale", 1.0), "applied_scale")
             self.probes = [self._probe(entry) for entry in fields.objects(self._shared.get("probes", []), "probes")]
         if len(self._frames) > MAX_FRAMES:
             raise CaptureError(f"{self._label}: lists {len(self._frames)} frames; up to {MAX_FRAMES} are read")
@@ -116,7 +119,9 @@ class NerfstudioReader:
             if fields.flag(entry.get("is_bad")):
                 raise ValueError("is marked is_bad")
             pose = fields.matrix4(entry.get("transform_matrix"), "transform_matrix")
-            pose[:3, 3] /= self._scale
+            scale = fields.first_of(entry, self._shared, "applied_scale")
+            pose[:3, 3] /= 1.0 if scale is None else fields.positive(scale, "applied_scale")
+            unit_m = self._stated_unit_m or self._depth_unit(entry)
             colour_name = self._source.with_suffix(fields.text(entry.get("file_path"), "file_path"), _SUFFIXES)
             depth_name = fields.first_of(entry, {}, *self._depth_keys)
             if depth_name is None:
@@ -125,7 +130,7 @@ class NerfstudioReader:
             depth_name = self._source.with_suffix(depth_name, (".png", ".exr", ".npy"))
             lens = lens_of(entry, self._shared)
         colour_label, depth_label = self._source.label(colour_name), self._source.label(depth_name)
-        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        read = read_rgbd(self._source, colour_name, depth_name, unit_m=unit_m)
         picture, depth_m = self._masked(entry, read.picture, where), read.depth_m
         with fields.naming(f"{where} ({colour_label})", FrameError):
             intrinsics = self._intrinsics(entry, picture.image.shape[1], picture.image.shape[0])
@@ -150,11 +155,7 @@ class NerfstudioReader:
 
     def _unread_keys(self) -> list[Note]:
         keys = {str(key)[:40] for entry in (self._shared, *self._frames) for key in entry} - _READ - _HARMLESS
-        keys = {
-            key
-            for key in keys
-            if not key.startswith(("ftheta", "aabb")) and not (key.startswith("depth") and "path" in key)
-        }
+        keys = {key for key in keys if not key.startswith(("ftheta", "aabb")) and not _DEPTH_MAP.fullmatch(key)}
         if not keys:
             return []
         listed = ", ".join(sorted(keys)[:8]) + (" and more" if len(keys) > 8 else "")
@@ -214,14 +215,13 @@ class NerfstudioReader:
             return up_vector((x, y, z))
         return up_vector(fields.text(stated, "world_up"))
 
-    def _depth_unit(self) -> float | None:
-        """Return the metres of one stored unit; None if the file does not state them."""
-        if self._shared.get("depth_unit_scale_factor") is not None:
-            return fields.unit(self._shared["depth_unit_scale_factor"], "depth_unit_scale_factor")
-        for key in _NERFCAPTURE_SCALES:
-            if self._shared.get(key) is not None:
-                unit_m = fields.unit(self._shared[key], key)
-                if unit_m < 0.1:
+    def _depth_unit(self, entry: dict[str, Any]) -> float | None:
+        """Return the metres of one stored unit, of a frame or of all; None if the file does not state them."""
+        for key in ("depth_unit_scale_factor", *_NERFCAPTURE_SCALES):
+            stated = fields.first_of(entry, self._shared, key)
+            if stated is not None:
+                unit_m = fields.unit(stated, key)
+                if key not in _NERFCAPTURE_SCALES or unit_m < 0.1:
                     return unit_m
         return None
 

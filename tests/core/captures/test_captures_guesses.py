@@ -1,0 +1,129 @@
+"""What files leave open is compared with what they hold, and what is unusual in them is said."""
+
+import json
+import shutil
+import struct
+import zlib
+from pathlib import Path
+
+import av
+import formats
+import numpy as np
+import pytest
+from capture_checks import edit, one_skipped
+
+from roomlight.captures import CaptureOptions, open_capture
+
+VIEWS = formats.scene()
+
+
+def turning(count: int) -> list[formats.View]:
+    """The room from a camera that turns about the vertical."""
+    views = formats.scene(count)
+    for index, view in enumerate(views):
+        view.pose[:3, :3] = formats.rotation("y", 10 + 25.0 * index)
+    return views
+
+
+def test_cameras_that_are_level_about_another_axis_are_pointed_out(transforms: Path) -> None:
+    """ARKit's poses in a transforms.json, whose world counts as z-up."""
+    views = turning(9)
+    path = formats.nerfstudio(transforms.parent / "level", views)
+    list(capture := open_capture(path))
+    assert capture.notes == ()
+    for frame, view in zip((index := json.loads((path / "transforms.json").read_text()))["frames"], views, strict=True):
+        frame["transform_matrix"] = view.pose.tolist()
+    (path / "transforms.json").write_text(json.dumps(index))
+    list(capture := open_capture(path))
+    (note,) = capture.notes
+    assert "level about the y axis" in note.left_out
+    assert "--world-up y" in note.advice
+    list(stated := open_capture(path, CaptureOptions(world_up="y")))
+    assert stated.notes == ()
+
+
+def test_several_colmap_models_are_noted(tmp_path: Path) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    shutil.copytree(path / "sparse/0", path / "sparse/1")
+    assert any("sparse/1" in note.left_out for note in open_capture(path).notes)
+
+
+def test_tum_lists_with_tabs(tmp_path: Path) -> None:
+    path = formats.tum(tmp_path / "tum", VIEWS)
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        (path / name).write_text((path / name).read_text().replace(" ", "\t"))
+    assert len(list(open_capture(path))) == 4
+
+
+def test_a_scale_of_depth_under_another_name_is_noted(transforms: Path) -> None:
+    edit(transforms / "transforms.json", lambda index: index.update(depth_scale=1000.0, depth_far=10.0))
+    (note,) = open_capture(transforms).notes
+    assert "depth_far, depth_scale" in note.left_out
+
+
+def test_a_video_with_a_cover_picture_or_wide_pixels(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    expected = next(iter(open_capture(path))).image
+    with av.open(str(path / "rgb.mp4")) as source, av.open(str(path / "new.mp4"), "w") as target:
+        stream = target.add_stream_from_template(source.streams.video[0])
+        stream.sample_aspect_ratio = 2
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                target.mux(packet)
+    (path / "new.mp4").replace(path / "rgb.mp4")
+    frame = next(iter(capture := open_capture(path)))
+    np.testing.assert_array_equal(frame.image, expected)
+    assert any("2 times as wide as high" in note.left_out for note in capture.notes)
+
+
+@pytest.mark.parametrize(("unit_m", "factor"), [(1 / 1000, None), (1 / 2000, 0.5), (1 / 500, 2.0)])
+def test_depth_in_another_unit_than_the_poses_is_pointed_out(
+    transforms: Path, unit_m: float, factor: float | None
+) -> None:
+    views = formats.scene(12)
+    path = formats.nerfstudio(transforms.parent / "many", views)
+    for index, view in enumerate(views):
+        formats.save(
+            path / f"depth/frame_{index + 1:05d}.png", formats.image(".png", formats.millimetres(view, unit_m))
+        )
+    list(capture := open_capture(path))
+    notes = [note.left_out for note in capture.notes]
+    assert len(notes) == (factor is not None)
+    assert factor is None or f"about {factor:.2g} times as large" in notes[0]
+    list(stated := open_capture(path, CaptureOptions(depth_unit_m=unit_m)))
+    assert stated.notes == ()
+
+
+def test_units_of_one_frame_override_those_of_all(transforms: Path) -> None:
+    def change(index: dict) -> None:
+        index.update(depth_unit_scale_factor=0.002, applied_scale=0.5)
+        index["frames"][1].update(depth_unit_scale_factor=0.001, applied_scale=1.0)
+
+    edit(transforms / "transforms.json", change)
+    first, second, *_ = open_capture(transforms)
+    np.testing.assert_allclose(first.depth_m, 2 * VIEWS[0].depth_m, rtol=1e-5)
+    np.testing.assert_allclose(second.depth_m, VIEWS[1].depth_m, rtol=1e-5)
+    np.testing.assert_allclose(first.camera_to_world[:3, 3], 2 * VIEWS[0].pose[:3, 3], rtol=1e-6)
+    np.testing.assert_allclose(second.camera_to_world, VIEWS[1].pose, atol=1e-9)
+
+
+def test_confidence_of_127_and_255_means_the_same_everywhere(stray: Path) -> None:
+    for view, file in zip(VIEWS, sorted((stray / "confidence").iterdir()), strict=True):
+        file.write_bytes(formats.image(".png", np.array([0, 127, 255], np.uint8)[view.confidence]))
+    kept = next(iter(open_capture(stray, CaptureOptions(min_confidence=2)))).depth_m > 0
+    np.testing.assert_array_equal(kept, VIEWS[0].confidence == 2)
+
+
+def test_panoramas_and_pixels_that_are_not_square(transforms: Path) -> None:
+    jpeg = formats.image(".jpg", VIEWS[0].srgb8)
+    xmp = b'http://ns.adobe.com/xap/1.0/\0<rdf:Description GPano:ProjectionType="equirectangular"/>'
+    marked = jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(xmp) + 2) + xmp + jpeg[2:]
+    (transforms / "images/frame_00001.png").write_bytes(marked)
+    png = formats.image(".png", VIEWS[1].srgb8)
+    body = b"pHYs" + struct.pack(">IIB", 1, 2, 0)
+    (transforms / "images/frame_00002.png").write_bytes(
+        png[:33] + struct.pack(">I", 9) + body + struct.pack(">I", zlib.crc32(body)) + png[33:]
+    )
+    capture = one_skipped(transforms, 0, "panorama (GPano)")
+    assert any("2 times as wide as high" in note.left_out for note in capture.notes)
