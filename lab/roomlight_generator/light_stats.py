@@ -13,9 +13,9 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from roomlight.camera import Intrinsics, transform_points
+from roomlight.camera import Intrinsics
 from roomlight.conventions import direction_to_uv, panorama_solid_angles, srgb8_to_linear
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording
@@ -126,13 +126,16 @@ def measure_light(
 
 
 def recording_light(recording: Recording) -> list[Measures]:
-    """Measure a recording's first frame with each of its probes."""
+    """Measure a recording's first frame with each of its probes.
+
+    Raises:
+        DatasetError: if the recording lacks the radiance of clipped pixels.
+    """
     frame = srgb8_to_linear(recording.colour[0])
     saturated = recording.colour[0].max(axis=-1) >= CLIPPED_SRGB8
     if recording.clipped_radiance is None:
-        clipped = _clipped_from_probes(recording, saturated)
-    else:
-        clipped = recording.clipped_radiance[0][saturated].astype(np.float32)
+        raise DatasetError(f"{recording.name}: lacks the radiance of clipped pixels; generate the dataset again")
+    clipped = recording.clipped_radiance[0][saturated].astype(np.float32)
     clipped = np.maximum(clipped, frame[saturated])  # noise and JPEG clip pixels that were not
     return [measure_light(frame, clipped, panorama) for panorama in recording.probe_panoramas]
 
@@ -188,7 +191,7 @@ def compare_light(
                 progress(done, len(numbers) + len(files))
             yield from measures
 
-    generated = list(counted(recording_light(dataset.read(number, frames=(0,))) for number in numbers))
+    generated = list(counted(recording_light(dataset.read(number, frames=(0,), clipped=True)) for number in numbers))
     rng = np.random.default_rng(0)
     real = list(counted(panorama_light(read_panorama(path), rng) for path in files))
     return LightComparison(len(numbers), len(files), compare_measures(generated, real))
@@ -238,23 +241,3 @@ def _crop(panorama: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Flo
     # One more column on either side: azimuth wraps around.
     wrapped = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], axis=1).astype(np.float32)
     return cv2.remap(wrapped, x + 1, np.clip(y, 0, len(panorama) - 1), cv2.INTER_LINEAR)
-
-
-def _clipped_from_probes(recording: Recording, saturated: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "n 3"]:
-    """Return the brightest radiance that a probe receives from where each clipped pixel of the first frame points.
-
-    The brightest, because another surface may hide the place from some probes. Pixels without depth point to infinity.
-    """
-    depth_m = recording.depth_mm[0][saturated].astype(np.float32)[:, None] / 1000
-    rays = recording.intrinsics.rays()[saturated] * np.where(depth_m > 0, depth_m, 1000)
-    points = transform_points(recording.camera_to_world[0], rays)
-    best = np.zeros((len(points), 3), np.float32)
-    for position, panorama in zip(recording.probe_positions, recording.probe_panoramas, strict=True):
-        away = points - position
-        uv = direction_to_uv(away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-6))
-        height, width = panorama.shape[:2]
-        row = np.minimum((uv[:, 1] * height).astype(int), height - 1)
-        column = np.minimum((uv[:, 0] * width).astype(int), width - 1)
-        seen = panorama[row, column]
-        best = np.where((seen @ _LUMA > best @ _LUMA)[:, None], seen, best)
-    return best

@@ -158,10 +158,7 @@ def test_a_bad_argument_is_a_usage_error(
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--late", "--predictions", "."), "--late runs the engine"),
-        (("--main-light", "--late"), "--main-light scores tracked probes"),
         (("--main-light", "--predictions", "."), "--main-light scores tracked probes"),
-        (("--ship-rule", "--late"), "--ship-rule scores tracked probes"),
         (("--ship-rule", "--main-light"), "--ship-rule scores tracked probes"),
         (("--ship-rule", "--predictions", "."), "--ship-rule scores tracked probes"),
     ],

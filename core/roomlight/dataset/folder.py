@@ -18,9 +18,8 @@ from typing import Any, Final
 
 from roomlight import __version__
 from roomlight.dataset.recording import Split
-from roomlight.dataset.shards import sync_folder
 from roomlight.errors import DatasetError, OutputError
-from roomlight.files import write_atomic
+from roomlight.files import sync_folder, write_atomic
 
 MANIFEST: Final = "dataset.json"
 LOCK: Final = "dataset.lock"

@@ -20,6 +20,7 @@ from typing import Any
 
 from roomlight.dataset.archive import end_of_archive
 from roomlight.errors import DatasetError, OutputError
+from roomlight.files import sync_folder
 
 
 @dataclass(frozen=True)
@@ -247,15 +248,6 @@ def _problem(tar: Path, entry: Entry) -> DatasetError | None:
     except DatasetError as error:
         return error
     return None
-
-
-def sync_folder(folder: Path) -> None:
-    """Sync a folder, so that new names in it survive a loss of power."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _open(path: Path, flags: int) -> int:

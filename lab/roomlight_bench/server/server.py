@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
 from typing import Annotated, Final
 
 import numpy as np
@@ -31,20 +31,16 @@ from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_message import FrameLimits
 from roomlight.wire.messages import ModelName
 from roomlight_bench.reporting import Counts, describe_machine
-from roomlight_bench.server.server_load import FORMS, PROBE, TIMEOUTS, Load, Outcome, Phones, frame_call
+from roomlight_bench.server.server_load import PROBE, TIMEOUTS, Load, Outcome, Phones, frame_call
 from roomlight_bench.server.server_process import ServerProcess, polling_health
-from roomlight_bench.server.server_report import Latencies, LoadRow, OverheadRow, ProbeRow, ServerReport
+from roomlight_bench.server.server_report import Latencies, LoadRow, OverheadRow, ServerReport
 from roomlight_bench.timing import ProgressCallback
 from roomlight_client import Client, FrameEncoding, Session
 from roomlight_server.work.decode_worker import decode_to_box
 from roomlight_server.work.intake import parse_frame
 
-MAX_LATE_PROBES: Final = 16
-"""Most late probes in one request: each takes about 0.1 s."""
 _WARM_UP_FRAMES: Final = 2
 """First frames that are not measured: the first one makes the volume, the second one meets cold caches."""
-_SPREAD_M: Final = 0.4
-"""Half the edge of the cube around the point in view in which the other points lie."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +51,6 @@ class ServerBenchOptions:
         sessions: Numbers of sessions at the same time, separated by commas: a row each.
         seconds: Seconds of streaming for each row.
         fps: Frames per second that each phone sends.
-        points: Numbers of probes, separated by commas: a row each. Late probes up to 16.
-        rounds: Requests for light; times are their median.
         passes: How often the frames go through the server and the engine; the least time of each frame counts. More
             passes remove more of the machine's other work from the difference.
         frames: Use at most this many frames of the sample capture; phones start again after the last.
@@ -68,8 +62,6 @@ class ServerBenchOptions:
     sessions: Counts = (1, 4, 16, 64)
     seconds: Annotated[float, Interval(ge=0.5, le=3600)] = 12.0
     fps: Annotated[float, Interval(ge=0.1, le=60)] = 3.0
-    points: Counts = (1, 4, 16, 64)
-    rounds: Annotated[int, Ge(1)] = 3
     passes: Annotated[int, Ge(1)] = 8
     frames: Annotated[int, Ge(1)] | None = None
     model: ModelName = "auto"
@@ -82,13 +74,12 @@ class ServerBenchOptions:
     @property
     def serve_arguments(self) -> list[str]:
         """Arguments of `roomlight serve` that allow what these options measure."""
-        limits = ["--max-sessions", str(max(self.sessions) + 4), "--max-probes", str(max(self.points))]
         weights = [] if self.weights is None else ["--weights", str(self.weights)]
-        return [*limits, "--model", self.model, *weights]
+        return ["--max-sessions", str(max(self.sessions) + 4), "--model", self.model, *weights]
 
 
 def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback | None = None) -> ServerReport:
-    """Measure overhead, load and probes, about three minutes by default.
+    """Measure overhead and load, two minutes by default.
 
     Raises:
         ModelError: The model is not available.
@@ -113,8 +104,6 @@ def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback 
     with ServerProcess(options.serve_arguments) as server, Client(started(server).url, timeouts=TIMEOUTS) as client:
         colours: tuple[FrameEncoding, ...] = ("jpeg", "exact")
         overhead = [_overhead(client, frames[::2], colour, probe, options, report) for colour in colours]
-        probes = [_tracked(client, bodies, probe, count, options, report) for count in options.points]
-        probes += _late(client, bodies, probe, options, report)
     load: list[LoadRow] = []
     for sessions in options.sessions:
         report(f"{sessions} sessions: starting a server")
@@ -127,7 +116,6 @@ def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback 
         start_ready_ms=tuple(ready_ms),
         overhead=tuple(overhead),
         load=tuple(load),
-        probes=tuple(probes),
         machine=describe_machine(),
         threads=thread_count(),
         cores=os.cpu_count() or 1,
@@ -203,57 +191,6 @@ def _direct_and_http(
     return times_ms
 
 
-def _tracked(
-    client: Client,
-    bodies: Sequence[bytes],
-    probe: Position,
-    count: int,
-    options: ServerBenchOptions,
-    report: ProgressCallback,
-) -> ProbeRow:
-    """Measure the light of tracked probes; a frame before each request invalidates the light computed for the last."""
-    frame_ms: list[float] = []
-    batched_ms: list[float] = []
-    single_ms: list[float] = []
-    with _open(client, options) as session:
-        names = [f"probe-{number}" for number in range(count)]
-        for name, position in zip(names, _around(probe, count, seed=count), strict=True):
-            session.track(name, position)
-        for number in range(2 * options.rounds + 1):
-            report(f"{count} tracked points, {number + 1} of {2 * options.rounds + 1}")
-            frame_ms.append(_timed(lambda index=number: _push(client, session, index, bodies)))
-            if number == 0:
-                continue
-            if number % 2:
-                batched_ms.append(_timed(lambda: session.lights_at(names, FORMS)))
-            else:
-                single_ms.append(_timed(lambda: [session.light_at(name, FORMS) for name in names]))
-        keyframes = session.state().keyframes
-    return ProbeRow(True, count, keyframes, median(frame_ms[1:]), median(batched_ms), median(single_ms))
-
-
-def _late(
-    client: Client, bodies: Sequence[bytes], probe: Position, options: ServerBenchOptions, report: ProgressCallback
-) -> list[ProbeRow]:
-    """Measure the light of late probes in a session that has seen the whole capture."""
-    rows: list[ProbeRow] = []
-    with _open(client, options) as session:
-        for index in range(len(bodies)):
-            report(f"late points: frame {index + 1} of {len(bodies)}")
-            _push(client, session, index, bodies)
-        keyframes = session.state().keyframes
-        for count in sorted({min(count, MAX_LATE_PROBES) for count in options.points}):
-            batched_ms: list[float] = []
-            single_ms: list[float] = []
-            for number in range(options.rounds):
-                report(f"{count} late points, {number + 1} of {options.rounds}")
-                first, second = (_around(probe, count, seed=1000 * count + 2 * number + half) for half in (0, 1))
-                batched_ms.append(_timed(lambda points=first: session.lights_at(points, FORMS)))
-                single_ms.append(_timed(lambda points=second: [session.light_at(point, FORMS) for point in points]))
-            rows.append(ProbeRow(False, count, keyframes, None, median(batched_ms), median(single_ms)))
-    return rows
-
-
 def _loaded(
     server: ServerProcess,
     bodies: Sequence[bytes],
@@ -301,11 +238,6 @@ def _timed(work: Callable[[], object]) -> float:
     start_s = time.perf_counter()
     work()
     return 1e3 * (time.perf_counter() - start_s)
-
-
-def _around(centre: Position, count: int, *, seed: int) -> list[Position]:
-    offsets = np.random.default_rng(seed).uniform(-_SPREAD_M, _SPREAD_M, (count, 3))
-    return [(float(x), float(y), float(z)) for x, y, z in np.asarray(centre) + offsets]
 
 
 def _ignore(_: str) -> None:

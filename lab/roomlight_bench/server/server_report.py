@@ -102,27 +102,6 @@ class LoadRow:
 
 
 @dataclass(frozen=True)
-class ProbeRow:
-    """Light at several points; times are medians.
-
-    Attributes:
-        tracked: Whether the probes are tracked from the first frame on; else they are late probes.
-        count: Number of points.
-        keyframes: Keyframes of the session.
-        frame_ms: A frame while `count` probes are tracked; None for late probes.
-        batched_ms: The light of all points in one request.
-        one_by_one_ms: The light of all points in a request each.
-    """
-
-    tracked: bool
-    count: int
-    keyframes: int
-    frame_ms: float | None
-    batched_ms: float
-    one_by_one_ms: float
-
-
-@dataclass(frozen=True)
 class ServerReport:
     """A run of `roomlight bench server`.
 
@@ -133,7 +112,6 @@ class ServerReport:
         start_ready_ms: Start of each server process until it accepts sessions.
         overhead: What HTTP adds to a frame.
         load: Several sessions at the same time.
-        probes: Light at several points.
         machine: Processor, system and versions; see `describe_machine`.
         threads: Threads of the engine.
         cores: Cores of the machine.
@@ -146,7 +124,6 @@ class ServerReport:
     start_ready_ms: tuple[float, ...]
     overhead: tuple[OverheadRow, ...]
     load: tuple[LoadRow, ...]
-    probes: tuple[ProbeRow, ...]
     machine: dict[str, str]
     threads: int
     cores: int
@@ -186,7 +163,7 @@ class ServerReport:
 
     def tables(self) -> list[Table]:
         """Return all tables, with the criteria at the end."""
-        return [self._overhead_table(), self._load_table(), self._probes_table(), criteria_table(self.criteria)]
+        return [self._overhead_table(), self._load_table(), criteria_table(self.criteria)]
 
     def _overhead_table(self) -> Table:
         alive, ready = (np.median(values) / 1e3 for values in (self.start_alive_ms, self.start_ready_ms))
@@ -234,25 +211,6 @@ class ServerReport:
             caption="light: harmonics and main light of the tracked probe, requested after each frame; lost: dropped "
             f"by the phone because {IN_FLIGHT} frames were unanswered, or skipped by the server for a newer one; MB: "
             "resident memory per session with this many keyframes; stated: what sessions report for themselves",
-        )
-
-    def _probes_table(self) -> Table:
-        return figure_table(
-            "Light at several points of one session: in one request, and in a request each, median ms",
-            ("keyframes", "frame", "one request", "a request each", "x"),
-            [
-                (
-                    f"{row.count} {'tracked' if row.tracked else 'late'}",
-                    f"{row.keyframes}",
-                    _or_dash(row.frame_ms),
-                    short_number(row.batched_ms),
-                    short_number(row.one_by_one_ms),
-                    f"{row.one_by_one_ms / row.batched_ms:.2f}",
-                )
-                for row in self.probes
-            ],
-            caption="harmonics and main light; tracked: from the first frame on, every frame updates them; late: "
-            "computed from the keyframes on request; x: a request each / one request",
         )
 
 

@@ -39,29 +39,19 @@ class Estimator(Protocol):
 class EngineEstimator:
     """A session of the engine as an estimator."""
 
-    def __init__(self, options: SessionOptions, graphs: LightingGraphs | None, *, late: bool = False) -> None:
-        """Open a session.
-
-        Args:
-            options: The session's options.
-            graphs: What `choose_graphs(options)` returned.
-            late: False tracks each probe from its first request on, as an application does. True treats every
-                request as a late probe: its light comes from the keyframes alone.
-        """
+    def __init__(self, options: SessionOptions, graphs: LightingGraphs | None) -> None:
+        """Open a session with what `choose_graphs(options)` returned."""
         self._session = Session(options, graphs=graphs)
-        self._late = late
         self._handles: dict[Position, int] = {}
         self._late_handles: dict[Position, int] = {}
-        self.name = self._session.model + (", late probe" if late else "")
+        self.name: str = self._session.model
 
     def push(self, frame: Frame) -> None:
         """Take the next frame."""
         self._session.push(frame)
 
     def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
-        """Return the panorama [h, 2h, 3] at a point after the frames so far."""
-        if self._late:
-            return self._session.light_at(position).reflection
+        """Return the panorama [h, 2h, 3] at a point after the frames so far, tracked from the first call on."""
         return self._tracked(position, self._handles)
 
     def late_light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:

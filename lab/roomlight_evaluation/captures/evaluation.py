@@ -32,7 +32,6 @@ def evaluate_engine(
     captures: Sequence[Path],
     session: SessionOptions,
     *,
-    late: bool = False,
     options: CaptureOptions | None = None,
     progress: ProgressCallback | None = None,
 ) -> CaptureScores:
@@ -41,7 +40,6 @@ def evaluate_engine(
     Args:
         captures: Captures with ground-truth probes.
         session: Options of the engine's sessions; each capture gets a new session.
-        late: Also score the engine with late probes, whose light comes from the keyframes alone.
         options: How captures are read.
         progress: Called after each frame.
 
@@ -52,8 +50,7 @@ def evaluate_engine(
     graphs = choose_graphs(session)
 
     def estimators() -> list[Estimator]:
-        chosen: list[Estimator] = [MeanColour(), WarpAndFill(), EngineEstimator(session, graphs)]
-        return [*chosen, EngineEstimator(session, graphs, late=True)] if late else chosen
+        return [MeanColour(), WarpAndFill(), EngineEstimator(session, graphs)]
 
     return evaluate_captures(captures, estimators, options=options, progress=progress)
 

@@ -15,11 +15,10 @@ def main_light_table(scores: MainLightScores) -> Table:
     known = len({(track.capture, track.probe) for track in scores.tracks if track.truth is not None})
     table = figure_table(
         f"Main light, probes: {sequences}",
-        ("largest\njump", f"over {JUMP_DEG:g}", "below", "error", "last\nframe", "error,\nregion"),
+        ("largest\njump", f"over {JUMP_DEG:g}", "below", "error", "last\nframe"),
         caption=(
             f"degrees; jumps: angle between frames after frame {SETTLED_FRAME}; below: share of the frames; errors and "
-            f"95 % intervals over probes with ground truth ({known}), against its main light and the centroid of its "
-            "brightest region"
+            f"95 % intervals over probes with ground truth ({known})"
         ),
     )
     for method in METHODS:
@@ -29,7 +28,7 @@ def main_light_table(scores: MainLightScores) -> Table:
             f"{row.largest_jump_deg:.0f}",
             f"{row.jumps} of {row.steps}",
             f"{100 * row.below:.1f} %",
-            *(_with_interval(cell) for cell in (row.error_deg, row.last_error_deg, row.region_error_deg)),
+            *(_with_interval(cell) for cell in (row.error_deg, row.last_error_deg)),
         )
     return table
 

@@ -12,7 +12,6 @@ The JSON (schema `roomlight-evaluation-1`), numbers unscaled, null for values th
 A track's smoothness has one value fewer than it has frames: value i compares frames i and i + 1.
 """
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -22,7 +21,6 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.errors import CaptureError
 from roomlight.files import write_json
 from roomlight.metrics import METRICS, PAPER_INTERVALS, interval_means, intervals
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
@@ -144,33 +142,6 @@ class CaptureScores:
             OutputError: The file cannot be written.
         """
         write_json(path, self.to_json())
-
-    @classmethod
-    def read(cls, path: Path) -> "CaptureScores":
-        """Read what `write` wrote, to compare runs.
-
-        Raises:
-            CaptureError: The file cannot be read or holds something else.
-        """
-        try:
-            data: Any = json.loads(path.read_text())
-            if data["schema"] != SCHEMA:
-                raise CaptureError(f"{path}: its schema is {data['schema']!r}, not {SCHEMA!r}")
-            captures = tuple(CaptureSummary(**capture) for capture in data["captures"])
-            tracks = tuple(_track(track) for track in data["tracks"])
-        except OSError as error:
-            raise CaptureError(f"{path}: cannot be read ({error.strerror or error})") from error
-        except (ValueError, TypeError, KeyError) as error:
-            raise CaptureError(f"{path}: is not JSON of an evaluation ({error!r})") from error
-        return cls(captures, tracks)
-
-
-def _track(data: dict[str, Any]) -> Track:
-    scores = {
-        key: tuple(math.nan if value is None else float(value) for value in values)
-        for key, values in data["scores"].items()
-    }
-    return Track(data["capture"], int(data["probe"]), data["method"], tuple(data["frames"]), scores)
 
 
 def _or_none(value: float) -> float | None:

@@ -26,6 +26,7 @@ from roomlight_generator.transport.kernels.structs import (
     RecordLists,
     RecordSpacing,
     SurfacePoints,
+    allocated,
 )
 from roomlight_generator.transport.kernels.surfaces import surface_points
 from roomlight_generator.transport.lights.direct import DirectLight, Points, Received
@@ -221,7 +222,7 @@ class IrradianceCache:
             some = points.part(start, start + step)
             numbered = np.arange(first + start, first + start + len(some.position), dtype=np.int64)
             stream = numbered if streams is None else streams[start : start + step]
-            sent = GatherRays.empty(len(stream) * rays)
+            sent = allocated(GatherRays, len(stream) * rays)
             sampling = GatherSampling(rays - cones, cones, self._seed + 3)
             light = self.light
             some = some._replace(stream=stream)
@@ -248,7 +249,7 @@ class IrradianceCache:
         radiance = ends.radiance
         near = np.flatnonzero((ends.face >= 0) & (ends.distance_m < NEAR_M))
         if len(near):
-            surface = SurfacePoints.empty(len(near))
+            surface = allocated(SurfacePoints, len(near))
             foot = np.full(len(near), 0.01, np.float32)
             hits = RayEnds(ends.face[near], ends.u[near], ends.v[near], ends.direction[near])
             surface_points(tracer.arrays, hits, foot, surface)

@@ -23,6 +23,7 @@ from roomlight_generator.transport.kernels.structs import (
     RayEnds,
     ReceivedLight,
     SentLight,
+    allocated,
 )
 from roomlight_generator.transport.lights.direct import DirectLight, Points, Received
 from roomlight_generator.transport.lights.emitters import OPENING, TRIANGLE
@@ -250,7 +251,7 @@ def _drop_enclosed(
         np.zeros(points, np.float32),
         np.arange(points, dtype=np.int64),
     )
-    rays = PatchRays.empty(points * _ENCLOSED_RAYS)
+    rays = allocated(PatchRays, points * _ENCLOSED_RAYS)
     kernels.patch_rays(origins, light.coat.through, _ENCLOSED_RAYS, seed + 5, rays)
     hits = tracer.trace(rays.origin, rays.direction)
     items, material = tracer.geometry.item, tracer.geometry.material
@@ -324,7 +325,7 @@ def _gather(
         tracer.materials.roughness[patches.material[rows]],
         streams,
     )
-    sent = PatchRays.empty(len(streams) * rays)
+    sent = allocated(PatchRays, len(streams) * rays)
     kernels.patch_rays(points, light.coat.through, rays, seed, sent)
     return _TracedRays(follow(tracer, light, sent.origin, sent.direction), sent.passed, rays)
 

@@ -12,7 +12,7 @@ from jaxtyping import Float, Float32, Int32, UInt8
 from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
 from roomlight_generator.transport.kernels.glossy import pane_rays
 from roomlight_generator.transport.kernels.patches import mirror_rays
-from roomlight_generator.transport.kernels.structs import PaneRays, RayEnds, SurfacePoints
+from roomlight_generator.transport.kernels.structs import PaneRays, RayEnds, SurfacePoints, allocated
 from roomlight_generator.transport.kernels.surfaces import surface_points
 from roomlight_generator.transport.tracer import OFFSET_M, Tracer
 
@@ -135,7 +135,7 @@ def _through_panes(
         if not on.any():
             break
         at = at[on]
-        panes = PaneRays.empty(len(at))
+        panes = allocated(PaneRays, len(at))
         pane_rays(tracer.geometry, RayEnds(hits.face[on], hits.u[on], hits.v[on], directions[at]), panes)
         travelled[at] += hits.distance_m[on]
         if number == 0:
@@ -158,7 +158,7 @@ def surfaces_of(
     ray = np.flatnonzero(face >= 0).astype(np.int32)
     face, u, v, foot = face[ray], u[ray], v[ray], foot_m[ray]
     along = direction[ray]
-    points = SurfacePoints.empty(len(ray))
+    points = allocated(SurfacePoints, len(ray))
     surface_points(tracer.arrays, RayEnds(face, u, v, along), foot, points)
     return Surfaces(
         ray=ray,

@@ -14,7 +14,14 @@ from roomlight_generator.transport.irradiance_cache import IrradianceCache
 from roomlight_generator.transport.kernels import glossy
 from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
 from roomlight_generator.transport.kernels.patches import find_points
-from roomlight_generator.transport.kernels.structs import LightScratch, LobeEnds, LobePoints, LobeRays, LobeSampling
+from roomlight_generator.transport.kernels.structs import (
+    LightScratch,
+    LobeEnds,
+    LobePoints,
+    LobeRays,
+    LobeSampling,
+    allocated,
+)
 from roomlight_generator.transport.lights.direct import DirectLight, ShadowRays
 from roomlight_generator.transport.paths import Paths, Surfaces, follow_view, surfaces_of
 from roomlight_generator.transport.tracer import Tracer
@@ -116,7 +123,7 @@ class Reflections:
         table = self.irradiance_cache.room_cache.table
         find_points(table, lobe.position, lobe.geometric_normal, points.material[at], points.face[at], row)
         sampling = LobeSampling(LOBE_RAYS, LOBE_CANDIDATES, LOBE_PICKS, seed)
-        shadow = ShadowRays.empty(len(at) * (LOBE_PICKS + 1))
+        shadow = allocated(ShadowRays, len(at) * (LOBE_PICKS + 1))
         totals = np.empty(len(at), np.float64)
         scratch = LightScratch.empty(len(light.lights.start), LOBE_CANDIDATES)
         written = glossy.lobe_lights(light.sources, lobe, light.visibility, sampling, scratch, shadow, totals)

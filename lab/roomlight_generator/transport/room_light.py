@@ -14,6 +14,7 @@ from roomlight.camera import Intrinsics
 from roomlight.conventions import direction_to_uv, panorama_solid_angles, uv_to_direction
 from roomlight_generator.transport.irradiance_cache import IrradianceCache
 from roomlight_generator.transport.kernels import glossy
+from roomlight_generator.transport.kernels.structs import allocated
 from roomlight_generator.transport.lights.direct import DirectLight, Points, ShadowRays
 from roomlight_generator.transport.lights.emitters import small_from
 from roomlight_generator.transport.patches import solve_room
@@ -143,7 +144,7 @@ class RoomLight:
         """Add small lights and the sun to a panorama, where the point sees them."""
         light, tracer = self.light, self.tracer
         count = SPLAT_SAMPLES * max(1, len(light.lights.start)) + SUN_SAMPLES
-        rays = ShadowRays.empty(count)
+        rays = allocated(ShadowRays, count)
         x, y, z = position.tolist()
         written = glossy.splat_rays(light.sources, splatted, SPLAT_SAMPLES, (x, y, z), seed, rays)
         origin, direction, reach, carried = rays.origin, rays.direction, rays.reach, rays.weight

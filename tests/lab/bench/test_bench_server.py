@@ -19,9 +19,7 @@ from roomlight_cli.main import app
 from roomlight_client import AsyncClient, ConflictError
 from roomlight_client.errors import refusal
 
-TINY = ServerBenchOptions(
-    sessions=(2,), seconds=1.0, fps=4.0, points=(1, 3), frames=4, model="classical", height=16, rounds=1, passes=1
-)
+TINY = ServerBenchOptions(sessions=(2,), seconds=1.0, fps=4.0, frames=4, model="classical", height=16, passes=1)
 
 
 @pytest.fixture(scope="module")
@@ -63,11 +61,6 @@ def test_every_row_is_complete_and_consistent(report, progress):
         assert ordered(row.health)
         assert row.stated_mb > 5  # at least one keyframe each
         assert row.keyframes >= 1
-    assert [(row.tracked, row.count) for row in report.probes] == [(True, 1), (True, 3), (False, 1), (False, 3)]
-    for row in report.probes:
-        assert row.batched_ms > 0
-        assert row.one_by_one_ms > 0
-        assert (row.frame_ms is not None) == row.tracked
     assert any("2 sessions" in text for text in progress)
     values = json.loads(json.dumps(report.to_json()))
     assert values["load"][0]["frame"]["p99_ms"] == report.load[0].frame.p99_ms

@@ -165,13 +165,12 @@ def test_what_cannot_be_scored_is_named(tmp_path: Path) -> None:
             evaluate_captures(captures, lambda chosen=methods: chosen)
 
 
-def test_scores_survive_json(tmp_path: Path) -> None:
+def test_scores_are_written_as_json(tmp_path: Path) -> None:
     scores = evaluate_captures(
         [capture_of(tmp_path / "room"), capture_of(tmp_path / "short", frames=1)], lambda: [MeanColour(16)]
     )
     path = tmp_path / "scores" / "eval.json"
     scores.write(path)
-    assert CaptureScores.read(path) == scores
     data = json.loads(path.read_text())
     assert data["schema"] == "roomlight-evaluation-1"
     assert len(data["summary"]) == 3 * len(METRICS)  # both captures and their mean, one method
@@ -179,16 +178,6 @@ def test_scores_survive_json(tmp_path: Path) -> None:
         entry for entry in data["summary"] if entry["capture"] == "short" and entry["metric"] == "smoothness"
     )
     assert {interval["mean"] for interval in one_frame["intervals"]} == {None}
-
-
-@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"schema": "other"}', '{"schema": "roomlight-evaluation-1"}'])
-def test_other_json_is_refused_and_the_file_named(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "eval.json"
-    path.write_text(text)
-    with pytest.raises(CaptureError, match=r"eval\.json"):
-        CaptureScores.read(path)
-    with pytest.raises(CaptureError, match="cannot be read"):
-        CaptureScores.read(tmp_path / "none.json")
 
 
 def uniform_scores(by_pair: dict[tuple[str, int], float], *, frames: int = 31, method: str = "m") -> CaptureScores:

@@ -12,16 +12,12 @@ from roomlight.conventions import panorama_directions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
 from roomlight.frame import Frame
-from roomlight.light.cube import CubeMap
 from roomlight_cli.console import print_table
 from roomlight_evaluation.captures.main_light import (
     METHODS,
     DirectionTrack,
     MainLightScores,
-    brightest_region,
     evaluate_main_lights,
-    harmonics_direction,
-    peak_direction,
 )
 from roomlight_evaluation.captures.main_light_tables import main_light_table
 from written_captures import write_capture
@@ -51,7 +47,7 @@ def capture_of(path: Path, *, probes=(), depth_m: float = 2.0) -> Path:
 
 
 def tracks(directions, truth=None):
-    return [DirectionTrack("room", 0, method, tuple(directions), truth, truth) for method in METHODS]
+    return [DirectionTrack("room", 0, method, tuple(directions), truth) for method in METHODS]
 
 
 def test_jumps_count_from_the_fifth_frame_on() -> None:
@@ -76,25 +72,6 @@ def test_errors_are_means_over_probes_with_intervals() -> None:
     assert np.isnan(MainLightScores(tuple(tracks([UP]))).summary("tracked").error_deg.mean)
 
 
-@pytest.mark.parametrize("direction", [unit(1, 0.4, 0.2), unit(-1, 0.3, 0.02), unit(-1, 0.3, -0.02), unit(0, 1, 0.3)])
-def test_brightest_region_is_a_lamps_centre_anywhere(direction) -> None:
-    """Across the seam of the panorama, at -x, as well."""
-    found = brightest_region(lit(60, [(direction, 11.5, 5.0), (-direction, 4, 5.0)]))
-    assert np.degrees(np.arccos(found @ direction)) < 2
-
-
-def test_brightest_region_has_most_light_not_the_peak() -> None:
-    found = brightest_region(lit(60, [(unit(1, 0.2, 0), 10, 4.0), (unit(-1, 0.5, 0), 2.5, 12.0)]))
-    assert np.degrees(np.arccos(found @ unit(1, 0.2, 0))) < 2
-
-
-@pytest.mark.parametrize("direction", [unit(1, 0.4, 0.2), unit(-0.2, -0.9, 0.4), unit(0.3, 0.1, -1)])
-def test_directions_of_a_cube_are_its_lamps(direction) -> None:
-    cube = CubeMap.from_panorama(lit(60, [(direction, 12, 1.0)]), size=16)
-    for found in (harmonics_direction(cube), peak_direction(cube)):
-        assert np.degrees(np.arccos(found @ direction)) < 3
-
-
 def test_every_method_is_scored_at_every_probe(tmp_path) -> None:
     capture = capture_of(tmp_path / "room", probes=[(0.0, 0.0, -1.0), (0.2, 0.0, -1.0)])
     seen = []
@@ -107,7 +84,7 @@ def test_every_method_is_scored_at_every_probe(tmp_path) -> None:
         assert np.degrees(np.arccos(track.truth @ unit(0.3, 0.3, -1))) < 3
     assert scores.summary("tracked").largest_jump_deg < 10.001
     scores.write(tmp_path / "scores.json")
-    assert len(json.loads((tmp_path / "scores.json").read_text())["tracks"]) == 8
+    assert len(json.loads((tmp_path / "scores.json").read_text())["tracks"]) == 4
 
 
 def test_a_capture_without_truth_is_scored_for_jumps(tmp_path) -> None:

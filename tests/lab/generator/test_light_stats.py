@@ -105,19 +105,14 @@ def lit_recording(**changes):
     return replace(recording, **changes)
 
 
-def test_probes_say_what_clipped_pixels_are_worth():
-    (measured,) = recording_light(lit_recording())
-    assert measured["frame's clipped share"] == pytest.approx(0.5)
-    assert measured["clipped pixels' radiance"] == pytest.approx(5)
-    (sky,) = recording_light(lit_recording(depth_mm=np.zeros((1, 60, 80), np.uint16)))
-    assert sky["clipped pixels' radiance"] == pytest.approx(5)
-
-
-def test_stored_radiance_counts_before_the_probes():
+def test_stored_radiance_is_that_of_clipped_pixels():
     clipped = np.zeros((1, 60, 80, 3), np.float16)
     clipped[:, :, 40:] = 40
     (measured,) = recording_light(lit_recording(clipped_radiance=clipped))
     assert measured["clipped pixels' radiance"] == pytest.approx(40)
+    assert measured["frame's clipped share"] == pytest.approx(0.5)
+    with pytest.raises(DatasetError, match="lit: lacks the radiance of clipped pixels"):
+        recording_light(lit_recording())
 
 
 def test_rows_are_alike_within_a_quarter():

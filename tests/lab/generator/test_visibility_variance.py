@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from roomlight_generator.transport.kernels.structs import allocated
 from roomlight_generator.transport.lights.direct import ShadowRays
 from roomlight_generator.transport.lights.visibility_variance import VisibilityVariance
 
@@ -14,7 +15,7 @@ def variance_of(seen, *, cluster=0, batches=1):
     variance = VisibilityVariance(points)
     for first in range(0, points, points // batches):
         some = seen[first : first + points // batches]
-        rays = ShadowRays.empty(some.size + 5)  # as in use: longer than what is written
+        rays = allocated(ShadowRays, some.size + 5)  # as in use: longer than what is written
         rays.owner[: some.size] = np.repeat(np.arange(len(some)), RAYS)
         rays.weight[: some.size] = 1 / RAYS
         rays.cluster[: some.size] = cluster

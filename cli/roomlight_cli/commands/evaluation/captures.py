@@ -27,7 +27,6 @@ class ScoreOptions:
 
     Attributes:
         predictions: Score the panoramas that `roomlight replay` wrote here instead of the engine.
-        late: Also score probes that are added at each frame and see the earlier keyframes alone.
         main_light: Score the direction of the main light instead; captures need no ground truth.
         ship_rule: Compare the model with the classical one, and fail if it is not good enough to be the default.
 
@@ -36,17 +35,14 @@ class ScoreOptions:
     """
 
     predictions: Path | None = None
-    late: bool = False
     main_light: bool = False
     ship_rule: bool = False
 
     def __post_init__(self) -> None:
-        if self.late and self.predictions is not None:
-            raise OptionError("late runs the engine, `predictions` scores files instead: give one of the two")
-        if self.ship_rule and (self.late or self.main_light or self.predictions is not None):
-            raise OptionError("ship_rule scores tracked probes: leave out `late`, `main_light` and `predictions`")
-        if self.main_light and (self.late or self.predictions is not None):
-            raise OptionError("main_light scores tracked probes: leave out `late` and `predictions`")
+        if self.ship_rule and (self.main_light or self.predictions is not None):
+            raise OptionError("ship_rule scores tracked probes: leave out `main_light` and `predictions`")
+        if self.main_light and self.predictions is not None:
+            raise OptionError("main_light scores tracked probes: leave out `predictions`")
 
 
 def captures(
@@ -77,7 +73,7 @@ def captures(
             scores = evaluate_main_lights(captures, light, options=reading, progress=progress.count_of)
             tables = [main_light_table(scores)]
         elif options.predictions is None:
-            scores = evaluate_engine(captures, light, late=options.late, options=reading, progress=progress.count_of)
+            scores = evaluate_engine(captures, light, options=reading, progress=progress.count_of)
             tables = capture_tables(scores, per_capture=True)
         else:
             scores = evaluate_predictions(

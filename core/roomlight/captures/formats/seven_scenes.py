@@ -8,8 +8,6 @@ image. K is stored without a size and must fit the image.
 """
 
 import re
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -17,12 +15,12 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.captures import fields
-from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
+from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.source import FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
-from roomlight.notes import Note
 
 INTRINSICS: Final = "camera-intrinsics.txt"
 GRAVITY: Final = "gravity-direction.txt"
@@ -30,7 +28,7 @@ _RECORD: Final = re.compile(r"(frame-\d{1,9})\.(color|depth|pose)\.(png|jpg|jpeg
 _DEFAULT_K: Final = np.array([[585.0, 0.0, 320.0], [0.0, 585.0, 240.0], [0.0, 0.0, 1.0]])
 
 
-class SevenScenesReader:
+class SevenScenesReader(ListedReader):
     """Reads a sequence folder of 7-Scenes."""
 
     format = "seven-scenes"
@@ -41,60 +39,29 @@ class SevenScenesReader:
         Raises:
             CaptureError: The index is missing or damaged, so that no frame can be read.
         """
-        self._source = FolderSource(folder)
-        self._unit_m = options.depth_unit_m
-        self.probes: list[RawProbe] = []
-        self.notes: list[Note] = []
-        matches = [match for match in map(_RECORD.fullmatch, self._source.names()) if match]
+        source = FolderSource(folder)
+        matches = [match for match in map(_RECORD.fullmatch, source.names()) if match]
         self._stems = sorted({match[1] for match in matches}, key=lambda stem: int(stem[6:]))
-        self._colour = {match[1]: match[0] for match in matches if match[2] == "color"}
-        self.count = len(self._stems)
-        if self.count == 0:
-            raise CaptureError(f"{folder}: has no frame-XXXXXX.color.png, .depth.png and .pose.txt")
-        if self.count > MAX_FRAMES:
-            raise CaptureError(f"{folder}: has {self.count} frames; up to {MAX_FRAMES} are read")
-        self._matrix = _DEFAULT_K
-        if self._source.has(INTRINSICS):
-            self._matrix = read_matrix(self._source)
+        colour = {match[1]: match[0] for match in matches if match[2] == "color"}
+        names = [colour.get(stem, f"{stem}.color.png") for stem in self._stems]
+        super().__init__(folder, options, names, expected="frame-XXXXXX.color.png, .depth.png and .pose.txt")
+        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_K
         self.conventions = PoseConventions("opencv", "camera-to-world", self._up())
 
-    def name_of(self, index: int) -> str:
-        """Return the colour file, or its expected name if it is missing."""
-        stem = self._stems[index]
-        return self._source.label(self._colour.get(stem, f"{stem}.color.png"))
-
-    def timestamps(self) -> list[float | None]:
-        """Return no times: the format stores none."""
-        return []
-
-    @contextmanager
-    def records(self) -> Generator[ReadRecord]:
-        """Return the function that reads a record; no file is held open."""
-        yield self._read
-
     def _read(self, index: int) -> RawFrame:
-        stem = self._stems[index]
-        colour_name = self._colour.get(stem, f"{stem}.color.png")
+        stem, label = self._stems[index], self.name_of(index)
         depth_name, pose_name = f"{stem}.depth.png", f"{stem}.pose.txt"
-        label = self._source.label(colour_name)
         pose_label = self._source.label(pose_name)
         pose_data = self._source.read(pose_name, max_bytes=65536)
         with fields.naming(pose_label, FrameError):
             pose = fields.matrix_of_text(pose_data, 4, pose_label)
             if not np.isfinite(pose).all():
                 raise ValueError("the pose holds NaN or infinity (lost tracking)")
-        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=width, height=height)
-        return RawFrame(
-            name=label,
-            picture=read.picture,
-            depth_m=read.depth_m,
-            depth_name=self._source.label(depth_name),
-            intrinsics=intrinsics,
-            pose=pose,
-        )
+        return RawFrame(label, read.picture, read.depth_m, self._source.label(depth_name), intrinsics, pose)
 
     def _up(self) -> tuple[float, float, float]:
         if not self._source.has(GRAVITY):

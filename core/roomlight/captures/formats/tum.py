@@ -8,8 +8,6 @@ Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth 
 640 x 480. K has pixel centres at whole numbers, so that half a pixel is added here.
 """
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -17,14 +15,14 @@ import numpy as np
 
 from roomlight.camera import pose_from_quaternion
 from roomlight.captures import fields
-from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
+from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.formats.seven_scenes import INTRINSICS, read_matrix
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.captures.times import nearest
 from roomlight.errors import CaptureError, FrameError
-from roomlight.notes import Note
 
 MAX_GAP_S: Final = 0.02
 """Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
@@ -32,7 +30,7 @@ MAX_GAP_S: Final = 0.02
 _DEFAULT_K: Final = np.array([[525.0, 0.0, 319.5], [0.0, 525.0, 239.5], [0.0, 0.0, 1.0]])
 
 
-class TumReader:
+class TumReader(ListedReader):
     """Reads a sequence folder of the TUM RGB-D benchmark."""
 
     format = "tum"
@@ -44,39 +42,19 @@ class TumReader:
         Raises:
             CaptureError: The index is missing or damaged, so that no frame can be read.
         """
-        self._source = FolderSource(folder)
-        self._unit_m = options.depth_unit_m
-        self.probes: list[RawProbe] = []
-        self.notes: list[Note] = []
-        self._colour = self._stream("rgb.txt")
-        self._depth = self._stream("depth.txt")
-        self._poses = self._stream("groundtruth.txt", most=50 * MAX_FRAMES)
-        self.count = len(self._colour)
-        for name, entries in (
-            ("rgb.txt", self._colour),
-            ("depth.txt", self._depth),
-            ("groundtruth.txt", self._poses),
-        ):
-            if not entries:
-                raise CaptureError(f"{self._source.label(name)}: lists nothing")
-        self._matrix = read_matrix(self._source) if self._source.has(INTRINSICS) else _DEFAULT_K
-
-    def name_of(self, index: int) -> str:
-        """Return the colour file."""
-        return self._source.label(self._colour[index][1])
+        source = FolderSource(folder)
+        self._times = _stream(source, "rgb.txt")
+        self._depth = _stream(source, "depth.txt")
+        self._poses = _stream(source, "groundtruth.txt", most=50 * MAX_FRAMES)
+        super().__init__(folder, options, [name for _, name in self._times], expected="rgb.txt")
+        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_K
 
     def timestamps(self) -> list[float | None]:
         """Return the colour images' times."""
-        return [time for time, _ in self._colour]
-
-    @contextmanager
-    def records(self) -> Generator[ReadRecord]:
-        """Return the function that reads a record; no file is held open."""
-        yield self._read
+        return [time for time, _ in self._times]
 
     def _read(self, index: int) -> RawFrame:
-        time_s, colour_name = self._colour[index]
-        label = self._source.label(colour_name)
+        (time_s, colour_name), label = self._times[index], self.name_of(index)
         depth_name = _nearest(self._depth, time_s, f"{label}: depth (depth.txt)")
         pose_line = _nearest(self._poses, time_s, f"{label}: pose (groundtruth.txt)")
         with fields.naming(f"{self._source.label('groundtruth.txt')}: near {time_s}", FrameError):
@@ -86,32 +64,28 @@ class TumReader:
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=width, height=height, shift=0.5)
-        return RawFrame(
-            name=label,
-            picture=read.picture,
-            depth_m=read.depth_m,
-            depth_name=self._source.label(depth_name),
-            intrinsics=intrinsics,
-            pose=pose,
-        )
+        return RawFrame(label, read.picture, read.depth_m, self._source.label(depth_name), intrinsics, pose)
 
-    def _stream(self, name: str, *, most: int = MAX_FRAMES) -> list[tuple[float, str]]:
-        """Return (time, rest of the line) for each line that is not a comment, in order of time."""
-        label = self._source.label(name)
-        entries: list[tuple[float, str]] = []
-        for row, line in enumerate(fields.parse_text(read_index(self._source, name), label), start=1):
-            if not line.strip() or line.lstrip().startswith("#"):
-                continue
-            with fields.naming(f"{label}: line {row}", CaptureError):
-                first, rest = [*line.replace(",", " ").split(maxsplit=1), ""][:2]
-                try:
-                    time_s = float(first)
-                except ValueError:
-                    raise ValueError(f"starts with {first[:40]!r}, not with a time") from None
-                entries.append((fields.number(time_s, "the time"), fields.text(rest.strip(), "what follows the time")))
-        if len(entries) > most:
-            raise CaptureError(f"{label}: lists {len(entries)} entries; up to {most} are read")
-        return sorted(entries)
+
+def _stream(source: FolderSource, name: str, *, most: int = MAX_FRAMES) -> list[tuple[float, str]]:
+    """Return (time, rest of the line) for each line that is not a comment, in order of time."""
+    label = source.label(name)
+    entries: list[tuple[float, str]] = []
+    for row, line in enumerate(fields.parse_text(read_index(source, name), label), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        with fields.naming(f"{label}: line {row}", CaptureError):
+            first, rest = [*line.replace(",", " ").split(maxsplit=1), ""][:2]
+            try:
+                time_s = float(first)
+            except ValueError:
+                raise ValueError(f"starts with {first[:40]!r}, not with a time") from None
+            entries.append((fields.number(time_s, "the time"), fields.text(rest.strip(), "what follows the time")))
+    if len(entries) > most:
+        raise CaptureError(f"{label}: lists {len(entries)} entries; up to {most} are read")
+    if not entries:
+        raise CaptureError(f"{label}: lists nothing")
+    return sorted(entries)
 
 
 def _nearest(entries: list[tuple[float, str]], time_s: float, what: str) -> str:

@@ -5,10 +5,21 @@ code that makes them: `SceneArrays` (tracer), `LightSources` (emitters), `Points
 Axes: n points or rays, p patches, k points of a patch, r records, h x w pixels.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar, cast, get_type_hints
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
+
+_Columns = TypeVar("_Columns", bound=tuple[Any, ...])
+
+
+def allocated(kind: type[_Columns], count: int) -> _Columns:
+    """Allocate `count` rows of a structure, as its fields are annotated, for a kernel to fill."""
+    columns = get_type_hints(kind).values()
+    return cast(Callable[..., _Columns], kind)(
+        *(np.empty((count, *map(int, column.dim_str.split()[1:])), column.dtypes[0]) for column in columns)
+    )
 
 
 class HashTable(NamedTuple):
@@ -35,11 +46,6 @@ class SurfacePoints(NamedTuple):
     geometric_normal: Float32[np.ndarray, "n 3"]
     albedo: Float32[np.ndarray, "n 3"]
     emission: Float32[np.ndarray, "n 3"]
-
-    @classmethod
-    def empty(cls, count: int) -> "SurfacePoints":
-        """Allocate `count` points for `surface_points` to fill."""
-        return cls(*(np.empty((count, 3), np.float32) for _ in range(5)))
 
 
 class LightSurfaces(NamedTuple):
@@ -123,16 +129,6 @@ class GatherRays(NamedTuple):
     weight: Float32[np.ndarray, " n"]
     passed: Float32[np.ndarray, " n"]
 
-    @classmethod
-    def empty(cls, count: int) -> "GatherRays":
-        """Allocate `count` rays for a kernel to fill."""
-        return cls(
-            np.empty((count, 3), np.float32),
-            np.empty((count, 3), np.float32),
-            np.empty(count, np.float32),
-            np.empty(count, np.float32),
-        )
-
 
 class LobePoints(NamedTuple):
     """Coated surface points whose specular lobe is sampled.
@@ -188,16 +184,6 @@ class PaneRays(NamedTuple):
     direction: Float32[np.ndarray, "n 3"]
     through: Float32[np.ndarray, "n 3"]
     share: Float32[np.ndarray, " n"]
-
-    @classmethod
-    def empty(cls, count: int) -> "PaneRays":
-        """Allocate `count` rays for `pane_rays` to fill."""
-        return cls(
-            np.empty((count, 3), np.float32),
-            np.empty((count, 3), np.float32),
-            np.empty((count, 3), np.float32),
-            np.empty(count, np.float32),
-        )
 
 
 class CachePoints(NamedTuple):
@@ -307,11 +293,6 @@ class PatchRays(NamedTuple):
     origin: Float32[np.ndarray, "n 3"]
     direction: Float32[np.ndarray, "n 3"]
     passed: Float32[np.ndarray, " n"]
-
-    @classmethod
-    def empty(cls, count: int) -> "PatchRays":
-        """Allocate `count` rays for `patch_rays` to fill."""
-        return cls(np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.empty(count, np.float32))
 
 
 class GatherPaths(NamedTuple):

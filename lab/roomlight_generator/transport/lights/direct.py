@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32, Int64, UInt8
 
 from roomlight_generator.transport.kernels import lights as kernels
-from roomlight_generator.transport.kernels.structs import LightScratch, ShadowSampling
+from roomlight_generator.transport.kernels.structs import LightScratch, ShadowSampling, allocated
 from roomlight_generator.transport.lights.coat import CoatTable, coat_table
 from roomlight_generator.transport.lights.emitters import Lights, LightSources, Outdoors, build_lights, light_sources
 from roomlight_generator.transport.tracer import FAR_M, Tracer
@@ -67,20 +67,6 @@ class ShadowRays(NamedTuple):
     passed: Float32[np.ndarray, " n"]
     cluster: Int32[np.ndarray, " n"]
 
-    @classmethod
-    def empty(cls, count: int) -> "ShadowRays":
-        """Allocate `count` rays for a kernel to fill."""
-        single, three = (count,), (count, 3)
-        return cls(
-            np.empty(single, np.int32),
-            np.empty(three, np.float32),
-            np.empty(three, np.float32),
-            np.empty(single, np.float32),
-            np.empty(three, np.float32),
-            np.empty(single, np.float32),
-            np.empty(single, np.int32),
-        )
-
 
 OnRays = Callable[[int, ShadowRays, Bool[np.ndarray, " n"], int], None]
 """Called with the first point's index, the rays, their visibility, and the number of rays."""
@@ -128,7 +114,7 @@ class DirectLight:
         count = len(points.position)
         out = Received(*(np.zeros((count, 3), np.float32) for _ in range(4)))
         step = max(1, _RAYS_AT_ONCE // (picks + sun_picks))
-        rays = ShadowRays.empty(min(step, max(count, 1)) * (picks + sun_picks))
+        rays = allocated(ShadowRays, min(step, max(count, 1)) * (picks + sun_picks))
         sampling = ShadowSampling(candidates, picks, sun_picks, seed)
         scratch = LightScratch.empty(len(self.lights.start), candidates)
         tracer = self.tracer
@@ -150,7 +136,7 @@ class DirectLight:
         out = np.zeros((count, 3), np.float32)
         if self.outdoors.sun_irradiance.max() <= 0:
             return out
-        rays = ShadowRays.empty(count)
+        rays = allocated(ShadowRays, count)
         written = kernels.sun_rays(self.outdoors, self.coat.through, points, seed, rays)
         reach = np.full(written, FAR_M, np.float32)
         seen = self.tracer.visible(rays.origin[:written], rays.direction[:written], reach)

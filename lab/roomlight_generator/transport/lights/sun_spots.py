@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from roomlight_generator.transport.kernels.lights import crossing_counts
-from roomlight_generator.transport.kernels.structs import RayEnds, SurfacePoints
+from roomlight_generator.transport.kernels.structs import RayEnds, SurfacePoints, allocated
 from roomlight_generator.transport.kernels.surfaces import surface_points
 from roomlight_generator.transport.lights.coat import coat_table
 from roomlight_generator.transport.lights.outdoors import Outdoors
@@ -78,7 +78,7 @@ def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
     materials = tracer.materials
     struck = np.flatnonzero((hits.face >= 0) & (materials.mirror[tracer.geometry.material[hits.face]] == 0))
     along, area = np.ascontiguousarray(along[struck]), area[struck]
-    points = SurfacePoints.empty(len(struck))
+    points = allocated(SurfacePoints, len(struck))
     foot = np.sqrt(area).astype(np.float32)
     ends = RayEnds(hits.face[struck], hits.u[struck], hits.v[struck], along)
     surface_points(tracer.arrays, ends, foot, points)
