@@ -133,9 +133,10 @@ def recording_light(recording: Recording) -> list[Measures]:
     """
     frame = srgb8_to_linear(recording.colour[0])
     saturated = recording.colour[0].max(axis=-1) >= CLIPPED_SRGB8
-    if recording.clipped_radiance is None:
+    stored = frame[None] if recording.clipped_radiance is None else recording.clipped_radiance
+    if recording.clipped_radiance is None and saturated.any():
         raise DatasetError(f"{recording.name}: lacks the radiance of clipped pixels; generate the dataset again")
-    clipped = recording.clipped_radiance[0][saturated].astype(np.float32)
+    clipped = stored[0][saturated].astype(np.float32)
     clipped = np.maximum(clipped, frame[saturated])  # noise and JPEG clip pixels that were not
     return [measure_light(frame, clipped, panorama) for panorama in recording.probe_panoramas]
 
