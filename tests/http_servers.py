@@ -3,6 +3,7 @@
 import asyncio
 import http.client
 import json
+import socket
 import threading
 from dataclasses import dataclass
 from functools import cache, wraps
@@ -14,12 +15,15 @@ from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import column_major, pack
+from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight_server.answers import light_forms
 from roomlight_server.app import create_app
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.serving import make_server
 from roomlight_server.work import workers
 from rooms import BoxRoom, camera_at
+
+LATE = "/v1/sessions/room/probes"
 
 
 def once(work):
@@ -126,6 +130,35 @@ def metric(server, name):
     """Return a value of /metrics, 0 before the first one; `name` includes the labels."""
     lines = server.call("GET", "/metrics").body.decode().splitlines()
     return next((float(line.removeprefix(f"{name} ")) for line in lines if line.startswith(f"{name} ")), 0.0)
+
+
+def with_small_buffer():
+    """A socket that receives 4096 bytes ahead of its reader."""
+    connection = socket.socket()
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    return connection
+
+
+def post(server, body, path=LATE, token=None, connection=None):
+    """Send a POST on a new connection and return it without reading the answer."""
+    data = json.dumps(body)
+    access = "" if token is None else f"Authorization: Bearer {token}\r\n"
+    connection = connection or socket.socket()
+    connection.settimeout(60)
+    connection.connect(("127.0.0.1", server.port))
+    connection.sendall(
+        f"POST {path} HTTP/1.1\r\nHost: localhost\r\n{access}Accept: {MEDIA_TYPE}\r\n"
+        f"Content-Type: application/json\r\nContent-Length: {len(data)}\r\n\r\n{data}".encode()
+    )
+    return connection
+
+
+def is_closed(connection):
+    """Whether the server has closed a connection on which it sends nothing."""
+    try:
+        return connection.recv(1) == b""
+    except ConnectionResetError:
+        return True
 
 
 @dataclass(frozen=True)

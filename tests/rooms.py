@@ -100,6 +100,13 @@ def camera_at(position, yaw_degrees=0.0, pitch_degrees=0.0):
     return pose
 
 
+def pixel_of(frame, point):
+    """The pixel that shows a world point."""
+    offset = (np.asarray(point) - frame.camera_to_world[:3, 3]) @ frame.camera_to_world[:3, :3]
+    ((column, row),), _ = frame.intrinsics.project(offset[None])
+    return float(column) - 0.5, float(row) - 0.5
+
+
 def rotation_about_y(radians):
     """Rotation matrix about y, counter-clockwise seen from above."""
     c, s = np.cos(radians), np.sin(radians)

@@ -7,7 +7,7 @@ import pytest
 
 from roomlight.errors import OptionError, ProbeError
 from roomlight.placement import ABOVE_M, point_at_pixel, point_in_view
-from rooms import BoxRoom, camera_at
+from rooms import BoxRoom, camera_at, pixel_of
 
 ROOM = BoxRoom(size_m=(6.0, 3.0, 5.0))
 EYE = (0.5, 1.5, 0.3)
@@ -17,13 +17,6 @@ EYE = (0.5, 1.5, 0.3)
 def frame():
     """A level view along -z: the wall at z = -2.5, floor and ceiling, 160 x 120 pixels."""
     return ROOM.frame(camera_at(EYE))
-
-
-def pixel_of(frame, point):
-    """The pixel that shows a world point."""
-    offset = (np.asarray(point) - frame.camera_to_world[:3, 3]) @ frame.camera_to_world[:3, :3]
-    ((column, row),), _ = frame.intrinsics.project(offset[None])
-    return float(column) - 0.5, float(row) - 0.5
 
 
 @pytest.mark.parametrize(

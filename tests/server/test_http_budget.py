@@ -1,13 +1,12 @@
 """Sizes of answers, and the memory budget of all requests, over a real socket."""
 
 import json
-import socket
 
 import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from http_servers import RunningServer, frame
+from http_servers import LATE, RunningServer, frame, post, with_small_buffer
 from roomlight.engine.session_view import SessionView
 from roomlight.light.light import Light
 from roomlight.wire.light_message import MEDIA_TYPE
@@ -59,25 +58,16 @@ def test_an_answer_is_bounded_by_the_height_of_the_session(accept):
 
 def test_unread_answers_are_bounded():
     """Clients that read nothing filled the memory: 6.7 GB of answers."""
-    request = json.dumps({"probes": [{"position": [0, 0, -1]}] * 3, "forms": [{"format": "npy"}]})
-    head = f"POST /v1/sessions/room/probes HTTP/1.1\r\nHost: localhost\r\nAccept: {MEDIA_TYPE}\r\n"
-    head += f"Content-Type: application/json\r\nContent-Length: {len(request)}\r\n\r\n{request}"
+    body = {"probes": [{"position": [0, 0, -1]}] * 3, "forms": [{"format": "npy"}]}
     with RunningServer(max_pending_bytes=2**27) as server:
         server.open(options=TALL)
         budget = server.app.state.context.budget
-        unread = []
-        for _ in range(12):
-            connection = socket.socket()
-            unread.append(connection)
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            connection.connect(("127.0.0.1", server.port))
-            connection.sendall(head.encode())
+        unread = [post(server, body, connection=with_small_buffer()) for _ in range(12)]
         heads = [connection.recv(12) for connection in unread]
         assert heads[0] == b"HTTP/1.1 200"
         assert b"HTTP/1.1 503" in heads
         assert budget.used <= 2**27
-        more = json.loads(request) | {"probes": [{"position": [0, 0, 0]}] * 5}
-        busy = server.call("POST", "/v1/sessions/room/probes", more)
+        busy = server.call("POST", LATE, body | {"probes": [{"position": [0, 0, 0]}] * 5})
         assert (busy.status, busy.kind, busy.headers["retry-after"]) == (503, "server-busy", "1")
         for connection in unread:
             connection.close()

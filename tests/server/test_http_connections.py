@@ -7,7 +7,7 @@ import socket
 import pytest
 from websockets.sync.client import connect
 
-from http_servers import RunningServer
+from http_servers import RunningServer, is_closed
 
 TOKEN = "a-token-of-sixteen-or-more"
 GET = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
@@ -25,13 +25,6 @@ def answer_of(connection):
 
 def refusals(caplog, kind):
     return [r for r in caplog.records if r.getMessage() == "connection refused" and vars(r)["kind"] == kind]
-
-
-def is_closed(connection):
-    try:
-        return connection.recv(1) == b""
-    except ConnectionResetError:
-        return True
 
 
 def send_until_closed(connection, data, limit):

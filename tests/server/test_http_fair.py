@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from websockets.sync.client import connect
 
-from http_servers import SMALL, InThread, RunningServer, frame, metric
+from http_servers import LATE, SMALL, InThread, RunningServer, frame, metric, post, with_small_buffer
 from roomlight.engine.session_view import SessionView
 from roomlight.threads import parallel_for
-from roomlight.wire.light_message import MEDIA_TYPE, parse_light
+from roomlight.wire.light_message import parse_light
 from roomlight.wire.messages import LightResponse
 from roomlight_server.base import problems
 from roomlight_server.routes import composites as composite_routes
@@ -23,7 +23,7 @@ from roomlight_server.work import fair_share
 
 A, B = "token-of-the-hostile-client", "token-of-the-neighbour"
 TALL = SMALL | {"height": 512}
-LATE = "/v1/sessions/room/probes"
+BALL = {"shape": "sphere", "size_m": 0.2, "position": [0.2, 1.2, -0.2]}
 
 
 def late(count, *, form="sh", **form_options) -> dict[str, Any]:
@@ -31,18 +31,6 @@ def late(count, *, form="sh", **form_options) -> dict[str, Any]:
         "probes": [{"position": [0.2, 1.2, -0.01 * number]} for number in range(count)],
         "forms": [{"format": form} | form_options],
     }
-
-
-def post(server, body, path=LATE, token=None):
-    """Send a POST on a new connection and return it without reading the answer."""
-    data = json.dumps(body)
-    access = "" if token is None else f"Authorization: Bearer {token}\r\n"
-    connection = socket.create_connection(("127.0.0.1", server.port), timeout=60)
-    connection.sendall(
-        f"POST {path} HTTP/1.1\r\nHost: localhost\r\n{access}Accept: {MEDIA_TYPE}\r\n"
-        f"Content-Type: application/json\r\nContent-Length: {len(data)}\r\n\r\n{data}".encode()
-    )
-    return connection
 
 
 def wait_until(server, condition):
@@ -224,15 +212,11 @@ def test_a_composite_ends_when_its_client_is_gone(server, monkeypatch):
             parallel_for(one_piece, 1)
 
     monkeypatch.setattr(composite_routes, "make", make)
-    sphere = {"shape": "sphere", "size_m": 0.2, "position": [0.2, 1.2, -0.2]}
-    connection = post(server, {"objects": [sphere]}, "/v1/sessions/room/composite")
+    connection = post(server, {"objects": [BALL]}, "/v1/sessions/room/composite")
     assert running.wait(60)
     connection.close()
     wait_until(server, lambda: abandoned(server) == 1)
     assert server.push(1, frame(1)).json["status"] == "processed"  # it waited for the composite
-
-
-BALL = {"shape": "sphere", "size_m": 0.2, "position": [0.2, 1.2, -0.2]}
 
 
 @pytest.fixture
@@ -421,17 +405,7 @@ def test_unread_answers_of_one_owner_leave_memory_for_others():
     with RunningServer(tokens=(A, B), max_pending_bytes=2**28, max_owner_pending_bytes=2**27) as server:
         for token in (A, B):
             server.open(options=TALL, token=token)
-        unread = []
-        for _ in range(20):
-            connection = socket.socket()
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            connection.connect(("127.0.0.1", server.port))
-            unread.append(connection)
-            data = json.dumps(late(2, form="npy"))
-            connection.sendall(
-                f"POST {LATE} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {A}\r\nAccept: {MEDIA_TYPE}\r\n"
-                f"Content-Type: application/json\r\nContent-Length: {len(data)}\r\n\r\n{data}".encode()
-            )
+        unread = [post(server, late(2, form="npy"), token=A, connection=with_small_buffer()) for _ in range(20)]
         heads = [connection.recv(12) for connection in unread]
         assert {b"HTTP/1.1 200", b"HTTP/1.1 429"} == set(heads)
         assert server.app.state.context.budget.used <= 2**27
@@ -445,8 +419,7 @@ def test_unread_messages_stop_the_reading_of_a_stream():
     with RunningServer(tokens=(A, B)) as server:
         for token in (A, B):
             server.open(token=token)
-        raw = socket.socket()
-        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        raw = with_small_buffer()
         raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         raw.connect(("127.0.0.1", server.port))
         access = {"Authorization": f"Bearer {A}"}

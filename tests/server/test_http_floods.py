@@ -9,7 +9,7 @@ import time
 import pytest
 from websockets.sync.client import connect
 
-from http_servers import RunningServer
+from http_servers import RunningServer, is_closed
 from roomlight_server.base import tls
 from roomlight_server.serving import allow_files
 from roomlight_server.transport import tls_listener
@@ -50,13 +50,6 @@ def upgraded(connection):
     while not head.endswith(b"\r\n\r\n"):
         head += connection.recv(1)
     assert head.startswith(b"HTTP/1.1 101")
-
-
-def is_closed(connection):
-    try:
-        return connection.recv(1) == b""
-    except ConnectionResetError:
-        return True
 
 
 def flood(connection, data):

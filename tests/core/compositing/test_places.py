@@ -17,18 +17,12 @@ from roomlight.compositing.placement.places import (
 from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.errors import SceneError
-from rooms import BoxRoom, camera_at
+from rooms import BoxRoom, camera_at, pixel_of
 
 ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 0.7, -1.0)))
 EYE = (0.2, 1.4, 1.2)
 BOX = Box(np.array([-0.1, -0.05, -0.2]), np.array([0.1, 0.25, 0.15]))
 CORNERS = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.05, 0.25) for z in (-0.2, 0.15)])
-
-
-def pixel_of(frame, point):
-    offset = (np.asarray(point) - frame.camera_to_world[:3, 3]) @ frame.camera_to_world[:3, :3]
-    ((column, row),), _ = frame.intrinsics.project(offset[None])
-    return float(column) - 0.5, float(row) - 0.5
 
 
 def view(pitch_degrees, noise_m=0.0):
