@@ -26,6 +26,11 @@ _ICC_SEGMENT: Final = b"ICC_PROFILE\0"
 _GAIN_MAPS: Final = (b"hdrgm:Version", b"http://ns.apple.com/HDRGainMap/", b"urn:iso:std:iso:ts:21496:-1")
 
 
+_DEPTH_MAPS: Final = (b"http://ns.google.com/photos/1.0/depthmap/", b'Item:Semantic="Depth"', b"Device:DepthMap")
+_INSIDE: Final = (
+    (_GAIN_MAPS, "HDR gain map", "highlights end at the photo's white", "give a linear EXR for the full range"),
+    (_DEPTH_MAPS, "depth map", "it is not read", "extract it, and give it as the depth"),
+)
 _PANORAMA: Final = re.compile(rb"GPano:ProjectionType\W{1,12}(?:equirectangular|cylindrical)", re.IGNORECASE)
 _SRGB: Final = ColourSpace()
 _NO_EXIF: Final = ExifCamera()
@@ -72,14 +77,10 @@ def _jpeg_tags(data: bytes, name: str) -> ImageTags:
             exif = read_exif(data)
         if marker == 0xE1 and _PANORAMA.search(body):
             raise ValueError("is a panorama (GPano), not the picture of a pinhole camera; cut a view out of it")
-        if marker in (0xE1, 0xE2) and any(mark in body for mark in _GAIN_MAPS):
-            notes = [
-                Note(
-                    f"{name}: its HDR gain map",
-                    "highlights end at the photo's white",
-                    "give a linear EXR for the full range",
-                )
-            ]
+        kept = {note.left_out for note in notes} if marker in (0xE1, 0xE2) else set[str]()
+        for marks, what, effect, advice in _INSIDE if marker in (0xE1, 0xE2) else ():
+            if any(mark in body for mark in marks) and f"{name}: its {what}" not in kept:
+                notes.append(Note(f"{name}: its {what}", effect, advice))
         offset += 2 + length if marker != 0xFF else 1
     profile = b"".join(pieces[key] for key in sorted(pieces)) or None
     space = ColourSpace(ADOBE_RGB, gamma=563 / 256) if exif.adobe_rgb and profile is None else ColourSpace()

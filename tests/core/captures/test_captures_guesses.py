@@ -127,3 +127,27 @@ def test_panoramas_and_pixels_that_are_not_square(transforms: Path) -> None:
     )
     capture = one_skipped(transforms, 0, "panorama (GPano)")
     assert any("2 times as wide as high" in note.left_out for note in capture.notes)
+
+
+def test_a_camera_that_no_file_states_is_said(tmp_path: Path) -> None:
+    for build, focal in ((formats.tum, 525), (formats.seven_scenes, 585)):
+        path = build(tmp_path / build.__name__, VIEWS)
+        assert open_capture(path).notes == ()
+        (path / "camera-intrinsics.txt").unlink()
+        assert any(f"focal length of {focal} pixels" in note.effect for note in open_capture(path).notes)
+
+
+def test_exposure_that_is_not_applied_is_noted(tmp_path: Path) -> None:
+    path = formats.scanner_app(tmp_path / "capture", VIEWS)
+    edit(path / "frame_00000.json", lambda stated: stated.update(exposureDuration=0.01))
+    list(capture := open_capture(path))
+    assert "exposureDuration" in capture.notes[0].left_out
+
+
+def test_a_depth_map_inside_a_jpeg_is_noted(transforms: Path) -> None:
+    jpeg = formats.image(".jpg", VIEWS[0].srgb8)
+    xmp = b'http://ns.adobe.com/xap/1.0/\0<Container:Item Item:Semantic="Depth"/>'
+    marked = jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(xmp) + 2) + xmp + jpeg[2:]
+    (transforms / "images/frame_00001.png").write_bytes(marked)
+    list(capture := open_capture(transforms))
+    assert [note.left_out.rpartition(": ")[2] for note in capture.notes] == ["its depth map"]

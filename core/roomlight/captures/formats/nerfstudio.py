@@ -38,7 +38,7 @@ from roomlight.notes import Note
 
 INDEX: Final = "transforms.json"
 _DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
-_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr")
+_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic")
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
 _READ: Final = frozenset(
     {

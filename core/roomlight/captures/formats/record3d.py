@@ -41,7 +41,7 @@ from roomlight.notes import Note
 LAYOUTS: Final = (("metadata", "rgbd"), ("metadata.json", "rgb"))
 """Index and folder of colour images, of a `.r3d` and of an export."""
 
-_COLOUR: Final = re.compile(r"(?:rgbd|rgb)/(\d{1,9})\.(?:jpg|jpeg|png)")
+_COLOUR: Final = re.compile(r"(?:rgbd|rgb)/(\d{1,9})\.(?:jpg|jpeg|png)", re.IGNORECASE)
 
 
 class Record3DReader:

@@ -16,6 +16,7 @@ from roomlight.captures.formats.listed import ListedReader, files_of, row_major
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import FolderSource
 from roomlight.errors import CaptureError, FrameError
+from roomlight.notes import Note
 
 _COLOUR = re.compile(r"frame_(\d{1,9})\.(?:jpg|jpeg|png)", re.IGNORECASE)
 
@@ -55,6 +56,9 @@ class ScannerAppReader(ListedReader):
         number = Path(colour_name).stem.partition("_")[2]
         depth_name, json_name = f"depth_{number}.png", f"frame_{number}.json"
         stated = self._json(json_name)
+        if "exposureDuration" in stated and not self.notes:
+            effect = "frames of other exposure count as equally bright"
+            self.notes.append(Note(f"{self._source.label(json_name)}: exposureDuration", effect, "lock the exposure"))
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         height, width = read.picture.image.shape[:2]
         with fields.naming(self._source.label(json_name), FrameError):

@@ -62,6 +62,9 @@ class ScanNetPPReader(ListedReader):
         if source.has("rgb_mask.mkv") and not source.has("rgb_masks"):
             advice = "unpack it to rgb_masks/frame_000000.png"
             self.notes.append(Note(f"{folder}: rgb_mask.mkv", "blurred people and screens count as seen", advice))
+        if source.has("exif.json"):
+            effect = "frames of other exposure count as equally bright"
+            self.notes.append(Note(f"{folder}: exposure in exif.json", effect, "nothing to do in even light"))
         self._depth: DepthMaps | None = None
 
     def name_of(self, index: int) -> str:

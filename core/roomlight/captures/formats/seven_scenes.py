@@ -21,6 +21,7 @@ from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
+from roomlight.notes import Note
 
 INTRINSICS: Final = "camera-intrinsics.txt"
 GRAVITY: Final = "gravity-direction.txt"
@@ -46,6 +47,8 @@ class SevenScenesReader(ListedReader):
         names = [colour.get(stem, f"{stem}.color.png") for stem in self._stems]
         super().__init__(folder, options, names, expected="frame-XXXXXX.color.png, .depth.png and .pose.txt")
         self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_K
+        if self._matrix is _DEFAULT_K:
+            self.notes.append(assumed_camera(folder, _DEFAULT_K))
         self.conventions = PoseConventions("opencv", "camera-to-world", self._up())
 
     def _read(self, index: int) -> RawFrame:
@@ -74,6 +77,12 @@ class SevenScenesReader(ListedReader):
             if x * x + y * y + z * z < 1e-12:
                 raise ValueError("gravity is zero; delete the file or set world_up")
         return x, y, z
+
+
+def assumed_camera(folder: Path, matrix: Float[np.ndarray, "3 3"]) -> Note:
+    """Make the note for a data set's own K in place of one that no file states."""
+    text = f"a focal length of {matrix[0, 0]:g} pixels is assumed, the data set's own"
+    return Note(f"{folder}: no {INTRINSICS}", text, f"write {INTRINSICS}, 3 x 3, for another camera")
 
 
 def read_matrix(source: FolderSource) -> Float[np.ndarray, "3 3"]:

@@ -18,7 +18,7 @@ from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.formats.listed import ListedReader
-from roomlight.captures.formats.seven_scenes import INTRINSICS, read_matrix
+from roomlight.captures.formats.seven_scenes import INTRINSICS, assumed_camera, read_matrix
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.captures.times import nearest
@@ -48,6 +48,8 @@ class TumReader(ListedReader):
         self._poses = _stream(source, "groundtruth.txt", most=50 * MAX_FRAMES)
         super().__init__(folder, options, [name for _, name in self._times], expected="rgb.txt")
         self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_K
+        if self._matrix is _DEFAULT_K:
+            self.notes.append(assumed_camera(folder, _DEFAULT_K))
 
     def timestamps(self) -> list[float | None]:
         """Return the colour images' times."""
