@@ -52,11 +52,6 @@ class ExportReport:
     parity: dict[str, Parity]
     """By network: "sg" and "blend", or the small network's form."""
 
-    @property
-    def largest_error(self) -> float:
-        """The largest difference to PyTorch over all networks, outputs and steps."""
-        return max(parity.largest for parity in self.parity.values())
-
 
 def export_checkpoint(
     checkpoint: Path,

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from roomlight.engine.networks.clipping import CHANNELS, SIDE
+from roomlight.engine.networks.clipping import CHANNELS
 from roomlight_model.layers import LEAK
 
 LOG_RANGE: Final = (-1.5, 7.0)
@@ -65,8 +65,3 @@ class ClippingNetwork(nn.Module):
         out = self.head(x)
         brightness = 1 + out[:, :1]  # begins at e x white, near the median of real rooms
         return (brightness + 0.5 * torch.tanh(out[:, 1:])).clamp(*LOG_RANGE)
-
-
-def clipping_input_shape() -> tuple[int, int, int, int]:
-    """Return the shape of the network's input: one frame."""
-    return (1, CHANNELS, SIDE, SIDE)

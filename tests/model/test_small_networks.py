@@ -3,16 +3,16 @@
 import torch
 
 from roomlight.engine.lighting import LIGHTING_PANELS
-from roomlight.engine.networks.clipping import SIDE
+from roomlight.engine.networks.clipping import CHANNELS, SIDE
 from roomlight.engine.panorama.panels import HEIGHT
-from roomlight_model.clipping_network import LOG_RANGE, ClippingNetwork, clipping_input_shape
+from roomlight_model.clipping_network import LOG_RANGE, ClippingNetwork
 from roomlight_model.object_light_network import ObjectLightNetwork
 
 
 def test_clipped_radiance_stays_in_its_range():
     torch.manual_seed(0)
     network = ClippingNetwork()
-    planes = torch.rand(clipping_input_shape())
+    planes = torch.rand(1, CHANNELS, SIDE, SIDE)
     assert network(planes).shape == (1, 3, SIDE // 2, SIDE // 2)
     network.head.weight.data *= 1e4
     radiance = network(planes)

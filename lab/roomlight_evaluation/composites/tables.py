@@ -11,7 +11,6 @@ from roomlight_evaluation.tables import mean_cell
 
 TARGET = 0.6
 """Largest error in the object and in the shadow, relative to SH + directional light's."""
-_TITLES = {"rmse": "RMSE, linear light", "srgb": "RMSE, sRGB", "log": "mean absolute log error"}
 
 
 def composite_tables(scores: CompositeScores) -> list[Table]:

@@ -68,11 +68,6 @@ def _observer(nm: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3 n"]:
     return np.stack([x, y, z])
 
 
-def linear_to_oklab(colour: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
-    """Convert linear RGB to OKLab: lightness (0 to 1), green-red and blue-yellow."""
-    return np.cbrt(colour @ _RGB_TO_LMS.T) @ _LMS_TO_LAB.T
-
-
 def oklab_to_linear(lab: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
     """Convert OKLab to linear RGB; channels of colours outside the gamut are negative or above 1."""
     return (lab @ _LAB_TO_LMS.T) ** 3 @ _LMS_TO_RGB.T

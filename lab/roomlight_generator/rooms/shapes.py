@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from roomlight_generator.rooms.scene import Material, Mesh
 
@@ -102,10 +102,3 @@ def sphere(radius: Number, *, rings: int = 18, segments: int = 36) -> Mesh:
     angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
     line = [(max(float(radius * np.cos(t)), 1e-5), float(radius * np.sin(t))) for t in angle]
     return lathe([line], segments=segments)
-
-
-def faces_match_normals(mesh: Mesh) -> Bool[np.ndarray, " f"]:
-    """Return, for each face with an area, whether its vertex order agrees with its vertices' normals."""
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    geometric_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return (geometric_normals * mesh.normals[mesh.faces].mean(1)).sum(1) > -1e-12

@@ -304,11 +304,11 @@ def test_unknown_qualities_and_empty_scenes_are_refused() -> None:
 
 def test_rays_meet_and_miss_objects() -> None:
     scene = TracedObjects([sphere(0.5), moved(cube(0.5), 2.0)])
-    origins = np.array([[0, 0, 2.0], [2, 0, 2], [0, 3, 2]])
-    directions = np.tile([0, 0, -1.0], (3, 1))
-    hits = scene.intersect(origins, directions)
-    assert hits.object_id.tolist() == [0, 1, -1]
+    origins = np.array([[0, 0, 2.0], [2, 0, 2], [0, 3, 2]], np.float32)
+    directions = np.tile(np.array([0, 0, -1], np.float32), (3, 1))
+    hits = scene.trace(origins, directions)
+    assert scene.surfaces.object_id[hits.face[:2]].tolist() == [0, 1]
+    assert hits.face[2] == -1
     np.testing.assert_allclose(hits.distance_m, [1.5, 1.75, np.inf], rtol=1e-3)
-    np.testing.assert_allclose(hits.normal[1], [0, 0, 1], atol=1e-6)
-    assert scene.occluded(origins, directions).tolist() == [True, True, False]
-    assert scene.occluded(origins, directions, 1.6).tolist() == [True, False, False]
+    assert scene.blocked(origins, directions).tolist() == [True, True, False]
+    assert scene.blocked(origins, directions, np.full(3, 1.6, np.float32)).tolist() == [True, False, False]

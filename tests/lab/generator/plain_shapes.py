@@ -1,4 +1,4 @@
-"""Rectangles of many triangles, with a hole if wanted."""
+"""Rectangles of many triangles, with a hole if wanted; whether faces look the way of their normals."""
 
 from itertools import pairwise
 
@@ -25,6 +25,13 @@ def rectangle(origin, edge_u, edge_v, *, step: float = 0.1, hole=None) -> Mesh:
         faces = faces[~inside]
     normals = np.broadcast_to(np.cross(u, v) / (length_u * length_v), (gu.size, 3))
     return bare_mesh(vertices.reshape(-1, 3), normals, faces)
+
+
+def faces_match_normals(mesh: Mesh) -> np.ndarray:
+    """Return, for each face with an area, whether its vertex order agrees with its vertices' normals."""
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    geometric_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return (geometric_normals * mesh.normals[mesh.faces].mean(1)).sum(1) > -1e-12
 
 
 def _steps(length, step, breaks):

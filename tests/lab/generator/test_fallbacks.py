@@ -5,12 +5,12 @@ import pickle
 
 import numpy as np
 import pytest
+from plain_shapes import faces_match_normals
 
 from roomlight_generator.rooms.furniture import fallback_models
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.roles import CEILING_ROLES, WALL_ROLES
 from roomlight_generator.rooms.scene import Mesh
-from roomlight_generator.rooms.shapes import faces_match_normals
 
 MAX_TRIANGLES = 700
 MODELS = (*fallback_models("train"), *fallback_models("test"))

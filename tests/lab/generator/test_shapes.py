@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_shapes import faces_match_normals
 
 from roomlight_generator.rooms.scene import Mesh
-from roomlight_generator.rooms.shapes import block, faces_match_normals, smooth_normals, sphere
+from roomlight_generator.rooms.shapes import block, smooth_normals, sphere
 
 SOLIDS: Final[dict[str, Callable[[], Mesh]]] = {
     "plank": lambda: block(1.0, 0.002, 0.3),

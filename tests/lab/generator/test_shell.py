@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from plain_shapes import faces_match_normals
 
 from roomlight_generator.rooms.finishes import Finishes, RoomFinishes
 from roomlight_generator.rooms.plan import Gap, Shell
 from roomlight_generator.rooms.scene import Item, Material, Mesh
-from roomlight_generator.rooms.shapes import faces_match_normals
 from roomlight_generator.rooms.shell import STYLES, CoverKind, ShellStyle, build_shell
 
 ROLES = {

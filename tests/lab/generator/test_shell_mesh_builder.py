@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_shapes import faces_match_normals
 
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import faces_match_normals
 from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
 from roomlight_generator.rooms.shell.outline import choose_outline, envelope, offset_outline
 from roomlight_generator.rooms.shell.polygons import (

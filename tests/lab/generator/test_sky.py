@@ -9,7 +9,6 @@ from roomlight.conventions import panorama_directions
 from roomlight_generator.rooms.colour import (
     LUMINANCE,
     blackbody_rgb,
-    linear_to_oklab,
     luminance,
     oklab_to_linear,
     paint,
@@ -78,15 +77,12 @@ def test_paint_has_the_requested_reflectance(level, chroma, hue):
     assert all(0.0119 <= channel <= 0.931 for channel in colour)
 
 
-def test_paints_have_their_hue_and_oklab_round_trips():
+def test_paints_have_their_hue():
     red, green, blue = paint(0.2, 0.1, 25), paint(0.3, 0.1, 145), paint(0.15, 0.1, 255)
     assert np.argmax(red) == 0
     assert np.argmax(green) == 1
     assert np.argmax(blue) == 2
-    colours = np.array([red, green, blue, (1.0, 1.0, 1.0)])
-    lab = linear_to_oklab(colours)
-    np.testing.assert_allclose(lab[3], (1, 0, 0), atol=1e-3)
-    np.testing.assert_allclose(oklab_to_linear(lab), colours, atol=1e-9)
+    np.testing.assert_allclose(oklab_to_linear(np.array([1.0, 0.0, 0.0])), 1, atol=1e-3)
 
 
 @pytest.mark.parametrize("kind", SKY_KINDS)

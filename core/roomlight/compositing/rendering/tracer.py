@@ -42,26 +42,6 @@ class Surfaces(NamedTuple):
     part: Int32[np.ndarray, " f"]
 
 
-class Hits(NamedTuple):
-    """Where rays met objects; rows of rays that met none have distance inf and indices -1.
-
-    Attributes:
-        distance_m: along the ray.
-        object_id: index of the object in the scene.
-        part: index of the part in its object.
-        face: triangle in the scene's order.
-        barycentrics: weights of the triangle's second and third corner.
-        normal: unit geometric normal, counter-clockwise side.
-    """
-
-    distance_m: Float32[np.ndarray, " n"]
-    object_id: Int32[np.ndarray, " n"]
-    part: Int32[np.ndarray, " n"]
-    face: Int32[np.ndarray, " n"]
-    barycentrics: Float32[np.ndarray, "n 2"]
-    normal: Float32[np.ndarray, "n 3"]
-
-
 def is_rigid(transform: Float[np.ndarray, "4 4"]) -> bool:
     """Return whether a transform turns and moves only, within a millionth: no scale, no mirror image."""
     rotation = transform[:3, :3]
@@ -206,29 +186,6 @@ class TracedObjects:
         extent = float((boxes[:, 1] - boxes[:, 0]).max())
         return max(2e-5 * extent, 2e-6 * float(np.abs(boxes).max()), 1e-7)
 
-    def intersect(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
-        """Find the nearest surface along each ray (unit directions)."""
-        hits = self._tree.trace(*self._at_tree(*_as_rays(origins, directions)))
-        missed = hits.face < 0
-        barycentrics = np.stack([hits.u, hits.v], axis=1)
-        barycentrics[missed] = 0
-        a, b, c = (self.surfaces.corners[hits.face, corner] for corner in range(3))
-        normal = np.cross(b - a, c - a)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-30))
-        normal[missed] = 0
-        object_id = np.where(missed, np.int32(-1), self.surfaces.object_id[hits.face])
-        part = np.where(missed, np.int32(-1), self.surfaces.part[hits.face])
-        return Hits(hits.distance_m, object_id, part, hits.face, barycentrics, normal)
-
-    def occluded(
-        self,
-        origins: Float[np.ndarray, "n 3"],
-        directions: Float[np.ndarray, "n 3"],
-        reach_m: Float[np.ndarray, " n"] | float = np.inf,
-    ) -> Bool[np.ndarray, " n"]:
-        """Return whether each ray meets a surface within its reach in metres; panes and cut-outs block as well."""
-        return self._tree.blocked(*self._at_tree(*_as_rays(origins, directions)), reach_m)
-
     def trace(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> RayHits:
         """Trace a block of rays in this thread."""
         return self._tree.trace_here(*self._at_tree(origins, directions))
@@ -261,12 +218,6 @@ def _turned(
     out = np.empty(vectors.shape, np.float32)
     turn_vectors(vectors.reshape(-1, 3), rotation, offset, out.reshape(-1, 3), 0, out.size // 3)
     return out
-
-
-def _as_rays(
-    origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
-) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
-    return np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
 
 
 def _indexed(objects: Sequence[VirtualObject]) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "f 3"]]:

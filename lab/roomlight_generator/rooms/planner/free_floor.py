@@ -28,12 +28,6 @@ class FreeFloor:
     origin: tuple[float, float]
     cell_m: float
 
-    def is_free(self, x: float, z: float) -> bool:
-        """Return whether the cell nearest to the plan point is free; False outside the grid."""
-        column, row = round((x - self.origin[0]) / self.cell_m), round((z - self.origin[1]) / self.cell_m)
-        rows, columns = self.free.shape
-        return 0 <= row < rows and 0 <= column < columns and bool(self.free[row, column])
-
     def points(self) -> Float[np.ndarray, "n 2"]:
         """Return the plan points (x, z) of all free cells."""
         rows, columns = np.nonzero(self.free)
