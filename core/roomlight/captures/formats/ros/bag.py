@@ -118,6 +118,9 @@ class RosBagReader:
         except Exception as error:  # of the container, the index or the storage plugin
             raise CaptureError(f"{self._path}: is not a readable ROS bag ({error})") from error
         try:
+            names = [name for connection in bag.connections for name in (connection.topic, connection.msgtype)]
+            if not all(isinstance(name, str) for name in names):
+                raise CaptureError(f"{self._path}: its topics are damaged")
             yield bag
         finally:
             bag.close()
