@@ -186,6 +186,15 @@ def test_a_bag_without_poses_depth_or_camera_says_so(tmp_path: Path) -> None:
         open_capture(with_messages(tmp_path / "b", {}, drop="/camera/aligned"))
     with pytest.raises(CaptureError, match="no CameraInfo beside /camera/color/image_raw"):
         open_capture(with_messages(tmp_path / "c", {}, drop="/camera/color/camera_info"))
+    device = "/device_0/sensor_"
+    renamed = {
+        "/camera/color/image_raw": f"{device}1/Color_0/image/data",
+        "/camera/color/camera_info": f"{device}1/Color_0/info/camera_info",
+        "/camera/aligned_depth_to_color/image_raw": f"{device}0/Depth_0/image/data",
+    }
+    with pytest.raises(CaptureError, match="recordings of RealSense alone hold none"):
+        open_capture(with_messages(tmp_path / "realsense", renamed, drop="/tf"))
+    assert len(list(open_capture(with_messages(tmp_path / "renamed", renamed)))) == 4
     (tmp_path / "d.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(99))
     with pytest.raises(CaptureError, match=r"d\.bag: is not a readable ROS bag"):
         open_capture(tmp_path / "d.bag")
