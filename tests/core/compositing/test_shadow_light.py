@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from light_rooms import lit, unit
-from test_shadows import CAMERA, FLOOR, POSE, ball, caster, ratio_of
+from test_shadows import CAMERA, FLOOR, POSE, ball, caster, floor_depth, ratio_of
 
 from roomlight.compositing.compositor import shadow_step
 from roomlight.compositing.objects.materials import diffuse, mirror
@@ -92,7 +92,7 @@ def test_few_samples_are_as_bright_as_many(held):
     move = np.eye(4)
     move[1, 3] = 0.2
     one = caster(held.transformed(move), panorama, (0, 0.2, 0), 0.26)
-    grid = surface_grid(floor_depth_of_camera(), CAMERA, POSE, [FLOOR])
+    grid = surface_grid(floor_depth(), CAMERA, POSE, [FLOOR])
     few = coarse_ratio(one, grid, ShadowQuality(step=1, samples=16, bounces=2))
     many = coarse_ratio(one, grid, FINE)
     near = places(grid) < 0.6
@@ -108,11 +108,6 @@ def test_light_that_the_panorama_lacks_makes_no_bright_spot():
     far = places(grid)
     assert ratio[far < 0.8].max() < 1.02
     assert ratio[(far > 0.02) & (far < 0.05)].mean() < 0.4
-
-
-def floor_depth_of_camera():
-    rays = CAMERA.rays().astype(np.float64)
-    return (POSE[1, 3] / -(rays @ POSE[:3, :3].T)[..., 1]).astype(np.float32)
 
 
 @pytest.mark.parametrize(("width", "steps"), [(256, (4, 2, 1)), (640, (4, 2, 1)), (1920, (12, 6, 3))])

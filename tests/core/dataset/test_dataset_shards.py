@@ -18,7 +18,7 @@ import stub_rooms
 from roomlight.captures import open_capture
 from roomlight.captures.formats import native
 from roomlight.dataset import sequence_files
-from roomlight.dataset.archive import BLOCK, RECORD, end_of_archive, filler, pack, unpack
+from roomlight.dataset.archive import BLOCK, RECORD, end_of_archive, pack, unpack
 from roomlight.dataset.folder import LOCK, locked
 from roomlight.dataset.shards import ShardWriter, index_path, is_finished, read_index, read_packed
 from roomlight.errors import DatasetError, ImageError, OutputError
@@ -76,13 +76,6 @@ def test_members_of_another_folder_are_refused():
         unpack(pack("train-000000", {"a": b"x"}), "train-000001")
 
 
-def test_a_filler_hides_the_bytes_it_covers():
-    lost = contents(0, 3 * BLOCK)
-    archive = filler(".damaged", len(lost)) + lost[BLOCK:] + pack("f", {"a": b"kept"})
-    with tarfile.open(fileobj=io.BytesIO(archive + end_of_archive(len(archive)))) as file:
-        assert file.getnames() == [".damaged", "f/a"]
-
-
 # a recording as files
 
 
@@ -97,10 +90,6 @@ def test_a_recording_comes_back():
     assert np.abs(after.colour.astype(int) - before.colour).max() <= 6
     assert np.abs(after.colour.astype(int) - before.colour).mean() < 1.0
     np.testing.assert_allclose(after.probe_panoramas, before.probe_panoramas, rtol=2**-11)
-
-
-def test_encoding_is_the_same_bytes_each_time():
-    assert sequence_files.encode(one(2)) == sequence_files.encode(one(2))
 
 
 def test_only_the_frames_asked_for_are_decoded():

@@ -292,11 +292,6 @@ def test_an_unexpected_error_of_a_worker_shows_its_traceback(tmp_path):
         generate(tmp_path / "out", options(renderer="no_such_module:render"), workers=1)
 
 
-def test_a_locked_dataset_is_refused(undisturbed):
-    with locked(undisturbed), pytest.raises(OutputError, match=f"process {os.getpid()} on"):
-        generate(undisturbed, options())
-
-
 # damage in a dataset
 
 
