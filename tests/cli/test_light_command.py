@@ -12,7 +12,7 @@ from PIL import ExifTags, Image
 from roomlight.captures.photo import DEFAULT_FOV_DEG, PhotoOptions, read_photo
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
-from roomlight.errors import FrameError, ImageError, OptionError, ProbeError
+from roomlight.errors import FrameError, OptionError, ProbeError
 from roomlight.images import read_panorama, write_exr
 from roomlight.imaging.exif import oriented
 from roomlight.placement import point_at_pixel
@@ -137,12 +137,6 @@ def test_unusable_depth_is_refused(room, depth, error, message):
     np.save(folder / "depth.npy", depth(shot))
     with pytest.raises(error, match=message):
         read_photo(folder / "photo.png", folder / "depth.npy", PhotoOptions(fov_deg=fov))
-
-
-def test_an_image_for_depth_is_refused(room):
-    folder, _, fov = room
-    with pytest.raises(ImageError, match=r"photo\.png: depth must be a 16-bit grey PNG"):
-        read_photo(folder / "photo.png", folder / "photo.png", PhotoOptions(fov_deg=fov))
 
 
 @pytest.mark.parametrize(

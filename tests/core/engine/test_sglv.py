@@ -90,14 +90,6 @@ def test_weights_and_transmittance_sum_to_one(alpha):
     assert closed == pytest.approx(np.ones_like(closed), abs=1.1e-3)  # less the 1e-3 at which a ray stops
 
 
-def test_transmittance_is_the_product_over_the_samples():
-    sglv = _constant(alpha=0.2)
-    along_z = GRID.volume_to_world[:3, 2:3].T.astype(np.float32)
-    _, left = render_rays(sglv, CENTRE, along_z, far="none")
-    samples = np.ceil(GRID.upper_m[2] / GRID.edge_m - 0.5)
-    assert left[0] == pytest.approx(0.8**samples, rel=1e-4)
-
-
 def test_a_panorama_is_its_rays_and_an_empty_volume_gives_no_light():
     sglv = _random(5)
     panorama, left = render_panorama(sglv, CENTRE, height=18)
