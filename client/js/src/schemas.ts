@@ -614,6 +614,7 @@ export interface components {
          *         frame: frames sent to the session so far.
          *         frames: frames of the recording that are played; null before the first replay.
          *         unreadable: frames that could not be read or used so far.
+         *         notes: what its files state and was left out, guessed or changed, and what to do about it.
          *         expires_in_s: it is deleted after this time without a request.
          */
         readonly Recording: {
@@ -631,6 +632,7 @@ export interface components {
             readonly frame: number;
             readonly frames: number | null;
             readonly unreadable: number;
+            readonly notes: readonly string[];
             readonly problem: components["schemas"]["Problem"] | null;
             readonly expires_in_s: number;
         };
