@@ -1,4 +1,4 @@
-"""Light from one photograph with depth.
+"""Light from one photograph with depth, measured or estimated.
 
 Positions and panoramas are in the camera's axes (`roomlight.captures.photo`), in metres.
 """

@@ -387,9 +387,9 @@ def _parser(model: type[_Model]) -> Callable[[Reply], _Model]:
 def _with_index(body: bytes, index: int) -> bytes:
     """Return a frame message with its index in the header, as a WebSocket needs it."""
     message = parse(body, FrameLimits(2**40, 2**40, 2**40))  # the size limits are the server's
-    confidence = None if message.confidence is None else bytes(message.confidence)
     header = message.header.model_copy(update={"index": index})
-    return pack(header, bytes(message.colour), bytes(message.depth), confidence)
+    planes = (None if part is None else bytes(part) for part in (message.depth, message.confidence))
+    return pack(header, bytes(message.colour), *planes)
 
 
 def _ignore_body(_: Reply) -> None:

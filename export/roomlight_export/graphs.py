@@ -16,8 +16,10 @@ from torch import Tensor, nn
 from roomlight.engine.lighting import LIGHTING_PANELS
 from roomlight.engine.networks.clipping import CHANNELS, SIDE
 from roomlight.engine.panorama.panels import HEIGHT
+from roomlight.monocular.network import DEPTH_CHANNELS, DEPTH_SIDE
 from roomlight_model.checkpoint import Network
 from roomlight_model.clipping_network import ClippingNetwork
+from roomlight_model.depth.network import DepthNetwork
 from roomlight_model.layers import ConvGRU
 from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.panorama_networks import SINGLE_PANELS, VIDEO_PANELS
@@ -92,6 +94,9 @@ def graphs_of(model: Network) -> list[Graph]:
     panorama = (HEIGHT, 2 * HEIGHT)
     if isinstance(model, ClippingNetwork):
         shapes = {"planes": (1, CHANNELS, SIDE, SIDE)}, {"log_radiance": (1, 3, SIDE // 2, SIDE // 2)}
+    elif isinstance(model, DepthNetwork):
+        half = DEPTH_SIDE // 2
+        shapes = {"planes": (1, DEPTH_CHANNELS, DEPTH_SIDE, DEPTH_SIDE)}, {"log_depth": (1, 2, half, half)}
     else:
         shapes = {"panels": (1, LIGHTING_PANELS, *panorama)}, {"changes": (1, 6, *panorama)}
     return [Graph(model.form, model, *shapes)]

@@ -34,6 +34,8 @@ from roomlight_generator.worker_pool import Message, WorkerPool
 
 RENDERER: Final = "roomlight_generator.sequences.render:render_room"
 PANORAMA_RENDERER: Final = "roomlight_generator.panoramas.render:render_room"
+VIEWS: Final = "roomlight_generator.sequences.any_view:render_views"
+PANORAMA_VIEWS: Final = "roomlight_generator.sequences.any_view:render_panorama_views"
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ class GenerateOptions:
         renderer: `module:function` that renders a room's recordings (`worker.RenderRoom`); None for RoomLight's own.
         panoramas: Folder of equirectangular HDR panoramas (.exr, .hdr) that light the rooms: real light.
         furniture_share: Share of the rooms lit by panoramas that have furniture.
+        any_view: Instead of walks with probes, single views from anywhere in the room, without probes (for depth).
 
     Raises:
         OptionError: An option is out of range.
@@ -69,6 +72,7 @@ class GenerateOptions:
     renderer: str | None = None
     panoramas: Path | None = None
     furniture_share: Annotated[float, Interval(ge=0, le=1)] = 0.7
+    any_view: bool = False
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -86,7 +90,8 @@ class GenerateOptions:
     @property
     def renderer_name(self) -> str:
         """The renderer's `module:function`."""
-        return self.renderer or (RENDERER if self.panoramas is None else PANORAMA_RENDERER)
+        own = (VIEWS, PANORAMA_VIEWS) if self.any_view else (RENDERER, PANORAMA_RENDERER)
+        return self.renderer or own[self.panoramas is not None]
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ The paper's parts and where they are:
 | rendering loss: a glossy sphere, equation R_p     | `sphere_rendering`                                    |
 | losses and stages of training                     | `training.single_view`, `training.video`              |
 
-Beside them, `clipping_network` estimates the radiance of clipped pixels and `object_light_network` the light of virtual
-objects. `config` holds the widths, `checkpoint` reads and writes the weights of all, `training` trains them. Each
-differentiable module is compared with the serving code in `roomlight.engine` by a test. Importing this package and
-`config` needs no PyTorch; all else does.
+Beside them, `clipping_network` estimates the radiance of clipped pixels, `object_light_network` the light of virtual
+objects, `depth` the depth of pictures. `config` holds the widths, `checkpoint` reads and writes the weights of all,
+`training` trains them. Each differentiable module is compared with the serving code in `roomlight.engine` by a test.
+Importing this package and `config` needs no PyTorch; all else does.
 """

@@ -19,13 +19,14 @@ from roomlight.errors import ModelError, OutputError
 from roomlight.files import write_atomic
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.config import ModelConfig
+from roomlight_model.depth.network import DepthNetwork
 from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.object_light_network import ObjectLightNetwork
 
-Network = SingleModel | VideoModel | ClippingNetwork | ObjectLightNetwork
+Network = SingleModel | VideoModel | ClippingNetwork | ObjectLightNetwork | DepthNetwork
 FORMAT: Final = 2
-FORMS: Final = ("single", "video", "clipping", "objects")
-"""Forms of a network: the whole models for one view and for video, and the two small networks that serve both."""
+FORMS: Final = ("single", "video", "clipping", "objects", "depth")
+"""Forms of a network: the whole models for one view and for video, and the small networks that serve both."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ def build_network(form: str, config: ModelConfig) -> Network:
         return ClippingNetwork()
     if form == "objects":
         return ObjectLightNetwork()
+    if form == "depth":
+        return DepthNetwork()
     raise ModelError(f"the form is {form!r}; it must be one of {', '.join(FORMS)}")
 
 

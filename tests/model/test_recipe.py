@@ -44,7 +44,7 @@ def cards(form: str) -> list[dict[str, Any]]:
     return [card for card in chain if card["stage"].split("-")[0] == form]
 
 
-@pytest.mark.parametrize("form", ["single", "video", "clipping", "objects"])
+@pytest.mark.parametrize("form", ["single", "video", "clipping", "objects", "depth"])
 def test_the_shipped_recipes_follow_the_cards(form: str) -> None:
     recipe, chain = read_recipe(form), cards(form)
     assert [stage.options.stage for stage in recipe.stages] == [card["stage"] for card in chain]
@@ -64,7 +64,7 @@ def test_the_shipped_recipes_follow_the_cards(form: str) -> None:
             seeds = [recipe.data[name].get("seed", 0) for name in stage.data]
             frames = [recipe.data[name].get("frames", 31) for name in stage.data]
             assert sorted(zip(seeds, frames, strict=True)) == sorted((d["seed"], d["frames"]) for d in card["data"])
-    assert len(list(RECIPES.glob("*.toml"))) == 4
+    assert len(list(RECIPES.glob("*.toml"))) == 5
 
 
 def test_every_dataset_of_a_shipped_recipe_is_used() -> None:
@@ -146,7 +146,9 @@ def test_wrong_files_are_refused_with_their_fault(old, new, message, tmp_path) -
 
 
 def test_a_missing_recipe_names_the_shipped_ones(tmp_path) -> None:
-    with pytest.raises(OptionError, match=r"cats\.toml: cannot be read .*one of clipping, objects, single, video"):
+    with pytest.raises(
+        OptionError, match=r"cats\.toml: cannot be read .*one of clipping, depth, objects, single, video"
+    ):
         read_recipe("cats")
     with pytest.raises(OptionError, match=r"none\.toml: cannot be read"):
         read_recipe(str(tmp_path / "none.toml"))

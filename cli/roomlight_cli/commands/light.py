@@ -1,4 +1,4 @@
-"""`roomlight light`: HDR light at points of a room, from one photograph with depth."""
+"""`roomlight light`: HDR light at points of a room, from one photograph, with its depth or without."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def light(
     out: Path,
     depth: Path | None = None,
 ) -> None:
-    """Light points of one photograph that has depth.
+    """Light points of one photograph; depth that is not given is estimated.
 
     Each point gets an HDR panorama (EXR and PNG), a picture of a mirror sphere and a glossy sphere, and its main light.
 
@@ -35,7 +35,7 @@ def light(
         options: How to estimate the light.
         out: Folder for panoramas and pictures.
         depth: Its depth: 16-bit PNG in millimetres, EXR in metres, or .npy (integers: mm, floats: m). Default: the
-            depth map inside a HEIC portrait.
+            depth map inside a HEIC portrait, else estimated.
     """
     photo = read_photo(image, depth, reading)
     positions = points.positions(photo.frame)

@@ -28,7 +28,8 @@ def train(
     Stopped or killed, the same command continues from the last checkpoint.
 
     Args:
-        recipe: A recipe's file (.toml), or the name of a shipped one: single, video, clipping, objects.
+        recipe: A recipe's file (.toml), or the name of a shipped one: single, video, clipping,
+            objects, depth.
         out: Folder of the runs: a new one, or one to continue.
         data: Folder with the recipe's datasets by name; missing ones are generated. Default: OUT/data.
         changes: Change an option in every stage that has it, e.g. --set steps=100. Repeatable.

@@ -1,5 +1,5 @@
-// A frame as bytes: "RLF1", the length of the header (u32, little-endian), the header as JSON, then colour, depth and
-// optionally confidence. Typed arrays are sent as they are in memory; every browser stores them little-endian.
+// A frame as bytes: "RLF1", the length of the header (u32, little-endian), the header as JSON, then colour, and
+// optionally depth and its confidence. Typed arrays are sent as they are in memory; every browser stores them little-endian.
 
 import {
   DEPTH_BYTES,
@@ -20,10 +20,11 @@ export type Binary = ArrayBuffer | ArrayBufferView | Blob | Promise<Blob>;
  *
  * camera_to_world: 16 numbers, column by column: `XRRigidTransform.matrix`, or `Matrix4.elements` of three.js.
  * index:           by default the session's next index.
+ * depth:           without it the server estimates depth.
  */
 export interface Frame extends Omit<FrameHeader, "version" | "colour" | "depth" | "confidence" | "camera_to_world"> {
   colour: Omit<ColourPart, "bytes"> & { data: Binary };
-  depth: Omit<DepthPart, "bytes"> & { data: Binary };
+  depth?: (Omit<DepthPart, "bytes"> & { data: Binary }) | null;
   confidence?: (Omit<ConfidencePart, "bytes"> & { data: Binary }) | null;
   camera_to_world: ArrayLike<number>;
 }
@@ -32,14 +33,14 @@ export interface Frame extends Omit<FrameHeader, "version" | "colour" | "depth" 
 export async function packFrame(frame: Frame): Promise<Uint8Array<ArrayBuffer>> {
   const { colour, depth, confidence, camera_to_world, ...rest } = frame;
   const parts = await Promise.all(
-    [colour, depth, ...(confidence ? [confidence] : [])].map((part) => toBytes(part.data)),
+    [colour, depth, confidence].map(async (part) => (part ? toBytes(part.data) : new Uint8Array(0))),
   );
   const [colourBytes, depthBytes, confidenceBytes] = parts.map((part) => part.length);
   if (camera_to_world.length !== 16) {
     throw new RangeError(`camera_to_world: must be 16 numbers, column by column, got ${camera_to_world.length}`);
   }
-  const raw = depth.width * depth.height * DEPTH_BYTES[depth.format];
-  if ((depth.encoding ?? "raw") === "raw" && depthBytes !== raw) {
+  const raw = depth ? depth.width * depth.height * DEPTH_BYTES[depth.format] : 0;
+  if (depth && (depth.encoding ?? "raw") === "raw" && depthBytes !== raw) {
     throw new RangeError(
       `depth: ${depth.format} of ${depth.width} x ${depth.height} must be ${raw} bytes, got ${depthBytes}`,
     );
@@ -50,13 +51,17 @@ export async function packFrame(frame: Frame): Promise<Uint8Array<ArrayBuffer>> 
     tracking_state: rest.tracking_state ?? "normal",
     version: VERSION,
     colour: { encoding: colour.encoding, bytes: colourBytes! },
-    depth: {
-      format: depth.format,
-      encoding: depth.encoding ?? "raw",
-      width: depth.width,
-      height: depth.height,
-      bytes: depthBytes!,
-    },
+    ...(depth
+      ? {
+          depth: {
+            format: depth.format,
+            encoding: depth.encoding ?? "raw",
+            width: depth.width,
+            height: depth.height,
+            bytes: depthBytes!,
+          },
+        }
+      : {}),
     camera_to_world: Array.from(camera_to_world),
     ...(confidence
       ? {

@@ -149,7 +149,7 @@ export interface components {
             readonly bytes: number;
         };
         /**
-         * @description The second part: depth along the optical axis, row by row, little-endian, in the view of the colour image.
+         * @description The second part, optional: depth along the optical axis, row by row, little-endian, in the colour image's view.
          *
          *     Attributes:
          *         format: uint16_mm (0 and 65535 are unknown), float16_m or float32_m (unknown where not positive or above 100
@@ -222,6 +222,8 @@ export interface components {
             readonly replay: boolean;
             /** @default null */
             readonly keyframe?: boolean | null;
+            /** @default false */
+            readonly depth_estimated: boolean;
             readonly stage_ms: {
                 readonly [key: string]: number;
             };
@@ -245,7 +247,7 @@ export interface components {
          *         version: 1.
          *         index: integer from 0, required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
          *         colour: the colour image, below.
-         *         depth: the depth map, below.
+         *         depth: the depth map, below; null or left out: the frame has none, and the server estimates it.
          *         confidence: confidence of the depth, below; optional.
          *         intrinsics: fx, fy, cx, cy, width, height in pixels of the colour image.
          *         camera_to_world: 16 numbers, column by column, as `simd_float4x4` and WebGL store them: x axis, y axis, z axis,
@@ -268,7 +270,8 @@ export interface components {
              */
             readonly index?: number | null;
             readonly colour: components["schemas"]["ColourPart"];
-            readonly depth: components["schemas"]["DepthPart"];
+            /** @default null */
+            readonly depth?: components["schemas"]["DepthPart"] | null;
             /** @default null */
             readonly confidence?: components["schemas"]["ConfidencePart"] | null;
             readonly intrinsics: components["schemas"]["WireIntrinsics"];
@@ -294,6 +297,7 @@ export interface components {
          *             and waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
          *         replay: the same index and bytes were sent before; the frame was not processed again.
          *         keyframe: whether the frame was kept for probes that are requested later.
+         *         depth_estimated: whether the frame came without depth, which the server then estimated.
          *         stage_ms: processing time of each stage.
          *         coverage: coverage of each named probe after the last processed frame.
          *         durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
@@ -307,6 +311,8 @@ export interface components {
             /** @default false */
             readonly replay: boolean;
             readonly keyframe?: boolean | null;
+            /** @default false */
+            readonly depth_estimated: boolean;
             readonly stage_ms: {
                 readonly [key: string]: number;
             };
@@ -614,7 +620,6 @@ export interface components {
          *         frame: frames sent to the session so far.
          *         frames: frames of the recording that are played; null before the first replay.
          *         unreadable: frames that could not be read or used so far.
-         *         notes: what its files state and was left out, guessed or changed, and what to do about it.
          *         expires_in_s: it is deleted after this time without a request.
          */
         readonly Recording: {
@@ -632,7 +637,6 @@ export interface components {
             readonly frame: number;
             readonly frames: number | null;
             readonly unreadable: number;
-            readonly notes: readonly string[];
             readonly problem: components["schemas"]["Problem"] | null;
             readonly expires_in_s: number;
         };
@@ -732,22 +736,6 @@ export interface components {
              */
             readonly unknown_depth?: "rim" | "far" | "drop";
         };
-        /**
-         * @description What people keep with a session: its title, and the objects that its viewers see in it; at most 16.
-         *
-         *     Attributes:
-         *         title: shown in place of the id; empty: the id.
-         *         objects: with position or pose. A pixel belongs to one frame: send the pose of the composite's answer instead.
-         */
-        readonly SessionScene: {
-            /**
-             * @description ^[^\x00-\x1f\x7f]*$
-             * @default
-             */
-            readonly title?: string;
-            /** @description 0 to 16 items */
-            readonly objects?: readonly components["schemas"]["CompositeObject"][];
-        };
         /** @description State of a session. After an engine error its status is `failed`: delete it and open a new one. */
         readonly SessionState: {
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
@@ -773,7 +761,6 @@ export interface components {
          * @description A session in the list of a token's sessions.
          *
          *     Attributes:
-         *         title: as its viewers have named it; empty: they have not.
          *         status: `saved` is on disk and not in memory; its next request restores it.
          *         probes: names of the tracked probes.
          *         idle_s: seconds since its last request; 0 while a request or a WebSocket uses it. Of a saved session, seconds
@@ -782,8 +769,6 @@ export interface components {
         readonly SessionSummary: {
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
             readonly id: string;
-            /** @default  */
-            readonly title: string;
             /** @enum {string} */
             readonly status: "open" | "failed" | "saved";
             /** @enum {string} */
@@ -895,7 +880,6 @@ export type ReplayRequest = components['schemas']['ReplayRequest'];
 export type ServerMessage = components['schemas']['ServerMessage'];
 export type SessionList = components['schemas']['SessionList'];
 export type SessionRequest = components['schemas']['SessionRequest'];
-export type SessionScene = components['schemas']['SessionScene'];
 export type SessionState = components['schemas']['SessionState'];
 export type SessionSummary = components['schemas']['SessionSummary'];
 export type Subscribe = components['schemas']['Subscribe'];

@@ -465,7 +465,7 @@ function decode(data: string | ArrayBuffer): DecodedMessage {
 
 /** The result of a frame that arrived, but whose own result was lost with the connection. */
 function outcomeLost(index: number): FrameResult {
-  return { index, status: "queued", replay: true, stage_ms: {}, coverage: {} };
+  return { index, status: "queued", replay: true, depth_estimated: false, stage_ms: {}, coverage: {} };
 }
 
 function asError(cause: unknown): RoomLightError {

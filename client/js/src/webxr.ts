@@ -31,8 +31,8 @@ export interface ViewImage {
 
 export interface ViewFrame {
   view: ViewLike;
-  /** The view's depth, or a map that already has the image's view, e.g. `flatDepth`. */
-  depth: CpuDepthLike | Frame["depth"];
+  /** The view's depth, or a map that already has the image's view; without it the server estimates depth. */
+  depth?: CpuDepthLike | Frame["depth"];
   image: ViewImage;
   /** `XRFrame.predictedDisplayTime`, or the callback's time, in milliseconds. */
   time_ms?: number;
@@ -45,7 +45,7 @@ export interface ViewFrame {
 export function frameOfView({ view, depth, image, time_ms, emulatedPosition = false, exposure }: ViewFrame): Frame {
   return {
     colour: { encoding: image.encoding ?? "jpeg", data: image.data },
-    depth: "rawValueToMeters" in depth ? depthOfView(depth, image) : depth,
+    ...(depth ? { depth: "rawValueToMeters" in depth ? depthOfView(depth, image) : depth } : {}),
     intrinsics: intrinsicsOfView(view.projectionMatrix, image),
     camera_to_world: Array.from(view.transform.matrix),
     tracking_state: emulatedPosition ? "limited" : "normal",
@@ -85,7 +85,7 @@ export function intrinsicsOfView(
  * less than the view. Values are sampled without interpolation, because a depth between two surfaces would be wrong;
  * outside the buffer they are 0 (unknown).
  */
-export function depthOfView(info: CpuDepthLike, image: { width: number; height: number }): Frame["depth"] {
+export function depthOfView(info: CpuDepthLike, image: { width: number; height: number }): NonNullable<Frame["depth"]> {
   const texels = info.width * info.height;
   const isFloat = info.data.byteLength === 4 * texels;
   if (!isFloat && info.data.byteLength !== 2 * texels) {
@@ -111,17 +111,6 @@ export function depthOfView(info: CpuDepthLike, image: { width: number; height: 
     }
   }
   return { format: isMillimetres ? "uint16_mm" : "float32_m", encoding: "raw", width, height, data };
-}
-
-/**
- * A depth map with one distance everywhere, in metres, for devices that measure none.
- *
- * Light from such frames is right in direction but not in place: a lamp stands at this distance, wherever it is.
- */
-export function flatDepth(image: { width: number; height: number }, distance_m: number): Frame["depth"] {
-  const scale = Math.min(1, 64 / Math.min(image.width, image.height)); // the aspect must be the image's within 3 %
-  const [width, height] = [Math.round(image.width * scale), Math.round(image.height * scale)];
-  return { format: "float32_m", encoding: "raw", width, height, data: new Float32Array(width * height).fill(distance_m) };
 }
 
 /**

@@ -7,9 +7,9 @@ and sizes.
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -19,10 +19,14 @@ from roomlight.captures.consistency import DepthCheck
 from roomlight.captures.options import UP_AXES, CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
-from roomlight.errors import CaptureError, FrameError, ImageError, RoomLightError
+from roomlight.depth import without_unseen
+from roomlight.errors import CaptureError, FrameError, ImageError, ModelError, RoomLightError
 from roomlight.frame import Frame, hidden
 from roomlight.images import ColourImage, read_panorama
 from roomlight.notes import Note
+
+if TYPE_CHECKING:
+    from roomlight.monocular.stream import DepthStream
 
 DEPTH_MEDIAN_M: Final = (0.01, 100.0)
 """Allowed range of the median known depth. Rooms lie inside; a wrong unit (factor 1000) falls outside."""
@@ -73,12 +77,15 @@ class PoseConventions:
 
 @dataclass(frozen=True)
 class RawFrame:
-    """One record as stored: picture decoded to linear RGB, depth in metres, pose in the file's conventions."""
+    """One record as stored: picture decoded to linear RGB, depth in metres, pose in the file's conventions.
+
+    A record of a capture without depth has no `depth_name`.
+    """
 
     name: str
     picture: ColourImage
     depth_m: Float[np.ndarray, "dh dw"]
-    depth_name: str
+    depth_name: str | None
     intrinsics: Intrinsics
     pose: Float[np.ndarray, "4 4"]
     confidence: UInt8[np.ndarray, "ch cw"] | None = None
@@ -158,6 +165,7 @@ class Capture:
         self._indices = selected if options.max_frames is None else selected[: options.max_frames]
         stored = reader.timestamps()
         self._timeline = timeline(stored or [None] * reader.count, str(path))
+        self._depth_stream: DepthStream | None = None
         self._notes = dict.fromkeys(self._timeline.notes)
         self.probes = tuple(
             ProbeTruth(position=_tuple3(self._to_y_up[:3, :3] @ position), panorama_path=panorama)
@@ -187,9 +195,10 @@ class Capture:
 
         Raises:
             CaptureError: After the last record, if no frame was usable.
+            ModelError: The capture has no depth, and the model that is to estimate it cannot be used.
         """
         self.skipped = skipped = list[SkippedFrame]()
-        good = 0
+        good, self._depth_stream = 0, None
         turns: list[Float[np.ndarray, "3 3"]] = []
         depths = DepthCheck()
         with self._reader.records() as read:
@@ -203,7 +212,12 @@ class Capture:
                 turns.append(frame.camera_to_world[:3, :3])
                 if self._up_is_assumed and good == _LEVEL_FRAMES:
                     self._check_up(turns)
-                if self._options.depth_unit_m is None and depths.add(frame) and (factor := depths.factor()):
+                if (
+                    self._depth_stream is None
+                    and self._options.depth_unit_m is None
+                    and depths.add(frame)
+                    and (factor := depths.factor())
+                ):
                     self._notes[_wrong_scale(str(self.path), factor)] = None
                 yield frame
         if good == 0:
@@ -221,6 +235,7 @@ class Capture:
         """
         if not 0 <= index < self._reader.count:
             raise FrameError(f"{self.path}: there is no frame {index}; frames are 0 to {self._reader.count - 1}")
+        self._depth_stream = None
         with self._reader.records() as read:
             return self._frame(index, read)
 
@@ -228,11 +243,15 @@ class Capture:
         name = self._reader.name_of(index)
         try:
             raw = read(index)
-            picture, depth_m = raw.picture, self._checked_depth(raw)
+            measured = raw.depth_name is not None and self._options.depth != "network"
+            if not measured and self._options.depth == "file":
+                raise FrameError(f"{raw.name}: has no depth; depth=auto estimates it")
+            picture = raw.picture
+            depth_m = self._checked_depth(raw) if measured else np.zeros(picture.image.shape[:2], np.float32)
             image = picture.image
             if picture.seen is not None:
                 image, depth_m = hidden(image, depth_m, picture.seen)
-                if not depth_m.any():
+                if measured and not depth_m.any():
                     raise FrameError(f"{raw.name}: no pixel that is seen has a known depth")
             pose = check_rigid(raw.pose)
             frame = Frame(
@@ -247,13 +266,23 @@ class Capture:
                 seen=picture.seen,
             )
             self._take_notes(raw, pose, frame)
-            return frame
-        except FrameError:
+            return frame if measured else self._with_depth(frame)
+        except (FrameError, ModelError):
             raise
         except RoomLightError as error:
             raise FrameError(str(error)) from error
         except (ValueError, OverflowError) as error:
             raise FrameError(f"{name}: {error}") from error
+
+    def _with_depth(self, frame: Frame) -> Frame:
+        """Estimate the depth of the next frame of this pass. Raises ModelError and FrameError."""
+        if self._depth_stream is None:
+            from roomlight.monocular.stream import open_depth_stream  # onnxruntime takes a while to import
+
+            self._depth_stream = open_depth_stream(self._options.depth_model)
+            self._notes[self._depth_stream.note(str(self.path))] = None
+        estimated = self._depth_stream.complete(frame)
+        return replace(estimated, depth_m=without_unseen(estimated.depth_m, frame.seen))
 
     def _take_notes(self, raw: RawFrame, pose: Float[np.ndarray, "4 4"], frame: Frame) -> None:
         """Keep the notes of a frame, one for all frames of a kind: the first frame's file stands for the others."""
@@ -298,6 +327,7 @@ class Capture:
     def _checked_depth(self, raw: RawFrame) -> Float[np.ndarray, "dh dw"]:
         """Remove depth of low confidence. Raises FrameError when none is left or the unit looks wrong."""
         depth_m = raw.depth_m
+        assert raw.depth_name is not None
         known = depth_m > 0
         if not known.any():
             raise FrameError(f"{raw.depth_name}: no pixel has a known depth")

@@ -1,6 +1,7 @@
 """Options of reading a capture: facts that its files do not state, or state wrongly."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Final, Literal
 
 from annotated_types import Ge, Interval
@@ -10,6 +11,8 @@ from roomlight.rules import check_options
 
 CameraConvention = Literal["opengl", "opencv"]
 PoseDirection = Literal["camera-to-world", "world-to-camera"]
+DepthSource = Literal["auto", "file", "network"]
+"""Where depth comes from: the files if the capture has depth, else a network (auto); always the one, or the other."""
 
 UP_AXES: Final[dict[str, tuple[float, float, float]]] = {
     "x": (1.0, 0.0, 0.0),
@@ -33,6 +36,9 @@ class CaptureOptions:
         pose_direction: Direction in which the stored poses map.
         world_up: Up direction of the stored world: x, y, z, -x, -y, -z, or a vector X,Y,Z.
         depth_unit_m: Metres per stored unit of depth.
+        depth: auto takes the depth files, and for a capture without any estimates depth by a network; file refuses such
+            a capture; network always estimates.
+        depth_model: An ONNX file that estimates depth, instead of the network inside the package.
         depth_key: Which depth map of a transforms.json to read, e.g. depth_lidar_file_path.
         min_confidence: Drop depth of lower confidence; ARKit's levels are 0 (low), 1 and 2. Default: 1.
         every: Use every n-th frame only.
@@ -47,6 +53,8 @@ class CaptureOptions:
     pose_direction: PoseDirection | None = None
     world_up: str | tuple[float, float, float] | None = None
     depth_unit_m: Annotated[float, Interval(ge=1e-9, le=1e3)] | None = None
+    depth: DepthSource = "auto"
+    depth_model: Path | None = None
     depth_key: str | None = None
     min_confidence: Annotated[int, Interval(ge=0, le=255)] | None = None
     every: Annotated[int, Ge(1)] = 1
@@ -54,6 +62,8 @@ class CaptureOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.depth == "file" and self.depth_model is not None:
+            raise OptionError(f"leave out depth_model={self.depth_model}: depth=file does not estimate depth")
         if self.world_up is not None:
             try:
                 up_vector(self.world_up)

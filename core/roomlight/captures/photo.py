@@ -1,11 +1,11 @@
-"""One photograph with depth as a frame: no capture, no poses, no stream.
+"""One photograph as a frame, with its depth or estimated depth: no capture, no poses, no stream.
 
 The camera stands at the origin and is level: x right, y up, z backward, so that points in front of it have negative z.
 "Upright" is the photograph as viewers show it, rotated by its EXIF orientation.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
 from roomlight.captures.decoding import decode_depth_map
+from roomlight.depth import without_unseen
 from roomlight.errors import FrameError, OptionError
 from roomlight.frame import ASPECT_TOLERANCE, Frame, hidden
 from roomlight.images import decode_picture, exif_camera, read_bytes
@@ -43,6 +44,7 @@ class PhotoOptions:
         depth_unit_m: Metres per stored unit of the depth; of a portrait's own depth map a factor.
         depth_orientation: For a photo that EXIF rotates: whether the depth is upright, as viewers show the photo, or
             has its stored rows and columns. auto decides by the aspect.
+        depth_model: An ONNX file that estimates the depth of a photo without, instead of the network in the package.
 
     Raises:
         OptionError: A value is out of range.
@@ -51,6 +53,7 @@ class PhotoOptions:
     fov_deg: Annotated[float, Interval(ge=5, le=150)] | None = None
     depth_unit_m: Annotated[float, Interval(ge=1e-6, le=1000)] | None = None
     depth_orientation: DepthOrientation = "auto"
+    depth_model: Path | None = None
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -65,7 +68,7 @@ class Photo:
         fov_deg: Horizontal field of view of the upright photograph, in degrees.
         fov_source: The caller's option, the calibration of the photo's own depth, its EXIF, or `DEFAULT_FOV_DEG`.
         focal_35mm: EXIF's focal length in millimetres, equivalent on 36 x 24 mm film; None if not stated.
-        notes: What the file states and was not used.
+        notes: What the file states and was not used, and whether depth was estimated.
     """
 
     frame: Frame
@@ -76,36 +79,40 @@ class Photo:
 
 
 def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | None = None) -> Photo:
-    """Read a photograph and its depth; both come out upright.
+    """Read a photograph and its depth, or estimate its depth; both come out upright.
 
     Args:
         image: JPEG, PNG, HEIC, or linear EXR. Its orientation is applied.
         depth: A 16-bit PNG or integer .npy in millimetres, an EXR or float .npy in metres. None: the depth map that
-            the photo itself holds, as portraits of phones do.
+            the photo itself holds, as portraits of phones do; without, a network estimates it.
         options: What the files do not state.
 
     Raises:
         ImageError: A file cannot be read.
         FrameError: Depth and photo do not fit, the depth is empty or in another unit, or there is none.
         OptionError: `depth_orientation` "auto" cannot decide, because the depth's aspect fits both orientations; or it
-            fits only the orientation that was not stated.
+            fits only the orientation that was not stated; or a depth model is given beside depth.
+        ModelError: The depth model cannot be used.
     """
     options = options or PhotoOptions()
+    if depth is not None and options.depth_model is not None:
+        raise OptionError(f"leave out depth_model={options.depth_model}, or the depth {depth}: one of them is used")
     data = read_bytes(image)
     picture = decode_picture(data, str(image))
     colour, exif, own = picture.image, exif_camera(data, str(image)), picture.own_depth
     height, width = colour.shape[:2]
     notes = picture.notes
+    estimated = depth is None and (own is None or options.depth_model is not None)
     if depth is not None:
         depth_m = decode_depth_map(read_bytes(depth), str(depth), unit_m=options.depth_unit_m)
         _check_depth(depth_m, str(depth))
         depth_m = _upright_depth(depth_m, exif.orientation, (width, height), options.depth_orientation, str(depth))
-    elif own is not None:
+    elif own is not None and not estimated:
         depth_m = own.depth_m * np.float32(options.depth_unit_m or 1.0)
         _check_depth(depth_m, f"{image}: its own depth map")
         notes = (*notes, *(own.notes if options.depth_unit_m is None else ()))
     else:
-        raise FrameError(f"{image}: holds no depth map of its own; give --depth (a HEIC portrait of a phone holds one)")
+        depth_m = np.zeros((height, width), np.float32)
     fov_deg, source = options.fov_deg, "option"
     if fov_deg is None and own is not None and own.focal is not None:
         fov_deg, source = math.degrees(2 * math.atan(0.5 * width / (own.focal * max(width, height)))), "depth"
@@ -126,6 +133,13 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
         camera_to_world=np.eye(4),
         source=str(image),
     )
+    if estimated:
+        from roomlight.monocular.stream import open_depth_stream  # onnxruntime takes a while to import
+
+        stream = open_depth_stream(options.depth_model)
+        frame = stream.complete(frame)
+        frame = replace(frame, depth_m=without_unseen(frame.depth_m, frame.seen))
+        notes = (*notes, stream.note(str(image)))
     return Photo(frame, fov_deg, source, exif.focal_35mm, notes)
 
 

@@ -132,7 +132,7 @@ def _known_otherwise(path: Path) -> str:
     if path.is_file() and path.suffix.lower() in _VIDEOS:
         return "is a video without camera poses and depth; record with an app that stores them, such as Stray Scanner"
     if path.is_file() and path.suffix.lower() in _IMAGES:
-        return "is one photo; `roomlight light IMAGE --depth DEPTH` lights it"
+        return "is one photo; `roomlight light IMAGE` lights it"
     return ""
 
 
@@ -146,7 +146,7 @@ def _bare_images(path: Path) -> str:
     listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     return (
         f"The folder holds {listed} without focal lengths and camera poses: add them in {nerfstudio.INDEX}, also for a "
-        "single frame; `roomlight light IMAGE --depth DEPTH` takes one photo without them. "
+        "single frame; `roomlight light IMAGE` takes one photo without them. "
     )
 
 

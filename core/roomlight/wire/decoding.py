@@ -23,7 +23,7 @@ def decode_frame(
 ) -> Frame:
     """Decode the message to a frame; a radiance of 1 is white at the reference exposure.
 
-    Depth whose confidence is below `min_confidence` becomes unknown.
+    Depth whose confidence is below `min_confidence` becomes unknown; a message without depth gives a frame without.
 
     Raises:
         WireError: A part does not decode or has unusable values; `field` names it.
@@ -87,14 +87,16 @@ def _check_size(size: tuple[int, ...], stated: tuple[int, int]) -> None:
 
 
 def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh dw"]:
-    part = message.header.depth
+    part, data = message.header.depth, message.depth
+    if part is None or data is None:  # estimated later
+        return np.zeros((message.intrinsics.height, message.intrinsics.width), np.float32)
     if part.encoding == "png":
         try:
-            depth_m = decode_depth(bytes(message.depth), "the depth map", unit_m=0.001)
+            depth_m = decode_depth(bytes(data), "the depth map", unit_m=0.001)
         except RoomLightError as error:
-            raise _error("depth", f"{len(message.depth)} bytes of png", str(error)) from error
+            raise _error("depth", f"{len(data)} bytes of png", str(error)) from error
     else:
-        raw = _plane(part, message.depth, DEPTH_BYTES[part.format], "depth")
+        raw = _plane(part, data, DEPTH_BYTES[part.format], "depth")
         if part.format == "uint16_mm":
             millimetres = np.frombuffer(raw, "<u2")
             depth_m = millimetres.astype(np.float32) * np.float32(0.001)

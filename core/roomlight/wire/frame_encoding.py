@@ -52,7 +52,7 @@ class CameraFrame:
     Attributes:
         colour: The bytes of a JPEG, PNG or HEIC file, or sRGB uint8 [h, w, 3]; of the intrinsics' size.
         depth: [dh, dw], of the image's view and aspect: uint16 in millimetres, float16 or float32 in metres;
-            0 = unknown.
+            0 = unknown. None: the camera measures none, and the server estimates it.
         intrinsics: Pinhole camera in pixels of the colour image.
         camera_to_world: [4, 4], metres, world y up.
         confidence: Optional uint8 [dh, dw]: 0 low, 1 medium, 2 high.
@@ -62,7 +62,7 @@ class CameraFrame:
     """
 
     colour: bytes | UInt8[np.ndarray, "h w 3"]
-    depth: Shaped[np.ndarray, "dh dw"]
+    depth: Shaped[np.ndarray, "dh dw"] | None
     intrinsics: Intrinsics
     camera_to_world: Float[np.ndarray, "4 4"]
     confidence: UInt8[np.ndarray, "ch cw"] | None = None
@@ -99,7 +99,7 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
     return pack_camera_frame(
         CameraFrame(
             colour=data.tobytes(),
-            depth=_millimetres(small.depth_m),
+            depth=_millimetres(small.depth_m) if frame.depth_m.any() else None,
             intrinsics=small.intrinsics,
             camera_to_world=small.camera_to_world,
             timestamp_s=small.timestamp_s,
@@ -113,21 +113,24 @@ def _pack_exact(frame: Frame) -> bytes:
     small = frame.resized(*EXACT_SIZE)
     colour = small.image.astype("<f4").tobytes() + small.clipped.astype(np.uint8).tobytes()
     # Servers refuse depth without a known pixel. If resizing dropped all known pixels, send the full-size depth.
-    depth_m = small.depth_m if small.depth_m.any() else frame.depth_m
+    depth_m = small.depth_m if small.depth_m.any() else frame.depth_m if frame.depth_m.any() else None
     camera = CameraFrame(b"", depth_m, small.intrinsics, small.camera_to_world, timestamp_s=small.timestamp_s)
     return _message(camera, "linear_f32", colour)
 
 
 def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes) -> bytes:
     """Join header and parts, and check them with the server's own parser before anything is sent."""
-    depth_format, depth = _depth(frame.depth)
-    width, height = _size(frame.depth, "depth")
+    depth, depth_part = None, None
+    if frame.depth is not None:
+        depth_format, depth = _depth(frame.depth)
+        width, height = _size(frame.depth, "depth")
+        depth_part = {"format": depth_format, "encoding": "zstd", "bytes": len(depth), "width": width, "height": height}
     confidence = None if frame.confidence is None else _compressed(frame.confidence)
     k = frame.intrinsics
     try:
         header = FrameHeader(
             colour=ColourPart(encoding=encoding, bytes=len(colour)),
-            depth=DepthPart(format=depth_format, encoding="zstd", bytes=len(depth), width=width, height=height),
+            depth=None if depth_part is None else DepthPart.model_validate(depth_part),
             confidence=_confidence_part(frame, confidence),
             intrinsics=WireIntrinsics(
                 fx=float(k.fx), fy=float(k.fy), cx=float(k.cx), cy=float(k.cy), width=k.width, height=k.height

@@ -56,7 +56,7 @@ class ColourPart(WireModel):
 
 
 class DepthPart(WireModel):
-    """The second part: depth along the optical axis, row by row, little-endian, in the view of the colour image.
+    """The second part, optional: depth along the optical axis, row by row, little-endian, in the colour image's view.
 
     Attributes:
         format: uint16_mm (0 and 65535 are unknown), float16_m or float32_m (unknown where not positive or above 100
@@ -110,7 +110,7 @@ class FrameHeader(WireModel):
         version: 1.
         index: integer from 0, required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
         colour: the colour image, below.
-        depth: the depth map, below.
+        depth: the depth map, below; null or left out: the frame has none, and the server estimates it.
         confidence: confidence of the depth, below; optional.
         intrinsics: fx, fy, cx, cy, width, height in pixels of the colour image.
         camera_to_world: 16 numbers, column by column, as `simd_float4x4` and WebGL store them: x axis, y axis, z axis,
@@ -125,7 +125,7 @@ class FrameHeader(WireModel):
     version: Annotated[Literal[1], WHOLE_NUMBER] = VERSION
     index: Annotated[int, Field(ge=0, le=MAX_INDEX), WHOLE_NUMBER] | None = None
     colour: ColourPart
-    depth: DepthPart
+    depth: DepthPart | None = None
     confidence: ConfidencePart | None = None
     intrinsics: WireIntrinsics
     camera_to_world: Annotated[list[FiniteNumber], Field(min_length=16, max_length=16)]

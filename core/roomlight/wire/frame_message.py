@@ -1,4 +1,4 @@
-"""One frame as bytes: magic, header length, JSON header, colour, depth and optionally confidence.
+"""One frame as bytes: magic, header length, JSON header, colour, optionally depth and its confidence.
 
     offset  bytes  content
     0       4      "RLF1"
@@ -53,11 +53,11 @@ class FrameMessage:
     intrinsics: Intrinsics
     camera_to_world: Float[np.ndarray, "4 4"]
     colour: memoryview
-    depth: memoryview
+    depth: memoryview | None = None
     confidence: memoryview | None = None
 
 
-def pack(header: FrameHeader, colour: bytes, depth: bytes, confidence: bytes | None = None) -> bytes:
+def pack(header: FrameHeader, colour: bytes, depth: bytes | None = None, confidence: bytes | None = None) -> bytes:
     """Build the bytes of a message.
 
     The header's text is canonical: sorted keys, no spaces, integral numbers without a decimal point.
@@ -65,10 +65,10 @@ def pack(header: FrameHeader, colour: bytes, depth: bytes, confidence: bytes | N
     Raises:
         WireError: A part does not have the length that the header states.
     """
-    parts = [("colour", header.colour.bytes, colour), ("depth", header.depth.bytes, depth)]
-    if header.confidence is not None or confidence is not None:
-        stated = header.confidence.bytes if header.confidence is not None else 0
-        parts.append(("confidence", stated, confidence or b""))
+    parts = [("colour", header.colour.bytes, colour)]
+    for name, part, given in (("depth", header.depth, depth), ("confidence", header.confidence, confidence)):
+        if part is not None or given is not None:
+            parts.append((name, 0 if part is None else part.bytes, given or b""))
     for name, stated, part in parts:
         if stated != len(part):
             raise _error(f"{name}.bytes", stated, f"must be the length of the part, {len(part)}")
@@ -92,15 +92,16 @@ def parse(body: bytes, limits: FrameLimits | None = None) -> FrameMessage:
     pose = _pose(header)
     _check_sizes(header, limits)
     view = memoryview(body)
-    stated = [header.colour.bytes, header.depth.bytes, header.confidence.bytes if header.confidence else 0]
+    stated = [part.bytes if part else 0 for part in (header.colour, header.depth, header.confidence)]
     if sum(stated) != len(body) - start:
         rule = f"colour.bytes + depth.bytes + confidence.bytes must be the {len(body) - start} bytes after the header"
         raise _error("", sum(stated), rule)
     colour = view[start : start + stated[0]]
-    depth = view[start + stated[0] : start + stated[0] + stated[1]]
+    depth = view[start + stated[0] : start + stated[0] + stated[1]] if header.depth else None
     confidence = view[start + stated[0] + stated[1] :] if header.confidence else None
     _check_colour(header, colour)
-    _check_plane(header.depth, depth, DEPTH_BYTES[header.depth.format], "depth")
+    if header.depth is not None and depth is not None:
+        _check_plane(header.depth, depth, DEPTH_BYTES[header.depth.format], "depth")
     if header.confidence is not None and confidence is not None:
         _check_plane(header.confidence, confidence, 1, "confidence")
     return FrameMessage(header, intrinsics, pose, colour, depth, confidence)
@@ -200,14 +201,18 @@ def _pose(header: FrameHeader) -> Float[np.ndarray, "4 4"]:
 
 def _check_sizes(header: FrameHeader, limits: FrameLimits) -> None:
     k, depth, confidence = header.intrinsics, header.depth, header.confidence
-    for field, width, height, most in (
-        ("intrinsics", k.width, k.height, limits.max_colour_pixels),
-        ("depth", depth.width, depth.height, limits.max_depth_pixels),
-    ):
+    sizes = [("intrinsics", k.width, k.height, limits.max_colour_pixels)]
+    if depth is not None:
+        sizes.append(("depth", depth.width, depth.height, limits.max_depth_pixels))
+    for field, width, height, most in sizes:
         if width * height > most:
             raise WireError("too-large", field=field, value=f"{width} x {height}", rule=f"at most {most} pixels")
         if min(width, height) < 2:
             raise _error(field, f"{width} x {height}", "at least 2 x 2 pixels")
+    if depth is None:
+        if confidence is not None:
+            raise _error("confidence", f"{confidence.width} x {confidence.height}", "must come with depth")
+        return
     if abs(depth.width / depth.height - k.width / k.height) > ASPECT_TOLERANCE * k.width / k.height:
         rule = f"must have the aspect of the image, {k.width} x {k.height}"
         raise _error("depth", f"{depth.width} x {depth.height}", rule)

@@ -187,6 +187,7 @@ class FrameResult(WireModel):
             and waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
         replay: the same index and bytes were sent before; the frame was not processed again.
         keyframe: whether the frame was kept for probes that are requested later.
+        depth_estimated: whether the frame came without depth, which the server then estimated.
         stage_ms: processing time of each stage.
         coverage: coverage of each named probe after the last processed frame.
         durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
@@ -198,6 +199,7 @@ class FrameResult(WireModel):
     status: FrameStatus
     replay: bool = False
     keyframe: bool | None = None
+    depth_estimated: bool = False
     stage_ms: dict[str, float] = Field(default_factory=dict)
     coverage: dict[str, float] = Field(default_factory=dict)
     durable_index: int | None = None

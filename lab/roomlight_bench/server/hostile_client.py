@@ -269,8 +269,8 @@ class Hostile:
             header["intrinsics"][name] *= scale
         header["colour"] = {"encoding": encoding, "bytes": len(data)}
         checked = FrameHeader.model_validate_json(json.dumps(header))
-        confidence = None if message.confidence is None else bytes(message.confidence)
-        return pack(checked, data, bytes(message.depth), confidence)
+        planes = (None if part is None else bytes(part) for part in (message.depth, message.confidence))
+        return pack(checked, data, *planes)
 
     async def _connect(self, address: str = ADDRESS) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         return await asyncio.open_connection("127.0.0.1", self._port, local_addr=(address, 0))

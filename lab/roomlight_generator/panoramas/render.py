@@ -20,7 +20,7 @@ from roomlight_generator.panoramas.shell import draw_shell
 from roomlight_generator.rooms.build import room_generator
 from roomlight_generator.sequences.exposure import Exposure, MeterSettings, settle
 from roomlight_generator.sequences.render import PROBES, catalogue_for, draw_camera_path, record
-from roomlight_generator.sequences.walk import FreeSpace
+from roomlight_generator.sequences.walk import FRAME_INTERVAL_S, FreeSpace
 
 _MEDIAN_KCD_M2: Final = (0.01, 0.2)
 """Range of a room's median luminance: a home in the evening, an office by day. It decides the sensor's noise."""
@@ -61,6 +61,22 @@ def render_room(
         DatasetError: if the folder `panoramas` cannot be read or has none for this split.
         ValueError: if no walk through the room is found; the generator then takes another room.
     """
+    room, room_facts = lit_room(
+        room_index, seed=seed, split=split, furniture=furniture, panoramas=panoramas, furniture_share=furniture_share
+    )
+    free = room.free_space()
+    for walk in range(count):
+        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
+        yield _filmed(room, free, rng, frames, f"panorama-{room_index}-{walk}", room_facts)
+
+
+def lit_room(
+    room_index: int, *, seed: int, split: Split, furniture: Path | None, panoramas: Path, furniture_share: float
+) -> tuple[PanoramaRoom, dict[str, Any]]:
+    """Choose a room's panorama, project it onto a shell and furnish it; returns the room and its facts.
+
+    The arguments and what they raise are those of `render_room`.
+    """
     path = _choose(split_files(panoramas, split), room_index, seed)
     rng = room_generator(room_index, seed=seed, split=split)
     image, facts = _varied(load_panorama(path), rng)
@@ -79,10 +95,7 @@ def render_room(
         "furniture": {} if pieces is None else pieces.roles,
         "attributions": [] if pieces is None else pieces.attributions,
     }
-    free = room.free_space()
-    for walk in range(count):
-        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
-        yield _filmed(room, free, rng, frames, f"panorama-{room_index}-{walk}", room_facts)
+    return room, room_facts
 
 
 def _filmed(
@@ -118,11 +131,13 @@ def _varied(
     return np.ascontiguousarray(turned), facts
 
 
-def expose(radiance: Float[np.ndarray, "f h w 3"], rng: np.random.Generator) -> Exposure:
+def expose(
+    radiance: Float[np.ndarray, "f h w 3"], rng: np.random.Generator, *, interval_s: float = FRAME_INTERVAL_S
+) -> Exposure:
     """Draw a phone's exposure of a sequence: the first frame's 80th percentile is 0.3 to 0.6 of white."""
     settings = replace(MeterSettings.draw(rng), first_error=0.0)
     aim = rng.uniform(*_AIM)
     gains = np.exp(rng.normal(0, _TINT, 3)) if rng.random() < 0.5 else np.ones(3)
     gains /= gains @ LUMINANCE
     bright = np.percentile(radiance @ (gains * LUMINANCE), 80, axis=(1, 2))
-    return Exposure(2.0 ** settle(np.log2(aim / np.maximum(bright, 1e-6)), settings), gains)
+    return Exposure(2.0 ** settle(np.log2(aim / np.maximum(bright, 1e-6)), settings, interval_s), gains)

@@ -187,10 +187,9 @@ def record(
         clipped_radiance(frame, picture, multiplier=float(multiplier), gains=exposure.gains)
         for frame, picture, multiplier in zip(radiance, colour, exposure.multiplier, strict=True)
     ])  # fmt: skip
-    panoramas = np.stack([
-        views.panorama(position, height=PROBE_HEIGHT, seed=seed)
-        for position, seed in zip(path.probes, seeds[len(path.poses) :], strict=True)
-    ])  # fmt: skip
+    panoramas = np.zeros((len(path.probes), PROBE_HEIGHT, 2 * PROBE_HEIGHT, 3), np.float32)
+    for k, (position, seed) in enumerate(zip(path.probes, seeds[len(path.poses) :], strict=True)):
+        panoramas[k] = views.panorama(position, height=PROBE_HEIGHT, seed=seed)
     depth_m = np.stack([view.depth_m for view in seen])
     columns = int(rng.integers(2 * PROBE_HEIGHT))
     rotation = _rotation_about_y(2 * np.pi * columns / (2 * PROBE_HEIGHT))
@@ -220,7 +219,7 @@ def _facts(exposure: Exposure, sensor: Sensor, panoramas: Float[np.ndarray, "p h
     return {
         "white_kcd_m2": round(float(1 / exposure.multiplier[0]), 6),
         "white_balance": [round(float(gain), 4) for gain in exposure.gains],
-        "brightest_kcd_m2": round(float(panoramas.max()), 3),
+        "brightest_kcd_m2": round(float(panoramas.max(initial=0)), 3),
         "exact_response": sensor.exact_response,
     }
 

@@ -1,7 +1,7 @@
 """The run loop of every stage, from top to bottom: batches prepared ahead, step, average, validation, checkpoint.
 
-A stage is its data, its forward pass and its loss: `single_view`, `video`, `clipping`, `objects`. All random choices
-follow from (seed, step), so that a resumed run repeats the loss curve of an uninterrupted one.
+A stage is its data, its forward pass and its loss: `single_view`, `video`, `clipping`, `objects`, `depth`. All random
+choices follow from (seed, step), so that a resumed run repeats the loss curve of an uninterrupted one.
 """
 
 import copy

@@ -35,6 +35,7 @@ from roomlight.dataset.loader import Dataset
 from roomlight.errors import OptionError, RoomLightError
 from roomlight.rules import rules_of
 from roomlight_model.checkpoint import Checkpoint
+from roomlight_model.depth.stage import DepthFrames, DepthOptions, DepthStage
 from roomlight_model.training.clipping import ClippingFrames, ClippingOptions, ClippingStage
 from roomlight_model.training.loop import Stage
 from roomlight_model.training.objects import ObjectsOptions, ObjectsStage, ProbePanels
@@ -47,7 +48,7 @@ RECIPES: Final = Path(__file__).parent / "recipes"
 """The recipes of the shipped networks."""
 _OPTIONS: Final[Mapping[str, type[RunOptions]]] = {
     stage: options
-    for options in (SingleViewOptions, VideoOptions, ClippingOptions, ObjectsOptions)
+    for options in (SingleViewOptions, VideoOptions, ClippingOptions, ObjectsOptions, DepthOptions)
     for stage in rules_of(options)["stage"].choices
 }
 STAGES: Final = tuple(_OPTIONS)
@@ -131,7 +132,7 @@ class _File:
 
 
 def read_recipe(name_or_path: str) -> Recipe:
-    """Read a shipped recipe by name (`single`, `video`, `clipping`, `objects`), or a recipe's file.
+    """Read a shipped recipe by name (`single`, `video`, `clipping`, `objects`, `depth`), or a recipe's file.
 
     Raises:
         OptionError: The file is missing, is not TOML, or states an unknown or invalid option; the message names it.
@@ -222,6 +223,16 @@ def build_stage(
             options,
             frames if test else frames.take(train),
             ClippingFrames.read(test, seed=options.seed) if test else frames.take(split_off),
+            start_from=start_from,
+            data=data,
+        )
+    if isinstance(options, DepthOptions):
+        pictures = DepthFrames.read(datasets, progress=progress)
+        train, split_off = random_split(len(pictures), options.seed)
+        return DepthStage(
+            options,
+            pictures if test else pictures.take(train),
+            DepthFrames.read(test) if test else pictures.take(split_off),
             start_from=start_from,
             data=data,
         )

@@ -47,6 +47,7 @@ class ServerSettings(BaseSettings):
         model: Model of sessions that ask for auto.
         weights: A model folder of `roomlight export`, instead of the weights inside the package.
         provider: Where the networks run; auto: OpenVINO if it is installed and faster here, else ONNX Runtime.
+        depth_model: An ONNX file that estimates the depth of frames without, instead of the network in the package.
         keyframes: Frames kept per session for probes that are requested later, 5.4 MB each.
         max_sessions: Sessions at the same time. Each holds up to 150 MB of keyframes and 20 MB of volume.
         max_session_bytes: Sessions whose options could exceed this are rejected.
@@ -123,6 +124,7 @@ class ServerSettings(BaseSettings):
     model: ModelName = "auto"
     weights: Path | None = None
     provider: Provider = "auto"
+    depth_model: Path | None = None
     keyframes: Annotated[int, Field(ge=1, le=1000)] = DEFAULT_KEYFRAMES
     max_sessions: Annotated[int, Field(ge=1, le=100_000)] = 16
     max_session_bytes: Annotated[int, Field(ge=2**20)] = 640 * 2**20

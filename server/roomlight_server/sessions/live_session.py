@@ -10,13 +10,14 @@ import logging
 from collections.abc import AsyncGenerator, Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
+from dataclasses import replace
 from typing import Literal, TypeVar, cast
 
 from roomlight.engine.memory import Footprint
 from roomlight.engine.session import FrameReport, Session
-from roomlight.errors import FrameError, WireError
+from roomlight.errors import FrameError, ModelError, WireError
 from roomlight.frame import Frame
-from roomlight.wire.compositing import SessionScene
+from roomlight.monocular.stream import DEPTH_STREAM_BYTES, DepthStream
 from roomlight.wire.frame_message import FrameMessage
 from roomlight.wire.messages import FrameResult, Memory, SessionRequest, SessionState
 from roomlight_server.base.metrics import Metrics
@@ -26,14 +27,7 @@ from roomlight_server.sessions.engine_access import EngineAccess
 from roomlight_server.sessions.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.sessions.history import History
 from roomlight_server.sessions.session_lighting import SessionLighting
-from roomlight_server.sessions.session_parts import (
-    SCENE_BYTES,
-    CompositeTurn,
-    FrameSlots,
-    Limits,
-    cached_lights,
-    volume_of,
-)
+from roomlight_server.sessions.session_parts import CompositeTurn, FrameSlots, Limits, cached_lights, volume_of
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import MOVED, SessionLease
 from roomlight_server.state.live_state import LiveState
@@ -76,9 +70,9 @@ class LiveSession:
         self._runner: asyncio.Task[None] | None = None
         self._reference = request.reference_exposure
         self._latest: LatestFrame | None = None
+        self._depth: DepthStream | None = None
         self.history = History(limits.history_bytes, workers)
         self._composite_turn = CompositeTurn()
-        self.scene = SessionScene()
         self._listeners: set[Callable[[], None]] = set()
 
     # --- frames -----------------------------------------------------------------------------------------------
@@ -189,15 +183,18 @@ class LiveSession:
         try:
             if frame is None:
                 frame = await self._decoded_late(entry)
+            estimated = not frame.depth_m.any()
+            if estimated:
+                frame = await self._workers.run_in_engine_pool(self._with_depth, frame)
             report = await self._workers.run_in_engine_pool(engine.push, frame)
-            result = self._result(engine, entry.index, report)
+            result = self._result(engine, entry.index, report, depth_estimated=estimated)
             if self.lease is not None:
                 await self.lease.check()  # only the owner answers
         except ProblemError as error:
             self._reject(entry, error)
             if error.kind == MOVED:
                 self._end(error)
-        except FrameError as error:
+        except (FrameError, ModelError) as error:
             rule = str(error)
             self._reject(entry, ProblemError("bad-frame", rule, field="frame", value=entry.index, rule=rule))
         except Exception as error:  # out of memory, ONNX Runtime: the state may contain half of the frame
@@ -209,12 +206,17 @@ class LiveSession:
         else:
             self.lighting.frame = entry.index
             assert entry.message is not None
-            self._latest = LatestFrame(entry.index, entry.message)
+            self._latest = LatestFrame(entry.index, entry.message, frame.depth_m if estimated else None)
             if self.journal is not None:
                 self.journal.processed(entry.index, entry.message, keyframe=report.keyframe)
             self._metrics.observe_frame(report)
             await self.history.add(engine, frame, report, self._queue.counts(), self.lighting.handles)
             self._queue.processed(entry, result)
+
+    def _with_depth(self, frame: Frame) -> Frame:
+        """Estimate the depth of the session's next frame. Raises FrameError and ModelError."""
+        self._depth = self._depth or self._workers.new_depth_stream()
+        return self._depth.complete(frame)
 
     async def _decoded_late(self, entry: Entry) -> Frame:
         """Decode a frame that replaced a waiting one. ProblemError if that fails: the engine is unchanged then."""
@@ -231,12 +233,13 @@ class LiveSession:
         self._metrics.refused.labels(problem.kind).inc()
         self._queue.reject(entry, problem)
 
-    def _result(self, engine: Session, index: int, report: FrameReport) -> FrameResult:
+    def _result(self, engine: Session, index: int, report: FrameReport, *, depth_estimated: bool) -> FrameResult:
         self.lighting.take_coverage(engine, report)
         return FrameResult(
             index=index,
             status="processed",
             keyframe=report.keyframe,
+            depth_estimated=depth_estimated,
             stage_ms={stage: round(ms, 2) for stage, ms in report.stage_ms.items()},
             coverage=self.lighting.coverage,
             durable_index=self.durable_index,
@@ -244,12 +247,6 @@ class LiveSession:
         )
 
     # --- composites, reading ----------------------------------------------------------------------------------
-
-    def keep_scene(self, scene: SessionScene) -> None:
-        """Replace the title and the placed objects. Raises ProblemError if the session has ended."""
-        self.check_open()
-        self.scene = scene
-        self._access.changed(urgent=True)
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` on the event loop after each frame and at the end; return a function that removes it."""
@@ -274,11 +271,16 @@ class LiveSession:
         reference = self._reference or latest.message.header.exposure
         least, processes = self.request.min_confidence, self._workers.decode_processes
         try:
-            return await self._workers.run_in_decode_pool(
+            frame = await self._workers.run_in_decode_pool(
                 decode_to_size, latest.message, latest.index, reference, least, processes, box=box
             )
         except WireError as error:
             raise ProblemError.from_wire(error) from error
+        if latest.depth_m is not None:
+            return replace(frame, depth_m=latest.depth_m)
+        if latest.message.depth is None:  # after a restart
+            return await self._workers.run_in_decode_pool(self._workers.new_depth_stream().complete, frame)
+        return frame
 
     async def composite(self, work: Callable[[Session], _R], *, preview: bool) -> _R:
         """Run work on the engine on a compositing thread.
@@ -328,11 +330,11 @@ class LiveSession:
                 return None
             snapshot = await asyncio.get_running_loop().run_in_executor(pool, engine.snapshot)
             queue, probes = self._queue.saved(), lighting.saved()
-            return LiveState(snapshot, self._reference, probes, queue, lighting.frame, self._latest, self.scene)
+            return LiveState(snapshot, self._reference, probes, queue, lighting.frame, self._latest)
 
     def resume(self, state: LiveState) -> None:
         """Continue from a saved state, with the engine that was made from its snapshot."""
-        self._reference, self._latest, self.scene = state.reference, state.latest, state.scene
+        self._reference, self._latest = state.reference, state.latest
         self.lighting.restore(state.probes, state.light_frame)
         self._queue.restore(state.queue)
 
@@ -377,7 +379,7 @@ class LiveSession:
         engine = self._footprint.total(keyframes=self._keyframe_capacity, probes=limits.max_probes, started=True)
         size = self.lighting.light_bytes
         lights = cached_lights(size) * size
-        return engine + lights + limits.frame.max_body_bytes + limits.history_bytes + SCENE_BYTES
+        return engine + lights + limits.frame.max_body_bytes + limits.history_bytes + DEPTH_STREAM_BYTES
 
     @property
     def frames_in_flight(self) -> int:

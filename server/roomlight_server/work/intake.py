@@ -7,6 +7,9 @@ waiting in the queue: then it is decoded when the engine takes it.
 import hashlib
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float32
+
 from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.errors import WireError
 from roomlight.frame import Frame
@@ -17,10 +20,11 @@ from roomlight_server.work.decode_worker import decode_to_box
 
 @dataclass(frozen=True)
 class LatestFrame:
-    """The last processed frame, as it was received."""
+    """The last processed frame, as it was received; `depth_m` is what was estimated if it came without depth."""
 
     index: int
     message: FrameMessage
+    depth_m: Float32[np.ndarray, "dh dw"] | None = None
 
     @property
     def size(self) -> int:
@@ -64,7 +68,7 @@ def decode_to_size(
         WireError: A part does not decode, has unusable values or takes too long.
     """
     header = message.header
-    planes = (header.depth.encoding, None if header.confidence is None else header.confidence.encoding)
+    planes = [None if part is None else part.encoding for part in (header.depth, header.confidence)]
     if header.colour.encoding in ("jpeg", "png", "heic") or "png" in planes:
         return processes.decode(message, index, reference, min_confidence, box)
     return decode_to_box(message, index, reference, min_confidence, box)

@@ -20,6 +20,7 @@ from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.options import ModelName
 from roomlight.engine.session import SessionOptions, warm_up
+from roomlight.monocular.stream import DepthStream, open_depth_stream
 from roomlight.threads import pausing
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.settings import ServerSettings
@@ -75,17 +76,24 @@ class Workers:
             provider=settings.provider,
             keyframes=settings.keyframes,
         )
+        self._depth_model = settings.depth_model
         self._graphs: dict[ModelName, LightingGraphs | None] = {}
         self._loading_lock = asyncio.Lock()
 
     def load(self) -> None:
-        """Load the graphs of the default model, blocking, and start the decoding processes.
+        """Load the graphs of the default model and a depth model of one's own, blocking; start the decoding processes.
 
         Raises:
-            ModelError: The weights cannot be loaded.
+            ModelError: The weights or the depth model cannot be loaded.
         """
+        if self._depth_model is not None:
+            self.new_depth_stream()
         self._graphs[self._base.model] = choose_graphs(self._base)
         self.decode_processes.start(self._decode_threads)
+
+    def new_depth_stream(self) -> DepthStream:
+        """Return estimated depth for the frames of a session. Raises ModelError."""
+        return open_depth_stream(self._depth_model)
 
     async def start(self) -> None:
         """Load the graphs of the default model if necessary and run them once, which compiles the kernels.

@@ -215,7 +215,7 @@ def test_a_folder_or_a_pipe_in_place_of_a_file(transforms: Path) -> None:
         (b"{}", "frames"),
         (b'{"frames": {}}', "not a list"),
         (b'{"frames": []}', "no frames|intrinsics"),
-        (b'{"frames": [{}]}', "depth"),
+        (b'{"frames": [{}]}', "neither fl_x"),
         (b'{"frames": [{"depth_path": "x"}]}', "neither fl_x"),
         (b'{"fl_x": 0, "frames": [{"depth_path": "x"}]}', "fl_x is 0"),
         (b'{"fl_x": NaN, "frames": [{"depth_path": "x"}]}', "fl_x is nan"),

@@ -11,6 +11,11 @@ EVALUATIONS: Final = (
         "captures", f"{_COMMANDS}.captures:captures", "Score light against the ground-truth probes of recordings."
     ),
     CommandEntry(
+        "depth",
+        f"{_COMMANDS}.captures:depth",
+        "Score estimated depth, and the light that follows, on recordings that have depth.",
+    ),
+    CommandEntry(
         "walks",
         f"{_COMMANDS}.rooms:walks",
         "Score the networks on walks through rooms that no network was trained on.",

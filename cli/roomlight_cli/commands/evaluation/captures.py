@@ -1,8 +1,8 @@
-"""`roomlight eval captures`: light scored on recordings."""
+"""`roomlight eval captures`: light scored on recordings; and `depth`: estimated depth."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import typer
 
@@ -10,8 +10,10 @@ from roomlight.captures import CaptureOptions
 from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
 from roomlight_cli.console import print_tables, say
+from roomlight_cli.options import Without
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoresJson
+from roomlight_evaluation.captures.depth import evaluate_depth
 from roomlight_evaluation.captures.evaluation import evaluate_engine, evaluate_predictions
 from roomlight_evaluation.captures.main_light import evaluate_main_lights
 from roomlight_evaluation.captures.main_light_tables import main_light_table
@@ -98,3 +100,28 @@ def _ship_rule(captures: tuple[Path, ...], light: SessionOptions, reading: Captu
         say(f"  {line}")
     say(f"{light.model} {'fails' if failures else 'passes'}: {len(failures)} of its figures break the rule")
     raise typer.Exit(1 if failures else 0)
+
+
+def depth(
+    captures: tuple[Path, ...],
+    light: ScoredLight,
+    reading: Annotated[CaptureOptions, Without("depth")],
+    *,
+    json: ScoresJson = None,
+) -> None:
+    """Score estimated depth on recordings whose own depth is hidden from it, and the light that follows.
+
+    Compared are 2.5 m everywhere, each frame alone, and the stream with its poses.
+
+    Args:
+        captures: Captures with depth.
+        light: How to estimate the light.
+        reading: How to read the captures.
+    """
+    with Progress(_COMPILING) as progress:
+        warm_up()
+        scores = evaluate_depth(captures, light, reading, progress=progress.count_of)
+    print_tables(scores.table())
+    if json:
+        scores.write(json)
+        say(f"Scores: {json}")

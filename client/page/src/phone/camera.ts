@@ -1,9 +1,7 @@
 // The sender without WebXR: photos of the plain camera, each for the light of a single image.
 
 import { RoomLightError, type Frame } from "roomlight";
-import { flatDepth } from "roomlight/webxr";
 import type { PhotoLink } from "./link";
-import { ASSUMED_M } from "./xr";
 
 const LONGEST = 640;
 const LONG_SIDE_FOV_DEG = 66; // a phone's main camera; browsers do not tell
@@ -39,7 +37,7 @@ export async function sendPhotos(video: HTMLVideoElement, link: PhotoLink, signa
   link.close();
 }
 
-/** The video's picture as a frame: level camera at the origin, everything at one distance. */
+/** The video's picture as a frame without depth: level camera at the origin. */
 async function photoOf(video: HTMLVideoElement): Promise<Frame> {
   const scale = Math.min(1, LONGEST / Math.max(video.videoWidth, video.videoHeight));
   const [width, height] = [Math.round(video.videoWidth * scale), Math.round(video.videoHeight * scale)];
@@ -49,7 +47,6 @@ async function photoOf(video: HTMLVideoElement): Promise<Frame> {
   const focal = Math.max(width, height) / 2 / Math.tan((LONG_SIDE_FOV_DEG / 2) * (Math.PI / 180));
   return {
     colour: { encoding: "jpeg", data },
-    depth: flatDepth({ width, height }, ASSUMED_M),
     intrinsics: { fx: focal, fy: focal, cx: width / 2, cy: height / 2, width, height },
     camera_to_world: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
   };

@@ -12,9 +12,9 @@ import { hasAugmentedReality, requestCameraSession, sendViews } from "./xr";
 const NEEDS_TLS =
   "This browser gives its camera to secure pages only. Start the server with roomlight serve --lan, which has TLS, and open its address.";
 const HOW = "Press Start and move the phone slowly through the room. The picture shows the light that was found.";
-const NO_DEPTH = "This phone measures no depth here. Everything is taken to be 2.5 m away.";
+const NO_DEPTH = "This phone measures no depth here. The server estimates it from each picture.";
 const PHOTOS =
-  "Without WebXR the page sends photos. Each photo gives light of its own: the part that the camera sees is taken to be 2.5 m away, the rest is estimated.";
+  "Without WebXR the page sends photos. Each photo gives light of its own: distances and what the camera does not see are estimated.";
 
 const element = <K extends keyof HTMLElementTagNameMap>(
   tag: K,

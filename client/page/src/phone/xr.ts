@@ -1,12 +1,10 @@
 // The sender with WebXR: camera image, depth and pose of each view, in metres, y up.
 
-import { cameraImage, flatDepth, frameOfView, type CpuDepthLike } from "roomlight/webxr";
+import { cameraImage, frameOfView, type CpuDepthLike } from "roomlight/webxr";
 import type { StreamLink } from "./link";
 
 const SPACING_MS = 150; // more than six frames a second show the same room
 const AHEAD_M = 0.6; // in free space even where the phone is held in front of a wall
-/** Distance that is assumed for everything where the phone measures no depth. */
-export const ASSUMED_M = 2.5;
 
 /** A view with the camera-access module's member. */
 type CameraView = XRView & { readonly camera?: { readonly width: number; readonly height: number } };
@@ -77,8 +75,7 @@ export async function sendViews(session: XRSession, link: StreamLink, noDepth: (
       link.follow(pointAhead(view.transform.matrix));
       placed = true;
     }
-    const common = { view, image, time_ms, emulatedPosition: pose.emulatedPosition };
-    void link.send(frameOfView({ ...common, depth: depth ?? flatDepth(image, ASSUMED_M) }));
+    void link.send(frameOfView({ view, image, time_ms, emulatedPosition: pose.emulatedPosition, depth }));
   };
   session.requestAnimationFrame(draw);
   await ended;

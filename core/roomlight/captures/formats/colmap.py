@@ -107,7 +107,7 @@ class ColmapReader(ListedReader):
         root = next((name for name in ("images", "colmap/images", "dense/images") if source.has(name)), "")
         colour = [f"{root}/{image.name}" if root else image.name for image in self._images]
         super().__init__(folder, options, colour, expected=f"image in {label}")
-        self._depth = next((name for name in _DEPTH if next(iter(source.names(name)), None)), "depth")
+        self._depth = next((name for name in _DEPTH if next(iter(source.names(name)), None)), None)
         note = Note(
             f"{folder}: COLMAP's scale and up direction",
             "the model is taken for metres, and up for the opposite of its y axis",
@@ -122,10 +122,11 @@ class ColmapReader(ListedReader):
     def _read(self, index: int) -> RawFrame:
         image, label = self._images[index], self.name_of(index)
         stem = str(PurePosixPath(image.name).with_suffix(""))
-        if self._depth.endswith("stereo/depth_maps"):
+        depth_name = None
+        if self._depth is not None and self._depth.endswith("stereo/depth_maps"):
             ends = (".geometric.bin", ".photometric.bin")
             depth_name = self._source.with_suffix(f"{self._depth}/{image.name}", ends)
-        else:
+        elif self._depth is not None:
             depth_name = self._source.with_suffix(f"{self._depth}/{stem}", (".png", ".exr", ".npy"))
         with fields.naming(label, FrameError):
             if isinstance(image.pose, str):
@@ -144,7 +145,7 @@ class ColmapReader(ListedReader):
             name=label,
             picture=picture,
             depth_m=depth_m,
-            depth_name=self._source.label(depth_name),
+            depth_name=depth_name and self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=image.pose,
         )

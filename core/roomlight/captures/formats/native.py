@@ -2,7 +2,7 @@
 
     capture.json             the index, written last
     colour/000000.jpg        sRGB 8 bit (or linear EXR)
-    depth/000000.png         uint16 millimetres, 0 = unknown; the same view as the colour, any size
+    depth/000000.png         optional: uint16 millimetres, 0 = unknown; the same view as the colour, any size
     confidence/000000.png    optional, uint8: 0 low, 1 medium, 2 high
     probes/00.exr            optional ground-truth panoramas, H x 2H linear RGB
 
@@ -16,8 +16,8 @@
      "probes": [{"position": [x, y, z], "panorama": "probes/00.exr"}]}
 
 All values are in RoomLight's conventions (`roomlight.conventions`): world y up, camera x right, y up, z backward,
-camera-to-world, pixel centres at half integers. `confidence`, `timestamp_s` and `exposure` are optional;
-`exposure` is relative to the reference exposure, and the linear radiance is divided by it.
+camera-to-world, pixel centres at half integers. `depth` (of all frames), `confidence`, `timestamp_s` and `exposure`
+are optional; `exposure` is relative to the reference exposure, and the linear radiance is divided by it.
 """
 
 import json
@@ -75,6 +75,7 @@ class NativeReader:
             self._frames = fields.objects(index.get("frames"), "frames")
             self.probes = [self._probe(entry) for entry in fields.objects(index.get("probes", []), "probes")]
         self.count = len(self._frames)
+        self._has_depth = any(entry.get("depth") is not None for entry in self._frames)
         if self.count > MAX_FRAMES:
             raise CaptureError(f"{self._label}: lists {self.count} frames; up to {MAX_FRAMES} are read")
 
@@ -97,7 +98,7 @@ class NativeReader:
         where = f"{self._label}: frame {index}"
         with fields.naming(where, FrameError):
             colour_name = fields.text(entry.get("colour"), "colour")
-            depth_name = fields.text(entry.get("depth"), "depth")
+            depth_name = fields.text(entry.get("depth"), "depth") if self._has_depth else None
             pose = fields.matrix4(entry.get("camera_to_world"), "camera_to_world")
             exposure = fields.positive(entry.get("exposure", 1.0), "exposure")
             if not 1e-6 <= exposure <= 1e6:
@@ -108,7 +109,7 @@ class NativeReader:
             fx, fy, cx, cy = (fields.number(lens.get(key), key) for key in _INTRINSICS)
             size = (fields.pixels(lens.get("width"), "width"), fields.pixels(lens.get("height"), "height"))
             intrinsics = Intrinsics(fx, fy, cx, cy, *size)
-        label, depth_label = self._source.label(colour_name), self._source.label(depth_name)
+        label = self._source.label(colour_name)
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         picture = read.picture
         if exposure != 1.0:
@@ -122,7 +123,7 @@ class NativeReader:
             name=label,
             picture=picture,
             depth_m=read.depth_m,
-            depth_name=depth_label,
+            depth_name=None if depth_name is None else self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
             confidence=confidence,

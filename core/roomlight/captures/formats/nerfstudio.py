@@ -94,7 +94,7 @@ class NerfstudioReader:
         if len(self._frames) > MAX_FRAMES:
             raise CaptureError(f"{self._label}: lists {len(self._frames)} frames; up to {MAX_FRAMES} are read")
         self.count = len(self._frames)
-        self._depth_keys = self._choose_depth(options.depth_key)
+        self._depth_keys = self._choose_depth(options)
         self._refuse_broken_lens()
         self.notes = self._unread_keys()
 
@@ -124,12 +124,13 @@ class NerfstudioReader:
             unit_m = self._stated_unit_m or self._depth_unit(entry)
             colour_name = self._source.with_suffix(fields.text(entry.get("file_path"), "file_path"), _SUFFIXES)
             depth_name = fields.first_of(entry, {}, *self._depth_keys)
-            if depth_name is None:
+            if depth_name is None and self._depth_keys:
                 raise FrameError(f"{where}: has no depth ({' or '.join(self._depth_keys)})")
-            depth_name = fields.text(depth_name, "the depth file's name")
-            depth_name = self._source.with_suffix(depth_name, (".png", ".exr", ".npy"))
+            if depth_name is not None:
+                depth_name = fields.text(depth_name, "the depth file's name")
+                depth_name = self._source.with_suffix(depth_name, (".png", ".exr", ".npy"))
             lens = lens_of(entry, self._shared)
-        colour_label, depth_label = self._source.label(colour_name), self._source.label(depth_name)
+        colour_label = self._source.label(colour_name)
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=unit_m)
         picture, depth_m = self._masked(entry, read.picture, where), read.depth_m
         with fields.naming(f"{where} ({colour_label})", FrameError):
@@ -140,7 +141,7 @@ class NerfstudioReader:
             name=colour_label,
             picture=picture,
             depth_m=depth_m,
-            depth_name=depth_label,
+            depth_name=None if depth_name is None else self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
         )
@@ -225,12 +226,16 @@ class NerfstudioReader:
                     return unit_m
         return None
 
-    def _choose_depth(self, depth_key: str | None) -> tuple[str, ...]:
+    def _choose_depth(self, options: CaptureOptions) -> tuple[str, ...]:
+        """Return the keys of depth; none if the frames have no depth, which is then estimated."""
+        depth_key = options.depth_key
         keys = (depth_key,) if depth_key is not None else ("depth_file_path", "depth_path")
         if self._frames and not any(key in frame for frame in self._frames for key in keys):
             present = sorted({key for frame in self._frames for key in frame if "depth" in key})
+            if options.depth == "network" or not (present or depth_key or options.depth == "file"):
+                return ()
             names = ", ".join(present)
-            hint = f"its frames have {names}; set depth_key" if present else "a capture needs depth"
+            hint = f"its frames have {names}; set depth_key" if present else "depth=auto estimates it"
             raise CaptureError(f"{self._label}: no frame has {' or '.join(keys)}; {hint}")
         return keys
 

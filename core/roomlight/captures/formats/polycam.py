@@ -58,7 +58,8 @@ class PolycamReader(ListedReader):
     def _read(self, index: int) -> RawFrame:
         colour_name = self._colour[index]
         stem = Path(colour_name).stem
-        camera_name, depth_name = f"{self._cameras}/{stem}.json", f"{self._root}depth/{stem}.png"
+        camera_name = f"{self._cameras}/{stem}.json"
+        depth_name = f"{self._root}depth/{stem}.png" if self._source.has(f"{self._root}depth") else None
         camera = self._json(camera_name)
         with fields.naming(self._source.label(camera_name), FrameError):
             rows = [[camera.get(f"t_{row}{column}") for column in range(4)] for row in range(3)]
@@ -71,7 +72,7 @@ class PolycamReader(ListedReader):
             name=self.name_of(index),
             picture=read.picture,
             depth_m=read.depth_m,
-            depth_name=self._source.label(depth_name),
+            depth_name=depth_name and self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
             confidence=self._confidence(f"{self._root}confidence/{stem}.png"),

@@ -40,6 +40,7 @@ class ScannerAppReader(ListedReader):
         source = FolderSource(folder)
         colour = [name for name in files_of(source, "", (".jpg", ".jpeg", ".png")) if _COLOUR.fullmatch(name)]
         super().__init__(folder, options, colour, expected="frame_00000.jpg")
+        self._has_depth = any(name.startswith("depth_") for name in source.names())
 
     def timestamps(self) -> list[float | None]:
         """Return the times that the frames' JSON states."""
@@ -54,7 +55,8 @@ class ScannerAppReader(ListedReader):
     def _read(self, index: int) -> RawFrame:
         colour_name = self._colour[index]
         number = Path(colour_name).stem.partition("_")[2]
-        depth_name, json_name = f"depth_{number}.png", f"frame_{number}.json"
+        depth_name = f"depth_{number}.png" if self._has_depth else None
+        json_name = f"frame_{number}.json"
         stated = self._json(json_name)
         if "exposureDuration" in stated and not self.notes:
             effect = "frames of other exposure count as equally bright"
@@ -69,7 +71,7 @@ class ScannerAppReader(ListedReader):
             name=self.name_of(index),
             picture=read.picture,
             depth_m=read.depth_m,
-            depth_name=self._source.label(depth_name),
+            depth_name=depth_name and self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
             confidence=self._confidence(f"conf_{number}.png"),

@@ -123,8 +123,10 @@ class StrayScannerReader:
         depth_name = f"depth/{number:06d}.png"
         if not self._source.has(depth_name) and self._source.has(f"depth/{number:06d}.npy"):
             depth_name = f"depth/{number:06d}.npy"
-        depth_label = self._source.label(depth_name)
-        depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        depth_label, depth_m = None, None
+        if self._source.has("depth"):
+            depth_label = self._source.label(depth_name)
+            depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
         confidence = self._confidence(number)
         picture = video.frame(number)
         height, width = picture.image.shape[:2]
@@ -133,7 +135,7 @@ class StrayScannerReader:
         return RawFrame(
             name=f"{self._source.label(VIDEO)}: frame {number}",
             picture=picture,
-            depth_m=depth_m,
+            depth_m=np.zeros((height, width), np.float32) if depth_m is None else depth_m,
             depth_name=depth_label,
             intrinsics=intrinsics,
             pose=pose,

@@ -36,7 +36,7 @@ VIDEO_GRAPHS: Final = (
     "video_blend_gru",
     "video_blend_decoder",
 )
-PartForm = Literal["clipping", "objects"]
+PartForm = Literal["clipping", "objects", "depth"]
 """Networks that serve every model, each a model directory of its own."""
 FORMS: Final = (*get_args(NetworkForm), *get_args(PartForm))
 """Forms of a model directory."""

@@ -5,7 +5,7 @@ looks up a host of Microsoft when it is loaded. It reads the variable once, at i
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final, Literal, Protocol, runtime_checkable
@@ -50,8 +50,8 @@ class OnnxRuntimeGraph:
 
     runtime: RuntimeName = "cpu"
 
-    def __init__(self, session: ort.InferenceSession) -> None:
-        self._session = session
+    def __init__(self, session: ort.InferenceSession, path: Path | None = None) -> None:
+        self._session, self._name = session, str(path or "the graph")
         self.inputs: Shapes = {node.name: tuple(node.shape) for node in session.get_inputs()}
         self.outputs: Shapes = {node.name: tuple(node.shape) for node in session.get_outputs()}
 
@@ -76,7 +76,7 @@ class OnnxRuntimeGraph:
         error = opening.exception()
         if error is not None:  # ONNX Runtime's exceptions share no base class
             raise ModelError(f"{path}: ONNX Runtime cannot load it ({str(error).splitlines()[0]})") from error
-        return cls(opening.result())
+        return cls(opening.result(), path)
 
     def bind(self, inputs: Buffers, outputs: Buffers) -> Callable[[], object]:
         """Bind the buffers' addresses."""
@@ -87,5 +87,30 @@ class OnnxRuntimeGraph:
             binding.bind_ortvalue_output(name, ort.OrtValue.ortvalue_from_numpy(array))
         return lambda: session.run_with_iobinding(binding)
 
+    def run(self, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Run the graph on arrays of any shape, in the types that it declares; for graphs with dynamic shapes.
+
+        Raises:
+            ModelError: ONNX Runtime fails on them.
+        """
+        types = {node.name: _NUMPY.get(node.type) for node in self._session.get_inputs()}
+        unknown = [name for name, kind in types.items() if kind is None]
+        if unknown:
+            raise ModelError(f"{self._name}: the type of its input {unknown[0]} is none of {', '.join(_NUMPY)}")
+        feed = {name: np.ascontiguousarray(array, types[name]) for name, array in inputs.items()}
+        try:
+            values = self._session.run(None, feed)
+        except Exception as error:  # ONNX Runtime's exceptions share no base class
+            raise ModelError(f"{self._name}: ONNX Runtime fails on it ({str(error).splitlines()[0]})") from error
+        return dict(zip(self.outputs, map(np.asarray, values), strict=True))
+
+
+_NUMPY: Final = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(uint8)": np.uint8,
+    "tensor(int64)": np.int64,
+    "tensor(int32)": np.int32,
+}
 
 __all__ = ["RUNTIMES", "Buffers", "LoadedGraph", "OnnxRuntimeGraph", "RuntimeName", "Shapes", "ort"]

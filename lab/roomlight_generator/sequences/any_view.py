@@ -1,0 +1,137 @@
+"""Single views from anywhere in a room, without probes: what networks that estimate depth are trained on.
+
+World frame: y up, metres; poses camera-to-world, OpenGL axes. A sequence has one lens; its views do not follow each
+other, and each is exposed by itself.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import Intrinsics
+from roomlight.dataset.recording import Recording, Split
+from roomlight_generator.panoramas.render import expose as expose_panorama
+from roomlight_generator.panoramas.render import lit_room
+from roomlight_generator.rooms.build import room_generator
+from roomlight_generator.sequences.exposure import expose
+from roomlight_generator.sequences.render import CameraPath, catalogue_for, record, solve_lighting
+from roomlight_generator.sequences.walk import FreeSpace
+
+FIELD_OF_VIEW_DEGREES: Final = (48.0, 92.0)
+"""Across the long side: from a phone's main camera, cropped, to its wide camera."""
+SIZE: Final = (256, 192)
+"""Width and height of the long side first; a quarter of the sequences is upright."""
+_HEIGHT_M: Final = (0.35, 2.0)
+_NEAR_M: Final = 0.25
+_APART_S: Final = 60.0
+"""Seconds between the views: exposure has settled."""
+_TRIES: Final = 40
+
+
+def render_views(
+    room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int, frames: int
+) -> Iterator[Recording]:
+    """Yield sequences of single views of a generated room; the same arguments give the same recordings.
+
+    Args:
+        room_index: Number of the room in its split.
+        seed: Seed of the dataset.
+        split: Split of the room.
+        furniture: Furniture library or cache; None: the installed libraries.
+        count: Number of sequences.
+        frames: Views of a sequence.
+
+    Raises:
+        ValueError: if the room has no place for a camera; the generator then takes another room.
+    """
+    room = solve_lighting(room_index, seed=seed, split=split, catalogue=catalogue_for(furniture))
+    for walk in range(count):
+        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
+        path, name = draw_views(room.free, rng, frames=frames), f"{room.room.name}-{walk}"
+        exposed = partial(expose, interval_s=_APART_S)
+        yield record(room.light, path, rng, name=name, facts=room.room.facts, expose=exposed)
+
+
+def render_panorama_views(
+    room_index: int,
+    *,
+    seed: int,
+    split: Split,
+    furniture: Path | None,
+    count: int,
+    frames: int,
+    panoramas: Path,
+    furniture_share: float,
+) -> Iterator[Recording]:
+    """Yield sequences of single views of a room lit by a panorama, as `render_views` does.
+
+    Args:
+        room_index: Number of the room in its split.
+        seed: Seed of the dataset.
+        split: Split of the room.
+        furniture: Furniture library or cache; None: the installed libraries.
+        count: Number of sequences.
+        frames: Views of a sequence.
+        panoramas: Folder of panoramas.
+        furniture_share: Share of the rooms that have furniture.
+
+    Raises:
+        DatasetError: if the folder `panoramas` cannot be read or has none for this split.
+        ValueError: if the room has no place for a camera.
+    """
+    room, facts = lit_room(
+        room_index, seed=seed, split=split, furniture=furniture, panoramas=panoramas, furniture_share=furniture_share
+    )
+    free = room.free_space()
+    for walk in range(count):
+        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
+        path, name = draw_views(free, rng, frames=frames), f"panorama-{room_index}-{walk}"
+        exposed = partial(expose_panorama, interval_s=_APART_S)
+        yield record(room, path, rng, name=name, facts=facts, expose=exposed)
+
+
+def draw_views(free: FreeSpace, rng: np.random.Generator, *, frames: int) -> CameraPath:
+    """Draw a lens and views: at any height, to any side, tilted and rolled as hands do.
+
+    Raises:
+        ValueError: if the room has no free place.
+    """
+    width, height = SIZE if rng.random() < 0.75 else SIZE[::-1]
+    focal = max(SIZE) / 2 / np.tan(np.radians(rng.uniform(*FIELD_OF_VIEW_DEGREES)) / 2)
+    off = np.clip(rng.normal(0, 0.01, 2), -0.03, 0.03)
+    lens = Intrinsics(
+        float(focal), float(focal), width * (0.5 + float(off[0])), height * (0.5 + float(off[1])), width, height
+    )
+    places = np.argwhere(free.walkable)
+    if len(places) == 0:
+        raise ValueError("the room has no free place for a camera")
+    poses: list[Float[np.ndarray, "4 4"]] = []
+    for _ in range(_TRIES * frames):
+        row, column = places[rng.integers(len(places))] + rng.uniform(-0.4, 0.4, 2)
+        x, z = free.origin[0] + column * free.cell_m, free.origin[1] + row * free.cell_m
+        at = np.array([x, rng.uniform(*_HEIGHT_M), z])
+        pitch = np.clip(rng.normal(-0.25, 0.35), -1.25, 0.7)
+        pose = _looking(at, rng.uniform(0, 2 * np.pi), float(pitch), float(rng.normal(0, 0.06)))
+        rays = lens.resized(12, 9).rays().reshape(-1, 3)
+        seen = (rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ pose[:3, :3].T
+        far_m = free.distances(np.tile(at.astype(np.float32), (len(seen), 1)), seen.astype(np.float32))
+        if np.quantile(far_m, 0.1) > _NEAR_M and np.median(far_m) > 2 * _NEAR_M:
+            poses.append(pose)
+            if len(poses) == frames:
+                return CameraPath(lens, np.stack(poses), np.zeros((0, 3)))
+    raise ValueError(f"only {len(poses)} of {frames} views are not blocked")
+
+
+def _looking(at: Float[np.ndarray, "3"], azimuth: float, pitch: float, roll: float) -> Float[np.ndarray, "4 4"]:
+    forward = np.array([np.cos(pitch) * np.cos(azimuth), np.sin(pitch), np.cos(pitch) * np.sin(azimuth)])
+    right = np.array([-np.sin(azimuth), 0.0, np.cos(azimuth)])
+    up = np.cross(right, forward)
+    pose = np.eye(4)
+    pose[:3, 0] = np.cos(roll) * right + np.sin(roll) * up
+    pose[:3, 1] = np.cos(roll) * up - np.sin(roll) * right
+    pose[:3, 2], pose[:3, 3] = -forward, at
+    return pose

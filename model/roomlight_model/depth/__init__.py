@@ -1,0 +1,1 @@
+"""Depth of single pictures: the network (`network`) and its stage of training (`stage`)."""

@@ -1,0 +1,199 @@
+"""The network that estimates depth from one picture and its lens: an EfficientNet-Lite0 encoder and a light decoder.
+
+The input is a square of `DEPTH_SIDE` pixels into which any picture is stretched: sRGB in [0, 1] (3), and the pixels'
+rays x / z and y / z (2), which hold field of view, aspect and principal point (`roomlight.monocular.network` makes
+it). The output, at half the resolution, is the logarithm of z-depth in metres, and the logarithm of the error's scale.
+
+Depth is learned as log(depth / focal length), which a change of zoom leaves as it is (the canonical camera of Yin et
+al. 2023, "Metric3D"). The encoder follows Tan and Le 2019, "EfficientNet", in its Lite form: without squeeze and
+excitation, with ReLU6; layers have the published order, so that published ImageNet weights can start it.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from roomlight.errors import ModelError
+
+LOG_ERROR: Final = (-4.0, 1.0)
+"""Range of the logarithm of the error's scale: 2 % to a factor of 15."""
+_STAGES: Final = (
+    # repeats, kernel, stride, expansion, outputs
+    (1, 3, 1, 1, 16),
+    (2, 3, 2, 6, 24),
+    (2, 5, 2, 6, 40),
+    (3, 3, 2, 6, 80),
+    (3, 5, 1, 6, 112),
+    (4, 5, 2, 6, 192),
+    (1, 3, 1, 6, 320),
+)
+_STEM: Final = 32
+_SKIPS: Final = (0, 1, 2, 4, 6)
+"""Stages whose output the decoder takes: at a half to a thirty-second of the resolution."""
+_SKIP_WIDTHS: Final = (16, 24, 40, 112, 320)
+_WIDTHS: Final = (24, 40, 64, 96, 128)
+_MEAN, _DEVIATION = 127 / 255, 128 / 255
+"""Of the input, as the published encoder was trained."""
+_KEPT_STAGES: Final = 3
+"""Stages that keep published weights."""
+_EPSILON: Final = 1e-3
+"""Of its batch normalisation."""
+
+
+class _Conv(nn.Module):
+    """A convolution and ReLU6; stride 2 pads as TensorFlow does ("same"). Normalisation is folded into the weights."""
+
+    def __init__(
+        self, inputs: int, outputs: int, kernel: int = 1, stride: int = 1, groups: int = 1, *, linear: bool = False
+    ) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, groups=groups)
+        before = (kernel - stride) // 2
+        self.pad = (before, kernel - stride - before) if kernel > 1 else (0, 0)
+        self.linear = linear
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Pad, convolve, clip."""
+        if any(self.pad):
+            x = functional.pad(x, (*self.pad, *self.pad))
+        x = self.conv(x)
+        return x if self.linear else functional.relu6(x)
+
+
+class _Inverted(nn.Module):
+    """An inverted residual: widen, convolve each channel, narrow."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int) -> None:
+        super().__init__()
+        wide = inputs * expansion
+        layers = [_Conv(inputs, wide)] if expansion > 1 else []
+        layers += [_Conv(wide, wide, kernel, stride, wide), _Conv(wide, outputs, linear=True)]
+        self.layers = nn.Sequential(*layers)
+        self.residual = stride == 1 and inputs == outputs
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Add the layers' output to the input where both have one shape."""
+        return x + self.layers(x) if self.residual else self.layers(x)
+
+
+class _Encoder(nn.Module):
+    """EfficientNet-Lite0 up to its last block."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = _Conv(3, _STEM, 3, 2)
+        stages, inputs = list[nn.Module](), _STEM
+        for repeats, kernel, stride, expansion, outputs in _STAGES:
+            blocks = [
+                _Inverted(inputs if k == 0 else outputs, outputs, kernel, stride if k == 0 else 1, expansion)
+                for k in range(repeats)
+            ]
+            stages.append(nn.Sequential(*blocks))
+            inputs = outputs
+        self.stages = nn.ModuleList(stages)
+
+    def forward(self, image: Float[Tensor, "b 3 h w"]) -> list[Tensor]:
+        """Return the features that the decoder takes, from fine to coarse."""
+        x, kept = self.stem((image - _MEAN) / _DEVIATION), list[Tensor]()
+        for number, stage in enumerate(self.stages):
+            x = stage(x)
+            if number in _SKIPS:
+                kept.append(x)
+        return kept
+
+
+class _Merge(nn.Module):
+    """Add coarse features, enlarged, to fine ones, then two convolutions."""
+
+    def __init__(self, coarse: int, skip: int, width: int) -> None:
+        super().__init__()
+        self.reduce = nn.Conv2d(coarse, width, 1)
+        self.skip = nn.Conv2d(skip, width, 1)
+        self.refine = nn.Sequential(
+            nn.Conv2d(width, width, 3, padding=1), nn.ReLU(), nn.Conv2d(width, width, 3, padding=1)
+        )
+
+    def forward(self, coarse: Tensor, skip: Tensor) -> Tensor:
+        """Return features of the size of `skip`."""
+        larger = functional.interpolate(self.reduce(coarse), scale_factor=2.0, mode="bilinear", align_corners=False)
+        x = functional.relu(larger + self.skip(skip))
+        return functional.relu(x + self.refine(x))
+
+
+class DepthNetwork(nn.Module):
+    """Depth and its error from a picture and its rays."""
+
+    form = "depth"
+
+    def __init__(self) -> None:
+        """Build the layers."""
+        super().__init__()
+        self.encoder = _Encoder()
+        bottom = _WIDTHS[-1]
+        self.bottom = nn.Conv2d(_SKIP_WIDTHS[-1] + 2, bottom, 1)
+        self.room = nn.Linear(bottom, bottom)
+        self.merges = nn.ModuleList(
+            _Merge(coarse, skip + (2 if skip == 112 else 0), width)
+            for coarse, skip, width in zip(_WIDTHS[:0:-1], _SKIP_WIDTHS[-2::-1], _WIDTHS[-2::-1], strict=True)
+        )
+        self.head = nn.Conv2d(_WIDTHS[0], 2, 3, padding=1)
+        with torch.no_grad():
+            self.head.weight.mul_(0.1)
+            self.head.bias.copy_(torch.tensor([1.1, -1.2]))  # pyright: ignore[reportOptionalMemberAccess]
+
+    def forward(self, planes: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 2 h2 w2"]:
+        """Return log depth in metres, and the log of the error's scale, at half the resolution."""
+        rays = planes[:, 3:]
+        features = self.encoder(planes[:, :3])
+        coarse = functional.avg_pool2d(rays, 32)
+        x = functional.relu(self.bottom(torch.cat([features[-1], coarse], dim=1)))
+        x = x + functional.relu(self.room(x.mean(dim=(2, 3))))[:, :, None, None]
+        features[-2] = torch.cat([features[-2], functional.avg_pool2d(rays, 16)], dim=1)
+        for merge, skip in zip(self.merges, features[-2::-1], strict=True):
+            x = merge(x, skip)
+        out = self.head(x)
+        return torch.cat([out[:, :1] + log_focal(rays), out[:, 1:].clamp(*LOG_ERROR)], dim=1)
+
+    def start_encoder(self, published: Mapping[str, Tensor]) -> None:
+        """Take published weights of EfficientNet-Lite0 (ImageNet): the same layers in the same order.
+
+        Args:
+            published: For each layer the convolution's weights, then gain, bias, mean and variance of its batch
+                normalisation, which are folded into weights and bias; what follows the encoder's layers is left out.
+
+        Raises:
+            ModelError: The weights are of another network.
+        """
+        values = [value for name, value in published.items() if not name.endswith("num_batches_tracked")]
+        layers = [layer.conv for layer in self.encoder.modules() if isinstance(layer, _Conv)]
+        if len(values) < 5 * len(layers):
+            raise ModelError(f"{len(values)} tensors are no EfficientNet-Lite0, which has {5 * len(layers)} and more")
+        for number, layer in enumerate(layers):
+            weight, gain, bias, mean, variance = values[5 * number : 5 * number + 5]
+            if weight.shape != layer.weight.shape or gain.shape != mean.shape or gain.shape != weight.shape[:1]:
+                wanted = f"it must be {tuple(layer.weight.shape)}"
+                raise ModelError(f"layer {number} is {tuple(weight.shape)}; {wanted}: not EfficientNet-Lite0")
+            assert layer.bias is not None
+            scale = gain / (variance + _EPSILON).sqrt()
+            with torch.no_grad():
+                layer.weight.copy_(weight * scale[:, None, None, None])
+                layer.bias.copy_(bias - mean * scale)
+
+    def keep_early_layers(self) -> None:
+        """Exclude the encoder's layers at high resolution from training.
+
+        Edges and textures need no other weights than the published ones, and half of a step's time would go there.
+        """
+        for part in (self.encoder.stem, *list(self.encoder.stages)[:_KEPT_STAGES]):
+            part.requires_grad_(False)
+
+
+def log_focal(rays: Float[Tensor, "b 2 h w"]) -> Float[Tensor, "b 1 1 1"]:
+    """Return the log of the focal length in units of the picture's sides (geometric mean), by the spacing of rays."""
+    width = (rays[:, 0, :, -1] - rays[:, 0, :, 0]).mean(dim=1).abs()
+    height = (rays[:, 1, -1] - rays[:, 1, 0]).mean(dim=1).abs()
+    return (-0.5 * torch.log((width * height).clamp(min=1e-4)))[:, None, None, None]

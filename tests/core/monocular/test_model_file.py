@@ -1,0 +1,161 @@
+"""Depth models of the user's: tiny graphs with the conventions of published exports, and what is refused by name."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from box_room import LENS, exact_depth, frame, pose
+from depth_models import SIZE, write_depth_model
+from roomlight.errors import ModelError
+from roomlight.monocular.estimate import srgb_picture
+from roomlight.monocular.model_file import DepthModelFile
+from roomlight.monocular.stream import DepthStream
+
+TRUTH = exact_depth(pose(0.3), LENS.resized(SIZE[1], SIZE[0])).astype(np.float64)
+
+
+def run(path: Path) -> tuple[DepthModelFile, np.ndarray]:
+    """Return the model and 1 / what it answers on the room's picture."""
+    model = DepthModelFile(path)
+    answer = model.estimate(srgb_picture(frame(0, pose(0.3))), LENS)
+    return model, answer.inverse
+
+
+def test_metric_depth_is_taken_as_it_is(tmp_path: Path) -> None:
+    model, inverse = run(
+        write_depth_model(tmp_path / "depth_anything_v2_metric_indoor.onnx", {"predicted_depth": TRUTH[None]})
+    )
+    assert model.kind == "metric"
+    assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
+
+
+def test_relative_depth_is_inverse(tmp_path: Path) -> None:
+    model, inverse = run(write_depth_model(tmp_path / "depth_anything_v2_vits.onnx", {"depth": (7 / TRUTH + 2)[None]}))
+    assert model.kind == "inverse"
+    assert np.allclose(inverse, 7 / TRUTH + 2, rtol=1e-4)
+
+
+def test_depth_anything_3_is_depth_up_to_scale_with_an_axis_of_views(tmp_path: Path) -> None:
+    outputs = {"depth": 3 * TRUTH[None, None], "depth_conf": np.ones((1, 1, *SIZE))}
+    model, inverse = run(write_depth_model(tmp_path / "da3.onnx", outputs, shape=(1, 1, 3, *SIZE)))
+    assert model.kind == "scale"
+    assert np.allclose(inverse, 1 / (3 * TRUTH), rtol=1e-4)
+
+
+def test_metric3d_is_for_its_own_focal_length(tmp_path: Path) -> None:
+    canonical = TRUTH * 1000 / (LENS.fx * np.sqrt(SIZE[1] / LENS.width * SIZE[0] / LENS.height))
+    outputs = {"predicted_depth": canonical[None], "predicted_normal": np.zeros((1, 3, *SIZE))}
+    model, inverse = run(write_depth_model(tmp_path / "vit_small.onnx", outputs))
+    assert model.kind == "metric"
+    assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
+
+
+@pytest.mark.parametrize("metric_scale", [None, 2.0])
+def test_points_get_their_shift_from_the_lens(tmp_path: Path, metric_scale: float | None) -> None:
+    lens = LENS.resized(SIZE[1], SIZE[0])
+    points = lens.rays() * np.array([1, -1, -1]) * TRUTH[..., None]
+    points[..., 2] -= 0.9  # MoGe's points are known up to a shift along z
+    outputs = {"points": points[None] / (metric_scale or 1), "mask": np.ones((1, *SIZE))}
+    if metric_scale:
+        outputs["metric_scale"] = np.array([metric_scale])
+    tokens = {"num_tokens": (TensorProto.INT64, ())}
+    model, inverse = run(write_depth_model(tmp_path / "moge.onnx", outputs, picture="image", others=tokens))
+    assert model.kind == ("metric" if metric_scale else "scale")
+    assert np.allclose(inverse, 1 / TRUTH, rtol=2e-2)
+
+
+def test_unidepth_takes_the_lens(tmp_path: Path) -> None:
+    """The graph multiplies depth by K's first entry, so that the answer shows the K that it was given."""
+    picture = helper.make_tensor_value_info("rgbs", TensorProto.FLOAT, [1, 3, *SIZE])
+    lens = helper.make_tensor_value_info("K", TensorProto.FLOAT, [1, 3, 3])
+    given = LENS.resized(SIZE[1], SIZE[0])
+    depth = numpy_helper.from_array((TRUTH / given.fx)[None, None].astype(np.float32), "canonical")
+    index = numpy_helper.from_array(np.array([0, 0, 0]), "first")
+    nodes = [
+        helper.make_node("GatherND", ["K", "first"], ["fx"]),
+        helper.make_node("Mul", ["canonical", "fx"], ["depth"]),
+    ]
+    info = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, 1, *SIZE])
+    graph = helper.make_graph(nodes, "unidepth", [picture, lens], [info], [depth, index])
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), tmp_path / "u.onnx")
+    model, inverse = run(tmp_path / "u.onnx")
+    assert model.kind == "metric"
+    assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
+
+
+def _echo(path: Path, *, shape: tuple[int | str, ...], kind: int = TensorProto.FLOAT) -> Path:
+    """Write a graph whose depth is the picture's first channel."""
+    picture = helper.make_tensor_value_info("image", kind, list(shape))
+    axes = [numpy_helper.from_array(np.array([bound]), name) for name, bound in (("a", 0), ("b", 1), ("c", 1))]
+    nodes = [
+        helper.make_node("Cast", ["image"], ["cast"], to=TensorProto.FLOAT),
+        helper.make_node("Slice", ["cast", "a", "b", "c"], ["depth"]),
+    ]
+    info = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, 1, shape[2], shape[3]])
+    graph = helper.make_graph(nodes, "echo", [picture], [info], axes)
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
+    return path
+
+
+def test_the_sidecar_states_size_and_normalisation(tmp_path: Path) -> None:
+    path = _echo(tmp_path / "own.onnx", shape=(1, 3, "height", "width"), kind=TensorProto.FLOAT16)
+    stated = {"kind": "inverse", "size": 98, "mean": [10, 0, 0], "deviation": [2, 1, 1], "white": 255}
+    path.with_suffix(".json").write_text(json.dumps(stated))
+    grey = np.full((240, 320, 3), 0.5, np.float32)
+    grey[:, :160] = 0.25
+    answer = DepthModelFile(path).estimate(grey, LENS).inverse
+    assert answer.shape == (70, 98)  # the longest side as stated, both multiples of 14
+    assert answer[0, 0] == pytest.approx((0.25 * 255 - 10) / 2, rel=1e-2)
+    assert answer[0, -1] == pytest.approx((0.5 * 255 - 10) / 2, rel=1e-2)
+
+
+def test_a_stream_scales_relative_depth_by_a_metric_model(tmp_path: Path) -> None:
+    metric = DepthModelFile(write_depth_model(tmp_path / "metric.onnx", {"depth": TRUTH[None]}))
+    relative = DepthModelFile(write_depth_model(tmp_path / "relative.onnx", {"depth": (7 / TRUTH + 2)[None]}))
+    completed = DepthStream(relative, metric).complete(frame(0, pose(0.3)))
+    assert np.median(np.abs(completed.depth_m / exact_depth(pose(0.3)) - 1)) < 0.02
+
+
+Graph = dict[str, Any]
+
+
+@pytest.mark.parametrize(
+    ("outputs", "graph", "sidecar", "message"),
+    [
+        ({"depth": TRUTH[None]}, {"shape": (1, 4, *SIZE)}, None, r"no input is a picture .* pixel_values \[1, 4"),
+        ({"a": TRUTH[None], "b": TRUTH[None]}, {}, None, "which of its outputs a, b is depth is not known"),
+        ({"answer": TRUTH[None]}, {}, None, "whether its output answer is depth or 1 / depth is not known"),
+        ({"depth": TRUTH[None]}, {}, {"output": "deep"}, "has no output deep, only depth"),
+        ({"depth": TRUTH[None]}, {}, {"kind": "metres"}, "kind: .*metres"),
+        ({"depth": TRUTH[None]}, {}, {"sise": 3}, "sise: .*known: kind, output"),
+        ({"depth": TRUTH[None]}, {}, {"size": 3}, "size: .*got 3"),
+        ({"depth": TRUTH[None]}, {"others": {"text": (TensorProto.FLOAT, (1,))}}, None, "its input text is not known"),
+        ({"depth": TRUTH[None]}, {"kind": TensorProto.DOUBLE}, None, "the type of its input pixel_values is none of"),
+        ({"depth": np.ones((1, *SIZE))}, {}, None, "its output depth is constant or not finite"),
+        ({"depth": np.full((1, *SIZE), np.nan)}, {}, None, "its output depth is constant or not finite"),
+        ({"depth": np.ones((1, 2, *SIZE))}, {}, None, r"its output depth has the shape \(1, 2, 28, 42\), not \[h, w\]"),
+        ({"depth": TRUTH[None]}, {"shape": (1, 3, 4000, 28)}, None, "its picture is 28 x 4000; at most 2048"),
+    ],
+)
+def test_a_bad_model_is_refused_by_what_is_wrong(
+    tmp_path: Path, outputs: dict[str, np.ndarray], graph: Graph, sidecar: Graph | None, message: str
+) -> None:
+    path = write_depth_model(tmp_path / "bad.onnx", outputs, **graph)
+    if sidecar is not None:
+        path.with_suffix(".json").write_text(json.dumps(sidecar))
+    with pytest.raises(ModelError, match=message) as raised:
+        run(path)
+    assert "bad." in str(raised.value)
+
+
+def test_what_is_no_graph_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="there is no such depth model"):
+        DepthModelFile(tmp_path / "absent.onnx")
+    (tmp_path / "text.onnx").write_text("not a graph")
+    with pytest.raises(ModelError, match=r"text\.onnx: ONNX Runtime cannot load it"):
+        DepthModelFile(tmp_path / "text.onnx")

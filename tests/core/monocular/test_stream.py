@@ -1,0 +1,111 @@
+"""Depth made consistent over a stream: scale and shift by triangulated features, keyframes, and what stays without."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from box_room import LENS, exact_depth, frame, pose
+from roomlight.camera import Intrinsics
+from roomlight.monocular.estimate import DepthEstimate, DepthKind
+from roomlight.monocular.fitting import Fit, fit_inverse
+from roomlight.monocular.stream import DepthStream
+from roomlight.monocular.tracks import View, carried, grey_picture, grid_of, triangulated
+
+
+class WrongDepth:
+    """A model that knows the room's depth, but not its scale: another error for every frame."""
+
+    name = "wrong.onnx"
+
+    def __init__(self, kind: DepthKind, inverse_of: Callable[[int], np.ndarray]) -> None:
+        self.kind: DepthKind = kind
+        self.calls, self._inverse_of = 0, inverse_of
+
+    def estimate(self, picture: np.ndarray, intrinsics: Intrinsics) -> DepthEstimate:
+        assert picture.shape[:2] == (intrinsics.height, intrinsics.width)
+        inverse = self._inverse_of(self.calls).astype(np.float32)
+        self.calls += 1
+        return DepthEstimate(inverse, np.ones_like(inverse), self.kind)
+
+
+POSES = [pose(0.12 * k, turn=0.02 * k) for k in range(8)]
+
+
+def _errors(model: WrongDepth) -> list[float]:
+    stream = DepthStream(model, reference=None)
+    errors: list[float] = []
+    for k, at in enumerate(POSES):
+        completed = stream.complete(frame(k, at))
+        errors.append(float(np.median(np.abs(completed.depth_m / exact_depth(at) - 1))))
+    return errors
+
+
+def test_a_stream_finds_the_scale_of_metric_depth_that_is_wrong() -> None:
+    """The first frame has only the model's word, 1.4 times too far; parallax corrects the later ones."""
+    breathing = [1.4, 1.35, 1.45, 1.3, 1.5, 1.4, 1.35, 1.45]
+    errors = _errors(WrongDepth("metric", lambda k: 1 / (breathing[k] * exact_depth(POSES[k]))))
+    assert errors[0] == pytest.approx(0.4, abs=0.01)
+    assert max(errors[3:]) < 0.08
+
+
+def test_walls_do_not_breathe_without_parallax() -> None:
+    """A camera that only turns: each frame is fitted to the depth of the first."""
+    turned = [pose(0, turn=0.04 * k) for k in range(6)]
+    factors = [1.1, 1.3, 0.9, 1.2, 1.0, 1.35]
+    model = WrongDepth("metric", lambda k: 1 / (factors[k] * exact_depth(turned[k])))
+    stream = DepthStream(model, reference=None)
+    scales = [float(np.median(stream.complete(frame(k, at)).depth_m / exact_depth(at))) for k, at in enumerate(turned)]
+    assert scales == pytest.approx([1.1] * 6, rel=0.03)
+
+
+def test_inverse_depth_gets_scale_and_shift_from_the_motion() -> None:
+    reference = WrongDepth("metric", lambda k: 1 / (1.15 * exact_depth(POSES[k])))
+    model = WrongDepth("inverse", lambda k: (1 / exact_depth(POSES[k])) * (3 + k % 3) + 0.7)
+    stream = DepthStream(model, reference=reference)
+    errors = [
+        float(np.median(np.abs(stream.complete(frame(k, at)).depth_m / exact_depth(at) - 1)))
+        for k, at in enumerate(POSES)
+    ]
+    assert errors[0] == pytest.approx(0.15, abs=0.02)
+    assert max(errors[3:]) < 0.06
+
+
+def test_a_frame_with_depth_is_returned_as_it_is() -> None:
+    given = frame(0, POSES[0], depth=True)
+    assert DepthStream(WrongDepth("metric", lambda _: np.ones((4, 4)))).complete(given) is given
+
+
+def test_features_are_triangulated_where_there_is_parallax() -> None:
+    views = [
+        View(grey_picture(frame(0, at).image), LENS, at.astype(np.float64), grid_of(1 / exact_depth(at)))
+        for at in POSES
+    ]
+    samples = triangulated(views[3], views[0], 1 / (1.3 * exact_depth(POSES[3])))
+    truth = exact_depth(POSES[3])[samples.pixels[:, 1].astype(int), samples.pixels[:, 0].astype(int)]
+    assert len(truth) > 50
+    assert np.median(np.abs(samples.inverse * truth - 1)) < 0.02
+    still = triangulated(views[0], views[0], 1 / exact_depth(POSES[0]))
+    assert len(still.pixels) == 0
+    taken = carried(views[3], views[0])
+    truth = exact_depth(POSES[3])[taken.pixels[:, 1].astype(int), taken.pixels[:, 0].astype(int)]
+    assert np.median(np.abs(taken.inverse * truth - 1)) < 0.01
+
+
+@pytest.mark.parametrize("kind", ["metric", "scale", "inverse"])
+def test_a_fit_withstands_a_third_of_wrong_samples(kind: DepthKind) -> None:
+    rng = np.random.default_rng(0)
+    true = rng.uniform(0.2, 1.2, 300)
+    estimated = (true - (0.1 if kind == "inverse" else 0.0)) / 2.5
+    measured = true * np.exp(rng.normal(0, 0.02, 300))
+    measured[::3] = rng.uniform(0.05, 3, 100)
+    fit = fit_inverse(estimated, measured, np.ones(300), kind=kind, prior=None)
+    assert fit is not None
+    assert fit.scale == pytest.approx(2.5, rel=0.03)
+    assert fit.shift == pytest.approx(0.1 if kind == "inverse" else 0.0, abs=0.02)
+
+
+def test_too_few_samples_leave_the_earlier_fit() -> None:
+    few = np.full(5, 0.5)
+    assert fit_inverse(few, few, few, kind="metric", prior=None) is None
+    assert fit_inverse(few, few, few, kind="metric", prior=Fit(1.3)) == Fit(1.3)

@@ -1,0 +1,32 @@
+"""Tiny ONNX graphs that answer with a given depth, whatever they are shown."""
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+SIZE = (28, 42)
+"""Rows and columns of the graphs' pictures and answers."""
+
+
+def write_depth_model(
+    path: Path,
+    outputs: dict[str, np.ndarray],
+    *,
+    picture: str = "pixel_values",
+    shape: tuple[int | str, ...] = (1, 3, *SIZE),
+    kind: int = TensorProto.FLOAT,
+    others: dict[str, tuple[int, tuple[int, ...]]] | None = None,
+) -> Path:
+    """Write a graph that answers with constants, whatever it is given."""
+    inputs = [helper.make_tensor_value_info(picture, kind, list(shape))]
+    inputs += [helper.make_tensor_value_info(name, *given) for name, given in (others or {}).items()]
+    nodes, values, infos = [], [], []
+    for name, value in outputs.items():
+        values.append(numpy_helper.from_array(value.astype(np.float32), f"{name}_value"))
+        nodes.append(helper.make_node("Identity", [f"{name}_value"], [name]))
+        infos.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, list(value.shape)))
+    graph = helper.make_graph(nodes, "depth", inputs, infos, values)
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
+    return path

@@ -1,0 +1,104 @@
+"""The network of depth and its stage: what zoom leaves alone, published weights, batches, a step of training."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from box_room import LENS, exact_depth, frame, pose
+from roomlight.camera import Intrinsics
+from roomlight.conventions import linear_to_srgb8
+from roomlight.errors import ModelError
+from roomlight.monocular.network import DEPTH_SIDE, ray_planes
+from roomlight_model.depth.network import DepthNetwork, log_focal
+from roomlight_model.depth.stage import DepthFrames, DepthOptions, DepthStage, depth_batch
+
+
+def _frames(count: int) -> DepthFrames:
+    shots = [pose(0.1 * k, turn=0.4 * k) for k in range(count)]
+    colour = [linear_to_srgb8(frame(k, at).image) for k, at in enumerate(shots)]
+    depth = [np.rint(1000 * exact_depth(at)).astype(np.uint16) for at in shots]
+    return DepthFrames(colour, depth, [LENS] * count)
+
+
+def _published(network: DepthNetwork) -> Iterator[tuple[str, torch.Tensor]]:
+    """Yield weights in the published order: convolution, then the four tensors of its normalisation and a counter."""
+    generator = torch.Generator().manual_seed(3)
+    for number, (name, value) in enumerate(network.encoder.state_dict().items()):
+        if name.endswith("weight"):
+            yield f"{number}.weight", torch.randn(value.shape, generator=generator)
+            for part in ("gain", "bias", "mean"):
+                yield f"{number}.{part}", torch.randn(value.shape[:1], generator=generator)
+            yield f"{number}.variance", torch.rand(value.shape[:1], generator=generator) + 0.5
+            yield f"{number}.num_batches_tracked", torch.tensor(7)
+
+
+def test_a_zoomed_picture_is_farther_by_the_zoom() -> None:
+    """The same pixels seen by a lens of twice the focal length: depth is doubled, but for what the rays tell."""
+    near, far = (ray_planes(Intrinsics(k * 280.0, k * 280.0, 160.0, 120.0, 320, 240))[None] for k in (1, 2))
+    doubled = log_focal(torch.from_numpy(far)) - log_focal(torch.from_numpy(near))
+    assert float(doubled) == pytest.approx(np.log(2), abs=1e-5)
+
+
+def test_published_weights_are_folded_with_their_normalisation() -> None:
+    network = DepthNetwork()
+    published = dict(_published(network))
+    network.start_encoder(published)
+    weight, gain, bias, mean, variance = [value for name, value in published.items() if "num_" not in name][:5]
+    picture = torch.rand(1, 3, 32, 32)
+    padded = torch.nn.functional.pad(picture, (0, 1, 0, 1))
+    wanted = torch.nn.functional.conv2d(padded, weight, stride=2)
+    wanted = (wanted - mean[:, None, None]) / (variance[:, None, None] + 1e-3).sqrt() * gain[:, None, None]
+    wanted = (wanted + bias[:, None, None]).clamp(0, 6)
+    assert torch.allclose(network.encoder.stem(picture), wanted, atol=1e-4)
+
+
+def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
+    network = DepthNetwork()
+    with pytest.raises(ModelError, match="3 tensors are no EfficientNet-Lite0"):
+        network.start_encoder({str(k): torch.zeros(1) for k in range(3)})
+    wrong = {name: value[..., :1] for name, value in _published(network) if value.ndim}
+    with pytest.raises(ModelError, match=r"layer 0 is .* not EfficientNet-Lite0"):
+        network.start_encoder(wrong)
+    (tmp_path / "text.pth").write_text("no weights")
+    options = DepthOptions(encoder=tmp_path / "text.pth")
+    with pytest.raises(ModelError, match=r"text\.pth: the encoder's weights cannot be read"):
+        DepthStage(options, _frames(1), _frames(1)).network()
+
+
+def test_a_batch_holds_the_truth_at_half_the_size() -> None:
+    frames = _frames(2)
+    batch = depth_batch(frames)
+    assert batch.planes.shape == (2, 5, DEPTH_SIDE, DEPTH_SIDE)
+    assert bool(batch.known.all())
+    middle = batch.log_depth[0, 0, DEPTH_SIDE // 4, DEPTH_SIDE // 4].exp()
+    assert float(middle) == pytest.approx(float(exact_depth(pose(0))[120, 160]), rel=0.02)
+
+
+def test_a_cut_keeps_rays_and_depth_together() -> None:
+    """Points of a cut, mirrored or not, still lie on the room's far wall, 3.5 m away."""
+    frames = DepthFrames(*[[part] for part in (_frames(1).colour[0], _frames(1).depth_mm[0], LENS)])  # pyright: ignore
+    for seed in range(6):
+        batch = depth_batch(frames, [np.random.default_rng(seed)])
+        depth = batch.log_depth[0, 0].exp().numpy()
+        rays = batch.planes[0, 3:, ::2, ::2].numpy()
+        height = 1.4 - rays[1] * depth
+        assert height.min() > -0.1
+        assert height.max() < 2.7
+        assert np.abs(depth[np.abs(rays[1]) < 0.1].max() - 3.5) < 0.1
+
+
+def test_a_step_trains_all_but_the_early_layers() -> None:
+    stage = DepthStage(DepthOptions(batch=2), _frames(3), _frames(2))
+    network = stage.network()
+    network.keep_early_layers()
+    (losses,) = stage.losses(network, stage.batch(0), torch.Generator())
+    losses["loss"].backward()
+    assert network.encoder.stem.conv.weight.grad is None
+    assert network.head.weight.grad is not None
+    assert float(network.head.weight.grad.abs().sum()) > 0
+    scores = stage.scores(network)
+    assert set(scores) == {"loss", "within_25", "scaled", "constant"}
+    assert all(np.isfinite(value) for value in scores.values())
