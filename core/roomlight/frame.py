@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from roomlight.camera import Intrinsics, check_rigid
+from roomlight.conventions import linear_to_srgb8
 from roomlight.depth import clean_depth, without_unseen
 from roomlight.errors import FrameError
 
@@ -111,6 +112,12 @@ class Frame:
         object.__setattr__(self, "image", _checked_image(self.image, name))
         object.__setattr__(self, "depth_m", clean_depth(self.depth_m))
         object.__setattr__(self, "camera_to_world", pose)
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture for a notebook."""
+        from roomlight.images import encode_png  # which imports this module
+
+        return encode_png(linear_to_srgb8(self.image))
 
     def resized(self, max_width: int, max_height: int) -> "Frame":
         """Reduce image and depth to fit into a box, with the same aspect; nothing is enlarged.

@@ -34,6 +34,7 @@ from roomlight_server.routes import page as page_routes
 from roomlight_server.routes import pairing as pairing_routes
 from roomlight_server.routes import recordings as recording_routes
 from roomlight_server.routes import room as room_routes
+from roomlight_server.routes import scene as scene_routes
 from roomlight_server.routes import sessions as session_routes
 from roomlight_server.routes import stream
 from roomlight_server.routes.bodies import BodyMiddleware
@@ -78,6 +79,7 @@ _ROUTES: Final = (
     composite_routes,
     stream,
     room_routes,
+    scene_routes,
     recording_routes,
     page_routes,
     pairing_routes,
@@ -98,6 +100,7 @@ _CORS_ANSWER_HEADERS: Final = (
     light_routes.COVERAGE_HEADER,
     light_routes.FRAME_HEADER,
     composite_routes.POSES_HEADER,
+    composite_routes.VISIBLE_HEADER,
     recording_routes.OFFSET_HEADER,
     room_routes.KEYFRAMES_HEADER,
 )

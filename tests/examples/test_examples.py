@@ -1,5 +1,6 @@
 """Every script of `examples/` runs as its docstring says, and what it writes is plausible light."""
 
+import ast
 import csv
 import json
 import os
@@ -70,6 +71,24 @@ def test_every_example_has_a_test_and_a_row_in_the_readme() -> None:
     for path in [*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*.html")]:
         assert f"[`{path.name}`]({path.name})" in readme
         assert f'"{path.stem}"' in tests or path.name in tests
+
+
+@pytest.mark.slow
+def test_the_notebook_shows_a_frame_the_session_its_light_and_a_composite() -> None:
+    """Run the cells as Jupyter does, without it: each shows its last expression."""
+    names: dict[str, object] = {}
+    shown: list[object] = []
+    for cell in json.loads((EXAMPLES / "notebook.ipynb").read_text())["cells"]:
+        if cell["cell_type"] == "code":
+            *statements, last = ast.parse("".join(cell["source"])).body
+            assert isinstance(last, ast.Expr)
+            exec(compile(ast.Module(statements, []), "notebook", "exec"), names)
+            shown.append(eval(compile(ast.Expression(last.value), "notebook", "eval"), names))
+    assert [type(value).__name__ for value in shown] == ["Frame", "Session", "Light", "Composite"]
+    for value in shown:
+        picture = getattr(value, "_repr_png_", getattr(value, "_repr_html_", None))
+        assert picture is not None
+        assert len(picture()) > 1000
 
 
 @pytest.mark.slow

@@ -15,7 +15,8 @@ class PageServer:
 
     Commands are POST requests to `control_url`: `/push?session=NAME&count=N` opens the session where there is none and
     sends its next frames, `/restart` and `/stop` and `/start` the server, `/expire` makes all sessions idle for a day,
-    `/state?session=NAME` returns the state of a session.
+    `/state?session=NAME` returns the state of a session, `/scene?session=NAME` its scene, `/clear?session=NAME` removes
+    the objects that are kept with it.
     """
 
     def __init__(self, **settings):
@@ -81,9 +82,15 @@ class PageServer:
     def state(self, session="room"):
         return self.running.state(session, token=self._token)
 
+    def scene(self, session="room"):
+        return self.running.call("GET", f"/v1/sessions/{session}/scene", token=self._token).json
+
+    def clear(self, session="room"):
+        assert self.running.call("PUT", f"/v1/sessions/{session}/scene", {}, token=self._token).status == 200
+
     def _handler(self):
         page_server = self
-        commands = ("push", "stop", "start", "restart", "expire", "state")
+        commands = ("push", "stop", "start", "restart", "expire", "state", "scene", "clear")
 
         class Handler(BaseHTTPRequestHandler):
             def do_POST(self):

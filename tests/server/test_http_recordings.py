@@ -281,6 +281,21 @@ def test_a_folder_is_uploaded_and_played(tmp_path, short_sample):
 
 
 @pytest.mark.slow
+def test_what_a_recording_states_and_is_not_used_is_returned(tmp_path, short_sample):
+    index = json.loads((short_sample / "capture.json").read_text())
+    for number, frame in enumerate(index["frames"]):
+        frame["timestamp_s"] = 65_505_280_000_000 + number * 33_333_333
+    (short_sample / "capture.json").write_text(json.dumps(index))
+    with RunningServer(recordings_folder=tmp_path) as server:
+        url = upload(server, short_sample)
+        assert server.call("GET", url).json["notes"] == []
+        server.call("PUT", f"{url}/replay", {"session": "room", "model": "classical", "height": 16, "fps": 60})
+        (note,) = finished(server, url)["notes"]
+        assert "read as nanoseconds" in note
+        assert str(tmp_path) not in note
+
+
+@pytest.mark.slow
 def test_a_replay_is_stopped(tmp_path, short_sample):
     index = json.loads((short_sample / "capture.json").read_text())
     for frame in index["frames"]:

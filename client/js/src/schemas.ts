@@ -620,6 +620,7 @@ export interface components {
          *         frame: frames sent to the session so far.
          *         frames: frames of the recording that are played; null before the first replay.
          *         unreadable: frames that could not be read or used so far.
+         *         notes: what its files state and was left out, guessed or changed, and what to do about it.
          *         expires_in_s: it is deleted after this time without a request.
          */
         readonly Recording: {
@@ -637,6 +638,7 @@ export interface components {
             readonly frame: number;
             readonly frames: number | null;
             readonly unreadable: number;
+            readonly notes: readonly string[];
             readonly problem: components["schemas"]["Problem"] | null;
             readonly expires_in_s: number;
         };
@@ -736,6 +738,22 @@ export interface components {
              */
             readonly unknown_depth?: "rim" | "far" | "drop";
         };
+        /**
+         * @description What people keep with a session: its title, and the objects that its viewers see in it; at most 16.
+         *
+         *     Attributes:
+         *         title: shown in place of the id; empty: the id.
+         *         objects: with position or pose. A pixel belongs to one frame: send the pose of the composite's answer instead.
+         */
+        readonly SessionScene: {
+            /**
+             * @description ^[^\x00-\x1f\x7f]*$
+             * @default
+             */
+            readonly title?: string;
+            /** @description 0 to 16 items */
+            readonly objects?: readonly components["schemas"]["CompositeObject"][];
+        };
         /** @description State of a session. After an engine error its status is `failed`: delete it and open a new one. */
         readonly SessionState: {
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
@@ -761,6 +779,7 @@ export interface components {
          * @description A session in the list of a token's sessions.
          *
          *     Attributes:
+         *         title: as its viewers have named it; empty: they have not.
          *         status: `saved` is on disk and not in memory; its next request restores it.
          *         probes: names of the tracked probes.
          *         idle_s: seconds since its last request; 0 while a request or a WebSocket uses it. Of a saved session, seconds
@@ -769,6 +788,8 @@ export interface components {
         readonly SessionSummary: {
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
             readonly id: string;
+            /** @default  */
+            readonly title: string;
             /** @enum {string} */
             readonly status: "open" | "failed" | "saved";
             /** @enum {string} */
@@ -880,6 +901,7 @@ export type ReplayRequest = components['schemas']['ReplayRequest'];
 export type ServerMessage = components['schemas']['ServerMessage'];
 export type SessionList = components['schemas']['SessionList'];
 export type SessionRequest = components['schemas']['SessionRequest'];
+export type SessionScene = components['schemas']['SessionScene'];
 export type SessionState = components['schemas']['SessionState'];
 export type SessionSummary = components['schemas']['SessionSummary'];
 export type Subscribe = components['schemas']['Subscribe'];

@@ -46,6 +46,8 @@ export interface CompositeFile {
   frame: number;
   /** Pose of each object by name, column by column: given as `pose` with the anchor "origin", it stays in place. */
   poses: { readonly [name: string]: readonly number[] };
+  /** Share of each object by name that nothing real hides, 0 to 1. */
+  visible: { readonly [name: string]: number };
 }
 
 /** A server. `new RoomLight("https://light.example").open()` */
@@ -199,6 +201,7 @@ export class Session {
       data: await response.blob(),
       frame: Number(response.headers.get("roomlight-frame")),
       poses: JSON.parse(response.headers.get("roomlight-poses") ?? "{}") as CompositeFile["poses"],
+      visible: JSON.parse(response.headers.get("roomlight-visible") ?? "{}") as CompositeFile["visible"],
     };
   }
 

@@ -3,6 +3,7 @@
 import { RoomLightError, type Position } from "roomlight";
 import { Api } from "./lib/api";
 import { LiveSession } from "./live";
+import type { SessionSummary } from "./lib/answers";
 import { PlacedObjects } from "./objects";
 import { parts } from "./lib/parts";
 import { cameraPanel, chosen } from "./panels/camera";
@@ -16,6 +17,7 @@ import { timelinePanel } from "./panels/timeline";
 import { uploadsPanel } from "./panels/uploads";
 import type { RoomPanel } from "./room/room";
 import type { SurfacePoint } from "./room/surface";
+import { SharedScene } from "./scene";
 import { State } from "./state";
 
 const POLL_MS = 2000;
@@ -26,8 +28,9 @@ const state = new State();
 let live: LiveSession | null = null;
 
 const objects = new PlacedObjects(state, () => live?.session ?? null, reportError);
+const shared = new SharedScene(api, state, objects, reportError);
 
-sessionsPanel(state, (id) => void removeSession(id));
+sessionsPanel(state, { onDelete: (id) => void removeSession(id), onRename: (session) => void renameSession(session) });
 dialogs(api);
 const cancelUploads = uploadsPanel(api, (session) => (state.selected.value = session));
 cameraPanel(api, state, objects);
@@ -49,6 +52,7 @@ state.selected.watch((id) => {
   state.ended.value = null;
   document.title = id ? `${id} · RoomLight` : "RoomLight";
   join(id);
+  shared.join(id);
   showAddress();
 });
 state.selectedProbe.watch(showAddress);
@@ -83,6 +87,19 @@ async function removeSession(id: string): Promise<void> {
     if (state.selected.value === id) {
       state.selected.value = null;
     }
+    await readSessions();
+  } catch (error) {
+    reportError(error);
+  }
+}
+
+async function renameSession({ id, title }: SessionSummary): Promise<void> {
+  const name = prompt("Name of the session, for everyone who looks at it; empty: its id", title || id)?.trim();
+  if (name === undefined) {
+    return;
+  }
+  try {
+    await shared.rename(id, name === id ? "" : name);
     await readSessions();
   } catch (error) {
     reportError(error);
@@ -149,6 +166,7 @@ async function readSessions(): Promise<void> {
   try {
     const { sessions } = await api.sessions();
     state.sessions.value = sessions;
+    shared.read();
     if (state.selected.value === null || state.ended.value !== null) {
       state.connection.value = { state: "live", text: "Connected" };
     }

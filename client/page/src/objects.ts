@@ -15,7 +15,8 @@ export interface ObjectFile {
   /** Of the server. */
   readonly id: string;
   readonly name: string;
-  readonly data: Blob;
+  /** Null if another page has uploaded it: the 3D view then leaves it out. */
+  readonly data: Blob | null;
 }
 
 export interface PlacedObject {
@@ -24,11 +25,14 @@ export interface PlacedObject {
   /** The shape `file`. */
   readonly file: ObjectFile | null;
   readonly material: Surface;
-  readonly size_m: number;
+  /** Null: a file's own metres. */
+  readonly size_m: number | null;
   /** Where it was clicked: a pixel of the frame, or a point of the room. */
   readonly place: { readonly pixel: readonly [number, number] } | { readonly position: Position };
   /** Its pose once the server has placed it, column by column; it then stays there. */
   readonly pose: readonly number[] | null;
+  /** What another program stated and the page does not show, such as colours. */
+  readonly kept?: Partial<CompositeObject>;
 }
 
 const PAUSE_MS = 400; // a session's frames wait while a composite is made
@@ -40,11 +44,12 @@ export class PlacedObjects {
   readonly list = new Signal<readonly PlacedObject[]>([]);
   /** The picture with the objects; null without objects. */
   readonly composite = new Signal<Picture | null>(null);
+  /** Share of each object that nothing real hides, in the composite that is shown. */
+  readonly visible = new Signal<{ readonly [name: string]: number }>({});
   readonly busy = new Signal(false);
   /** The object that a click moves; null: a click places another one. */
   readonly selected = new Signal<string | null>(null);
   quality: Quality = "preview";
-  private placed = 0;
   private cleared = 0;
   private past: (readonly PlacedObject[])[] = [];
   private undone: (readonly PlacedObject[])[] = [];
@@ -56,8 +61,19 @@ export class PlacedObjects {
   ) {}
 
   add(object: Omit<PlacedObject, "name" | "pose">): void {
-    const name = `${object.shape}-${++this.placed}`;
-    this.change([...this.list.value, { ...object, name, pose: null }]);
+    let number = 1;
+    while (this.list.value.some(({ name }) => name === `${object.shape}-${number}`)) {
+      number++;
+    }
+    this.change([...this.list.value, { ...object, name: `${object.shape}-${number}`, pose: null }]);
+  }
+
+  /** Show what others have placed. */
+  adopt(list: readonly PlacedObject[]): void {
+    const files = new Map(this.list.value.map(({ file }) => [file?.id, file]));
+    [this.past, this.undone] = [[], []];
+    this.show(list.map((object) => ({ ...object, file: files.get(object.file?.id) ?? object.file })));
+    this.update();
   }
 
   /** Place another object, or move the selected one. */
@@ -66,12 +82,29 @@ export class PlacedObjects {
     if (selected === null) {
       return this.add(object);
     }
-    this.edit(selected, ({ pose: _, ...kept }) => ({ ...kept, place: object.place, pose: null }));
+    this.move(selected, object.place);
+  }
+
+  /** Move an object to another place; it keeps its turn. */
+  move(name: string, place: PlacedObject["place"]): void {
+    this.edit(name, (object) => {
+      const yaw_degrees = object.pose ? (Math.atan2(object.pose[8]!, object.pose[10]!) * 180) / Math.PI : 0;
+      return { ...object, place, pose: null, kept: { ...object.kept, yaw_degrees } };
+    });
   }
 
   /** Turn an object about its own upright axis. */
   turn(name: string, degrees: number): void {
     this.edit(name, (object) => (object.pose ? { ...object, pose: turned(object.pose, degrees) } : object));
+  }
+
+  /** Scale an object; a shape keeps its foot where it stands, a file its origin. */
+  resize(name: string, size_m: number): void {
+    this.edit(name, (object) => {
+      const { pose, size_m: before } = object;
+      const lift = before === null ? 0 : boxOf(object.shape)[1] * (before - size_m) * Number(object.shape !== "file");
+      return { ...object, size_m, pose: pose?.map((value, at) => (at >= 12 && at < 15 ? value + lift * pose[at - 8]! : value)) ?? null };
+    });
   }
 
   setMaterial(name: string, material: Surface): void {
@@ -144,7 +177,7 @@ export class PlacedObjects {
     this.busy.value = true;
     const { cleared } = this;
     try {
-      const { data, frame, poses } = await session.composite({
+      const { data, frame, poses, visible } = await session.composite({
         objects: shown.map(asRequest),
         quality: this.quality,
         format: "jpeg",
@@ -153,6 +186,7 @@ export class PlacedObjects {
         return; // another session is shown, or the last object was removed
       }
       this.list.value = this.list.value.map((object) => ({ ...object, pose: object.pose ?? poses[object.name] ?? null }));
+      this.visible.value = visible;
       this.showComposite({ blob: data, frame });
     } catch (error) {
       if (cleared === this.cleared) {
@@ -189,10 +223,19 @@ export class PlacedObjects {
   }
 }
 
-function asRequest({ name, shape, file, material, size_m, place, pose }: PlacedObject): CompositeObject {
-  const where = pose ? { pose, anchor: "origin" as const } : place;
+/** Half the width, bottom and top of a shape about its origin, relative to its size. */
+export function boxOf(shape: Shape): readonly [number, number, number] {
+  const boxes: Partial<Record<Shape, readonly [number, number, number]>> = { plane: [0.5, 0, 0], chair: [0.25, 0, 1], vase: [0.29, 0, 1] };
+  return boxes[shape] ?? [0.5, -0.5, 0.5];
+}
+
+/** The object as a composite and a scene have it. */
+export function asRequest({ name, shape, file, material, size_m, place, pose, kept }: PlacedObject): CompositeObject {
+  const { yaw_degrees = 0, anchor = "base", ...rest } = kept ?? {};
+  const where = pose ? { pose, anchor: "origin" as const } : { ...place, yaw_degrees, ...("position" in place ? { anchor } : {}) };
   const what = shape === "file" ? { object: file!.id } : { shape };
-  return { name, ...what, size_m, ...(material === "own" ? {} : { material: { kind: material } }), ...where };
+  const size = size_m === null ? {} : { size_m };
+  return { ...rest, name, ...what, ...size, ...(material === "own" ? {} : { material: { kind: material } }), ...where };
 }
 
 /** A pose after a turn about its second axis; poses are column by column. */

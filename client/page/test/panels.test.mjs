@@ -14,6 +14,7 @@ before(async () => {
 after(() => browser?.close());
 beforeEach(async () => {
   await page?.close();
+  await control("clear");
   ({ page, errors } = await openPage(browser));
   await waitForLight(page);
 });
@@ -65,6 +66,10 @@ test("a placed object is turned and moved, and both are undone", async () => {
   assert.equal(await page.locator("#objects .chip").count(), 1);
   await page.click("#object-undo");
   before = await waitForChange(page, "#picture-image", before);
+  await page.fill("#object-size", "35");
+  await page.press("#object-size", "Tab");
+  before = await waitForChange(page, "#picture-image", before);
+  await page.focus("#objects .chip-name");
   await page.keyboard.press("Delete");
   await page.waitForFunction(() => document.getElementById("objects").children.length === 0);
   await page.click("#object-undo");
@@ -72,6 +77,61 @@ test("a placed object is turned and moved, and both are undone", async () => {
   await page.click('#objects .chip button[aria-label^="Remove"]');
   await page.selectOption("#object-shape", "sphere");
   await noNotices();
+});
+
+test("placed objects are kept with the session and seen by everyone, who can move and remove them", async () => {
+  const before = await pixelsOf(page, "#picture-image");
+  const { width, height } = await page.locator("#picture-image").boundingBox();
+  await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.75 * height } });
+  const placed = await waitForChange(page, "#picture-image", before);
+  const pose = async () => (await control("scene")).objects[0]?.pose;
+  await page.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects.length === 1);
+  const first = await pose();
+
+  const { page: other } = await openPage(browser);
+  await other.waitForSelector("#objects .chip");
+  assert.match(await other.locator("#objects .chip").innerText(), /sphere-1, mirror/);
+  await waitForChange(other, "#picture-image", before);
+
+  // a drag in the picture moves it over the surfaces, here and there
+  const { x, y } = await page.locator("#picture-image").boundingBox();
+  await page.mouse.move(x + 0.5 * width, y + 0.775 * height);
+  await page.mouse.down();
+  await page.mouse.move(x + 0.35 * width, y + 0.78 * height, { steps: 4 });
+  assert.equal(await page.locator('#picture-outlines [data-name="sphere-1"]').count(), 1);
+  await page.mouse.up();
+  await waitForChange(page, "#picture-image", placed);
+  await page.waitForFunction(
+    async (first) => (await (await fetch("v1/sessions/room/scene")).json()).objects[0].pose[12] !== first[12],
+    first,
+  );
+  assert.equal(await page.locator("#objects .chip").count(), 1);
+
+  await other.click('#objects .chip button[aria-label^="Remove"]');
+  await page.waitForFunction(() => document.getElementById("objects").children.length === 0);
+  await other.close();
+  await noNotices();
+});
+
+test("an object behind something real has an outline", async () => {
+  await page.evaluate(async () => {
+    const { camera_to_world: pose } = await (await fetch("v1/sessions/room/camera")).json();
+    const position = [0, 1, 2].map((axis) => pose[12 + axis] - 30 * pose[8 + axis]); // behind the wall
+    const body = JSON.stringify({ objects: [{ name: "far", shape: "cube", size_m: 4, position, anchor: "centre" }] });
+    await fetch("v1/sessions/room/scene", { method: "PUT", body, headers: { "content-type": "application/json" } });
+  });
+  await page.waitForSelector('#picture-outlines [data-name="far"]', { state: "attached" });
+  await noNotices();
+});
+
+test("a session is renamed, and its address is shared", async () => {
+  page.once("dialog", (dialog) => dialog.accept("Living room"));
+  await page.click('[aria-label="Rename room"]');
+  await page.waitForFunction(() => document.querySelector('[data-session="room"] b').textContent === "Living room");
+  await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+  await page.click("#share");
+  await page.waitForSelector(".notice.calm");
+  assert.match(await page.evaluate(() => navigator.clipboard.readText()), /#session=room&probe=probe-1$/);
 });
 
 /** A tetrahedron as a GLB file. */
@@ -229,6 +289,19 @@ test("exposure, false colour and the tint change the panorama", async () => {
   await page.uncheck("#show-coverage");
   assert.equal(await page.isChecked("#coverage-tint"), false);
   assert.ok(await page.isHidden("#coverage-legend"));
+});
+
+test("the placed objects are downloaded as a scene for the command line", async () => {
+  const before = await pixelsOf(page, "#picture-image");
+  assert.ok(await page.isDisabled('#downloads button:text-is("Scene")'));
+  const { width, height } = await page.locator("#picture-image").boundingBox();
+  await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.75 * height } });
+  await waitForChange(page, "#picture-image", before);
+  const download = page.waitForEvent("download");
+  await page.click('#downloads button:text-is("Scene")');
+  const { objects } = JSON.parse(readFileSync(await (await download).path()));
+  const [{ name, shape, pose, anchor }] = objects;
+  assert.deepEqual([name, shape, anchor, pose.length, pose[3]], ["sphere-1", "sphere", "origin", 4, [0, 0, 0, 1]]);
 });
 
 test("files are downloaded", async () => {

@@ -10,6 +10,7 @@ its owner serialises the calls.
 """
 
 import time
+from base64 import b64encode
 from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -143,6 +144,15 @@ class Session:
     def handles(self) -> tuple[int, ...]:
         """Handles of the tracked positions, in the order of `lights` and of a report's coverage."""
         return (*self._probes, *self._pending)
+
+    def _repr_html_(self) -> str:
+        """Return counts, and the light at the tracked positions, for a notebook."""
+        rows = ""
+        for light in map(self.light, self._probes):
+            place, data = ", ".join(f"{value:.2f}" for value in light.position), b64encode(light.file("png"))
+            rows += f"<tr><td>({place}) m</td><td>{light.coverage:.0%} seen</td>"
+            rows += f'<td><img src="data:image/png;base64,{data.decode()}"></td></tr>'
+        return f"<table><caption>{self.model}: {self.frames} frames, {self.keyframes} kept</caption>{rows}</table>"
 
     def track(self, position: Position) -> int:
         """Track a position: every later frame is blended into its panorama.

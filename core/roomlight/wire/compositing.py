@@ -1,4 +1,4 @@
-"""Messages of objects and composites: `POST /v1/objects` and `POST /v1/sessions/{id}/composite`.
+"""Messages of objects, composites and scenes: `/v1/objects`, `/composite` and `/scene` of a session.
 
 World metres, y up; colours are linear RGB; a pose is 16 numbers, column by column, as in `frame_header`.
 """
@@ -99,6 +99,26 @@ class CompositeObject(WireModel):
             raise ValueError("a shape must have size_m")
         if sum(place is not None for place in (self.position, self.pose, self.pixel)) != 1:
             raise ValueError("must have exactly one of position, pose and pixel")
+        return self
+
+
+class SessionScene(WireModel):
+    """What people keep with a session: its title, and the objects that its viewers see in it; at most 16.
+
+    Attributes:
+        title: shown in place of the id; empty: the id.
+        objects: with position or pose. A pixel belongs to one frame: send the pose of the composite's answer instead.
+    """
+
+    title: Annotated[str, StringConstraints(max_length=80, pattern=r"^[^\x00-\x1f\x7f]*$")] = ""
+    objects: Annotated[list[CompositeObject], Field(max_length=MAX_COMPOSITE_OBJECTS)] = Field(
+        default_factory=list[CompositeObject]
+    )
+
+    @model_validator(mode="after")
+    def _check_places(self) -> "SessionScene":
+        if any(item.pixel is not None for item in self.objects):
+            raise ValueError("objects of a scene must have position or pose: a pixel belongs to one frame")
         return self
 
 

@@ -38,6 +38,7 @@ class Recording(WireModel):
         frame: frames sent to the session so far.
         frames: frames of the recording that are played; null before the first replay.
         unreadable: frames that could not be read or used so far.
+        notes: what its files state and was left out, guessed or changed, and what to do about it.
         expires_in_s: it is deleted after this time without a request.
     """
 
@@ -52,6 +53,7 @@ class Recording(WireModel):
     frame: int
     frames: int | None
     unreadable: int
+    notes: list[str]
     problem: Problem | None
     expires_in_s: FiniteNumber
 

@@ -17,6 +17,7 @@ class SessionSummary(WireModel):
     """A session in the list of a token's sessions.
 
     Attributes:
+        title: as its viewers have named it; empty: they have not.
         status: `saved` is on disk and not in memory; its next request restores it.
         probes: names of the tracked probes.
         idle_s: seconds since its last request; 0 while a request or a WebSocket uses it. Of a saved session, seconds
@@ -24,6 +25,7 @@ class SessionSummary(WireModel):
     """
 
     id: Id
+    title: str = ""
     status: Literal["open", "failed", "saved"]
     model: Literal["classical", "single", "video"]
     frames: FrameCounts

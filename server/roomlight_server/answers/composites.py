@@ -50,10 +50,12 @@ MEDIA_TYPES: Final[dict[CompositeFormat, str]] = {
 
 @dataclass(frozen=True)
 class Made:
-    """A composite, and the poses of its objects by name: 16 numbers, column by column, of the anchor `origin`."""
+    """A composite and, by name, the poses of its objects (16 numbers, column by column, of the anchor `origin`) and the
+    share of each that nothing real hides."""
 
     picture: Composite
     poses: dict[str, list[float]]
+    visible: dict[str, float]
 
 
 def scene_of(request: CompositeRequest, files: Mapping[str, VirtualObject], scale: float) -> Scene:
@@ -109,9 +111,15 @@ def make(engine: Session, frame: Frame, scene: Scene, quality: CompositeQuality)
         check_in_view(compositor, frame)
         names = [placed.name for placed in scene.objects]
         poses = {name: column_major(compositor.placement(name).object_to_world) for name in names}
-        return Made(picture, poses)
+        return Made(picture, poses, {name: _visible(picture, number) for number, name in enumerate(names)})
     finally:
         compositor.close()
+
+
+def _visible(picture: Composite, number: int) -> float:
+    """Return the share of an object's pixels that shows it; 1 of an object whose shadow alone is in the picture."""
+    covered = picture.crop_object_id == number
+    return float(picture.crop_alpha[covered].mean()) if covered.any() else 1.0
 
 
 def encode(made: Composite, form: CompositeFormat) -> bytes:

@@ -38,6 +38,7 @@ class Progress:
         frames: frames that are played; None until the recording is open.
         frame: frames sent to the session.
         unreadable: frames that could not be read or used.
+        notes: what the recording states and was left out, guessed or changed.
         problem: why the replay failed.
     """
 
@@ -45,6 +46,7 @@ class Progress:
     frames: int | None = None
     frame: int = 0
     unreadable: int = 0
+    notes: tuple[str, ...] = ()
     problem: Problem | None = None
 
 
@@ -82,7 +84,7 @@ class Player:
         start_s: float | None = None
         while True:
             text, body = await self._record(process)
-            self.progress.unreadable = text["unreadable"]
+            self.progress.unreadable, self.progress.notes = text["unreadable"], tuple(text["notes"])
             if "end" in text:
                 break
             if start_s is None:

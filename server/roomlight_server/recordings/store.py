@@ -159,6 +159,7 @@ class RecordingStore:
             frame=0 if progress is None else progress.frame,
             frames=None if progress is None else progress.frames,
             unreadable=0 if progress is None else progress.unreadable,
+            notes=[] if progress is None else list(progress.notes),
             problem=None if progress is None else progress.problem,
             expires_in_s=round(max(0.0, expiry_s - idle_s), 1),
         )

@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from roomlight.captures import CaptureOptions, open_capture
+from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.errors import ProbeError, RoomLightError
 from roomlight.placement import point_in_view
 from roomlight.wire.frame_encoding import pack_frame
@@ -29,6 +29,7 @@ TIMED_FPS: Final = 10.0
 """Most frames per second of a recording with timestamps, where none is given: more than two cores process."""
 UNTIMED_FPS: Final = 3.0
 """Pace of a recording without timestamps: about what two cores keep up with."""
+_MAX_NOTES, _MAX_NOTE_LENGTH = 16, 400
 
 
 def write(output: BinaryIO, text: dict[str, Any], body: bytes = b"") -> None:
@@ -72,7 +73,8 @@ def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
         if rate is not None and frame.timestamp_s is not None:
             start_s = frame.timestamp_s if start_s is None else start_s
             due_s = frame.timestamp_s - start_s
-        text: dict[str, Any] = {"due_s": due_s, "unreadable": len(capture.skipped) + unusable}
+        notes = _notes(capture, folder)
+        text: dict[str, Any] = {"due_s": due_s, "unreadable": len(capture.skipped) + unusable, "notes": notes}
         if sent == 0:
             try:
                 text["view"] = list(point_in_view(frame))
@@ -81,7 +83,12 @@ def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
         write(output, text, body)
         sent += 1
     reasons = [_without(folder, f"{skipped.file}: {skipped.reason}") for skipped in capture.skipped[:3]]
-    write(output, {"end": True, "unreadable": len(capture.skipped) + unusable, "reasons": reasons})
+    bad = len(capture.skipped) + unusable
+    write(output, {"end": True, "unreadable": bad, "notes": _notes(capture, folder), "reasons": reasons})
+
+
+def _notes(capture: Capture, folder: Path) -> list[str]:
+    return [_without(folder, str(note))[:_MAX_NOTE_LENGTH] for note in capture.notes[:_MAX_NOTES]]
 
 
 def _without(folder: Path, text: str) -> str:

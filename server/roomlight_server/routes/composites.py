@@ -21,6 +21,7 @@ from roomlight_server.transport.disconnects import until_gone
 _log = logging.getLogger("roomlight.server")
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["objects"])
 POSES_HEADER: Final = "Roomlight-Poses"
+VISIBLE_HEADER: Final = "Roomlight-Visible"
 _OK: Final[dict[int | str, dict[str, Any]]] = {
     200: {
         "description": "The picture in the media type of the format. `layers`: a zip of image.png, objects.exr, "
@@ -30,6 +31,10 @@ _OK: Final[dict[int | str, dict[str, Any]]] = {
             POSES_HEADER: {
                 "description": "JSON: the pose of each object by name, 16 numbers column by column. Sent back as "
                 "`pose` with the anchor `origin`, the object stays where it is.",
+                "schema": {"type": "string"},
+            },
+            VISIBLE_HEADER: {
+                "description": "JSON: the share of each object by name that nothing real hides, 0 to 1.",
                 "schema": {"type": "string"},
             },
         },
@@ -112,5 +117,8 @@ async def _composite(
         context.metrics.composite_seconds.labels(body.quality).observe(time.perf_counter() - start_s)
         data = await context.workers.run_in_encode_pool(encode, made.picture, body.format)
     poses = {name: [round(value, 6) for value in pose] for name, pose in made.poses.items()}
-    headers = {FRAME_HEADER: str(latest.index), POSES_HEADER: json.dumps(poses, separators=(",", ":"))}
+    visible = {name: round(share, 3) for name, share in made.visible.items()}
+    stated = {POSES_HEADER: poses, VISIBLE_HEADER: visible}
+    headers = {name: json.dumps(value, separators=(",", ":")) for name, value in stated.items()}
+    headers[FRAME_HEADER] = str(latest.index)
     return Response(data, media_type=MEDIA_TYPES[body.format], headers=headers)

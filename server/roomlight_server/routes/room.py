@@ -36,13 +36,13 @@ _MESH_BYTES: Final = 24 * 2**20
 _MESHES_KEPT: Final = 4
 """Meshes kept for several clients, of up to 3 MB; making one of 16 keyframes takes 0.7 s of one core."""
 _PROBLEMS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
-_UNCHANGED: Final[dict[int | str, dict[str, Any]]] = {304: {"description": "Unchanged: `If-None-Match` names its ETag"}}
+UNCHANGED: Final[dict[int | str, dict[str, Any]]] = {304: {"description": "Unchanged: `If-None-Match` names its ETag"}}
 _Index = Annotated[int, Path(ge=0, le=MAX_INDEX)]
 _Metres = Annotated[float | None, Query(ge=-1000, le=1000, allow_inf_nan=False, description="World metres.")]
 
 
 def _binary(*kinds: str) -> dict[int | str, dict[str, Any]]:
-    return {200: {"description": "The bytes", "content": {kind: {} for kind in kinds}}, **_UNCHANGED}
+    return {200: {"description": "The bytes", "content": {kind: {} for kind in kinds}}, **UNCHANGED}
 
 
 def _quoted(*parts: object) -> str:
@@ -57,7 +57,7 @@ def _unchanged(request: Request, headers: dict[str, str]) -> Response | None:
     return None
 
 
-def _json(request: Request, model: BaseModel) -> Response:
+def json_answer(request: Request, model: BaseModel) -> Response:
     """Return JSON with an ETag of its content, or 304."""
     text = model.model_dump_json()
     headers = {"ETag": _quoted(text)}
@@ -83,6 +83,7 @@ def _summary(live: LiveSession, idle_s: float) -> SessionSummary:
     state = live.state()
     return SessionSummary(
         id=state.id,
+        title=live.scene.title,
         status=state.status,
         model=state.model,
         frames=state.frames,
@@ -99,6 +100,7 @@ def _saved_summary(head: SavedHead) -> SessionSummary:
     counts = FrameCounts(accepted=used, queued=0, last_index=last, durable_index=last, **values.queue.counts)
     return SessionSummary(
         id=values.name,
+        title=values.scene.title,
         status="saved",
         model=cast("Literal['classical', 'single', 'video']", head.model),
         frames=counts,
@@ -143,7 +145,7 @@ def _jpeg(image: Float[np.ndarray, "h w 3"]) -> bytes:
     "/v1/sessions/{session_id}/camera",
     summary="Camera, its path and the volume",
     response_model=CameraView,
-    responses=_UNCHANGED | documented(*_PROBLEMS),
+    responses=UNCHANGED | documented(*_PROBLEMS),
 )
 async def camera(live: SessionDep, request: Request) -> Response:
     """Return the camera of the last processed frame, the cameras of the recorded frames, and the volume's box."""
@@ -156,7 +158,7 @@ async def camera(live: SessionDep, request: Request) -> Response:
         path=live.history.path(),
         volume=None if grid is None else _box(grid),
     )
-    return _json(request, view)
+    return json_answer(request, view)
 
 
 def _grid(engine: Session) -> VolumeGrid | None:
@@ -214,7 +216,7 @@ def _keyframes(engine: Session) -> list[tuple[int, FrameMesh]]:
     "/v1/sessions/{session_id}/history",
     summary="Recorded frames",
     response_model=HistoryList,
-    responses=_UNCHANGED | documented(*_PROBLEMS),
+    responses=UNCHANGED | documented(*_PROBLEMS),
 )
 async def history(
     live: SessionDep,
@@ -226,7 +228,7 @@ async def history(
     When the history is full, every second entry is removed and `stride` doubles: read all entries again then.
     """
     live.check_open()
-    return _json(request, live.history.listed(after))
+    return json_answer(request, live.history.listed(after))
 
 
 @router.get(

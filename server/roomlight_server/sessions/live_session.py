@@ -18,6 +18,7 @@ from roomlight.engine.session import FrameReport, Session
 from roomlight.errors import FrameError, ModelError, WireError
 from roomlight.frame import Frame
 from roomlight.monocular.stream import DEPTH_STREAM_BYTES, DepthStream
+from roomlight.wire.compositing import SessionScene
 from roomlight.wire.frame_message import FrameMessage
 from roomlight.wire.messages import FrameResult, Memory, SessionRequest, SessionState
 from roomlight_server.base.metrics import Metrics
@@ -27,7 +28,14 @@ from roomlight_server.sessions.engine_access import EngineAccess
 from roomlight_server.sessions.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.sessions.history import History
 from roomlight_server.sessions.session_lighting import SessionLighting
-from roomlight_server.sessions.session_parts import CompositeTurn, FrameSlots, Limits, cached_lights, volume_of
+from roomlight_server.sessions.session_parts import (
+    SCENE_BYTES,
+    CompositeTurn,
+    FrameSlots,
+    Limits,
+    cached_lights,
+    volume_of,
+)
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import MOVED, SessionLease
 from roomlight_server.state.live_state import LiveState
@@ -73,6 +81,7 @@ class LiveSession:
         self._depth: DepthStream | None = None
         self.history = History(limits.history_bytes, workers)
         self._composite_turn = CompositeTurn()
+        self.scene = SessionScene()
         self._listeners: set[Callable[[], None]] = set()
 
     # --- frames -----------------------------------------------------------------------------------------------
@@ -248,6 +257,12 @@ class LiveSession:
 
     # --- composites, reading ----------------------------------------------------------------------------------
 
+    def keep_scene(self, scene: SessionScene) -> None:
+        """Replace the title and the placed objects. Raises ProblemError if the session has ended."""
+        self.check_open()
+        self.scene = scene
+        self._access.changed(urgent=True)
+
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` on the event loop after each frame and at the end; return a function that removes it."""
         self._listeners.add(listener)
@@ -330,11 +345,11 @@ class LiveSession:
                 return None
             snapshot = await asyncio.get_running_loop().run_in_executor(pool, engine.snapshot)
             queue, probes = self._queue.saved(), lighting.saved()
-            return LiveState(snapshot, self._reference, probes, queue, lighting.frame, self._latest)
+            return LiveState(snapshot, self._reference, probes, queue, lighting.frame, self._latest, self.scene)
 
     def resume(self, state: LiveState) -> None:
         """Continue from a saved state, with the engine that was made from its snapshot."""
-        self._reference, self._latest = state.reference, state.latest
+        self._reference, self._latest, self.scene = state.reference, state.latest, state.scene
         self.lighting.restore(state.probes, state.light_frame)
         self._queue.restore(state.queue)
 
@@ -379,7 +394,8 @@ class LiveSession:
         engine = self._footprint.total(keyframes=self._keyframe_capacity, probes=limits.max_probes, started=True)
         size = self.lighting.light_bytes
         lights = cached_lights(size) * size
-        return engine + lights + limits.frame.max_body_bytes + limits.history_bytes + DEPTH_STREAM_BYTES
+        kept = SCENE_BYTES + DEPTH_STREAM_BYTES
+        return engine + lights + limits.frame.max_body_bytes + limits.history_bytes + kept
 
     @property
     def frames_in_flight(self) -> int:

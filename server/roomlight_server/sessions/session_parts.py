@@ -19,6 +19,8 @@ LIGHT_PIXEL_BYTES: Final = 52
 """Memory of a light for each pixel, float32: what its probe has accumulated (7), and two panoramas (6)."""
 MAX_CACHED_LIGHTS: Final = 8
 """Most lights cached for requests of more forms and for `If-None-Match`; 1.5 MB each at a height of 120."""
+SCENE_BYTES: Final = 2**17
+"""Memory of a scene: 16 objects with a pose of 16 numbers each take 20 kB."""
 _MIN_CACHED_LIGHTS: Final = 2
 _CACHE_BYTES: Final = 12 * 2**20
 

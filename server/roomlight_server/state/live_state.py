@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict
 
 from roomlight.conventions import Position
 from roomlight.engine.state.snapshot import SessionSnapshot
+from roomlight.wire.compositing import SessionScene
 from roomlight.wire.messages import FrameResult, SessionRequest
 from roomlight_server.work.intake import LatestFrame
 
@@ -60,6 +61,7 @@ class SavedValues(_Saved):
         light_frame: index of the last processed frame.
         bases: files of the kept frames, by index.
         latest: index of the last frame, if its message is in the file or in `bases`.
+        scene: title and placed objects.
     """
 
     owner: str
@@ -71,6 +73,7 @@ class SavedValues(_Saved):
     light_frame: int
     bases: dict[int, SavedBase]
     latest: int | None
+    scene: SessionScene = SessionScene()
 
 
 @dataclass(frozen=True)
@@ -83,3 +86,4 @@ class LiveState:
     queue: SavedQueue
     light_frame: int
     latest: LatestFrame | None
+    scene: SessionScene

@@ -50,8 +50,8 @@ class Restorer:
             detail = f"a saved frame cannot be decoded now ({error}); retry later"
             raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
         latest = None if values.latest is None else LatestFrame(values.latest, reading.messages[values.latest])
-        state = LiveState(snapshot, values.reference, values.probes, values.queue, values.light_frame, latest)
-        return engine, state
+        kept = values.reference, values.probes, values.queue, values.light_frame
+        return engine, LiveState(snapshot, *kept, latest, values.scene)
 
     async def _bases(self, reading: Reading, options: SessionOptions) -> dict[int, FrameMesh]:
         wanted = [index for index in reading.session.elsewhere if index in reading.messages]

@@ -183,6 +183,7 @@ class StateStore:
             light_frame=state.light_frame,
             bases={},
             latest=None,
+            scene=state.scene,
         )
         async with self.lock(*key):
             if journal.closed:  # deleted in the meantime

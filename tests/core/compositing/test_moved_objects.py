@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import diffuse, mirror
 from roomlight.compositing.objects.primitives import cube, plane, sphere
-from roomlight.compositing.rendering.shadows import light_samples
+from roomlight.compositing.rendering.light_samples import light_samples
 from roomlight.compositing.rendering.tracer import TracedObjects
 
 

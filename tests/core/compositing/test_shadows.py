@@ -13,12 +13,12 @@ from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.picture.crop import CropCamera
 from roomlight.compositing.placement.places import Plane
 from roomlight.compositing.placement.room_geometry import Hits, RoomGeometry
+from roomlight.compositing.rendering.light_samples import light_samples
 from roomlight.compositing.rendering.shadows import (
     QUALITIES,
     Caster,
     ShadowQuality,
     coarse_ratio,
-    light_samples,
     shadow_ratio,
     surface_grid,
 )

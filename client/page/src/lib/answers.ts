@@ -1,9 +1,17 @@
 // Answers of the endpoints that only the page uses. Positions in world metres, y up; matrices column by column.
 
-import type { FrameCounts, LightSourceValues, Position, Problem, WireIntrinsics } from "roomlight";
+import type { CompositeObject, FrameCounts, LightSourceValues, Position, Problem, WireIntrinsics } from "roomlight";
+
+/** What is kept with a session for everyone who looks at it. Fields without a value may be null. */
+export interface SessionScene {
+  readonly title: string;
+  readonly objects: readonly CompositeObject[];
+}
 
 export interface SessionSummary {
   readonly id: string;
+  /** As its viewers have named it; empty: they have not. */
+  readonly title: string;
   readonly status: "open" | "failed";
   readonly model: string;
   readonly frames: FrameCounts;

@@ -1,7 +1,7 @@
 // The endpoints that only the page uses; sessions, light and composites go through our client (`roomlight`).
 
 import { RoomLight, RoomLightError, type Problem } from "roomlight";
-import type { CameraState, History, PairedPhone, Pairing, Recording, SessionList } from "./answers";
+import type { CameraState, History, PairedPhone, Pairing, Recording, SessionList, SessionScene } from "./answers";
 
 const TOKEN_KEY = "roomlight-token";
 
@@ -69,6 +69,14 @@ export class Api {
 
   deleteSession(id: string): Promise<Response> {
     return this.send(sessionPath(id), { method: "DELETE" });
+  }
+
+  scene(id: string): Promise<SessionScene> {
+    return this.json(`${sessionPath(id)}/scene`);
+  }
+
+  keepScene(id: string, scene: SessionScene): Promise<SessionScene> {
+    return this.json(`${sessionPath(id)}/scene`, { method: "PUT", ...jsonBody(scene) });
   }
 
   camera(id: string): Promise<CameraState> {

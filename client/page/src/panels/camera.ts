@@ -6,12 +6,13 @@ import { PictureView } from "../lib/picture";
 import { latestOnly } from "../lib/signal";
 import type { ObjectFile, PlacedObject, PlacedObjects, Quality, Shape, Surface } from "../objects";
 import type { State } from "../state";
+import { objectHandles } from "./handles";
 import { notify, reportError } from "./notices";
 
 /** The GLB file for new objects. */
 let chosenFile: ObjectFile | null = null;
 
-const PLACES = "Click a surface to place an object there. Keyboard: arrows move the cross, Enter places.";
+const PLACES = "Click a surface to place an object there, drag one to move it. Keyboard: arrows move the cross, Enter places.";
 const TURN_DEG = 15;
 /** Size and material that a shape usually has. */
 const USUAL: Readonly<Record<Shape, { readonly size_cm: number | null; readonly material: Surface }>> = {
@@ -84,9 +85,13 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
     }
   };
 
+  const handles = objectHandles(state, objects);
   button.addEventListener("click", (event) => {
     if (event.detail === 0) {
       return place(cross.x, cross.y); // Enter or the space bar
+    }
+    if (!handles.isClick()) {
+      return;
     }
     const { left, top, width, height } = image.getBoundingClientRect();
     place((event.clientX - left) / width, (event.clientY - top) / height);
@@ -127,6 +132,8 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
 
 /** The placed objects, and what can be done with the selected one. */
 function objectTools(objects: PlacedObjects): void {
+  const [shape, material] = [byId<HTMLSelectElement>("object-shape"), byId<HTMLSelectElement>("object-material")];
+  const size = byId<HTMLInputElement>("object-size");
   const show = () => {
     const selected = objects.selected.value;
     byId("objects").replaceChildren(...objects.list.value.map((object) => chip(object, objects)));
@@ -139,7 +146,14 @@ function objectTools(objects: PlacedObjects): void {
     byId("picture-help").textContent = selected === null ? PLACES : `Click a surface to move ${selected} there. Click its name again to place other objects.`;
   };
   objects.list.watch(show);
-  objects.selected.watch(show);
+  objects.selected.watch((name) => {
+    const selected = objects.list.value.find((object) => object.name === name);
+    if (selected) {
+      material.value = selected.material;
+      size.value = String(Math.round(100 * (selected.size_m ?? 1)));
+    }
+    show();
+  });
   const turn = (degrees: number) => objects.selected.value && objects.turn(objects.selected.value, degrees);
   byId("object-left").addEventListener("click", () => turn(-TURN_DEG));
   byId("object-right").addEventListener("click", () => turn(TURN_DEG));
@@ -154,14 +168,14 @@ function objectTools(objects: PlacedObjects): void {
       objects.remove(objects.selected.value);
     }
   });
-  const [shape, material] = [byId<HTMLSelectElement>("object-shape"), byId<HTMLSelectElement>("object-material")];
   shape.addEventListener("change", () => {
     const usual = USUAL[shape.value as Shape];
     material.value = usual.material;
     if (usual.size_cm !== null) {
-      byId<HTMLInputElement>("object-size").value = String(usual.size_cm);
+      size.value = String(usual.size_cm);
     }
   });
+  size.addEventListener("change", () => objects.selected.value && objects.resize(objects.selected.value, chosen().size_m!));
   material.addEventListener("change", () => objects.selected.value && objects.setMaterial(objects.selected.value, material.value as Surface));
 }
 

@@ -2,7 +2,7 @@
 
 import { sessionPath, type Api } from "../lib/api";
 import { byId, element } from "../lib/dom";
-import type { PlacedObjects } from "../objects";
+import { asRequest, type PlacedObject, type PlacedObjects } from "../objects";
 import type { State } from "../state";
 import { notify, reportError } from "./notices";
 
@@ -54,7 +54,9 @@ export function downloadsPanel(api: Api, state: State, objects: PlacedObjects): 
     return { download, button: element("button", { class: "button", type: "button", title: download.title, click: start }, download.label) };
   });
   const picture = element("button", { class: "button", type: "button", title: "The camera's picture with objects", click: savePicture }, "Picture");
-  byId("downloads").replaceChildren(...buttons.map(({ button }) => button), picture);
+  const scene = element("button", { class: "button", type: "button", title: "The placed objects, for roomlight composite --scene", click: saveScene }, "Scene");
+  byId("downloads").replaceChildren(...buttons.map(({ button }) => button), picture, scene);
+  byId("share").addEventListener("click", () => void share());
 
   function savePicture(): void {
     const shown = objects.composite.value ?? state.picture.value;
@@ -62,6 +64,12 @@ export function downloadsPanel(api: Api, state: State, objects: PlacedObjects): 
       offer(shown.blob, `${state.selected.value}-${shown.frame}.jpg`);
     }
   }
+  function saveScene(): void {
+    const text = JSON.stringify({ objects: objects.list.value.map(sceneObject) }, null, 2);
+    offer(new Blob([text], { type: "application/json" }), `${state.selected.value}.scene.json`);
+  }
+  objects.list.watch((list) => (scene.disabled = list.length === 0 || list.some(({ pose }) => pose === null)));
+  state.selected.watch((id) => (byId<HTMLButtonElement>("share").disabled = id === null));
   const enable = () => {
     for (const { download, button } of buttons) {
       button.disabled = download.needsProbe ? state.selectedProbe.value === null : state.mesh.value === null;
@@ -71,6 +79,30 @@ export function downloadsPanel(api: Api, state: State, objects: PlacedObjects): 
   state.selectedProbe.watch(enable);
   state.mesh.watch(enable);
   state.picture.watch(enable);
+}
+
+/** An object as `scene.json` has it: poses row by row, files by name. */
+function sceneObject(placed: PlacedObject): object {
+  const { object, pose, ...kept } = asRequest(placed);
+  const rows = [0, 1, 2, 3].map((row) => [0, 1, 2, 3].map((column) => pose![4 * column + row]));
+  return { ...kept, ...(object === undefined ? {} : { file: placed.file!.name }), pose: rows };
+}
+
+/** Give the page's address, which names the session and the probe, to the phone's menu or the clipboard. */
+async function share(): Promise<void> {
+  const { href: url, hostname } = location;
+  const isOwn = ["localhost", "127.0.0.1", "[::1]"].includes(hostname);
+  try {
+    if ("share" in navigator && matchMedia("(pointer: coarse)").matches) {
+      return await navigator.share({ title: document.title, url });
+    }
+    await navigator.clipboard.writeText(url);
+    notify(`Address copied${isOwn ? ". It works on this computer; roomlight serve --lan serves others too." : ""}`, true);
+  } catch (error) {
+    if (!(error instanceof DOMException && error.name === "AbortError")) {
+      prompt("The address of this session", url); // no clipboard without HTTPS
+    }
+  }
 }
 
 async function save(api: Api, state: State, { path, ending, needsProbe }: Download): Promise<void> {

@@ -4,19 +4,24 @@ import type { SessionSummary } from "../lib/answers";
 import { byId, element } from "../lib/dom";
 import type { State } from "../state";
 
-export function sessionsPanel(state: State, onDelete: (id: string) => void): void {
+export interface SessionEvents {
+  readonly onDelete: (id: string) => void;
+  readonly onRename: (session: SessionSummary) => void;
+}
+
+export function sessionsPanel(state: State, events: SessionEvents): void {
   const list = byId("sessions");
   let shown = "";
   const show = () => {
     const sessions = state.sessions.value ?? [];
     showMessage(state);
-    const content = JSON.stringify([state.selected.value, sessions.map((session) => [session.id, session.status, summary(session)])]);
+    const content = JSON.stringify([state.selected.value, sessions.map((session) => [session.id, session.title, session.status, summary(session)])]);
     if (content === shown) {
       return;
     }
     shown = content;
     const focused = document.activeElement?.getAttribute("data-session");
-    list.replaceChildren(...sessions.map((session) => element("li", { class: "session-row" }, button(session, state), deleteButton(session, onDelete))));
+    list.replaceChildren(...sessions.map((session) => element("li", { class: "session-row" }, button(session, state), ...tools(session, events))));
     if (focused) {
       list.querySelector<HTMLElement>(`[data-session="${CSS.escape(focused)}"]`)?.focus();
     }
@@ -39,7 +44,7 @@ export function sessionsPanel(state: State, onDelete: (id: string) => void): voi
 }
 
 function button(session: SessionSummary, state: State): HTMLButtonElement {
-  const { id, status, model } = session;
+  const { id, title, status, model } = session;
   const isCurrent = id === state.selected.value;
   const failed = status === "failed" ? [element("span", { class: "failed" }, "failed")] : [];
   return element(
@@ -51,14 +56,16 @@ function button(session: SessionSummary, state: State): HTMLButtonElement {
       "aria-current": isCurrent ? "true" : null,
       click: () => (state.selected.value = id),
     },
-    element("b", { title: `${id}, model ${model}` }, id),
+    element("b", { title: `${id}, model ${model}` }, title || id),
     ...failed,
     element("small", {}, summary(session)),
   );
 }
 
-function deleteButton({ id }: SessionSummary, onDelete: (id: string) => void): HTMLButtonElement {
-  return element("button", { class: "button quiet", type: "button", "aria-label": `Delete ${id}`, title: `Delete ${id}`, click: () => onDelete(id) }, "×");
+function tools(session: SessionSummary, { onDelete, onRename }: SessionEvents): HTMLButtonElement[] {
+  const tool = (what: string, sign: string, click: () => void) =>
+    element("button", { class: "button quiet", type: "button", "aria-label": `${what} ${session.id}`, title: `${what} ${session.id}`, click }, sign);
+  return [tool("Rename", "✎", () => onRename(session)), tool("Delete", "×", () => onDelete(session.id))];
 }
 
 function summary({ frames, idle_s }: SessionSummary): string {

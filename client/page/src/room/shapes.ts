@@ -47,13 +47,17 @@ const GLOSSY_IOR = 1.576; // reflects 5 % at normal incidence
 /** An object about its origin, as the server places it. Rejects if its file cannot be read. */
 export async function shapeOf({ shape, material, size_m, file }: PlacedObject): Promise<Group> {
   const group = new Group();
-  if (!file) {
-    group.add(new Mesh(geometryOf(shape, size_m), materialOf(material === "own" ? "diffuse" : material, shape, material === "own")));
+  if (!file?.data) {
+    if (file) {
+      return group; // uploaded by another page
+    }
+    group.add(new Mesh(geometryOf(shape, size_m ?? 1), materialOf(material === "own" ? "diffuse" : material, shape, material === "own")));
     return group;
   }
   const { scene } = await new GLTFLoader().parseAsync(await file.data.arrayBuffer(), "");
   const size = new Box3().setFromObject(scene).getSize(new Vector3());
-  scene.scale.multiplyScalar(size_m / (Math.max(size.x, size.y, size.z) || 1));
+  const longest = Math.max(size.x, size.y, size.z) || 1;
+  scene.scale.multiplyScalar((size_m ?? longest) / longest);
   if (material !== "own") {
     const paint = materialOf(material, shape, false);
     scene.traverse((node) => node instanceof Mesh && (node.material = paint));

@@ -74,17 +74,7 @@ class ArkitScenesReader(ListedReader):
             if gap_s > MAX_GAP_S:
                 raise ValueError(f"the nearest pose is {gap_s:.3f} s away; at most {MAX_GAP_S} s is allowed")
             pose = _transform(self._poses[at][1])
-        return self._frame(label, colour_name, depth_name, self._intrinsics(time_s, label), pose, file)
-
-    def _frame(
-        self,
-        label: str,
-        colour_name: str,
-        depth_name: str,
-        intrinsics: Intrinsics,
-        pose: Float[np.ndarray, "4 4"],
-        file: str,
-    ) -> RawFrame:
+        intrinsics = self._intrinsics(time_s, label)
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         return RawFrame(
             name=label,

@@ -83,7 +83,7 @@ class LightSampler:
     position: Position
     panorama: Float32[np.ndarray, "h w 3"]
     kept: dict[tuple[int, bytes], LightSamples]
-    """Samples of `roomlight.compositing.rendering.shadows.light_samples`, by number and normal."""
+    """Samples of `roomlight.compositing.rendering.light_samples`, by number and normal."""
     mixed_from: "Mixture | None"
     """What `mixed` made it of."""
 

@@ -11,6 +11,7 @@ from roomlight.compositing.picture.crop import Crop
 from roomlight.compositing.picture.stage_clock import StageClock
 from roomlight.conventions import linear_to_srgb8
 from roomlight.frame import Frame
+from roomlight.images import encode_png
 from roomlight.kernels.encode import compose_rows, encode_values
 from roomlight.threads import parallel_for
 
@@ -76,6 +77,10 @@ class Composite:
     def radiance(self) -> Float32[np.ndarray, "h w 3"]:
         """The composite in linear radiance, unclipped, without added noise."""
         return self.frame.image * self.shadow * (1 - self.alpha[..., None]) + self.objects
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture for a notebook."""
+        return encode_png(self.image)
 
     def _whole(self, part: np.ndarray, crop: Crop, outside: int) -> np.ndarray:
         whole = np.full((*self.frame.image.shape[:2], *part.shape[2:]), outside, part.dtype)

@@ -15,7 +15,6 @@ pixel's own samples disagree: borders of hard shadows stay sharp. World metres.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -42,13 +41,12 @@ from roomlight.compositing.picture.crop import CropCamera
 from roomlight.compositing.picture.occlusion import depth_edges
 from roomlight.compositing.placement.places import Plane
 from roomlight.compositing.placement.room_geometry import RoomGeometry
+from roomlight.compositing.rendering.light_samples import TILE, light_samples, subset_points
 from roomlight.compositing.rendering.room_shade import Lamp, lamp_of, lamp_seen
 from roomlight.compositing.rendering.tracer import TracedObjects
-from roomlight.conventions import direction_to_uv, panorama_directions
+from roomlight.conventions import direction_to_uv
 from roomlight.threads import parallel_for
 
-TILE: Final = 4
-"""Side of the tiles whose pixels use different subsets of the samples."""
 GLOW_REACH: Final = 4.0
 """Objects light surfaces up to this distance from their centre, in radii of their bounding sphere."""
 SNAP_M: Final = 0.02
@@ -61,7 +59,6 @@ _CONTACT_PIXELS: Final = 3.0
 """Where what takes the light is nearer than this many computed pixels, the shadow has detail between them."""
 _CONTACT_RATIO: Final = 0.93
 """Lighter shadows have no contact to show."""
-_EVEN_SHARE: Final = np.float32(0.25)
 _MOST_REFLECTED: Final = np.float32(12.0)
 """Of one pixel's few rays, relative to its irradiance; the mean over neighbours is limited by `RATIO_RANGE`."""
 _MOST_ALBEDO: Final = 0.8
@@ -313,65 +310,6 @@ def spread_ratio(
     return out
 
 
-def light_samples(light: LightSampler, count: int, *, toward: Float[np.ndarray, "3"] | None = None) -> LightSamples:
-    """Sample a panorama in TILE^2 subsets of `count` directions each, in proportion to luminance; kept with the light.
-
-    A fifth of the directions is drawn without regard to luminance, so that the light around a strong lamp is sampled
-    too.
-
-    Args:
-        toward: normal of the surface that most points lie on: its cosine is sampled too.
-    """
-    key = count, b"" if toward is None else toward.astype(np.float32).tobytes()
-    if (drawn_before := light.kept.get(key)) is not None:
-        return drawn_before
-    mixture = light.mixed_from
-    if mixture is None:
-        drawn = _drawn(light, count, toward)
-        made = LightSamples(drawn.directions, drawn.weights * _radiance(light, drawn))
-    else:
-        if key not in mixture.kept:
-            drawn = _drawn(mixture.even, count, toward)
-            mixture.kept[key] = drawn, np.stack([_radiance(sampler, drawn) for sampler in mixture.samplers])
-        drawn, radiance = mixture.kept[key]
-        mean = np.tensordot(mixture.shares.astype(np.float32), radiance, axes=1)
-        made = LightSamples(drawn.directions, drawn.weights * mean)
-    light.kept[key] = made
-    return made
-
-
-def _drawn(light: LightSampler, count: int, toward: Float[np.ndarray, "3"] | None) -> LightSamples:
-    """Draw directions; the weights [s, m, 1] are 1 / (pdf count)."""
-    share = np.ones(light.panorama.shape[:2], np.float32)
-    if toward is not None:
-        cosine = panorama_directions(len(light.panorama)) @ toward.astype(np.float32)
-        share = np.maximum(cosine, np.float32(0.15))
-    weighted = light.panorama * share[..., None]
-    sampler = LightSampler(weighted + _EVEN_SHARE * share[..., None] * weighted.mean(), light.position)
-    directions, density = sampler.sample(_subset_points(count))
-    weights = 1 / (np.maximum(density, np.float32(1e-9)) * np.float32(count))
-    return LightSamples(directions.reshape(TILE * TILE, count, 3), weights.reshape(TILE * TILE, count, 1))
-
-
-def _radiance(light: LightSampler, drawn: LightSamples) -> Float32[np.ndarray, "s m 3"]:
-    return light.radiance(drawn.directions.reshape(-1, 3)).reshape(drawn.directions.shape)
-
-
-@lru_cache(maxsize=8)
-def _subset_points(count: int) -> Float[np.ndarray, "n 2"]:
-    """Return TILE^2 Hammersley sets of `count` points, each shifted by a point of the R2 sequence (Roberts 2018)."""
-    index = np.arange(count)
-    inverse = np.zeros(count)
-    for bit in range(20):
-        inverse += ((index >> bit) & 1) * 0.5 ** (bit + 1)
-    hammersley = np.stack([(index + 0.5) / count, inverse], axis=-1)
-    order = np.arange(TILE * TILE)[:, None, None]
-    points = (hammersley + order * np.array([0.7548776662466927, 0.5698402909980532])) % 1.0
-    points = points.reshape(-1, 2)
-    points.setflags(write=False)
-    return points
-
-
 @dataclass(frozen=True)
 class _LightChange:
     """What objects do to the irradiance at points.
@@ -401,7 +339,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     blocked, squares, nearness = np.zeros((count, 3), np.float32), *np.zeros((2, count), np.float32)
     bounced = np.zeros((count, 3), np.float32)
     spheres, lift, reach = caster.spheres, np.float32(LIFT_M), np.float32(GLOW_REACH)
-    numbers = _subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
+    numbers = subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
     of_lamp = np.zeros(light.directions.shape[:2], bool) if lamp is None else lamp.holds(light.directions)
     places = _light_places(caster, light)
     looks, ground, opacity = _looks(caster.scene, len(levels)), _ground(caster), _opacity(caster.scene)

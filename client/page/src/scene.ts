@@ -1,0 +1,105 @@
+// The placed objects and the title that the server keeps with a session, the same for everyone who looks at it.
+
+import type { CompositeObject } from "roomlight";
+import type { SessionScene } from "./lib/answers";
+import type { Api } from "./lib/api";
+import { latestOnly } from "./lib/signal";
+import { asRequest, type PlacedObject, type PlacedObjects, type Shape, type Surface } from "./objects";
+import type { State } from "./state";
+
+const SURFACES: readonly string[] = ["mirror", "glossy", "diffuse"];
+
+/** Sends what the visitor places, and shows what others place. The last change wins. */
+export class SharedScene {
+  private title = "";
+  private known: string | null = null; // objects on the server; null until they are read
+  private joined: string | null = null;
+
+  constructor(
+    private readonly api: Api,
+    private readonly state: State,
+    private readonly objects: PlacedObjects,
+    private readonly report: (error: unknown) => void,
+  ) {
+    objects.list.watch(() => this.keep());
+    state.camera.watch(() => this.read());
+  }
+
+  /** Another session is shown. */
+  join(id: string | null): void {
+    [this.joined, this.known] = [id, null];
+    this.read();
+  }
+
+  async rename(id: string, title: string): Promise<void> {
+    await this.api.keepScene(id, { ...(await this.api.scene(id)), title });
+    this.read();
+  }
+
+  /** Read what others have placed; called with each frame and each look at the list of sessions. */
+  readonly read = latestOnly(async () => {
+    const [id, before] = [this.joined, this.known];
+    try {
+      const scene = id === null ? null : await this.api.scene(id);
+      const own = this.objects.list.value;
+      if (scene === null || id !== this.joined || before !== this.known || (before !== null && before !== textOf(own))) {
+        return; // the visitor's own change is on its way
+      }
+      this.title = scene.title;
+      const listed = scene.objects.map(placedOf);
+      this.known = textOf(listed);
+      if (before === null && own.length > 0 && listed.length === 0) {
+        this.keep(); // placed before the first answer
+      } else if (this.known !== before && this.known !== textOf(own)) {
+        this.objects.adopt(listed);
+      }
+    } catch {
+      // the stream reports a session that has ended, and the banner a server that is gone
+    }
+  });
+
+  private readonly keep = latestOnly(async () => {
+    const [id, list] = [this.joined, this.objects.list.value];
+    const text = textOf(list);
+    if (id === null || this.known === null || text === this.known || list.some(({ pose }) => pose === null)) {
+      return;
+    }
+    try {
+      await this.api.keepScene(id, { title: this.title, objects: list.map(asRequest) });
+      if (id === this.joined) {
+        this.known = text;
+      }
+    } catch (error) {
+      if (!this.state.ended.value) {
+        this.report(error);
+      }
+    }
+  });
+}
+
+function textOf(list: readonly PlacedObject[]): string {
+  return JSON.stringify(list.map(asRequest));
+}
+
+/** An object of the server's scene as the page shows it; what the page has no field for stays in `kept`. */
+function placedOf(item: SessionScene["objects"][number]): PlacedObject {
+  const { name, shape, object, material, size_m, pose, position, ...rest } = item;
+  const isPlain = material != null && SURFACES.includes(material.kind) && material.base_colour == null && material.roughness == null;
+  const { up, yaw_degrees, anchor, ...other } = rest;
+  const kept = {
+    ...other,
+    ...(up === "z" ? { up } : {}),
+    ...(pose == null ? { yaw_degrees, anchor } : {}),
+    ...(material != null && !isPlain ? { material } : {}),
+  };
+  return {
+    name: name ?? "object",
+    shape: object != null ? "file" : (shape as Shape),
+    file: object != null ? { id: object, name: name ?? "object", data: null } : null,
+    material: isPlain ? (material.kind as Surface) : "own",
+    size_m: size_m ?? null,
+    place: { position: (position ?? [0, 0, 0]) as CompositeObject["position"] & [number, number, number] },
+    pose: pose ?? null,
+    kept: Object.fromEntries(Object.entries(kept).filter(([, value]) => value !== null)),
+  };
+}
