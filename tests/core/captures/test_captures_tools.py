@@ -74,9 +74,6 @@ def test_scannetpp_masks_and_missing_parts(tmp_path: Path) -> None:
     assert not masked.seen[:6].any()
     shutil.rmtree(path / "rgb_masks")
     assert any("rgb_mask.mkv" in note.left_out for note in open_capture(path).notes)
-    shutil.rmtree(path / "depth")
-    with pytest.raises(CaptureError, match=r"neither depth/ nor depth\.bin"):
-        open_capture(path)
     shutil.rmtree(path / "rgb")
     with pytest.raises(CaptureError, match=r"neither rgb/ nor rgb\.mkv"):
         open_capture(path)
@@ -179,11 +176,11 @@ def with_messages(path: Path, change: dict[str, str], drop: str = "\0") -> Path:
     return tool_formats.ros2_bag(path, [(change.get(topic, topic), *rest) for topic, *rest in messages])
 
 
-def test_a_bag_without_poses_depth_or_camera_says_so(tmp_path: Path) -> None:
+def test_a_bag_without_poses_colour_or_camera_says_so(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"no poses of camera_color_optical_frame.*RTAB-Map"):
         open_capture(with_messages(tmp_path / "a", {}, drop="/tf"))
-    with pytest.raises(CaptureError, match=r"no topic of depth images; its topics are /camera/color/camera_info"):
-        open_capture(with_messages(tmp_path / "b", {}, drop="/camera/aligned"))
+    with pytest.raises(CaptureError, match=r"no topic of colour images; its topics are /camera/aligned_depth"):
+        open_capture(with_messages(tmp_path / "b", {}, drop="/camera/color/image"))
     with pytest.raises(CaptureError, match="no CameraInfo beside /camera/color/image_raw"):
         open_capture(with_messages(tmp_path / "c", {}, drop="/camera/color/camera_info"))
     device = "/device_0/sensor_"
@@ -250,6 +247,21 @@ def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
     expected = np.repeat(rgb[..., 1:2], 3, axis=2) if encoding == "mono8" else rgb
     error = np.abs(frame.image - srgb8_to_linear(expected))[2:-2, 2:-2]
     assert error.mean() < (0.03 if encoding == "bayer_rggb8" else 0.012)
+
+
+@pytest.mark.parametrize("name", ["scannetpp", "scannet_frames", "rtabmap", "ros_bag"])
+def test_recordings_without_depth_have_frames_without(tmp_path: Path, name: str) -> None:
+    if name == "ros_bag":
+        path = with_messages(tmp_path / "capture", {}, drop="/camera/aligned")
+    else:
+        path = getattr(tool_formats, name)(tmp_path / "capture", VIEWS)
+        shutil.rmtree(path / ("room_depth" if name == "rtabmap" else "depth"))
+    with open_capture(path)._reader.records() as read:
+        raw = read(1)
+    assert raw.depth_name is None
+    assert not raw.depth_m.any()
+    with pytest.raises(CaptureError, match="has no depth; depth=auto estimates it"):
+        list(open_capture(path, CaptureOptions(depth="file")))
 
 
 # Refused by name

@@ -110,7 +110,8 @@ class RtabmapReader(ListedReader):
                 raise ValueError("the poses have none of its number or time")
             if isinstance(node[1], str):
                 raise ValueError(node[1])
-        calib_name, depth_name = f"{self._prefix}calib/{stem}.yaml", f"{self._prefix}depth/{stem}.png"
+        calib_name = f"{self._prefix}calib/{stem}.yaml"
+        depth_name = f"{self._prefix}depth/{stem}.png" if self._source.has(f"{self._prefix}depth") else None
         calib_label = self._source.label(calib_name)
         text = "\n".join(fields.parse_text(self._source.read(calib_name, max_bytes=65536), calib_label))
         with fields.naming(calib_label, FrameError):
@@ -121,7 +122,8 @@ class RtabmapReader(ListedReader):
             effect = "images are taken for rectified, as RTAB-Map stores them"
             self.notes.append(Note(f"{calib_label}: distortion coefficients", effect, "undistort raw images first"))
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
-        return RawFrame(label, read.picture, read.depth_m, self._source.label(depth_name), intrinsics, pose)
+        depth_label = depth_name and self._source.label(depth_name)
+        return RawFrame(label, read.picture, read.depth_m, depth_label, intrinsics, pose)
 
 
 def _poses_name(source: FolderSource, prefix: str) -> str | None:

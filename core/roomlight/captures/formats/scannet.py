@@ -216,7 +216,7 @@ class ScanNetFramesReader(ListedReader):
 
     def _read(self, index: int) -> RawFrame:
         stem, label = Path(self._colour[index]).stem, self.name_of(index)
-        pose_name, depth_name = f"pose/{stem}.txt", f"depth/{stem}.png"
+        pose_name, depth_name = f"pose/{stem}.txt", f"depth/{stem}.png" if self._source.has("depth") else None
         pose_label = self._source.label(pose_name)
         with fields.naming(pose_label, FrameError):
             pose = fields.matrix_of_text(self._source.read(pose_name, max_bytes=65536), 4, pose_label)
@@ -224,4 +224,5 @@ class ScanNetFramesReader(ListedReader):
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=width, height=height, shift=0.5)
-        return RawFrame(label, read.picture, read.depth_m, self._source.label(depth_name), intrinsics, pose)
+        depth_label = depth_name and self._source.label(depth_name)
+        return RawFrame(label, read.picture, read.depth_m, depth_label, intrinsics, pose)

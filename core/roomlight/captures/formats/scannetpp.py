@@ -45,7 +45,7 @@ class ScanNetPPReader(ListedReader):
         """Read the index and find colour and depth.
 
         Raises:
-            CaptureError: The index is missing or damaged, or there is neither video nor images, or no depth.
+            CaptureError: The index is missing or damaged, or there is neither video nor images.
         """
         source = FolderSource(folder)
         label = source.label(INDEX)
@@ -54,8 +54,6 @@ class ScanNetPPReader(ListedReader):
         self._video = None if source.has("rgb") else next((name for name in _VIDEOS if source.has(name)), "")
         if self._video == "":
             raise CaptureError(f"{folder}: has neither rgb/ nor rgb.mkv; download the scene's iPhone video")
-        if not source.has("depth") and not source.has("depth.bin"):
-            raise CaptureError(f"{folder}: has neither depth/ nor depth.bin; download the scene's iPhone depth")
         stems = [key for key in self._entries if self._video or source.has(f"rgb/{key}.jpg")]
         super().__init__(folder, options, [f"rgb/{stem}.jpg" for stem in stems], expected=f"rgb image of {INDEX}")
         self._stems = stems
@@ -119,11 +117,12 @@ class ScanNetPPReader(ListedReader):
         mask_name = f"rgb_masks/{stem}.png"
         if self._source.has(mask_name):
             picture = with_mask(picture, read_mask(self._source, mask_name))
-        depth_name = f"depth/{stem}.png"
+        depth_name, depth_label = f"depth/{stem}.png", None
+        depth_m = np.zeros((height, width), np.float32)
         if self._source.has("depth"):
             depth_label = self._source.label(depth_name)
             depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
-        else:
+        elif self._source.has("depth.bin"):
             depth_label = f"{self._source.label('depth.bin')} ({stem})"
             with fields.naming(depth_label, FrameError):
                 metres = self._maps().read(self._number(index))

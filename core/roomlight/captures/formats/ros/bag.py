@@ -65,7 +65,7 @@ class RosBagReader:
         """Read the poses and the times of the images.
 
         Raises:
-            CaptureError: The bag is damaged, holds no colour, depth, camera or poses, or `rosbags` is not installed.
+            CaptureError: The bag is damaged, holds no colour, camera or poses, or `rosbags` is not installed.
         """
         if importlib.util.find_spec("rosbags") is None:
             raise CaptureError(f"{path}: is a ROS bag, which needs pip install 'roomlight[rosbag]'")
@@ -79,7 +79,9 @@ class RosBagReader:
         with self._opened() as bag:
             topics = {connection.topic: connection.msgtype for connection in bag.connections}
             self._colour = self._topic(topics, ("color", "rgb", "image"), ("depth", "infra", "fisheye", "mask", "conf"))
-            self._depth = self._topic(topics, ("aligned", "registered", "depth"), (), "depth")
+            words = ("aligned", "registered", "depth")
+            has_depth = any("depth" in topic.lower() for topic, kind in topics.items() if kind in _IMAGES)
+            self._depth = self._topic(topics, words, (), "depth") if has_depth else None
             self._index(bag, topics)
         self.count = len(self._entries.get(self._colour, []))
         if self.count > MAX_FRAMES:
@@ -139,7 +141,7 @@ class RosBagReader:
     def _index(self, bag: Any, topics: dict[str, str]) -> None:
         """Take the poses and cameras, and the times of the images."""
         wanted = (*_TREES, *_POSES, _INFO)
-        images = {self._colour, self._depth}
+        images = {self._colour} if self._depth is None else {self._colour, self._depth}
         chosen = [c for c in bag.connections if topics[c.topic] in wanted or c.topic in images]
         loose: list[tuple[str, str, Float[np.ndarray, 7], float]] = []
         try:
@@ -196,21 +198,27 @@ class RosBagReader:
     def _read(self, index: int, bag: Any) -> RawFrame:
         label = self.name_of(index)
         entry = self._entries[self._colour][index]
-        depths = self._entries.get(self._depth, [])
         with fields.naming(label, FrameError):
-            if not depths:
-                raise ValueError(f"{self._depth} has no image")
-            depth_entry = depths[nearest([d.time_s for d in depths], entry.time_s)]
-            if abs(depth_entry.time_s - entry.time_s) > MAX_GAP_S:
-                raise ValueError(f"the nearest depth is {abs(depth_entry.time_s - entry.time_s):.3f} s away")
             pose = self._tree.pose(self._frame_id, entry.time_s)
             picture = decode_colour_image(self._message(bag, self._colour, entry), label)
-            depth_m = decode_depth_image(self._message(bag, self._depth, depth_entry), label, self._unit_m)
             camera, lens = camera_of(self._cameras[self._colour], raw="rect" not in self._colour)
-            depth_m = self._in_colour(depth_m, camera)
+            depth_m = np.zeros(picture.image.shape[:2], np.float32)
+            if self._depth is not None:
+                depth_m = self._in_colour(self._depth_near(entry.time_s, self._depth, bag, label), self._depth, camera)
             if not lens.straight and picture.image.shape[:2] == (camera.height, camera.width):
                 picture, depth_m, camera = straightened(picture, depth_m, camera, lens)
-        return RawFrame(label, picture, depth_m, f"{self._path}: {self._depth}", camera, pose)
+        depth_name = None if self._depth is None else f"{self._path}: {self._depth}"
+        return RawFrame(label, picture, depth_m, depth_name, camera, pose)
+
+    def _depth_near(self, time_s: float, topic: str, bag: Any, label: str) -> Float[np.ndarray, "h w"]:
+        """Return the depth image nearest in time. Raises ValueError if it is too far."""
+        depths = self._entries.get(topic, [])
+        if not depths:
+            raise ValueError(f"{topic} has no image")
+        entry = depths[nearest([depth.time_s for depth in depths], time_s)]
+        if abs(entry.time_s - time_s) > MAX_GAP_S:
+            raise ValueError(f"the nearest depth is {abs(entry.time_s - time_s):.3f} s away")
+        return decode_depth_image(self._message(bag, topic, entry), label, self._unit_m)
 
     def _message(self, bag: Any, topic: str, entry: _Entry) -> Any:
         """Read an image again, by the time at which it was recorded."""
@@ -224,10 +232,12 @@ class RosBagReader:
             raise FrameError(f"{self._path}: {topic} does not decode ({error})") from error
         raise FrameError(f"{self._path}: {topic} has no message of {entry.time_s:.3f} s")
 
-    def _in_colour(self, depth_m: Float[np.ndarray, "h w"], colour: Intrinsics) -> Float[np.ndarray, "dh dw"]:
+    def _in_colour(
+        self, depth_m: Float[np.ndarray, "h w"], topic: str, colour: Intrinsics
+    ) -> Float[np.ndarray, "dh dw"]:
         """Project depth of another camera into the colour image."""
-        frame, info = self._frames.get(self._depth, ""), self._cameras.get(self._depth)
-        if frame == self._frame_id or any(word in self._depth for word in ("aligned", "registered")) or info is None:
+        frame, info = self._frames.get(topic, ""), self._cameras.get(topic)
+        if frame == self._frame_id or any(word in topic for word in ("aligned", "registered")) or info is None:
             return depth_m
         between = self._tree.between(self._frame_id, frame)
         if between is None:
