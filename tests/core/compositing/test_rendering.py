@@ -1,5 +1,6 @@
 """Rendered objects: geometry of the picture, light between objects, glass, previews, determinism."""
 
+import cv2
 import numpy as np
 import pytest
 from shading_reference import look_at
@@ -47,6 +48,17 @@ def test_mirror_sphere_shows_the_panorama_itself() -> None:
     shown = preview.radiance.reshape(-1, 3)[hit]
     assert np.abs(shown - exact).mean() < 0.005
     assert np.abs(picture.radiance.reshape(-1, 3)[hit] - exact).mean() < 0.08  # drawn anywhere in the pixel
+
+
+def test_the_rim_of_a_mirror_has_no_dots_in_a_preview() -> None:
+    """A pixel of the rim shows much of the room: its middle alone is any colour."""
+    light, scene = ProbeSet.single(panorama()), TracedObjects([sphere(0.5, mirror())])
+    many = render_objects(scene, CAMERA, POSE, light, quality=RenderSettings(1024, 4, denoised=False))
+    preview = render_objects(scene, CAMERA, POSE, light, quality="preview")
+    inside = (many.alpha == 1).astype(np.uint8)
+    rim = (inside > 0) & (cv2.erode(inside, np.ones((3, 3), np.uint8)) == 0)
+    assert rim.sum() > 40
+    assert np.abs(preview.radiance - many.radiance)[rim].mean() < 0.025  # 0.045 by the middles
 
 
 def test_diffuse_sphere_under_constant_light_is_its_albedo() -> None:

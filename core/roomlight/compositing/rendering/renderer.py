@@ -314,7 +314,7 @@ def _preview(
     part = view.part(chosen)
     paths, hits = _camera_hits(scene, part, _EDGE_SAMPLES)
     ids = np.where(hits.face >= 0, scene.surfaces.object_id[hits.face], -1).reshape(-1, _EDGE_SAMPLES)
-    mixed = (ids != film.object_id[pixels[chosen], None]).any(axis=1)  # the others stay as their centres are
+    mixed = (ids >= 0).any(axis=1)  # also where all meet one object: a mirror's rim shows a half of the room in a pixel
     rays = np.repeat(mixed, _EDGE_SAMPLES)
     paths, hits = _Paths(*(column[rays] for column in paths)), RayHits(*(column[rays] for column in hits))
     shaded = _shaded(world, lights, part.part(np.flatnonzero(mixed)), paths, hits)
