@@ -19,20 +19,20 @@ from roomlight.errors import UnknownFormatError
 _PARTS: Final[dict[str, tuple[str, ...]]] = {
     "roomlight": (native.INDEX,),
     "nerfstudio": (nerfstudio.INDEX,),
-    "stray-scanner": (stray_scanner.VIDEO, stray_scanner.ODOMETRY, stray_scanner.MATRIX, "depth"),
+    "stray-scanner": (stray_scanner.VIDEO, stray_scanner.ODOMETRY, stray_scanner.MATRIX),
     "record3d": ("metadata|metadata.json", "rgbd|rgb"),
     "tum": ("rgb.txt", "depth.txt", "groundtruth.txt"),
     "seven-scenes": ("frame-*.color.*", "frame-*.depth.png", "frame-*.pose.txt"),
-    "polycam": ("keyframes/images|images", "keyframes/cameras|cameras", "keyframes/depth|depth"),
-    "3d-scanner-app": ("frame_*.jpg", "frame_*.json", "depth_*.png"),
+    "polycam": ("keyframes/images|images", "keyframes/cameras|cameras"),
+    "3d-scanner-app": ("frame_*.jpg", "frame_*.json"),
     "arkitscenes": ("lowres_wide", "lowres_depth", "lowres_wide_intrinsics", TRAJECTORY),
-    "scannet": ("color", "depth", "pose", "intrinsic/intrinsic_color.txt"),
-    "scannetpp": (scannetpp.INDEX, "rgb|rgb.mkv", "depth|depth.bin"),
-    "rtabmap": ("*rgb", "*depth", "*calib", "*camera_poses.txt"),
+    "scannet": ("color", "pose", "intrinsic/intrinsic_color.txt"),
+    "scannetpp": (scannetpp.INDEX, "rgb|rgb.mkv"),
+    "rtabmap": ("*rgb", "*calib", "*camera_poses.txt"),
     "ros-bag": ("metadata.yaml", "*.db3|*.mcap"),
-    "colmap": ("sparse/0/cameras.*|sparse/cameras.*", "images", "depth|stereo/depth_maps"),
+    "colmap": ("sparse/0/cameras.*|sparse/cameras.*", "sparse/0/images.*|sparse/images.*", "images"),
 }
-"""Files and folders of each format; `|` stands between alternatives."""
+"""Files and folders that each format needs; `|` stands between alternatives."""
 
 _IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr", ".heic")
 _VIDEOS: Final = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
