@@ -22,7 +22,7 @@ from roomlight_generator.sequences.exposure import Exposure, MeterSettings, sett
 from roomlight_generator.sequences.render import PROBES, catalogue_for, draw_camera_path, record
 from roomlight_generator.sequences.walk import FRAME_INTERVAL_S, FreeSpace
 
-_MEDIAN_KCD_M2: Final = (0.01, 0.2)
+MEDIAN_KCD_M2: Final = (0.01, 0.2)
 """Range of a room's median luminance: a home in the evening, an office by day. It decides the sensor's noise."""
 _AIM: Final = (0.3, 0.6)
 """Range of the first frame's 80th percentile, of white: 0.41 to 0.45 in the mean of real recordings."""
@@ -120,7 +120,7 @@ def _varied(
     """Mirror and rotate a panorama at random, and give it a luminance (kcd/m2)."""
     mirrored = bool(rng.random() < 0.5)
     columns = int(rng.integers(image.shape[1]))
-    median = float(np.exp(rng.uniform(*np.log(_MEDIAN_KCD_M2))))
+    median = float(np.exp(rng.uniform(*np.log(MEDIAN_KCD_M2))))
     scale = median / max(percentile(image @ LUMINANCE, 50.0), 1e-3 * float(image.mean()))
     turned = np.roll(image[:, ::-1] if mirrored else image, columns, axis=1) * np.float32(scale)
     facts = {
