@@ -74,6 +74,30 @@ def test_the_operator_uses_and_deletes_what_its_phones_have(server):
     assert listed(server, phone) == []
 
 
+def test_the_operator_uses_and_deletes_objects_and_recordings_of_its_phones(server):
+    """Its list of objects and recordings was empty, and a phone's object could not be put into a phone's session."""
+    (_, phone), (_, second) = paired(server), paired(server)
+    body, kind = (
+        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n",
+        {"Content-Type": "model/obj"},
+    )
+    uploaded = [server.call("POST", "/v1/objects", body, token=token, headers=kind).json for token in (phone, second)]
+    recorded = server.call("POST", "/v1/recordings", {"name": "hall", "bytes": 10, "files": 1}, token=phone).json
+    for path, key, made in (("objects", "objects", uploaded[0]), ("recordings", "recordings", recorded)):
+        seen = server.call("GET", f"/v1/{path}", token=OPERATOR).json
+        assert ([item["id"] for item in seen[key]], seen["bytes"]) == ([made["id"]], 0)
+        assert server.call("GET", f"/v1/{path}", token=OTHER).json[key] == []
+        assert server.call("GET", f"/v1/{path}/{made['id']}", token=OTHER).status == 404
+        assert server.call("GET", f"/v1/{path}/{made['id']}", token=OPERATOR).json["id"] == made["id"]
+    assert server.call("GET", "/v1/recordings", token=second).json["recordings"] == []
+    assert server.call("GET", "/v1/objects", token=second).json["bytes"] == uploaded[1]["bytes"]
+    assert server.call("DELETE", f"/v1/recordings/{recorded['id']}", token=OPERATOR).status == 204
+    assert server.call("GET", "/v1/recordings", token=phone).json["recordings"] == []
+    for _ in range(2):  # one of each phone
+        assert server.call("DELETE", f"/v1/objects/{uploaded[0]['id']}", token=OPERATOR).status == 204
+    assert server.call("GET", f"/v1/objects/{uploaded[0]['id']}", token=phone).kind == "object-not-found"
+
+
 def test_an_id_that_several_phones_have_is_named(server):
     phones = [paired(server) for _ in range(2)]
     for _, token in phones:

@@ -10,6 +10,7 @@ from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.wire.compositing import ObjectInfo, ObjectList
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError
+from roomlight_server.base.request_context import sees
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.work.object_packing import object_bytes
 
@@ -25,7 +26,7 @@ class _Stored:
 
 
 class ObjectStore:
-    """The uploaded objects. Each owner has a separate set and cannot find those of others. Event loop only."""
+    """The uploaded objects. Each owner has a separate set, and finds those of its phones. Event loop only."""
 
     def __init__(self, settings: ServerSettings, metrics: Metrics, clock: Callable[[], float]) -> None:
         """Create an empty store."""
@@ -72,15 +73,17 @@ class ObjectStore:
         return info
 
     def listed(self, owner: str) -> ObjectList:
-        """Return all objects of an owner, the oldest first."""
+        """Return all objects of an owner and its phones, the oldest first; the bytes are the owner's own."""
         self.expire()
-        infos = [stored.info for (whose, _), stored in self._stored.items() if whose == owner]
-        return ObjectList(objects=infos, bytes=self._bytes(owner), limit_bytes=self._settings.max_owner_object_bytes)
+        infos = {digest: stored.info for (whose, digest), stored in self._stored.items() if sees(owner, whose)}
+        return ObjectList(
+            objects=list(infos.values()), bytes=self._bytes(owner), limit_bytes=self._settings.max_owner_object_bytes
+        )
 
     def delete(self, owner: str, digest: str) -> None:
         """Delete an object; composites that use it are finished. Raises ProblemError if there is none (404)."""
-        self._find(owner, digest)
-        del self._stored[owner, digest]
+        gone = self._find(owner, digest)
+        self._stored = {key: stored for key, stored in self._stored.items() if stored is not gone}
 
     def expire(self) -> None:
         """Delete objects that were not used for too long."""
@@ -92,7 +95,9 @@ class ObjectStore:
 
     def _find(self, owner: str, digest: str) -> _Stored:
         self.expire()
-        stored = self._stored.get((owner, digest))
+        own = self._stored.get((owner, digest))
+        of_phones = (kept for (whose, name), kept in self._stored.items() if name == digest and sees(owner, whose))
+        stored = own or next(of_phones, None)
         if stored is None:
             detail = "there is no object of this id; it may have expired; upload it with POST /v1/objects"
             raise ProblemError("object-not-found", detail, field="object", value=digest)

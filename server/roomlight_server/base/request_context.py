@@ -58,3 +58,8 @@ class RequestIdMiddleware:
             await send(message)
 
         await self._app(scope, receive, send_with_id)
+
+
+def sees(owner: str, whose: str) -> bool:
+    """Return whether what belongs to `whose` is an owner's, or that of a phone that the owner has paired."""
+    return whose == owner or whose.startswith(f"{owner}.")

@@ -12,7 +12,7 @@ from roomlight.sample import sample_capture
 from roomlight.wire.messages import SessionRequest
 from roomlight.wire.recordings import Recording, RecordingList, RecordingRequest, ReplayRequest
 from roomlight_server.base.problems import ProblemError
-from roomlight_server.base.request_context import Flow, current_flow
+from roomlight_server.base.request_context import Flow, current_flow, sees
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.recordings.files import RecordingFiles, append
 from roomlight_server.recordings.locked_folder import LockedFolder, remove_left_folders
@@ -56,7 +56,7 @@ class StoredRecording:
 
 
 class RecordingStore:
-    """All recordings. Each owner has a separate set and a quota."""
+    """All recordings. Each owner has a separate set and a quota, and finds those of its phones."""
 
     def __init__(self, settings: ServerSettings, registry: Registry, clock: Callable[[], float]) -> None:
         """Create an empty store; its folder is made with the first recording."""
@@ -126,19 +126,19 @@ class RecordingStore:
         """
         self.expire()
         recording = self._recordings.get(recording_id)
-        if recording is None or recording.owner != owner:
+        if recording is None or not sees(owner, recording.owner):
             detail = "there is no recording of this id; it may have expired; upload it again"
             raise ProblemError("recording-not-found", detail, field="id", value=recording_id)
         recording.last_used_s = self._clock()
         return recording
 
     def listed(self, owner: str) -> RecordingList:
-        """Return the recordings of an owner, the newest first."""
+        """Return the recordings of an owner and its phones, the newest first; the bytes are the owner's own."""
         self.expire()
-        own = [recording for recording in self._recordings.values() if recording.owner == owner]
+        seen = [recording for recording in self._recordings.values() if sees(owner, recording.owner)]
         return RecordingList(
-            recordings=[self.describe(recording) for recording in reversed(own)],
-            bytes=_announced(own),
+            recordings=[self.describe(recording) for recording in reversed(seen)],
+            bytes=_announced(recording for recording in seen if recording.owner == owner),
             limit_bytes=self._settings.max_owner_recording_bytes,
         )
 

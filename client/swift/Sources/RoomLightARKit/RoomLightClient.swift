@@ -71,6 +71,23 @@
             self.session = session
         }
 
+        /// Pairs this phone by the address in the server's QR code; returns the phone's own token. A code works once.
+        /// The server's certificate must be trusted by `session`.
+        public static func pair(link: URL, session: URLSession = .shared) async throws -> String {
+            struct Paired: Decodable { let token: String }
+            guard var parts = URLComponents(url: link, resolvingAgainstBaseURL: true),
+                let code = parts.fragment, code.hasPrefix("pair="), parts.path.hasSuffix("/phone")
+            else { throw URLError(.badURL) }
+            parts.fragment = nil
+            parts.path = parts.path.dropLast("phone".count) + "v1/phones"
+            guard let url = parts.url else { throw URLError(.badURL) }
+            var request = URLRequest(url: url)
+            request.httpMethod = "POST"
+            request.httpBody = try JSONEncoder().encode(["code": String(code.dropFirst("pair=".count))])
+            request.setValue("application/json", forHTTPHeaderField: "Content-Type")
+            return try JSONDecoder().decode(Paired.self, from: try await answer(to: request, session)).token
+        }
+
         /// The index of the next frame: 0, 1, 2 ...
         public func nextIndex() -> Int {
             lock.lock()
@@ -135,6 +152,10 @@
             if let token = token {
                 request.setValue("Bearer \(token)", forHTTPHeaderField: "Authorization")
             }
+            return try await Self.answer(to: request, session)
+        }
+
+        private static func answer(to request: URLRequest, _ session: URLSession) async throws -> Data {
             let (data, response) = try await session.data(for: request)
             guard let answer = response as? HTTPURLResponse else { throw URLError(.badServerResponse) }
             guard (200..<300).contains(answer.statusCode) else {
