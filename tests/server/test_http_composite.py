@@ -163,16 +163,12 @@ def test_a_session_without_frames_has_no_composite(server):
     assert (answer.status, answer.kind) == (409, "no-frame")
 
 
-def test_a_large_object_gets_fewer_paths_and_is_not_refused(server, monkeypatch):
-    traced = []
-    original = composites.make
+def test_a_large_object_gets_fewer_paths_and_is_not_refused(monkeypatch):
     monkeypatch.setattr(composites, "MAX_PATHS", 1)
-    monkeypatch.setattr(
-        "roomlight_server.routes.composites.make",
-        lambda *given: traced.append(original(*given)) or traced[-1],
-    )
-    assert composite(server, BALL, quality="good").status == 200
-    assert traced[0].picture.samples == 1
+    engine = Session(SessionOptions(model="classical", height=16))
+    engine.push(box_shot(0))
+    scene = composites.scene_of(CompositeRequest.model_validate({"objects": [BALL]}), {}, 1.0)
+    assert composites.make(engine, box_shot(0), scene, "good").picture.samples == 1
 
 
 def test_a_composite_that_needs_too_much_memory_is_refused_before_it_is_made(monkeypatch):

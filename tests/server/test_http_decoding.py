@@ -19,7 +19,7 @@ from http_servers import InThread, RunningServer, box_shot, header_of, parts_of
 from present import present
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import FrameLimits, pack, parse
-from roomlight_server.work import decode_processes
+from roomlight_server.work import processes
 from roomlight_server.work.decode_worker import MAX_MEMORY_BYTES
 from roomlight_server.work.shared_block import SharedBlock
 
@@ -100,7 +100,7 @@ def is_reading(pid):
 def test_an_image_that_crashes_the_decoder_is_rejected(one_decoder, monkeypatch):
     server, _ = one_decoder
     with monkeypatch.context() as patched:
-        patched.setattr(decode_processes._Process, "request", lambda *_: _raise(OSError("ended")))
+        patched.setattr(processes.WorkerProcess, "request", lambda *_: _raise(OSError("ended")))
         answer = server.push(2, colour_frame("jpeg", jpeg()))
         assert (answer.status, answer.json["rule"]) == (422, "the decoder crashed")
     assert server.push(2, colour_frame("jpeg", jpeg())).json["status"] == "processed"
@@ -110,11 +110,11 @@ def test_a_decoder_that_does_not_read_is_killed():
     """Writing to a stopped decoder had no deadline: a frame waited for 60 s."""
     with RunningServer(decode_threads=1, decode_timeout_s=0.5) as server:
         server.open()
-        processes = server.app.state.context.workers.decode_processes
-        processes.start(1)
+        decoders = server.app.state.context.workers.decode_processes
+        decoders.start(1)
         while server.push(0, colour_frame("jpeg", jpeg())).status != 200:
             pass  # a process that still starts may take more than this limit
-        for pid in processes.pids:
+        for pid in decoders.pids:
             os.kill(pid, signal.SIGSTOP)
         answer = server.push(1, colour_frame("jpeg", jpeg(800, 600), 800, 600))
         assert (answer.status, answer.json["rule"]) == (422, "must decode within 0.5 s")

@@ -1,9 +1,13 @@
 """Fairness over real sockets: what one client does, or leaves behind, does not stop the others."""
 
 import json
+import os
+import resource
+import signal
 import socket
 import threading
 from http.client import HTTPResponse
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +17,7 @@ from websockets.sync.client import connect
 from http_servers import LATE, SMALL, InThread, RunningServer, frame, metric, post, with_small_buffer
 from roomlight.engine.session_view import SessionView
 from roomlight.threads import parallel_for
+from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.light_message import parse_light
 from roomlight.wire.messages import LightResponse
 from roomlight_server.base import problems
@@ -20,6 +25,8 @@ from roomlight_server.routes import composites as composite_routes
 from roomlight_server.routes import light as light_routes
 from roomlight_server.sessions import live_session
 from roomlight_server.work import fair_share
+from roomlight_server.work.composite_worker import MAX_MEMORY_BYTES
+from rooms import BoxRoom, camera_at
 
 A, B = "token-of-the-hostile-client", "token-of-the-neighbour"
 TALL = SMALL | {"height": 512}
@@ -219,43 +226,72 @@ def test_a_composite_ends_when_its_client_is_gone(server, monkeypatch):
     assert server.push(1, frame(1)).json["status"] == "processed"  # it waited for the composite
 
 
-@pytest.fixture
-def long_finals(monkeypatch):
-    """Composites of the quality final run until the event is set; `running` says that one has begun."""
-    running, end, original = threading.Event(), threading.Event(), composite_routes.make
-
-    def make(engine, shot, scene, quality):
-        if quality == "final":
-            running.set()
-            while not end.is_set():
-                parallel_for(one_piece, 1)
-        return original(engine, shot, scene, quality)
-
-    monkeypatch.setattr(composite_routes, "make", make)
-    yield running, end
-    end.set()
+COMPOSITE = "/v1/sessions/room/composite"
 
 
-def test_previews_and_frames_do_not_wait_for_a_final_composite(long_finals):
+def stopped_composite(server):
+    """Wait for the process of a composite, and stop it; return its id."""
+    processes = server.app.state.context.workers.composite_processes
+    wait_until(server, lambda: processes.pids)
+    (pid,) = processes.pids
+    os.kill(pid, signal.SIGSTOP)
+    return pid
+
+
+def has_ended(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_previews_and_frames_do_not_wait_for_a_final_composite():
     """Finals of one token took a neighbour's preview 26 s and its frames 26 s."""
-    running, end = long_finals
     with RunningServer(tokens=(A, B)) as server:
         for token in (A, B):
             server.open(token=token)
             server.push(0, token=token)
         final = {"objects": [BALL], "quality": "final"}
-        path = "/v1/sessions/room/composite"
-        held = InThread(server.call, "POST", path, final, token=A)
-        assert running.wait(60)
-        assert server.call("POST", path, {"objects": [BALL]}, token=B).status == 200
+        held = InThread(server.call, "POST", COMPOSITE, final, token=A)
+        pid = stopped_composite(server)
+        assert server.call("POST", COMPOSITE, {"objects": [BALL]}, token=B).status == 200
         for token in (A, B):  # its own frames too: it works on a copy
             assert server.push(1, frame(1), token=token).json["status"] == "processed"
-        end.set()
+        os.kill(pid, signal.SIGCONT)
         answer = held.result()
         assert (answer.status, answer.headers["roomlight-frame"]) == (200, "0")
 
 
-@pytest.mark.usefixtures("long_finals")
+def test_a_final_composite_is_killed_when_its_client_is_gone(server):
+    connection = post(server, {"objects": [BALL], "quality": "final"}, COMPOSITE)
+    pid = stopped_composite(server)
+    connection.close()
+    wait_until(server, lambda: has_ended(pid))
+    assert server.call("POST", COMPOSITE, {"objects": [BALL], "quality": "final"}).status == 200  # another process
+
+
+def test_a_composite_beyond_the_memory_of_its_process_is_refused(server):
+    """It ran on a thread of the server, where only an estimate bounded its memory."""
+    good = {"objects": [BALL | {"material": {"kind": "glass"}}], "quality": "good"}
+    assert server.call("POST", COMPOSITE, good).status == 200
+    processes = server.app.state.context.workers.composite_processes
+    (pid,) = processes.pids
+    assert resource.prlimit(pid, resource.RLIMIT_AS) == (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES)
+    size = int(Path(f"/proc/{pid}/statm").read_text("utf-8").split()[0]) * resource.getpagesize()
+    resource.prlimit(pid, resource.RLIMIT_AS, (size + 2**23, MAX_MEMORY_BYTES))
+    large = BoxRoom().frame(camera_at((0.2, 1.4, 0.8)), width=1280, height=960, depth_size=(64, 48))
+    assert server.push(1, pack_frame(large, colour="jpeg")).json["status"] == "processed"
+    answer = server.call("POST", COMPOSITE, good)
+    assert (answer.status, answer.kind, answer.json["field"]) == (422, "invalid", "objects")
+    assert f"at most {MAX_MEMORY_BYTES} bytes for its process" in answer.json["rule"]
+    assert server.push(2, frame(2)).json["status"] == "processed"
+    assert server.call("POST", COMPOSITE, {"objects": [BALL]}).status == 200
+    processes.close_unused(0.0)
+    assert processes.pids == []
+    assert server.call("POST", COMPOSITE, good).status == 200
+
+
 def test_a_composite_has_a_deadline():
     with RunningServer(composite_timeout_s=0.5) as server:
         server.open()

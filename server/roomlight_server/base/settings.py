@@ -88,7 +88,7 @@ class ServerSettings(BaseSettings):
         max_object_bytes: Memory of all objects of all tokens, decoded.
         object_expiry_s: An object that is not used for this time is deleted.
         object_timeout_s: Time limit for decoding an object; then its process is killed and the object is rejected.
-        composite_threads: Composites made at once, in different sessions.
+        composite_threads: Previews made at once, in different sessions; and as many other composites, in processes.
         composite_timeout_s: Time limit of a composite, its waiting included.
         max_owner_sessions: Sessions of one token. Default: all, or half of them if there are several tokens.
         max_owner_session_bytes: Memory that the sessions of one token may reach. Default: 384 MiB for each session.

@@ -17,6 +17,8 @@ from roomlight_server.routes.context import Context, ContextDep, OwnerDep, Reser
 from roomlight_server.routes.light import FRAME_HEADER
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.transport.disconnects import until_gone
+from roomlight_server.work.composite_processes import Composited, CompositeMemoryError
+from roomlight_server.work.composite_worker import MAX_MEMORY_BYTES, CompositeJob
 
 _log = logging.getLogger("roomlight.server")
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["objects"])
@@ -74,7 +76,7 @@ async def composite(
     """Return the last processed frame with objects in it: lit by the room, with shadows, behind real things in front.
 
     Frames are reduced to fit into 1920 x 1440 pixels, 1280 x 960 for good and final. Frames of this session wait for
-    a preview, not for other qualities. Previews come first; the others give way to them and to frames.
+    a preview. Other qualities are made in a process that gives way to previews and frames.
     """
     return await until_gone(request, _composite(live, context, owner, reserved, body))
 
@@ -99,15 +101,26 @@ async def _composite(
         start_s = time.perf_counter()
         try:
             async with asyncio.timeout(context.settings.composite_timeout_s):
-                made = await live.composite(
-                    lambda engine: make(engine, frame, scene, body.quality), preview=body.quality == "preview"
-                )
+                if body.quality == "preview":
+                    preview = await live.preview(lambda engine: make(engine, frame, scene, "preview"))
+                    data = await context.workers.run_in_encode_pool(encode, preview.picture, body.format)
+                    made = Composited(preview.poses, preview.visible, data)
+                else:
+                    made = await live.composite(
+                        lambda snapshot, options: CompositeJob(
+                            snapshot, options, frame, scene, body.quality, body.format
+                        )
+                    )
         except TimeoutError as error:
             rule = f"must be made in {context.settings.composite_timeout_s:g} s, its waiting included"
             detail = f"the composite {rule}; choose preview or good, smaller objects, or retry later"
             raise ProblemError("composite-late", detail, rule=rule, retry_after_s=10) from error
         except (SceneError, ObjectError, ProbeError) as error:
             raise ProblemError("bad-place", str(error), field="objects", rule=str(error)) from error
+        except CompositeMemoryError as error:
+            rule = f"at most {MAX_MEMORY_BYTES} bytes for its process; send smaller frames, or simplify the objects"
+            detail = f"the composite needs too much memory: {rule}"
+            raise ProblemError("invalid", detail, field="objects", value=needed, rule=rule) from error
         except ProblemError:
             raise
         except Exception as error:
@@ -115,10 +128,9 @@ async def _composite(
             detail = f"the composite could not be made: {type(error).__name__}"
             raise ProblemError("engine-failed", detail) from error
         context.metrics.composite_seconds.labels(body.quality).observe(time.perf_counter() - start_s)
-        data = await context.workers.run_in_encode_pool(encode, made.picture, body.format)
     poses = {name: [round(value, 6) for value in pose] for name, pose in made.poses.items()}
     visible = {name: round(share, 3) for name, share in made.visible.items()}
     stated = {POSES_HEADER: poses, VISIBLE_HEADER: visible}
     headers = {name: json.dumps(value, separators=(",", ":")) for name, value in stated.items()}
     headers[FRAME_HEADER] = str(latest.index)
-    return Response(data, media_type=MEDIA_TYPES[body.format], headers=headers)
+    return Response(made.data, media_type=MEDIA_TYPES[body.format], headers=headers)

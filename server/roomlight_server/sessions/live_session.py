@@ -14,7 +14,8 @@ from dataclasses import replace
 from typing import Literal, TypeVar, cast
 
 from roomlight.engine.memory import Footprint
-from roomlight.engine.session import FrameReport, Session
+from roomlight.engine.session import FrameReport, Session, SessionOptions
+from roomlight.engine.state.snapshot import SessionSnapshot
 from roomlight.errors import FrameError, ModelError, WireError
 from roomlight.frame import Frame
 from roomlight.monocular.stream import DEPTH_STREAM_BYTES, DepthStream
@@ -39,6 +40,8 @@ from roomlight_server.sessions.session_parts import (
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import MOVED, SessionLease
 from roomlight_server.state.live_state import LiveState
+from roomlight_server.work.composite_processes import Composited
+from roomlight_server.work.composite_worker import CompositeJob
 from roomlight_server.work.intake import LatestFrame, decode_to_size, index_of, parse_frame
 from roomlight_server.work.workers import Workers
 
@@ -297,28 +300,28 @@ class LiveSession:
             return await self._workers.run_in_decode_pool(self._workers.new_depth_stream().complete, frame)
         return frame
 
-    async def composite(self, work: Callable[[Session], _R], *, preview: bool) -> _R:
-        """Run work on the engine on a compositing thread.
-
-        Args:
-            work: Called with the engine, or with a copy of it.
-            preview: A preview comes before other composites, and frames of this session wait for it. Others work on a
-                copy of the engine, so that no frame waits for them, and give way to previews and frames.
+    async def preview(self, work: Callable[[Session], _R]) -> _R:
+        """Run work on the engine on a compositing thread; frames of this session wait for it.
 
         Raises:
             ProblemError: The session has ended.
         """
         workers = self._workers
-        if preview:
-            async with workers.composite_slot(), self._access.engine_lock:
-                return await workers.run_in_composite_pool(work, self._access.live())
-        async with workers.composite_slot(order=1):
+        async with workers.preview_slot(), self._access.engine_lock:
+            return await workers.run_preview(work, self._access.live())
+
+    async def composite(self, job_of: Callable[[SessionSnapshot, SessionOptions], CompositeJob]) -> Composited:
+        """Make a composite in a process, from a copy of the engine: no frame waits for it.
+
+        Raises:
+            ProblemError: The session has ended.
+            Exception: As `CompositeProcesses.composite`.
+        """
+        async with self._workers.composite_slot():
             async with self._access.engine_lock:
                 engine = self._access.live()
-                snapshot = await workers.run_in_composite_pool(engine.snapshot)
-            graphs = await workers.graphs_of(engine.options.model)
-            engine = await workers.run_in_composite_pool(Session.from_snapshot, snapshot, engine.options, graphs=graphs)
-            return await workers.run_in_background(work, engine)
+                snapshot = await self._workers.run_in_decode_pool(engine.snapshot)
+            return await self._workers.run_composite(job_of(snapshot, engine.options))
 
     @property
     def latest(self) -> LatestFrame | None:

@@ -14,6 +14,7 @@ import signal
 import struct
 import sys
 import traceback
+from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO, Final
 
 import numpy as np
@@ -100,12 +101,11 @@ def unpack_frame(text: dict[str, Any], data: bytes, message: FrameMessage, index
 def _frame_result(body: bytes, index: int, reference: float, min_confidence: int, box: list[int]) -> Result:
     try:
         return pack_frame(decode_to_box(parse(body, _NO_LIMITS), index, reference, min_confidence, (box[0], box[1])))
-    except MemoryError:
-        rule = "must decode within the memory of a decoding process"
-        return {"rejected": {"kind": "bad-frame", "field": "colour", "value": f"{len(body)} bytes", "rule": rule}}, ()
     except WireError as error:
         fields = {"kind": error.kind, "field": error.field, "value": str(error.value)[:1000], "rule": error.rule}
         return {"rejected": fields}, ()
+    except MemoryError:
+        raise
     except Exception:
         return {"failed": traceback.format_exc()[-4000:]}, ()
 
@@ -120,43 +120,47 @@ def _object_result(body: bytes, kind: str | None, limits: dict[str, int]) -> Res
         value = f"{len(body)} bytes"
         return {"rejected": {"kind": "bad-object", "field": "body", "value": value, "rule": str(error)[:1000]}}, ()
     except MemoryError:
-        rule = "must decode within the memory of a decoding process"
-        return {"rejected": {"kind": "bad-object", "field": "body", "value": f"{len(body)} bytes", "rule": rule}}, ()
+        raise
     except Exception:
         return {"failed": traceback.format_exc()[-4000:]}, ()
 
 
-def serve(requests: BinaryIO, results: BinaryIO, block: SharedBlock) -> None:
-    """Answer requests until the input ends."""
+def serve(
+    requests: BinaryIO, results: BinaryIO, block: SharedBlock, answers: Mapping[str, Callable[..., Result]]
+) -> None:
+    """Answer requests until the input ends; `answers` has what is done by the name of the work."""
     results.write(READY)
     results.flush()
     while len(head := requests.read(REQUEST.size)) == REQUEST.size:
         text_bytes, length, seconds = REQUEST.unpack(head)
         arguments = json.loads(requests.read(text_bytes))
-        body = block.read(length) if length <= BLOCK_BYTES else requests.read(length)
         signal.alarm(seconds)  # ends this process, even inside a decoder, if the server that would kill it is gone
-        is_object = arguments.pop("work") == "object"
-        text, parts = (_object_result if is_object else _frame_result)(body, **arguments)
+        work = arguments.pop("work")
+        try:
+            body = block.read(length) if length <= BLOCK_BYTES else requests.read(length)
+            text, parts = answers[work](body, **arguments)
+        except MemoryError:
+            body, text, parts = b"", {"memory": True}, ()
         encoded, size = json.dumps(text).encode(), sum(map(len, parts))
         if size <= BLOCK_BYTES:  # else the server refuses it
             block.write(*parts)
         signal.alarm(0)
         results.write(RESULT.pack(len(encoded), size) + encoded)
         results.flush()
-        if is_object and _trim is not None:
+        if work != "frame" and _trim is not None:
             del body, text, parts, encoded
             _trim(0)
 
 
-def _limit_memory() -> None:
-    """Bound the address space of this process."""
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+def main(answers: Mapping[str, Callable[..., Result]], memory_bytes: int) -> None:
+    """Serve as a process, with a bounded address space and the block of the first argument."""
+    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-if __name__ == "__main__":
-    _limit_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends its processes
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not enter the results
-    serve(sys.stdin.buffer, output, SharedBlock(int(sys.argv[1])))
+    serve(sys.stdin.buffer, output, SharedBlock(int(sys.argv[1])), answers)
+
+
+if __name__ == "__main__":
+    main({"frame": _frame_result, "object": _object_result}, MAX_MEMORY_BYTES)

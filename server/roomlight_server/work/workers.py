@@ -24,15 +24,18 @@ from roomlight.monocular.stream import DepthStream, open_depth_stream
 from roomlight.threads import pausing
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.settings import ServerSettings
+from roomlight_server.work.composite_processes import Composited, CompositeProcesses
+from roomlight_server.work.composite_worker import CompositeJob
 from roomlight_server.work.decode_processes import DecodeProcesses
 from roomlight_server.work.fair_share import MAX_PAUSED, FairShare, Turn
+from roomlight_server.work.processes import Cancellation
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _engine_turn: ContextVar[Turn] = ContextVar("engine_turn")
-_composite_turn: ContextVar[Turn] = ContextVar("composite_turn")
-GIVE_WAY_S: Final = 0.5
-"""Time for which each loop of a composite waits for frames: it goes on beside them when the engine is never free."""
+_preview_turn: ContextVar[Turn] = ContextVar("preview_turn")
+KEEP_S: Final = 8.0
+"""Time for which the process of composites is kept when it is not used: it takes 3 s to start, and 0.4 GB."""
 STOP_S: Final = 1.0
 """Time for running work to end when the server stops."""
 
@@ -52,7 +55,7 @@ class Workers:
         self._engine = pool("engine", settings.engine_threads + MAX_PAUSED)  # a paused job keeps its thread
         self._decode = pool("decode", settings.decode_threads)
         self._encode = pool("encode", settings.encode_threads)
-        self._composite = pool("composite", settings.composite_threads + MAX_PAUSED)
+        self._composite = pool("composite", 2 * settings.composite_threads)
 
         def share(pool: str, slots: int, slots_per_owner: int | None = None) -> FairShare:
             waited = metrics.queue_seconds.labels(pool).observe
@@ -65,11 +68,13 @@ class Workers:
         self._engine_share = share("engine", settings.engine_threads)
         self._decode_share = share("decode", settings.decode_threads, _all_but_last(settings.decode_threads, several))
         self._encode_share = share("encode", settings.encode_threads, _all_but_last(settings.encode_threads, several))
+        self._preview_share = share("preview", settings.composite_threads)
         self._composite_share = share("composite", settings.composite_threads)
+        self.composite_processes = CompositeProcesses()
         self.decode_processes = DecodeProcesses(
             settings.decode_timeout_s, settings.object_timeout_s, settings.object_limits
         )
-        self._decode_threads = settings.decode_threads
+        self._decode_threads, self._composite_timeout_s = settings.decode_threads, settings.composite_timeout_s
         self._base = SessionOptions(
             model=settings.model,
             weights=settings.weights,
@@ -108,6 +113,7 @@ class Workers:
         """Drop work that has not started, and wait up to `STOP_S` for the rest; images being decoded are dropped."""
         self._stopped = True
         self.decode_processes.stop()
+        self.composite_processes.stop()
         deadline_s = time.monotonic() + STOP_S
         pools = (self._engine, self._composite, self._decode, self._encode)
         for pool in pools:
@@ -168,45 +174,42 @@ class Workers:
         return await self._run_to_end(self._engine, run, cancelled=turn.abandon)
 
     @asynccontextmanager
-    async def composite_slot(self, order: int = 0) -> AsyncGenerator[None]:
-        """Wait for a free compositing thread; inside the context, `run_in_composite_pool` starts immediately.
-
-        `order`: lower ones come first.
-        """
-        async with self._composite_share.slot(order) as turn:
-            token = _composite_turn.set(turn)
+    async def preview_slot(self) -> AsyncGenerator[None]:
+        """Wait for a free thread for previews; inside the context, `run_preview` starts immediately."""
+        async with self._preview_share.slot() as turn:
+            token = _preview_turn.set(turn)
             try:
                 yield
             finally:
-                _composite_turn.reset(token)
+                _preview_turn.reset(token)
 
-    async def run_in_composite_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        """Run on a compositing thread; requires a `composite_slot`. If the caller is cancelled, it ends soon."""
-        turn = _composite_turn.get()
-        return await self._run_composite(turn, turn.check, lambda: work(*args, **kwargs))
+    async def run_preview(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Run on a compositing thread; requires a `preview_slot`. If the caller is cancelled, it ends soon."""
+        turn = _preview_turn.get()
 
-    async def run_in_background(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        """Run as `run_in_composite_pool`; between its loops the work gives way to composites ahead, and to frames."""
-        turn = _composite_turn.get()
-
-        def pause() -> None:
-            turn.pause()
-            self._give_way_to_frames()
-
-        return await self._run_composite(turn, pause, lambda: work(*args, **kwargs))
-
-    async def _run_composite(self, turn: Turn, pause: Callable[[], None], work: Callable[[], _R]) -> _R:
         def run() -> _R:
-            with pausing(pause):
-                return work()
+            with pausing(turn.check):
+                return work(*args, **kwargs)
 
         return await self._run_to_end(self._composite, run, cancelled=turn.abandon)
 
-    def _give_way_to_frames(self) -> None:
-        """Wait on a compositing thread while frames are processed, at most `GIVE_WAY_S`."""
-        until_s = time.monotonic() + GIVE_WAY_S
-        while self._engine_share.busy and not self._stopped and time.monotonic() < until_s:
-            time.sleep(0.005)
+    @asynccontextmanager
+    async def composite_slot(self) -> AsyncGenerator[None]:
+        """Wait until a process may make a composite, with `run_composite`."""
+        async with self._composite_share.slot():
+            yield
+
+    async def run_composite(self, job: CompositeJob) -> Composited:
+        """Make a composite in a process; requires a `composite_slot`. If the caller is cancelled, it is killed.
+
+        Raises: as `CompositeProcesses.composite`.
+        """
+        processes, cancel = self.composite_processes, Cancellation()
+        run = partial(processes.composite, job, self._composite_timeout_s, cancel)
+        try:
+            return await self._run_to_end(self._composite, run, cancelled=cancel)
+        finally:
+            asyncio.get_running_loop().call_later(KEEP_S, processes.close_unused, 0.9 * KEEP_S)
 
     async def run_in_decode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Wait for a decoding thread and run on it."""

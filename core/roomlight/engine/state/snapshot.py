@@ -1,7 +1,7 @@
 """A session between two frames, as plain data that the session no longer changes.
 
-Arrays that the next frame overwrites are copied (9 MB with the classical model, 3 ms). The kept frames are shared:
-a session replaces their textures and never writes into them.
+Arrays that the next frame overwrites are copied (9 MB with the classical model, 3 ms). The arrays of the kept frames
+are shared: a session replaces their textures and never writes into them.
 """
 
 from dataclasses import dataclass
@@ -28,6 +28,7 @@ class KeptFrame:
     @classmethod
     def of(cls, index: int, mesh: FrameMesh) -> "KeptFrame":
         """Return the frame with the texture that the mesh has now."""
+        mesh = mesh.passing()
         return cls(index, mesh, mesh.texture)
 
 

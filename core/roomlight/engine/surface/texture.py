@@ -8,7 +8,7 @@ would be noise. Classical model over three path-traced rooms, every third frame:
 import zlib
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -63,6 +63,10 @@ class Texture:
             return cls(frame.image)
         guessed = np.zeros(frame.clipped.shape, np.float32) if frame.guessed is None else frame.guessed
         return cls(frame.image, frame.clipped, guessed)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what it was made from: another thread may compute the rest meanwhile."""
+        return Texture, (self.image, self.clipped, self.guessed)
 
     def pyramid(self) -> Pyramid:
         """Return the texture at all levels."""

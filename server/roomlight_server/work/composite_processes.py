@@ -1,0 +1,49 @@
+"""Processes that make composites of the qualities `good` and `final`: limited, killed at a deadline or when in vain."""
+
+import pickle
+from typing import NamedTuple
+
+from roomlight.errors import SceneError
+from roomlight_server.work.composite_worker import CompositeJob
+from roomlight_server.work.processes import Cancellation, KilledError, Processes
+
+
+class Composited(NamedTuple):
+    """A composite: the poses of its objects and the share of each that is seen, by name, and the answer's bytes."""
+
+    poses: dict[str, list[float]]
+    visible: dict[str, float]
+    data: bytes
+
+
+class CompositeMemoryError(Exception):
+    """A composite needs more memory than its process may have."""
+
+
+class CompositeProcesses(Processes):
+    """Composite processes. Methods may be called on any thread."""
+
+    def __init__(self) -> None:
+        """Create an empty pool."""
+        super().__init__("roomlight_server.work.composite_worker", "composite", spare=False)
+
+    def composite(self, job: CompositeJob, timeout_s: float, cancel: Cancellation) -> Composited:
+        """Make a composite.
+
+        Raises:
+            SceneError: A place is refused, or an object is not in view.
+            CompositeMemoryError: It needs too much memory.
+            TimeoutError: It takes longer than `timeout_s`.
+            RuntimeError: It failed.
+        """
+        body = pickle.dumps(tuple(job), protocol=pickle.HIGHEST_PROTOCOL)
+        try:
+            text, data = self._request({"work": "composite"}, body, timeout_s, retry=False, cancel=cancel)
+        except KilledError as error:
+            kinds = {"late": TimeoutError, "memory": CompositeMemoryError}
+            raise kinds.get(error.reason, RuntimeError)(str(error)) from error
+        if "refused" in text:
+            raise SceneError(text["refused"])
+        if "failed" in text:
+            raise RuntimeError(text["failed"])
+        return Composited(text["poses"], text["visible"], data)

@@ -1,0 +1,64 @@
+"""The process that makes composites: `python -m roomlight_server.work.composite_worker FD`.
+
+It answers as the process of `decode_worker` does. A request is a pickle, which comes from the server alone. The process
+gives way to the server's own threads, and keeps networks and kernels until it is closed.
+"""
+
+import os
+import pickle
+import traceback
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+from roomlight.compositing.placement.scene import Scene
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.options import SessionOptions
+from roomlight.engine.session import Session
+from roomlight.engine.state.snapshot import SessionSnapshot
+from roomlight.errors import ObjectError, ProbeError, SceneError
+from roomlight.frame import Frame
+from roomlight.wire.compositing import CompositeFormat, CompositeQuality
+from roomlight_server.answers.composites import encode, make
+from roomlight_server.work.decode_worker import Result, main
+
+MAX_MEMORY_BYTES: Final = 4 * 2**30
+"""Address space of the process, of which libraries and networks take 2 GB."""
+_NICE: Final = 10
+
+
+class CompositeJob(NamedTuple):
+    """A composite that is to be made: the session after a frame, the frame, and what is asked for."""
+
+    snapshot: SessionSnapshot
+    options: SessionOptions
+    frame: Frame
+    scene: Scene
+    quality: CompositeQuality
+    form: CompositeFormat
+
+
+def composite_result(body: bytes) -> Result:
+    """Make the composite of a pickled job."""
+    try:
+        job = CompositeJob(*pickle.loads(body))
+        model = SessionOptions(model=job.options.model, weights=job.options.weights, provider=job.options.provider)
+        session = Session.from_snapshot(job.snapshot, job.options, graphs=_graphs(model))
+        made = make(session, job.frame, job.scene, job.quality)
+        return {"poses": made.poses, "visible": made.visible}, (encode(made.picture, job.form),)
+    except (SceneError, ObjectError, ProbeError) as error:
+        return {"refused": str(error)}, ()
+    except MemoryError:
+        raise
+    except Exception:
+        return {"failed": traceback.format_exc()[-4000:]}, ()
+
+
+@lru_cache(2)
+def _graphs(options: SessionOptions) -> LightingGraphs | None:
+    return choose_graphs(options)
+
+
+if __name__ == "__main__":
+    os.nice(_NICE)
+    main({"composite": composite_result}, MAX_MEMORY_BYTES)
