@@ -10,6 +10,8 @@ import traceback
 from functools import lru_cache
 from typing import Final, NamedTuple
 
+import cv2
+
 from roomlight.compositing.placement.scene import Scene
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
@@ -50,7 +52,9 @@ def composite_result(body: bytes) -> Result:
         return {"refused": str(error)}, ()
     except MemoryError:
         raise
-    except Exception:
+    except Exception as error:
+        if (isinstance(error, cv2.error) and error.code == cv2.Error.StsNoMem) or "bad_alloc" in str(error):
+            raise MemoryError from error  # of a library in C++
         return {"failed": traceback.format_exc()[-4000:]}, ()
 
 
