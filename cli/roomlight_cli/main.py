@@ -18,7 +18,12 @@ _COMMANDS: Final = "roomlight_cli.commands"
 
 COMMANDS: Final = (
     CommandEntry("demo", f"{_COMMANDS}.demo:demo", "Show the light of the sample room in a browser.", _TRY),
-    CommandEntry("light", f"{_COMMANDS}.light:light", "Light points of one photograph that has depth.", _LIGHT),
+    CommandEntry(
+        "light",
+        f"{_COMMANDS}.light:light",
+        "Light points of one photograph; depth that is not given is estimated.",
+        _LIGHT,
+    ),
     CommandEntry(
         "replay",
         f"{_COMMANDS}.replay:replay",

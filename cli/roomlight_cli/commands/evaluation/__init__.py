@@ -13,7 +13,7 @@ EVALUATIONS: Final = (
     CommandEntry(
         "depth",
         f"{_COMMANDS}.captures:depth",
-        "Score estimated depth, and the light that follows, on recordings that have depth.",
+        "Score estimated depth on recordings whose own depth is hidden from it, and the light that follows.",
     ),
     CommandEntry(
         "walks",
