@@ -31,13 +31,17 @@ export function vectors(): Vector[] {
     const frame: Frame = {
       ...rest,
       colour: { encoding: colour.encoding, data: data("colour") },
-      depth: {
-        format: depth.format,
-        encoding: depth.encoding!,
-        width: depth.width,
-        height: depth.height,
-        data: data("depth"),
-      },
+      ...(depth
+        ? {
+            depth: {
+              format: depth.format,
+              encoding: depth.encoding!,
+              width: depth.width,
+              height: depth.height,
+              data: data("depth"),
+            },
+          }
+        : {}),
       ...(confidence
         ? { confidence: { width: confidence.width, height: confidence.height, data: data("confidence") } }
         : {}),
