@@ -1,5 +1,6 @@
 """Tiny ONNX graphs that answer with a given depth, whatever they are shown."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ def write_depth_model(
     picture: str = "pixel_values",
     shape: tuple[int | str, ...] = (1, 3, *SIZE),
     kind: int = TensorProto.FLOAT,
-    others: dict[str, tuple[int, tuple[int, ...]]] | None = None,
+    others: Mapping[str, tuple[int, tuple[int, ...]]] | None = None,
 ) -> Path:
     """Write a graph that answers with constants, whatever it is given."""
     inputs = [helper.make_tensor_value_info(picture, kind, list(shape))]

@@ -106,8 +106,10 @@ def test_a_camera_frame_is_sent_unchanged():
     frame = camera_frame(timestamp_s=2.0, exposure=0.5, tracking_state="limited", confidence=confidence)
     message = parse(pack_camera_frame(frame))
     assert bytes(message.colour) == frame.colour
+    assert message.header.depth is not None
     assert message.header.depth.format == "uint16_mm"
     assert (message.header.exposure, message.header.tracking_state) == (0.5, "limited")
+    assert frame.depth is not None
     assert (decode_frame(message, 0).depth_m == frame.depth.astype(np.float32) * np.float32(0.001)).all()
 
 
@@ -118,6 +120,7 @@ def test_a_camera_frame_is_sent_unchanged():
 def test_every_depth_type_is_sent_in_its_format(dtype, depth_format):
     depth_m = BoxRoom().frame(POSE, width=64, height=48).depth_m
     message = parse(pack_camera_frame(camera_frame(depth=depth_m.astype(dtype))))
+    assert message.header.depth is not None
     assert message.header.depth.format == depth_format
     assert decode_frame(message, 0).depth_m == pytest.approx(depth_m, rel=1e-3)
 

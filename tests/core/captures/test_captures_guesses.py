@@ -66,7 +66,7 @@ def test_a_video_with_a_cover_picture_or_wide_pixels(tmp_path: Path) -> None:
     expected = next(iter(open_capture(path))).image
     with av.open(str(path / "rgb.mp4")) as source, av.open(str(path / "new.mp4"), "w") as target:
         stream = target.add_stream_from_template(source.streams.video[0])
-        stream.sample_aspect_ratio = 2
+        stream.sample_aspect_ratio = 2  # type: ignore[misc]  # its stub has the getter alone
         for packet in source.demux(video=0):
             if packet.dts is not None:
                 packet.stream = stream

@@ -39,8 +39,8 @@ def xmp(accuracy: str = "absolute") -> str:
 @pytest.mark.parametrize("stated", ["xmp", "sei"])
 def test_a_portraits_own_depth_is_read(tmp_path: Path, stated: str) -> None:
     colour, disparity = scene()
-    parts = {"xmp": xmp()} if stated == "xmp" else {"sei": (LOW, HIGH)}
-    photo = read_photo(written(tmp_path / "photo.heic", heic_files.portrait(colour, disparity, **parts)))
+    text, levels = (xmp(), None) if stated == "xmp" else ("", (LOW, HIGH))
+    photo = read_photo(written(tmp_path / "photo.heic", heic_files.portrait(colour, disparity, xmp=text, sei=levels)))
     depth_m = photo.frame.depth_m
     assert depth_m.shape == (48, 64)
     # half a level of 8 bits is 0.4 %; HEVC adds about two levels

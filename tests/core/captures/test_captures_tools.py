@@ -173,7 +173,9 @@ def test_colmaps_own_depth_maps(tmp_path: Path) -> None:
 
 def with_messages(path: Path, change: dict[str, str], drop: str = "\0") -> Path:
     messages = [message for message in tool_formats.ros_messages(VIEWS) if not message[0].startswith(drop)]
-    return tool_formats.ros2_bag(path, [(change.get(topic, topic), *rest) for topic, *rest in messages])
+    return tool_formats.ros2_bag(
+        path, [(change.get(topic, topic), kind, at, data) for topic, kind, at, data in messages]
+    )
 
 
 def test_a_bag_without_poses_colour_or_camera_says_so(tmp_path: Path) -> None:

@@ -126,7 +126,7 @@ def table(kind: str) -> VirtualObject:
         bind = np.diag([100.0, 100, 100, 1]).astype(np.float32).reshape(1, 16)
         file.tree["skins"] = [{"joints": [1], "inverseBindMatrices": file.accessor(bind, "MAT4", 5126)}]
         more = {"skin": 0}
-    file.node(mesh=0, **more)
+    file.node(root=True, mesh=0, **more)
     if kind == "skin":
         file.node(scale=[0.01] * 3)
     return load_object(file.glb())

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from blender_scenes import SIZE_M, box_room
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_rays, panorama_solid_angles
@@ -19,8 +20,6 @@ from roomlight_generator.blender.render import render_room
 from roomlight_generator.blender.scene import open_scene
 
 with_blender = pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="bpy is not installed")
-if importlib.util.find_spec("bpy"):
-    from blender_scenes import SIZE_M, box_room
 
 CAMERA = Intrinsics(fx=60.0, fy=60.0, cx=45.0, cy=28.0, width=80, height=60)
 
