@@ -140,7 +140,7 @@ def test_a_stopped_run_continues_and_a_finished_one_is_kept(
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("cats",), 1, "one of clipping, objects, single, video"),
+        (("cats",), 1, "one of clipping, depth, objects, single, video"),
         (("recipe.toml", "--set", "colour=3"), 1, "no stage has an option colour"),
         (("recipe.toml", "--set", "steps"), 2, "--set takes NAME=VALUE"),
         (("recipe.toml", "--set", "steps=0"), 1, "steps is 0: Input should be greater than or equal to 1"),

@@ -25,7 +25,7 @@ from roomlight_server.routes import composites as composite_routes
 from roomlight_server.routes import light as light_routes
 from roomlight_server.sessions import live_session
 from roomlight_server.work import fair_share
-from roomlight_server.work.composite_worker import MAX_MEMORY_BYTES
+from roomlight_server.work.composite_processes import MAX_MEMORY_BYTES
 from rooms import BoxRoom, camera_at
 
 A, B = "token-of-the-hostile-client", "token-of-the-neighbour"

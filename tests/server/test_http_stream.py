@@ -230,6 +230,7 @@ def test_the_newest_frame_of_a_stream_wins(monkeypatch):
                 stream.send(frame(index, index=index))
             assert stream.next("frame") | {"coverage": {}} == {
                 "type": "frame", "index": 1, "status": "superseded", "replay": False, "stage_ms": {}, "coverage": {},
+                "depth_estimated": False,
             }  # fmt: skip
             HeldSession.release(10)
             outcomes = {}

@@ -17,8 +17,7 @@ from roomlight_server.routes.context import Context, ContextDep, OwnerDep, Reser
 from roomlight_server.routes.light import FRAME_HEADER
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.transport.disconnects import until_gone
-from roomlight_server.work.composite_processes import Composited, CompositeMemoryError
-from roomlight_server.work.composite_worker import MAX_MEMORY_BYTES, CompositeJob
+from roomlight_server.work.composite_processes import MAX_MEMORY_BYTES, Composited, CompositeJob, CompositeMemoryError
 
 _log = logging.getLogger("roomlight.server")
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["objects"])

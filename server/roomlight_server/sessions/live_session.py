@@ -40,8 +40,7 @@ from roomlight_server.sessions.session_parts import (
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import MOVED, SessionLease
 from roomlight_server.state.live_state import LiveState
-from roomlight_server.work.composite_processes import Composited
-from roomlight_server.work.composite_worker import CompositeJob
+from roomlight_server.work.composite_processes import Composited, CompositeJob
 from roomlight_server.work.intake import LatestFrame, decode_to_size, index_of, parse_frame
 from roomlight_server.work.workers import Workers
 
@@ -195,7 +194,7 @@ class LiveSession:
         try:
             if frame is None:
                 frame = await self._decoded_late(entry)
-            estimated = not frame.depth_m.any()
+            estimated = entry.message is not None and entry.message.header.depth is None
             if estimated:
                 frame = await self._workers.run_in_engine_pool(self._with_depth, frame)
             report = await self._workers.run_in_engine_pool(engine.push, frame)

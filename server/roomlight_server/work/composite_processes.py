@@ -1,11 +1,29 @@
 """Processes that make composites of the qualities `good` and `final`: limited, killed at a deadline or when in vain."""
 
 import pickle
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
+from roomlight.compositing.placement.scene import Scene
+from roomlight.engine.options import SessionOptions
+from roomlight.engine.state.snapshot import SessionSnapshot
 from roomlight.errors import SceneError
-from roomlight_server.work.composite_worker import CompositeJob
+from roomlight.frame import Frame
+from roomlight.wire.compositing import CompositeFormat, CompositeQuality
 from roomlight_server.work.processes import Cancellation, KilledError, Processes
+
+MAX_MEMORY_BYTES: Final = 4 * 2**30
+"""Address space of a process, of which libraries and networks take 2 GB."""
+
+
+class CompositeJob(NamedTuple):
+    """A composite that is to be made: the session after a frame, the frame, and what is asked for."""
+
+    snapshot: SessionSnapshot
+    options: SessionOptions
+    frame: Frame
+    scene: Scene
+    quality: CompositeQuality
+    form: CompositeFormat
 
 
 class Composited(NamedTuple):
@@ -25,7 +43,7 @@ class CompositeProcesses(Processes):
 
     def __init__(self) -> None:
         """Create an empty pool."""
-        super().__init__("roomlight_server.work.composite_worker", "composite", spare=False)
+        super().__init__("roomlight_server.answers.composite_worker", "composite", spare=False)
 
     def composite(self, job: CompositeJob, timeout_s: float, cancel: Cancellation) -> Composited:
         """Make a composite.
@@ -40,8 +58,8 @@ class CompositeProcesses(Processes):
         try:
             text, data = self._request({"work": "composite"}, body, timeout_s, retry=False, cancel=cancel)
         except KilledError as error:
-            kinds = {"late": TimeoutError, "memory": CompositeMemoryError}
-            raise kinds.get(error.reason, RuntimeError)(str(error)) from error
+            # A library in C++ that gets no memory may end its process: the log says which of the two it was.
+            raise (TimeoutError if error.reason == "late" else CompositeMemoryError)(str(error)) from error
         if "refused" in text:
             raise SceneError(text["refused"])
         if "failed" in text:

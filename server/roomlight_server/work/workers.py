@@ -24,8 +24,7 @@ from roomlight.monocular.stream import DepthStream, open_depth_stream
 from roomlight.threads import pausing
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.settings import ServerSettings
-from roomlight_server.work.composite_processes import Composited, CompositeProcesses
-from roomlight_server.work.composite_worker import CompositeJob
+from roomlight_server.work.composite_processes import Composited, CompositeJob, CompositeProcesses
 from roomlight_server.work.decode_processes import DecodeProcesses
 from roomlight_server.work.fair_share import MAX_PAUSED, FairShare, Turn
 from roomlight_server.work.processes import Cancellation

@@ -1,4 +1,4 @@
-"""The process that makes composites: `python -m roomlight_server.work.composite_worker FD`.
+"""The process that makes composites: `python -m roomlight_server.answers.composite_worker FD`.
 
 It answers as the process of `decode_worker` does. A request is a pickle, which comes from the server alone. The process
 gives way to the server's own threads, and keeps networks and kernels until it is closed.
@@ -8,36 +8,20 @@ import os
 import pickle
 import traceback
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 
-from roomlight.compositing.placement.scene import Scene
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.session import Session
-from roomlight.engine.state.snapshot import SessionSnapshot
 from roomlight.errors import ObjectError, ProbeError, SceneError
-from roomlight.frame import Frame
-from roomlight.wire.compositing import CompositeFormat, CompositeQuality
 from roomlight_server.answers.composites import encode, make
+from roomlight_server.work.composite_processes import MAX_MEMORY_BYTES, CompositeJob
 from roomlight_server.work.decode_worker import Result, main
 
-MAX_MEMORY_BYTES: Final = 4 * 2**30
-"""Address space of the process, of which libraries and networks take 2 GB."""
 _NICE: Final = 10
-
-
-class CompositeJob(NamedTuple):
-    """A composite that is to be made: the session after a frame, the frame, and what is asked for."""
-
-    snapshot: SessionSnapshot
-    options: SessionOptions
-    frame: Frame
-    scene: Scene
-    quality: CompositeQuality
-    form: CompositeFormat
 
 
 def composite_result(body: bytes) -> Result:
