@@ -33,9 +33,9 @@ _RENAMED: Final = {
 """Renderers that moved; datasets made under the old name can be continued."""
 
 
-GENERATOR: Final = f"{__version__}+3"
+GENERATOR: Final = f"{__version__}+4"
 """RoomLight's version and the generator's: the latter rises when the same seed gives other rooms, so that a dataset is
-not continued with them. 2: flat colours, and furniture of the library."""
+not continued with them. 2: flat colours, and furniture of the library. 4: lamps with sharp edges."""
 
 _OPTIONAL: Final = ("panoramas", "furniture_share", "scenes", "samples")
 """Settings that are written only where they apply: earlier versions read manifests without them."""

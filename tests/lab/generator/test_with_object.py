@@ -7,7 +7,7 @@ import pytest
 from present import present
 from roomlight.camera import Intrinsics
 from roomlight_generator.rooms.scene import Item, Material, Scene, Sky
-from roomlight_generator.rooms.shapes import block, with_material
+from roomlight_generator.rooms.shapes import bare_mesh, grid_faces, with_material
 from roomlight_generator.sequences.with_object import (
     find_resting_place,
     height_above_surface,
@@ -24,8 +24,22 @@ SIZE = (4.0, 2.5, 4.0)
 
 
 def cuboid(size, centre, material):
-    mesh = with_material(block(*size), material)
-    return mesh.transformed(np.eye(3), np.float32(centre) - mesh.bounds().mean(axis=0))
+    """A box of triangles of ten centimetres, as the walls of generated rooms have them: light is kept by patches."""
+    vertices, normals, faces = [], [], []
+    for side in range(6):
+        axis, sign = side // 2, 1 - 2 * (side % 2)
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        rows, columns = (max(1, round(size[along] / 0.1)) for along in (second, first))
+        points = np.empty((rows + 1, columns + 1, 3))
+        points[..., axis] = sign / 2
+        points[..., second], points[..., first] = np.mgrid[
+            -0.5 : 0.5 : (rows + 1) * 1j, -0.5 : 0.5 : (columns + 1) * 1j
+        ]
+        faces.append(grid_faces(rows, columns)[:, ::sign] + sum(len(part) for part in vertices))
+        vertices.append(points.reshape(-1, 3) * size + centre)
+        normals.append(np.tile(sign * np.eye(3)[axis], (len(vertices[-1]), 1)))
+    mesh = bare_mesh(np.concatenate(vertices), np.concatenate(normals), np.concatenate(faces))
+    return with_material(mesh, material)
 
 
 def room():
