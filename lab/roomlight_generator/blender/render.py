@@ -15,7 +15,7 @@ from roomlight_generator.blender.floor import find_floor
 from roomlight_generator.blender.scene import open_scene
 from roomlight_generator.panoramas.render import MEDIAN_KCD_M2, expose
 from roomlight_generator.rooms.build import room_generator
-from roomlight_generator.sequences.render import PROBES, draw_camera_path, record
+from roomlight_generator.sequences.render import find_camera_path, record
 
 _WALKS: Final = 12
 """Walks drawn, until one has places for its probes."""
@@ -67,11 +67,6 @@ def render_room(
     }
     for walk in range(count):
         rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
-        for _ in range(_WALKS):
-            camera = draw_camera_path(free, views, rng, frames=frames, probes=PROBES)
-            if camera is not None:
-                break
-        else:
-            raise ValueError(f"{path}: {_WALKS} walks through it found no place for {PROBES} probes")
+        camera = find_camera_path(free, views, rng, name=str(path), walks=_WALKS, frames=frames)
         views.set_median(camera.probes[0], float(np.exp(rng.uniform(*np.log(MEDIAN_KCD_M2)))))
         yield record(views, camera, rng, name=f"{path.stem}-{walk}", facts=facts, expose=expose)

@@ -19,8 +19,8 @@ from roomlight_generator.panoramas.room import PanoramaRoom, classify_surfaces, 
 from roomlight_generator.panoramas.shell import draw_shell
 from roomlight_generator.rooms.build import room_generator
 from roomlight_generator.sequences.exposure import Exposure, MeterSettings, settle
-from roomlight_generator.sequences.render import PROBES, catalogue_for, draw_camera_path, record
-from roomlight_generator.sequences.walk import FRAME_INTERVAL_S, FreeSpace
+from roomlight_generator.sequences.render import catalogue_for, find_camera_path, record
+from roomlight_generator.sequences.walk import FRAME_INTERVAL_S
 
 MEDIAN_KCD_M2: Final = (0.01, 0.2)
 """Range of a room's median luminance: a home in the evening, an office by day. It decides the sensor's noise."""
@@ -67,7 +67,9 @@ def render_room(
     free = room.free_space()
     for walk in range(count):
         rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
-        yield _filmed(room, free, rng, frames, f"panorama-{room_index}-{walk}", room_facts)
+        name = f"panorama-{room_index}-{walk}"
+        path = find_camera_path(free, room, rng, name=name, walks=_WALKS, frames=frames)
+        yield record(room, path, rng, name=name, facts=room_facts, expose=expose)
 
 
 def lit_room(
@@ -96,16 +98,6 @@ def lit_room(
         "attributions": [] if pieces is None else pieces.attributions,
     }
     return room, room_facts
-
-
-def _filmed(
-    room: PanoramaRoom, free: FreeSpace, rng: np.random.Generator, frames: int, name: str, facts: dict[str, Any]
-) -> Recording:
-    for _ in range(_WALKS):
-        path = draw_camera_path(free, room, rng, frames=frames, probes=PROBES)
-        if path is not None:
-            return record(room, path, rng, name=name, facts=facts, expose=expose)
-    raise ValueError(f"{name}: {_WALKS} walks through it found no place for {PROBES} probes")
 
 
 def _choose(files: list[Path], room_index: int, seed: int) -> Path:

@@ -127,11 +127,23 @@ def plan_camera_path(
     Raises:
         ValueError: if no walk with places for the probes is found.
     """
-    for _ in range(_TRIES):
-        path = draw_camera_path(lit_room.free, lit_room.light, rng, frames=frames, probes=probes)
+    name, free, light = f"room {lit_room.room.name}", lit_room.free, lit_room.light
+    return find_camera_path(free, light, rng, name=name, walks=_TRIES, frames=frames, probes=probes)
+
+
+def find_camera_path(
+    free: FreeSpace, views: Views, rng: np.random.Generator, *, name: str, walks: int, frames: int, probes: int = PROBES
+) -> CameraPath:
+    """Draw phones and walks, at most `walks`, until one has places for its probes; `name` is what the error names.
+
+    Raises:
+        ValueError: if none has.
+    """
+    for _ in range(walks):
+        path = draw_camera_path(free, views, rng, frames=frames, probes=probes)
         if path is not None:
             return path
-    raise ValueError(f"room {lit_room.room.name}: {_TRIES} walks through it found no place for {probes} probes")
+    raise ValueError(f"{name}: {walks} walks through it found no place for {probes} probes")
 
 
 def draw_camera_path(
