@@ -3,15 +3,13 @@
 World frame: metres, y up; the first camera stands at the origin and looks along -z and a little down.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import Intrinsics
-from roomlight.engine.volume.grid import VolumeGrid
-from roomlight.engine.volume.sglv import LOBE_CHANNELS, Sglv
 from roomlight.frame import Frame
 
 _ROOM: Final = np.array([[-2.4, -1.4, -3.1], [2.2, 1.2, 1.4]])
@@ -33,8 +31,6 @@ _PITCH_DEGREES: Final = -20.0
 """People hold a phone a little downwards: the floor and the furniture are in view."""
 PROBE: Final = (0.15, -0.6, -1.35)
 """The probe: on the table."""
-FAINT_ALPHA: Final = (0.02, 0.05)
-"""Opacity of empty space in the network-like volume: decoders start at 0.05, and training lowers it."""
 
 
 @dataclass(frozen=True)
@@ -70,20 +66,6 @@ def handheld(count: int, size: RoomSize, *, sway_degrees: float = 6.0) -> list[F
     focal = size.width / 2 / np.tan(np.radians(_HORIZONTAL_FIELD_DEGREES / 2))
     lens = Intrinsics(focal, focal, size.width / 2, size.height / 2, size.width, size.height)
     return [_view(index, np.radians(sway_degrees) * np.sin(2 * np.pi * index / 30), lens) for index in range(count)]
-
-
-def network_like(grid: VolumeGrid, surfaces: Sglv, *, seed: int = 0) -> Sglv:
-    """Return a volume as a network predicts it: faint opacity and a lobe in every voxel, besides the surfaces."""
-    random = np.random.default_rng(seed)
-    alpha = random.uniform(*FAINT_ALPHA, grid.shape).astype(np.float32)
-    alpha = np.maximum(alpha, np.minimum(surfaces.alpha, np.float32(0.9)))
-    lobes = np.empty((*grid.shape, LOBE_CHANNELS), np.float32)
-    lobes[..., :3] = surfaces.lobes[..., :3] + random.uniform(0.1, 0.3, (*grid.shape, 3))
-    lobes[..., 3:6] = random.uniform(0, 0.2, (*grid.shape, 3))
-    lobes[..., 6] = random.uniform(4, 12, grid.shape)
-    axis = random.normal(size=(*grid.shape, 3))
-    lobes[..., 7:] = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    return replace(surfaces, alpha=alpha, lobes=lobes)
 
 
 def _view(index: int, yaw: float, lens: Intrinsics) -> Frame:

@@ -17,7 +17,7 @@ from roomlight.engine.panorama.blend import PanoramaState, accumulate, filled_de
 from roomlight.engine.session import warm_up
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
-from roomlight.engine.volume.sglv import Far, Sglv, render_rays
+from roomlight.engine.volume.sglv import LOBE_CHANNELS, Far, Sglv, render_rays
 from roomlight.errors import OptionError
 from roomlight.frame import Frame
 from roomlight_bench.reporting import describe_machine
@@ -30,7 +30,7 @@ from roomlight_bench.stages.network_stages import (
 )
 from roomlight_bench.stages.peak import MatrixProduct
 from roomlight_bench.stages.report import AgainstReport, AgainstRow, StageRow, StagesReport
-from roomlight_bench.stages.room import PROBE, RoomSize, network_like, views
+from roomlight_bench.stages.room import PROBE, RoomSize, views
 from roomlight_bench.stages.sessions import MeasuredSession, measure_against
 from roomlight_bench.timing import Implementation, ProgressCallback, Timing, time_interleaved
 
@@ -39,6 +39,8 @@ SLOW_RUNS: Final = 3
 FINE_SAMPLES: Final = 110.0
 """Mean number of samples per ray inside the volume, in the row with fine steps. At the engine's own step of one voxel,
 a ray from inside takes about 40 before it leaves the volume, while `grid_sample` computes all 128."""
+_FAINT_ALPHA: Final = (0.02, 0.05)
+"""Opacity of empty space in the network-like volume: decoders start at 0.05, and training lowers it."""
 _BRUTE_FORCE_RAYS: Final = 32
 """Rays of the brute-force reference; all 28,800 would take minutes."""
 
@@ -182,7 +184,7 @@ def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list
         classical.update()
     classical.update()
     sparse = classical.sglv
-    dense = network_like(grid, sparse)
+    dense = _network_like(grid, sparse)
     return [
         _march_stage("ray tracing, network-like volume", dense, size, far="boundary", paper_ms=22.0),
         _march_stage("ray tracing, fine steps", dense, size, far="boundary", mean_inside=FINE_SAMPLES),
@@ -342,3 +344,17 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchSt
 
 def _ignore(_: str) -> None:
     pass
+
+
+def _network_like(grid: VolumeGrid, surfaces: Sglv, *, seed: int = 0) -> Sglv:
+    """Return a volume as a network predicts it: faint opacity and a lobe in every voxel, besides the surfaces."""
+    random = np.random.default_rng(seed)
+    alpha = random.uniform(*_FAINT_ALPHA, grid.shape).astype(np.float32)
+    alpha = np.maximum(alpha, np.minimum(surfaces.alpha, np.float32(0.9)))
+    lobes = np.empty((*grid.shape, LOBE_CHANNELS), np.float32)
+    lobes[..., :3] = surfaces.lobes[..., :3] + random.uniform(0.1, 0.3, (*grid.shape, 3))
+    lobes[..., 3:6] = random.uniform(0, 0.2, (*grid.shape, 3))
+    lobes[..., 6] = random.uniform(4, 12, grid.shape)
+    axis = random.normal(size=(*grid.shape, 3))
+    lobes[..., 7:] = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+    return replace(surfaces, alpha=alpha, lobes=lobes)
