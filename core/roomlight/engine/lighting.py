@@ -29,7 +29,7 @@ from roomlight.conventions import LUMINANCE
 from roomlight.engine.networks.graph import Graph
 from roomlight.engine.networks.graphs import SHIPPED, load_part
 from roomlight.engine.networks.providers import Provider
-from roomlight.engine.panorama.blend import PanoramaState
+from roomlight.engine.panorama.blend import DARK, PanoramaState, mean_colour
 from roomlight.engine.panorama.panels import BRIGHTEST, PANELS, changed_light, panel, panorama_panels
 from roomlight.light.main_light import TrackedLights, lights_of, relit
 from roomlight.light.sources import LightPanoramas
@@ -58,6 +58,7 @@ class LightingModel:
         lighting, reflection = (
             changed_light(state.radiance, change, free) for change in np.split(outputs["changes"][0], 2)
         )
+        reflection = recoloured(reflection, lighting, state)
         lights = lights_of(state.radiance) if tracked is None else tracked
         return LightPanoramas(lighting, reflection, relit(lights, before=state.radiance, after=lighting))
 
@@ -84,6 +85,22 @@ def unmeasured_share(state: PanoramaState) -> Float32[np.ndarray, "h w"]:
     """Return the share of each direction's light that was not measured: not seen, or an estimate for clipped pixels."""
     luminance = np.maximum(state.radiance @ LUMINANCE, np.float32(1e-6))
     return np.maximum(1 - state.observed, np.clip(state.guessed / luminance, 0, 1)).astype(np.float32)
+
+
+def recoloured(
+    reflection: Float32[np.ndarray, "h w 3"], lighting: Float32[np.ndarray, "h w 3"], state: PanoramaState
+) -> Float32[np.ndarray, "h w 3"]:
+    """Return what is seen in a mirror, in unseen directions with the colour of the light that lights things, half-way
+    to the mean colour of what was observed; luminance stays.
+
+    The network's own colours there are guesses that show as green and magenta clouds. On 75 probes of 25 captures the
+    colour of unseen directions is off by 8.9 degrees instead of 9.9 after six frames and by 8.1 instead of 9.5 after
+    31, with equal log-L2.
+    """
+    grey = mean_colour(state.radiance, state.observed)
+    colour = (lighting + np.float32(DARK) * grey) / ((lighting @ LUMINANCE)[..., None] + np.float32(DARK))
+    changed = (reflection @ LUMINANCE)[..., None] * (np.float32(0.5) * (colour + grey))
+    return reflection + (1 - state.observed)[..., None] * (changed - reflection)
 
 
 @dataclass(frozen=True, eq=False)

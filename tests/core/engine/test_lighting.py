@@ -53,8 +53,20 @@ def test_measured_light_keeps_its_bits(rows: int, tmp_path: Path) -> None:
         assert panorama.dtype == np.float32
         assert_array_equal(panorama[measured], state.radiance[measured])
         gain = np.log1p(panorama) - np.log1p(state.radiance)
-        assert_allclose(gain[state.observed == 0], 0.7, rtol=1e-4, atol=1e-5)
         assert_allclose(gain[state.guessed > 0], 0.35, rtol=1e-3, atol=1e-5)  # half of it is an estimate
+    unseen = state.observed == 0
+    assert_allclose((np.log1p(light.lighting) - np.log1p(state.radiance))[unseen], 0.7, rtol=1e-4, atol=1e-5)
+    assert_allclose((light.reflection @ LUMINANCE)[unseen], (light.lighting @ LUMINANCE)[unseen], rtol=1e-3)
+
+
+def test_unseen_directions_of_mirrors_have_the_colour_of_lighting_and_of_what_was_seen(tmp_path: Path) -> None:
+    state = state_of()
+    state.radiance[:, :120] = (0.6, 0.3, 0.1)
+    state.radiance[:, 120:] = (0.2, 0.4, 0.6)
+    light = known_model(tmp_path).panoramas(state)
+    seen, own = (np.array(colour) / (colour @ LUMINANCE) for colour in ((0.6, 0.3, 0.1), (0.2, 0.4, 0.6)))
+    expected = (state.radiance[0, -1] @ LUMINANCE) * (seen + own) / 2
+    assert_allclose(light.reflection[:, 120:], np.broadcast_to(expected, (120, 120, 3)), rtol=0.01)
 
 
 def test_objects_and_shadows_have_changes_of_their_own(tmp_path: Path) -> None:
@@ -63,12 +75,16 @@ def test_objects_and_shadows_have_changes_of_their_own(tmp_path: Path) -> None:
     light = known_model(tmp_path, image=0.1).panoramas(state)
     panels = lighting_panels(state)
     unseen = state.observed == 0
-    for panorama, planes in ((light.lighting, panels[:3]), (light.reflection, panels[3:6])):
-        expected = 0.1 * np.moveaxis(planes, 0, -1).repeat(2, axis=0).repeat(2, axis=1)
-        gain = np.log1p(panorama) - np.log1p(state.radiance)
-        inside = unseen.copy()
-        inside[:, [119, 120, 121, 122, -1, -2, -3]] = False  # changes are interpolated there
-        assert_allclose(gain[inside], expected[inside], atol=0.02)
+    inside = unseen.copy()
+    inside[:, [119, 120, 121, 122, -1, -2, -3]] = False  # changes are interpolated there
+    expected = [
+        np.expm1(np.log1p(state.radiance) + 0.1 * np.moveaxis(planes, 0, -1).repeat(2, axis=0).repeat(2, axis=1))
+        for planes in (panels[:3], panels[3:6])
+    ]
+    gain = np.log1p(light.lighting) - np.log1p(expected[0])
+    assert_allclose(gain[inside], 0, atol=0.02)
+    gain = np.log1p(light.reflection @ LUMINANCE) - np.log1p(expected[1] @ LUMINANCE)
+    assert_allclose(gain[inside], 0, atol=0.02)
 
 
 def test_panels_are_what_frames_have_shown_and_the_estimate_for_clipped_pixels() -> None:

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import LUMINANCE, panorama_solid_angles
+from roomlight.conventions import LUMINANCE
 from roomlight.engine.models.interface import FILL_UPDATE, Arrays, Estimate, Rendered
 from roomlight.engine.networks.graph import BoundGraph
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.networks.runtime import Buffers
-from roomlight.engine.panorama.blend import PanoramaState, fill_beyond, fill_in, latest_detail
+from roomlight.engine.panorama.blend import PanoramaState, fill_beyond, fill_in, latest_detail, mean_colour
 from roomlight.engine.panorama.prior import shipped_prior
 from roomlight.engine.surface.mesh import PartialPanorama
 
@@ -60,12 +60,9 @@ def muted(
         detail: Linear RGB that was observed.
         known: 1 where `detail` was observed, 0 elsewhere.
     """
-    weight = known * panorama_solid_angles(len(hdr))
-    mean = np.tensordot(weight, np.minimum(detail, 1), axes=2)
-    luminance = float(mean @ LUMINANCE)
-    if luminance <= 0:
+    if not known.any():
         return hdr
-    grey = (hdr @ LUMINANCE)[..., None] * (mean / luminance).astype(np.float32)
+    grey = (hdr @ LUMINANCE)[..., None] * mean_colour(detail, known)
     return grey + np.float32(OWN_COLOUR) * (hdr - grey)
 
 

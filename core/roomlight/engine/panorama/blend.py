@@ -243,6 +243,18 @@ def fill_beyond(
     return np.where(mask[..., None], detail, around)
 
 
+def mean_colour(detail: Float[np.ndarray, "h w 3"], known: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3"]:
+    """Return the mean colour of what was observed, at luminance 1; grey where nothing was.
+
+    Args:
+        detail: Linear RGB; counts up to white.
+        known: 1 where `detail` was observed, 0 elsewhere.
+    """
+    mean = np.tensordot(known * panorama_solid_angles(len(known)), np.minimum(detail, 1), axes=2)
+    luminance = float(mean @ LUMINANCE)
+    return (mean / luminance if luminance > 0 else np.ones(3)).astype(np.float32)
+
+
 def fill_in(
     hdr: Float[np.ndarray, "h w 3"],
     ldr: Float[np.ndarray, "h w 3"],
