@@ -79,6 +79,15 @@ class MainLight:
         """Luminance of the intensity x `emitted`: lights are ordered by it."""
         return float(self.intensity @ LUMINANCE) * self.emitted
 
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """The rotation (x, y, z, w) of a light that shines along its own -z, as those of USD, glTF and Blender do."""
+        x, y, z = self.direction.tolist()
+        if z < -1 + 1e-9:  # half a turn about x
+            return 1.0, 0.0, 0.0, 0.0
+        scale = 1 / float(np.sqrt(2 * (1 + z)))  # half way from +z to the direction
+        return -y * scale, x * scale, 0.0, (1 + z) * scale
+
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values of all attributes."""
         return {
@@ -177,6 +186,26 @@ def relit(
         return replace(changed, shadow_strength=lit.shadow_strength(changed))
 
     return TrackedLights(measured(tracked.main), tuple(measured(light) for light in tracked.sources))
+
+
+def without_light(panorama: Float[np.ndarray, "h w 3"], light: MainLight) -> Float[np.ndarray, "h w 3"]:
+    """Return the panorama without a light: what is left and the directional light together shed as much as before.
+
+    The light's pixels keep the room's level and lose `light.intensity` in proportion to what they have above it.
+
+    Args:
+        panorama: linear RGB [H, 2H, 3], in which the light was seen.
+        light: one of its lights, as strong as it is there or weaker.
+    """
+    around = _Surroundings.of(panorama)
+    pixels = around.pixels
+    full = np.maximum(around.intensity(light.direction), 1e-30)
+    part = np.clip(light.intensity / full, 0, 1)
+    solid_angle = panorama_solid_angles(pixels.rows)[pixels.index // (2 * pixels.rows), 0]
+    above = _lobe(_along(pixels.rays, light.direction)) * pixels.excess / solid_angle
+    rest = np.maximum(panorama, 0).reshape(-1, 3).astype(np.float32)
+    rest[pixels.index] *= (1 - above[:, None] * part).astype(np.float32)
+    return rest.reshape(panorama.shape)
 
 
 def rank(lights: list[MainLight]) -> tuple[MainLight, ...]:

@@ -1,0 +1,56 @@
+"""Light a Blender scene with a replay, frame by frame, without Blender's window.
+
+    roomlight replay my-capture --out light
+    blender --background SCENE.blend --python examples/blender_replay.py -- light/probe-00 [--out BLEND]
+
+The world of the scene becomes the replay's panoramas: a keyframe for each, held until the next. Blender's world has z
+up; scenes with y up are usually imported as (x, y, z) to (x, -z, y), and then the panoramas need no rotation. Blender's
+own Python runs this script, so it does not import roomlight. Output: the scene, lit (out/blender_replay.blend).
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import bpy  # pyright: ignore[reportMissingImports]  (exists in Blender alone)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("panoramas", type=Path, nargs="?", default=Path("light/probe-00"))
+    parser.add_argument("--out", type=Path, default=Path("out/blender_replay.blend"))
+    args = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else [])
+
+    files = {int(path.name.split(".")[1]): path for path in sorted(args.panoramas.glob("light.*.exr"))}
+    if not files:
+        sys.exit(f"{args.panoramas}: holds no light.000000.exr; make it with roomlight replay CAPTURE --out light")
+    first, last = min(files), max(files)
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = first, last
+    scene.world = scene.world or bpy.data.worlds.new("room")
+    scene.world.use_nodes = True
+    tree = scene.world.node_tree
+    tree.nodes.clear()
+    environment, background, output = (
+        tree.nodes.new(f"ShaderNode{kind}") for kind in ("TexEnvironment", "Background", "OutputWorld")
+    )
+    tree.links.new(environment.outputs["Color"], background.inputs["Color"])
+    tree.links.new(background.outputs["Background"], output.inputs["Surface"])
+
+    environment.image = bpy.data.images.load(str(files[first].resolve()))
+    environment.image.source = "SEQUENCE"
+    user = environment.image_user
+    user.use_auto_refresh = True
+    user.frame_start, user.frame_duration = first, 1  # one image, whose number is 1 + the offset
+    for number in files:
+        user.frame_offset = number - 1
+        user.keyframe_insert("frame_offset", frame=number)
+    for curve in tree.animation_data.action.fcurves:
+        for point in curve.keyframe_points:
+            point.interpolation = "CONSTANT"
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(args.out.resolve()))
+    print(f"{args.out}: {len(files)} panoramas, frames {first} to {last}")
+
+
+main()
