@@ -67,7 +67,8 @@ def test_save_writes_what_the_suffix_says(light, tmp_path):
     np.testing.assert_allclose(hdr, ROOM, atol=float(ROOM.max()) / 128)
     assert (tmp_path / "light.png").read_bytes() == light.file("png")
     assert (tmp_path / "light.ktx2").read_bytes() == light.file("ktx2", size=32)
-    assert {path.suffix for path in tmp_path.iterdir()} == set(SAVED_AS)  # no temporary file is left
+    assert (tmp_path / "light.equirect.ktx2").read_bytes() == light.file("equirect")
+    assert {path.name for path in tmp_path.iterdir()} == {f"light{end}" for end in SAVED_AS}  # no temporary is left
 
 
 def test_save_takes_text_and_capitals(light, tmp_path):
@@ -92,7 +93,7 @@ def test_json_reads_back_as_the_same_light(light, tmp_path):
 
 @pytest.mark.parametrize("name", ["light.tiff", "light", ".exr"])
 def test_other_suffixes_name_those_that_work(light, tmp_path, name):
-    with pytest.raises(OptionError, match=r"\.exr, \.hdr, \.png, \.ktx2, \.json"):
+    with pytest.raises(OptionError, match=r"\.exr, \.hdr, \.png, \.equirect\.ktx2, \.ktx2, \.usdz, \.glb, \.json"):
         light.save(tmp_path / name)
     assert not list(tmp_path.iterdir())
 

@@ -4,6 +4,7 @@ import io
 import json
 import struct
 import zipfile
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,8 +13,9 @@ from light_rooms import lit, mean_light, room, rotate_panorama_90, unit
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.images import decode_colour
+from roomlight.light.glb import to_glb
 from roomlight.light.light import Light
-from roomlight.light.main_light import without_light
+from roomlight.light.main_light import without_lights
 from roomlight.light.spherical_harmonics import SphericalHarmonics
 
 LAMPS = [(0.6, 0.3, 0.742), (-0.5, 0.7, -0.51), (-0.9, -0.1, 0.3), (0.1, 0.2, -0.95)]
@@ -22,6 +24,14 @@ NORMALS = np.array([unit(*normal) for normal in ((1, 0, 0), (0, 1, 0), (0, 0, -1
 
 def lamp_light(direction, rows=64):
     return Light((1.0, 0.5, -2.0), lit(rows, [(direction, 5, (90.0, 60.0, 30.0))], level=0.2))
+
+
+def two_lamps(direction):
+    """A lamp, and a weaker one opposite."""
+    opposite = tuple(-part for part in direction)
+    light = Light((1.0, 0.5, -2.0), lit(64, [(direction, 5, (90.0, 60.0, 30.0)), (opposite, 4, 45.0)], level=0.2))
+    assert len(light.lights) == 2
+    return light
 
 
 def irradiance(panorama, normals=NORMALS):
@@ -43,20 +53,34 @@ SPHERE = panorama_directions(90).reshape(-1, 3)
 
 
 def assert_lamp_at(direction, found):
+    """The two directions differ by less than 6 degrees."""
     assert np.degrees(np.arccos(min(float(unit(*direction) @ found), 1.0))) < 6  # its radius, and a pixel
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.4])
-def test_a_room_without_its_main_light_and_the_light_shed_as_much_as_before(scale):
+def test_a_room_without_its_lights_and_the_lights_shed_as_much_as_before(scale):
     panorama = room(64)
-    light = Light((0.0, 0.0, 0.0), panorama).main_light
-    faded = type(light)(light.direction, light.intensity * scale)
-    rest = without_light(panorama, faded)
+    lights = Light((0.0, 0.0, 0.0), panorama).lights
+    assert len(lights) > 1
+    faded = [replace(light, intensity=light.intensity * scale) for light in lights]
+    rest, taken = without_lights(panorama, faded)
+    np.testing.assert_allclose([light.intensity for light in taken], [light.intensity for light in faded], rtol=1e-4)
     assert rest.min() >= 0
     assert (rest <= panorama * 1.00001).all()
-    np.testing.assert_allclose((mean_light(panorama) - mean_light(rest)) * 4 * np.pi, faded.intensity, rtol=1e-4)
-    far = panorama_directions(64) @ light.direction.astype(np.float32) < np.cos(np.radians(31))
+    total = sum(light.intensity for light in taken)
+    np.testing.assert_allclose((mean_light(panorama) - mean_light(rest)) * 4 * np.pi, total, rtol=1e-4)
+    rays = panorama_directions(64)
+    far = np.all([rays @ light.direction.astype(np.float32) < np.cos(np.radians(31)) for light in lights], axis=0)
     assert (rest[far] == panorama[far]).all()
+
+
+def test_no_more_light_is_taken_than_is_there():
+    panorama = lit(64, [(LAMPS[0], 5, 90.0)], level=0.2)
+    (lamp,) = Light((0.0, 0.0, 0.0), panorama).lights
+    rest, taken = without_lights(panorama, [replace(lamp, intensity=3 * lamp.intensity), lamp])
+    (once,) = taken  # nothing is left for the second
+    np.testing.assert_allclose(once.intensity, lamp.intensity, rtol=1e-5)
+    np.testing.assert_allclose(rest, 0.2, rtol=1e-4)
 
 
 @pytest.fixture
@@ -79,37 +103,39 @@ def shown_by_dome(dome, matrix, image):
 @pytest.mark.parametrize("direction", LAMPS)
 def test_usd_core_reads_the_package(direction, usd, tmp_path):
     Usd, UsdLux, UsdGeom = usd
-    light, path = lamp_light(direction), tmp_path / "light.usdz"
+    light, path = two_lamps(direction), tmp_path / "light.usdz"
     light.save(path)
     stage = Usd.Stage.Open(str(path))
     assert UsdGeom.GetStageUpAxis(stage) == "Y"
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     stage.SetEditTarget(stage.GetSessionLayer())
-    choice = stage.GetDefaultPrim().GetVariantSet("mainLight")
+    choice = stage.GetDefaultPrim().GetVariantSet("lights")
     assert (choice.GetVariantSelection(), choice.GetVariantNames()) == ("inDome", ["inDome", "separate"])
-    archive = Usd.ZipFile.Open(str(path))
+    archive = zipfile.ZipFile(path)
     total = {}
     for name in choice.GetVariantNames():
         choice.SetVariantSelection(name)
         dome = UsdLux.DomeLight(stage.GetPrimAtPath("/Light/Room"))
         asset = dome.GetTextureFileAttr().Get()
         assert asset.resolvedPath.endswith(f"light.usdz[{asset.path}]")
-        image = decode_colour(archive.GetFile(asset.path), asset.path)[0] * dome.GetIntensityAttr().Get()
+        image = decode_colour(archive.read(asset.path), asset.path)[0] * dome.GetIntensityAttr().Get()
         total[name] = irradiance(image)
         matrix = UsdGeom.Xformable(dome).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
-        main = UsdLux.DistantLight(stage.GetPrimAtPath("/Light/Main"))
         if name == "inDome":
-            assert not main
+            assert not stage.GetPrimAtPath("/Light/Light0")
             assert_lamp_at(direction, shown_by_dome(dome, matrix, image))
             continue
-        turned = np.array(UsdGeom.Xformable(main).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))
-        toward = turned[2, :3]  # a distant light shines along its -z
-        assert_lamp_at(direction, toward)
-        assert main.GetNormalizeAttr().Get() is True
-        assert main.GetAngleAttr().Get() == pytest.approx(2 * light.main_light.radius_deg, rel=1e-4)
-        sheds = np.array(main.GetColorAttr().Get()) * main.GetIntensityAttr().Get()
-        assert sheds == pytest.approx(light.main_light.intensity, rel=1e-5)
-        total[name] += np.maximum(NORMALS @ toward, 0)[:, None] * sheds
+        for number, expected in enumerate(light.lights):
+            source = UsdLux.DistantLight(stage.GetPrimAtPath(f"/Light/Light{number}"))
+            turned = np.array(UsdGeom.Xformable(source).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))
+            toward = turned[2, :3]  # a distant light shines along its -z
+            assert_lamp_at(expected.direction, toward)
+            assert source.GetNormalizeAttr().Get() is True
+            assert source.GetAngleAttr().Get() == pytest.approx(2 * expected.radius_deg, rel=1e-4)
+            sheds = np.array(source.GetColorAttr().Get()) * source.GetIntensityAttr().Get()
+            assert sheds == pytest.approx(expected.intensity, rel=1e-5)
+            total[name] += np.maximum(NORMALS @ toward, 0)[:, None] * sheds
+        assert not stage.GetPrimAtPath(f"/Light/Light{len(light.lights)}")
     np.testing.assert_allclose(total["separate"], total["inDome"], rtol=0.02)  # a lamp of 5 degrees as a point
     np.testing.assert_allclose(total["inDome"], irradiance(light.panorama), rtol=1e-3)  # half floats
 
@@ -159,50 +185,64 @@ def decode_rgbd(png):
     return bgra[..., 2::-1] ** 2.2 / bgra[..., 3:]
 
 
-def glb_lamp(faces):
-    """Direction of the most light of faces by OpenGL's table, in a cube map whose x is mirrored, as Babylon.js does."""
-    face, row, column = np.unravel_index(np.argmax(faces.sum(axis=-1)), faces.shape[:3])
-    s, t = ((np.array([column, row]) + 0.5) / faces.shape[1] * 2 - 1).tolist()
+def texel_direction(face, row, column, size):
+    """Direction of a texel by OpenGL's table, in a cube map whose x is mirrored, as Babylon.js shows it."""
+    s, t = (2 * column + 1) / size - 1, (2 * row + 1) / size - 1
     x, y, z = [(1, -t, -s), (-1, -t, s), (s, 1, t), (s, -1, -t), (s, -t, 1), (-s, -t, -1)][face]
     return unit(-x, y, z)
 
 
 @pytest.mark.parametrize("direction", LAMPS)
-def test_gltf_holds_the_room_and_its_main_light(direction):
-    light = lamp_light(direction)
+def test_gltf_holds_the_room_and_its_lights(direction):
+    light = two_lamps(direction)
     document, image = read_glb(light.file("glb", size=16))
     assert document["extensionsUsed"] == ["EXT_lights_image_based", "KHR_lights_punctual"]
     (room_light,) = document["extensions"]["EXT_lights_image_based"]["lights"]
     assert (room_light["specularImageSize"], len(room_light["specularImages"])) == (16, 3)
-    (sun,) = document["extensions"]["KHR_lights_punctual"]["lights"]
-    sheds = np.array(sun["color"]) * sun["intensity"]
-    assert sheds == pytest.approx(light.main_light.intensity)
-    x, y, z, w = document["nodes"][0]["rotation"]
-    toward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])  # +z, turned
-    assert_lamp_at(direction, toward)
-
-    rest = without_light(light.panorama, light.main_light)
+    rest, _ = without_lights(light.panorama, light.lights)
     levels = [np.stack([decode_rgbd(image(number)) for number in level]) for level in room_light["specularImages"]]
     assert [level.shape for level in levels] == [(6, size, size, 3) for size in (16, 8, 4)]
-    scaled = [level * room_light["intensity"] for level in levels]
-    np.testing.assert_allclose(scaled[0].mean(), rest.mean(), rtol=0.1)
+    np.testing.assert_allclose(levels[0].mean() * room_light["intensity"], rest.mean(), rtol=0.1)
     coefficients = np.array(room_light["irradianceCoefficients"]) * room_light["intensity"]
     harmonics = SphericalHarmonics(coefficients, quantity="irradiance")
-    both = harmonics.evaluate(NORMALS * (-1, 1, 1)) + np.maximum(NORMALS @ toward, 0)[:, None] * sheds
+    both = harmonics.evaluate(NORMALS * (-1, 1, 1))
+    sources = document["extensions"]["KHR_lights_punctual"]["lights"]
+    assert document["scenes"][0]["nodes"] == [0, 1]
+    for node, expected in zip(document["nodes"], light.lights, strict=True):
+        source = sources[node["extensions"]["KHR_lights_punctual"]["light"]]
+        sheds = np.array(source["color"]) * source["intensity"]
+        assert sheds == pytest.approx(expected.intensity, rel=1e-5)
+        x, y, z, w = node["rotation"]
+        toward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])  # +z, turned
+        assert_lamp_at(expected.direction, toward)
+        both += np.maximum(NORMALS @ toward, 0)[:, None] * sheds
     np.testing.assert_allclose(both, irradiance(light.panorama), rtol=0.03, atol=0.02)
 
 
 @pytest.mark.parametrize("direction", LAMPS)
-def test_specular_images_of_gltf_show_a_second_lamp_where_it_is(direction):
-    """The strongest lamp is the main light and not in the images; the second one stays, brighter than RGBD reaches."""
-    main = tuple(-part for part in direction)
-    panorama = lit(64, [(main, 10, 900.0), (direction, 4, 600.0)], level=0.2)
-    document, image = read_glb(Light((0.0, 0.0, 0.0), panorama).file("glb"))
+def test_specular_images_of_gltf_show_a_lamp_where_it_is(direction):
+    """The strongest lamp is a light and not in the images; another one stays, brighter than RGBD reaches."""
+    other = tuple(-part for part in direction)
+    panorama = lit(64, [(other, 10, 900.0), (direction, 4, 600.0)], level=0.2)
+    document, image = read_glb(to_glb(panorama, Light((0.0, 0.0, 0.0), panorama).lights[:1]))
     (room_light,) = document["extensions"]["EXT_lights_image_based"]["lights"]
     faces = np.stack([decode_rgbd(image(number)) for number in room_light["specularImages"][0]])
-    assert_lamp_at(direction, glb_lamp(faces))
+    brightest = np.unravel_index(np.argmax(faces.sum(axis=-1)), faces.shape[:3])
+    assert_lamp_at(direction, texel_direction(*brightest, faces.shape[1]))
     assert faces.max() == pytest.approx(255, rel=0.01)
     assert faces.max() * room_light["intensity"] == pytest.approx(600.2, rel=0.02)
+
+
+def test_pygltflib_reads_the_document(tmp_path):
+    pygltflib = pytest.importorskip("pygltflib")
+    light = two_lamps(LAMPS[0])
+    light.save(tmp_path / "light.glb")
+    read = pygltflib.GLTF2().load(str(tmp_path / "light.glb"))
+    assert (len(read.images), len(read.nodes), len(read.scenes)) == (24, 2, 1)
+    document, image = read_glb(light.file("glb"))
+    assert read.extensions == document["extensions"]
+    view = read.bufferViews[read.images[5].bufferView]
+    assert read.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength] == image(5)
 
 
 def test_even_light_is_an_image_based_light_alone():

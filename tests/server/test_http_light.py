@@ -192,7 +192,7 @@ def test_every_form_comes_in_one_request(server):
         for basis in get_args(HarmonicsBasis)
     ]
     forms = [{"format": name} for name in get_args(LightFormat) if name != "sh"] + harmonics
-    assert len(forms) == 15 <= MAX_FORMS
+    assert len(forms) == 18 <= MAX_FORMS
     answer = post(server, {"probes": [POINT], "forms": forms})
     assert answer.status == 200, answer.json
     assert [form["format"] for form in answer.json["results"][0]["forms"]] == [form["format"] for form in forms]

@@ -10,7 +10,7 @@ from jaxtyping import Float, Float16
 from roomlight.errors import OptionError
 from roomlight.light.checks import check_observed, check_panorama
 from roomlight.light.cube_geometry import FACES, cube_solid_angles
-from roomlight.light.ktx2 import encode_ktx2
+from roomlight.light.ktx2 import LARGEST_HALF, encode_ktx2
 from roomlight.light.resample import MAX_ROWS, SparseMap, cube_to_panorama, panorama_to_cube
 from roomlight.spheres import resize_panorama
 
@@ -18,7 +18,6 @@ SIZES: Final = (16, 32, 64, 128, 256)
 """Face widths in pixels that can be made; ARCore uses 16."""
 DEFAULT_SIZE: Final = 32
 """A face of 16 shows next to nothing in a mirror; 32 (3 degrees a texel) is the resolution of 120 panorama rows."""
-_LARGEST_HALF: Final = 65504.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class CubeMap:
     def rgba16f(self, alpha: Float[np.ndarray, "6 s s"] | None = None) -> Float16[np.ndarray, "6 s s 4"]:
         """Return half floats with alpha (1 unless given), clipped to 65504 so that no infinity reaches a renderer."""
         image = np.empty((*self.faces.shape[:3], 4), np.float16)
-        image[..., :3] = np.clip(self.faces, -_LARGEST_HALF, _LARGEST_HALF)
+        image[..., :3] = np.clip(self.faces, -LARGEST_HALF, LARGEST_HALF)
         image[..., 3] = 1 if alpha is None else alpha
         return image
 

@@ -1,6 +1,6 @@
-"""glTF: light as a GLB file, an image-based light (EXT_lights_image_based) and the main light (KHR_lights_punctual).
+"""glTF: light as a GLB file, an image-based light (EXT_lights_image_based) and lights (KHR_lights_punctual).
 
-The image-based light is the room without the main light, so that both together shed the room's light and nothing
+The image-based light is the room without its lamps and windows, so that all together shed the room's light and nothing
 counts twice. Its specular images are the levels of `prefilter`, evenly over roughness, and its nine coefficients are
 of irradiance. Images are PNGs in RGBD: radiance = RGB ^ 2.2 / alpha, up to 255; a brighter room is scaled by the
 light's `intensity`.
@@ -15,6 +15,7 @@ the unit of radiance x steradian.
 
 import json
 import struct
+from collections.abc import Sequence
 from typing import Any, Final
 
 import cv2
@@ -24,7 +25,7 @@ from jaxtyping import Float
 from roomlight import __version__
 from roomlight.errors import OutputError
 from roomlight.light.cube import DEFAULT_SIZE, CubeMap
-from roomlight.light.main_light import MainLight, without_light
+from roomlight.light.main_light import MainLight, without_lights
 from roomlight.light.prefilter import prefilter
 from roomlight.light.spherical_harmonics import project
 
@@ -38,19 +39,18 @@ _MIRROR: Final = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1], np.float64)
 _MIRRORED_FACES: Final = (1, 0, 2, 3, 4, 5)
 
 
-def to_glb(panorama: Float[np.ndarray, "h w 3"], main: MainLight, *, size: int | None = None) -> bytes:
-    """Encode a panorama and its main light; a light of intensity 0 is left out.
+def to_glb(panorama: Float[np.ndarray, "h w 3"], lights: Sequence[MainLight], *, size: int | None = None) -> bytes:
+    """Encode a panorama and its lights.
 
     Args:
         panorama: linear RGB [H, 2H, 3].
-        main: its main light.
+        lights: its lights.
         size: pixels of a cube's face: 16, 32 (default), 64, 128 or 256.
 
     Raises:
         OptionError: no cube map of this size is made.
     """
-    is_lit = bool(main.intensity.max() > 0)
-    rest = without_light(panorama, main) if is_lit else panorama
+    rest, lights = without_lights(panorama, lights)
     mips = prefilter(CubeMap.from_panorama(rest, size=DEFAULT_SIZE if size is None else size))
     scale = max(1.0, max(float(level.faces.max()) for level in mips.levels) / _LARGEST)
     harmonics = project(rest).irradiance().coefficients * _MIRROR[:, None] / scale
@@ -73,21 +73,30 @@ def to_glb(panorama: Float[np.ndarray, "h w 3"], main: MainLight, *, size: int |
         "extensions": extensions,
         "images": [{"bufferView": number, "mimeType": "image/png"} for number in range(len(images))],
     }
-    if is_lit:
-        strongest = float(main.intensity.max())
-        color = (main.intensity / strongest).tolist()
-        extensions[_PUNCTUAL] = {"lights": [{"type": "directional", "color": color, "intensity": strongest}]}
-        rotation = list(main.quaternion)
-        document["nodes"] = [{"name": "main light", "rotation": rotation, "extensions": {_PUNCTUAL: {"light": 0}}}]
-        scene["nodes"] = [0]
+    if lights:
+        extensions[_PUNCTUAL] = {"lights": [_directional(light) for light in lights]}
+        document["nodes"] = [
+            {
+                "name": f"light {number}",
+                "rotation": list(light.quaternion),
+                "extensions": {_PUNCTUAL: {"light": number}},
+            }
+            for number, light in enumerate(lights)
+        ]
+        scene["nodes"] = list(range(len(lights)))
     document["extensionsUsed"] = sorted(extensions)
     return _container(document, images)
+
+
+def _directional(light: MainLight) -> dict[str, Any]:
+    strongest = float(light.intensity.max())
+    return {"type": "directional", "color": (light.intensity / strongest).tolist(), "intensity": strongest}
 
 
 def _rgbd(radiance: Float[np.ndarray, "s s 3"]) -> bytes:
     """Encode up to 255 as PNG: alpha is the largest eighth-bit step at which no channel exceeds 1."""
     brightest = np.maximum(radiance.max(axis=-1, keepdims=True), 1)
-    alpha = np.floor(_LARGEST / brightest)
+    alpha = np.maximum(np.floor(_LARGEST / brightest), 1)
     colour = np.clip(radiance * alpha / _LARGEST, 0, 1) ** (1 / _GAMMA)
     rgba = np.concatenate([np.rint(colour * 255), alpha], axis=-1).astype(np.uint8)
     ok, data = cv2.imencode(".png", np.ascontiguousarray(rgba[..., [2, 1, 0, 3]]))

@@ -1,4 +1,4 @@
-"""Cube maps of half floats as KTX 2.0 files: VK_FORMAT_R16G16B16A16_SFLOAT, six faces, levels uncompressed.
+"""Cube maps and panoramas of half floats as KTX 2.0 files: VK_FORMAT_R16G16B16A16_SFLOAT, levels uncompressed.
 
 Layout (KTX 2.0 specification, little endian): identifier, header, index, level index (largest level first), data
 format descriptor, key/value data, then the levels, the smallest first, each at a multiple of 8 bytes. Orientation is
@@ -14,10 +14,11 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float16
+from jaxtyping import Float, Float16
 
 from roomlight import __version__
 
+LARGEST_HALF: Final = 65504.0
 _IDENTIFIER: Final = b"\xabKTX 20\xbb\r\n\x1a\n"
 _R16G16B16A16_SFLOAT: Final = 97
 _HEADER_BYTES: Final = 80
@@ -39,8 +40,21 @@ def encode_ktx2(
         raise ValueError(f"a KTX2 file holds one level or more, each half as wide as the last, got widths {sizes}")
     if any(level.shape != (6, size, size, 4) for level, size in zip(levels, sizes, strict=True)):
         raise ValueError(f"a level has shape (6, s, s, 4), got {[level.shape for level in levels]}")
+    return _encode(levels, {**(metadata or {}), "KTXorientation": "rd"})
+
+
+def panorama_ktx2(panorama: Float[np.ndarray, "h w 3"]) -> bytes:
+    """Encode a panorama, linear RGB [H, 2H, 3], its lowest row first; alpha is 1, radiance is clipped to 65504."""
+    image = np.ones((1, *panorama.shape[:2], 4), np.float16)
+    image[0, ..., :3] = np.clip(panorama[::-1], -LARGEST_HALF, LARGEST_HALF)
+    return _encode([image], {"KTXorientation": "ru"})
+
+
+def _encode(levels: Sequence[Float16[np.ndarray, "f _ _ 4"]], texts: dict[str, str]) -> bytes:
+    """Return the file of levels [faces, rows, columns, 4]."""
+    faces, rows, columns, _ = levels[0].shape
     descriptor = _descriptor()
-    pairs = _key_values({**(metadata or {}), "KTXorientation": "rd", "KTXwriter": f"RoomLight {__version__}"})
+    pairs = _key_values({**texts, "KTXwriter": f"RoomLight {__version__}"})
     descriptor_at = _HEADER_BYTES + 24 * len(levels)
     pairs_at = descriptor_at + len(descriptor)
     at = pairs_at + len(pairs)
@@ -56,11 +70,11 @@ def encode_ktx2(
         _IDENTIFIER,
         _R16G16B16A16_SFLOAT,
         2,  # bytes of a channel, for byte swapping
-        sizes[0],
-        sizes[0],
+        columns,
+        rows,
         0,  # depth: not a volume
         0,  # layers: not an array
-        6,
+        faces,
         len(levels),
         0,  # no supercompression
         descriptor_at,

@@ -4,7 +4,7 @@
     light.panorama, light.observed, light.coverage
     light.main_light, light.lights, light.harmonics, light.ambient
     light.cube(size=64), light.specular(size=64)
-    light.save("light.exr")                       # or .hdr, .png, .ktx2, .json
+    light.save("light.exr")                       # or .hdr, .png, .ktx2, .usdz, .glb, .json
     light.reflection                              # the panorama that a mirror shows
 
 A light has two uses (`LightUse`). `lighting` is what lights a thing: sums over many directions, such as what a matte
@@ -34,6 +34,8 @@ from roomlight.light.coverage import confidence_png
 from roomlight.light.coverage import coverage as coverage_of
 from roomlight.light.cube import DEFAULT_SIZE, CubeMap, observed_cube
 from roomlight.light.encode import to_exr, to_hdr, to_png
+from roomlight.light.glb import to_glb
+from roomlight.light.ktx2 import panorama_ktx2
 from roomlight.light.main_light import MainLight, TrackedLights, find_lights, no_light
 from roomlight.light.prefilter import SpecularMips, prefilter
 from roomlight.light.sources import (
@@ -45,16 +47,20 @@ from roomlight.light.sources import (
     use_of,
 )
 from roomlight.light.spherical_harmonics import HarmonicsKind, SphericalHarmonics, project
+from roomlight.light.usd import to_usdz
 from roomlight.spheres import resize_panorama
 
 SAVED_AS: Final[dict[str, FileFormat | Literal["json"]]] = {
     ".exr": "exr",
     ".hdr": "hdr",
     ".png": "png",
+    ".equirect.ktx2": "equirect",
     ".ktx2": "ktx2",
+    ".usdz": "usdz",
+    ".glb": "glb",
     ".json": "json",
 }
-"""What `Light.save` writes, by suffix."""
+"""What `Light.save` writes, by the end of the name; the first that fits."""
 
 _CONVENTIONS: Final = {
     "position": "world metres, right-handed, y up",
@@ -298,8 +304,8 @@ class Light:
 
         Args:
             file_format: see `FileFormat`.
-            size: rows of the panorama for exr, hdr, png, npy and confidence (default: as computed); pixels of a face
-                for cube, ktx2 and specular (default 32).
+            size: rows of the panorama for exr, hdr, png, npy, equirect, usdz and confidence (default: as computed);
+                pixels of a face for cube, ktx2, specular and glb (default 32).
             exposure_ev: for png: radiance 2^-exposure_ev is white.
             use: lighting or reflection; default: this light's own (lighting), and reflection for png.
 
@@ -327,6 +333,8 @@ class Light:
             observed = self._find_observed()
             alpha = None if observed is None else observed_cube(observed, size=cube.size)
             return cube.to_bytes(alpha) if file_format == "cube" else cube.to_ktx2(alpha)
+        if file_format == "glb":
+            return to_glb(self._panorama_for("glb"), self.lights, size=size)
         if size is not None and not MIN_ROWS <= size <= MAX_ROWS:
             raise OptionError(f"size of a panorama must be {MIN_ROWS} to {MAX_ROWS} rows, got {size}")
         if file_format == "confidence":
@@ -335,8 +343,13 @@ class Light:
             return confidence_png(np.clip(observed, 0, 1))
         panorama = self._panorama_for(file_format)
         panorama = resize_panorama(panorama, len(panorama) if size is None else size)
+        metadata = {"roomlight:coverage": f"{self.coverage:.4f}", "roomlight:use": self.use}
         if file_format == "exr":
-            return to_exr(panorama, metadata={"roomlight:coverage": f"{self.coverage:.4f}", "roomlight:use": self.use})
+            return to_exr(panorama, metadata=metadata)
+        if file_format == "usdz":
+            return to_usdz(self.position, panorama, self.lights, metadata=metadata)
+        if file_format == "equirect":
+            return panorama_ktx2(panorama)
         if file_format == "hdr":
             return to_hdr(panorama)
         if file_format == "png":
@@ -360,11 +373,13 @@ class Light:
         }
 
     def save(self, path: str | Path, *, use: LightUse | None = None) -> None:
-        """Write the light to a file; its suffix says how. The file appears complete or not at all.
+        """Write the light to a file; the end of its name says how. The file appears complete or not at all.
 
         .exr, .hdr:  the panorama for renderers, as a dome light: half floats, or Radiance RGBE.
         .png:        the panorama that is seen, to look at: 8-bit sRGB, 1.0 is white.
-        .ktx2:       a cube map of half floats with faces of 32 pixels.
+        .ktx2:       a cube map of half floats with faces of 32 pixels; .equirect.ktx2: the panorama, for three.js.
+        .usdz:       a dome light, and lamps and windows as distant lights (`roomlight.light.usd`).
+        .glb:        an image-based light and directional lights (`roomlight.light.glb`).
         .json:       `to_json`.
 
         Args:
@@ -377,7 +392,7 @@ class Light:
             RoomLightError: neither this form nor the panorama was requested from the server.
         """
         path = Path(path)
-        file_format = SAVED_AS.get(path.suffix.lower())
+        file_format = next((form for end, form in SAVED_AS.items() if path.name[1:].lower().endswith(end)), None)
         if file_format is None:
             raise OptionError(f"{path}: light is saved as {', '.join(SAVED_AS)}; got the suffix {path.suffix!r}")
         if file_format == "json":

@@ -18,6 +18,7 @@ below in 17 % of the frames; with these limits it never does, and the mean error
 degrees. With 4 instead of 8 a few remain; 2 or 8 instead of the first 4 changes nothing.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final
@@ -188,24 +189,34 @@ def relit(
     return TrackedLights(measured(tracked.main), tuple(measured(light) for light in tracked.sources))
 
 
-def without_light(panorama: Float[np.ndarray, "h w 3"], light: MainLight) -> Float[np.ndarray, "h w 3"]:
-    """Return the panorama without a light: what is left and the directional light together shed as much as before.
+def without_lights(
+    panorama: Float[np.ndarray, "h w 3"], lights: Sequence[MainLight]
+) -> tuple[Float[np.ndarray, "h w 3"], tuple[MainLight, ...]]:
+    """Return the panorama without lights, and the lights: both together shed as much as before.
 
-    The light's pixels keep the room's level and lose `light.intensity` in proportion to what they have above it.
+    A light's pixels keep the room's level and lose its intensity in proportion to what they have above it. A light that
+    is stronger than the light that is left in its place is returned with that.
 
     Args:
-        panorama: linear RGB [H, 2H, 3], in which the light was seen.
-        light: one of its lights, as strong as it is there or weaker.
+        panorama: linear RGB [H, 2H, 3], in which the lights were seen.
+        lights: its lights, as strong as they are there or weaker; without light none is returned.
     """
-    around = _Surroundings.of(panorama)
-    pixels = around.pixels
-    full = np.maximum(around.intensity(light.direction), 1e-30)
-    part = np.clip(light.intensity / full, 0, 1)
-    solid_angle = panorama_solid_angles(pixels.rows)[pixels.index // (2 * pixels.rows), 0]
-    above = _lobe(_along(pixels.rays, light.direction)) * pixels.excess / solid_angle
+    pixels = _Surroundings.of(panorama).pixels
+    per_solid_angle = pixels.excess / panorama_solid_angles(pixels.rows)[pixels.index // (2 * pixels.rows), 0]
+    kept = np.ones((len(pixels.index), 3))  # share of each pixel's radiance
+    left = np.ones(len(pixels.index))  # share of each pixel's excess that no light has yet
+    taken: list[MainLight] = []
+    for light in lights:
+        share = left * _lobe(_along(pixels.rays, light.direction))
+        full = np.einsum("i,ij->j", share * pixels.excess, pixels.radiance)
+        part = np.clip(light.intensity / np.maximum(full, 1e-30), 0, 1)
+        kept -= (share * per_solid_angle)[:, None] * part
+        left -= share
+        if (part * full).max() > 0:
+            taken.append(replace(light, intensity=part * full))
     rest = np.maximum(panorama, 0).reshape(-1, 3).astype(np.float32)
-    rest[pixels.index] *= (1 - above[:, None] * part).astype(np.float32)
-    return rest.reshape(panorama.shape)
+    rest[pixels.index] *= np.maximum(kept, 0).astype(np.float32)
+    return rest.reshape(panorama.shape), tuple(taken)
 
 
 def rank(lights: list[MainLight]) -> tuple[MainLight, ...]:

@@ -12,9 +12,11 @@ from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import MainLight, TrackedLights
 from roomlight.light.spherical_harmonics import HarmonicsKind, SphericalHarmonics
 
-FileFormat = Literal["exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular"]
-"""Encodings that are bytes: the panorama as exr, hdr, png or npy; `observed` as a grey PNG (confidence); a cube map as
-raw half floats (cube) or KTX2; specular mips as KTX2."""
+FileFormat = Literal[
+    "exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular", "equirect", "usdz", "glb"
+]  # fmt: skip
+"""Encodings that are bytes: the panorama as exr, hdr, png, npy or KTX2 (equirect); `observed` as a grey PNG
+(confidence); a cube map as raw half floats (cube) or KTX2; specular mips as KTX2; scenes with lights (usdz, glb)."""
 
 LightUse = Literal["lighting", "reflection"]
 """What light is for: it lights a thing, or it is seen in a mirror and behind things."""

@@ -11,7 +11,7 @@ stage (Pixar, Usdz File Format Specification).
 
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from roomlight.conventions import Position
 from roomlight.light.encode import to_exr
-from roomlight.light.main_light import MainLight, without_light
+from roomlight.light.main_light import MainLight, without_lights
 
 _ALIGNMENT: Final = 64
 _LOCAL_HEADER_BYTES: Final = 30
@@ -47,13 +47,13 @@ def Xform "Light"{variants}
 {choices}}}
 """
 _VARIANTS: Final = """ (
-    prepend variantSets = "mainLight"
+    prepend variantSets = "lights"
     variants = {
-        string mainLight = "inDome"
+        string lights = "inDome"
     }
 )"""
 _CHOICES: Final = """
-    variantSet "mainLight" = {{
+    variantSet "lights" = {{
         "inDome" {{
             over "Room"
             {{
@@ -65,8 +65,11 @@ _CHOICES: Final = """
             {{
                 asset inputs:texture:file = @ambient.exr@
             }}
-
-            def DistantLight "Main"
+{distant}        }}
+    }}
+"""
+_DISTANT: Final = """
+            def DistantLight "Light{number}"
             {{
                 float inputs:angle = {angle:.6g}
                 color3f inputs:color = ({color})
@@ -75,38 +78,37 @@ _CHOICES: Final = """
                 quatf xformOp:orient = ({orient})
                 uniform token[] xformOpOrder = ["xformOp:orient"]
             }}
-        }}
-    }}
 """
 
 
-def to_usdz(position: Position, panorama: Float[np.ndarray, "h w 3"], main: MainLight) -> bytes:
-    """Return a package with a dome light, and the main light as a choice.
+def to_usdz(
+    position: Position,
+    panorama: Float[np.ndarray, "h w 3"],
+    lights: Sequence[MainLight],
+    *,
+    metadata: dict[str, str] | None = None,
+) -> bytes:
+    """Return a package with a dome light, and the lights as a choice.
 
-    The variant set `mainLight` has `inDome` (selected): the dome holds all light. In `separate` a distant light is the
-    main light and the dome is the rest, for renderers whose domes cast no shadows. Both shed the same light.
+    The variant set `lights` has `inDome` (selected): the dome holds all light. In `separate` lamps and windows are
+    distant lights and the dome is the rest, for renderers whose domes cast no shadows. Both shed the same light.
 
     Args:
         position: world metres.
         panorama: linear RGB [H, 2H, 3].
-        main: its main light; with intensity 0 there is no choice.
+        lights: its lights; without any there is no choice.
+        metadata: of the EXR files.
     """
-    x, y, z = position
-    doc = f"Image-based light at world position ({x:.4g}, {y:.4g}, {z:.4g}), {_UNIT}"
-    strongest = float(main.intensity.max())
-    if not strongest > 0:
+    rest, lights = without_lights(panorama, lights)
+    doc = _doc(position)
+    whole = to_exr(panorama, metadata=metadata)
+    if not lights:
         texture = "        asset inputs:texture:file = @light.exr@\n"
         stage = _STAGE.format(doc=doc, time="", variants="", texture=texture, choices="")
-        return _package({"light.usda": stage.encode(), "light.exr": to_exr(panorama)})
-    qx, qy, qz, qw = main.quaternion
-    choices = _CHOICES.format(
-        angle=2 * main.radius_deg,
-        color=", ".join(f"{part:.9g}" for part in (main.intensity / strongest).tolist()),
-        intensity=strongest,
-        orient=", ".join(f"{part:.9g}" for part in (qw, qx, qy, qz)),
-    )
+        return _package({"light.usda": stage.encode(), "light.exr": whole})
+    choices = _CHOICES.format(distant="".join(_distant(number, light) for number, light in enumerate(lights)))
     stage = _STAGE.format(doc=doc, time="", variants=_VARIANTS, texture="", choices=choices)
-    files = {"light.exr": to_exr(panorama), "ambient.exr": to_exr(without_light(panorama, main))}
+    files = {"light.exr": whole, "ambient.exr": to_exr(rest, metadata=metadata)}
     return _package({"light.usda": stage.encode()} | files)
 
 
@@ -118,15 +120,31 @@ def sequence_stage(position: Position, files: Mapping[int, str], frames_per_seco
         files: names of panoramas beside the stage, by frame; at least one.
         frames_per_second: rate of the frames.
     """
-    x, y, z = position
     samples = "".join(f"            {frame}: @{name}@,\n" for frame, name in sorted(files.items()))
     return _STAGE.format(
-        doc=f"Image-based light at world position ({x:.4g}, {y:.4g}, {z:.4g}), {_UNIT}",
+        doc=_doc(position),
         time=f"    startTimeCode = {min(files)}\n    endTimeCode = {max(files)}\n"
         f"    timeCodesPerSecond = {frames_per_second:.6g}\n    framesPerSecond = {frames_per_second:.6g}\n",
         variants="",
         texture=f"        asset inputs:texture:file.timeSamples = {{\n{samples}        }}\n",
         choices="",
+    )
+
+
+def _doc(position: Position) -> str:
+    x, y, z = position
+    return f"Image-based light at world position ({x:.4g}, {y:.4g}, {z:.4g}), {_UNIT}"
+
+
+def _distant(number: int, light: MainLight) -> str:
+    strongest = float(light.intensity.max())
+    x, y, z, w = light.quaternion
+    return _DISTANT.format(
+        number=number,
+        angle=2 * light.radius_deg,
+        color=", ".join(f"{part:.9g}" for part in (light.intensity / strongest).tolist()),
+        intensity=strongest,
+        orient=", ".join(f"{part:.9g}" for part in (w, x, y, z)),
     )
 
 

@@ -18,19 +18,21 @@ from roomlight.wire.frame_header import WHOLE_NUMBER, FiniteNumber, WireModel
 ID_PATTERN: Final = r"^[A-Za-z0-9_-]{1,64}\Z"
 """Pattern of session ids and probe names: safe in a path, a log line and a metric."""
 MAX_PROBES: Final = 64
-MAX_FORMS: Final = 16
-"""Forms per request. There are 15 without their sizes: 9 formats, and sh in 2 kinds and 3 bases."""
+MAX_FORMS: Final = 20
+"""Forms per request. There are 18 without their sizes: 12 formats, and sh in 2 kinds and 3 bases."""
 
 Id = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]{1,64}$", max_length=64)]
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 WirePosition = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
 ModelName = Literal["auto", "classical", "single", "video"]
-LightFormat = Literal["exr", "hdr", "png", "npy", "cube", "ktx2", "specular", "sh", "main_light", "confidence"]
+LightFormat = Literal[
+    "exr", "hdr", "png", "npy", "cube", "ktx2", "specular", "sh", "main_light", "confidence", "equirect", "usdz", "glb"
+]  # fmt: skip
 HarmonicsKind = Literal["total", "ambient"]
 LightUse = Literal["lighting", "reflection"]
 HarmonicsBasis = Literal["arcore", "arkit", "threejs"]
-CUBE_FORMATS: Final = ("cube", "ktx2", "specular")
+CUBE_FORMATS: Final = ("cube", "ktx2", "specular", "glb")
 FACE_SIZES: Final = (16, 32, 64, 128, 256)
 FrameStatus = Literal["processed", "queued", "superseded", "skipped"]
 
@@ -87,8 +89,8 @@ class LightForm(WireModel):
     """An output encoding of light: a format and its parameters.
 
     Attributes:
-        size: panorama height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); face width of cube,
-            ktx2 and specular, 16, 32, 64, 128 or 256 (default 32).
+        size: panorama height of exr, hdr, png, npy, equirect, usdz and confidence, 8 to 512 (default: as computed);
+            face width of cube, ktx2, specular and glb, 16, 32, 64, 128 or 256 (default 32).
         kind: for sh: total, or ambient (without the main light).
         basis: for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
             phase), threejs (27 interleaved, all signs positive).
@@ -128,7 +130,7 @@ class ProbeQuery(WireModel):
 
 
 class LightRequest(WireModel):
-    """Request for light at several points after the same frame, each in every form; 1 to 64 probes, 1 to 16 forms."""
+    """Request for light at several points after the same frame, each in every form; 1 to 64 probes, 1 to 20 forms."""
 
     probes: Annotated[list[ProbeQuery], Field(min_length=1, max_length=MAX_PROBES)]
     forms: Annotated[list[LightForm], Field(min_length=1, max_length=MAX_FORMS)]

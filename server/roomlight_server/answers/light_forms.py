@@ -34,11 +34,14 @@ MEDIA_TYPES: Final[dict[str, str]] = {
     "sh": "application/json",
     "main_light": "application/json",
     "confidence": "image/png",
+    "equirect": "image/ktx2",
+    "usdz": "model/vnd.usdz+zip",
+    "glb": "model/gltf-binary",
 }
 _WARM_FACE_SIZES: Final = (16, 32, 64)
 """Face widths that are prepared at the start: ARCore's, the default, and a usual one for reflections."""
 _SMALL_FACE: Final = 64
-_PIXEL_BYTES: Final = {"exr": 6, "hdr": 4, "png": 3, "npy": 12, "confidence": 1}
+_PIXEL_BYTES: Final = {"exr": 6, "hdr": 4, "png": 3, "npy": 12, "confidence": 1, "equirect": 8, "usdz": 12}
 _BASES: Final[dict[HarmonicsBasis, tuple[CoefficientOrder, Phase]]] = {
     "arcore": ("interleaved", "condon-shortley"),
     "arkit": ("planar", "condon-shortley"),
