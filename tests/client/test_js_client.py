@@ -10,8 +10,11 @@ import os
 import numpy as np
 import pytest
 from js_package import PACKAGE, run
+from light_rooms import room
 
 from http_servers import RunningServer
+from roomlight.conventions import panorama_directions
+from roomlight.light.light import Light
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import pack
 
@@ -78,3 +81,33 @@ def test_random_numbers_are_written_as_python_writes_them():
     packed = run([*NODE, "--input-type=module", "--eval", PACK_EACH], text=json.dumps(headers)).split()
     expected = [pack(FrameHeader.model_validate_json(json.dumps(one)), bytes(12), bytes(8)).hex() for one in headers]
     assert packed == expected
+
+
+READ_EQUIRECT = """
+import { DataUtils } from "three";
+import { KTX2Loader } from "three/examples/jsm/loaders/KTX2Loader.js";
+let text = "";
+for await (const chunk of process.stdin) text += chunk;
+const { file, directions } = JSON.parse(text);
+const loader = new KTX2Loader();
+loader.workerConfig = {}; // detectSupport needs a renderer, and only for compressed files
+const texture = await new Promise((done, failed) => loader.parse(Uint8Array.from(file).buffer, done, failed));
+const { data, width, height } = texture.image;
+const colours = directions.map(([x, y, z]) => {
+  const [u, v] = [Math.atan2(z, x) / (2 * Math.PI) + 0.5, Math.asin(y) / Math.PI + 0.5]; // three.js: equirectUv
+  const at = 4 * (Math.floor(v * height) * width + Math.floor(u * width));
+  return [...data.slice(at, at + 4)].map(DataUtils.fromHalfFloat);
+});
+console.log(JSON.stringify({ colours, space: texture.colorSpace, flipY: texture.flipY }));
+"""
+
+
+def test_three_reads_the_panorama_in_a_ktx2_file():
+    directions = panorama_directions(16)[1::5, ::7].reshape(-1, 3)
+    panorama = room(16)
+    light = Light((0.0, 0.0, 0.0), panorama)
+    sent = json.dumps({"file": list(light.file("equirect")), "directions": directions.tolist()})
+    read = json.loads(run([*NODE, "--input-type=module", "--eval", READ_EQUIRECT], text=sent))
+    assert (read["space"], read["flipY"]) == ("srgb-linear", False)
+    np.testing.assert_allclose(np.array(read["colours"])[:, :3], panorama[1::5, ::7].reshape(-1, 3), rtol=2**-10)
+    assert np.all(np.array(read["colours"])[:, 3] == 1)

@@ -1,7 +1,7 @@
 """One `Light` class: the same light from the engine, and from a response of a server through the client."""
 
 import json
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ class TwoUses:
 
 ENGINE = rl.Light((1.0, 0.5, -2.0), observed=OBSERVED, frame=7, name="table", source=TwoUses())
 BOTH = ("npy", ("npy", "reflection"), "confidence")
-FILES: tuple[FileFormat, ...] = ("exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular")
+FILES: tuple[FileFormat, ...] = get_args(FileFormat)
 
 
 def received(*forms: Any) -> rl.Light:

@@ -21,10 +21,10 @@ checks.positive_data_acceptance.enabled = false
 include-operation-id = ["probe", "named_probe", "probes"]
 checks.positive_data_acceptance.enabled = false
 
-# A light has a name or a position. How large a recording may be is a setting. The paths of its files must be relative,
+# How large a recording may be is a setting. The paths of its files must be relative,
 # and probes have names of some letters only.
 [[operations]]
-include-operation-id = ["light_usdz", "add_recording", "put_piece", "start_replay"]
+include-operation-id = ["add_recording", "put_piece", "start_replay"]
 checks.positive_data_acceptance.enabled = false
 
 # An object has exactly one of position, pose and pixel.

@@ -3,7 +3,6 @@
 import io
 import json
 import struct
-import zipfile
 
 import cv2
 import numpy as np
@@ -240,36 +239,6 @@ def test_a_session_goes_on_when_a_frame_is_not_recorded(monkeypatch):
         assert server.push(0).json["status"] == "processed"
         assert server.push(1).json["status"] == "processed"
         assert server.call("GET", f"{ROOM}/history").json["entries"] == []
-
-
-def test_usdz_is_aligned_and_holds_the_panorama(server):
-    answer = server.call("GET", f"{ROOM}/usdz?name=table")
-    assert answer.headers["content-type"] == "model/vnd.usdz+zip"
-    assert answer.headers["content-disposition"] == 'attachment; filename="table.usdz"'
-    archive = zipfile.ZipFile(io.BytesIO(answer.body))
-    assert archive.testzip() is None
-    assert archive.namelist() == ["light.usda", "light.exr"]
-    for info in archive.infolist():
-        assert info.compress_type == zipfile.ZIP_STORED
-        name_bytes, extra_bytes = struct.unpack_from("<HH", answer.body, info.header_offset + 26)
-        assert (info.header_offset + 30 + name_bytes + extra_bytes) % 64 == 0
-    assert archive.read("light.usda").startswith(b"#usda 1.0\n")
-    assert archive.read("light.exr") == server.call("GET", f"{ROOM}/probes/table?format=exr").body
-    again = server.call("GET", f"{ROOM}/usdz?name=table", headers={"If-None-Match": answer.headers["etag"]})
-    assert again.status == 304
-
-
-@pytest.mark.parametrize("query", ["", "?name=table&x=1&y=1&z=1", "?x=1&y=1", "?name=a/b"])
-def test_usdz_needs_one_point(server, query):
-    assert server.call("GET", f"{ROOM}/usdz{query}").kind == "invalid"
-
-
-def test_usdz_is_made_for_any_point(server):
-    answer = server.call("GET", f"{ROOM}/usdz?x=0&y=1&z=0")
-    stored = zipfile.ZipFile(io.BytesIO(answer.body)).read("light.exr")
-    assert stored[:4] == b"\x76\x2f\x31\x01"
-    assert b"(0, 1, 0)" in zipfile.ZipFile(io.BytesIO(answer.body)).read("light.usda")
-    assert server.call("GET", f"{ROOM}/usdz?name=none").kind == "probe-not-found"
 
 
 def test_a_mesh_is_made_once_for_all_clients(server, monkeypatch):

@@ -185,7 +185,7 @@ export interface components {
          */
         readonly EncodedLight: {
             /** @enum {string} */
-            readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence";
+            readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence" | "equirect" | "usdz" | "glb";
             readonly media_type: string;
             readonly use?: ("lighting" | "reflection") | null;
             readonly values?: {
@@ -394,7 +394,7 @@ export interface components {
         readonly LightCall: {
             /** @description 1 to 64 items */
             readonly probes: readonly components["schemas"]["ProbeQuery"][];
-            /** @description 1 to 16 items */
+            /** @description 1 to 20 items */
             readonly forms: readonly components["schemas"]["LightForm"][];
             /** @constant */
             readonly type: "light";
@@ -405,8 +405,8 @@ export interface components {
          * @description An output encoding of light: a format and its parameters.
          *
          *     Attributes:
-         *         size: panorama height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); face width of cube,
-         *             ktx2 and specular, 16, 32, 64, 128 or 256 (default 32).
+         *         size: panorama height of exr, hdr, png, npy, equirect, usdz and confidence, 8 to 512 (default: as computed);
+         *             face width of cube, ktx2, specular and glb, 16, 32, 64, 128 or 256 (default 32).
          *         kind: for sh: total, or ambient (without the main light).
          *         basis: for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
          *             phase), threejs (27 interleaved, all signs positive).
@@ -416,7 +416,7 @@ export interface components {
          */
         readonly LightForm: {
             /** @enum {string} */
-            readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence";
+            readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence" | "equirect" | "usdz" | "glb";
             /** @description 8 to 512 */
             readonly size?: number | null;
             /**
@@ -436,11 +436,11 @@ export interface components {
             readonly exposure_ev?: number;
             readonly use?: ("lighting" | "reflection") | null;
         };
-        /** @description Request for light at several points after the same frame, each in every form; 1 to 64 probes, 1 to 16 forms. */
+        /** @description Request for light at several points after the same frame, each in every form; 1 to 64 probes, 1 to 20 forms. */
         readonly LightRequest: {
             /** @description 1 to 64 items */
             readonly probes: readonly components["schemas"]["ProbeQuery"][];
-            /** @description 1 to 16 items */
+            /** @description 1 to 20 items */
             readonly forms: readonly components["schemas"]["LightForm"][];
         };
         /**
@@ -807,7 +807,7 @@ export interface components {
         readonly Subscribe: {
             /** @constant */
             readonly type: "subscribe";
-            /** @description 0 to 16 items */
+            /** @description 0 to 20 items */
             readonly forms: readonly components["schemas"]["LightForm"][];
         };
         /** @description WebSocket, to the server: track a named probe; an existing name moves to the new position. */

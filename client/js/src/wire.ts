@@ -30,6 +30,6 @@ export const LIGHT_MEDIA_TYPE = "application/vnd.roomlight.light";
 export const VERSION = 1;
 export const MAX_HEADER_BYTES = 16384;
 export const MAX_PROBES = 64;
-export const MAX_FORMS = 16;
+export const MAX_FORMS = 20;
 /** Bytes per depth value, little-endian. */
 export const DEPTH_BYTES: Readonly<Record<DepthFormat, number>> = { uint16_mm: 2, float16_m: 2, float32_m: 4 };

@@ -305,7 +305,7 @@ test("the placed objects are downloaded as a scene for the command line", async 
 });
 
 test("files are downloaded", async () => {
-  const starts = { EXR: [0x76, 0x2f, 0x31, 0x01], HDR: [0x23, 0x3f], PNG: [0x89, 0x50], KTX2: [0xab, 0x4b], USDZ: [0x50, 0x4b], Mesh: [0x67, 0x6c], SH: [0x7b], Picture: [] };
+  const starts = { EXR: [0x76, 0x2f, 0x31, 0x01], HDR: [0x23, 0x3f], PNG: [0x89, 0x50], KTX2: [0xab, 0x4b], USDZ: [0x50, 0x4b], GLB: [0x67, 0x6c], Mesh: [0x67, 0x6c], SH: [0x7b], Picture: [] };
   for (const [label, start] of Object.entries(starts)) {
     const download = page.waitForEvent("download");
     await page.click(`#downloads button:text-is("${label}")`);

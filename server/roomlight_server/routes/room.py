@@ -1,4 +1,4 @@
-"""Routes of what a session has seen: list of sessions, picture, camera, room mesh, history, light as USDZ."""
+"""Routes of what a session has seen: list of sessions, picture, camera, room mesh, history."""
 
 import hashlib
 from typing import Annotated, Any, Final, Literal, cast
@@ -15,14 +15,12 @@ from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.frame_message import column_major
-from roomlight.wire.messages import FrameCounts, Id, LightForm, ProbeQuery
+from roomlight.wire.messages import FrameCounts
 from roomlight.wire.room import CameraView, HistoryList, SessionList, SessionSummary, VolumeBox
-from roomlight_server.answers import usdz
-from roomlight_server.answers.light_forms import max_bytes
 from roomlight_server.answers.room_mesh import MAX_TRIANGLES, room_mesh, to_glb
 from roomlight_server.base.problems import ProblemError, documented
 from roomlight_server.routes.context import ContextDep, OwnerDep, ProbeName, ReservationDep, SessionDep
-from roomlight_server.routes.light import COVERAGE_HEADER, FRAME_HEADER, etag_matches, memory_of
+from roomlight_server.routes.light import FRAME_HEADER, etag_matches
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.state.listing import SavedHead
 
@@ -253,40 +251,3 @@ async def history_panorama(live: SessionDep, request: Request, index: _Index, na
     """Return the panorama of a named probe after a recorded frame: Radiance HDR, 64 x 32 pixels."""
     live.check_open()
     return _data(request, await live.history.panorama(index, name), "image/vnd.radiance")
-
-
-@router.get(
-    "/v1/sessions/{session_id}/usdz",
-    summary="Light as a USDZ package",
-    response_class=Response,
-    responses=_binary(usdz.MEDIA_TYPE) | documented(*_PROBLEMS, "probe-not-found", "engine-failed", "server-busy"),
-)
-async def light_usdz(
-    live: SessionDep,
-    context: ContextDep,
-    reserved: ReservationDep,
-    request: Request,
-    name: Annotated[Id | None, Query(description="A named probe.")] = None,
-    x: _Metres = None,
-    y: _Metres = None,
-    z: _Metres = None,
-) -> Response:
-    """Return the light at a named probe, or at x, y and z, as a USDZ package with a dome light."""
-    point = [coordinate for coordinate in (x, y, z) if coordinate is not None]
-    if len(point) != (3 if name is None else 0):
-        rule = "must have either name, or x, y and z"
-        raise ProblemError("invalid", f"query: {rule}", field="query", value=request.url.query, rule=rule)
-    query = ProbeQuery(name=name) if name is not None else ProbeQuery(position=point)
-    reserved.add(memory_of(live, 1, max_bytes(LightForm(format="exr"), live.request.height)))
-    light = (await live.lighting.at([query]))[0]
-    headers = {
-        "ETag": f'"{light.etag}-usdz"',
-        COVERAGE_HEADER: f"{light.coverage:.4f}",
-        FRAME_HEADER: str(light.frame),
-        "Content-Disposition": f'attachment; filename="{name or "light"}.usdz"',
-    }
-    unchanged = _unchanged(request, headers)
-    if unchanged is not None:
-        return unchanged
-    data = await context.workers.run_in_encode_pool(usdz.to_usdz, light)
-    return Response(data, media_type=usdz.MEDIA_TYPE, headers=headers)

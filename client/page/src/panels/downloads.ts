@@ -30,13 +30,8 @@ const DOWNLOADS: readonly Download[] = [
   light("HDR", "hdr", "hdr", "Panorama, Radiance"),
   light("PNG", "png", "png", "Panorama, 8 bits"),
   light("KTX2", "ktx2", "ktx2", "Cube map"),
-  {
-    label: "USDZ",
-    title: "Scene with a dome light",
-    ending: "usdz",
-    path: (session, probe) => `${sessionPath(session)}/usdz?name=${encodeURIComponent(probe)}`,
-    needsProbe: true,
-  },
+  light("USDZ", "usdz", "usdz", "Dome light, and lamps and windows"),
+  light("GLB", "glb", "glb", "Image-based light, and lamps and windows"),
   light("SH", "sh", "sh.json", "Spherical harmonics, JSON"),
   light("Main lights", "main_light", "lights.json", "Main lights, JSON"),
   {
