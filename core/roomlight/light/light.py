@@ -392,9 +392,10 @@ class Light:
             RoomLightError: neither this form nor the panorama was requested from the server.
         """
         path = Path(path)
-        file_format = next((form for end, form in SAVED_AS.items() if path.name[1:].lower().endswith(end)), None)
-        if file_format is None:
+        end = next((end for end in SAVED_AS if path.name[1:].lower().endswith(end)), None)
+        if end is None:
             raise OptionError(f"{path}: light is saved as {', '.join(SAVED_AS)}; got the suffix {path.suffix!r}")
+        file_format = SAVED_AS[end]
         if file_format == "json":
             write_json(path, (self if use is None else self.used_for(use)).to_json())
         else:
