@@ -1,8 +1,10 @@
 """The network of depth and its stage: what zoom leaves alone, published weights, batches, a step of training."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -10,8 +12,10 @@ import torch
 from box_room import LENS, exact_depth, frame, pose
 from roomlight.camera import Intrinsics
 from roomlight.conventions import linear_to_srgb8
+from roomlight.dataset.loader import Dataset
+from roomlight.dataset.recording import Recording
 from roomlight.errors import ModelError
-from roomlight.monocular.network import DEPTH_SIDE, ray_planes
+from roomlight.monocular.network import DEPTH_CHANNELS, DEPTH_SIDE, ray_planes
 from roomlight_model.depth.network import DepthNetwork, log_focal
 from roomlight_model.depth.stage import DepthFrames, DepthOptions, DepthStage, depth_batch
 
@@ -20,7 +24,8 @@ def _frames(count: int) -> DepthFrames:
     shots = [pose(0.1 * k, turn=0.4 * k) for k in range(count)]
     colour = [linear_to_srgb8(frame(k, at).image) for k, at in enumerate(shots)]
     depth = [np.rint(1000 * exact_depth(at)).astype(np.uint16) for at in shots]
-    return DepthFrames(colour, depth, [LENS] * count)
+    ups = [at[1, :3].astype(np.float64) for at in shots]
+    return DepthFrames(colour, depth, [LENS] * count, ups, [0.0] * count)
 
 
 def _published(network: DepthNetwork) -> Iterator[tuple[str, torch.Tensor]]:
@@ -38,7 +43,7 @@ def _published(network: DepthNetwork) -> Iterator[tuple[str, torch.Tensor]]:
 def test_a_zoomed_picture_is_farther_by_the_zoom() -> None:
     """The same pixels seen by a lens of twice the focal length: depth is doubled, but for what the rays tell."""
     near, far = (ray_planes(Intrinsics(k * 280.0, k * 280.0, 160.0, 120.0, 320, 240))[None] for k in (1, 2))
-    doubled = log_focal(torch.from_numpy(far)) - log_focal(torch.from_numpy(near))
+    doubled = log_focal(torch.from_numpy(far[:, :2])) - log_focal(torch.from_numpy(near[:, :2]))
     assert float(doubled) == pytest.approx(np.log(2), abs=1e-5)
 
 
@@ -71,7 +76,7 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
 def test_a_batch_holds_the_truth_at_half_the_size() -> None:
     frames = _frames(2)
     batch = depth_batch(frames)
-    assert batch.planes.shape == (2, 5, DEPTH_SIDE, DEPTH_SIDE)
+    assert batch.planes.shape == (2, DEPTH_CHANNELS, DEPTH_SIDE, DEPTH_SIDE)
     assert bool(batch.known.all())
     middle = batch.log_depth[0, 0, DEPTH_SIDE // 4, DEPTH_SIDE // 4].exp()
     assert float(middle) == pytest.approx(float(exact_depth(pose(0))[120, 160]), rel=0.02)
@@ -79,7 +84,7 @@ def test_a_batch_holds_the_truth_at_half_the_size() -> None:
 
 def test_a_cut_keeps_rays_and_depth_together() -> None:
     """Points of a cut, mirrored or not, still lie on the room's far wall, 3.5 m away."""
-    frames = DepthFrames(*[[part] for part in (_frames(1).colour[0], _frames(1).depth_mm[0], LENS)])  # pyright: ignore
+    frames = _frames(1)
     for seed in range(6):
         batch = depth_batch(frames, [np.random.default_rng(seed)])
         depth = batch.log_depth[0, 0].exp().numpy()
@@ -88,6 +93,71 @@ def test_a_cut_keeps_rays_and_depth_together() -> None:
         assert height.min() > -0.1
         assert height.max() < 2.7
         assert np.abs(depth[np.abs(rays[1]) < 0.1].max() - 3.5) < 0.1
+
+
+def test_the_rise_of_rays_gives_the_depth_of_the_floor() -> None:
+    """A tilted and rolled camera 1.4 m over the floor: exp(plane) gives the floor's depth."""
+    turn, _ = np.linalg.qr(np.array([[1.0, 0.1, 0.0], [-0.1, 0.9, 0.4], [0.05, -0.4, 0.9]]))
+    at = np.eye(4)
+    at[:3, :3], at[1, 3] = turn * np.sign(np.diag(turn)), 1.4
+    known, unknown = ray_planes(LENS, at[1, :3]), ray_planes(LENS)
+    assert np.array_equal(known[:2], unknown[:2])
+    assert not unknown[2:].any()
+    truth = cv2.resize(exact_depth(at), (DEPTH_SIDE, DEPTH_SIDE), interpolation=cv2.INTER_NEAREST)
+    focal = np.sqrt(LENS.fx * LENS.fy / (LENS.width * LENS.height))
+    steep = known[2] < -0.6  # the nearest wall is 2 m away
+    assert steep.mean() > 0.1
+    assert np.allclose(1.4 * focal * np.exp(known[3])[steep], truth[steep], rtol=0.02)
+    assert (known[2] <= 2).all()
+    assert float(np.exp(-known[3]).min()) == pytest.approx(0.1 * focal, rel=0.02)
+
+
+def test_gravity_is_left_out_of_some_examples_and_mirrored_with_the_picture() -> None:
+    frames, without = _frames(1), 0
+    for seed in range(40):
+        batch = depth_batch(frames, [np.random.default_rng(seed)])
+        rise, depth = batch.planes[0, 5, ::2, ::2].numpy(), batch.log_depth[0, 0].exp().numpy()
+        without += not rise.any()
+        below = rise * depth + 1.4  # height of the points, of a camera at 1.4 m
+        assert not rise.any() or below.min() > -0.25
+    assert 2 <= without <= 16
+
+
+def test_a_room_whose_size_nothing_tells_is_resized_to_the_height_of_a_phone() -> None:
+    frames = _frames(2)
+    frames.heights_m[1] = 1.0
+    own, resized = (depth_batch(frames.take([k])).log_depth.exp() for k in (0, 1))
+    frames.heights_m[1] = 0.0
+    unchanged = depth_batch(frames.take([1])).log_depth.exp()
+    assert torch.allclose(resized, 1.45 * unchanged, rtol=1e-4)
+    assert float(own.max()) == pytest.approx(3.5, abs=0.1)
+    frames.heights_m[1] = 0.1
+    assert torch.allclose(depth_batch(frames.take([1])).log_depth.exp(), 1.8 * unchanged, rtol=1e-4)
+
+
+def test_views_from_near_the_floor_are_thinned_out() -> None:
+    heights = [0.5, 1.4, 0.6, 0.7, 1.5, 0.8, 0.4]
+
+    class Rooms(Dataset):
+        def __init__(self) -> None:
+            """Hold no files."""
+
+        def __len__(self) -> int:
+            return 1
+
+        def read(self, number: int, **options: object) -> Recording:
+            assert (number, options) == (0, {"probes": False})
+            poses = np.stack([np.eye(4)] * len(heights))
+            poses[:, 1, 3] = heights
+            whole = Dataset(Path("tests/data/rooms"), "train").read(0)
+            names = ("colour", "depth_mm", "surface", "exposure", "timestamp_s", "clipped_radiance")
+            parts = {name: np.resize(getattr(whole, name), (len(heights), *getattr(whole, name).shape[1:]))
+                     for name in names if getattr(whole, name) is not None}  # fmt: skip
+            return replace(whole, camera_to_world=poses, facts={"furniture": {}}, **parts)
+
+    frames = DepthFrames.read([Rooms()])
+    assert frames.heights_m == [1.4, 0.7, 1.5]
+    assert len(frames.colour) == len(frames.ups) == 3
 
 
 def test_a_step_trains_all_but_the_early_layers() -> None:

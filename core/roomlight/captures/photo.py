@@ -136,7 +136,7 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     if estimated:
         from roomlight.monocular.stream import open_depth_stream  # onnxruntime takes a while to import
 
-        stream = open_depth_stream(options.depth_model)
+        stream = open_depth_stream(options.depth_model, gravity=False)
         frame = stream.complete(frame)
         frame = replace(frame, depth_m=without_unseen(frame.depth_m, frame.seen))
         notes = (*notes, stream.note(str(image)))

@@ -1,5 +1,6 @@
 """Depth of frames that come without: from one picture by a network, then made consistent over a stream by its poses.
 
 `stream` is where to start. `estimate` is what every model returns, `network` the model inside the package,
-`model_file` any ONNX file of the user's, `tracks` features that several frames see, `fitting` scale and shift.
+`model_file` any ONNX file of the user's, `tracks` features that several frames see, `fitting` scale, shift and errors
+over the picture.
 """

@@ -5,7 +5,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import linear_to_srgb
@@ -45,8 +45,15 @@ class DepthModel(Protocol):
     name: str
     kind: DepthKind
 
-    def estimate(self, picture: Float32[np.ndarray, "h w 3"], intrinsics: Intrinsics) -> DepthEstimate:
+    def estimate(
+        self, picture: Float32[np.ndarray, "h w 3"], intrinsics: Intrinsics, up: Float[np.ndarray, "3"] | None = None
+    ) -> DepthEstimate:
         """Estimate the depth of an sRGB picture in [0, 1]; the answer may have another size of the same view.
+
+        Args:
+            picture: The picture.
+            intrinsics: Its lens.
+            up: The world's up in the camera's axes (OpenGL), a unit vector; None if it is not known.
 
         Raises:
             ModelError: The model's answer is no depth.

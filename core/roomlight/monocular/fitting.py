@@ -1,4 +1,4 @@
-"""Scale and shift of estimated depth, fitted to known depth at some pixels.
+"""Scale and shift of estimated depth, and its errors over the picture, fitted to known depth at some pixels.
 
 A model's 1 / depth is q, the true one t: t = a q + b. The fit minimises relative errors, robustly (iteratively
 reweighted least squares with Tukey's biweight), and prior terms hold what few samples leave open.
@@ -7,8 +7,9 @@ reweighted least squares with Tukey's biweight), and prior terms hold what few s
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from roomlight.monocular.estimate import DepthKind
 
@@ -16,6 +17,12 @@ LEAST_SAMPLES: Final = 8
 _ROUNDS: Final = 12
 _CUT: Final = 0.6
 """Relative errors beyond this do not count at all."""
+_NODES: Final = (6, 5, 3)
+"""Of the field of errors: across, down, and from far to near."""
+_SMOOTH, _SMALL = 2.5, 1.0
+"""Weight of differences between neighbouring nodes, and of the nodes, where a sample's is 1."""
+_FIELD_ROUNDS: Final = 4
+_FIELD_CUT: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -83,10 +90,7 @@ def _start(
         good = q > 1e-9
         if int(good.sum()) < LEAST_SAMPLES:
             return None
-        ratio, share = t[good] / q[good], weight[good]
-        order = np.argsort(ratio)
-        total = np.cumsum(share[order])
-        return float(ratio[order][np.searchsorted(total, total[-1] / 2)]), 0.0
+        return median_of(t[good] / q[good], weight[good]), 0.0
     order = np.argsort(q)
     half = len(q) // 2
     low, high = order[:half], order[-half:]
@@ -96,3 +100,70 @@ def _start(
         return None
     slope = float(np.median((t[high] - t[low])[good] / rise[good]))
     return (slope, float(np.median(t - slope * q))) if slope > 0 else None
+
+
+def median_of(values: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float:
+    """Return the weighted median."""
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
+
+
+def error_field(
+    inverse: Float32[np.ndarray, "h w"],
+    pixels: Float[np.ndarray, "n 2"],
+    log_ratio: Float[np.ndarray, " n"],
+    weight: Float[np.ndarray, " n"],
+) -> Float32[np.ndarray, "h w"]:
+    """Return a smooth log correction of inverse depth, which follows the picture and depth itself.
+
+    A network's error varies slowly over the picture, and with depth: the field is a bilateral grid (Chen et al. 2007)
+    over both, fitted by least squares with Tukey's weights; nodes without samples tend to their neighbours and to 0.
+
+    Args:
+        inverse: Estimated 1 / depth, above 0.
+        pixels: (column, row) of the samples.
+        log_ratio: log(true / estimated) of 1 / depth there.
+        weight: Of the samples.
+    """
+    height, width = inverse.shape
+    tone = np.log(inverse)
+    low, high = np.percentile(tone[::8, ::8], (5, 95))
+    tone = np.clip((tone - low) / max(float(high - low), 0.3), 0, 1) * (_NODES[2] - 1)
+    columns, rows = np.floor(pixels).astype(int).T.clip(0, [[width - 1], [height - 1]])
+    places = (
+        np.clip(pixels[:, 0] / width * _NODES[0] - 0.5, 0, _NODES[0] - 1),
+        np.clip(pixels[:, 1] / height * _NODES[1] - 0.5, 0, _NODES[1] - 1),
+        tone[rows, columns],
+    )
+    across, down, near = (_hats(place, count) for place, count in zip(places, _NODES, strict=True))
+    design = np.einsum("nz,ny,nx->nzyx", near, down, across).reshape(len(pixels), len(_FIELD_PRIOR))
+    values = np.zeros(design.shape[1])
+    for _ in range(_FIELD_ROUNDS):
+        robust = weight * np.maximum(1 - ((design @ values - log_ratio) / _FIELD_CUT) ** 2, 0) ** 2
+        weighted = design * robust[:, None]
+        values = np.linalg.solve(design.T @ weighted + _FIELD_PRIOR, weighted.T @ log_ratio)
+    field = np.zeros(inverse.shape, np.float32)
+    for layer, nodes in enumerate(values.reshape(_NODES[::-1]).astype(np.float32)):
+        share = np.maximum(1 - np.abs(tone - layer), 0).astype(np.float32)
+        field += share * cv2.resize(nodes, (width, height), interpolation=cv2.INTER_LINEAR)
+    return field
+
+
+def _hats(place: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, "n {count}"]:
+    """Return the shares of the nodes 0 to count - 1 in linear interpolation."""
+    return np.maximum(1 - np.abs(place[:, None] - np.arange(count)), 0)
+
+
+def _field_prior() -> Float[np.ndarray, "k k"]:
+    """Return the precision of the field's nodes without samples."""
+    total = _SMALL * np.eye(int(np.prod(_NODES)))
+    for axis, count in enumerate(_NODES[::-1]):
+        step = np.diff(np.eye(count), axis=0)
+        parts = [np.eye(other) for other in _NODES[::-1]]
+        parts[axis] = step.T @ step
+        total += _SMOOTH * np.kron(np.kron(parts[0], parts[1]), parts[2])
+    return total
+
+
+_FIELD_PRIOR: Final = _field_prior()

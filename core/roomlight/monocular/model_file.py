@@ -109,7 +109,12 @@ class DepthModelFile:
             if name not in (self._picture, "num_tokens", *_LENS):
                 raise ModelError(f"{path}: its input {name} is not known; a depth model takes a picture, K, num_tokens")
 
-    def estimate(self, picture: Float32[np.ndarray, "h w 3"], intrinsics: Intrinsics) -> DepthEstimate:
+    def estimate(
+        self,
+        picture: Float32[np.ndarray, "h w 3"],
+        intrinsics: Intrinsics,
+        up: Float[np.ndarray, "3"] | None = None,  # noqa: ARG002  no model that is known takes it
+    ) -> DepthEstimate:
         """Run the model on an sRGB picture in [0, 1].
 
         Raises:

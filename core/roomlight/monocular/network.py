@@ -1,6 +1,7 @@
-"""The network inside the package: metric depth from one picture and its lens (`roomlight_model` trains it).
+"""The network inside the package: metric depth from one picture and its camera (`roomlight_model` trains it).
 
-Any picture is stretched to a square; the lens enters as the pixels' rays.
+Any picture is stretched to a square. The lens enters as the pixels' rays, the camera's tilt as the rays' rise: how
+high people hold a phone is much the same, so that the rise gives the depth of the floor.
 """
 
 from functools import cache
@@ -9,7 +10,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from roomlight.camera import Intrinsics
 from roomlight.engine.networks.graph import Graph
@@ -19,7 +20,11 @@ from roomlight.monocular.estimate import DepthEstimate, DepthKind
 
 DEPTH_SIDE: Final = 224
 """Side of the network's square input."""
-DEPTH_CHANNELS: Final = 5
+DEPTH_CHANNELS: Final = 7
+"""sRGB (3), rays (2), their rise (2)."""
+_LEAST_RISE: Final = 0.1
+"""Rays within 6 degrees of the horizon meet no floor of a room."""
+_MOST_RISE: Final = 2.0
 _LOG_RIGHT: Final = float(np.log(1.25))
 _LOG_RANGE: Final = (-3.0, 4.0)
 """Of log depth: 5 cm to 55 m."""
@@ -36,10 +41,13 @@ class DepthNetworkModel:
         self._graph = graph
         self.digest = graph.digest
 
-    def estimate(self, picture: Float32[np.ndarray, "h w 3"], intrinsics: Intrinsics) -> DepthEstimate:
+    def estimate(
+        self, picture: Float32[np.ndarray, "h w 3"], intrinsics: Intrinsics, up: Float[np.ndarray, "3"] | None = None
+    ) -> DepthEstimate:
         """Estimate metric depth at half the square's resolution."""
         square = cv2.resize(picture, (DEPTH_SIDE, DEPTH_SIDE), interpolation=cv2.INTER_AREA)
-        planes = np.concatenate([np.moveaxis(square, -1, 0), ray_planes(intrinsics)])[None]
+        planes = np.concatenate([np.moveaxis(square, -1, 0), ray_planes(intrinsics, up)])[None]
+        planes = planes[:, : self._graph.inputs["planes"][1]]  # a graph without gravity takes the first 5
         outputs = self._graph.new_outputs()
         self._graph.bind({"planes": np.ascontiguousarray(planes, np.float32)}, outputs).run()
         log_depth, log_scale = outputs["log_depth"][0]
@@ -59,9 +67,23 @@ def shipped_depth(provider: Provider = "auto", folder: Path = SHIPPED / "depth")
     return DepthNetworkModel(load_part(folder, "depth", provider=provider))
 
 
-def ray_planes(intrinsics: Intrinsics) -> Float32[np.ndarray, "2 side side"]:
-    """Return x / z and y / z (y down) of the rays of the square's pixels."""
+def ray_planes(intrinsics: Intrinsics, up: Float[np.ndarray, "3"] | None = None) -> Float32[np.ndarray, "4 side side"]:
+    """Return what the network knows of the camera, for the square's pixels.
+
+    Args:
+        intrinsics: The lens.
+        up: The world's up in the camera's axes (OpenGL), a unit vector; None if it is not known.
+
+    Returns:
+        x / z and y / z (y down) of the rays; how far a ray rises in z = 1; and -log |rise|, which is the log of the
+        depth of a floor a metre below, less the log of the focal length. The last two are 0 where up is not known.
+    """
     middle = (np.arange(DEPTH_SIDE) + 0.5) / DEPTH_SIDE
     columns = (middle * intrinsics.width - intrinsics.cx) / intrinsics.fx
     rows = (middle * intrinsics.height - intrinsics.cy) / intrinsics.fy
-    return np.stack(np.meshgrid(columns, rows)).astype(np.float32)
+    across, down = np.meshgrid(columns, rows)
+    if up is None:
+        return np.stack([across, down, np.zeros_like(down), np.zeros_like(down)]).astype(np.float32)
+    rise = np.clip(up[0] * across - up[1] * down - up[2], -_MOST_RISE, _MOST_RISE)
+    focal = np.sqrt(intrinsics.fx * intrinsics.fy / (intrinsics.width * intrinsics.height))
+    return np.stack([across, down, rise, -np.log(np.maximum(np.abs(rise), _LEAST_RISE) * focal)]).astype(np.float32)

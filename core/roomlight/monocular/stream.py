@@ -1,8 +1,14 @@
 """Frames without depth in, frames with depth out: estimated from each picture, consistent over the stream.
 
-A network sees each picture alone, so that its depth breathes from frame to frame by several percent. The poses do not:
-depth of features by triangulation, and the depth of earlier keyframes, fix each frame's scale (and for inverse depth
-its shift). Without parallax the earlier fit stays.
+A network sees each picture alone: its scale is wrong by tens of percent in a whole room, and breathes from frame to
+frame. The poses are metric. Four steps mend a frame:
+
+1. Keyframes' depth, carried into the frame, gives the scale of the frame (for inverse depth the shift too) in the
+   stream's own unit. Without keyframes the network's word counts.
+2. Features that moved between frames are triangulated; those of the last frames together give the metres of the unit.
+   When these change, the depth of all keyframes changes with them, so that a wrong start is forgotten at once.
+3. What features and keyframes say beyond that corrects the depth smoothly over the picture.
+4. Without parallax, the unit stays what it was.
 """
 
 from dataclasses import replace
@@ -16,10 +22,20 @@ from jaxtyping import Float, Float32
 from roomlight.errors import FrameError
 from roomlight.frame import Frame
 from roomlight.monocular.estimate import DepthEstimate, DepthModel, srgb_picture
-from roomlight.monocular.fitting import Fit, fit_inverse
+from roomlight.monocular.fitting import LEAST_SAMPLES, Fit, error_field, fit_inverse, median_of
 from roomlight.monocular.model_file import DepthModelFile
 from roomlight.monocular.network import shipped_depth
-from roomlight.monocular.tracks import Samples, View, carried, far_apart, grey_picture, grid_of, triangulated
+from roomlight.monocular.tracks import (
+    Samples,
+    View,
+    carried,
+    far_apart,
+    grey_picture,
+    grid_of,
+    partners,
+    places_of,
+    triangulated,
+)
 from roomlight.notes import Note
 
 SIZE: Final = (320, 240)
@@ -28,17 +44,21 @@ LEAST_CONFIDENCE: Final = 0.15
 """Depth of a lower confidence is left open, and filled from around it."""
 NEAREST_M, FARTHEST_M = 0.1, 30.0
 _KEPT: Final = 12
-DEPTH_STREAM_BYTES: Final = _KEPT * 90_000
+DEPTH_STREAM_BYTES: Final = (_KEPT + 1) * 90_000
 """Memory of a stream: a grey picture and a grid of depth for each view that is kept."""
-_COMPARED: Final = 4
-"""Keyframes whose features and depth a frame is compared with: the last ones, and the nearest by position."""
-_REMEMBERED: Final = 10
-_FADING: Final = np.array([1.0, 1.0, 0.8])
-"""Frames whose triangulated features count for the scale, and the share of their weight from frame to frame."""
-_CARRIED: Final = 0.5
-"""Most weight of the earlier keyframes' depth, relative to the features'."""
-_FEW, _ALONE = 5.0, 60.0
-"""Features that weigh less than this leave the scale to the keyframes, which then weigh so much."""
+_CARRIED: Final = 4
+"""Keyframes, the nearest by position, whose depth is carried into a frame."""
+_FOLLOWED: Final = 4
+"""Keyframes, or the last frame, to which a frame's features are followed."""
+_REMEMBERED: Final = 20
+_FADING: Final = np.array([1.0, 0.85])
+"""Frames whose triangulated features count for the metres, and the share of their weight from frame to frame."""
+_LEAST_FEATURES: Final = 6.0
+"""Weight of the features below which the metres stay what they were."""
+_BEFORE: Final = 3.0
+"""Weight of what they were, beside the features'."""
+_AGREEING: Final = 0.35
+"""Least share of the features within 25 % of their median: others are no depth of the picture."""
 
 
 class DepthStream:
@@ -49,12 +69,20 @@ class DepthStream:
         session.push(stream.complete(frame))
     """
 
-    def __init__(self, model: DepthModel, reference: DepthModel | None = None) -> None:
-        """Take the model, and for one without scale a metric one that gives the first frame's; streams share both."""
-        self.model, self._reference = model, reference
+    def __init__(self, model: DepthModel, reference: DepthModel | None = None, *, gravity: bool = True) -> None:
+        """Take the models; streams share them.
+
+        Args:
+            model: Estimates depth.
+            reference: For a model without scale: a metric model, which gives the first frame's.
+            gravity: Whether up is y in the frames' world, as it must be but for the pose of a single photo.
+        """
+        self.model, self._reference, self._gravity = model, reference, gravity
         self._views: list[View] = []
-        self._motion: list[Float[np.ndarray, "n 3"]] = []
+        self._last: View | None = None
+        self._motion: list[Float[np.ndarray, "n 2"]] = []
         self._fit: Fit | None = None if model.kind != "metric" else Fit(1.0)
+        self._per_metre = 1.0  # times 1 / depth in the stream's unit: 1 / depth in metres
 
     def note(self, source: str) -> Note:
         """Return what a capture says whose depth is estimated."""
@@ -77,84 +105,124 @@ class DepthStream:
         """Return the depth of the stream's next frame in metres, 0 where the model is not sure; `complete` uses it."""
         small = replace(frame, depth_m=np.zeros(frame.image.shape[:2], np.float32)).resized(*SIZE)
         picture = srgb_picture(small)
-        height, width = picture.shape[:2]
-        estimated = self.model.estimate(picture, small.intrinsics).resized(width, height)
+        estimated = self._estimated(self.model, picture, small)
         view = View(grey_picture(picture), small.intrinsics, small.camera_to_world, np.zeros((0, 0)))
-        fit = self._fitted(view, estimated, picture)
-        inverse = np.clip(fit.scale * estimated.inverse + fit.shift, 1 / FARTHEST_M, 1 / NEAREST_M)
+        kept = self._carried(view)
+        inverse = _applied(self._fitted(estimated, kept, small, picture), estimated)
+        moved = self._moved(view, inverse)
+        if len(moved.inverse):
+            self._weigh(inverse, moved)
+        samples = Samples.joined([moved.scaled(1 / self._per_metre), kept])
+        if len(moved.inverse):
+            inverse = _applied(self._fitted(estimated, samples, small, picture), estimated)
+        if len(samples.inverse):
+            inverse = _corrected(inverse, samples)
         sure = estimated.confidence >= min(LEAST_CONFIDENCE, float(np.median(estimated.confidence)))
-        self._keep(replace(view, inverse=grid_of(np.where(sure, inverse, 0)).copy()))
-        self._fit = fit
-        return np.where(sure, 1 / inverse, 0).astype(np.float32)
+        self._last = replace(view, inverse=grid_of(np.where(sure, inverse, 0)).copy())
+        if not self._views or far_apart(self._last, self._views[-1]):
+            self._views = [*self._views, self._last][-_KEPT:]
+        depth_m = 1 / np.clip(self._per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M)
+        return np.where(sure, depth_m, 0).astype(np.float32)
 
-    def _fitted(self, view: View, estimated: DepthEstimate, picture: Float32[np.ndarray, "h w 3"]) -> Fit:
-        """Return scale and shift of a frame by the keyframes near it, or the earlier frames' fit."""
-        samples: list[Samples] = []
-        if self._fit is not None:
-            guess = np.clip(self._fit.scale * estimated.inverse + self._fit.shift, 1 / FARTHEST_M, 1 / NEAREST_M)
-            samples = [triangulated(view, other, guess) for other in self._views[-_COMPARED:]]
-        elif self._reference is not None:
-            samples = [self._referred(view, picture)]
-        moved = Samples.joined(samples)
+    def _estimated(self, model: DepthModel, picture: Float32[np.ndarray, "h w 3"], frame: Frame) -> DepthEstimate:
+        """Return a model's estimate at the picture's size."""
+        up = frame.camera_to_world[1, :3] if self._gravity else None
+        return model.estimate(picture, frame.intrinsics, up).resized(picture.shape[1], picture.shape[0])
+
+    def _carried(self, view: View) -> Samples:
+        """Return the depth of the nearest keyframes, in the stream's unit."""
         here = view.camera_to_world[:3, 3]
         near = sorted(self._views, key=lambda other: float(np.linalg.norm(other.camera_to_world[:3, 3] - here)))
-        kept = Samples.joined([carried(view, other) for other in near[:_COMPARED]])
-        pairs = [_pairs(moved, estimated), _pairs(kept, estimated)]
-        if estimated.kind != "inverse":  # a model's error of scale is much the same in all frames of a room
-            self._motion = [*(_FADING * pairs for pairs in self._motion[1 - _REMEMBERED :]), pairs[0]]
-            pairs[0] = np.concatenate(self._motion)
-        seen = float(pairs[0][:, 2].sum())
-        pairs[1][:, 2] *= min(
-            1.0, (_CARRIED * seen if seen > _FEW else _ALONE) / max(float(pairs[1][:, 2].sum()), 1e-9)
-        )
-        q, t, weight = np.concatenate(pairs).T
+        return Samples.joined([carried(view, other, self._per_metre) for other in near[:_CARRIED]])
+
+    def _fitted(
+        self, estimated: DepthEstimate, known: Samples, frame: Frame, picture: Float32[np.ndarray, "h w 3"]
+    ) -> Fit:
+        """Return scale and shift of a frame in the stream's unit."""
+        if self._fit is None and self._reference is not None:
+            known = _on_grid(self._estimated(self._reference, picture, frame))
+        q, t, weight = _pairs(known, estimated).T
         fit = fit_inverse(q, t, weight, kind=estimated.kind, prior=self._fit)
         if fit is None:
             raise FrameError(
-                f"the depth of {self.model.name} is known up to scale only, and no parallax between frames has fixed "
-                "the scale yet: move the camera sideways, or give a metric model"
+                f"the depth of {self.model.name} is known up to scale only, and no metric model is given: give one"
             )
+        if estimated.kind != "metric":  # each of a metric model's words counts as much as its first
+            self._fit = fit
         return fit
 
-    def _referred(self, view: View, picture: Float32[np.ndarray, "h w 3"]) -> Samples:
-        """Return the metric model's depth on a grid."""
-        assert self._reference is not None
-        height, width = view.grey.shape
-        metric = self._reference.estimate(picture, view.intrinsics).resized(width, height)
-        rows, columns = (grid.ravel() for grid in np.mgrid[4:height:8, 4:width:8])
-        return Samples(
-            np.stack([columns, rows], axis=1).astype(np.float64),
-            metric.inverse[rows, columns].astype(np.float64),
-            0.1 * metric.confidence[rows, columns].astype(np.float64),
-        )
+    def _moved(self, view: View, inverse: Float32[np.ndarray, "h w"]) -> Samples:
+        """Return the features of a view that moved since earlier ones, per metre."""
+        guess = np.clip(self._per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M)
+        earlier = self._views if self._last is None else [*self._views, self._last]
+        all_samples: list[Samples] = []
+        for other in partners(view, earlier, 1 / float(np.median(guess)), _FOLLOWED):
+            samples = triangulated(view, other, guess)
+            all_samples.append(samples)
+            if len(samples.inverse) >= LEAST_SAMPLES:  # views farther away need a better guess
+                guess = np.clip(_corrected(guess, samples), 1 / FARTHEST_M, 1 / NEAREST_M)
+        return Samples.joined(all_samples)
 
-    def _keep(self, view: View) -> None:
-        """Keep a view that differs from the last one kept; the oldest goes."""
-        if not self._views or far_apart(view, self._views[-1]):
-            self._views = [*self._views, view][-_KEPT:]
+    def _weigh(self, inverse: Float32[np.ndarray, "h w"], moved: Samples) -> None:
+        """Fit the metres of the stream's unit to the features of this frame and the last ones."""
+        rows, columns = places_of(moved, inverse)
+        ratio = np.log(moved.inverse / inverse[rows, columns])
+        self._motion = [*(_FADING * old for old in self._motion[1 - _REMEMBERED :]), np.stack([ratio, moved.weight], 1)]
+        ratios, weight = np.concatenate(self._motion).T
+        seen, before = float(weight.sum()), np.log(self._per_metre)
+        if seen < _LEAST_FEATURES:
+            return
+        middle = median_of(np.append(ratios, before), np.append(weight, _BEFORE))
+        if float(weight[np.abs(ratios - middle) < np.log(1.25)].sum()) > _AGREEING * seen:
+            self._per_metre = float(np.exp(middle))
+
+
+def _applied(fit: Fit, estimated: DepthEstimate) -> Float32[np.ndarray, "h w"]:
+    """Return 1 / depth in the stream's unit, within a wide range of metres."""
+    return np.clip(fit.scale * estimated.inverse + fit.shift, 0.2 / FARTHEST_M, 5 / NEAREST_M).astype(np.float32)
+
+
+def _corrected(inverse: Float32[np.ndarray, "h w"], samples: Samples) -> Float32[np.ndarray, "h w"]:
+    """Return 1 / depth with the samples' mean factor and the field of its errors."""
+    rows, columns = places_of(samples, inverse)
+    ratio = np.log(np.maximum(samples.inverse, 1e-6) / inverse[rows, columns])
+    middle = median_of(ratio, samples.weight)
+    field = middle + error_field(inverse, samples.pixels, ratio - middle, samples.weight)
+    return (inverse * np.exp(field)).astype(np.float32)
+
+
+def _on_grid(metric: DepthEstimate) -> Samples:
+    """Return the depth of a metric model on a grid."""
+    rows, columns = (
+        grid.ravel() for grid in np.mgrid[4 : metric.inverse.shape[0] : 8, 4 : metric.inverse.shape[1] : 8]
+    )
+    return Samples(
+        np.stack([columns, rows], axis=1).astype(np.float64),
+        metric.inverse[rows, columns].astype(np.float64),
+        0.1 * metric.confidence[rows, columns].astype(np.float64),
+    )
 
 
 def _pairs(samples: Samples, estimated: DepthEstimate) -> Float[np.ndarray, "n 3"]:
     """Return estimated inverse depth, known inverse depth and weight of samples."""
-    height, width = estimated.inverse.shape
-    columns, rows = np.floor(samples.pixels).astype(int).T
-    rows, columns = rows.clip(0, height - 1), columns.clip(0, width - 1)
+    rows, columns = places_of(samples, estimated.inverse)
     weight = samples.weight * np.maximum(estimated.confidence[rows, columns], 0.05)
     return np.stack([estimated.inverse[rows, columns].astype(np.float64), samples.inverse, weight], axis=1)
 
 
-def open_depth_stream(model: Path | None = None) -> DepthStream:
+def open_depth_stream(model: Path | None = None, *, gravity: bool = True) -> DepthStream:
     """Return depth for one stream, by the network inside the package or an ONNX file; models are loaded once.
 
-    A model without scale takes the first frame's scale from the network inside the package.
+    A model without scale takes the first frame's scale from the network inside the package. `gravity` is whether up is
+    y in the frames' world.
 
     Raises:
         ModelError: The model cannot be used.
     """
     if model is None:
-        return DepthStream(shipped_depth())
+        return DepthStream(shipped_depth(), gravity=gravity)
     loaded = _load(model)
-    return DepthStream(loaded, None if loaded.kind == "metric" else shipped_depth())
+    return DepthStream(loaded, None if loaded.kind == "metric" else shipped_depth(), gravity=gravity)
 
 
 @cache

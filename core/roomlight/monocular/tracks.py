@@ -3,25 +3,33 @@
 Poses are camera-to-world, OpenGL axes; pixel coordinates have centres at half integers.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
 from roomlight.camera import Intrinsics
 
 STEP: Final = 12
 """Pixels between two points of the depth that views carry to each other."""
 _FEATURES: Final = 400
-_LEAST_PARALLAX: Final = np.radians(1.0)
-"""Below this angle between two rays, half a pixel of error is more than 10 % of depth."""
+_LEAST_PARALLAX: Final = np.radians(0.4)
+_ERROR_PX: Final = 0.5
+"""Deviation of a feature's place."""
+_SHAPE_ERROR: Final = 0.1
+"""Deviation of a network's depth around its scale: features that are known better than this weigh the same."""
 _MOST_REPROJECTION_PX: Final = 1.5
 _ROUND_TRIP_PX: Final = 1.0
-_FITTING: Final = 0.85
+_FITTING: Final = 0.4
 """Where fewer of the features lie on their epipolar lines, poses or lens do not fit the pictures: 0.92 to 0.99 do in
 rendered rooms, 0.8 in 7-Scenes, whose colour and depth cameras are not registered."""
+_BASELINE: Final = 0.1
+"""Best distance between two cameras, of the distance to what they see: farther apart, features look different."""
+_MOST_TURN: Final = np.radians(45)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +40,19 @@ class View:
         grey: 8-bit picture.
         intrinsics: Its lens.
         camera_to_world: Its pose.
-        inverse: Its fitted 1 / depth per metre at every `STEP`-th pixel (`grid_of`), 0 = unknown.
+        inverse: Its fitted 1 / depth at every `STEP`-th pixel (`grid_of`), 0 = unknown.
     """
 
     grey: UInt8[np.ndarray, "h w"]
     intrinsics: Intrinsics
     camera_to_world: Float[np.ndarray, "4 4"]
     inverse: Float[np.ndarray, "gh gw"]
+
+    @cached_property
+    def corners(self) -> Float[np.ndarray, "n 1 2"]:
+        """Pixels that can be followed to other views (OpenCV's: centres at whole numbers)."""
+        corners = cv2.goodFeaturesToTrack(self.grey, _FEATURES, 0.005, 5)
+        return np.zeros((0, 1, 2), np.float32) if np.size(corners) < 2 else corners  # OpenCV returns None for none
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +69,24 @@ class Samples:
     inverse: Float[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
 
+    def scaled(self, factor: float) -> "Samples":
+        """Return the samples with inverse depth in another unit."""
+        return replace(self, inverse=factor * self.inverse)
+
     @classmethod
     def joined(cls, parts: list["Samples"]) -> "Samples":
         """Put samples together."""
         empty = cls(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
         columns = ([getattr(part, name) for part in (empty, *parts)] for name in ("pixels", "inverse", "weight"))
         return cls(*(np.concatenate(column) for column in columns))
+
+
+def places_of(
+    samples: Samples, plane: Shaped[np.ndarray, "h w"]
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Return the rows and columns of samples in a plane of the picture's size."""
+    columns, rows = np.floor(samples.pixels).astype(int).T
+    return rows.clip(0, plane.shape[0] - 1), columns.clip(0, plane.shape[1] - 1)
 
 
 def triangulated(view: View, earlier: View, guess: Float[np.ndarray, "h w"]) -> Samples:
@@ -73,8 +99,8 @@ def triangulated(view: View, earlier: View, guess: Float[np.ndarray, "h w"]) -> 
         earlier: The other view.
         guess: About 1 / depth of the view: where a feature is looked for.
     """
-    start = cv2.goodFeaturesToTrack(view.grey, _FEATURES, 0.005, 5)
-    if np.size(start) < 2 or view.grey.shape != earlier.grey.shape:  # without a corner OpenCV returns None
+    start = view.corners
+    if len(start) == 0 or view.grey.shape != earlier.grey.shape:
         return Samples.joined([])
     expected = _expected(view, earlier, start, guess)
     inside = ((expected > 2) & (expected < np.array(view.grey.shape[::-1]) - 2)).all(axis=(1, 2))
@@ -96,8 +122,27 @@ def triangulated(view: View, earlier: View, guess: Float[np.ndarray, "h w"]) -> 
         depth = far if camera is view else depth
     if int(good.sum()) < _FITTING * turned:
         return Samples.joined([])
-    weight = np.minimum(angle / (4 * _LEAST_PARALLAX), 1.0)
+    error = _ERROR_PX / (np.sqrt(view.intrinsics.fx * view.intrinsics.fy) * np.maximum(angle, 1e-6))
+    weight = 1 / (1 + (error / _SHAPE_ERROR) ** 2)
     return Samples(first[good].astype(np.float64), 1 / depth[good], weight[good])
+
+
+def partners(view: View, others: Sequence[View], middle_m: float, count: int) -> list[View]:
+    """Return the views that show most of a view's depth by parallax, the nearest first; none that hardly moved.
+
+    Args:
+        view: The view.
+        others: Earlier views.
+        middle_m: Distance to what the view shows.
+        count: How many at most.
+    """
+    good: list[tuple[float, float, int]] = []
+    for number, other in enumerate(others):
+        moved = float(np.linalg.norm(other.camera_to_world[:3, 3] - view.camera_to_world[:3, 3])) / middle_m
+        turn = np.arccos(np.clip(other.camera_to_world[:3, 2] @ view.camera_to_world[:3, 2], -1, 1))
+        if moved > _BASELINE / 20 and turn < _MOST_TURN:
+            good.append((float(abs(np.log(moved / _BASELINE)) - np.log(1 - turn / _MOST_TURN)), moved, number))
+    return [others[number] for _, _, number in sorted(sorted(good)[:count], key=lambda entry: entry[1])]
 
 
 def _expected(
@@ -128,10 +173,16 @@ def grid_of(plane: Shaped[np.ndarray, "h w *c"]) -> Shaped[np.ndarray, "gh gw *c
     return plane[STEP // 2 :: STEP, STEP // 2 :: STEP]
 
 
-def carried(view: View, earlier: View) -> Samples:
-    """Return the depth of an earlier view as this view sees it, on a grid, where the earlier view is not behind."""
+def carried(view: View, earlier: View, factor: float = 1.0) -> Samples:
+    """Return the depth of an earlier view as this view sees it, on a grid, where the earlier view is not behind.
+
+    Args:
+        view: The view.
+        earlier: The earlier view.
+        factor: Its 1 / depth, and that of the samples, times this is per metre.
+    """
     rays = grid_of(earlier.intrinsics.rays()).reshape(-1, 3).astype(np.float64)
-    inverse = earlier.inverse.ravel()
+    inverse = factor * earlier.inverse.ravel()
     known = inverse > 0
     local = rays[known] / inverse[known, None]
     world = local @ earlier.camera_to_world[:3, :3].T + earlier.camera_to_world[:3, 3]
@@ -141,7 +192,7 @@ def carried(view: View, earlier: View) -> Samples:
     inside &= (np.nan_to_num(pixels, nan=-1) >= 0).all(axis=1) & (np.nan_to_num(pixels, nan=1e9) < (columns, rows)).all(
         axis=1
     )
-    return Samples(pixels[inside], 1 / depth[inside], np.full(int(inside.sum()), 0.3))
+    return Samples(pixels[inside], 1 / (factor * depth[inside]), np.full(int(inside.sum()), 0.3))
 
 
 def _meeting_points(

@@ -22,9 +22,12 @@ from roomlight.files import write_json
 from roomlight.imaging.tables import figure_table
 from roomlight.monocular.stream import DepthStream, open_depth_stream
 from roomlight_evaluation.captures.evaluation import ProgressCallback, evaluate_engine
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 
 CONSTANT_M: Final = 2.5
 """The answer that knows nothing."""
+LIGHT: Final = {"log_l2": "log-L2", "si_rmse_diffuse": "diffuse"}
+"""Scores of light that are compared, by their keys in `roomlight.metrics.METRICS`."""
 _ENGINE: Final = 2
 """Place of the engine among the methods of `evaluate_engine`, after two baselines."""
 
@@ -36,14 +39,14 @@ class DepthScore:
     Attributes:
         abs_rel: By method: constant, single (each frame alone), stream (by poses).
         within_25: Likewise.
-        light: log-L2 of light by estimated depth, relative to that by the capture's own; None without true panoramas.
+        light: By `LIGHT`, the errors of light by estimated depth and by the capture's own; none without true panoramas.
     """
 
     capture: str
     frames: int
     abs_rel: dict[str, float]
     within_25: dict[str, float]
-    light: float | None
+    light: dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -53,14 +56,18 @@ class DepthScores:
     scores: tuple[DepthScore, ...]
 
     def table(self) -> Table:
-        """Return a row for each capture."""
+        """Return a row for each capture, and the means over captures with 95 % intervals."""
         methods = list(self.scores[0].abs_rel)
         columns = [f"{kind}{method}" for kind in ("AbsRel ", "<25% ") for method in methods]
-        table = figure_table("estimated depth", [*columns, "light"], caption="light: log-L2, relative to exact depth's")
-        for score in self.scores:
-            values = [f"{score.abs_rel[method]:.3f}" for method in methods]
-            values += [f"{score.within_25[method]:.2f}" for method in methods]
-            table.add_row(score.capture, *values, "-" if score.light is None else f"{score.light:.2f}")
+        note = "light: error by estimated depth over that by exact depth"
+        table = figure_table("estimated depth", [*columns, *LIGHT.values()], caption=note)
+        for name, scores in (*((score.capture, [score]) for score in self.scores), ("all", self.scores)):
+            means = [
+                *(mean_with_interval(score.abs_rel[method] for score in scores) for method in methods),
+                *(mean_with_interval(score.within_25[method] for score in scores) for method in methods),
+                *(ratio_of_means(*zip(*pairs, strict=True)) if pairs else None for pairs in _light_pairs(scores)),
+            ]
+            table.add_row(name, *("-" if mean is None else _shown(mean) for mean in means))
         return table
 
     def write(self, path: Path) -> None:
@@ -105,9 +112,10 @@ def evaluate_depth(
             if progress is not None:
                 progress(path.name, done, capture.frame_count)
         means = {method: np.nanmean(values, axis=0) for method, values in errors.items()}
-        lit = None
+        lit = dict[str, tuple[float, float]]()
         if any(probe.panorama_path is not None for probe in capture.probes):
-            lit = _light(path, light, replace(reading, depth="network")) / _light(path, light, own)
+            both = [_light(path, light, options) for options in (replace(reading, depth="network"), own)]
+            lit = {metric: (both[0][metric], both[1][metric]) for metric in LIGHT}
         scores.append(
             DepthScore(
                 capture=path.name,
@@ -132,6 +140,15 @@ def depth_errors(depth_m: Float[np.ndarray, "h w"], true_m: Float[np.ndarray, "t
     return np.array([np.abs(ratio - 1).mean(), (np.maximum(ratio, 1 / ratio) < 1.25).mean()])
 
 
-def _light(path: Path, light: SessionOptions, reading: CaptureOptions) -> float:
+def _light(path: Path, light: SessionOptions, reading: CaptureOptions) -> dict[str, float]:
     scores = evaluate_engine([path], light, options=reading)
-    return scores.means(scores.methods[_ENGINE], "log_l2")[-1].mean
+    return {metric: scores.means(scores.methods[_ENGINE], metric)[-1].mean for metric in LIGHT}
+
+
+def _light_pairs(scores: Sequence[DepthScore]) -> list[list[tuple[float, float]]]:
+    return [[score.light[metric] for score in scores if score.light] for metric in LIGHT]
+
+
+def _shown(mean: MeanWithInterval) -> str:
+    interval = "" if np.isnan(mean.low) else f" ({mean.low:.2f}-{mean.high:.2f})"
+    return f"{mean.mean:.3f}{interval}"

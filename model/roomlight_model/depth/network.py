@@ -1,8 +1,9 @@
-"""The network that estimates depth from one picture and its lens: an EfficientNet-Lite0 encoder and a light decoder.
+"""The network that estimates depth from one picture and its camera: an EfficientNet-Lite0 encoder and a light decoder.
 
-The input is a square of `DEPTH_SIDE` pixels into which any picture is stretched: sRGB in [0, 1] (3), and the pixels'
-rays x / z and y / z (2), which hold field of view, aspect and principal point (`roomlight.monocular.network` makes
-it). The output, at half the resolution, is the logarithm of z-depth in metres, and the logarithm of the error's scale.
+The input is a square of `DEPTH_SIDE` pixels into which any picture is stretched: sRGB in [0, 1] (3), the pixels' rays
+x / z and y / z (2), which hold field of view, aspect and principal point, and how far the rays rise (2), zero where
+gravity is not known (`roomlight.monocular.network` makes it). The output, at half the resolution, is the logarithm of
+z-depth in metres, and the logarithm of the error's scale.
 
 Depth is learned as log(depth / focal length), which a change of zoom leaves as it is (the canonical camera of Yin et
 al. 2023, "Metric3D"). The encoder follows Tan and Le 2019, "EfficientNet", in its Lite form: without squeeze and
@@ -18,6 +19,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from roomlight.errors import ModelError
+from roomlight.monocular.network import DEPTH_CHANNELS
 
 LOG_ERROR: Final = (-4.0, 1.0)
 """Range of the logarithm of the error's scale: 2 % to a factor of 15."""
@@ -35,6 +37,9 @@ _STEM: Final = 32
 _SKIPS: Final = (0, 1, 2, 4, 6)
 """Stages whose output the decoder takes: at a half to a thirty-second of the resolution."""
 _SKIP_WIDTHS: Final = (16, 24, 40, 112, 320)
+_CAMERA: Final = DEPTH_CHANNELS - 3
+_COARSE: Final = (40, 112, 320)
+"""Widths of the features that the camera's planes are added to: at an eighth of the resolution and below."""
 _WIDTHS: Final = (24, 40, 64, 96, 128)
 _MEAN, _DEVIATION = 127 / 255, 128 / 255
 """Of the input, as the published encoder was trained."""
@@ -125,7 +130,7 @@ class _Merge(nn.Module):
 
 
 class DepthNetwork(nn.Module):
-    """Depth and its error from a picture and its rays."""
+    """Depth and its error from a picture and its camera."""
 
     form = "depth"
 
@@ -134,10 +139,10 @@ class DepthNetwork(nn.Module):
         super().__init__()
         self.encoder = _Encoder()
         bottom = _WIDTHS[-1]
-        self.bottom = nn.Conv2d(_SKIP_WIDTHS[-1] + 2, bottom, 1)
+        self.bottom = nn.Conv2d(_SKIP_WIDTHS[-1] + _CAMERA, bottom, 1)
         self.room = nn.Linear(bottom, bottom)
         self.merges = nn.ModuleList(
-            _Merge(coarse, skip + (2 if skip == 112 else 0), width)
+            _Merge(coarse, skip + (_CAMERA if skip in _COARSE else 0), width)
             for coarse, skip, width in zip(_WIDTHS[:0:-1], _SKIP_WIDTHS[-2::-1], _WIDTHS[-2::-1], strict=True)
         )
         self.head = nn.Conv2d(_WIDTHS[0], 2, 3, padding=1)
@@ -147,16 +152,16 @@ class DepthNetwork(nn.Module):
 
     def forward(self, planes: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 2 h2 w2"]:
         """Return log depth in metres, and the log of the error's scale, at half the resolution."""
-        rays = planes[:, 3:]
+        camera = planes[:, 3:]
         features = self.encoder(planes[:, :3])
-        coarse = functional.avg_pool2d(rays, 32)
-        x = functional.relu(self.bottom(torch.cat([features[-1], coarse], dim=1)))
+        for place, side in ((-1, 32), (-2, 16), (-3, 8)):
+            features[place] = torch.cat([features[place], functional.avg_pool2d(camera, side)], dim=1)
+        x = functional.relu(self.bottom(features[-1]))
         x = x + functional.relu(self.room(x.mean(dim=(2, 3))))[:, :, None, None]
-        features[-2] = torch.cat([features[-2], functional.avg_pool2d(rays, 16)], dim=1)
         for merge, skip in zip(self.merges, features[-2::-1], strict=True):
             x = merge(x, skip)
         out = self.head(x)
-        return torch.cat([out[:, :1] + log_focal(rays), out[:, 1:].clamp(*LOG_ERROR)], dim=1)
+        return torch.cat([out[:, :1] + log_focal(camera[:, :2]), out[:, 1:].clamp(*LOG_ERROR)], dim=1)
 
     def start_encoder(self, published: Mapping[str, Tensor]) -> None:
         """Take published weights of EfficientNet-Lite0 (ImageNet): the same layers in the same order.

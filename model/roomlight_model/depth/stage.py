@@ -1,7 +1,9 @@
 """The stage `depth`: depth of single pictures, from recordings with exact depth.
 
 Every draw cuts another field of view out of a frame, with another aspect, and gives it another exposure, colour, blur
-and noise, so that a few thousand frames last for many steps.
+and noise, so that a few thousand frames last for many steps. Scale comes from how high a phone is held: views from
+near the floor are thinned out, and rooms without furniture, whose size nothing tells, are enlarged or reduced until
+the camera is at that height.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,7 +23,7 @@ from roomlight.camera import Intrinsics
 from roomlight.conventions import linear_to_srgb, srgb8_to_linear
 from roomlight.dataset.loader import Dataset
 from roomlight.errors import DatasetError, ModelError
-from roomlight.monocular.network import DEPTH_SIDE, ray_planes
+from roomlight.monocular.network import DEPTH_CHANNELS, DEPTH_SIDE, ray_planes
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.depth.network import DepthNetwork
 from roomlight_model.training.batches import Tensors
@@ -36,6 +38,17 @@ _HALF: Final = DEPTH_SIDE // 2
 _CUT: Final = (0.45, 1.0)
 """Range of the cut's sides, of the frame's."""
 _GAIN: Final = (0.5, 2.2)
+_PHONE_M: Final = (1.45, 0.15)
+"""Mean and deviation of a phone's height over the floor."""
+_RESIZED: Final = (0.6, 1.8)
+"""Range of the factor by which a room without furniture is enlarged."""
+_LOW_M: Final = 0.9
+_LOW_EVERY: Final = 3
+"""Of the views from below `_LOW_M`, this many-th stays."""
+_TILT_UNKNOWN: Final = 0.2
+"""Share of the examples without gravity."""
+_TILT_ERROR: Final = 0.015
+"""Deviation of gravity's error: a degree."""
 
 ProgressCallback = Callable[[int, int], object]
 
@@ -69,11 +82,15 @@ class DepthFrames:
         colour: 8-bit sRGB.
         depth_mm: Millimetres, 0 = unknown.
         lenses: Their intrinsics.
+        ups: The world's up in the camera's axes.
+        heights_m: Of the camera over the floor; 0 in rooms with furniture, which tells their size.
     """
 
     colour: list[UInt8[np.ndarray, "h w 3"]]
     depth_mm: list[UInt16[np.ndarray, "h w"]]
     lenses: list[Intrinsics]
+    ups: list[Float[np.ndarray, "3"]]
+    heights_m: list[float]
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -81,23 +98,30 @@ class DepthFrames:
 
     def take(self, numbers: Sequence[int]) -> "DepthFrames":
         """Return the frames with these numbers."""
-        parts = (self.colour, self.depth_mm, self.lenses)
+        parts = (self.colour, self.depth_mm, self.lenses, self.ups, self.heights_m)
         return DepthFrames(*([part[number] for number in numbers] for part in parts))  # pyright: ignore[reportArgumentType]
 
     @classmethod
     def read(cls, datasets: Sequence[Dataset], *, progress: ProgressCallback | None = None) -> "DepthFrames":
-        """Read all frames of every sequence.
+        """Read the frames of every sequence, but few that are near the floor.
 
         Raises:
             DatasetError: There is no sequence.
         """
         sequences = [(dataset, index) for dataset in datasets for index in range(len(dataset))]
-        frames = cls([], [], [])
+        frames, low = cls([], [], [], [], []), 0
         for done, (dataset, index) in enumerate(sequences, 1):
             recording = dataset.read(index, probes=False)
-            frames.colour.extend(recording.colour)
-            frames.depth_mm.extend(recording.depth_mm)
-            frames.lenses.extend([recording.intrinsics] * len(recording.colour))
+            for k, pose in enumerate(recording.camera_to_world):
+                height_m = float(pose[1, 3])
+                low += height_m < _LOW_M
+                if height_m < _LOW_M and low % _LOW_EVERY:
+                    continue
+                frames.colour.append(recording.colour[k])
+                frames.depth_mm.append(recording.depth_mm[k])
+                frames.lenses.append(recording.intrinsics)
+                frames.ups.append(pose[1, :3].astype(np.float64))
+                frames.heights_m.append(0.0 if recording.facts.get("furniture") else height_m)
             if progress:
                 progress(done, len(sequences))
         if not len(frames):
@@ -115,7 +139,7 @@ class DepthBatch(Tensors):
         known: 1 where it is known.
     """
 
-    planes: Float32[Tensor, "b 5 s s"]
+    planes: Float32[Tensor, "b 7 s s"]
     log_depth: Float32[Tensor, "b 1 h h"]
     known: Float32[Tensor, "b 1 h h"]
 
@@ -210,11 +234,13 @@ class DepthStage:
 
 def depth_batch(frames: DepthFrames, rngs: Sequence[np.random.Generator] | None = None) -> DepthBatch:
     """Stack inputs and truth; with random streams each frame is cut and varied, without it is whole."""
-    planes = np.empty((len(frames), 5, DEPTH_SIDE, DEPTH_SIDE), np.float32)
+    planes = np.empty((len(frames), DEPTH_CHANNELS, DEPTH_SIDE, DEPTH_SIDE), np.float32)
     depth = np.empty((len(frames), 1, _HALF, _HALF), np.float32)
     for k in range(len(frames)):
         rng = None if rngs is None else rngs[k]
-        planes[k], depth[k, 0] = _example(frames.colour[k], frames.depth_mm[k], frames.lenses[k], rng)
+        planes[k], depth[k, 0] = _example(frames.colour[k], frames.depth_mm[k], frames.lenses[k], frames.ups[k], rng)
+        if frames.heights_m[k]:
+            depth[k] *= _resizing(frames.heights_m[k], rng)
     known = depth > 0.05
     log_depth = np.log(np.where(known, depth, 1)).astype(np.float32)
     return DepthBatch(torch.from_numpy(planes), torch.from_numpy(log_depth), torch.from_numpy(known.astype(np.float32)))
@@ -224,8 +250,9 @@ def _example(
     colour: UInt8[np.ndarray, "h w 3"],
     depth_mm: UInt16[np.ndarray, "h w"],
     lens: Intrinsics,
+    up: Float[np.ndarray, "3"],
     rng: np.random.Generator | None,
-) -> tuple[Float32[np.ndarray, "5 s s"], Float32[np.ndarray, "h2 h2"]]:
+) -> tuple[Float32[np.ndarray, "7 s s"], Float32[np.ndarray, "h2 h2"]]:
     """Cut, flip and vary one frame."""
     height, width = depth_mm.shape
     left, top, right, bottom = 0, 0, width, height
@@ -237,7 +264,7 @@ def _example(
         right, bottom = left + cut[0], top + cut[1]
     part = np.ascontiguousarray(colour[top:bottom, left:right])
     lens = Intrinsics(lens.fx, lens.fy, lens.cx - left, lens.cy - top, right - left, bottom - top)
-    rays = ray_planes(lens)
+    rays = ray_planes(lens, up if rng is None else _measured(up, rng))
     square = cv2.resize(part, (DEPTH_SIDE, DEPTH_SIDE), interpolation=cv2.INTER_AREA)
     image = square.astype(np.float32) / 255 if rng is None else _varied(square, rng)
     depth = cv2.resize(depth_mm[top:bottom, left:right], (_HALF, _HALF), interpolation=cv2.INTER_NEAREST_EXACT)
@@ -245,6 +272,18 @@ def _example(
         image, depth, rays = image[:, ::-1], depth[:, ::-1], rays[:, :, ::-1].copy()
         rays[0] *= -1
     return np.concatenate([np.moveaxis(image, -1, 0), rays]), depth.astype(np.float32) / 1000
+
+
+def _measured(up: Float[np.ndarray, "3"], rng: np.random.Generator) -> Float[np.ndarray, "3"] | None:
+    """Return gravity as a phone measures it, or None: some sources do not know it."""
+    turned = up + rng.normal(0, _TILT_ERROR, 3)
+    return None if rng.random() < _TILT_UNKNOWN else turned / np.linalg.norm(turned)
+
+
+def _resizing(height_m: float, rng: np.random.Generator | None) -> np.float32:
+    """Return the factor that brings a camera to the height of a phone."""
+    wanted = _PHONE_M[0] if rng is None else rng.normal(*_PHONE_M)
+    return np.float32(np.clip(wanted / height_m, *_RESIZED))
 
 
 def _varied(picture: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float32[np.ndarray, "h w 3"]:

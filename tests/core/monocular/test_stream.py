@@ -1,6 +1,7 @@
 """Depth made consistent over a stream: scale and shift by triangulated features, keyframes, and what stays without."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,9 @@ import pytest
 from box_room import LENS, exact_depth, frame, pose
 from roomlight.camera import Intrinsics
 from roomlight.monocular.estimate import DepthEstimate, DepthKind
-from roomlight.monocular.fitting import Fit, fit_inverse
+from roomlight.monocular.fitting import Fit, error_field, fit_inverse
 from roomlight.monocular.stream import DepthStream
-from roomlight.monocular.tracks import View, carried, grey_picture, grid_of, triangulated
+from roomlight.monocular.tracks import View, carried, grey_picture, grid_of, partners, triangulated
 
 
 class WrongDepth:
@@ -22,7 +23,12 @@ class WrongDepth:
         self.kind: DepthKind = kind
         self.calls, self._inverse_of = 0, inverse_of
 
-    def estimate(self, picture: np.ndarray, intrinsics: Intrinsics) -> DepthEstimate:
+    def estimate(
+        self,
+        picture: np.ndarray,
+        intrinsics: Intrinsics,
+        up: np.ndarray | None = None,  # noqa: ARG002
+    ) -> DepthEstimate:
         assert picture.shape[:2] == (intrinsics.height, intrinsics.width)
         inverse = self._inverse_of(self.calls).astype(np.float32)
         self.calls += 1
@@ -71,6 +77,52 @@ def test_inverse_depth_gets_scale_and_shift_from_the_motion() -> None:
     assert max(errors[3:]) < 0.06
 
 
+def test_a_wrong_start_is_forgotten_within_a_few_frames() -> None:
+    """The model's word is half the depth in every frame; keyframes follow the correction."""
+    errors = _errors(WrongDepth("metric", lambda k: 2 / exact_depth(POSES[k])))
+    assert errors[0] == pytest.approx(0.5, abs=0.01)
+    assert max(errors[2:]) < 0.05
+
+
+def test_errors_that_vary_over_the_picture_are_corrected() -> None:
+    """Depth that grows by half from left to right, and is right at no scale: a third of the error is left."""
+    tilt = np.linspace(0.8, 1.25, 320)[None]
+    wrong = [tilt * exact_depth(at) for at in POSES]
+    stream = DepthStream(WrongDepth("metric", lambda k: 1 / wrong[k]), reference=None)
+    for k, at in enumerate(POSES):
+        ratio = stream.complete(frame(k, at)).depth_m / exact_depth(at)
+    own = float(np.abs(wrong[-1] / exact_depth(POSES[-1]) - 1).mean())
+    assert float(np.abs(ratio - 1).mean()) < own / 3
+
+
+def test_poses_that_do_not_fit_the_pictures_change_nothing() -> None:
+    """The camera went sideways and the poses say up: features are off their epipolar lines."""
+    model = WrongDepth("metric", lambda k: 1 / exact_depth(POSES[k]))
+    stream = DepthStream(model)
+    for k, at in enumerate(POSES):
+        lifted = pose(0, turn=0.02 * k).astype(np.float64)
+        lifted[1, 3] += 0.12 * k
+        depth = stream.complete(replace(frame(k, at), camera_to_world=lifted)).depth_m
+        assert np.median(depth / exact_depth(at)) == pytest.approx(1, abs=0.1)
+
+
+def test_the_model_is_told_where_up_is_unless_nobody_knows() -> None:
+    told: list[np.ndarray | None] = []
+
+    class Listening(WrongDepth):
+        def estimate(self, picture: np.ndarray, intrinsics: Intrinsics, up: np.ndarray | None = None) -> DepthEstimate:
+            told.append(up)
+            return super().estimate(picture, intrinsics, up)
+
+    rolled = pose(0).astype(np.float64)
+    rolled[:3, :3] = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
+    for gravity in (True, False):
+        model = Listening("metric", lambda _: 1 / exact_depth(POSES[0]))
+        DepthStream(model, gravity=gravity).complete(frame(0, rolled))
+    assert told[0] == pytest.approx([0.6, 0.8, 0])
+    assert told[1] is None
+
+
 def test_a_frame_with_depth_is_returned_as_it_is() -> None:
     given = frame(0, POSES[0], depth=True)
     assert DepthStream(WrongDepth("metric", lambda _: np.ones((4, 4)))).complete(given) is given
@@ -85,6 +137,7 @@ def test_features_are_triangulated_where_there_is_parallax() -> None:
     truth = exact_depth(POSES[3])[samples.pixels[:, 1].astype(int), samples.pixels[:, 0].astype(int)]
     assert len(truth) > 50
     assert np.median(np.abs(samples.inverse * truth - 1)) < 0.02
+    assert [views.index(near) for near in partners(views[4], views[:4], 2.5, 2)] == [2, 1]
     still = triangulated(views[0], views[0], 1 / exact_depth(POSES[0]))
     assert len(still.pixels) == 0
     taken = carried(views[3], views[0])
@@ -109,3 +162,18 @@ def test_too_few_samples_leave_the_earlier_fit() -> None:
     few = np.full(5, 0.5)
     assert fit_inverse(few, few, few, kind="metric", prior=None) is None
     assert fit_inverse(few, few, few, kind="metric", prior=Fit(1.3)) == Fit(1.3)
+
+
+def test_a_field_of_errors_follows_the_picture_and_depth() -> None:
+    """Near things are 20 % too far, the left 10 % too near: both are told by a hundred noisy samples."""
+    rng = np.random.default_rng(4)
+    inverse = np.where(np.arange(320)[None] % 80 < 40, 0.9, 0.3).repeat(240, axis=0).astype(np.float32)
+    error = np.where(inverse > 0.5, 0.2, 0.0) - np.linspace(0.1, -0.1, 320)[None]
+    pixels = rng.uniform((0, 0), (320, 240), (400, 2))
+    columns, rows = pixels.astype(int).T
+    samples = error[rows, columns] + rng.normal(0, 0.03, 400)
+    samples[::9] = 3.0
+    field = error_field(inverse, pixels, samples, np.ones(400))
+    assert np.abs(field - error).mean() < 0.04
+    assert np.abs(field - error).mean() < 0.4 * np.abs(error).mean()
+    assert not error_field(inverse, pixels[:0], samples[:0], np.ones(0)).any()
