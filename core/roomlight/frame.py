@@ -119,6 +119,12 @@ class Frame:
 
         return encode_png(linear_to_srgb8(self.image))
 
+    def scaled(self, factor: float) -> "Frame":
+        """Return the frame with depth and the camera's place in another unit: `factor` of it are the present one."""
+        pose = self.camera_to_world.copy()
+        pose[:3, 3] *= factor
+        return replace(self, depth_m=self.depth_m * np.float32(factor), camera_to_world=pose)
+
     def resized(self, max_width: int, max_height: int) -> "Frame":
         """Reduce image and depth to fit into a box, with the same aspect; nothing is enlarged.
 

@@ -6,7 +6,7 @@ and sizes.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.captures.consistency import DepthCheck
+from roomlight.captures.notes import lying_camera, scaled_poses, wrong_scale
 from roomlight.captures.options import UP_AXES, CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
@@ -132,7 +133,6 @@ class Capture:
         format: The name of its format, one of `FORMATS`.
         frame_count: The number of records selected by `every` and `max_frames`, good or bad.
         frames_per_second: The rate of the selected records by their timestamps; None without timestamps.
-        probes: Ground-truth panoramas that come with the capture.
         skipped: Records that the latest iteration has skipped so far, each with its file and reason.
 
     Examples:
@@ -167,10 +167,13 @@ class Capture:
         self._timeline = timeline(stored or [None] * reader.count, str(path))
         self._depth_stream: DepthStream | None = None
         self._notes = dict.fromkeys(self._timeline.notes)
-        self.probes = tuple(
-            ProbeTruth(position=_tuple3(self._to_y_up[:3, :3] @ position), panorama_path=panorama)
-            for position, panorama in reader.probes
-        )
+        self._metres = 1.0 if options.camera_height_m is None else None
+
+    @property
+    def probes(self) -> tuple[ProbeTruth, ...]:
+        """Ground-truth panoramas that come with the capture. Raises CaptureError as iterating does."""
+        turn = self._to_y_up[:3, :3] * (self._metres_per_unit() if self._reader.probes else 1.0)
+        return tuple(ProbeTruth(_tuple3(turn @ position), panorama) for position, panorama in self._reader.probes)
 
     @property
     def frame_count(self) -> int:
@@ -194,10 +197,12 @@ class Capture:
         A bad record is added to `skipped`.
 
         Raises:
-            CaptureError: After the last record, if no frame was usable.
+            CaptureError: After the last record, if no frame was usable; before the first, if poses are to be scaled and
+                no floor is seen.
             ModelError: The capture has no depth, and the model that is to estimate it cannot be used.
         """
         self.skipped = skipped = list[SkippedFrame]()
+        self._metres_per_unit()
         good, self._depth_stream = 0, None
         turns: list[Float[np.ndarray, "3 3"]] = []
         depths = DepthCheck()
@@ -218,7 +223,7 @@ class Capture:
                     and depths.add(frame)
                     and (factor := depths.factor())
                 ):
-                    self._notes[_wrong_scale(str(self.path), factor)] = None
+                    self._notes[wrong_scale(str(self.path), factor)] = None
                 yield frame
         if good == 0:
             first = skipped[0]
@@ -232,14 +237,40 @@ class Capture:
 
         Raises:
             FrameError: The record is bad, or there is no record of this index.
+            CaptureError: Poses are to be scaled, and no floor is seen.
         """
         if not 0 <= index < self._reader.count:
             raise FrameError(f"{self.path}: there is no frame {index}; frames are 0 to {self._reader.count - 1}")
+        self._metres_per_unit()
         self._depth_stream = None
         with self._reader.records() as read:
             return self._frame(index, read)
 
-    def _frame(self, index: int, read: ReadRecord) -> Frame:
+    def _metres_per_unit(self) -> float:
+        """Return the metres of the stored unit, by the floor if its scale is to be found; reads frames once."""
+        if self._metres is not None:
+            return self._metres
+        from roomlight.monocular.floor import metres_per_unit  # onnxruntime takes a while to import
+
+        last, height_m = len(self._indices) - 1, self._options.camera_height_m
+        assert height_m is not None
+        chosen = sorted({min(last, run * last // 4 + step) for run in range(5) for step in (0, 1, 2, 4, 8)})
+        frames: list[Frame] = []
+        with self._reader.records() as read:
+            for number in chosen:
+                with suppress(FrameError):  # a bad record is told when its turn comes
+                    frames.append(self._frame(self._indices[number], read, stored=True))
+        if not frames:
+            raise CaptureError(f"{self.path}: none of {len(chosen)} frames can be used to find the scale of its poses")
+        self._metres = metres_per_unit(frames, height_m)
+        self._notes[scaled_poses(str(self.path), self._metres, height_m)] = None
+        return self._metres
+
+    def _frame(self, index: int, read: ReadRecord, *, stored: bool = False) -> Frame:
+        """Read a frame in metres, with depth; `stored`: in the stored unit, and without depth where the file has none.
+
+        Raises FrameError and ModelError.
+        """
         name = self._reader.name_of(index)
         try:
             raw = read(index)
@@ -266,6 +297,9 @@ class Capture:
                 seen=picture.seen,
             )
             self._take_notes(raw, pose, frame)
+            if stored:
+                return frame
+            frame = frame if self._metres in (None, 1.0) else frame.scaled(self._metres)
             return frame if measured else self._with_depth(frame)
         except (FrameError, ModelError):
             raise
@@ -295,7 +329,7 @@ class Capture:
             self._first_pose = False
             upward = float(-frame.camera_to_world[1, 2])
             if np.abs(pose[:3, :3] - np.eye(3)).max() < 0.02 and abs(upward) > 0.99 and self._up_is_assumed:
-                self._notes[_lying_camera(frame.source, self._camera_convention, upward)] = None
+                self._notes[lying_camera(frame.source, self._camera_convention, upward)] = None
 
     def _check_up(self, turns: list[Float[np.ndarray, "3 3"]]) -> None:
         """Note another axis of the stored world about which the cameras were held level, if the assumed one is none."""
@@ -352,26 +386,6 @@ class Capture:
                 "min_confidence sets the threshold"
             )
         return trusted
-
-
-def _lying_camera(name: str, convention: str, upward: float) -> Note:
-    """Make the note for a world that is the first camera's: of a tracker that knows no gravity."""
-    up = "y" if convention == "opengl" else "-y"
-    return Note(
-        f"{name}: the first pose is the identity, so that the camera looks straight {'up' if upward > 0 else 'down'} "
-        "in the world that the format assumes",
-        "the panorama may be turned by 90 degrees",
-        f"state world_up (--world-up {up} if the first camera was held level)",
-    )
-
-
-def _wrong_scale(name: str, factor: float) -> Note:
-    """Make the note for depth whose unit is not that of the poses."""
-    return Note(
-        f"{name}: depth contradicts the poses; they agree with depth about {factor:.2g} times as large",
-        "the unit of depth, or of the poses, seems wrong",
-        "state depth_unit_m, the metres for one stored unit of depth, or scale the poses to metres",
-    )
 
 
 def _tuple3(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:

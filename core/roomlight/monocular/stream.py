@@ -116,7 +116,7 @@ class DepthStream:
         if len(moved.inverse):
             inverse = _applied(self._fitted(estimated, samples, small, picture), estimated)
         if len(samples.inverse):
-            inverse = _corrected(inverse, samples)
+            inverse = corrected(inverse, samples)
         sure = estimated.confidence >= min(LEAST_CONFIDENCE, float(np.median(estimated.confidence)))
         self._last = replace(view, inverse=grid_of(np.where(sure, inverse, 0)).copy())
         if not self._views or far_apart(self._last, self._views[-1]):
@@ -160,7 +160,7 @@ class DepthStream:
             samples = triangulated(view, other, guess)
             all_samples.append(samples)
             if len(samples.inverse) >= LEAST_SAMPLES:  # views farther away need a better guess
-                guess = np.clip(_corrected(guess, samples), 1 / FARTHEST_M, 1 / NEAREST_M)
+                guess = np.clip(corrected(guess, samples), 1 / FARTHEST_M, 1 / NEAREST_M)
         return Samples.joined(all_samples)
 
     def _weigh(self, inverse: Float32[np.ndarray, "h w"], moved: Samples) -> None:
@@ -182,8 +182,13 @@ def _applied(fit: Fit, estimated: DepthEstimate) -> Float32[np.ndarray, "h w"]:
     return np.clip(fit.scale * estimated.inverse + fit.shift, 0.2 / FARTHEST_M, 5 / NEAREST_M).astype(np.float32)
 
 
-def _corrected(inverse: Float32[np.ndarray, "h w"], samples: Samples) -> Float32[np.ndarray, "h w"]:
-    """Return 1 / depth with the samples' mean factor and the field of its errors."""
+def corrected(inverse: Float32[np.ndarray, "h w"], samples: Samples) -> Float32[np.ndarray, "h w"]:
+    """Return 1 / depth with the samples' mean factor and the field of its errors.
+
+    Args:
+        inverse: Estimated 1 / depth, above 0.
+        samples: Known 1 / depth, in any unit: the answer's.
+    """
     rows, columns = places_of(samples, inverse)
     ratio = np.log(np.maximum(samples.inverse, 1e-6) / inverse[rows, columns])
     middle = median_of(ratio, samples.weight)

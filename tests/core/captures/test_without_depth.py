@@ -135,3 +135,31 @@ def test_a_photo_without_depth(tmp_path: Path, model: Path) -> None:
     assert any("estimated" in note.left_out for note in photo.notes)
     with pytest.raises(OptionError, match="one of them is used"):
         read_photo(tmp_path / "photo.png", tmp_path / "photo.png", PhotoOptions(depth_model=model))
+
+
+def test_poses_without_metres_are_scaled_by_the_floor(tmp_path: Path) -> None:
+    """A capture in feet that looks down: frames, measured depth and true panoramas come in metres."""
+    turn = np.eye(4)
+    turn[1:3, 1:3] = [[0.88, 0.48], [-0.48, 0.88]]
+    turn[:3, :3] /= np.linalg.norm(turn[:3, :3], axis=0)
+    shots = [frame(k, pose(0.1 * k) @ turn, depth=True).scaled(1 / 0.3048) for k in range(3)]
+    probe = ((1.0, 2.0, 3.0), np.ones((8, 16, 3), np.float32))
+    folder = write_capture(tmp_path / "feet", shots, probes=[probe])
+    capture = open_capture(folder, CaptureOptions(camera_height_m=1.4))
+    assert capture.probes[0].position == pytest.approx((0.3048, 0.6096, 0.9144), rel=0.02)
+    frames = list(capture)
+    assert frames[2].camera_to_world[:3, 3] == pytest.approx(pose(0.2)[:3, 3], rel=0.02)
+    assert np.median(frames[0].depth_m / exact_depth(shots[0].scaled(0.3048).camera_to_world)) == pytest.approx(
+        1, rel=0.02
+    )
+    assert np.array_equal(capture.frame_at(1).depth_m, frames[1].depth_m)
+    assert any("camera for 1.4 m above the floor" in note.effect for note in capture.notes)
+    assert np.allclose(next(iter(open_capture(folder))).depth_m, frames[0].depth_m / 0.3048, rtol=0.02)
+
+
+def test_a_capture_whose_frames_are_all_bad_has_no_scale(tmp_path: Path) -> None:
+    folder = _native(tmp_path / "bad")
+    for picture in (folder / "colour").iterdir():
+        picture.write_bytes(b"no picture")
+    with pytest.raises(CaptureError, match="none of 3 frames can be used to find the scale"):
+        list(open_capture(folder, CaptureOptions(camera_height_m=1.4)))

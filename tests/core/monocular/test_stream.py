@@ -89,8 +89,7 @@ def test_errors_that_vary_over_the_picture_are_corrected() -> None:
     tilt = np.linspace(0.8, 1.25, 320)[None]
     wrong = [tilt * exact_depth(at) for at in POSES]
     stream = DepthStream(WrongDepth("metric", lambda k: 1 / wrong[k]), reference=None)
-    for k, at in enumerate(POSES):
-        ratio = stream.complete(frame(k, at)).depth_m / exact_depth(at)
+    ratio = [stream.complete(frame(k, at)).depth_m / exact_depth(at) for k, at in enumerate(POSES)][-1]
     own = float(np.abs(wrong[-1] / exact_depth(POSES[-1]) - 1).mean())
     assert float(np.abs(ratio - 1).mean()) < own / 3
 

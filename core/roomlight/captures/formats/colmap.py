@@ -1,8 +1,9 @@
 """A COLMAP model with images and depth: `sparse/0/{cameras,images}.{bin,txt}`, `images/NAME` and `depth/STEM.png`.
 
-COLMAP knows neither metres nor gravity: a capture must have been scaled to metres, and its up direction is assumed to
-be -y, that of a camera held level; both are noted. Depth maps lie in `depth`, `depths` or `depth_maps`, named like
-the image, in the model's unit (integers: a thousandth of it); or COLMAP's own, `stereo/depth_maps/NAME.geometric.bin`.
+COLMAP knows neither metres nor gravity: a capture must have been scaled to metres, unless camera_height_m is given, and
+its up direction is assumed to be -y, that of a camera held level; both are noted. Depth maps lie in `depth`, `depths`
+or `depth_maps`, named like the image, in the model's unit (integers: a thousandth of it); or COLMAP's own,
+`stereo/depth_maps/NAME.geometric.bin`.
 
 Conventions: world-to-camera quaternions (w, x, y, z), OpenCV camera. Principal points have pixel centres at half
 integers and are used unchanged. Lens models are those of `roomlight.captures.lenses`.
@@ -111,7 +112,7 @@ class ColmapReader(ListedReader):
         note = Note(
             f"{folder}: COLMAP's scale and up direction",
             "the model is taken for metres, and up for the opposite of its y axis",
-            "scale the model to metres and state world_up",
+            "state world_up, and camera_height_m (--camera-height) or scale the model to metres",
         )
         self.notes = [note]
         others = [name for name in source.names("sparse") if name != model and model_folder(source, name) is not None]
