@@ -1,7 +1,8 @@
 """Read virtual objects from GLB, glTF, OBJ and PLY files.
 
 Files may come from strangers: what they declare is checked against `ObjectLimits` before memory is spent, and every
-failure is an `ObjectError`. Nothing outside the file is read: glTF's buffers and images must be inside it.
+failure is an `ObjectError`. Of the files that one names (glTF's buffers and images, OBJ's materials) those in its own
+folder and inside that are read; an object that comes as bytes has none.
 
 | kind | read | noted and not read |
 | --- | --- | --- |
@@ -10,7 +11,8 @@ rest; normals, else flat; vertex colours; metallic-roughness and specular-glossi
 transforms and normal maps; KHR_materials_emissive_strength, _ior, _specular, _transmission and _unlit; quantised, \
 sparse and (extra `draco`) Draco-compressed meshes; PNG, JPEG, WebP, AVIF | animations, lamps, occlusion textures, \
 KTX2, clearcoat, sheen, volume and other layers |
-| OBJ | polygons, normals or smoothing groups, texture coordinates, vertex colours | materials, curves |
+| OBJ | polygons, normals or smoothing groups, texture coordinates, vertex colours, materials with textures | relief, \
+textures of gloss, curves |
 | PLY | polygons, normals, texture coordinates, colours; text and binary | texture files |
 
 Faces of OBJ and PLY files without normals shade smoothly where they meet at less than 40 degrees. Objects without
@@ -20,6 +22,7 @@ colours are grey and diffuse until `VirtualObject.with_material` gives them a ma
 from pathlib import Path
 from typing import Literal, get_args
 
+from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.gltf.reader import read_gltf
 from roomlight.compositing.objects.limits import ObjectLimits, plain_text
 from roomlight.compositing.objects.obj import read_obj
@@ -50,17 +53,20 @@ def load_object(
         ObjectError: The file cannot be read, is damaged, passes a limit or has no surface; names file and rule.
     """
     if isinstance(source, bytes):
-        data, label, ending = source, name or "object", ""
+        data, label, ending, folder = source, name or "object", "", None
     else:
         path = Path(source)
-        data, label, ending = _read(path, limits), str(path), path.suffix.lower().lstrip(".")
+        data, label, ending, folder = _read(path, limits), str(path), path.suffix.lower().lstrip("."), path.parent
         name = name or path.stem
     limits.check("file_bytes", len(data), label)
     file_kind = kind or _kind(data, ending, label)
     if file_kind not in get_args(ObjectKind):
         raise ObjectError(f"{label}: kind must be {', '.join(get_args(ObjectKind))}, got {file_kind!r}")
-    readers = {"glb": read_gltf, "gltf": read_gltf, "obj": read_obj, "ply": read_ply}
-    parts, notes = readers[file_kind](data, label, limits)
+    if file_kind == "ply":
+        parts, notes = read_ply(data, label, limits)
+    else:
+        read = read_obj if file_kind == "obj" else read_gltf
+        parts, notes = read(data, label, limits, FilesBeside(folder, limits, len(data)))
     return VirtualObject(name or "object", parts, notes)
 
 

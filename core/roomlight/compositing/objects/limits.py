@@ -10,7 +10,7 @@ class ObjectLimits:
     """The most that a file may hold.
 
     Attributes:
-        file_bytes: The file itself.
+        file_bytes: The file itself, with the files beside it that it names.
         json_bytes: JSON of a glTF file, without its binary part.
         triangles: Triangles, each instance of a mesh counted.
         vertices: Vertices, each instance of a mesh counted.

@@ -1,22 +1,25 @@
-"""Read OBJ files: polygons, smoothing groups, negative indices and vertex colours.
+"""Read OBJ files: polygons, smoothing groups, negative indices, vertex colours, and materials that lie beside them.
 
-Nothing outside the file is read, so that materials (`mtllib`) are noted. Colours at vertices are sRGB.
+Colours at vertices are sRGB.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 
+from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.limits import ObjectLimits, plain_text
 from roomlight.compositing.objects.materials import Material, diffuse
+from roomlight.compositing.objects.mtl import MtlReader
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
 from roomlight.compositing.objects.shading import joined_corners, with_vertex_colours
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.conventions import srgb_to_linear
 from roomlight.errors import ObjectError
-from roomlight.notes import Note
+from roomlight.notes import Note, distinct
 
 _MAX_CORNERS: Final = 4096
 """Corners of one polygon: clipping ears takes their square."""
@@ -24,7 +27,6 @@ _VALUES: Final = {b"v": 3, b"vt": 1, b"vn": 3}
 _LEFT_OUT: Final = {
     **dict.fromkeys((b"curv", b"curv2", b"surf", b"parm", b"cstype"), b"free-form curves and surfaces"),
     **dict.fromkeys((b"l", b"p"), b"lines and points"),
-    b"usemtl": b"materials",
 }
 
 
@@ -37,12 +39,14 @@ class _Content:
     sizes: list[int] = field(default_factory=list)
     groups: list[int] = field(default_factory=list)
     states_groups: bool = False
-    library: str = ""
+    libraries: list[str] = field(default_factory=list)
+    materials: dict[str, int] = field(default_factory=dict)
+    used: list[int] = field(default_factory=list)
     left_out: set[bytes] = field(default_factory=set)
 
 
 def read_obj(
-    data: bytes, name: str, limits: ObjectLimits
+    data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside
 ) -> tuple[tuple[tuple[TriangleMesh, Material], ...], tuple[Note, ...]]:
     """Read an OBJ file; see `roomlight.compositing.loading`. Raises ObjectError."""
     content = _content(plain_text(data), name, limits)
@@ -67,37 +71,58 @@ def read_obj(
         texture = np.array([[*row, 0.0][:2] for row in content.values[b"vt"]], np.float64)
         uvs[stated] = texture[corners[at, 1][stated]] * [1, -1] + [0, 1]  # v grows downward here
     colours = _colours(content, name)
-    with np.errstate(over="ignore"):
-        try:
-            mesh, kept = joined_corners(
-                points[corners[at, 0]], uvs, normals, None if colours is None else colours[corners[at, 0]]
-            )
-        except ObjectError as error:
-            raise ObjectError(f"{name}: {error}") from error
-    material = diffuse()
-    if kept is not None:
-        mesh, material, _ = with_vertex_colours(mesh, kept, diffuse((1.0, 1.0, 1.0)))
-    return ((mesh, material),), _notes(content, name)
+    materials, notes = _materials(content, beside, limits, name)
+    parts: list[tuple[TriangleMesh, Material]] = []
+    for number, chosen in _by_material(np.array(content.used, np.int64)[owner], bool(materials)):
+        part = np.repeat(chosen, 3)
+        tints = None if colours is None else colours[corners[at[part], 0]]
+        with np.errstate(over="ignore"):
+            try:
+                mesh, kept = joined_corners(points[corners[at[part], 0]], uvs[part], normals[part], tints)
+            except ObjectError as error:
+                raise ObjectError(f"{name}: {error}") from error
+        material = materials.get(number, diffuse() if kept is None else diffuse((1.0, 1.0, 1.0)))
+        if kept is not None:
+            mesh, material, _ = with_vertex_colours(mesh, kept, material)
+        parts.append((mesh, material))
+    limits.check("parts", len(parts), name)
+    return tuple(parts), notes
 
 
-def _notes(content: _Content, name: str) -> tuple[Note, ...]:
-    notes: list[Note] = []
-    if content.library:
-        notes.append(
-            Note(
-                f"{name}: its materials in {content.library}",
-                "the object is grey",
-                "export as GLB, or state a material",
-            )
-        )
-    for kind in sorted(content.left_out - ({b"materials"} if content.library else set())):
-        effect = "the object is grey" if kind == b"materials" else "they are missing"
-        notes.append(Note(f"{name}: {kind.decode()}", effect, "export polygons, with materials as GLB"))
-    return tuple(notes)
+def _by_material(used: Int64[np.ndarray, " f"], apart: bool) -> Iterator[tuple[int, Bool[np.ndarray, " f"]]]:
+    """Yield each material's number and its triangles; all together if no material was read."""
+    if not apart:
+        yield -1, np.ones(len(used), bool)
+        return
+    for number in np.unique(used).tolist():
+        yield number, used == number
+
+
+def _materials(
+    content: _Content, beside: FilesBeside, limits: ObjectLimits, name: str
+) -> tuple[dict[int, Material], tuple[Note, ...]]:
+    """Return the materials that faces use, by number, and what was left out."""
+    reader, read, notes = MtlReader(beside, limits, name), dict[str, Material](), list[Note]()
+    if beside.exists:
+        for library in content.libraries:
+            read |= reader.materials(library)
+        notes.extend(reader.notes)
+    elif content.libraries:
+        place = f"{name}: its materials in {content.libraries[0][:60]}"
+        notes.append(Note(place, "the object is grey", "export as GLB, or state a material"))
+    used = set(content.used)
+    missing = sorted(key for key, number in content.materials.items() if key not in read and number in used)
+    if missing and not notes:
+        notes.append(Note(f"{name}: materials {', '.join(missing)[:60]}", "these parts are grey", "export as GLB"))
+    notes.extend(
+        Note(f"{name}: {kind.decode()}", "they are missing", "export polygons, with materials as GLB")
+        for kind in sorted(content.left_out)
+    )
+    return {number: read[key] for key, number in content.materials.items() if key in read}, distinct(notes)
 
 
 def _content(data: bytes, name: str, limits: ObjectLimits) -> _Content:
-    content, group = _Content(), 0
+    content, group, material = _Content(), 0, -1
     for number, raw in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
         words = raw.split(b"#", 1)[0].split()
         if not words:
@@ -108,15 +133,23 @@ def _content(data: bytes, name: str, limits: ObjectLimits) -> _Content:
             if len(content.values[keyword]) > limits.vertices:
                 limits.check("vertices", len(content.values[keyword]), name)
         elif keyword == b"f":
-            _add_face(content, words[1:], group, name, number)
+            _add_face(content, words[1:], group, material, name, number)
         elif keyword == b"s":
             group = int(words[1]) if len(words) > 1 and words[1].isdigit() and len(words[1]) < 9 else 0
             content.states_groups = True
         elif keyword == b"mtllib" and len(words) > 1:
-            content.library = words[1].decode("utf-8", "replace")[:60]
+            content.libraries.append(_rest(raw))
+            limits.check("materials", len(content.libraries), name)
+        elif keyword == b"usemtl":
+            material = content.materials.setdefault(_rest(raw), len(content.materials))
         elif keyword in _LEFT_OUT:
             content.left_out.add(_LEFT_OUT[keyword])
     return content
+
+
+def _rest(raw: bytes) -> str:
+    """Return what follows the keyword: names may hold spaces."""
+    return raw.split(b"#", 1)[0].strip().partition(b" ")[2].strip().decode("utf-8", "replace")
 
 
 def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list[float]:
@@ -134,7 +167,7 @@ def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list
     return values
 
 
-def _add_face(content: _Content, words: list[bytes], group: int, name: str, number: int) -> None:
+def _add_face(content: _Content, words: list[bytes], group: int, material: int, name: str, number: int) -> None:
     counts = [len(content.values[key]) for key in (b"v", b"vt", b"vn")]
     face: list[tuple[int, int, int]] = []
     for word in words:
@@ -159,6 +192,7 @@ def _add_face(content: _Content, words: list[bytes], group: int, name: str, numb
     content.corners.extend(face)
     content.sizes.append(len(face))
     content.groups.append(group)
+    content.used.append(material)
 
 
 def _normals(

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.gltf.schema import Gltf
 from roomlight.compositing.objects.limits import plain_text
 from roomlight.errors import ObjectError
@@ -86,11 +87,13 @@ def explained(error: ValidationError, what: str) -> str:
     return f"{what} {where or 'JSON'} is {text}; it must be {' and '.join(expected)}"
 
 
-def data_uri(uri: str, label: str) -> bytes:
-    """Decode a data URI. Raises ObjectError for any other address: nothing outside the file is read."""
+def resource(uri: str, beside: FilesBeside, label: str) -> bytes:
+    """Decode a data URI, or read a file beside the glTF. Raises ObjectError."""
     head, comma, body = uri.partition(",")
-    if not head.startswith("data:") or not comma:
-        raise ObjectError(f"{label} is at {uri[:60]!r}, outside the file; export as one GLB file")
+    if not head.startswith("data:"):
+        return beside.read(uri, label)
+    if not comma:
+        raise ObjectError(f"{label}: its data URI {uri[:60]!r} has no comma before the data")
     if not head.endswith(";base64"):
         return urllib.parse.unquote_to_bytes(body)
     try:
@@ -99,12 +102,12 @@ def data_uri(uri: str, label: str) -> bytes:
         raise ObjectError(f"{label}: its base64 is damaged") from error
 
 
-def buffer_views(gltf: Gltf, binary: bytes | None, name: str) -> list[memoryview]:
+def buffer_views(gltf: Gltf, binary: bytes | None, beside: FilesBeside, name: str) -> list[memoryview]:
     """Return the bytes of each buffer view. Raises ObjectError."""
     buffers: list[memoryview] = []
     for index, buffer in enumerate(gltf.buffers):
         if buffer.uri is not None:
-            content = data_uri(buffer.uri, f"{name}: buffer {index}")
+            content = resource(buffer.uri, beside, f"{name}: buffer {index}")
         elif index == 0 and binary is not None:
             content = binary
         elif "EXT_meshopt_compression" in buffer.extensions:

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float32, Int64
 
+from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.gltf.accessors import Accessors
 from roomlight.compositing.objects.gltf.container import buffer_views, json_size, parsed, split
 from roomlight.compositing.objects.gltf.draco import DRACO, decode_draco, draco_available
@@ -69,20 +70,20 @@ class _Arrays:
     colours: Float32[np.ndarray, "n 4"] | None
 
 
-def read_gltf(data: bytes, name: str, limits: ObjectLimits) -> tuple[Parts, tuple[Note, ...]]:
+def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside) -> tuple[Parts, tuple[Note, ...]]:
     """Read a GLB or glTF file; see `roomlight.compositing.loading`. Raises ObjectError."""
     text, binary = split(data, name)
     limits.check("json_bytes", json_size(text), name)
     clamped: list[str] = []
     gltf = parsed(text, name, clamped)
     notes = _extension_notes(gltf, name)
-    views = buffer_views(gltf, binary, name)
+    views = buffer_views(gltf, binary, beside, name)
     accessors = Accessors(gltf, views)
     placed = placed_meshes(gltf, accessors, name, limits)
     reader = _PrimitiveReader(gltf, accessors, views, name)
     reader.check_amounts(placed, limits)
     limits.check("materials", len(gltf.materials), name)
-    materials = MaterialReader(Images(gltf, views, name, limits), clamped)
+    materials = MaterialReader(Images(gltf, views, beside, name, limits), clamped)
     surfaces: dict[int, Surface] = {}
     parts: list[tuple[TriangleMesh, Material]] = []
     for node in placed:

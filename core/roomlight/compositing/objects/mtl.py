@@ -1,0 +1,148 @@
+"""Read the materials of an OBJ (MTL) and their textures, which lie beside it.
+
+Colours are sRGB, as viewers take them. Shininess becomes roughness as Blender writes it, Ns = 1000 (1 - roughness)^2;
+`Pr` and `Pm` (Wavefront's extension for physically based materials) count instead where they are stated.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from jaxtyping import UInt8
+
+from roomlight.compositing.objects.beside import FilesBeside
+from roomlight.compositing.objects.limits import ObjectLimits, plain_text
+from roomlight.compositing.objects.materials import Colour, Material
+from roomlight.compositing.objects.pictures import PictureReader
+from roomlight.compositing.objects.textures import Texture
+from roomlight.conventions import srgb_to_linear
+from roomlight.errors import ObjectError
+from roomlight.notes import Note
+
+_VALUES: Final = {"kd": 3, "ks": 3, "ke": 3, "ns": 1, "ni": 1, "d": 1, "tr": 1, "pr": 1, "pm": 1}
+_PICTURES: Final = ("map_kd", "map_ke", "map_d")
+_LEFT_OUT: Final = {
+    **dict.fromkeys(("map_bump", "bump", "norm", "disp", "map_disp"), "relief"),
+    **dict.fromkeys(("map_ks", "map_ns", "map_pr", "map_pm", "refl"), "textures of gloss, metal and reflection"),
+    "tf": "coloured glass",
+}
+
+
+@dataclass
+class _Stated:
+    """The lines of a material."""
+
+    values: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
+    pictures: dict[str, str] = field(default_factory=dict[str, str])
+
+
+class MtlReader:
+    """Reads one object's materials; textures are decoded once."""
+
+    def __init__(self, beside: FilesBeside, limits: ObjectLimits, name: str) -> None:
+        self._beside, self._limits, self._name = beside, limits, name
+        self._reader = PictureReader(limits)
+        self._pictures: dict[str, UInt8[np.ndarray, "h w c"] | None] = {}
+        self._left_out: set[str] = set()
+        self.notes: list[Note] = []
+
+    def materials(self, library: str) -> dict[str, Material]:
+        """Return a library's materials by name. One that is missing is noted; damage raises ObjectError."""
+        label = f"{self._name}: its materials in {library[:60]}"
+        try:
+            data = self._beside.read(library, label)
+        except ObjectError as error:
+            self.notes.append(Note(str(error), "the object is grey", "put it beside the object"))
+            return {}
+        stated = self._stated(plain_text(data))
+        self._limits.check("materials", len(stated), label)
+        materials = {name: self._material(lines, f"{label}: {name[:60]}") for name, lines in stated.items()}
+        self.notes.extend(
+            Note(f"{label}: {kind}", "it is missing", "export as GLB if it matters") for kind in sorted(self._left_out)
+        )
+        return materials
+
+    def _stated(self, text: bytes) -> dict[str, _Stated]:
+        materials: dict[str, _Stated] = {}
+        current = _Stated()
+        for raw in text.decode("utf-8", "replace").splitlines():
+            key, _, rest = raw.split("#", 1)[0].strip().partition(" ")
+            key, rest = key.strip().lower(), rest.strip()
+            if key == "newmtl":
+                current = materials.setdefault(rest, _Stated())
+            elif key in _VALUES:
+                numbers = _finite(rest.split()[: _VALUES[key]])
+                if numbers:
+                    current.values[key] = numbers if len(numbers) == _VALUES[key] else numbers[:1] * _VALUES[key]
+            elif key in _PICTURES:
+                current.pictures[key] = _file_name(rest)
+            elif key in _LEFT_OUT:
+                self._left_out.add(_LEFT_OUT[key])
+        return materials
+
+    def _material(self, stated: _Stated, label: str) -> Material:
+        def share(key: str, default: float) -> float:
+            return min(max(stated.values.get(key, (default,))[0], 0.0), 1.0)
+
+        base = self._picture(stated, "map_kd", label)
+        glow = self._picture(stated, "map_ke", label)
+        colour = _linear(stated.values.get("kd", (1.0,) * 3 if base is not None else (0.8,) * 3))
+        if base is not None and max(colour) == 0:
+            colour = (1.0, 1.0, 1.0)  # exporters write black beside a texture
+        cut_out = "map_d" in stated.pictures
+        if cut_out and stated.pictures["map_d"] != stated.pictures.get("map_kd"):
+            self._left_out.add("a texture of opacity")
+            cut_out = False
+        ior = stated.values.get("ni", (1.5,))[0]
+        shininess = min(max(stated.values.get("ns", (0.0,))[0], 0.0), 1000.0)
+        return Material(
+            base_colour=colour,
+            metallic=share("pm", 0.0),
+            roughness=share("pr", 1 - math.sqrt(shininess / 1000)),
+            specular=1.0 if "pr" in stated.values else min(2 * float(np.mean(stated.values.get("ks", (0.0,)))), 1.0),
+            ior=ior if 1.05 < ior <= 3 else 1.5,
+            opacity=share("d", 1 - share("tr", 0.0)),
+            alpha_cutoff=0.5 if cut_out else None,
+            emissive=_linear(stated.values.get("ke", (1.0,) * 3 if glow is not None else (0.0,) * 3)),
+            base_colour_texture=None if base is None else Texture.from_srgb8(base if cut_out else base[..., :3]),
+            emissive_texture=None if glow is None else Texture.from_srgb8(glow[..., :3]),
+        )
+
+    def _picture(self, stated: _Stated, key: str, label: str) -> UInt8[np.ndarray, "h w c"] | None:
+        name = stated.pictures.get(key)
+        if name is None:
+            return None
+        if name not in self._pictures:
+            where = f"{label}, {key}"
+            try:
+                data: bytes | None = self._beside.read(name, where)
+            except ObjectError as error:
+                data = None
+                self.notes.append(Note(str(error), "its colour alone is used", "put it beside the object"))
+            self._limits.check("images", len(self._pictures) + 1, self._name)
+            self._pictures[name] = None if data is None else self._reader.read(data, where)
+        return self._pictures[name]
+
+
+def _file_name(rest: str) -> str:
+    """Return the file of a map line: options such as `-s 1 1 1` may precede it, and it may hold spaces."""
+    words = rest.split(" ")
+    while len(words) > 1 and words[0].startswith("-"):
+        words = words[1:]
+        while len(words) > 1 and (words[0] in ("on", "off", "") or _finite(words[:1])):
+            words = words[1:]
+    return " ".join(words)
+
+
+def _finite(words: list[str]) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(word.replace(",", ".")) for word in words)
+    except ValueError:
+        return ()
+    return numbers if all(math.isfinite(number) for number in numbers) else ()
+
+
+def _linear(colour: tuple[float, ...]) -> Colour:
+    red, green, blue = srgb_to_linear(np.clip(np.array(colour, np.float64), 0, 1)).tolist()
+    return red, green, blue

@@ -1,0 +1,75 @@
+"""Decode the pictures of an object's textures: PNG, JPEG, WebP and AVIF, within the limits."""
+
+import io
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from roomlight.compositing.objects.limits import ObjectLimits
+from roomlight.errors import ImageError, ObjectError
+from roomlight.images import peek_size
+from roomlight.imaging.limits import check_png
+
+_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+
+
+class PictureReader:
+    """Decodes the pictures of one object; together they have at most `total_pixels`."""
+
+    def __init__(self, limits: ObjectLimits) -> None:
+        self._limits, self._pixels = limits, 0
+
+    def read(self, data: bytes, label: str) -> UInt8[np.ndarray, "h w c"]:
+        """Return 8-bit RGB or RGBA; `label` begins every message. Raises ObjectError."""
+        try:
+            if data[:8] == _PNG:
+                check_png(data, label)
+            width, height = (
+                peek_size(data, label) if data[:8] == _PNG or data[:3] == _JPEG else _other_size(data, label)
+            )
+        except ImageError as error:
+            raise ObjectError(str(error)) from error
+        if width < 1 or height < 1:
+            raise ObjectError(f"{label} has no pixels")
+        self._limits.check("image_pixels", width * height, label)
+        self._pixels += width * height
+        self._limits.check("total_pixels", self._pixels, label)
+        return _decode(data, label, (height, width))
+
+
+def _other_size(data: bytes, label: str) -> tuple[int, int]:
+    """Read (width, height) of WebP or AVIF. Raises ObjectError for other files."""
+    try:
+        with Image.open(io.BytesIO(data), formats=("WEBP", "AVIF")) as image:
+            return image.size
+    except Exception as error:  # Pillow raises whatever the damaged bytes lead to
+        raise ObjectError(f"{label} is neither PNG, JPEG, WebP nor AVIF (it starts with {data[:4].hex()})") from error
+
+
+def _decode(data: bytes, label: str, size: tuple[int, int]) -> UInt8[np.ndarray, "h w c"]:
+    if data[:8] != _PNG and data[:3] != _JPEG:
+        try:
+            with Image.open(io.BytesIO(data)) as picture:
+                return np.asarray(picture.convert("RGBA" if "A" in picture.getbands() else "RGB"))
+        except Exception as error:  # as above
+            raise ObjectError(f"{label} does not decode ({error})") from error
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise ObjectError(f"{label} does not decode ({error.err})") from error
+    if image is None or image.shape[:2] != size:  # pyright: ignore[reportUnnecessaryComparison]  (the stub lacks None)
+        raise ObjectError(f"{label} does not decode; the file is truncated or damaged")
+    if image.dtype == np.uint16:
+        image = np.right_shift(image.astype(np.uint16), 8).astype(np.uint8)
+    if image.dtype != np.uint8:
+        raise ObjectError(f"{label} has values of {image.dtype}; 8 or 16 bits are read")
+    if image.ndim == 2:
+        image = image[..., None]
+    channels = image.shape[2]
+    if channels <= 2:
+        grey = np.repeat(image[..., :1], 3, axis=2)
+        return grey if channels == 1 else np.concatenate([grey, image[..., 1:]], axis=2)
+    order = [2, 1, 0, 3] if channels == 4 else [2, 1, 0]
+    return np.ascontiguousarray(image[..., order])

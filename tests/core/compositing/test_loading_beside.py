@@ -1,0 +1,120 @@
+"""Objects whose files lie beside them: glTF folders, and OBJ with materials."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gltf_files import png, textured_quad
+
+from roomlight.compositing.loading import load_object
+from roomlight.compositing.objects.limits import ObjectLimits
+from roomlight.compositing.objects.textures import Texture
+from roomlight.errors import ObjectError
+
+RED = np.full((4, 4, 3), (200, 10, 20), np.uint8)
+OBJ = "mtllib my room.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+OBJ += "usemtl Dark wood\nf 1/1 2/2 3/3\nusemtl steel\nf 1/1 3/3 4/4\n"
+MTL = "newmtl Dark wood\nKd 1 1 1\nmap_Kd -s 1 1 1 maps\\wood red.png\nnewmtl steel\nKd 0.5 0.5 0.5\n"
+MTL += "Ks 0.5 0.5 0.5\nNs 250\nNi 1.0\nPm 1\nd 0.25\nmap_Bump bump.png\n"
+
+
+def gltf_folder(folder: Path, *, buffer: str = "scene.bin", picture: str = "textures/red.png") -> Path:
+    """Write a glTF whose buffer and picture are files, as Sketchfab and Blender export it."""
+    file = textured_quad()
+    file.glb()
+    file.tree["buffers"] = [{"byteLength": len(file.content), "uri": buffer}]
+    file.tree["images"] = [{"uri": picture}] * len(file.tree["images"])
+    (folder / "textures").mkdir(parents=True, exist_ok=True)
+    (folder / "scene.bin").write_bytes(bytes(file.content))
+    (folder / "textures" / "red.png").write_bytes(png(RED))
+    path = folder / "scene.gltf"
+    path.write_text(json.dumps(file.tree))
+    return path
+
+
+@pytest.mark.parametrize(
+    "picture", ["textures/red.png", "./Textures/RED.png", "textures\\red.png", "textures/r%65d.png"]
+)
+def test_gltf_reads_the_files_of_its_folder(tmp_path: Path, picture: str) -> None:
+    path = gltf_folder(tmp_path, picture=picture)
+    ((mesh, material),) = load_object(path).parts
+    ((expected, _),) = load_object(textured_quad().glb()).parts
+    np.testing.assert_array_equal(mesh.vertices, expected.vertices)
+    assert material.base_colour_texture is not None
+    np.testing.assert_array_equal(material.base_colour_texture.texels, Texture.from_srgb8(RED).texels)
+    with pytest.raises(ObjectError, match="outside the file; export as one GLB file"):
+        load_object(path.read_bytes(), "gltf")
+
+
+@pytest.mark.parametrize(
+    "uri", ["../secret.bin", "textures/../../secret.bin", "linked.bin", "missing.bin", "a\0b", "textures"]
+)
+def test_nothing_outside_the_folder_is_read(tmp_path: Path, uri: str) -> None:
+    path = gltf_folder(tmp_path / "model", buffer=uri)
+    (tmp_path / "secret.bin").write_bytes((path.parent / "scene.bin").read_bytes())
+    (path.parent / "linked.bin").symlink_to(tmp_path / "secret.bin")
+    with pytest.raises(ObjectError, match=r"buffer 0 is at .* not in the folder of the file; copy it there"):
+        load_object(path)
+    absolute = gltf_folder(tmp_path / "absolute", buffer=str(tmp_path / "secret.bin"))
+    with pytest.raises(ObjectError, match="not in the folder"):
+        load_object(absolute)
+
+
+def test_files_beside_count_together(tmp_path: Path) -> None:
+    path = gltf_folder(tmp_path)
+    with pytest.raises(ObjectError, match="file bytes are limited to"):
+        load_object(path, limits=ObjectLimits(file_bytes=path.stat().st_size + 10))
+
+
+def obj_folder(folder: Path, materials: str = MTL) -> Path:
+    (folder / "maps").mkdir()
+    (folder / "maps" / "wood red.png").write_bytes(png(RED))
+    (folder / "my room.mtl").write_text(materials)
+    (folder / "chair.obj").write_text(OBJ)
+    return folder / "chair.obj"
+
+
+def test_obj_reads_its_materials_and_their_textures(tmp_path: Path) -> None:
+    chair = load_object(obj_folder(tmp_path))
+    (_, wood), (_, steel) = chair.parts
+    assert chair.triangles == 2
+    assert wood.base_colour_texture is not None
+    np.testing.assert_array_equal(wood.base_colour_texture.texels, Texture.from_srgb8(RED).texels)
+    assert (wood.specular, wood.roughness, wood.opacity) == (0, 1, 1)
+    assert steel.base_colour == pytest.approx((0.214, 0.214, 0.214), abs=1e-3)
+    assert (steel.metallic, steel.specular, steel.opacity, steel.ior) == (1, 1, 0.25, 1.5)
+    assert steel.roughness == pytest.approx(0.5)  # Ns 250 of 1000
+    assert [note.left_out.rpartition(": ")[2] for note in chair.notes] == ["relief"]
+
+
+def test_what_lies_not_beside_an_obj_is_noted(tmp_path: Path) -> None:
+    path = obj_folder(tmp_path)
+    (tmp_path / "maps" / "wood red.png").unlink()
+    assert any("map_kd" in note.left_out and "not in the folder" in note.left_out for note in load_object(path).notes)
+    (tmp_path / "my room.mtl").unlink()
+    (note,) = load_object(path).notes
+    assert "my room.mtl" in note.left_out
+    assert note.effect == "the object is grey"
+    (note,) = load_object(path.read_bytes(), "obj").notes
+    assert "export as GLB" in note.advice
+
+
+@pytest.mark.parametrize(
+    ("materials", "message"),
+    [
+        ("newmtl Dark wood\nmap_Kd my room.mtl\n", "is neither PNG, JPEG, WebP nor AVIF"),
+        ("".join(f"newmtl m{number}\n" for number in range(300)), "materials are limited to 256"),
+    ],
+)
+def test_damaged_materials_are_refused(tmp_path: Path, materials: str, message: str) -> None:
+    with pytest.raises(ObjectError, match=message):
+        load_object(obj_folder(tmp_path, materials))
+
+
+def test_odd_numbers_in_materials_keep_their_defaults(tmp_path: Path) -> None:
+    path = obj_folder(tmp_path, "newmtl Dark wood\nKd nan 1 1\nNs -4\nTr 0,5\nKe 9\nPr 2\nnewmtl steel\nKd 0.2\n")
+    (_, wood), (_, steel) = load_object(path).parts
+    assert wood.base_colour == pytest.approx((0.604,) * 3, abs=1e-3)  # 0.8 in sRGB
+    assert (wood.roughness, wood.opacity, wood.emissive) == (1, 0.5, (1, 1, 1))
+    assert steel.base_colour == pytest.approx((0.0331,) * 3, abs=1e-4)
