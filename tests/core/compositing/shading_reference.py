@@ -72,7 +72,8 @@ def brdf(material: Material, view, light) -> np.ndarray:
     half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9)
     edge = (1 - np.clip(half @ view, 0, 1)) ** 5
     reflected = lobe[:, None] * (f0 + (f90 - f0) * edge[:, None])
-    share = lobe_share(view, material.roughness**2, f0, f90)
+    again = 1 + f0 * (1 / lobe_share(view, material.roughness**2, 1.0, 1.0) - 1)  # Turquin 2019
+    reflected, share = reflected * again, lobe_share(view, material.roughness**2, f0, f90) * again
     return reflected + (1 - metal) * base * (1 - share) / np.pi
 
 

@@ -11,6 +11,7 @@ from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed
 
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.virtual_object import VirtualObject
+from roomlight.errors import ObjectError
 
 RED = np.array([[1, 0, 0, 0.25]] * 4, np.float32)
 MIXED = np.array([[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 0, 1]], np.float32)
@@ -154,3 +155,91 @@ def test_ply_colours_by_their_type(kind: str, values: tuple[int, int, int], red:
     ((_, material),) = found.parts
     assert material.base_colour[0] == pytest.approx(red, abs=2e-5)
     assert "alpha" in found.notes[0].left_out
+
+
+def test_mirrored_textures_go_on_mirrored() -> None:
+    file = quad({})
+    pixels = np.zeros((4, 4, 3), np.uint8)
+    pixels[:, 0], pixels[:, 3] = (255, 0, 0), (0, 255, 0)
+    file.tree["materials"][0]["pbrMetallicRoughness"] = {"baseColorTexture": {"index": file.image(pixels)}}
+    file.tree["samplers"] = [{"wrapS": 33648}]
+    file.tree["textures"][0]["sampler"] = 0
+    ((mesh, material),) = load_object(file.glb()).parts
+    np.testing.assert_allclose(mesh.uvs[:, 0], np.array(QUAD_UVS)[:, 0] / 2)
+    np.testing.assert_allclose(mesh.uvs[:, 1], np.array(QUAD_UVS)[:, 1])
+    assert material.base_colour_texture is not None
+    row = material.base_colour_texture.texels[0, :, :3] // 65535
+    assert row.argmax(axis=1)[[0, 3, 4, 7]].tolist() == [0, 1, 1, 0]
+    assert row.shape == (8, 3)
+
+
+def test_chunks_of_any_length_follow_each_other() -> None:
+    glb = quad({}).glb()
+    length = struct.unpack_from("<I", glb, 12)[0]
+    text = glb[20 : 20 + length].rstrip(b" ")
+    text += b" " * (-len(text) % 4 + 1)  # one too many
+    rest = glb[20 + length :]
+    for padding in (b"", b" " * (-len(text) % 4)):
+        size = 20 + len(text) + len(padding) + len(rest)
+        data = struct.pack("<4sIII4s", b"glTF", 2, size, len(text), b"JSON") + text + padding + rest
+        assert area(load_object(data)) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    "head",
+    ['{"asset": {"generator": "x", "version": 1},', '{"asset": {"version": "1.0"},', '{"techniques": {"a": {}},'],
+)
+def test_files_of_the_first_version_are_refused_by_name(head: str) -> None:
+    with pytest.raises(ObjectError, match="glTF 2 is read, this is version"):
+        load_object((head + '"scene": "defaultScene", "meshes": {}}').encode(), "gltf")
+
+
+def test_coordinates_and_colours_that_an_obj_lost_are_noted() -> None:
+    lost = load_object(OBJ.replace("f 1 2 3 4", "f 1/1/1 2/2/1 3/3/1 4/4/1").encode(), "obj")
+    assert area(lost) == pytest.approx(1)
+    np.testing.assert_allclose(np.abs(lost.parts[0][0].normals), [[0, 0, 1]] * 4)
+    assert {note.left_out for note in lost.notes} == {"object: texture coordinates 4 of 0", "object: normals 1 of 0"}
+    for colour in ("1 0 0", "nan 0 0"):
+        text = OBJ.replace("v 0 0 0", f"v 0 0 0 {colour}").replace("v 1 0 0", "v 1 0 0 1 0 0")
+        (note,) = load_object(text.encode(), "obj").notes
+        assert "vertices" in note.left_out
+
+
+def test_both_sides_of_a_sheet_keep_their_normals() -> None:
+    mesh = load_object(OBJ.replace("f 1 2 3 4", "s 1\nf 1 2 3 4\nf 4 3 2 1").encode(), "obj").parts[0][0]
+    np.testing.assert_allclose(np.abs(mesh.normals[:, 2]), 1)
+    assert np.sign(mesh.normals[:, 2]).sum() == 0
+
+
+PLY = """ply
+format ascii 1.0
+comment made by a program
+element vertex 3
+{header}property float x
+property float y
+property float z
+property uchar red
+property uchar green
+property uchar blue
+element face 1
+property list uchar int vertex_indices
+property uchar red
+property uchar green
+property uchar blue
+end_header
+0 0 0 {vertex}
+1 0 0 255 255 255
+0 1 0 255 255 255
+3 0 1 2 0 0 255
+"""
+
+
+@pytest.mark.parametrize(("vertex", "colour"), [("255 255 255", (0, 0, 1)), ("255 0 0", (1, 1, 1))])
+def test_colours_of_faces_count_where_vertices_have_one_colour(vertex: str, colour: tuple[float, ...]) -> None:
+    ((_, material),) = load_object(PLY.format(vertex=vertex, header="").encode(), "ply").parts
+    assert material.base_colour == pytest.approx(colour)
+
+
+def test_an_unknown_line_of_a_ply_is_noted() -> None:
+    (note,) = load_object(PLY.format(vertex="255 255 255", header="second line\n").encode(), "ply").notes
+    assert "'second line'" in note.left_out

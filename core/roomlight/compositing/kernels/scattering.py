@@ -24,8 +24,8 @@ class Scatter(NamedTuple):
     """How a surface scatters light toward one viewer; colours are RGB.
 
     Attributes:
-        f0: reflectance of the lobe's microfacets at normal incidence.
-        f90: at grazing incidence.
+        f0: reflectance of the lobe's microfacets at normal incidence, with what bounces between them.
+        f90: the same at grazing incidence.
         base: albedo of the base, reduced by what the lobe reflects.
         roughness: of the lobe, perceptual.
         lobe_probability: of drawing a direction from the lobe.
@@ -33,7 +33,7 @@ class Scatter(NamedTuple):
     """
 
     f0: tuple[float, float, float]
-    f90: float
+    f90: tuple[float, float, float]
     base: tuple[float, float, float]
     roughness: float
     lobe_probability: float
@@ -47,14 +47,21 @@ def _grey(colour):
 
 @njit(**JIT)
 def scatter_of(world, material, base, metallic, roughness, n_v):
-    """Return the `Scatter` of a material's values, as seen from the cosine n_v."""
+    """Return the `Scatter` of a material's values, as seen from the cosine n_v.
+
+    The lobe is scaled by 1 + F0 (1 / E - 1), E its share for F = 1: light that meets several microfacets before it
+    leaves (Turquin 2019, "Practical multiple scattering compensation for microfacet models").
+    """
     ior, specular = world.materials.ior[material], world.materials.specular[material]
     normal = (ior - 1) / (ior + 1)
     normal = normal * normal * specular * (1 - metallic)
     f0 = (normal + metallic * base[0], normal + metallic * base[1], normal + metallic * base[2])
     f90 = specular * (1 - metallic) + metallic
     low, high = lobe_share(world.lobe, n_v, roughness)
-    lobe = (f0[0] * low + f90 * high, f0[1] * low + f90 * high, f0[2] * low + f90 * high)
+    again = 1 / max(low + high, 1e-6) - 1
+    x, y, z = 1 + f0[0] * again, 1 + f0[1] * again, 1 + f0[2] * again
+    f0, edge = (x * f0[0], y * f0[1], z * f0[2]), (x * f90, y * f90, z * f90)
+    lobe = (f0[0] * low + edge[0] * high, f0[1] * low + edge[1] * high, f0[2] * low + edge[2] * high)
     left = 1 - metallic
     under = (
         base[0] * left * max(1 - lobe[0], 0.0),
@@ -65,7 +72,7 @@ def scatter_of(world, material, base, metallic, roughness, n_v):
     share = shiny / max(shiny + matte, 1e-12)
     if matte > 0 and shiny > 0:
         share = min(max(share, 0.1), 0.9)
-    return Scatter(f0, f90, under, roughness, share, lobe)
+    return Scatter(f0, edge, under, roughness, share, lobe)
 
 
 @njit(**JIT)
@@ -87,9 +94,9 @@ def evaluate(scatter, view, light):
         density += share * common
         weight = schlick(v_h)
         value = common * masking(n_l, alpha)
-        r += value * (f0[0] + (f90 - f0[0]) * weight)
-        g += value * (f0[1] + (f90 - f0[1]) * weight)
-        b += value * (f0[2] + (f90 - f0[2]) * weight)
+        r += value * (f0[0] + (f90[0] - f0[0]) * weight)
+        g += value * (f0[1] + (f90[1] - f0[1]) * weight)
+        b += value * (f0[2] + (f90[2] - f0[2]) * weight)
     return (r, g, b), density
 
 
@@ -104,9 +111,9 @@ def draw(scatter, view, choice, u, v):
             return (
                 (-view[0], -view[1], view[2]),
                 (
-                    (f0[0] + (f90 - f0[0]) * weight) * scale,
-                    (f0[1] + (f90 - f0[1]) * weight) * scale,
-                    (f0[2] + (f90 - f0[2]) * weight) * scale,
+                    (f0[0] + (f90[0] - f0[0]) * weight) * scale,
+                    (f0[1] + (f90[1] - f0[1]) * weight) * scale,
+                    (f0[2] + (f90[2] - f0[2]) * weight) * scale,
                 ),
                 -1.0,
             )

@@ -2,13 +2,12 @@
 
 An opaque surface is a GGX microfacet lobe over a Lambertian base (Karis 2013; glTF 2.0, appendix B):
 
-    f = D(h) G1(l) G1(v) F(v, h) / (4 (n.l) (n.v)) + (1 - metallic) base (1 - E(n.v)) / pi
+    f = (1 + F0 (1 / E1 - 1)) D(h) G1(l) G1(v) F(v, h) / (4 (n.l) (n.v)) + (1 - metallic) base (1 - E(n.v)) / pi
 
 with alpha = roughness^2, Smith's separable G, Schlick's F from F0 = mix(((ior - 1) / (ior + 1))^2 specular, base,
 metallic), and E the share of light that the lobe reflects toward the viewer (a table). The base gets what the lobe
-leaves, so that no surface reflects more light than it receives. The lobe is a single bounce between microfacets, which
-loses light where a surface is rough: a white metal reflects 0.99 of it at roughness 0.25, 0.87 at 0.5 and 0.38 at 1
-(mean over a sphere's normals; `tests/core/compositing/test_materials.py` measures it).
+leaves, so that no surface reflects more light than it receives. The lobe is scaled for light that bounces between
+microfacets (Turquin 2019): a white metal reflects all light at any roughness, as in Blender and three.js.
 
 A share `transmission` of a surface is smooth glass: exact Fresnel reflection and refraction at `ior`, whatever the
 roughness; light that passes into it is multiplied by the base colour once at each surface.

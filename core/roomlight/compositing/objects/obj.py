@@ -56,10 +56,13 @@ def read_obj(
     points = np.array([row[:3] for row in content.values[b"v"]], np.float64).reshape(-1, 3)
     corners = np.array(content.corners, np.int64)
     sizes = np.array(content.sizes, np.int64)
-    for column, key in enumerate(_VALUES):
-        if int(corners[:, column].max()) >= len(content.values[key]):
-            highest, count = int(corners[:, column].max()) + 1, len(content.values[key])
-            raise ObjectError(f"{name}: faces point at {key.decode()} {highest} of {count}")
+    for column, (key, what) in enumerate(zip(_VALUES, ("", "texture coordinates", "normals"), strict=True)):
+        absent = corners[:, column] >= len(content.values[key])
+        if absent.any() and column == 0:
+            raise ObjectError(f"{name}: faces point at v {int(corners[:, 0].max()) + 1} of {len(points)}")
+        if absent.any():  # exporters and editors lose them
+            content.left_out.add(f"{what} {int(corners[:, column].max()) + 1} of {len(content.values[key])}".encode())
+            corners[absent, column] = -1
     triangles = triangles_of(sizes, corners[:, 0], points)
     owner = np.repeat(np.arange(len(sizes)), sizes)[triangles[:, 0]]
     at = triangles.reshape(-1)
@@ -162,7 +165,7 @@ def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list
         raise ObjectError(
             f"{name}: line {number} is not {_VALUES[keyword]} numbers after {words[0].decode()}: {text!r}"
         )
-    if not all(abs(value) < np.inf for value in values):
+    if not all(abs(value) < np.inf for value in values[: _VALUES[keyword]]):
         raise ObjectError(f"{name}: line {number}: every coordinate must be a finite number")
     return values
 
@@ -216,7 +219,10 @@ def _normals(
 def _colours(content: _Content, name: str) -> Float[np.ndarray, "n 4"] | None:
     """Return linear colours of the vertices if each line has six numbers."""
     rows = content.values[b"v"]
-    if not all(len(row) >= 6 for row in rows):
+    coloured = sum(len(row) >= 6 and bool(np.isfinite(row[3:6]).all()) for row in rows)
+    if coloured < len(rows):
+        if coloured:
+            content.left_out.add(b"colours of %d of %d vertices" % (coloured, len(rows)))
         return None
     encoded = np.array([row[3:6] for row in rows], np.float64)
     if encoded.max(initial=0) > 1:

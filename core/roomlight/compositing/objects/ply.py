@@ -102,8 +102,10 @@ def _header(text: str, name: str) -> tuple[str, list[_Element], tuple[Note, ...]
         elif words[0] == "property" and elements and len(elements[-1].properties) < 256:
             last = elements[-1]
             elements[-1] = _Element(last.name, last.count, (*last.properties, _property(words, line, last.name, name)))
-        else:
+        elif words[0] in ("format", "element", "property"):
             raise ObjectError(f"{name}: the PLY header has a line that is not understood: {line[:60]!r}")
+        else:
+            notes.append(Note(f"{name}: the line {line[:60]!r} of its header", "it is not read", "nothing to do"))
     return order, elements, tuple(notes)
 
 
@@ -344,7 +346,9 @@ def _largest(values: np.ndarray) -> float:
 def _corner_colours(
     vertex: _Rows, face: _Rows, vertices: Int64[np.ndarray, " t"], polygons: Int64[np.ndarray, " t"]
 ) -> Float[np.ndarray, "t 4"] | None:
-    """Return linear colours of the triangles' corners, of their vertices or else of their faces; None without any."""
+    """Return linear colours of the triangles' corners: of their vertices, or of their faces where those of the vertices
+    are missing or all alike (CAD); None without any."""
+    colours: Float[np.ndarray, "t 4"] | None = None
     for rows, which in ((vertex, vertices), (face, polygons)):
         for names in _COLOURS:
             encoded = _columns(rows, names)
@@ -356,5 +360,7 @@ def _corner_colours(
             elif encoded.max() > 1:
                 encoded = encoded / 255
             linear = srgb_to_linear(np.clip(encoded, 0, 1))
-            return np.concatenate([linear, np.ones((len(linear), 1))], axis=1)[which]
-    return None
+            colours = np.concatenate([linear, np.ones((len(linear), 1))], axis=1)[which]
+            if (encoded != encoded[0]).any():
+                return colours
+    return colours

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32, Int64, UInt64
 
 CREASE_DEG: Final = 40.0
+_BACK_TO_BACK: Final = -0.5
 """Faces of OBJ and PLY files without normals that meet at less than this shade smoothly: a cube stays a cube, and a
 scan stays round. glTF demands flat faces instead."""
 
@@ -108,7 +109,7 @@ def corner_normals(
         points: Vertices; those at the same place are one.
         faces: Triangles.
         crease_deg: Faces shade smoothly together if their normals differ by less; 0 is flat.
-        groups: A smoothing group of each face, which decides instead; 0 is flat.
+        groups: A smoothing group of each face, which decides instead, but for faces that look opposite ways; 0 is flat.
     """
     weighted = face_normals(points, faces)
     unit = weighted / np.maximum(np.linalg.norm(weighted, axis=1, keepdims=True), 1e-30)
@@ -132,6 +133,7 @@ def corner_normals(
             smooth = (unit[own] * unit[other]).sum(axis=1) > cosine
         else:
             smooth = (groups[own] == groups[other]) & (groups[own] > 0)
+            smooth &= (unit[own] * unit[other]).sum(axis=1) > _BACK_TO_BACK  # two sides of a sheet are no edge
         smooth |= other == own
         total[rows[smooth]] += weighted[other[smooth]]
     length = np.linalg.norm(total, axis=1, keepdims=True)

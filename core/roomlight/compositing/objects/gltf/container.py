@@ -2,6 +2,7 @@
 
 import base64
 import binascii
+import re
 import struct
 import urllib.parse
 from typing import Any, TypeVar
@@ -14,6 +15,9 @@ from roomlight.compositing.objects.limits import plain_text
 from roomlight.errors import ObjectError
 
 Model = TypeVar("Model", bound=BaseModel)
+
+_CHUNKS = (b"JSON", b"BIN\0")
+_VERSION_1 = re.compile(rb'"asset"\s*:\s*\{[^{}]*"version"\s*:\s*"?1\b|"techniques"\s*:\s*\{')
 
 
 def split(data: bytes, name: str) -> tuple[bytes, bytes | None]:
@@ -36,7 +40,9 @@ def split(data: bytes, name: str) -> tuple[bytes, bytes | None]:
         if offset + 8 + size > len(data):
             raise ObjectError(f"{name}: the GLB's {kind!r} chunk declares {size} bytes and is truncated")
         chunks.setdefault(kind, data[offset + 8 : offset + 8 + size])
-        offset += 8 + size + -size % 4
+        offset += 8 + size
+        if data[offset + 4 : offset + 8] not in _CHUNKS:  # some writers pad a chunk and do not count it
+            offset += -size % 4
     if b"JSON" not in chunks:
         raise ObjectError(f"{name}: the GLB has no JSON chunk")
     return plain_text(chunks[b"JSON"]).rstrip(b"\0 "), chunks.get(b"BIN\0")
@@ -52,6 +58,8 @@ def parsed(text: bytes, name: str, clamped: list[str]) -> Gltf:
     try:
         gltf = Gltf.model_validate_json(text, context=clamped)
     except ValidationError as error:
+        if _VERSION_1.search(text):
+            raise ObjectError(f"{name}: glTF 2 is read, this is version 1; convert it") from None
         raise ObjectError(f"{name}: {explained(error, 'glTF')}") from None
     if gltf.asset.version.partition(".")[0] != "2":
         raise ObjectError(f"{name}: glTF 2 is read, this is version {gltf.asset.version[:20]!r}")

@@ -15,7 +15,7 @@ from roomlight.errors import ObjectError
 
 _KTX2 = b"\xabKTX 20\xbb"
 _SOURCES = ("EXT_texture_webp", "EXT_texture_avif")
-REPEAT = 10497
+REPEAT, MIRRORED, CLAMPED = 10497, 33648, 33071
 
 
 class Images:
@@ -53,13 +53,13 @@ class Images:
             self._decoded[source] = image
         return self._decoded[source]
 
-    def repeats(self, texture: int) -> bool:
-        """Return whether a texture repeats outside [0, 1] in both directions."""
+    def wraps(self, texture: int) -> tuple[int, int]:
+        """Return how a texture goes on outside [0, 1] across and down: REPEAT, MIRRORED or CLAMPED."""
         stated = self._gltf.textures[texture] if texture < len(self._gltf.textures) else None
         if stated is None or stated.sampler is None or stated.sampler >= len(self._gltf.samplers):
-            return True
+            return REPEAT, REPEAT
         sampler = self._gltf.samplers[stated.sampler]
-        return sampler.wrapS == REPEAT and sampler.wrapT == REPEAT
+        return sampler.wrapS, sampler.wrapT
 
     def _image(self, index: int) -> UInt8[np.ndarray, "h w c"] | None:
         label = f"{self._name}: images.{index}"

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.compositing.objects.gltf.container import extension
-from roomlight.compositing.objects.gltf.images import Images
+from roomlight.compositing.objects.gltf.images import CLAMPED, MIRRORED, Images
 from roomlight.compositing.objects.gltf.schema import (
     EmissiveStrength,
     GltfMaterial,
@@ -123,7 +123,12 @@ class MaterialReader:
             return None
         moved = extension(TextureTransform, info, "KHR_texture_transform", where, self._clamped) or TextureTransform()
         uv_set = info.texCoord if moved.texCoord is None else moved.texCoord
-        return _Slot(key, pixels, uv_set, _matrix(moved), self._images.repeats(info.index))
+        wraps, transform = self._images.wraps(info.index), _matrix(moved)
+        for axis, wrap in zip((1, 0), wraps, strict=True):
+            if wrap == MIRRORED:  # the texture beside its mirror image repeats
+                pixels = np.concatenate([pixels, np.flip(pixels, axis)], axis=axis)
+                transform[1 - axis] /= 2
+        return _Slot(key, pixels, uv_set, transform, CLAMPED not in wraps)
 
     def _mean(self, info: TextureInfo | None, label: str, notes: list[Note]) -> Float[np.ndarray, "4"]:
         """Return the mean of a texture that is read as a factor; linear RGB, and alpha."""

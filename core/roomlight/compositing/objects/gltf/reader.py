@@ -192,11 +192,7 @@ class _PrimitiveReader:
             transform = np.eye(4)
         uvs = arrays.uvs
         if uvs is not None and not surface.repeats and (uvs.min() < -0.01 or uvs.max() > 1.01):
-            notes.append(
-                Note(
-                    f"{label}: a texture that is clamped or mirrored outside 0 to 1", "it repeats", "keep uv in 0 to 1"
-                )
-            )
+            notes.append(Note(f"{label}: a texture that is clamped outside 0 to 1", "it repeats", "keep uv in 0 to 1"))
         textures = (getattr(surface.material, f"{key}_texture") for key in TEXTURES)
         if uvs is None and any(texture is not None for texture in textures):
             effect = "its textures show the one texel at (0, 0)"
