@@ -4,7 +4,7 @@
 
 CAPTURE is any recording that `rl.open_capture` reads (docs/captures.md), by default the sample room. The position is
 in world metres, y up; by default it lies in front of the first camera. Output: one linear HDR panorama per frame,
-FOLDER/000000.exr and so on, and one line per frame.
+FOLDER/light.000000.exr and so on, and one line per frame.
 """
 
 import argparse
@@ -29,7 +29,7 @@ def main() -> None:
             tracked = session.track((x, y, z))
         session.push(frame)
         light = session.light(tracked)
-        path = args.out / f"{frame.index:06d}.exr"
+        path = args.out / f"light.{frame.index:06d}.exr"
         light.save(path)
         print(f"{path}: {light.coverage:.0%} of the directions observed")
 

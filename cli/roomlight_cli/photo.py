@@ -4,8 +4,8 @@ Positions and panoramas are in the camera's axes (`roomlight.captures.photo`), i
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -20,7 +20,8 @@ from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr, write_png
 from roomlight.imaging.drawing import LABEL_ROWS, Canvas
-from roomlight.light.light import Light
+from roomlight.light.light import ENDINGS, Light
+from roomlight.light.sources import FileFormat
 from roomlight.placement import ABOVE_M, point_at_pixel
 from roomlight.rules import check_options
 from roomlight.spheres import Material, SphereRenderer, view_toward
@@ -66,12 +67,14 @@ class PhotoLight:
         light: The light in all its forms.
         inside_volume: Whether the position lies in the lighting volume; outside, only distant light is known.
         files: Names in the output folder: panorama (EXR), picture of it (PNG), picture of spheres (PNG).
+        forms: Names of other forms that were asked for.
     """
 
     position: Position
     light: Light
     inside_volume: bool
     files: tuple[str, str, str]
+    forms: Mapping[FileFormat, str] = field(default_factory=dict[FileFormat, str])
 
     @property
     def behind_camera(self) -> bool:
@@ -89,7 +92,7 @@ class PhotoLight:
         elevation, azimuth = self.heading
         return {
             "position": list(self.position),
-            "files": dict(zip(("panorama", "picture", "spheres"), self.files, strict=True)),
+            "files": dict(zip(("panorama", "picture", "spheres"), self.files, strict=True)) | dict(self.forms),
             "seen_share": self.light.coverage,
             "inside_volume": self.inside_volume,
             "main_light": {
@@ -108,8 +111,11 @@ def light_photo(
     *,
     options: SessionOptions,
     graphs: LightingGraphs | None = None,
+    forms: Sequence[FileFormat] = (),
 ) -> list[PhotoLight]:
     """Estimate the light at the positions and write it to `out`: an EXR and two PNGs for each, light.json for all.
+
+    `forms` are written too, as `probe-00.usdz` and the like.
 
     Raises:
         FrameError: The photograph cannot start a session.
@@ -127,7 +133,10 @@ def light_photo(
         write_exr(out / files[0], light.panorama)
         write_png(out / files[1], light.reflection)
         write_png(out / files[2], _spheres(light, view_toward(frame.camera_to_world, position)))
-        lights.append(PhotoLight(position, light, session.grid.contains(position), files))
+        others = {form: f"probe-{number:02d}{ENDINGS[form]}" for form in forms}
+        for name in others.values():
+            light.save(out / name)
+        lights.append(PhotoLight(position, light, session.grid.contains(position), files, others))
     report = {"model": session.model, "source": frame.source, "intrinsics": asdict(frame.intrinsics)}
     write_json(out / "light.json", report | {"probes": [light.to_json() for light in lights]})
     return lights

@@ -11,6 +11,7 @@ take 4 s and 270 MB, where `peek_size` stops at the limit of `roomlight.imaging.
 import io
 import struct
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -236,7 +237,7 @@ def read_panorama(path: Path) -> Float[np.ndarray, "h w 3"]:
     return image
 
 
-def encode_exr(image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None) -> bytes:
+def encode_exr(image: Float[np.ndarray, "h w 3"], *, metadata: Mapping[str, object] | None = None) -> bytes:
     """Encode linear RGB as a half-float, ZIP-compressed EXR; the same image and metadata give the same bytes.
 
     Values beyond half's range are clipped to 65504, the largest half, so that no infinity reaches a renderer.
@@ -256,7 +257,7 @@ def encode_exr(image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | 
         raise OutputError(f"an EXR of {image.shape[1]} x {image.shape[0]} cannot be encoded ({error})") from error
 
 
-def write_exr(path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None) -> None:
+def write_exr(path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: Mapping[str, object] | None = None) -> None:
     """Write an EXR with `encode_exr`, atomically. Raises OutputError."""
     write_atomic(path, encode_exr(image, metadata=metadata))
 

@@ -44,7 +44,7 @@ def test_each_frame_and_probe_gets_a_panorama(capture, tmp_path):
     options = ReplayOptions(session=SMALL, probes_from_capture=True)
     result = replay(capture, tmp_path / "out", options, progress=lambda done, total: seen.append((done, total)))
     for probe in range(2):
-        assert exr_names(tmp_path / "out" / f"probe-{probe:02d}") == [f"{n:06d}.exr" for n in range(FRAMES)]
+        assert exr_names(tmp_path / "out" / f"probe-{probe:02d}") == [f"light.{n:06d}.exr" for n in range(FRAMES)]
     assert (tmp_path / "out" / "summary.png").stat().st_size > 0
     assert (tmp_path / "out" / "replay.mp4").stat().st_size > 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -63,19 +63,19 @@ def test_the_panoramas_are_those_of_the_session(capture, tmp_path):
     session.track(PROBES[0])
     for frame in open_capture(capture):
         session.push(frame)
-    last = read_panorama(tmp_path / "out" / "probe-00" / f"{FRAMES - 1:06d}.exr")
+    last = read_panorama(tmp_path / "out" / "probe-00" / f"light.{FRAMES - 1:06d}.exr")
     assert (last == session.light(0).panorama.astype(np.float16)).all()
 
 
 def test_every_and_interpolate(capture, tmp_path):
     sparse = replay(capture, tmp_path / "sparse", ReplayOptions(session=SMALL, probes=(PROBES[0],), every=2))
-    assert exr_names(tmp_path / "sparse" / "probe-00") == ["000000.exr", "000002.exr", "000004.exr"]
+    assert exr_names(tmp_path / "sparse" / "probe-00") == ["light.000000.exr", "light.000002.exr", "light.000004.exr"]
     assert len(sparse.report["frames"]) == 3
     dense = ReplayOptions(session=SMALL, probes=(PROBES[0],), every=2, interpolate=True)
     result = replay(capture, tmp_path / "dense", dense)
-    assert exr_names(tmp_path / "dense" / "probe-00") == [f"{n:06d}.exr" for n in range(FRAMES)]
+    assert exr_names(tmp_path / "dense" / "probe-00") == [f"light.{n:06d}.exr" for n in range(FRAMES)]
     assert result.report["interpolated"] == 3
-    panoramas = [read_panorama(tmp_path / "dense" / "probe-00" / f"{n:06d}.exr") for n in range(FRAMES)]
+    panoramas = [read_panorama(tmp_path / "dense" / "probe-00" / f"light.{n:06d}.exr") for n in range(FRAMES)]
     # half floats carry 11 bits: the mean of two rounded ends is within 2^-10 of the rounded mean
     assert panoramas[1] == pytest.approx((panoramas[0] + panoramas[2]) / 2, rel=2e-3, abs=1e-4)
     assert (panoramas[5] == panoramas[4]).all()  # nothing comes after it: the light stays
@@ -101,14 +101,14 @@ def test_an_interrupted_replay_leaves_no_report_and_continues(capture, tmp_path)
 
     with pytest.raises(_InterruptError):
         replay(capture, out, options, progress=stop)
-    assert exr_names(out / "probe-00") == ["000000.exr", "000001.exr", "000002.exr"]
+    assert exr_names(out / "probe-00") == ["light.000000.exr", "light.000001.exr", "light.000002.exr"]
     assert not (out / "report.json").exists()
     assert not (out / "replay.mp4").exists()
     assert not list(out.glob(".*.part"))
     before = {path.name: path.stat().st_mtime_ns for path in (out / "probe-00").iterdir()}
 
     whole = replay(capture, out, options)
-    assert exr_names(out / "probe-00") == [f"{n:06d}.exr" for n in range(FRAMES)]
+    assert exr_names(out / "probe-00") == [f"light.{n:06d}.exr" for n in range(FRAMES)]
     after = {path.name: path.stat().st_mtime_ns for path in (out / "probe-00").iterdir()}
     assert all(after[name] == stamp for name, stamp in before.items())
     assert whole.report["complete"]
@@ -136,7 +136,7 @@ def test_other_files_are_never_mixed_with_a_replay(capture, tmp_path):
         replay(capture, foreign / "thesis.tex", other)
     with pytest.raises(OutputError, match="Not a directory"):
         replay(capture, foreign / "thesis.tex" / "out", other)
-    stale = foreign / "probe-00" / "000000.exr"
+    stale = foreign / "probe-00" / "light.000000.exr"
     stale.parent.mkdir()
     stale.write_bytes(b"of another program")
     (foreign / "probe-00" / "notes.txt").write_text("precious too")
@@ -170,7 +170,7 @@ def test_a_finished_replay_with_a_changed_file_is_redone(capture, tmp_path):
     out, options = tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],))
     report = replay(capture, out, options).report
     assert finished_report(capture, out, options) == report
-    panorama = out / "probe-00" / "000001.exr"
+    panorama = out / "probe-00" / "light.000001.exr"
     original = panorama.read_bytes()
     panorama.write_bytes(b"damaged")
     assert finished_report(capture, out, options) is None

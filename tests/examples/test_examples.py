@@ -95,7 +95,7 @@ def test_the_notebook_shows_a_frame_the_session_its_light_and_a_composite() -> N
 def test_replay_folder(tmp_path: Path) -> None:
     printed = run_example("replay_folder", "--frames", 3, cwd=tmp_path)
     files = sorted((tmp_path / "out/replay_folder").iterdir())
-    assert [path.name for path in files] == ["000000.exr", "000001.exr", "000002.exr"]
+    assert [path.name for path in files] == ["light.000000.exr", "light.000001.exr", "light.000002.exr"]
     first, *_, last = [assert_indoor_light(path) for path in files]
     assert not np.array_equal(first, last)
     assert printed.count("% of the directions observed") == 3

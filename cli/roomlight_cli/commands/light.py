@@ -7,6 +7,7 @@ from rich.markup import escape
 from roomlight.captures.photo import Photo, PhotoOptions, read_photo
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import warm_up
+from roomlight.light.sources import FileFormat
 from roomlight_cli.console import out as terminal
 from roomlight_cli.console import print_notes, say
 from roomlight_cli.photo import PhotoLight, PhotoPoints, light_photo
@@ -23,6 +24,7 @@ def light(
     *,
     out: Path,
     depth: Path | None = None,
+    forms: tuple[FileFormat, ...] = (),
 ) -> None:
     """Light points of one photograph; depth that is not given is estimated.
 
@@ -36,6 +38,7 @@ def light(
         out: Folder for panoramas and pictures.
         depth: Its depth: 16-bit PNG in millimetres, EXR in metres, or .npy (integers: mm, floats: m). Default: the
             depth map inside a HEIC portrait, else estimated.
+        forms: Also write the light in this form: usdz, glb, ktx2, ... Repeatable.
     """
     photo = read_photo(image, depth, reading)
     positions = points.positions(photo.frame)
@@ -44,7 +47,7 @@ def light(
     print_notes(photo.notes)
     with Progress("estimating the light"):
         warm_up()
-        lights = light_photo(photo.frame, positions, out, options=options, graphs=graphs)
+        lights = light_photo(photo.frame, positions, out, options=options, graphs=graphs, forms=forms)
     for lit in lights:
         _print_light(lit)
     panorama, _, spheres = lights[0].files

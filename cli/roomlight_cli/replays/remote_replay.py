@@ -24,8 +24,8 @@ from roomlight_client import BadReplyError, Client, InvalidError, Light, Recover
 _T = TypeVar("_T")
 _PROBES_PER_CALL: Final = 16
 """5 MB of floats at 120 rows."""
-_FORMS: Final = ("npy", LightForm(format="npy", use="reflection"), "confidence")
-"""The panoramas of both uses, and how far each direction was observed."""
+_FORMS: Final = ("npy", LightForm(format="npy", use="reflection"), "confidence", "main_light")
+"""The panoramas of both uses, how far each direction was observed, and the lights."""
 
 
 class RemoteSession:

@@ -2,8 +2,9 @@
 
 The session is the engine here, or one on a server (`remote_replay`): the loop is the same.
 
-It writes `probe-00/000000.exr` ... (named by the capture's frame index), `summary.png`, `replay.mp4` and, last of all,
-`report.json`: a folder without it is unfinished. `replay.json` is written as soon as a frame has proved usable and says
+It writes `probe-00/light.000000.exr` ... (numbered by the capture's frame index, with timecode where the capture has
+times), the same as a USD stage (`probe-00/light.usda`), `summary.png`, `replay.mp4` and, last of all, `report.json`: a
+folder without it is unfinished. `replay.json` is written as soon as a frame has proved usable and says
 what the folder is for (`replay_folder`): the same command continues an interrupted replay, and another one refuses to
 write there.
 """
@@ -23,11 +24,13 @@ from roomlight.conventions import Position
 from roomlight.engine.session import FrameReport, Session
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import CaptureError, FrameError
-from roomlight.files import write_json
+from roomlight.files import write_atomic, write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr
-from roomlight.light.light import Light
+from roomlight.imaging.exr import sequence_metadata
+from roomlight.light.light import ENDINGS, Light
 from roomlight.light.sources import LightUse
+from roomlight.light.usd import sequence_stage
 from roomlight.placement import point_at_pixel, point_in_view
 from roomlight_cli.replays.pictures import ReplayPictures, Titles
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
@@ -129,7 +132,7 @@ def replay(
                         tracked = True
                     report = session.push(frame)
                     claim(out, intent, overwrite=options.overwrite)  # only now: a mistaken command leaves nothing
-                    writer = _Writer(out, len(positions), options.use)
+                    writer = _Writer(out, positions, options, capture.frames_per_second, step=read.every * stride)
                     pictures = ReplayPictures(
                         out,
                         positions,
@@ -164,6 +167,7 @@ def replay(
         for frame in waiting:  # after the last session frame there is nothing to interpolate towards: the light stays
             writer.repeat(frame)
             pictures.add(frame, writer.last_seen)
+        writer.close()
         pictures.close(session if isinstance(session, Session) else None)
     except BaseException as error:
         if pictures is not None:
@@ -222,9 +226,15 @@ def _report(
 class _Writer:
     """Writes panoramas as EXR, a folder per probe; files of an interrupted run are kept."""
 
-    def __init__(self, out: Path, probes: int, use: LightUse) -> None:
-        self._folders = [out / f"probe-{n:02d}" for n in range(probes)]
-        self._use: LightUse = use
+    def __init__(
+        self, out: Path, probes: Sequence[Position], options: ReplayOptions, rate: float | None, *, step: int
+    ) -> None:
+        """Write into `out`; the capture gives `rate` frames a second, of which each is `step` indices on."""
+        self._folders = [out / f"probe-{n:02d}" for n in range(len(probes))]
+        self._probes = probes
+        self._use, self._forms = options.use, options.forms
+        self._rate = None if rate is None else rate * step  # at which indices count
+        self._names: dict[int, str] = {}
         self._before: tuple[int, Sequence[Light]] | None = None
         self.count_interpolated = 0
 
@@ -234,7 +244,7 @@ class _Writer:
         for folder, light in zip(self._folders, lights, strict=True):
             coverage = f"{light.coverage:.4f}"
             panorama = light.panorama if self._use == "lighting" else light.reflection
-            self._save(folder, frame.index, panorama, {"roomlight:coverage": coverage, "roomlight:use": self._use})
+            self._save(folder, frame.index, panorama, {"roomlight:coverage": coverage})
 
     def interpolated(
         self, between: Sequence[Frame], frame: Frame, lights: Sequence[Light]
@@ -266,13 +276,23 @@ class _Writer:
     def _save_interpolated(self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]]) -> None:
         self.count_interpolated += 1
         for folder, panorama in zip(self._folders, panoramas, strict=True):
-            self._save(folder, index, panorama, {"roomlight:interpolated": "true", "roomlight:use": self._use})
+            self._save(folder, index, panorama, {"roomlight:interpolated": "true"})
 
-    @staticmethod
-    def _save(folder: Path, index: int, panorama: Float[np.ndarray, "h w 3"], metadata: dict[str, str]) -> None:
-        path = folder / f"{index:06d}.exr"
+    def close(self) -> None:
+        """Write the stages of the panoramas, and the last light in the other forms."""
+        lights = () if self._before is None else self._before[1]
+        for folder, position, light in zip(self._folders, self._probes, lights, strict=True):
+            stage = sequence_stage(position, self._names, self._rate)
+            write_atomic(folder / "light.usda", stage.encode())
+            for form in self._forms:
+                light.save(folder / f"light{ENDINGS[form]}")
+
+    def _save(self, folder: Path, index: int, panorama: Float[np.ndarray, "h w 3"], metadata: dict[str, str]) -> None:
+        self._names[index] = f"light.{index:06d}.exr"
+        path = folder / self._names[index]
         if not path.exists():
-            write_exr(path, panorama, metadata=metadata)
+            timing = {} if self._rate is None else sequence_metadata(index, self._rate)
+            write_exr(path, panorama, metadata=timing | metadata | {"roomlight:use": self._use})
 
 
 def panoramas_of(lights: Sequence[Light], use: LightUse) -> list[Float[np.ndarray, "h w 3"]]:

@@ -21,7 +21,7 @@ from roomlight_cli.replays.replay_options import ReplayOptions
 
 REPORT: Final = "report.json"
 INTENT: Final = "replay.json"
-_PANORAMAS: Final = "probe-[0-9][0-9]*/[0-9][0-9][0-9][0-9][0-9][0-9]*.exr"
+_LIGHT: Final = "probe-[0-9][0-9]*/light.*"
 _FOLDERS: Final = "probe-[0-9][0-9]*"
 
 
@@ -55,7 +55,7 @@ def fingerprint(capture: Path, out: Path, options: ReplayOptions) -> dict[str, s
     """Return digests of the names, sizes and modification times of a replay's input and output files."""
     weights = () if options.server else _files(options.session.weights or SHIPPED)
     inputs = [file for file in (*_files(capture), *weights) if not file.resolve().is_relative_to(out.resolve())]
-    outputs = [file for pattern in (_PANORAMAS, SUMMARY, VIDEO) for file in sorted(out.glob(pattern))]
+    outputs = [file for pattern in (_LIGHT, SUMMARY, VIDEO) for file in sorted(out.glob(pattern))]
     return {"inputs": _digest(inputs), "outputs": _digest(outputs)}
 
 
@@ -94,8 +94,8 @@ def claim(out: Path, intent: dict[str, Any], *, overwrite: bool) -> None:
     """
     try:
         if overwrite or (out / REPORT).exists() or _read_json(out / INTENT) != intent:
-            for panorama in out.glob(_PANORAMAS):
-                panorama.unlink()
+            for file in out.glob(_LIGHT):
+                file.unlink()
             for folder in out.glob(_FOLDERS):
                 if folder.is_dir() and not any(folder.iterdir()):
                     folder.rmdir()

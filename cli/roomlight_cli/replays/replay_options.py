@@ -10,7 +10,7 @@ from roomlight.conventions import Position
 from roomlight.engine.session import SessionOptions
 from roomlight.engine.volume.sglv import check_position
 from roomlight.errors import OptionError
-from roomlight.light.sources import LightUse
+from roomlight.light.sources import FileFormat, LightUse
 from roomlight.placement import ABOVE_M
 from roomlight.rules import check_options
 from roomlight_cli.options import Flag, Without
@@ -34,6 +34,8 @@ class ReplayOptions:
         interpolate: With `--every`: interpolate the frames in between, linearly in radiance (paper, section 5.2).
         use: Write panoramas of this use as EXR: lighting, to light a scene with as a dome light, or reflection, what a
             mirror shows. Pictures and the video show reflection.
+        forms: Also write the light after the last frame in this form, beside its panoramas: usdz, glb, ktx2, ...
+            Repeatable.
         overwrite: Replace what the output folder holds, also this replay if it is finished.
         server: Let the `roomlight serve` at this address do the work, e.g. http://host:8090.
 
@@ -51,6 +53,7 @@ class ReplayOptions:
     every: Annotated[int, Ge(1)] = 1
     interpolate: bool = False
     use: LightUse = "lighting"
+    forms: tuple[FileFormat, ...] = ()
     overwrite: bool = False
     server: Annotated[str | None, Flag(metavar="URL")] = None
 

@@ -75,7 +75,7 @@ def _print_result(folder: Path, report: dict[str, Any]) -> None:
         more = len(report["skipped"]) - 5
         err.print(f"[yellow]skipped[/] {more} more; all are in {escape(str(folder / REPORT))}", soft_wrap=True)
     say(f"Pictures: {folder / SUMMARY} and {folder / VIDEO}")
-    say(f"Panoramas: {folder}/probe-*/*.exr; times and coverage: {folder / REPORT}")
+    say(f"Panoramas: {folder}/probe-*/light.*.exr, as a USD stage light.usda; times and coverage: {folder / REPORT}")
 
 
 def _count(number: int, noun: str) -> str:

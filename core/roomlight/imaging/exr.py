@@ -10,6 +10,7 @@ import struct
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +25,27 @@ from roomlight.notes import Note
 _COMBINED: Final = ("combined", "rgba", "rgb", "beauty", "color", "colour", "image", "composite", "main")
 _DEEPEST: Final = 65504.0
 """Half's largest value: it and beyond, and infinity, mean that nothing was hit."""
+
+
+def sequence_metadata(index: int, frames_per_second: float) -> dict[str, object]:
+    """Return the standard attributes of a frame of a sequence: `framesPerSecond`, and its `timeCode` from 0 on.
+
+    Time code (SMPTE ST 12-1) counts up to 30 frames a second; up to 60 it counts pairs, and marks their second frame as
+    a field. Faster sequences have none. Rates such as 29.97 count as 30, without dropped numbers.
+
+    Args:
+        index: of the frame, 0 the first of the recording.
+        frames_per_second: rate at which indices count.
+    """
+    rate = Fraction(frames_per_second).limit_denominator(1001)
+    metadata: dict[str, object] = {"framesPerSecond": rate}
+    whole = round(frames_per_second)
+    if 1 <= whole <= 60:
+        seconds, rest = divmod(index, whole)
+        frame, field = (rest, 0) if whole <= 30 else divmod(rest, 2)
+        clock = (seconds // 3600 % 24, seconds // 60 % 60, seconds % 60, frame)
+        metadata["timeCode"] = OpenEXR.TimeCode(*clock, 0, 0, field, *[0] * 11)
+    return metadata
 
 
 @dataclass(frozen=True)

@@ -53,14 +53,20 @@ from roomlight.spheres import resize_panorama
 SAVED_AS: Final[dict[str, FileFormat | Literal["json"]]] = {
     ".exr": "exr",
     ".hdr": "hdr",
+    ".confidence.png": "confidence",
     ".png": "png",
+    ".npy": "npy",
+    ".cube": "cube",
     ".equirect.ktx2": "equirect",
+    ".specular.ktx2": "specular",
     ".ktx2": "ktx2",
     ".usdz": "usdz",
     ".glb": "glb",
     ".json": "json",
 }
 """What `Light.save` writes, by the end of the name; the first that fits."""
+ENDINGS: Final = {form: end for end, form in SAVED_AS.items()}
+"""Ends of names by what is written."""
 
 _CONVENTIONS: Final = {
     "position": "world metres, right-handed, y up",
@@ -380,6 +386,7 @@ class Light:
         .ktx2:       a cube map of half floats with faces of 32 pixels; .equirect.ktx2: the panorama, for three.js.
         .usdz:       a dome light, and lamps and windows as distant lights (`roomlight.light.usd`).
         .glb:        an image-based light and directional lights (`roomlight.light.glb`).
+        .npy, .cube, .confidence.png, .specular.ktx2: as `file` has them.
         .json:       `to_json`.
 
         Args:

@@ -112,19 +112,20 @@ def to_usdz(
     return _package({"light.usda": stage.encode()} | files)
 
 
-def sequence_stage(position: Position, files: Mapping[int, str], frames_per_second: float) -> str:
+def sequence_stage(position: Position, files: Mapping[int, str], frames_per_second: float | None) -> str:
     """Return a stage whose dome light shows a panorama file at each frame, until the next.
 
     Args:
         position: world metres.
         files: names of panoramas beside the stage, by frame; at least one.
-        frames_per_second: rate of the frames.
+        frames_per_second: rate at which frames count; None: USD's own, 24.
     """
-    samples = "".join(f"            {frame}: @{name}@,\n" for frame, name in sorted(files.items()))
+    samples = "".join(f"            {frame}: @./{name}@,\n" for frame, name in sorted(files.items()))
+    rate = frames_per_second
+    rates = "" if rate is None else f"    timeCodesPerSecond = {rate:.6g}\n    framesPerSecond = {rate:.6g}\n"
     return _STAGE.format(
         doc=_doc(position),
-        time=f"    startTimeCode = {min(files)}\n    endTimeCode = {max(files)}\n"
-        f"    timeCodesPerSecond = {frames_per_second:.6g}\n    framesPerSecond = {frames_per_second:.6g}\n",
+        time=f"    startTimeCode = {min(files)}\n    endTimeCode = {max(files)}\n{rates}",
         variants="",
         texture=f"        asset inputs:texture:file.timeSamples = {{\n{samples}        }}\n",
         choices="",

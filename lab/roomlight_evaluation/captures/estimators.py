@@ -65,7 +65,7 @@ class EngineEstimator:
 
 
 class PredictionFolder:
-    """Panoramas in files, one per probe and frame: `probe-00/000000.exr`, numbered by `Frame.index`.
+    """Panoramas in files, one per probe and frame: `probe-00/light.000000.exr`, numbered by `Frame.index`.
 
     `roomlight replay --probes-from-capture` writes such a folder; any other program may write one to be scored.
     """
@@ -83,7 +83,7 @@ class PredictionFolder:
         Raises:
             CaptureError: A probe has no file for this frame; the message names the first one.
         """
-        self._file_name = f"{frame.index:06d}.exr"
+        self._file_name = f"light.{frame.index:06d}.exr"
         for folder in self._folders.values():
             if not (folder / self._file_name).is_file():
                 raise CaptureError(

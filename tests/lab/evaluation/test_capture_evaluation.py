@@ -105,7 +105,7 @@ def test_panoramas_are_resized_to_the_height_of_the_truth(tmp_path: Path) -> Non
 def write_predictions(folder: Path, *, frames: range) -> None:
     for number in range(len(PROBES)):
         for index in frames:
-            write_exr(folder / f"probe-{number:02d}" / f"{index:06d}.exr", truth(number))
+            write_exr(folder / f"probe-{number:02d}" / f"light.{index:06d}.exr", truth(number))
 
 
 @pytest.mark.parametrize("nested", [False, True])
