@@ -252,6 +252,9 @@ def _typer_type(rule: Rule) -> tuple[Any, dict[str, Any]]:
     if rule.inner is not None:
         if rule.inner.kind is int:
             return str, {"parser": _whole_numbers, "metavar": "N,N,..."}
+        if rule.inner.choices:  # typer has no lists of choices
+            names = "|".join(rule.inner.choices)
+            return list[str], {"parser": partial(_choice, rule=rule.inner), "metavar": f"[{names}]"}
         inner, facts = _typer_type(rule.inner)
         return list[inner], facts
     if get_origin(kind) is tuple:
@@ -271,6 +274,12 @@ def _point(text: str, count: int) -> tuple[float, ...]:
     if len(values) != count:
         raise typer.BadParameter(f"{_POINTS[count][1]}; got {text!r}")
     return values
+
+
+def _choice(text: str, rule: Rule) -> str:
+    if not rule.allows(text):
+        raise typer.BadParameter(f"{text!r} is not {rule.text}")
+    return text
 
 
 def _word_or_direction(text: str) -> str | tuple[float, ...]:

@@ -133,7 +133,7 @@ def light_photo(
         write_exr(out / files[0], light.panorama)
         write_png(out / files[1], light.reflection)
         write_png(out / files[2], _spheres(light, view_toward(frame.camera_to_world, position)))
-        others = {form: f"probe-{number:02d}{ENDINGS[form]}" for form in forms}
+        others: dict[FileFormat, str] = {form: f"probe-{number:02d}{ENDINGS[form]}" for form in forms}
         for name in others.values():
             light.save(out / name)
         lights.append(PhotoLight(position, light, session.grid.contains(position), files, others))

@@ -2,6 +2,7 @@
 
 import ast
 import csv
+import importlib.util
 import json
 import os
 import shutil
@@ -21,7 +22,7 @@ from js_package import PACKAGE, run
 import roomlight as rl
 from http_servers import RunningServer
 from roomlight.conventions import srgb8_to_linear
-from roomlight.images import read_panorama
+from roomlight.images import read_colour, read_panorama, write_exr
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -184,15 +185,51 @@ def test_mitsuba_render(tmp_path: Path) -> None:
     assert_background(out / "render.png", panorama, forward, fov_deg=50, pixels=((50, 3), (55, 5)))
 
 
+def run_in_blender(script: Path, *arguments: object, cwd: Path) -> None:
+    """Run a script in Blender, or in its module `bpy`; skip the test where there is neither."""
+    command = [sys.executable, str(script), "--"]
+    if importlib.util.find_spec("bpy") is None:
+        blender = shutil.which("blender")
+        if blender is None:
+            pytest.skip("neither Blender nor bpy is installed")
+        command = [blender, "--background", "--python-exit-code", "1", "--python", str(script), "--"]
+    subprocess.run([*command, *map(str, arguments)], cwd=cwd, check=True, timeout=280)
+
+
+RENDER_FRAMES = """
+import sys
+import bpy
+bpy.ops.wm.open_mainfile(filepath=sys.argv[sys.argv.index("--") + 1])
+scene = bpy.context.scene
+bpy.ops.object.camera_add()
+scene.camera = bpy.context.object
+scene.render.engine, scene.cycles.samples = "CYCLES", 1
+scene.render.resolution_x = scene.render.resolution_y = 4
+scene.render.image_settings.file_format = "OPEN_EXR"
+for frame in (3, 5, 7, 9):
+    scene.frame_set(frame)
+    scene.render.filepath = f"shown-{frame}.exr"
+    bpy.ops.render.render(write_still=True)
+"""
+
+
+@pytest.mark.slow
+def test_blender_replay(tmp_path: Path) -> None:
+    colours = {0: (1.0, 2.0, 0.5), 3: (4.0, 0.5, 0.25), 7: (0.25, 8.0, 1.0)}
+    for frame, colour in colours.items():
+        write_exr(tmp_path / f"light/probe-00/light.{frame:06d}.exr", np.full((4, 8, 3), colour, np.float32))
+    (tmp_path / "render.py").write_text(RENDER_FRAMES)
+    run_in_blender(EXAMPLES / "blender_replay.py", cwd=tmp_path)
+    run_in_blender(tmp_path / "render.py", "out/blender_replay.blend", cwd=tmp_path)
+    for frame, wanted in ((3, 3), (5, 3), (7, 7), (9, 7)):
+        shown = read_colour(tmp_path / f"shown-{frame}.exr")[0]
+        np.testing.assert_allclose(shown.mean(axis=(0, 1)), colours[wanted], rtol=0.02)
+
+
 @pytest.mark.slow
 def test_blender_render(tmp_path: Path) -> None:
-    blender = shutil.which("blender")
-    if blender is None:
-        pytest.skip("Blender is not on the PATH")
     run_example("light_one_photo", cwd=tmp_path)
-    script = EXAMPLES / "blender_render.py"
-    command = [blender, "--background", "--python-exit-code", "1", "--python", str(script), "--", "--size", "64"]
-    subprocess.run([*command, "--samples", "8"], cwd=tmp_path, check=True, timeout=280)
+    run_in_blender(EXAMPLES / "blender_render.py", "--size", "64", "--samples", "8", cwd=tmp_path)
     panorama = read_panorama(tmp_path / "out/light_one_photo/light.exr")
     pixels = ((3, 3), (60, 3), (3, 20), (60, 20))
     assert_background(tmp_path / "out/blender_render.png", panorama, np.array([0, 0, -1]), fov_deg=39.6, pixels=pixels)

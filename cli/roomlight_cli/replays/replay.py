@@ -232,7 +232,8 @@ class _Writer:
         """Write into `out`; the capture gives `rate` frames a second, of which each is `step` indices on."""
         self._folders = [out / f"probe-{n:02d}" for n in range(len(probes))]
         self._probes = probes
-        self._use, self._forms = options.use, options.forms
+        self._use: LightUse = options.use
+        self._forms = options.forms
         self._rate = None if rate is None else rate * step  # at which indices count
         self._names: dict[int, str] = {}
         self._before: tuple[int, Sequence[Light]] | None = None

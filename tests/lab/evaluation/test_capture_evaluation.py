@@ -131,9 +131,9 @@ def test_predictions_are_numbered_by_frame_index(tmp_path: Path) -> None:
 def test_a_missing_prediction_is_named(tmp_path: Path) -> None:
     capture = capture_of(tmp_path / "room")
     write_predictions(tmp_path / "out", frames=range(3))
-    missing = tmp_path / "out" / "probe-01" / "000002.exr"
+    missing = tmp_path / "out" / "probe-01" / "light.000002.exr"
     missing.unlink()
-    with pytest.raises(CaptureError, match=r"probe-01/000002\.exr.*is missing"):
+    with pytest.raises(CaptureError, match=r"probe-01/light\.000002\.exr.*is missing"):
         evaluate_predictions([capture], tmp_path / "out")
 
 
