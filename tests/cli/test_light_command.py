@@ -65,6 +65,7 @@ def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
     result = roomlight(
         "light", folder / "photo.png", "--depth", folder / "depth.png", "--fov", fov, "--probe", "0,-0.2,-1.5",
         "--probe", "0,-0.2,-50", "--out", folder / "out", "--model", "classical",
+        "--form", "usdz", "--form", "glb",
     )  # fmt: skip
     assert result.code == 0, result.err
     lines = result.out.splitlines()
@@ -77,7 +78,9 @@ def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
     assert [probe["inside_volume"] for probe in report["probes"]] == [True, False]
     for probe in report["probes"]:
         assert all((folder / "out" / name).is_file() for name in probe["files"].values())
+        assert probe["files"]["usdz"].endswith(".usdz")
     assert read_panorama(folder / "out" / "probe-00.exr").shape == (120, 240, 3)
+    assert (folder / "out" / "probe-01.glb").read_bytes().startswith(b"glTF")
 
 
 def test_the_exr_holds_the_engine_s_light(room):
@@ -145,6 +148,7 @@ def test_unusable_depth_is_refused(room, depth, error, message):
         (["--probe", "1,2"], "a position or direction is X,Y,Z"),
         (["--probe", "0,0,-1", "--fov", "170"], "150"),
         (["--pixel", "1"], "a pixel is U,V"),
+        (["--pixel", "1,1", "--form", "gif"], "is not one of exr, hdr, png, npy,"),
         ([], "give the points to light"),
     ],
 )

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from roomlight.captures import CaptureOptions, open_capture
@@ -65,6 +66,50 @@ def test_the_panoramas_are_those_of_the_session(capture, tmp_path):
         session.push(frame)
     last = read_panorama(tmp_path / "out" / "probe-00" / f"light.{FRAMES - 1:06d}.exr")
     assert (last == session.light(0).panorama.astype(np.float16)).all()
+
+
+def test_the_sequence_has_timecode_in_every_file(capture, tmp_path):
+    """At ten frames a second the sixth record is half a second in, whatever was left out before it."""
+    options = ReplayOptions(capture=CaptureOptions(every=5), session=SMALL, probes=(PROBES[0],))
+    replay(capture, tmp_path / "out", options)
+    for index, frame in ((0, 0), (5, 5)):
+        header = OpenEXR.File(str(tmp_path / f"out/probe-00/light.{index:06d}.exr")).header()
+        assert header["framesPerSecond"] == 10
+        timecode = header["timeCode"]
+        assert (timecode.hours, timecode.minutes, timecode.seconds, timecode.frame) == (0, 0, 0, frame)
+        assert header["roomlight:use"] == "lighting"
+
+
+def test_a_capture_without_times_has_no_timecode(tmp_path):
+    untimed = write_capture(tmp_path / "box", [*pan(BoxRoom(), 2, width=64, height=48)])
+    replay(untimed, tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],)))
+    header = OpenEXR.File(str(tmp_path / "out/probe-00/light.000001.exr")).header()
+    assert {"timeCode", "framesPerSecond"}.isdisjoint(header)
+    assert "PerSecond" not in (tmp_path / "out/probe-00/light.usda").read_text()
+
+
+def test_usd_core_reads_the_stage_of_a_replay(capture, tmp_path):
+    Usd, UsdLux = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdLux")
+    replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],), every=2))
+    stage = Usd.Stage.Open(str(tmp_path / "out/probe-00/light.usda"))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetTimeCodesPerSecond()) == (0, 4, 10)
+    texture = UsdLux.DomeLight(stage.GetPrimAtPath("/Light/Room")).GetTextureFileAttr()
+    assert texture.GetTimeSamples() == [0, 2, 4]
+    for time, index in ((0, 0), (3, 2), (4, 4)):  # an asset stays until the next
+        path = tmp_path / "out" / "probe-00" / f"light.{index:06d}.exr"
+        assert Path(texture.Get(time).resolvedPath) == path
+        assert path.is_file()
+
+
+def test_the_last_light_is_written_in_other_forms(capture, tmp_path):
+    forms = ("usdz", "glb", "equirect", "confidence")
+    replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],), forms=forms))
+    session = Session(SMALL)
+    session.track(PROBES[0])
+    for frame in open_capture(capture):
+        session.push(frame)
+    for form, end in zip(forms, (".usdz", ".glb", ".equirect.ktx2", ".confidence.png"), strict=True):
+        assert (tmp_path / "out" / "probe-00" / f"light{end}").read_bytes() == session.light(0).file(form)
 
 
 def test_every_and_interpolate(capture, tmp_path):

@@ -9,6 +9,7 @@ import pytest
 from roomlight.errors import ImageError
 from roomlight.images import decode_depth, decode_picture
 from roomlight.imaging.colour_spaces import DISPLAY_P3, to_rec709
+from roomlight.imaging.exr import sequence_metadata
 
 PLANE = {key: np.full((6, 8), value, np.float32) for key, value in {"R": 0.5, "G": 0.25, "B": 0.125, "A": 1.0}.items()}
 DEPTH = np.linspace(1, 3, 48, dtype=np.float32).reshape(6, 8)
@@ -94,3 +95,26 @@ def test_chromaticities_alpha_and_windows_are_read(tmp_path: Path) -> None:
     assert picture.seen is not None
     assert picture.seen[:, :8].all()
     assert not picture.seen[:, 8:].any()
+
+
+@pytest.mark.parametrize(
+    ("index", "rate", "wanted"),
+    [
+        (0, 24.0, (0, 0, 0, 0, False)),
+        (29, 29.97, (0, 0, 0, 29, False)),
+        (30, 29.97, (0, 0, 1, 0, False)),
+        (61, 60.0, (0, 0, 1, 0, True)),
+        (24 * 3600 * 10 + 3663 * 10 + 7, 10.0, (1, 1, 3, 7, False)),  # a clock of a day
+    ],
+)
+def test_timecode_of_a_sequence(tmp_path, index, rate, wanted):
+    written(tmp_path / "a.exr", PLANE, **sequence_metadata(index, rate))
+    header = OpenEXR.File(str(tmp_path / "a.exr")).header()
+    code = header["timeCode"]
+    assert (code.hours, code.minutes, code.seconds, code.frame, code.fieldPhase) == wanted
+    assert float(header["framesPerSecond"]) == pytest.approx(rate, rel=1e-6)
+
+
+@pytest.mark.parametrize("rate", [0.2, 120.0])
+def test_rates_that_timecode_does_not_count(rate):
+    assert list(sequence_metadata(5, rate)) == ["framesPerSecond"]
