@@ -98,8 +98,6 @@ def exif_camera(data: bytes, name: str) -> ExifCamera:
 
 def read_bytes(path: Path) -> bytes:
     """Read a file. Raises ImageError if it is missing, unreadable or empty."""
-    if path.is_dir():
-        raise ImageError(f"{path}: is a folder, not an image; `roomlight replay` and `open_capture` read recordings")
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -77,7 +77,7 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     try:
         if not path.exists():
             raise CaptureError(f"{path}: there is no such file or folder")
-        if path.is_file() and path.name in (native.INDEX, nerfstudio.INDEX, nerfstudio.TRAIN_INDEX):
+        if path.is_file() and path.name in (native.INDEX, nerfstudio.INDEX):
             path = path.parent
         if chosen.format is None:
             path = _innermost(path)

@@ -18,7 +18,7 @@ from roomlight.errors import UnknownFormatError
 
 _PARTS: Final[dict[str, tuple[str, ...]]] = {
     "roomlight": (native.INDEX,),
-    "nerfstudio": (f"{nerfstudio.INDEX}|{nerfstudio.TRAIN_INDEX}",),
+    "nerfstudio": (nerfstudio.INDEX,),
     "stray-scanner": (stray_scanner.VIDEO, stray_scanner.ODOMETRY, stray_scanner.MATRIX),
     "record3d": ("metadata|metadata.json", "rgbd|rgb"),
     "tum": ("rgb.txt", "depth.txt", "groundtruth.txt"),
@@ -68,7 +68,7 @@ def recognised(path: Path) -> str:
         return "roomlight"
     elif has(scannetpp.INDEX):
         return "scannetpp"
-    elif has(nerfstudio.INDEX, nerfstudio.TRAIN_INDEX):
+    elif has(nerfstudio.INDEX):
         return "nerfstudio"
     elif has(stray_scanner.ODOMETRY, stray_scanner.MATRIX):
         return "stray-scanner"

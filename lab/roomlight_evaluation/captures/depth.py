@@ -1,73 +1,90 @@
-"""Estimated depth scored on captures that have depth, and the light that follows from it.
+"""Estimated depth scored in recordings that have depth, and the light that follows from it.
 
-Each frame's own depth is hidden from the estimate and compared with it. AbsRel is the mean of |d / d_true - 1|; "within
-25 %" the share of pixels with max(d / d_true, d_true / d) < 1.25 (Eigen et al. 2014). Pixels without an estimate are
-left out. Where a capture has true panoramas, light by estimated depth is compared with light by its own.
+Each frame's own depth is hidden from the estimate and compared with it. AbsRel is the mean of |d / d_true - 1|; "delta"
+the share of pixels with max(d / d_true, d_true / d) < 1.25 (Eigen et al. 2014). Pixels without an estimate are left
+out. At true panoramas, light by estimated depth is compared with light by exact depth.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from rich.table import Table
 
 from roomlight.captures import CaptureOptions, open_capture
+from roomlight.conventions import Position
+from roomlight.dataset.folder import MANIFEST
+from roomlight.dataset.loader import Dataset
+from roomlight.dataset.recording import Split
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
 from roomlight.files import write_json
+from roomlight.frame import Frame
 from roomlight.imaging.tables import figure_table
 from roomlight.monocular.stream import DepthStream, open_depth_stream
-from roomlight_evaluation.captures.evaluation import ProgressCallback, evaluate_engine
-from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
+from roomlight_evaluation.captures.estimators import EngineEstimator
+from roomlight_evaluation.captures.evaluation import ProgressCallback, score_frames
+from roomlight_evaluation.captures.scores import Track
+from roomlight_evaluation.confidence import MeanWithInterval, evenly_spread, mean_with_interval, ratio_of_means
 
 CONSTANT_M: Final = 2.5
 """The answer that knows nothing."""
-LIGHT: Final = {"log_l2": "log-L2", "si_rmse_diffuse": "diffuse"}
+METHODS: Final = ("constant", "single", "stream", "scaled")
+"""2.5 m everywhere, each frame alone, the stream with its poses, and that at each frame's best scale."""
+LIGHT: Final = {"log_l2": "log-L2", "si_rmse_diffuse": "diffuse sphere"}
 """Scores of light that are compared, by their keys in `roomlight.metrics.METRICS`."""
-_ENGINE: Final = 2
-"""Place of the engine among the methods of `evaluate_engine`, after two baselines."""
+
+_CAPTURES: Final = "captures"
 
 
 @dataclass(frozen=True)
 class DepthScore:
-    """Scores of one capture: means over its frames.
+    """Scores of one recording: means over its frames.
 
     Attributes:
-        abs_rel: By method: constant, single (each frame alone), stream (by poses).
-        within_25: Likewise.
-        light: By `LIGHT`, the errors of light by estimated depth and by the capture's own; none without true panoramas.
+        room: The capture's name, or the walk's number.
+        source: The dataset of a walk, or `captures`.
+        frames: How many were scored.
+        abs_rel: By `METHODS`.
+        delta: Likewise, the share within 25 %.
+        light: By `LIGHT`, the errors of light by estimated depth and by exact depth; none without true panoramas.
     """
 
-    capture: str
+    room: str
+    source: str
     frames: int
     abs_rel: dict[str, float]
-    within_25: dict[str, float]
+    delta: dict[str, float]
     light: dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class DepthScores:
-    """Scores of several captures."""
+    """Scores of several recordings."""
 
     scores: tuple[DepthScore, ...]
 
     def table(self) -> Table:
-        """Return a row for each capture, and the means over captures with 95 % intervals."""
-        methods = list(self.scores[0].abs_rel)
-        columns = [f"{kind}{method}" for kind in ("AbsRel ", "<25% ") for method in methods]
+        """Return a row for each capture, and for the captures and each dataset the means with 95 % intervals."""
+        columns = [*(f"AbsRel {method}" for method in METHODS), *(f"delta {method}" for method in METHODS[1:3])]
         note = "light: error by estimated depth over that by exact depth"
         table = figure_table("estimated depth", [*columns, *LIGHT.values()], caption=note)
-        for name, scores in (*((score.capture, [score]) for score in self.scores), ("all", self.scores)):
+        sources = dict.fromkeys(score.source for score in self.scores)
+        groups = [(score.room, [score]) for score in self.scores if score.source == _CAPTURES]
+        groups += [(name, [score for score in self.scores if score.source == name]) for name in sources]
+        for name, scores in groups:
             means = [
-                *(mean_with_interval(score.abs_rel[method] for score in scores) for method in methods),
-                *(mean_with_interval(score.within_25[method] for score in scores) for method in methods),
-                *(ratio_of_means(*zip(*pairs, strict=True)) if pairs else None for pairs in _light_pairs(scores)),
+                *(mean_with_interval(score.abs_rel[method] for score in scores) for method in METHODS),
+                *(mean_with_interval(score.delta[method] for score in scores) for method in METHODS[1:3]),
+                *(_light_ratio(scores, metric) for metric in LIGHT),
             ]
-            table.add_row(name, *("-" if mean is None else _shown(mean) for mean in means))
+            table.add_row(f"{name} ({len(scores)})" if name in sources else name, *map(_shown, means))
         return table
 
     def write(self, path: Path) -> None:
@@ -77,61 +94,62 @@ class DepthScores:
 
 
 def evaluate_depth(
-    captures: Sequence[Path],
+    sources: Sequence[Path],
     light: SessionOptions,
     reading: CaptureOptions,
     *,
+    split: Split = "test",
+    limit: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> DepthScores:
-    """Score the estimated depth of captures, and its light.
+    """Score the estimated depth of recordings, and its light.
 
     Args:
-        captures: Captures with depth.
+        sources: Captures with depth, and dataset folders.
         light: How light is estimated.
-        reading: How captures are read; its `depth_model` is scored.
+        reading: How captures are read; its `depth_model` is scored, `every` and `max_frames` hold for datasets too.
+        split: Of dataset folders.
+        limit: Use this many walks of each dataset, evenly spread; None uses all.
         progress: Called after each frame.
 
     Raises:
-        CaptureError: A capture cannot be read, or has no depth.
-        ModelError: The depth model cannot be used.
+        CaptureError: A capture cannot be read, or has no depth; or there is nothing to score.
+        DatasetError: A dataset is damaged.
+        ModelError: The depth model or the weights of `light` cannot be used.
     """
+    graphs = choose_graphs(light)
     scores: list[DepthScore] = []
-    for path in captures:
-        own = replace(reading, depth="file", depth_model=None)
-        capture = open_capture(path, own)
-        stream, errors = open_depth_stream(reading.depth_model), dict[str, list[Float[np.ndarray, "2"]]]()
-        for done, frame in enumerate(capture, 1):
-            bare = replace(frame, depth_m=np.zeros_like(frame.depth_m))
-            answers = {
-                "constant": np.full_like(frame.depth_m, CONSTANT_M),
-                "single": DepthStream(stream.model, open_depth_stream().model).estimate(bare),
-                "stream": stream.estimate(bare),
-            }
-            for method, depth_m in answers.items():
-                errors.setdefault(method, []).append(depth_errors(depth_m, frame.depth_m))
+    for room in (room for path in sources for room in _rooms(path, reading, split, limit)):
+        hidden, exact = _Hidden(light, graphs, reading.depth_model), EngineEstimator(light, graphs)
+
+        def show(done: int, room: _Room = room) -> None:
             if progress is not None:
-                progress(path.name, done, capture.frame_count)
-        means = {method: np.nanmean(values, axis=0) for method, values in errors.items()}
-        lit = dict[str, tuple[float, float]]()
-        if any(probe.panorama_path is not None for probe in capture.probes):
-            both = [_light(path, light, options) for options in (replace(reading, depth="network"), own)]
-            lit = {metric: (both[0][metric], both[1][metric]) for metric in LIGHT}
+                progress(room.name, done, room.count)
+
+        probes = [(number, *truth) for number, truth in enumerate(room.truths)]
+        _, tracks = score_frames(room.name, room.frames, probes, [hidden, exact], progress=show)
+        if not hidden.errors:
+            raise CaptureError(f"{room.name}: has no frame to score")
+        errors = np.nanmean(hidden.errors, axis=0).tolist()
         scores.append(
             DepthScore(
-                capture=path.name,
-                frames=len(errors["single"]),
-                abs_rel={method: float(mean[0]) for method, mean in means.items()},
-                within_25={method: float(mean[1]) for method, mean in means.items()},
-                light=lit,
+                room=room.name,
+                source=room.source,
+                frames=len(hidden.errors),
+                abs_rel={method: error for method, (error, _) in zip(METHODS, errors, strict=True)},
+                delta={method: share for method, (_, share) in zip(METHODS, errors, strict=True)},
+                light={metric: (_mean(tracks, hidden, metric), _mean(tracks, exact, metric)) for metric in LIGHT}
+                if probes
+                else {},
             )
         )
     if not scores:
-        raise CaptureError("no capture is given to score")
+        raise CaptureError("no recording to score: give captures with depth, or datasets with walks of this split")
     return DepthScores(tuple(scores))
 
 
 def depth_errors(depth_m: Float[np.ndarray, "h w"], true_m: Float[np.ndarray, "th tw"]) -> Float[np.ndarray, "2"]:
-    """Return AbsRel and the share within 25 %, at the estimate's size; NaN where nothing is known."""
+    """Return AbsRel and delta, at the estimate's size; NaN where nothing is known."""
     truth = cv2.resize(true_m, depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST)
     both = (truth > 0) & (depth_m > 0)
     if not both.any():
@@ -140,15 +158,76 @@ def depth_errors(depth_m: Float[np.ndarray, "h w"], true_m: Float[np.ndarray, "t
     return np.array([np.abs(ratio - 1).mean(), (np.maximum(ratio, 1 / ratio) < 1.25).mean()])
 
 
-def _light(path: Path, light: SessionOptions, reading: CaptureOptions) -> dict[str, float]:
-    scores = evaluate_engine([path], light, options=reading)
-    return {metric: scores.means(scores.methods[_ENGINE], metric)[-1].mean for metric in LIGHT}
+@dataclass(frozen=True)
+class _Room:
+    """A recording: its frames, how many there are at most, and its true panoramas."""
+
+    name: str
+    source: str
+    frames: Iterable[Frame]
+    count: int
+    truths: list[tuple[Position, Float[np.ndarray, "h w 3"]]]
 
 
-def _light_pairs(scores: Sequence[DepthScore]) -> list[list[tuple[float, float]]]:
-    return [[score.light[metric] for score in scores if score.light] for metric in LIGHT]
+class _Hidden(EngineEstimator):
+    """A session of the engine whose frames' depth is hidden, estimated and scored."""
+
+    def __init__(self, options: SessionOptions, graphs: LightingGraphs | None, model: Path | None) -> None:
+        super().__init__(options, graphs)
+        self.name = "estimated depth"
+        self._stream, self._reference = open_depth_stream(model), open_depth_stream().model
+        self.errors: list[Float[np.ndarray, "4 2"]] = []
+
+    def push(self, frame: Frame) -> None:
+        """Take the next frame."""
+        true_m = frame.depth_m
+        bare = replace(frame, depth_m=np.zeros_like(true_m))
+        stream_m = self._stream.estimate(bare)
+        answers = (
+            np.full_like(true_m, CONSTANT_M),
+            DepthStream(self._stream.model, self._reference).estimate(bare),
+            stream_m,
+            _best_scaled(stream_m, true_m),
+        )
+        self.errors.append(np.stack([depth_errors(depth_m, true_m) for depth_m in answers]))
+        super().push(replace(bare, depth_m=stream_m))
+
+
+def _rooms(path: Path, reading: CaptureOptions, split: Split, limit: int | None) -> Iterator[_Room]:
+    """Read a capture, or the walks of a dataset."""
+    if not (path / MANIFEST).is_file():
+        capture = open_capture(path, replace(reading, depth="file", depth_model=None))
+        truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
+        yield _Room(path.resolve().name, _CAPTURES, capture, capture.frame_count, truths)
+        return
+    dataset = Dataset(path, split)
+    for number in evenly_spread(len(dataset), limit):
+        recording = dataset[number]
+        chosen = range(0, len(recording.colour), reading.every)[: reading.max_frames]
+        frames = [recording.frame(k, recording.depth_mm[k]) for k in chosen]
+        positions = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
+        truths = list(zip(positions, recording.true_panoramas(), strict=True))
+        yield _Room(recording.name, path.resolve().name, frames, len(frames), truths)
+
+
+def _best_scaled(depth_m: Float32[np.ndarray, "h w"], true_m: Float32[np.ndarray, "th tw"]) -> Float[np.ndarray, "h w"]:
+    """Return estimated depth at the scale of its median ratio to the truth."""
+    truth = cv2.resize(true_m, depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    both = (truth > 0) & (depth_m > 0)
+    return depth_m * np.median(truth[both] / depth_m[both]) if both.any() else depth_m
+
+
+def _mean(tracks: Sequence[Track], method: EngineEstimator, metric: str) -> float:
+    return float(np.mean([track.scores[metric] for track in tracks if track.method == method.name]))
+
+
+def _light_ratio(scores: Sequence[DepthScore], metric: str) -> MeanWithInterval:
+    pairs = [score.light[metric] for score in scores if score.light]
+    return ratio_of_means(*zip(*pairs, strict=True)) if pairs else mean_with_interval([])
 
 
 def _shown(mean: MeanWithInterval) -> str:
+    if np.isnan(mean.mean):
+        return "-"
     interval = "" if np.isnan(mean.low) else f" ({mean.low:.2f}-{mean.high:.2f})"
-    return f"{mean.mean:.3f}{interval}"
+    return f"{mean.mean:.2f}{interval}"

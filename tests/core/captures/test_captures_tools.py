@@ -14,9 +14,8 @@ from capture_checks import edit, one_skipped
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.formats.packed_depth import lz4_block
-from roomlight.captures.photo import read_photo
 from roomlight.conventions import srgb8_to_linear
-from roomlight.errors import CaptureError, ImageError, UnknownFormatError
+from roomlight.errors import CaptureError, UnknownFormatError
 
 VIEWS = formats.scene()
 
@@ -314,21 +313,3 @@ def test_polycams_folders_without_keyframes_are_known_by_their_cameras(tmp_path:
     assert open_capture(path).format == "polycam"
     assert next(iter(open_capture(path))).camera_to_world[0, 3] == 99.0
     assert cv2.imread(str(next((path / "images").iterdir()))) is not None
-
-
-def test_a_split_index_is_read_and_its_other_parts_are_noted(transforms: Path) -> None:
-    whole = [frame.image for frame in open_capture(transforms)]
-    train = (transforms / "transforms.json").rename(transforms / "transforms_train.json")
-    for path in (train, train.parent):
-        capture = open_capture(path)
-        np.testing.assert_array_equal([frame.image for frame in capture], whole)
-        assert capture.notes == open_capture(path).notes
-    shutil.copy(train, train.with_name("transforms_val.json"))
-    assert any("transforms_val.json" in note.left_out for note in open_capture(train.parent).notes)
-    shutil.copy(train, train.with_name("transforms.json"))
-    assert not any("transforms_val.json" in note.left_out for note in open_capture(train.parent).notes)
-
-
-def test_a_folder_is_no_photo(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match="is a folder, not an image; `roomlight replay`"):
-        read_photo(tmp_path)

@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import typer
+from annotated_types import Ge
 
 from roomlight.captures import CaptureOptions
+from roomlight.dataset.recording import Split
 from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
 from roomlight_cli.console import print_tables, say
@@ -103,24 +105,28 @@ def _ship_rule(captures: tuple[Path, ...], light: SessionOptions, reading: Captu
 
 
 def depth(
-    captures: tuple[Path, ...],
+    sources: tuple[Path, ...],
     light: ScoredLight,
     reading: Annotated[CaptureOptions, Without("depth")],
     *,
+    split: Split = "test",
+    limit: Annotated[int, Ge(1)] | None = None,
     json: ScoresJson = None,
 ) -> None:
     """Score estimated depth on recordings whose own depth is hidden from it, and the light that follows.
 
-    Compared are 2.5 m everywhere, each frame alone, and the stream with its poses.
+    Compared are 2.5 m everywhere, each frame alone, the stream with its poses, and that at each frame's best scale.
 
     Args:
-        captures: Captures with depth.
+        sources: Captures with depth, and dataset folders.
         light: How to estimate the light.
         reading: How to read the captures.
+        split: Of dataset folders; no network is trained on test.
+        limit: Use this many walks of each dataset.
     """
     with Progress(_COMPILING) as progress:
         warm_up()
-        scores = evaluate_depth(captures, light, reading, progress=progress.count_of)
+        scores = evaluate_depth(sources, light, reading, split=split, limit=limit, progress=progress.count_of)
     print_tables(scores.table())
     if json:
         scores.write(json)

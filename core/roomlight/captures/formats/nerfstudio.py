@@ -1,4 +1,4 @@
-"""Captures described by a `transforms.json` or `transforms_train.json`: nerfstudio, instant-ngp, NeRF, NeRFCapture.
+"""Captures described by a `transforms.json`: nerfstudio, instant-ngp, nerf-synthetic, NeRFCapture, ScanNet++.
 
 Schema: `frames: [{file_path, depth_file_path | depth_path, transform_matrix, timestamp?, intrinsics?, mask_path?,
 is_bad?}]`; intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x`. Colour names may lack their suffix.
@@ -37,8 +37,6 @@ from roomlight.images import ColourImage
 from roomlight.notes import Note
 
 INDEX: Final = "transforms.json"
-TRAIN_INDEX: Final = "transforms_train.json"
-"""NeRF's synthetic scenes and Blender exporters split the frames; the other parts are noted."""
 _DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic")
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
@@ -70,7 +68,7 @@ _HARMLESS: Final = frozenset(  # what trainers of radiance fields need, and name
 
 
 class NerfstudioReader:
-    """Reads a folder with a `transforms.json`, or, without it, a `transforms_train.json`."""
+    """Reads a folder with a `transforms.json`."""
 
     format = "nerfstudio"
 
@@ -81,9 +79,8 @@ class NerfstudioReader:
             CaptureError: The index is missing or damaged, so that no frame can be read.
         """
         self._source = FolderSource(folder)
-        index = TRAIN_INDEX if not self._source.has(INDEX) and self._source.has(TRAIN_INDEX) else INDEX
-        self._label = self._source.label(index)
-        self._shared = fields.parse_json(read_index(self._source, index), self._label)
+        self._label = self._source.label(INDEX)
+        self._shared = fields.parse_json(read_index(self._source, INDEX), self._label)
         with fields.naming(self._label, CaptureError):
             self._frames = _in_order(fields.objects(self._shared.get("frames"), "frames"))
             self._nerfcapture = any(key in self._shared for key in _NERFCAPTURE_SCALES) or any(
@@ -99,7 +96,7 @@ class NerfstudioReader:
         self.count = len(self._frames)
         self._depth_keys = self._choose_depth(options)
         self._refuse_broken_lens()
-        self.notes = [*self._unread_keys(), *(self._other_parts() if index == TRAIN_INDEX else [])]
+        self.notes = self._unread_keys()
 
     def name_of(self, index: int) -> str:
         """Return the colour file as the index names it."""
@@ -169,10 +166,6 @@ class NerfstudioReader:
             "undo them first if they change poses, lens, depth or exposure",
         )
         return [note]
-
-    def _other_parts(self) -> list[Note]:
-        parts = [name for name in ("transforms_test.json", "transforms_val.json") if self._source.has(name)]
-        return [Note(f"{self._label}: the frames of {name}", "they are not read", "join the files") for name in parts]
 
     def _intrinsics(self, entry: dict[str, Any], image_width: int, image_height: int) -> Intrinsics:
         """Build intrinsics: per-frame values override global ones; a missing size is the image's."""
