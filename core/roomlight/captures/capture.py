@@ -227,10 +227,8 @@ class Capture:
                 yield frame
         if good == 0:
             first = skipped[0]
-            raise CaptureError(
-                f"{self.path}: none of its {self.frame_count} frames can be used; "
-                f"the first is {first.file}: {first.reason}"
-            )
+            reason = first.reason if first.reason.startswith(first.file) else f"{first.file}: {first.reason}"
+            raise CaptureError(f"{self.path}: none of its {self.frame_count} frames can be used; the first is {reason}")
 
     def frame_at(self, index: int) -> Frame:
         """Read one frame by its `Frame.index`. A video is decoded up to it; other formats read this frame only.

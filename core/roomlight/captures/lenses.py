@@ -16,6 +16,7 @@ from jaxtyping import Float
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.images import ColourImage
+from roomlight.notes import Note
 
 _PERSPECTIVE: Final = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "PERSPECTIVE")
 _FISHEYE: Final = (
@@ -32,6 +33,7 @@ _MAX_TANGENT: Final = math.tan(math.radians(60))
 """A straightened camera sees at most 120 degrees: beyond it pixels at the edge are stretched four times."""
 _HORIZON: Final = math.tan(math.radians(84.9))
 _MAX_ERROR_PX: Final = 0.25
+_MOST_RESAMPLED: Final = 16
 _SHRINKS: Final = 12
 """Steps of 5 % by which the view is reduced until the lens model can be inverted everywhere."""
 MODEL_KEYS: Final = (*_MODEL_KEYS, *_KEYS, "is_fisheye", "distortion_params", "distortion", "ortho")
@@ -53,6 +55,24 @@ class Lens:
     def straight(self) -> bool:
         """Whether the lens is a pinhole."""
         return not self.fisheye and not any(self.coefficients)
+
+
+def fitted(picture: ColourImage, intrinsics: Intrinsics, name: str) -> tuple[ColourImage, Intrinsics]:
+    """Return the camera at the picture's size if that is the same view resampled, and note it.
+
+    Trainers keep halves and quarters of their pictures beside the intrinsics of the whole ones.
+    """
+    height, width = picture.image.shape[:2]
+    stated = intrinsics.width, intrinsics.height
+    difference = abs(width * stated[1] - height * stated[0])
+    if (width, height) == stated or difference > max(stated) or max(stated) > _MOST_RESAMPLED * max(width, height):
+        return picture, intrinsics
+    note = Note(
+        f"{name}: is {width} x {height}, its intrinsics are for {stated[0]} x {stated[1]}",
+        "the camera is scaled to the picture",
+        "nothing to do if the picture was resampled; a part of a larger one needs its own cx and cy",
+    )
+    return replace(picture, notes=(*picture.notes, note)), intrinsics.resized(width, height)
 
 
 def lens_of(entry: Mapping[str, Any], shared: Mapping[str, Any]) -> Lens:

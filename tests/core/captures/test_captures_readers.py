@@ -362,3 +362,21 @@ def test_native_exposure_brings_radiance_to_the_reference(tmp_path: Path) -> Non
     twice = next(iter(open_capture(path))).image
     np.testing.assert_allclose(twice, open_capture(path).frame_at(0).image)
     assert np.abs(twice - srgb8_to_linear(VIEWS[0].srgb8) / 2).mean() < 0.01
+
+
+@pytest.mark.parametrize("kind", ["nerfstudio", "colmap"])
+def test_resampled_pictures_get_a_resampled_camera(tmp_path: Path, kind: str) -> None:
+    path = BUILDERS[kind](tmp_path / "capture", VIEWS)
+    whole = next(iter(open_capture(path, CaptureOptions(depth="network"))))
+    for name in (path / "images").iterdir():
+        half = cv2.resize(cv2.imread(str(name)), (formats.WIDTH // 2, formats.HEIGHT // 2))
+        cv2.imwrite(str(name), half)
+    capture = open_capture(path)
+    frame = next(iter(capture))
+    assert frame.intrinsics == whole.intrinsics.resized(formats.WIDTH // 2, formats.HEIGHT // 2)
+    assert any("scaled to the picture" in note.effect for note in capture.notes)
+    cropped = np.zeros((formats.HEIGHT // 2, formats.WIDTH, 3), np.uint8)
+    for name in (path / "images").iterdir():
+        cv2.imwrite(str(name), cropped)
+    with pytest.raises(CaptureError, match="but its intrinsics are for"):
+        list(open_capture(path))

@@ -22,7 +22,7 @@ from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import read_rgbd
 from roomlight.captures.formats.listed import ListedReader
-from roomlight.captures.lenses import Lens, lens_of, straightened
+from roomlight.captures.lenses import Lens, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
@@ -138,7 +138,8 @@ class ColmapReader(ListedReader):
             if isinstance(camera, str):
                 raise ValueError(camera)
         read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
-        picture, depth_m, intrinsics = read.picture, read.depth_m, camera.intrinsics
+        depth_m = read.depth_m
+        picture, intrinsics = fitted(read.picture, camera.intrinsics, label)
         with fields.naming(label, FrameError):
             if not camera.lens.straight and picture.image.shape[:2] == (intrinsics.height, intrinsics.width):
                 picture, depth_m, intrinsics = straightened(picture, depth_m, intrinsics, camera.lens)

@@ -29,7 +29,7 @@ from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import read_mask, read_rgbd, with_mask
-from roomlight.captures.lenses import MODEL_KEYS, lens_of, straightened
+from roomlight.captures.lenses import MODEL_KEYS, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
@@ -135,6 +135,7 @@ class NerfstudioReader:
         picture, depth_m = self._masked(entry, read.picture, where), read.depth_m
         with fields.naming(f"{where} ({colour_label})", FrameError):
             intrinsics = self._intrinsics(entry, picture.image.shape[1], picture.image.shape[0])
+            picture, intrinsics = fitted(picture, intrinsics, colour_label)
             if not lens.straight and (intrinsics.height, intrinsics.width) == picture.image.shape[:2]:
                 picture, depth_m, intrinsics = straightened(picture, depth_m, intrinsics, lens)
         return RawFrame(
