@@ -72,6 +72,11 @@ def energy_ratio(prediction: Panorama, truth: Panorama) -> float:
     return float((prediction * weights).sum(dtype=np.float64)) / total if total > 0 else float("nan")
 
 
+def rmse(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]) -> float:
+    """RMSE of sphere pixels, in the truth's unit of radiance."""
+    return float(np.sqrt(np.mean((prediction.astype(np.float64) - truth) ** 2)))
+
+
 def si_rmse(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]) -> float:
     """Scale-invariant RMSE of sphere pixels: after multiplying the prediction by the best factor (>= 0).
 
@@ -101,7 +106,7 @@ def angular_error_deg(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndar
 class SphereScorer:
     """Compares spheres lit by a prediction with spheres lit by the truth, whose pictures are rendered once.
 
-    `si_rmse_*` and `angular_deg_*` of mirror, matte silver and diffuse spheres (linear radiance, pixels of
+    `rmse_*`, `si_rmse_*` and `angular_deg_*` of mirror, matte silver and diffuse spheres (linear radiance, pixels of
     the sphere only), and `render_l2`, the paper's rendering loss: its glossy sphere, clamped to [0, 1], mean
     squared difference.
     """
@@ -113,11 +118,12 @@ class SphereScorer:
         self._glossy = np.clip(spheres.pixels(truth, "glossy"), 0, 1)
 
     def scores(self, prediction: Panorama) -> dict[str, float]:
-        """Return the seven sphere metrics by their keys in `METRICS`."""
+        """Return the sphere metrics by their keys in `METRICS`, and `rmse_*`."""
         glossy = np.clip(self._spheres.pixels(prediction, "glossy"), 0, 1)
         scores = {"render_l2": float(np.mean((glossy - self._glossy) ** 2, dtype=np.float64))}
         for sphere in SPHERES:
             pixels = self._spheres.pixels(prediction, sphere)
+            scores[f"rmse_{sphere}"] = rmse(pixels, self._truth[sphere])
             scores[f"si_rmse_{sphere}"] = si_rmse(pixels, self._truth[sphere])
             scores[f"angular_deg_{sphere}"] = angular_error_deg(pixels, self._truth[sphere])
         return scores

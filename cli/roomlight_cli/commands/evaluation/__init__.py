@@ -21,6 +21,11 @@ EVALUATIONS: Final = (
         "Score the networks on walks through rooms that no network was trained on.",
     ),
     CommandEntry(
+        "benchmark",
+        f"{_COMMANDS}.rooms:benchmark",
+        "Generate test rooms by their seed, and score spheres in their light after one image and after a walk.",
+    ),
+    CommandEntry(
         "composite",
         f"{_COMMANDS}.objects:composite",
         "Compare virtual objects in pictures with the same rooms with the object really in them.",

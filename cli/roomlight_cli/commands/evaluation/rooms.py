@@ -1,17 +1,19 @@
-"""`roomlight eval walks`: light scored in generated rooms that no network was trained on."""
+"""`roomlight eval walks` and `benchmark`: light scored in generated rooms that no network was trained on."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Ge
 
-from roomlight.dataset.loader import Dataset
+from roomlight.dataset.loader import Dataset, DepthKind
 from roomlight.dataset.recording import Split
 from roomlight.engine.session import warm_up
 from roomlight_cli.console import print_tables, say
+from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
-from roomlight_cli.shared_options import ScoredNetworks, ScoresJson
+from roomlight_cli.shared_options import ScoredLight, ScoredNetworks, ScoresJson
+from roomlight_evaluation.benchmark import benchmark_rooms, evaluate_benchmark
 from roomlight_evaluation.captures.tables import capture_tables
 from roomlight_evaluation.walks import ImageModels, WalkModels, evaluate_walks
 
@@ -44,6 +46,54 @@ def walks(
         folders = [Dataset(folder, split) for folder in data]
         scores = evaluate_walks(folders, models, limit=limit, progress=progress.count)
     print_tables(*capture_tables(scores))
+    if json:
+        scores.write(json)
+        say(f"Scores: {json}")
+
+
+@dataclass(frozen=True)
+class BenchmarkOptions:
+    """Which rooms.
+
+    Attributes:
+        rooms: How many.
+        seed: The same seed gives the same rooms, with the same furniture installed.
+        depth: Depth as it is (exact), or as a phone measures it (arkit).
+        workers: Processes that generate; default: one per core.
+    """
+
+    rooms: Annotated[int, Ge(1)] = 50
+    seed: Annotated[int, Ge(0)] = 0
+    depth: DepthKind = "exact"
+    workers: Annotated[int, Ge(1)] | None = None
+
+
+def benchmark(data: Path, options: BenchmarkOptions, light: ScoredLight, *, json: ScoresJson = None) -> None:
+    """Generate test rooms by their seed, and score spheres in their light after one image and after a walk.
+
+    The tables compare mean colour, warp-and-fill, the classical and the chosen model by RMSE, scale-invariant RMSE and
+    angular error of a mirror, a matte and a diffuse sphere. A room takes a minute of processor time. Stopped, the same
+    command continues.
+
+    Args:
+        data: Folder of the rooms: a new one, or one that this command made.
+        options: Which rooms.
+        light: How to estimate the light.
+    """
+    with Progress("generating") as progress:
+        folder, digest = benchmark_rooms(
+            data,
+            rooms=options.rooms,
+            seed=options.seed,
+            workers=options.workers,
+            progress=show_generation(progress),
+        )
+    with Progress("compiling kernels (first run only)") as progress:
+        warm_up()
+        progress.say("scoring")
+        scores = evaluate_benchmark(folder, light, rooms=options.rooms, depth=options.depth, progress=progress.count)
+    print_tables(*scores.tables(title=f"{options.depth} depth, seed {options.seed}"))
+    say(f"SHA-256 of the rooms: {digest}")
     if json:
         scores.write(json)
         say(f"Scores: {json}")

@@ -1,0 +1,199 @@
+"""A benchmark that anybody can run: spheres in the light of generated test rooms, after one image and after a walk.
+
+Rooms come from a seed (`benchmark_rooms`): one walk of 31 frames and three probes each, of the split that no network
+was trained on. Scored are mirror, matte silver and diffuse spheres (LeGendre et al. 2019), seen from the first camera:
+RMSE, scale-invariant RMSE and angular error of their pixels, linear radiance in units of the first frame's white, as
+LuxDiT and LiMo report them on data of their own. A room's figure is the mean over its probes; intervals are over rooms.
+Models give the mirror their reflection and the other spheres their lighting (`roomlight.light.sources.LightUse`).
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+from rich.table import Table
+
+from roomlight.conventions import Position
+from roomlight.dataset.loader import Dataset, DepthKind
+from roomlight.dataset.recording import Recording
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import DatasetError, FrameError
+from roomlight.files import write_atomic
+from roomlight.imaging.tables import figure_table
+from roomlight.metrics import SPHERES, SphereScorer
+from roomlight.spheres import SphereRenderer, view_toward
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
+from roomlight_evaluation.tables import mean_cell
+from roomlight_evaluation.walks import Walks, walk_frames
+from roomlight_generator.generate import GenerateOptions, GenerationProgress, generate
+
+ERRORS: Final = {"rmse": "RMSE", "si_rmse": "scale-invariant RMSE", "angular_deg": "angular error (deg)"}
+SINGLE_IMAGE: Final = "one image"
+Panorama = Float[np.ndarray, "h w 3"]
+_Sessions = Sequence[tuple[SessionOptions, LightingGraphs | None]]
+
+
+@dataclass(frozen=True)
+class BenchmarkScores:
+    """Errors of all rooms.
+
+    Attributes:
+        rooms: Names of the rooms.
+        errors: By (method, moment) and then by sphere's error (`rmse_mirror` and so on), a value for each room.
+    """
+
+    rooms: tuple[str, ...]
+    errors: dict[tuple[str, str], dict[str, list[float]]]
+
+    def mean(self, method: str, moment: str, error: str) -> MeanWithInterval:
+        """Return the mean over rooms, with its 95 % bootstrap interval."""
+        return mean_with_interval(self.errors[method, moment][error])
+
+    def tables(self, *, title: str) -> list[Table]:
+        """Return a table for each kind of error: methods and moments as rows, spheres as columns."""
+        return [
+            figure_table(
+                f"{name}; {title}, rooms: {len(self.rooms)}",
+                SPHERES,
+                (
+                    [
+                        f"{method}, {moment}",
+                        *(mean_cell(self.mean(method, moment, f"{key}_{ball}")) for ball in SPHERES),
+                    ]
+                    for method, moment in self.errors
+                ),
+                caption="mean over rooms (95 % bootstrap interval)",
+            )
+            for key, name in ERRORS.items()
+        ]
+
+    def write(self, path: Path) -> None:
+        """Write every room's errors as JSON."""
+        rows = [
+            {"method": method, "moment": moment, "errors": errors} for (method, moment), errors in self.errors.items()
+        ]
+        write_atomic(path, json.dumps({"rooms": self.rooms, "scores": rows}, indent=1).encode())
+
+
+def benchmark_rooms(
+    folder: Path,
+    *,
+    rooms: int,
+    seed: int,
+    workers: int | None = None,
+    progress: Callable[[GenerationProgress], None] | None = None,
+) -> tuple[Dataset, str]:
+    """Generate the rooms, or continue or reuse those in `folder`; return them and the SHA-256 of their files.
+
+    Args:
+        folder: Of the dataset.
+        rooms: How many; fewer are the first of more.
+        seed: The same seed gives the same rooms, with the same furniture installed.
+        workers: Processes; None: one a core.
+        progress: Told about the generation.
+
+    Raises:
+        DatasetError: The folder holds something else.
+    """
+    options = GenerateOptions(sequences=rooms, seed=seed, split="test", shard_size=1, sequences_per_room=1)
+    generate(folder, options, workers=workers, progress=progress)
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*.tar"))[:rooms]:
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return Dataset(folder, "test"), digest.hexdigest()
+
+
+def evaluate_benchmark(
+    walks: Walks,
+    options: SessionOptions,
+    *,
+    rooms: int,
+    depth: DepthKind = "exact",
+    progress: Callable[[int, int], object] | None = None,
+) -> BenchmarkScores:
+    """Score the model of `options`, the classical one and two baselines.
+
+    Args:
+        walks: One of each room.
+        options: Of the sessions.
+        rooms: Score so many, the first ones.
+        depth: As it is, or as a phone measures it.
+        progress: Called as (rooms done, rooms in all) after each room.
+
+    Raises:
+        DatasetError: A walk cannot be used, or there are too few.
+        ModelError: The weights are missing, damaged or untrained.
+    """
+    if len(walks) < rooms:
+        raise DatasetError(f"{walks.folder}: has {len(walks)} walks, not {rooms}; generate more")
+    models = [replace(options, model="classical", weights=None), options]
+    sessions = [(model, choose_graphs(model)) for model in models]
+    if sessions[1][1] is None:  # the chosen model is the classical one
+        sessions.pop(0)
+    names: list[str] = []
+    errors: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for number in range(rooms):
+        recording = walks[number]
+        names.append(recording.name)
+        try:
+            scored = _score(recording, sessions, depth)
+        except FrameError as error:
+            raise DatasetError(f"{walks.folder} {recording.name}: cannot begin a stream: {error}") from error
+        for key, values in scored.items():
+            for name, value in values.items():
+                errors.setdefault(key, {}).setdefault(name, []).append(value)
+        if progress is not None:
+            progress(number + 1, rooms)
+    return BenchmarkScores(tuple(names), errors)
+
+
+def _score(recording: Recording, sessions: _Sessions, depth: DepthKind) -> dict[tuple[str, str], dict[str, float]]:
+    """Return the errors of each method and moment, as means over the probes."""
+    positions: list[Position] = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
+    baselines, models = (MeanColour(), WarpAndFill()), [Session(model, graphs=graphs) for model, graphs in sessions]
+    for model in models:
+        for position in positions:
+            model.track(position)
+    judges: list[SphereScorer] = []
+    scored: dict[tuple[str, str], dict[str, float]] = {}
+    count = len(recording.colour)
+    for number, frame in enumerate(walk_frames(recording, depth), 1):
+        if not judges:
+            views = [SphereRenderer(view_toward(frame.camera_to_world, position)) for position in positions]
+            judges = [SphereScorer(truth, view) for truth, view in zip(recording.true_panoramas(), views, strict=True)]
+        for estimator in (*baselines, *models):
+            estimator.push(frame)
+        if number not in (1, count):
+            continue
+        moment = SINGLE_IMAGE if number == 1 else f"{count} frames"
+        for baseline in baselines:
+            lights = [baseline.light_at(position) for position in positions]
+            scored[baseline.name, moment] = _errors(judges, lights, lights)
+        for model in models:
+            lights = model.lights()
+            scored[model.model, moment] = _errors(
+                judges, [light.panorama for light in lights], [light.reflection for light in lights]
+            )
+    return scored
+
+
+def _errors(judges: Sequence[SphereScorer], lit: Iterable[Panorama], mirrored: Iterable[Panorama]) -> dict[str, float]:
+    """Return the means over probes of spheres' errors."""
+    of_probes: list[dict[str, float]] = []
+    for judge, lighting, reflection in zip(judges, lit, mirrored, strict=True):
+        errors = judge.scores(lighting)
+        if lighting is not reflection:
+            seen = judge.scores(reflection)
+            errors |= {key: value for key, value in seen.items() if key.endswith("mirror")}
+        of_probes.append(errors)
+    return {
+        f"{key}_{ball}": float(np.mean([e[f"{key}_{ball}"] for e in of_probes])) for key in ERRORS for ball in SPHERES
+    }
