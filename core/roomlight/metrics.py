@@ -106,7 +106,7 @@ def angular_error_deg(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndar
 class SphereScorer:
     """Compares spheres lit by a prediction with spheres lit by the truth, whose pictures are rendered once.
 
-    `rmse_*`, `si_rmse_*` and `angular_deg_*` of mirror, matte silver and diffuse spheres (linear radiance, pixels of
+    `si_rmse_*` and `angular_deg_*` of mirror, matte silver and diffuse spheres (linear radiance, pixels of
     the sphere only), and `render_l2`, the paper's rendering loss: its glossy sphere, clamped to [0, 1], mean
     squared difference.
     """
@@ -118,15 +118,22 @@ class SphereScorer:
         self._glossy = np.clip(spheres.pixels(truth, "glossy"), 0, 1)
 
     def scores(self, prediction: Panorama) -> dict[str, float]:
-        """Return the sphere metrics by their keys in `METRICS`, and `rmse_*`."""
+        """Return the seven sphere metrics by their keys in `METRICS`."""
         glossy = np.clip(self._spheres.pixels(prediction, "glossy"), 0, 1)
         scores = {"render_l2": float(np.mean((glossy - self._glossy) ** 2, dtype=np.float64))}
         for sphere in SPHERES:
-            pixels = self._spheres.pixels(prediction, sphere)
-            scores[f"rmse_{sphere}"] = rmse(pixels, self._truth[sphere])
-            scores[f"si_rmse_{sphere}"] = si_rmse(pixels, self._truth[sphere])
-            scores[f"angular_deg_{sphere}"] = angular_error_deg(pixels, self._truth[sphere])
+            errors = self.errors(prediction, sphere)
+            scores |= {f"{key}_{sphere}": errors[key] for key in ("si_rmse", "angular_deg")}
         return scores
+
+    def errors(self, prediction: Panorama, sphere: Material) -> dict[str, float]:
+        """Return `rmse`, `si_rmse` and `angular_deg` of a sphere of `SPHERES`."""
+        pixels, truth = self._spheres.pixels(prediction, sphere), self._truth[sphere]
+        return {
+            "rmse": rmse(pixels, truth),
+            "si_rmse": si_rmse(pixels, truth),
+            "angular_deg": angular_error_deg(pixels, truth),
+        }
 
 
 def intervals(frames: int) -> tuple[range, ...]:

@@ -187,13 +187,12 @@ def _score(recording: Recording, sessions: _Sessions, depth: DepthKind) -> dict[
 
 def _errors(judges: Sequence[SphereScorer], lit: Iterable[Panorama], mirrored: Iterable[Panorama]) -> dict[str, float]:
     """Return the means over probes of spheres' errors."""
-    of_probes: list[dict[str, float]] = []
-    for judge, lighting, reflection in zip(judges, lit, mirrored, strict=True):
-        errors = judge.scores(lighting)
-        if lighting is not reflection:
-            seen = judge.scores(reflection)
-            errors |= {key: value for key, value in seen.items() if key.endswith("mirror")}
-        of_probes.append(errors)
-    return {
-        f"{key}_{ball}": float(np.mean([e[f"{key}_{ball}"] for e in of_probes])) for key in ERRORS for ball in SPHERES
-    }
+    of_probes = [
+        {
+            f"{key}_{sphere}": value
+            for sphere in SPHERES
+            for key, value in judge.errors(reflection if sphere == "mirror" else lighting, sphere).items()
+        }
+        for judge, lighting, reflection in zip(judges, lit, mirrored, strict=True)
+    ]
+    return {key: float(np.mean([errors[key] for errors in of_probes])) for key in of_probes[0]}
