@@ -1,0 +1,100 @@
+"""The benchmark: which light each sphere gets, at which moments; rooms that a seed gives."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recordings import BoxRecordings
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import DatasetError
+from roomlight.metrics import SPHERES, SphereScorer
+from roomlight.spheres import SphereRenderer, view_toward
+from roomlight_evaluation import benchmark as module
+from roomlight_evaluation.benchmark import ERRORS, SINGLE_IMAGE, benchmark_rooms, evaluate_benchmark
+from roomlight_evaluation.walks import walk_frames
+
+HEIGHT = 32
+OPTIONS = SessionOptions(model="classical", height=HEIGHT)
+LAST = "3 frames"
+
+
+class Walks(BoxRecordings):
+    """Walks through boxes, of three frames."""
+
+    folder = Path("boxes")
+
+    def __getitem__(self, number):
+        return self.read(number, frames=[0, 8, 16])
+
+
+@pytest.fixture(scope="module")
+def scores():
+    reported = []
+    found = evaluate_benchmark(Walks(3, height=HEIGHT), OPTIONS, rooms=2, progress=lambda *at: reported.append(at))
+    assert reported == [(1, 2), (2, 2)]
+    return found
+
+
+def test_methods_are_scored_after_the_first_and_the_last_frame(scores):
+    methods = ("mean colour", "warp and fill", "classical")
+    assert set(scores.errors) == {(method, moment) for method in methods for moment in (SINGLE_IMAGE, LAST)}
+    for errors in scores.errors.values():
+        assert set(errors) == {f"{error}_{sphere}" for error in ERRORS for sphere in SPHERES}
+        assert all(len(values) == 2 and min(values) > 0 for values in errors.values())
+
+
+def test_the_mirror_shows_reflection_and_the_others_are_lit_by_lighting(scores):
+    recording = Walks(1, height=HEIGHT)[0]
+    session = Session(OPTIONS)
+    positions = [tuple(map(float, position)) for position in recording.probe_positions]
+    for position in positions:
+        session.track(position)
+    frames = list(walk_frames(recording, "exact"))
+    for frame in frames:
+        session.push(frame)
+    expected = {sphere: [] for sphere in SPHERES}
+    for position, light, truth in zip(positions, session.lights(), recording.true_panoramas(), strict=True):
+        judge = SphereScorer(truth, SphereRenderer(view_toward(frames[0].camera_to_world, position)))
+        for sphere in SPHERES:
+            shown = light.reflection if sphere == "mirror" else light.panorama
+            expected[sphere].append(judge.errors(shown, sphere)["rmse"])
+    for sphere in SPHERES:
+        found = scores.errors["classical", LAST][f"rmse_{sphere}"][0]
+        assert found == pytest.approx(np.mean(expected[sphere]), rel=1e-6)
+
+
+def test_tables_and_json_hold_every_room(scores, tmp_path):
+    assert [table.row_count for table in scores.tables(title="boxes")] == [6, 6, 6]
+    scores.write(tmp_path / "scores.json")
+    written = json.loads((tmp_path / "scores.json").read_text())
+    assert len(written["rooms"]) == 2
+    first = written["scores"][0]
+    assert first["errors"] == scores.errors[first["method"], first["moment"]]
+
+
+def test_too_few_walks_are_refused():
+    with pytest.raises(DatasetError, match="boxes: has 3 walks, not 4; generate more"):
+        evaluate_benchmark(Walks(3, height=HEIGHT), OPTIONS, rooms=4)
+
+
+def test_rooms_are_of_a_seed_a_walk_each_and_named_by_their_bytes(tmp_path, monkeypatch):
+    asked = []
+
+    def make(folder, options, **_):
+        asked.append(options)
+        folder.mkdir(exist_ok=True)
+        for number in range(options.sequences):
+            (folder / f"test-{number:05d}.tar").write_bytes(b"room %d" % number)
+
+    monkeypatch.setattr(module, "generate", make)
+    monkeypatch.setattr(module, "Dataset", lambda folder, split: (folder, split))
+    dataset, digest = benchmark_rooms(tmp_path / "rooms", rooms=2, seed=7)
+    assert dataset == (tmp_path / "rooms", "test")
+    assert (asked[0].seed, asked[0].split, asked[0].sequences_per_room, asked[0].frames) == (7, "test", 1, 31)
+    benchmark_rooms(tmp_path / "rooms", rooms=3, seed=7)
+    assert benchmark_rooms(tmp_path / "rooms", rooms=2, seed=7)[1] == digest  # the first of more are the same
+    (tmp_path / "rooms" / "test-00000.tar").write_bytes(b"another")
+    monkeypatch.setattr(module, "generate", lambda *_, **__: None)
+    assert benchmark_rooms(tmp_path / "rooms", rooms=2, seed=7)[1] != digest
