@@ -1,6 +1,6 @@
 """A benchmark that anybody can run: spheres in the light of generated test rooms, after one image and after a walk.
 
-Rooms come from a seed (`benchmark_rooms`): one walk of 31 frames and three probes each, of the split that no network
+Rooms come from a seed (`benchmark_options`): one walk of 31 frames and three probes each, of the split that no network
 was trained on. Scored are mirror, matte silver and diffuse spheres (LeGendre et al. 2019), seen from the first camera:
 RMSE, scale-invariant RMSE and angular error of their pixels, linear radiance in units of the first frame's white, as
 LuxDiT and LiMo report them on data of their own. A room's figure is the mean over its probes; intervals are over rooms.
@@ -19,7 +19,7 @@ from jaxtyping import Float
 from rich.table import Table
 
 from roomlight.conventions import Position
-from roomlight.dataset.loader import Dataset, DepthKind
+from roomlight.dataset.loader import DepthKind
 from roomlight.dataset.recording import Recording
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
@@ -33,7 +33,7 @@ from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
 from roomlight_evaluation.tables import mean_cell
 from roomlight_evaluation.walks import Walks, walk_frames
-from roomlight_generator.generate import GenerateOptions, GenerationProgress, generate
+from roomlight_generator.generate import GenerateOptions
 
 ERRORS: Final = {"rmse": "RMSE", "si_rmse": "scale-invariant RMSE", "angular_deg": "angular error (deg)"}
 SINGLE_IMAGE: Final = "one image"
@@ -83,32 +83,17 @@ class BenchmarkScores:
         write_atomic(path, json.dumps({"rooms": self.rooms, "scores": rows}, indent=1).encode())
 
 
-def benchmark_rooms(
-    folder: Path,
-    *,
-    rooms: int,
-    seed: int,
-    workers: int | None = None,
-    progress: Callable[[GenerationProgress], None] | None = None,
-) -> tuple[Dataset, str]:
-    """Generate the rooms, or continue or reuse those in `folder`; return them and the SHA-256 of their files.
+def benchmark_options(*, rooms: int, seed: int) -> GenerateOptions:
+    """Return what is generated: test rooms of a seed, with a walk in each; fewer rooms are the first of more."""
+    return GenerateOptions(sequences=rooms, seed=seed, split="test", shard_size=1, sequences_per_room=1)
 
-    Args:
-        folder: Of the dataset.
-        rooms: How many; fewer are the first of more.
-        seed: The same seed gives the same rooms, with the same furniture installed.
-        workers: Processes; None: one a core.
-        progress: Told about the generation.
 
-    Raises:
-        DatasetError: The folder holds something else.
-    """
-    options = GenerateOptions(sequences=rooms, seed=seed, split="test", shard_size=1, sequences_per_room=1)
-    generate(folder, options, workers=workers, progress=progress)
+def rooms_digest(folder: Path, rooms: int) -> str:
+    """Return the SHA-256 of the files of a dataset's first rooms: equal where the benchmark is the same."""
     digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.tar"))[:rooms]:
+    for path in sorted(folder.glob("*.tar"))[:rooms]:
         digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return Dataset(folder, "test"), digest.hexdigest()
+    return digest.hexdigest()
 
 
 def evaluate_benchmark(

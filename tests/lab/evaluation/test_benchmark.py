@@ -11,8 +11,13 @@ from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError
 from roomlight.metrics import SPHERES, SphereScorer
 from roomlight.spheres import SphereRenderer, view_toward
-from roomlight_evaluation import benchmark as module
-from roomlight_evaluation.benchmark import ERRORS, SINGLE_IMAGE, benchmark_rooms, evaluate_benchmark
+from roomlight_evaluation.benchmark import (
+    ERRORS,
+    SINGLE_IMAGE,
+    benchmark_options,
+    evaluate_benchmark,
+    rooms_digest,
+)
 from roomlight_evaluation.walks import walk_frames
 
 HEIGHT = 32
@@ -48,7 +53,7 @@ def test_methods_are_scored_after_the_first_and_the_last_frame(scores):
 def test_the_mirror_shows_reflection_and_the_others_are_lit_by_lighting(scores):
     recording = Walks(1, height=HEIGHT)[0]
     session = Session(OPTIONS)
-    positions = [tuple(map(float, position)) for position in recording.probe_positions]
+    positions = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
     for position in positions:
         session.track(position)
     frames = list(walk_frames(recording, "exact"))
@@ -79,22 +84,16 @@ def test_too_few_walks_are_refused():
         evaluate_benchmark(Walks(3, height=HEIGHT), OPTIONS, rooms=4)
 
 
-def test_rooms_are_of_a_seed_a_walk_each_and_named_by_their_bytes(tmp_path, monkeypatch):
-    asked = []
+def test_rooms_are_of_a_seed_a_walk_each():
+    options = benchmark_options(rooms=2, seed=7)
+    assert (options.sequences, options.seed, options.split, options.frames) == (2, 7, "test", 31)
+    assert options.sequences_per_room == options.shard_size == 1  # so that two rooms are the first of three
 
-    def make(folder, options, **_):
-        asked.append(options)
-        folder.mkdir(exist_ok=True)
-        for number in range(options.sequences):
-            (folder / f"test-{number:05d}.tar").write_bytes(b"room %d" % number)
 
-    monkeypatch.setattr(module, "generate", make)
-    monkeypatch.setattr(module, "Dataset", lambda folder, split: (folder, split))
-    dataset, digest = benchmark_rooms(tmp_path / "rooms", rooms=2, seed=7)
-    assert dataset == (tmp_path / "rooms", "test")
-    assert (asked[0].seed, asked[0].split, asked[0].sequences_per_room, asked[0].frames) == (7, "test", 1, 31)
-    benchmark_rooms(tmp_path / "rooms", rooms=3, seed=7)
-    assert benchmark_rooms(tmp_path / "rooms", rooms=2, seed=7)[1] == digest  # the first of more are the same
-    (tmp_path / "rooms" / "test-00000.tar").write_bytes(b"another")
-    monkeypatch.setattr(module, "generate", lambda *_, **__: None)
-    assert benchmark_rooms(tmp_path / "rooms", rooms=2, seed=7)[1] != digest
+def test_rooms_are_named_by_their_bytes(tmp_path):
+    for number in range(3):
+        (tmp_path / f"test-{number:05d}.tar").write_bytes(b"room %d" % number)
+    whole, first = rooms_digest(tmp_path, 3), rooms_digest(tmp_path, 2)
+    (tmp_path / "test-00002.tar").write_bytes(b"another")
+    assert rooms_digest(tmp_path, 3) != whole
+    assert rooms_digest(tmp_path, 2) == first

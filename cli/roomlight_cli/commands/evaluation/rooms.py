@@ -13,9 +13,10 @@ from roomlight_cli.console import print_tables, say
 from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoredNetworks, ScoresJson
-from roomlight_evaluation.benchmark import benchmark_rooms, evaluate_benchmark
+from roomlight_evaluation.benchmark import benchmark_options, evaluate_benchmark, rooms_digest
 from roomlight_evaluation.captures.tables import capture_tables
 from roomlight_evaluation.walks import ImageModels, WalkModels, evaluate_walks
+from roomlight_generator.generate import generate
 
 
 def walks(
@@ -80,20 +81,16 @@ def benchmark(data: Path, options: BenchmarkOptions, light: ScoredLight, *, json
         options: Which rooms.
         light: How to estimate the light.
     """
+    wanted = benchmark_options(rooms=options.rooms, seed=options.seed)
     with Progress("generating") as progress:
-        folder, digest = benchmark_rooms(
-            data,
-            rooms=options.rooms,
-            seed=options.seed,
-            workers=options.workers,
-            progress=show_generation(progress),
-        )
+        generate(data, wanted, workers=options.workers, progress=show_generation(progress))
+    folder = Dataset(data, "test")
     with Progress("compiling kernels (first run only)") as progress:
         warm_up()
         progress.say("scoring")
         scores = evaluate_benchmark(folder, light, rooms=options.rooms, depth=options.depth, progress=progress.count)
     print_tables(*scores.tables(title=f"{options.depth} depth, seed {options.seed}"))
-    say(f"SHA-256 of the rooms: {digest}")
+    say(f"SHA-256 of the rooms: {rooms_digest(data, options.rooms)}")
     if json:
         scores.write(json)
         say(f"Scores: {json}")
