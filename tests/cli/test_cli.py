@@ -208,3 +208,22 @@ def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
     assert report["skipped"] == []
     for probe in report["probes"]:
         assert len(list((out / probe["folder"]).glob("*.exr"))) == len(report["frames"])
+
+
+@pytest.mark.slow
+def test_the_benchmark_makes_its_rooms_and_scores_them(tmp_path, roomlight):
+    command = ("eval", "benchmark", tmp_path / "rooms", "--rooms", 1, "--model", "classical", "--workers", 1)
+    first = roomlight(*command, "--json", tmp_path / "scores.json")
+    assert first.code == 0, first.err
+    for heading in ("RMSE; exact depth, seed 0, rooms: 1", "scale-invariant RMSE;", "angular error (deg);"):
+        assert heading in first.out
+    assert len(json.loads((tmp_path / "scores.json").read_text())["scores"]) == 6
+    again = roomlight(*command)
+    assert again.out.splitlines()[:-2] == first.out.splitlines()[:-3]  # without the files' names
+
+
+def test_the_benchmark_makes_no_rooms_among_other_files(tmp_path, roomlight):
+    (tmp_path / "notes.txt").write_text("mine")
+    result = roomlight("eval", "benchmark", tmp_path, "--rooms", 1)
+    assert result.code == 1
+    assert "is not a dataset" in result.err.replace("\n", " ")

@@ -73,8 +73,7 @@ def benchmark(data: Path, options: BenchmarkOptions, light: ScoredLight, *, json
     """Generate test rooms by their seed, and score spheres in their light after one image and after a walk.
 
     The tables compare mean colour, warp-and-fill, the classical and the chosen model by RMSE, scale-invariant RMSE and
-    angular error of a mirror, a matte and a diffuse sphere. A room takes a minute of processor time. Stopped, the same
-    command continues.
+    angular error of a mirror, a matte and a diffuse sphere. Stopped, the same command continues.
 
     Args:
         data: Folder of the rooms: a new one, or one that this command made.
