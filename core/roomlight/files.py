@@ -1,12 +1,21 @@
-"""Writing of files: complete or not at all."""
+"""Files: written complete or not at all, and read from a folder whose names come from other systems and strangers."""
 
 import contextlib
 import json
 import os
-from pathlib import Path
-from typing import Any
+import re
+import stat
+import unicodedata
+import urllib.parse
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
 
-from roomlight.errors import OutputError
+from roomlight.errors import FrameError, OutputError
+
+MAX_FILE_BYTES: Final = 512 * 1024 * 1024
+"""Largest image, depth map or archive member: a 48-megapixel float EXR is 576 MB raw, half of that compressed."""
 
 
 def write_atomic(path: Path, data: bytes) -> None:
@@ -67,3 +76,145 @@ def write_json(path: Path, values: dict[str, Any]) -> None:
         OutputError: the file cannot be written.
     """
     write_atomic(path, (json.dumps(values, indent=1) + "\n").encode())
+
+
+class FolderSource:
+    """A folder to read from. Names are relative to it, with forward slashes.
+
+    A path out of the folder, a directory or a pipe in place of a file, or a size over the limit is refused before any
+    byte is read, with an error that names the file. A name that is not there as written is looked for with backslashes
+    as slashes, in another case, in another normal form of Unicode, and with percent signs decoded. Two files that fit
+    are an error.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._resolved = root.resolve()
+        self._listings: dict[Path, tuple[int, dict[str, list[str]]]] = {}
+
+    def opened(self) -> AbstractContextManager[object]:
+        """Return an empty context: a folder is not held open."""
+        return nullcontext()
+
+    def label(self, name: str) -> str:
+        """Return the name as messages show it."""
+        return f"{self.root}/{name}"  # not joined: an absolute name would replace the folder's
+
+    def path(self, name: str, *, max_bytes: int | None = MAX_FILE_BYTES) -> Path:
+        """Return the regular file of this name with symbolic links resolved.
+
+        Raises:
+            FrameError: There is no such file, it is outside the folder, not a regular file, or over `max_bytes`.
+        """
+        label = self.label(name[:300].replace("\0", "\\0"))
+        if not name or "\0" in name or re.match(r"[/\\]|[A-Za-z]:[/\\]", name):
+            raise FrameError(f"{label}: not a path inside the folder; paths must be relative to it")
+        try:
+            full = (self._resolved / self.actual(name)).resolve()
+            if not full.is_relative_to(self._resolved):
+                raise FrameError(
+                    f"{label}: leads out of the folder (to {full}); "
+                    "copy what it points to into it, or open the folder that holds both"
+                )
+            status = full.stat()
+        except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a loop of links before Python 3.13
+            reason = getattr(error, "strerror", None) or error
+            raise FrameError(f"{label}: cannot be read ({reason})") from error
+        if not stat.S_ISREG(status.st_mode):
+            raise FrameError(f"{label}: is not a regular file")
+        if max_bytes is not None and status.st_size > max_bytes:
+            raise FrameError(f"{label}: holds {status.st_size} bytes; up to {max_bytes} are read")
+        return full
+
+    def has(self, name: str) -> bool:
+        """Whether the folder has an entry of this name. A broken link counts, so that reading it reports an error."""
+        try:
+            path = self.root / self.actual(name)
+            return path.exists() or path.is_symlink()
+        except FrameError:  # several files fit; reading it names them
+            return True
+        except (OSError, ValueError):
+            return False
+
+    def with_suffix(self, name: str, suffixes: tuple[str, ...]) -> str:
+        """Add the existing file's suffix to a name without one (`images/0`: NeRFCapture, nerf-synthetic)."""
+        try:
+            if (self.root / self.actual(name)).is_file() or PurePosixPath(name).suffix.lower() in suffixes:
+                return name
+        except (OSError, ValueError):  # a name too long, a NUL byte; reading it says so
+            return name
+        return next((name + suffix for suffix in suffixes if self.has(name + suffix)), name)
+
+    def actual(self, name: str) -> str:
+        """Return the name as the folder spells it; `name` with forward slashes if there is nothing like it.
+
+        Raises:
+            FrameError: It is spelled otherwise, and several files fit.
+        """
+        name = name.replace("\\", "/")
+        for spelled in dict.fromkeys((name, urllib.parse.unquote(name))):
+            try:
+                path = self.root / spelled
+                if path.exists() or path.is_symlink():
+                    return spelled
+            except (OSError, ValueError):
+                return name
+        for spelled in dict.fromkeys((name, urllib.parse.unquote(name))):
+            respelled = self._respelled(spelled)
+            if respelled is not None:
+                return respelled
+        return name
+
+    def _respelled(self, name: str) -> str | None:
+        """Walk down the folder, each part in any case and normal form."""
+        parts: list[str] = []
+        for part in PurePosixPath(name).parts:
+            folder = self.root.joinpath(*parts)
+            if part == ".." or (folder / part).exists():
+                parts.append(part)
+                continue
+            matches = self._listing(folder).get(_folded(part), [])
+            if len(matches) > 1:
+                raise FrameError(f"{self.label(name)}: is there only as {' and '.join(sorted(matches))}; rename one")
+            if not matches:
+                return None
+            parts.append(matches[0])
+        return "/".join(parts)
+
+    def _listing(self, folder: Path) -> dict[str, list[str]]:
+        """Return the folder's names by their folded form, listed anew when the folder has changed."""
+        try:
+            changed = folder.stat().st_mtime_ns
+            if self._listings.get(folder, (None,))[0] != changed:
+                names: dict[str, list[str]] = {}
+                for entry in folder.iterdir():
+                    names.setdefault(_folded(entry.name), []).append(entry.name)
+                self._listings[folder] = changed, names
+            return self._listings[folder][1]
+        except OSError:
+            return {}
+
+    def names(self, folder: str = "") -> Iterator[str]:
+        """Yield the names of a folder's entries, as `folder/entry`; none if the folder does not exist."""
+        try:
+            folder = self.actual(folder) if folder else folder
+            entries = sorted(entry.name for entry in (self.root / folder).iterdir())
+        except (OSError, FrameError):
+            return
+        for entry in entries:
+            yield f"{folder}/{entry}" if folder else entry
+
+    def read(self, name: str, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
+        """Read a file. Raises FrameError if it is missing, empty, too large or outside the folder."""
+        path = self.path(name, max_bytes=max_bytes)
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise FrameError(f"{self.label(name)}: cannot be read ({error.strerror or error})") from error
+        if not data:
+            raise FrameError(f"{self.label(name)}: the file is empty")
+        return data
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()

@@ -353,7 +353,7 @@ def test_files_outside_the_upload_are_not_read(server, tmp_path):
     put(server, url, "transforms.json", data)
     server.call("PUT", f"{url}/replay", {"session": "room"})
     detail = finished(server, url, "failed")["problem"]["detail"]
-    assert "leads out of the capture folder" in detail
+    assert "leads out of the folder" in detail
 
 
 @pytest.mark.slow

@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from roomlight.camera import Intrinsics
-from roomlight.captures.source import FolderSource, Source
+from roomlight.captures.source import Source
 from roomlight.depth import clean_depth
 from roomlight.errors import ImageError
+from roomlight.files import FolderSource
 from roomlight.images import MAX_PIXELS, ColourImage, decode_depth, decode_grey8, decode_picture, peek_size
 
 _COLMAP: Final = re.compile(rb"(\d{1,5})&(\d{1,5})&1&")

@@ -13,8 +13,9 @@ from roomlight.captures.formats.ros.bag import is_bag
 from roomlight.captures.formats.rtabmap import export_name
 from roomlight.captures.formats.scanner_app import is_scanner_app
 from roomlight.captures.formats.scannet import intrinsics_file
-from roomlight.captures.source import FolderSource, ZipSource
+from roomlight.captures.source import ZipSource
 from roomlight.errors import UnknownFormatError
+from roomlight.files import FolderSource
 
 _PARTS: Final[dict[str, tuple[str, ...]]] = {
     "roomlight": (native.INDEX,),

@@ -157,7 +157,7 @@ def test_links_may_lead_only_inside_the_folder(transforms: Path) -> None:
     target = transforms / "images/frame_00002.png"
     target.unlink()
     target.symlink_to(outside)
-    one_skipped(transforms, 1, "leads out of the capture folder")
+    one_skipped(transforms, 1, "leads out of the folder")
     target.unlink()
     target.symlink_to(target)
     one_skipped(transforms, 1, "images/frame_00002.png")

@@ -54,10 +54,10 @@ def test_nothing_outside_the_folder_is_read(tmp_path: Path, uri: str) -> None:
     path = gltf_folder(tmp_path / "model", buffer=uri)
     (tmp_path / "secret.bin").write_bytes((path.parent / "scene.bin").read_bytes())
     (path.parent / "linked.bin").symlink_to(tmp_path / "secret.bin")
-    with pytest.raises(ObjectError, match=r"buffer 0 is at .* not in the folder of the file; copy it there"):
+    with pytest.raises(ObjectError, match=r"buffer 0: .*; put it into the object's folder"):
         load_object(path)
     absolute = gltf_folder(tmp_path / "absolute", buffer=str(tmp_path / "secret.bin"))
-    with pytest.raises(ObjectError, match="not in the folder"):
+    with pytest.raises(ObjectError, match="not a path inside the folder"):
         load_object(absolute)
 
 
@@ -91,7 +91,7 @@ def test_obj_reads_its_materials_and_their_textures(tmp_path: Path) -> None:
 def test_what_lies_not_beside_an_obj_is_noted(tmp_path: Path) -> None:
     path = obj_folder(tmp_path)
     (tmp_path / "maps" / "wood red.png").unlink()
-    assert any("map_kd" in note.left_out and "not in the folder" in note.left_out for note in load_object(path).notes)
+    assert any("map_kd" in note.left_out and "object's folder" in note.left_out for note in load_object(path).notes)
     (tmp_path / "my room.mtl").unlink()
     (note,) = load_object(path).notes
     assert "my room.mtl" in note.left_out

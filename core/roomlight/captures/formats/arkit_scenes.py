@@ -21,9 +21,10 @@ from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import read_rgbd
 from roomlight.captures.formats.listed import ListedReader, files_of
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import FolderSource, read_index
+from roomlight.captures.source import read_index
 from roomlight.captures.times import nearest
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 
 TRAJECTORY = "lowres_wide.traj"
 MAX_GAP_S = 0.05

@@ -24,8 +24,9 @@ from roomlight.captures.decoding import read_rgbd
 from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.lenses import Lens, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 from roomlight.notes import Note
 
 FOLDERS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")

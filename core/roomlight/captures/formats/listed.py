@@ -12,8 +12,9 @@ from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import decode_confidence
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FRAMES, FolderSource
+from roomlight.captures.source import MAX_FRAMES
 from roomlight.errors import CaptureError
+from roomlight.files import FolderSource
 from roomlight.notes import Note
 
 ARKIT = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))

@@ -38,9 +38,9 @@ from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import decode_confidence, read_rgbd
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError, OutputError
-from roomlight.files import write_atomic
+from roomlight.files import FolderSource, write_atomic
 from roomlight.images import write_exr
 from roomlight.notes import Note
 

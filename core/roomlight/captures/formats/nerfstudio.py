@@ -31,8 +31,9 @@ from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, Read
 from roomlight.captures.decoding import read_mask, read_rgbd, with_mask
 from roomlight.captures.lenses import MODEL_KEYS, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions, up_vector
-from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 from roomlight.images import ColourImage
 from roomlight.notes import Note
 

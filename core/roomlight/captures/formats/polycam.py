@@ -16,8 +16,8 @@ from roomlight.captures.capture import RawFrame
 from roomlight.captures.decoding import read_rgbd
 from roomlight.captures.formats.listed import ListedReader, files_of, first_folder
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import FolderSource
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 
 _IMAGES = ("keyframes/corrected_images", "keyframes/images", "corrected_images", "images")
 

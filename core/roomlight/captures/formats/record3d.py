@@ -32,9 +32,10 @@ from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import decode_depth_map, read_picture
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FRAMES, FolderSource, Source, ZipSource, read_index
+from roomlight.captures.source import MAX_FRAMES, Source, ZipSource, read_index
 from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 from roomlight.images import MAX_PIXELS
 from roomlight.notes import Note
 

@@ -14,8 +14,8 @@ from roomlight.captures.capture import RawFrame
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.formats.listed import ListedReader, files_of, row_major
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import FolderSource
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 from roomlight.notes import Note
 
 _COLOUR = re.compile(r"frame_(\d{1,9})\.(?:jpg|jpeg|png)", re.IGNORECASE)

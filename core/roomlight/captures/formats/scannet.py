@@ -26,9 +26,10 @@ from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, Read
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd, registered
 from roomlight.captures.formats.listed import ListedReader, files_of
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FILE_BYTES, MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import MAX_FILE_BYTES, FolderSource
 from roomlight.images import MAX_PIXELS, decode_picture
 from roomlight.notes import Note
 

@@ -23,10 +23,11 @@ from roomlight.captures.decoding import decode_depth_map, intrinsics_without_siz
 from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.formats.packed_depth import SHAPE, DepthMaps
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import FolderSource, read_index
+from roomlight.captures.source import read_index
 from roomlight.captures.video import VideoFrames
 from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 from roomlight.images import ColourImage
 from roomlight.notes import Note
 

@@ -19,8 +19,9 @@ from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import FolderSource, read_index
+from roomlight.captures.source import read_index
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 from roomlight.notes import Note
 
 INTRINSICS: Final = "camera-intrinsics.txt"

@@ -23,9 +23,10 @@ from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import decode_confidence, decode_depth_map
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.captures.video import VideoFrames
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 from roomlight.notes import Note
 
 VIDEO: Final = "rgb.mp4"

@@ -20,9 +20,10 @@ from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.formats.seven_scenes import INTRINSICS, assumed_camera, read_matrix
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.captures.times import nearest
 from roomlight.errors import CaptureError, FrameError
+from roomlight.files import FolderSource
 
 MAX_GAP_S: Final = 0.02
 """Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
