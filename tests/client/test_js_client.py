@@ -10,7 +10,7 @@ import os
 import numpy as np
 import pytest
 from js_package import PACKAGE, run
-from light_rooms import room
+from light_rooms import lit, room
 
 from http_servers import RunningServer
 from roomlight.conventions import panorama_directions
@@ -111,3 +111,30 @@ def test_three_reads_the_panorama_in_a_ktx2_file():
     assert (read["space"], read["flipY"]) == ("srgb-linear", False)
     np.testing.assert_allclose(np.array(read["colours"])[:, :3], panorama[1::5, ::7].reshape(-1, 3), rtol=2**-10)
     assert np.all(np.array(read["colours"])[:, 3] == 1)
+
+
+READ_LIGHTS = """
+import { Vector3 } from "three";
+import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
+let text = "";
+for await (const chunk of process.stdin) text += chunk;
+const { scene } = await new GLTFLoader().parseAsync(Uint8Array.from(JSON.parse(text)).buffer, "");
+const lights = [];
+scene.updateMatrixWorld(true);
+scene.traverse((light) => {
+  if (!light.isDirectionalLight) return;
+  const [from, to] = [light, light.target].map((at) => at.getWorldPosition(new Vector3()));
+  lights.push({ toward: from.sub(to).toArray(), sheds: light.color.toArray().map((part) => part * light.intensity) });
+});
+console.log(JSON.stringify(lights));
+"""
+
+
+def test_three_reads_the_lights_of_a_glb_file():
+    light = Light((0.0, 0.0, 0.0), lit(32, [((0.6, 0.3, 0.742), 8, 90.0), ((-0.5, 0.7, -0.51), 8, 40.0)], level=0.2))
+    read = json.loads(
+        run([*NODE, "--input-type=module", "--eval", READ_LIGHTS], text=json.dumps(list(light.file("glb"))))
+    )
+    for found, wanted in zip(read, light.lights, strict=True):
+        np.testing.assert_allclose(found["toward"], wanted.direction, atol=1e-5)
+        np.testing.assert_allclose(found["sheds"], wanted.intensity, rtol=1e-4)
