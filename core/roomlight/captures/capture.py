@@ -248,7 +248,7 @@ class Capture:
         """Return the metres of the stored unit, by the floor if its scale is to be found; reads frames once."""
         if self._metres is not None:
             return self._metres
-        from roomlight.monocular.floor import metres_per_unit  # onnxruntime takes a while to import
+        from roomlight.monocular.pose_scale import metres_per_unit  # onnxruntime takes a while to import
 
         last, height_m = len(self._indices) - 1, self._options.camera_height_m
         assert height_m is not None
@@ -311,7 +311,8 @@ class Capture:
         if self._depth_stream is None:
             from roomlight.monocular.stream import open_depth_stream  # onnxruntime takes a while to import
 
-            self._depth_stream = open_depth_stream(self._options.depth_model)
+            height_m = self._options.camera_height_m
+            self._depth_stream = open_depth_stream(self._options.depth_model, height_m=height_m)
             self._notes[self._depth_stream.note(str(self.path))] = None
         estimated = self._depth_stream.complete(frame)
         return replace(estimated, depth_m=without_unseen(estimated.depth_m, frame.seen))

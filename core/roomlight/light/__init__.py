@@ -6,7 +6,6 @@
     cube, cube_geometry  cube maps; resample maps panoramas to them and back
     prefilter            specular mips: a cube map for each roughness
     encode, ktx2         image files: EXR, Radiance HDR, PNG; KTX 2.0
-    usd, glb             scenes: a dome light with lamps and windows; glTF with an image-based light and lights
     coverage             how much of the light was observed
     prior                the default light before the first frame
 

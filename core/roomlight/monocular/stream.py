@@ -8,7 +8,8 @@ frame. The poses are metric. Four steps mend a frame:
 2. Features that moved between frames are triangulated; those of the last frames together give the metres of the unit.
    When these change, the depth of all keyframes changes with them, so that a wrong start is forgotten at once.
 3. What features and keyframes say beyond that corrects the depth smoothly over the picture.
-4. Without parallax, the unit stays what it was.
+4. Without parallax, the unit stays what it was; before any, the metres are midway between the network's and those that
+   put the floor in view a phone's height below the camera.
 """
 
 from dataclasses import replace
@@ -23,6 +24,7 @@ from roomlight.errors import FrameError
 from roomlight.frame import Frame
 from roomlight.monocular.estimate import DepthEstimate, DepthModel, srgb_picture
 from roomlight.monocular.fitting import LEAST_SAMPLES, Fit, error_field, fit_inverse, median_of
+from roomlight.monocular.floor import CAMERA_HEIGHT_M, FloorFit, camera_height, floor_scale
 from roomlight.monocular.model_file import DepthModelFile
 from roomlight.monocular.network import shipped_depth
 from roomlight.monocular.tracks import (
@@ -60,6 +62,11 @@ _BEFORE: Final = 3.0
 _AGREEING: Final = 0.35
 """Least share of the features within 25 % of their median: others are no depth of the picture."""
 
+_FLOOR_SHARE: Final = 0.5
+"""Share of the floor's word in the log of the metres, beside the network's."""
+_MOST_BY_FLOOR: Final = 2.0
+"""Most that the floor enlarges or reduces depth: what is farther off is a table, or a camera on the ground."""
+
 
 class DepthStream:
     """Depth for the frames of one stream, in order.
@@ -69,19 +76,30 @@ class DepthStream:
         session.push(stream.complete(frame))
     """
 
-    def __init__(self, model: DepthModel, reference: DepthModel | None = None, *, gravity: bool = True) -> None:
+    def __init__(
+        self,
+        model: DepthModel,
+        reference: DepthModel | None = None,
+        *,
+        gravity: bool = True,
+        height_m: float | None = None,
+    ) -> None:
         """Take the models; streams share them.
 
         Args:
             model: Estimates depth.
             reference: For a model without scale: a metric model, which gives the first frame's.
             gravity: Whether up is y in the frames' world, as it must be but for the pose of a single photo.
+            height_m: How high the camera is over the floor, about; None: as people hold a phone.
         """
         self.model, self._reference, self._gravity = model, reference, gravity
+        self._height_m = CAMERA_HEIGHT_M if height_m is None else height_m
         self._views: list[View] = []
         self._last: View | None = None
         self._motion: list[Float[np.ndarray, "n 2"]] = []
         self._fit: Fit | None = None if model.kind != "metric" else Fit(1.0)
+        self._floors: list[FloorFit | None] = []
+        self._unmoved = True
         self._per_metre = 1.0  # times 1 / depth in the stream's unit: 1 / depth in metres
 
     def note(self, source: str) -> Note:
@@ -121,6 +139,7 @@ class DepthStream:
         self._last = replace(view, inverse=grid_of(np.where(sure, inverse, 0)).copy())
         if not self._views or far_apart(self._last, self._views[-1]):
             self._views = [*self._views, self._last][-_KEPT:]
+        self._level(np.where(sure, 1 / inverse, 0), small)
         depth_m = 1 / np.clip(self._per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M)
         return np.where(sure, depth_m, 0).astype(np.float32)
 
@@ -163,6 +182,15 @@ class DepthStream:
                 guess = np.clip(corrected(guess, samples), 1 / FARTHEST_M, 1 / NEAREST_M)
         return Samples.joined(all_samples)
 
+    def _level(self, depth: Float[np.ndarray, "h w"], frame: Frame) -> None:
+        """Move the metres of the unit toward those that the floor gives, as long as no features tell them."""
+        if not self._gravity or not self._unmoved:
+            return
+        self._floors.append(camera_height(depth, frame.intrinsics, frame.camera_to_world[1, :3].astype(np.float64)))
+        metres = floor_scale(self._floors, self._height_m)
+        if metres is not None:
+            self._per_metre = float(np.clip(metres, 1 / _MOST_BY_FLOOR, _MOST_BY_FLOOR)) ** -_FLOOR_SHARE
+
     def _weigh(self, inverse: Float32[np.ndarray, "h w"], moved: Samples) -> None:
         """Fit the metres of the stream's unit to the features of this frame and the last ones."""
         rows, columns = places_of(moved, inverse)
@@ -172,6 +200,7 @@ class DepthStream:
         seen, before = float(weight.sum()), np.log(self._per_metre)
         if seen < _LEAST_FEATURES:
             return
+        self._unmoved = False
         middle = median_of(np.append(ratios, before), np.append(weight, _BEFORE))
         if float(weight[np.abs(ratios - middle) < np.log(1.25)].sum()) > _AGREEING * seen:
             self._per_metre = float(np.exp(middle))
@@ -215,19 +244,20 @@ def _pairs(samples: Samples, estimated: DepthEstimate) -> Float[np.ndarray, "n 3
     return np.stack([estimated.inverse[rows, columns].astype(np.float64), samples.inverse, weight], axis=1)
 
 
-def open_depth_stream(model: Path | None = None, *, gravity: bool = True) -> DepthStream:
+def open_depth_stream(model: Path | None = None, *, gravity: bool = True, height_m: float | None = None) -> DepthStream:
     """Return depth for one stream, by the network inside the package or an ONNX file; models are loaded once.
 
-    A model without scale takes the first frame's scale from the network inside the package. `gravity` is whether up is
-    y in the frames' world.
+    A model without scale takes the first frame's scale from the network inside the package. `gravity` and `height_m`
+    are the stream's.
 
     Raises:
         ModelError: The model cannot be used.
     """
     if model is None:
-        return DepthStream(shipped_depth(), gravity=gravity)
+        return DepthStream(shipped_depth(), gravity=gravity, height_m=height_m)
     loaded = _load(model)
-    return DepthStream(loaded, None if loaded.kind == "metric" else shipped_depth(), gravity=gravity)
+    reference = None if loaded.kind == "metric" else shipped_depth()
+    return DepthStream(loaded, reference, gravity=gravity, height_m=height_m)
 
 
 @cache

@@ -8,7 +8,8 @@ import pytest
 from box_room import LENS, exact_depth, frame, pose
 from roomlight.errors import CaptureError
 from roomlight.frame import Frame
-from roomlight.monocular.floor import FloorFit, camera_height, floor_scale, metres_per_unit
+from roomlight.monocular.floor import FloorFit, camera_height, floor_scale
+from roomlight.monocular.pose_scale import metres_per_unit
 
 
 def _tilted(pitch: float, roll: float = 0.0) -> np.ndarray:

@@ -176,3 +176,20 @@ def test_a_field_of_errors_follows_the_picture_and_depth() -> None:
     assert np.abs(field - error).mean() < 0.04
     assert np.abs(field - error).mean() < 0.4 * np.abs(error).mean()
     assert not error_field(inverse, pixels[:0], samples[:0], np.ones(0)).any()
+
+
+def test_the_floor_in_view_mends_half_of_the_scale_until_features_tell_it() -> None:
+    """The model's word is two thirds of the depth; the camera looks down from 1.4 m and turns, then walks."""
+    walk = [pose(0.12 * max(0, k - 3), turn=0.05 * min(k, 3)).astype(np.float64) for k in range(8)]
+    c, s = np.cos(0.5), np.sin(0.5)
+    for at in walk:
+        at[:3, :3] = at[:3, :3] @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
+    ratios: dict[bool, list[float]] = {}
+    for gravity in (True, False):
+        stream = DepthStream(WrongDepth("metric", lambda k: 1.5 / exact_depth(walk[k])), gravity=gravity)
+        depths = [stream.complete(frame(k, at)).depth_m for k, at in enumerate(walk)]
+        ratios[gravity] = [float(np.median(depth / exact_depth(at))) for depth, at in zip(depths, walk, strict=True)]
+    assert ratios[True][:4] == pytest.approx([np.sqrt(1.45 / 1.4 * 2 / 3)] * 4, rel=0.03)
+    assert ratios[False][:4] == pytest.approx([2 / 3] * 4, rel=0.02)
+    assert ratios[True][-1] == pytest.approx(1, rel=0.05)
+    assert ratios[False][-1] == pytest.approx(1, rel=0.05)
