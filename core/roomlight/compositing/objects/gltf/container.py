@@ -10,8 +10,9 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from roomlight.compositing.objects.beside import FilesBeside
-from roomlight.compositing.objects.gltf.schema import Gltf
-from roomlight.compositing.objects.limits import plain_text
+from roomlight.compositing.objects.gltf.meshopt import MESHOPT, Compressed, decode_view
+from roomlight.compositing.objects.gltf.schema import BufferView, Gltf
+from roomlight.compositing.objects.limits import ObjectLimits, plain_text
 from roomlight.errors import ObjectError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -110,27 +111,42 @@ def resource(uri: str, beside: FilesBeside, label: str) -> bytes:
         raise ObjectError(f"{label}: its base64 is damaged") from error
 
 
-def buffer_views(gltf: Gltf, binary: bytes | None, beside: FilesBeside, name: str) -> list[memoryview]:
-    """Return the bytes of each buffer view. Raises ObjectError."""
+def buffer_views(
+    gltf: Gltf, binary: bytes | None, beside: FilesBeside, limits: ObjectLimits, name: str
+) -> list[memoryview]:
+    """Return the bytes of each buffer view, decompressed. Raises ObjectError."""
     buffers: list[memoryview] = []
     for index, buffer in enumerate(gltf.buffers):
         if buffer.uri is not None:
             content = resource(buffer.uri, beside, f"{name}: buffer {index}")
         elif index == 0 and binary is not None:
             content = binary
-        elif "EXT_meshopt_compression" in buffer.extensions:
-            content = b""  # a fallback that is not there
+        elif MESHOPT in buffer.extensions:
+            buffers.append(memoryview(b""))  # stands for what the views decompress to
+            continue
         else:
             raise ObjectError(f"{name}: buffer {index} is not in the file; export as one GLB file")
         if buffer.byteLength > len(content) + 3:  # some exporters count the padding
             raise ObjectError(f"{name}: buffer {index} declares {buffer.byteLength} bytes, {len(content)} are there")
         buffers.append(memoryview(content))
+
+    def span(owner: BufferView | Compressed, label: str) -> memoryview:
+        if owner.buffer >= len(buffers):
+            raise ObjectError(f"{label} names buffer {owner.buffer} of {len(buffers)}")
+        end = owner.byteOffset + owner.byteLength
+        if end > len(buffers[owner.buffer]):
+            raise ObjectError(f"{label} ends at byte {end} of {len(buffers[owner.buffer])}")
+        return buffers[owner.buffer][owner.byteOffset : end]
+
     views: list[memoryview] = []
+    decoded = 0
     for index, view in enumerate(gltf.bufferViews):
-        if view.buffer >= len(buffers):
-            raise ObjectError(f"{name}: bufferViews.{index} names buffer {view.buffer} of {len(buffers)}")
-        end = view.byteOffset + view.byteLength
-        if end > len(buffers[view.buffer]):
-            raise ObjectError(f"{name}: bufferViews.{index} ends at byte {end} of {len(buffers[view.buffer])}")
-        views.append(buffers[view.buffer][view.byteOffset : end])
+        label = f"{name}: bufferViews.{index}"
+        compressed = extension(Compressed, view, MESHOPT, label, [])
+        if compressed is None:
+            views.append(span(view, label))
+            continue
+        decoded += view.byteLength
+        limits.check("file_bytes", decoded, f"{label}, decompressed")
+        views.append(decode_view(compressed, view, span(compressed, label), label))
     return views

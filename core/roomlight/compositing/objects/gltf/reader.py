@@ -16,6 +16,7 @@ from roomlight.compositing.objects.gltf.container import buffer_views, json_size
 from roomlight.compositing.objects.gltf.draco import DRACO, decode_draco, draco_available
 from roomlight.compositing.objects.gltf.images import Images
 from roomlight.compositing.objects.gltf.materials import MaterialReader, Surface, unlit_of
+from roomlight.compositing.objects.gltf.meshopt import MESHOPT
 from roomlight.compositing.objects.gltf.nodes import Placed, placed_meshes
 from roomlight.compositing.objects.gltf.schema import Gltf, Primitive
 from roomlight.compositing.objects.limits import ObjectLimits
@@ -34,6 +35,7 @@ SUPPORTED_EXTENSIONS: Final = frozenset(
         *(
             "KHR_mesh_quantization",
             "EXT_mesh_gpu_instancing",
+            MESHOPT,
             "KHR_node_visibility",
             "EXT_texture_webp",
             "EXT_texture_avif",
@@ -77,7 +79,7 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
     clamped: list[str] = []
     gltf = parsed(text, name, clamped)
     notes = _extension_notes(gltf, name)
-    views = buffer_views(gltf, binary, beside, name)
+    views = buffer_views(gltf, binary, beside, limits, name)
     accessors = Accessors(gltf, views)
     placed = placed_meshes(gltf, accessors, name, limits)
     reader = _PrimitiveReader(gltf, accessors, views, name)

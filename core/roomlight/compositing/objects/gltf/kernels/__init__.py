@@ -1,0 +1,1 @@
+"""Compiled loops of the glTF reader: `meshopt` decodes compressed buffer views."""
