@@ -15,6 +15,7 @@ from roomlight.depth import clean_depth
 from roomlight.errors import ImageError
 from roomlight.files import FolderSource
 from roomlight.images import MAX_PIXELS, ColourImage, decode_depth, decode_grey8, decode_picture, peek_size
+from roomlight.imaging.other_formats import as_png
 
 _COLMAP: Final = re.compile(rb"(\d{1,5})&(\d{1,5})&1&")
 """Width, height and channels at the start of a COLMAP map; rows of float32 follow."""
@@ -44,7 +45,8 @@ def read_rgbd(
 
 def read_picture(source: Source, name: str) -> ColourImage:
     """Read a picture with its pixels as stored: intrinsics, depth and masks refer to them."""
-    return decode_picture(source.read(name), source.label(name), as_stored=True)
+    data = as_png(source.read(name), source.label(name), max_pixels=MAX_PIXELS)
+    return decode_picture(data, source.label(name), as_stored=True)
 
 
 def read_mask(source: Source, name: str) -> Bool[np.ndarray, "h w"]:

@@ -16,10 +16,11 @@ from jaxtyping import Float
 from roomlight.camera import Intrinsics
 from roomlight.captures.decoding import decode_depth_map
 from roomlight.depth import without_unseen
-from roomlight.errors import FrameError, OptionError
+from roomlight.errors import FrameError, ImageError, OptionError
 from roomlight.frame import ASPECT_TOLERANCE, Frame, hidden
-from roomlight.images import decode_picture, exif_camera, read_bytes
+from roomlight.images import MAX_PIXELS, decode_picture, exif_camera, read_bytes
 from roomlight.imaging.exif import oriented
+from roomlight.imaging.other_formats import as_png
 from roomlight.notes import Note
 from roomlight.rules import check_options
 
@@ -82,7 +83,7 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     """Read a photograph and its depth, or estimate its depth; both come out upright.
 
     Args:
-        image: JPEG, PNG, HEIC, or linear EXR. Its orientation is applied.
+        image: JPEG, PNG, HEIC, WebP, TIFF, BMP, or linear EXR. Its orientation is applied.
         depth: A 16-bit PNG or integer .npy in millimetres, an EXR or float .npy in metres. None: the depth map that
             the photo itself holds, as portraits of phones do; without, a network estimates it.
         options: What the files do not state.
@@ -97,7 +98,7 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     options = options or PhotoOptions()
     if depth is not None and options.depth_model is not None:
         raise OptionError(f"leave out depth_model={options.depth_model}, or the depth {depth}: one of them is used")
-    data = read_bytes(image)
+    data = as_png(read_bytes(image), str(image), max_pixels=MAX_PIXELS)
     picture = decode_picture(data, str(image))
     colour, exif, own = picture.image, exif_camera(data, str(image)), picture.own_depth
     height, width = colour.shape[:2]
@@ -123,13 +124,18 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     if picture.seen is not None:
         colour, depth_m = hidden(colour, depth_m, picture.seen)
     focal = 0.5 * width / math.tan(math.radians(fov_deg) / 2)
+    try:
+        intrinsics = Intrinsics(focal, focal, width / 2, height / 2, width, height)
+    except ValueError as error:
+        message = f"{image}: {width} x {height} pixels with a field of view of {fov_deg:g} degrees are no photo"
+        raise ImageError(f"{message} ({error})") from error
     frame = Frame(
         index=0,
         image=colour,
         clipped=picture.clipped,
         seen=picture.seen,
         depth_m=depth_m,
-        intrinsics=Intrinsics(focal, focal, width / 2, height / 2, width, height),
+        intrinsics=intrinsics,
         camera_to_world=np.eye(4),
         source=str(image),
     )

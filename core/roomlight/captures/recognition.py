@@ -35,7 +35,7 @@ _PARTS: Final[dict[str, tuple[str, ...]]] = {
 }
 """Files and folders that each format needs; `|` stands between alternatives."""
 
-_IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr", ".heic")
+_IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr", ".heic", ".webp", ".tif", ".tiff", ".bmp")
 _VIDEOS: Final = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 _MODELS: Final = (
     *(".usdz", ".usda", ".usdc", ".glb", ".gltf", ".obj", ".ply", ".fbx", ".stl", ".dae"),

@@ -1,17 +1,21 @@
-"""Photos with a depth map inside: HEIC portraits of phones, by boxes written here."""
+"""Photos with a depth map inside (HEIC portraits of phones, by boxes written here), and of other formats."""
 
 import random
 from pathlib import Path
+from typing import Any
 
 import formats
 import heic_files
 import numpy as np
 import pytest
+from PIL import ExifTags, Image, ImageCms
 
+from roomlight.captures import open_capture
 from roomlight.captures.photo import PhotoOptions, read_photo
 from roomlight.conventions import srgb8_to_linear
-from roomlight.errors import RoomLightError
+from roomlight.errors import ImageError, RoomLightError
 from roomlight.images import decode_picture
+from roomlight.imaging.other_formats import as_png
 
 LOW, HIGH = 0.25, 2.25
 """Disparities, 1 / metres."""
@@ -115,3 +119,78 @@ def test_damaged_portraits_are_read_or_refused(tmp_path: Path, seed: int) -> Non
     except RoomLightError as error:
         refusal = error
     assert refusal is None or str(path) in str(refusal)
+
+
+def other_file(path: Path, pixels: np.ndarray, **options: Any) -> Path:
+    Image.fromarray(pixels).save(path, **options)
+    return path
+
+
+@pytest.mark.parametrize(("ending", "options"), [("webp", {"lossless": True}), ("tif", {}), ("bmp", {})])
+def test_photos_of_other_formats_are_those_of_png(tmp_path: Path, ending: str, options: dict[str, Any]) -> None:
+    pixels = np.random.default_rng(1).integers(0, 256, (24, 32, 3), np.uint8)
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    stated = {} if ending == "bmp" else {"exif": exif, "icc_profile": profile}
+    whole = read_photo(other_file(tmp_path / "a.png", pixels, **stated))
+    photo = read_photo(other_file(tmp_path / f"a.{ending}", pixels, **options, **stated))
+    np.testing.assert_array_equal(photo.frame.image, whole.frame.image)
+    assert photo.frame.image.shape[:2] == ((24, 32) if ending == "bmp" else (32, 24))
+    if ending == "webp":  # Pillow writes no focal length into a TIFF
+        assert photo.fov_source == "exif"
+        assert photo.fov_deg == whole.fov_deg
+
+
+def test_transparent_pixels_of_a_webp_are_not_seen(tmp_path: Path) -> None:
+    pixels = np.full((8, 8, 4), 255, np.uint8)
+    pixels[:4, :, 3] = 0
+    seen = read_photo(other_file(tmp_path / "a.webp", pixels, lossless=True)).frame.seen
+    assert seen is not None
+    np.testing.assert_array_equal(seen, pixels[..., 3] > 0)
+
+
+def test_captures_hold_webp_pictures(tmp_path: Path) -> None:
+    path = formats.nerfstudio(tmp_path / "capture", formats.scene())
+    whole = [frame.image for frame in open_capture(path)]
+    for picture in sorted((path / "images").glob("*.png")):
+        with Image.open(picture) as image:
+            image.save(picture.with_suffix(".webp"), lossless=True)
+        picture.unlink()
+    index = path / "transforms.json"
+    index.write_text(index.read_text().replace('.png", "depth', '.webp", "depth'))
+    np.testing.assert_array_equal([frame.image for frame in open_capture(path)], whole)
+
+
+@pytest.mark.parametrize(
+    ("ending", "pixels", "message"),
+    [
+        ("tif", np.ones((4, 4), np.float32), "the TIFF has values of the kind F; save it as EXR"),
+        ("avif", np.zeros((16, 16, 3), np.uint8), "AVIF is not read, because its HDR would be lost"),
+        ("png", np.zeros((10, 3000, 3), np.uint8), "3000 x 10 pixels with a field of view of 60 degrees are no photo"),
+    ],
+)
+def test_other_pictures_are_refused_by_name(tmp_path: Path, ending: str, pixels: np.ndarray, message: str) -> None:
+    with pytest.raises(ImageError, match=message):
+        read_photo(other_file(tmp_path / f"a.{ending}", pixels))
+
+
+def test_damaged_and_endless_pictures_of_other_formats_are_refused(tmp_path: Path) -> None:
+    rng, pixels = random.Random(2), np.random.default_rng(3).integers(0, 256, (16, 16, 3), np.uint8)
+    for ending in ("webp", "tif", "bmp"):
+        whole = other_file(tmp_path / f"a.{ending}", pixels).read_bytes()
+        for _ in range(60):
+            data = bytearray(whole[: rng.randrange(len(whole))] if rng.random() < 0.5 else whole)
+            for _ in range(3 if data else 0):
+                data[rng.randrange(len(data))] = rng.randrange(256)
+            try:
+                as_png(bytes(data), "a picture", max_pixels=1000)
+            except ImageError:
+                continue
+    with pytest.raises(ImageError, match="up to 100 are read"):
+        as_png(whole, "a picture", max_pixels=100)
+    frames = [Image.fromarray(pixels), Image.fromarray(255 - pixels)]
+    frames[0].save(tmp_path / "film.webp", save_all=True, append_images=frames[1:])
+    with pytest.raises(ImageError, match="the WebP holds 2 pictures"):
+        as_png((tmp_path / "film.webp").read_bytes(), "a picture", max_pixels=1000)

@@ -39,7 +39,7 @@ from roomlight.notes import Note
 
 INDEX: Final = "transforms.json"
 _DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
-_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic")
+_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic", ".webp", ".tif", ".tiff")
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
 _READ: Final = frozenset(
     {

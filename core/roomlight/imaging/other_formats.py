@@ -1,0 +1,53 @@
+"""Pictures of other formats as PNG, which `roomlight.images` reads: WebP, TIFF, BMP, with profile and EXIF."""
+
+import io
+from typing import Final
+
+from PIL import ExifTags, Image
+
+from roomlight.errors import ImageError
+
+_STARTS: Final = {b"RIFF": "WebP", b"II*\0": "TIFF", b"MM\0*": "TIFF", b"BM": "BMP"}
+_MODES: Final = {"1": "L", "P": "RGBA", "PA": "RGBA", "CMYK": "RGB", "YCbCr": "RGB", "RGBX": "RGB"}
+_KEPT: Final = ("L", "LA", "RGB", "RGBA", "I;16")
+
+
+def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
+    """Return a WebP, TIFF or BMP as PNG of the same pixels; other files unchanged.
+
+    Raises:
+        ImageError: It does not decode, has more than `max_pixels`, several pictures, or values of another kind.
+    """
+    kind = next((kind for start, kind in _STARTS.items() if data.startswith(start)), None)
+    if data[4:12] in (b"ftypavif", b"ftypavis"):
+        raise ImageError(f"{name}: AVIF is not read, because its HDR would be lost; save it as HEIC, JPEG or PNG")
+    if kind is None or (kind == "WebP" and data[8:12] != b"WEBP"):
+        return data
+    try:
+        with Image.open(io.BytesIO(data), formats=(kind.upper(),)) as image:
+            size, mode, pictures = image.size, image.mode, getattr(image, "n_frames", 1)
+            if size[0] * size[1] > max_pixels:
+                raise ImageError(f"{name}: its header says {size[0]} x {size[1]} pixels; up to {max_pixels} are read")
+            if pictures != 1:
+                raise ImageError(f"{name}: the {kind} holds {pictures} pictures; save one of them")
+            if mode not in _KEPT and mode not in _MODES:
+                raise ImageError(f"{name}: the {kind} has values of the kind {mode}; save it as EXR, or with 8 bits")
+            picture = image if mode in _KEPT else image.convert(_MODES[mode])
+            out = io.BytesIO()
+            profile = image.info.get("icc_profile")
+            kept = {"icc_profile": profile} if profile else {}
+            picture.save(out, "PNG", compress_level=1, exif=_photo_tags(image.getexif()), **kept)
+            return out.getvalue()
+    except ImageError:
+        raise
+    except Exception as error:  # Pillow raises whatever the damaged bytes lead to
+        hint = "; TIFF is read with 8 bits" if kind == "TIFF" else ""
+        raise ImageError(f"{name}: the {kind} does not decode ({error}){hint}; save it as PNG or EXR") from error
+
+
+def _photo_tags(stated: Image.Exif) -> Image.Exif:
+    """Return the orientation and the camera's tags, without those of the file's own layout."""
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = stated.get(ExifTags.Base.Orientation, 1)
+    exif.get_ifd(ExifTags.IFD.Exif).update(stated.get_ifd(ExifTags.IFD.Exif))
+    return exif
