@@ -32,12 +32,13 @@ def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
                 raise ImageError(f"{name}: the {kind} holds {pictures} pictures; save one of them")
             if mode not in _KEPT and mode not in _MODES:
                 raise ImageError(f"{name}: the {kind} has values of the kind {mode}; save it as EXR, or with 8 bits")
-            image.load()  # a TIFF is turned upright by it, and its orientation is gone
+            tags = _photo_tags(image.getexif())
+            image.getexif()[ExifTags.Base.Orientation] = 1  # or a TIFF would be turned while it is decoded
             picture = image if mode in _KEPT else image.convert(_MODES[mode])
             out = io.BytesIO()
             profile = image.info.get("icc_profile")
             kept = {"icc_profile": profile} if profile else {}
-            picture.save(out, "PNG", compress_level=1, exif=_photo_tags(image.getexif()), **kept)
+            picture.save(out, "PNG", compress_level=1, exif=tags, **kept)
             return out.getvalue()
     except ImageError:
         raise

@@ -138,6 +138,8 @@ def test_photos_of_other_formats_are_those_of_png(tmp_path: Path, ending: str, o
     photo = read_photo(other_file(tmp_path / f"a.{ending}", pixels, **options, **stated))
     np.testing.assert_array_equal(photo.frame.image, whole.frame.image)
     assert photo.frame.image.shape[:2] == ((24, 32) if ending == "bmp" else (32, 24))
+    stored = as_png((tmp_path / f"a.{ending}").read_bytes(), "a", max_pixels=1000)
+    assert decode_picture(stored, "a", as_stored=True).image.shape[:2] == (24, 32)
     if ending == "webp":  # Pillow writes no focal length into a TIFF
         assert photo.fov_source == "exif"
         assert photo.fov_deg == whole.fov_deg
