@@ -11,6 +11,17 @@ _STARTS: Final = {b"RIFF": "WebP", b"II*\0": "TIFF", b"MM\0*": "TIFF", b"BM": "B
 _MODES: Final = {"1": "L", "P": "RGBA", "PA": "RGBA", "CMYK": "RGB", "YCbCr": "RGB", "RGBX": "RGB"}
 _KEPT: Final = ("L", "LA", "RGB", "RGBA", "I;16")
 
+_BACK: Final = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_90,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_270,
+}
+"""From upright to stored, by EXIF's orientation."""
+
 
 def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
     """Return a WebP, TIFF or BMP as PNG of the same pixels; other files unchanged.
@@ -33,8 +44,9 @@ def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
             if mode not in _KEPT and mode not in _MODES:
                 raise ImageError(f"{name}: the {kind} has values of the kind {mode}; save it as EXR, or with 8 bits")
             tags = _photo_tags(image.getexif())
-            image.getexif()[ExifTags.Base.Orientation] = 1  # or a TIFF would be turned while it is decoded
-            picture = image if mode in _KEPT else image.convert(_MODES[mode])
+            picture = image.convert(mode if mode in _KEPT else _MODES[mode])
+            if kind == "TIFF" and (back := _BACK.get(tags[ExifTags.Base.Orientation])) is not None:
+                picture = picture.transpose(back)  # Pillow turns a TIFF while it decodes it
             out = io.BytesIO()
             profile = image.info.get("icc_profile")
             kept = {"icc_profile": profile} if profile else {}
