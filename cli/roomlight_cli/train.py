@@ -19,6 +19,7 @@ from roomlight_cli.progress import Progress
 from roomlight_export.exporting import export_checkpoint
 from roomlight_export.importing import load_weights
 from roomlight_generator.generate import GenerateOptions, generate
+from roomlight_model.checkpoint import save_mean
 from roomlight_model.training.loop import Run, TrainingProgress
 from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage, read_options
 from roomlight_model.training.run_folder import RunFolder
@@ -67,8 +68,17 @@ def train_recipe(
             console.print(f"{stage.name}: stopped at step {run.step}; the same command continues")
             return None
     with Progress("exporting and verifying the graphs", console) as progress:
-        report = export_checkpoint(out / recipe.ships, out / "onnx", progress=progress.say)
+        report = export_checkpoint(_shipped(recipe, out), out / "onnx", progress=progress.say)
     return report.out
+
+
+def _shipped(recipe: Recipe, out: Path) -> Path:
+    """Return the checkpoint to export; the mean of several is written beside the stages."""
+    parts = [out / part for part in recipe.ships]
+    if len(parts) == 1:
+        return parts[0]
+    save_mean(out / "mean.pt", parts)
+    return out / "mean.pt"
 
 
 def _train_stage(

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from roomlight.errors import ModelError, OutputError
-from roomlight_model.checkpoint import FORMS, build_network, load_checkpoint, save_checkpoint, save_untrained
+from roomlight_model.checkpoint import FORMS, build_network, load_checkpoint, save_checkpoint, save_mean, save_untrained
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
 
@@ -44,6 +44,20 @@ def test_untrained_is_the_same_for_the_same_seed(tmp_path):
     weight = "sg_encoder.at_half.1.weight"
     assert torch.equal(first.model.state_dict()[weight], same.model.state_dict()[weight])
     assert not torch.equal(first.model.state_dict()[weight], other.model.state_dict()[weight])
+
+
+def test_the_mean_of_checkpoints(tmp_path):
+    for name, seed in (("a", 1), ("b", 2), ("c", 3)):
+        save_untrained(tmp_path / name, "single", CONFIG, seed=seed)
+    save_mean(tmp_path / "mean.pt", [tmp_path / name for name in "abc"])
+    mean = load_checkpoint(tmp_path / "mean.pt")
+    assert mean.card == {"steps": 0, "seed": 3, "mean_of": 3}
+    states = [load_checkpoint(tmp_path / name).model.state_dict() for name in "abc"]
+    for name, value in mean.model.state_dict().items():
+        assert torch.allclose(value, sum(state[name] for state in states) / 3, atol=1e-6)
+    save_untrained(tmp_path / "other", "clipping", CONFIG)
+    with pytest.raises(ModelError, match="a: the weights do not fit"):
+        save_mean(tmp_path / "mean.pt", [tmp_path / "a", tmp_path / "other"])
 
 
 @pytest.mark.parametrize(

@@ -48,8 +48,8 @@ def cards(form: str) -> list[dict[str, Any]]:
 def test_the_shipped_recipes_follow_the_cards(form: str) -> None:
     recipe, chain = read_recipe(form), cards(form)
     assert [stage.options.stage for stage in recipe.stages] == [card["stage"] for card in chain]
-    assert recipe.ships is not None
-    assert recipe.ships.partition("/")[0] == recipe.stages[-1].name
+    assert recipe.ships[-1].partition("/")[0] == recipe.stages[-1].name
+    assert cards(form)[-1].get("mean_of", 1) == len(recipe.ships)
     for stage, card in zip(recipe.stages, chain, strict=True):
         stated = {
             renamed: value
@@ -133,7 +133,9 @@ def test_wrong_changes_are_refused(change, message, tmp_path) -> None:
         ('data = ["walks"]', 'data = ["cats"]', r"stage second: no \[data\.cats\] .* datasets are rooms, walks"),
         ('data = ["walks"]', 'data = "walks"', "it must be a list of names"),
         ('start_from = "first/model.pt"', "start_from = 3", "start_from is 3; it must be a text"),
-        ('ships = "second/best.pt"', 'ships = "third/best.pt"', "ships is 'third/best.pt'; it must be one of first/"),
+        ('ships = "second/best.pt"', 'ships = "third/best.pt"', "ships is 'third/best.pt'; it must be of first/"),
+        ('ships = "second/best.pt"', 'ships = ["first/best.pt", "cats"]', "'cats'.; it must be of first/best.pt"),
+        ('ships = "second/best.pt"', "ships = []", r"ships is \[\]; it must be of first/"),
         ('ships = "second/best.pt"', "", "ships is .*: Field required"),
         ('ships = "second/best.pt"', 'ship = "a"\nships = "second/best.pt"', "ship is 'a': Unexpected"),
         ("[data.walks]", "[data.walks", "is not TOML"),
@@ -143,6 +145,12 @@ def test_wrong_files_are_refused_with_their_fault(old, new, message, tmp_path) -
     assert old in SMALL
     with pytest.raises(OptionError, match=rf"small\.toml: .*{message}"):
         read_recipe(write(tmp_path, SMALL.replace(old, new)))
+
+
+def test_a_recipe_ships_one_file_or_the_mean_of_several(tmp_path) -> None:
+    assert read_recipe(write(tmp_path, SMALL)).ships == ("second/best.pt",)
+    several = SMALL.replace('"second/best.pt"', '["first/best.pt", "second/best.pt"]')
+    assert read_recipe(write(tmp_path, several)).ships == ("first/best.pt", "second/best.pt")
 
 
 def test_a_missing_recipe_names_the_shipped_ones(tmp_path) -> None:

@@ -38,7 +38,8 @@ def train(
     read = read_recipe(recipe).changed(_parse_changes(changes))
     model = train_recipe(read, out, data=data or out / "data", device=device, minutes=minutes, console=console.err)
     if model is not None:
-        console.say(f"{model}: the weights of {out / read.ships}, as ONNX graphs; use them with --weights {model}")
+        weights = ", ".join(str(out / part) for part in read.ships)
+        console.say(f"{model}: the weights of {weights}, as ONNX graphs; use them with --weights {model}")
 
 
 def _parse_changes(changes: tuple[str, ...]) -> dict[str, Any]:

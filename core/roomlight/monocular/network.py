@@ -47,7 +47,6 @@ class DepthNetworkModel:
         """Estimate metric depth at half the square's resolution."""
         square = cv2.resize(picture, (DEPTH_SIDE, DEPTH_SIDE), interpolation=cv2.INTER_AREA)
         planes = np.concatenate([np.moveaxis(square, -1, 0), ray_planes(intrinsics, up)])[None]
-        planes = planes[:, : self._graph.inputs["planes"][1]]  # a graph without gravity takes the first 5
         outputs = self._graph.new_outputs()
         self._graph.bind({"planes": np.ascontiguousarray(planes, np.float32)}, outputs).run()
         log_depth, log_scale = outputs["log_depth"][0]

@@ -1,6 +1,6 @@
 """Recipes: a TOML file that states the data and the stages from which weights come.
 
-    ships = "joint/best.pt"        # the weights that are exported at the end
+    ships = "joint/best.pt"        # the weights that are exported at the end; of a list the mean
 
     [data.rooms]                   # options of `roomlight dataset generate`: `rooms` is generated if it is missing
     sequences = 2000
@@ -82,7 +82,8 @@ class Recipe:
 
     Attributes:
         path: Its file.
-        ships: The weights to export, a file of a stage's run: "NAME/best.pt" or "NAME/model.pt".
+        ships: The weights to export, files of the stages' runs: "NAME/best.pt" or "NAME/model.pt"; of several, which
+            must continue each other, the mean.
         data: For each dataset the options that generate it; empty if only a folder of this name is used.
         stages: The stages in order.
 
@@ -93,7 +94,7 @@ class Recipe:
     """
 
     path: Path
-    ships: str
+    ships: tuple[str, ...]
     data: Mapping[str, Mapping[str, Any]]
     stages: tuple[StageRecipe, ...]
 
@@ -126,7 +127,7 @@ class _File:
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    ships: str
+    ships: str | list[str]
     stages: list[dict[str, Any]]
     data: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
 
@@ -151,9 +152,10 @@ def read_recipe(name_or_path: str) -> Recipe:
     stages: list[StageRecipe] = []
     for number, values in enumerate(file.stages, 1):
         stages.append(_stage(values, f"{path}: stage {values.get('name', number)}", list(file.data), stages))
-    if file.ships not in _weights(stages):
-        raise OptionError(f"{path}: ships is {file.ships!r}; it must be one of {', '.join(_weights(stages))}")
-    return Recipe(path, file.ships, file.data, tuple(stages))
+    ships = (file.ships,) if isinstance(file.ships, str) else tuple(file.ships)
+    if not ships or not set(ships) <= set(_weights(stages)):
+        raise OptionError(f"{path}: ships is {file.ships!r}; it must be of {', '.join(_weights(stages))}")
+    return Recipe(path, ships, file.data, tuple(stages))
 
 
 def read_options(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
