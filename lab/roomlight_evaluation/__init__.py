@@ -9,7 +9,8 @@ Each folder answers one question, with the measurement in `evaluation`, its figu
 - `objects`: How well does the light shade spheres and cast a shadow (`roomlight eval objects`)?
 - `composites`: How near are composites to pictures with the object really there (`roomlight eval composite`)?
 
-`walks` scores the networks on walks of datasets and on single images (`roomlight eval walks`);
+`walks` scores the networks on walks of datasets and on single images (`roomlight eval walks`),
+`drift` with exposure that drifts;
 `benchmark` scores spheres in rooms that a seed gives (`roomlight eval benchmark`).
 
 `baselines` has mean colour and warp-and-fill, `confidence` bootstrap intervals, `tables` what all tables share.

@@ -57,6 +57,24 @@ class Walks(Protocol):
         ...
 
 
+@runtime_checkable
+class Compared(Protocol):
+    """Models to compare."""
+
+    @property
+    def frames(self) -> int | None:
+        """Frames of a walk that are scored; None: all."""
+        ...
+
+    def estimators(self) -> list[Estimator]:
+        """Return new estimators of every comparison on exact depth."""
+        ...
+
+    def phone_estimators(self) -> list[Estimator]:
+        """Return new estimators of the comparison on phone-like depth."""
+        ...
+
+
 @dataclass(frozen=True)
 class WalkModels:
     """The models to compare; graphs are loaded once and shared by all walks."""
@@ -219,7 +237,7 @@ class Renamed:
 
 def evaluate_walks(
     datasets: Sequence[Walks],
-    models: WalkModels | ImageModels,
+    models: Compared,
     *,
     limit: int | None = None,
     progress: ProgressCallback | None = None,
@@ -260,7 +278,7 @@ def evaluate_walks(
     return CaptureScores(tuple(summaries), tuple(tracks))
 
 
-def score_walk(recording: Recording, models: WalkModels | ImageModels, *, name: str) -> list[Track]:
+def score_walk(recording: Recording, models: Compared, *, name: str) -> list[Track]:
     """Score every comparison on one walk.
 
     Raises:
@@ -277,8 +295,9 @@ def score_walk(recording: Recording, models: WalkModels | ImageModels, *, name: 
     )
     tracks: list[Track] = []
     for depth, estimators in sensors:
-        frames = islice(walk_frames(recording, depth), models.frames)
-        tracks += score_frames(name, frames, probes, estimators)[1]
+        if estimators:
+            frames = islice(walk_frames(recording, depth), models.frames)
+            tracks += score_frames(name, frames, probes, estimators)[1]
     return tracks
 
 

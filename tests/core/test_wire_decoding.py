@@ -149,6 +149,15 @@ def test_depth_of_low_confidence_becomes_unknown(encoding):
         assert (frame.depth_m[0] > 0).sum() == known
 
 
+def test_exposure_drifts_where_nothing_states_it():
+    linear = ("linear_f32", np.ones((HEIGHT, WIDTH, 3), "<f4").tobytes() + bytes(HEIGHT * WIDTH))
+    assert decode_frame(message(), 0).auto_exposed
+    assert not decode_frame(message(exposure=4.0), 0).auto_exposed
+    assert not decode_frame(message(linear), 0).auto_exposed
+    assert decode_frame(message(linear, auto_exposed=True), 0).auto_exposed
+    assert not decode_frame(message(auto_exposed=False), 0).auto_exposed
+
+
 def test_radiance_is_relative_to_the_reference_exposure():
     plain = decode_frame(message(), 0).image
     np.testing.assert_allclose(decode_frame(message(exposure=4.0), 0).image, plain / 4, rtol=1e-6)

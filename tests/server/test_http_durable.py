@@ -213,7 +213,7 @@ def _other_weights(path):
 
 
 def _other_version(path):
-    path.write_bytes(path.read_bytes().replace(b"RLSTATE2", b"RLSTATE9", 1))
+    path.write_bytes(path.read_bytes().replace(b"RLSTATE3", b"RLSTATE9", 1))
 
 
 @pytest.mark.parametrize(

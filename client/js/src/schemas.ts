@@ -255,6 +255,8 @@ export interface components {
          *         timestamp_s: seconds from any origin; optional.
          *         exposure: exposure of the image in the unit of the session's reference exposure (for example shutter seconds x
          *             ISO); linear radiance is divided by exposure / reference exposure. Default 1.
+         *         auto_exposed: whether the camera changes exposure and white balance and `exposure` does not say by how much: the
+         *             session then estimates it from surfaces that frames share. Default: true for 8-bit images of exposure 1.
          *         tracking_state: normal (default), limited or not_available, as in ARKit. Frames that are not normal are counted
          *             and skipped; sessions with `use_limited_tracking` also use limited ones.
          */
@@ -283,6 +285,8 @@ export interface components {
              * @default 1
              */
             readonly exposure?: number;
+            /** @default null */
+            readonly auto_exposed?: boolean | null;
             /**
              * @default normal
              * @enum {string}

@@ -80,7 +80,7 @@ class PoseConventions:
 class RawFrame:
     """One record as stored: picture decoded to linear RGB, depth in metres, pose in the file's conventions.
 
-    A record of a capture without depth has no `depth_name`.
+    A record of a capture without depth has no `depth_name`. `auto_exposed` is as in `Frame`.
     """
 
     name: str
@@ -90,6 +90,7 @@ class RawFrame:
     intrinsics: Intrinsics
     pose: Float[np.ndarray, "4 4"]
     confidence: UInt8[np.ndarray, "ch cw"] | None = None
+    auto_exposed: bool = True
 
 
 ReadRecord = Callable[[int], RawFrame]
@@ -293,6 +294,7 @@ class Capture:
                 timestamp_s=self._timeline.times_s[index],
                 source=raw.name,
                 seen=picture.seen,
+                auto_exposed=raw.auto_exposed,
             )
             self._take_notes(raw, pose, frame)
             if stored:

@@ -9,11 +9,14 @@ import numpy as np
 
 from roomlight.engine.networks.graph import Graph
 from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.room import LEFT_KEYFRAMES
 from roomlight.engine.volume.grid import VOLUME_SHAPE
+from roomlight.engine.volume.sglv import LOBE_CHANNELS
 
-KEYFRAME_BYTES: Final = 320 * 240 * (3 * 4 + 1 + 1 + 4) + 160 * 120 * (4 + 1)
+KEYFRAME_BYTES: Final = 320 * 240 * (3 * 4 + 1 + 1 + 4) + 160 * 120 * (4 + 1) + 40 * 30 * (3 * 4 + 1)
 """Memory of a kept frame: its image, which pixels the sensor clipped and which still are, what was estimated for them;
-depth at the mesh's vertices, and where it was measured. Triangles and pyramids are made when they are wanted."""
+depth at the mesh's vertices, and where it was measured; a small image to compare exposures with. Triangles and pyramids
+are made when they are wanted."""
 _SUM_CHANNELS: Final = 7
 """Float32 a voxel of the sums over frames: colour, opacity, count, clipping."""
 _CLASSICAL_CHANNELS: Final = 5 + _SUM_CHANNELS + 11
@@ -24,11 +27,12 @@ _STATE_CHANNELS: Final = 11
 
 @dataclass(frozen=True)
 class Footprint:
-    """Bytes of a session's parts: the volume with its states, one tracked probe, one keyframe."""
+    """Bytes of a session's parts: the volume with its states, one probe, one keyframe, one room that was left."""
 
     volume: int
     probe: int
     keyframe: int = KEYFRAME_BYTES
+    left: int = 4 * (1 + LOBE_CHANNELS) * int(np.prod(VOLUME_SHAPE)) + LEFT_KEYFRAMES * KEYFRAME_BYTES
 
     @classmethod
     def of(cls, graphs: LightingGraphs | None, height: int) -> "Footprint":
@@ -49,12 +53,13 @@ class Footprint:
             volume += _SUM_CHANNELS * int(np.prod(graphs.volume_shape))
         return cls(4 * volume, panorama + 4 * blend)
 
-    def total(self, *, keyframes: int, probes: int, started: bool) -> int:
-        """Return the bytes of a session with these numbers of keyframes and probes.
+    def total(self, *, keyframes: int, probes: int, started: bool, left: int = 0) -> int:
+        """Return the bytes of a session with these numbers of keyframes, of probes, and of rooms that were left.
 
         `started`: whether the first frame was processed; before it, only probes take memory.
         """
-        return (self.volume + (keyframes + 1) * self.keyframe) * started + probes * self.probe
+        room = self.volume + (keyframes + 1) * self.keyframe + left * self.left
+        return room * started + probes * self.probe
 
 
 def release_free_memory() -> None:

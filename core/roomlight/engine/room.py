@@ -1,19 +1,39 @@
-"""What the frames of a session have shown of the room: it exists from the first frame on."""
+"""What the frames of a session have shown of the room: it exists from the first frame on.
 
-from collections.abc import Callable
+A camera that leaves the lighting volume is in another room: its frame begins a new volume, with its pose and depth,
+from what the keyframes show there. Of a room that was left stay its SGLV and a part of its keyframes (`RoomView`), for
+the points in it and for the way back.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
+from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
 from roomlight.engine.models.interface import Arrays, LightingModel, ProbeEstimator
 from roomlight.engine.preparation import PreparedFrame
+from roomlight.engine.state.snapshot import LeftRoom
 from roomlight.engine.surface.bracket import update_keyframes
 from roomlight.engine.surface.keyframes import KeyframeStore
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid, clipping_buffer, initial_volume
 from roomlight.engine.volume.sglv import Far, Sglv
+from roomlight.frame import Frame
+
+MOST_LEFT: Final = 2
+"""Most rooms that are remembered after they were left: 14 MB and `LEFT_KEYFRAMES` each. From a living room through a
+corridor to a kitchen, the living room is remembered."""
+LEFT_KEYFRAMES: Final = 12
+"""Most keyframes of a room that was left: they cover a pan around it."""
+BACK_MARGIN: Final = 0.25
+"""A camera is back in a room that it left if it is at least this deep in its volume, in units of D_max: at its border
+it is not."""
+_REACHING: Final = 0.25
+"""A keyframe belongs to a new room too if this share of its vertices lies in the new volume."""
 
 
 class Room:
@@ -50,6 +70,28 @@ class Room:
         """Frame index and mesh of every keyframe in order of time, then of the last frame if it is no keyframe."""
         return [(kept.index, kept.mesh) for kept in self.keyframes.with_last()]
 
+    def left(self, new_probe: Callable[[], ProbeEstimator]) -> "RoomView":
+        """Return what is remembered of the room when the camera has left it; the SGLV is not copied.
+
+        Args:
+            new_probe: Begins the model's state of a probe, without this room's volume.
+        """
+        kept = self.keyframes.thinned(LEFT_KEYFRAMES)
+        return RoomView(self.grid, self.sglv, self.far, new_probe, [(key.index, key.mesh) for key in kept])
+
+    def take_over(self, meshes: Sequence[tuple[int, FrameMesh]]) -> None:
+        """Fill the empty room with those keyframes of others, in order of time, that show enough of its volume."""
+        for index, mesh in meshes:
+            vertices = mesh.vertices[mesh.known] @ self.grid.world_to_volume[:3, :3].T.astype(np.float32)
+            local = vertices + self.grid.world_to_volume[:3, 3].astype(np.float32)
+            inside = ((local >= self.grid.lower_m) & (local <= self.grid.upper_m)).all(axis=1)
+            if inside.mean(dtype=np.float64) >= _REACHING and self.keyframes.offer(index, mesh):
+                frame = _frame_of(index, mesh)
+                clipping = clipping_buffer(self.grid, frame)
+                initial_volume(self.grid, frame, far_unknown=False, out=self.volume.volume, clipping=clipping)
+                self.volume.add(clipping)
+            mesh.forget()
+
     def view(self) -> "RoomView":
         """Return the room as it is, which later frames do not change: the SGLV is copied, 14 MB."""
         sglv = replace(self.sglv, alpha=self.sglv.alpha.copy(), lobes=self.sglv.lobes.copy())
@@ -85,10 +127,51 @@ class Room:
 
 @dataclass(frozen=True)
 class RoomView:
-    """What points need of a room after one frame, as `Room` has it."""
+    """What points need of a room after one frame, as `Room` has it; also what is remembered of a room that was left."""
 
     grid: VolumeGrid
     sglv: Sglv
     far: Far
     new_probe: Callable[[], ProbeEstimator]
     meshes: list[tuple[int, FrameMesh]]
+
+    @classmethod
+    def of_snapshot(
+        cls, saved: LeftRoom, kept: Mapping[int, FrameMesh], far: Far, new_probe: Callable[[], ProbeEstimator]
+    ) -> "RoomView":
+        """Return a room that was left, with its meshes of those in `kept`, by index."""
+        sglv = Sglv(saved.grid, saved.sglv["alpha"], saved.sglv["lobes"])
+        return cls(saved.grid, sglv, far, new_probe, [(index, kept[index]) for index in saved.frames])
+
+    def snapshot(self) -> LeftRoom:
+        """Return what is saved of a room that was left, whose SGLV does not change."""
+        arrays = {"alpha": self.sglv.alpha, "lobes": self.sglv.lobes}
+        return LeftRoom(self.grid, arrays, tuple(index for index, _ in self.meshes))
+
+    def view(self) -> "RoomView":
+        """Return the room as it is, whose textures later frames do not change."""
+        return replace(self, meshes=[(index, mesh.passing()) for index, mesh in self.meshes])
+
+
+AnyRoom = Room | RoomView
+
+
+def room_at(position: Position | Float[np.ndarray, "3"], rooms: Sequence[AnyRoom]) -> AnyRoom:
+    """Return the room in whose volume a position (world metres) is deepest; the last, present one if it is in none."""
+    best = max(reversed(rooms), key=lambda room: room.grid.margin(position))
+    return best if best.grid.margin(position) >= 0 else rooms[-1]
+
+
+def _frame_of(index: int, mesh: FrameMesh) -> Frame:
+    """Return the frame of a mesh, with the depth of its vertices alone."""
+    texture = mesh.texture
+    clipped = np.zeros(texture.image.shape[:2], bool) if texture.clipped is None else texture.clipped
+    return Frame(
+        index=index,
+        image=texture.image,
+        clipped=clipped,
+        depth_m=mesh.grid_depth_m,
+        intrinsics=mesh.image_camera,
+        camera_to_world=mesh.camera_to_world,
+        guessed=texture.guessed,
+    )

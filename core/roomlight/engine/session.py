@@ -23,15 +23,17 @@ from roomlight.camera import Intrinsics
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.lighting import shipped_lighting
 from roomlight.engine.models.choosing import lighting_model
+from roomlight.engine.models.interface import ProbeEstimator
 from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.networks.graphs import SHIPPED, LightingGraphs
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.preparation import PreparedFrame, at_working_size
 from roomlight.engine.probe import Probe
-from roomlight.engine.room import Room, RoomView
+from roomlight.engine.room import BACK_MARGIN, MOST_LEFT, AnyRoom, Room, RoomView, room_at
 from roomlight.engine.session_view import SessionView
 from roomlight.engine.state.snapshot import KeptFrame, SessionSnapshot
+from roomlight.engine.surface.drift import Drift
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Sglv, check_position
@@ -76,7 +78,7 @@ class _Clock:
 
 
 class Session:
-    """The state of one stream: the room since the first frame, and the tracked probes.
+    """The state of one stream: the room since its first frame, rooms that were left, and the tracked probes.
 
     Examples:
         >>> import roomlight as rl
@@ -104,6 +106,8 @@ class Session:
         self._clipping = shipped_clipping(self.options.provider, parts / "clipping")
         self._lighting = partial(shipped_lighting, self.options.provider, parts / "objects")
         self._room: Room | None = None  # from the first frame on
+        self._left: tuple[RoomView, ...] = ()  # rooms that the camera was in before
+        self._drift = Drift()
         self._probes: dict[int, Probe] = {}  # by handle
         self._pending: dict[int, Position] = {}  # tracked before the first frame, by handle
         self._next_handle = 0
@@ -122,7 +126,7 @@ class Session:
 
     @property
     def grid(self) -> VolumeGrid | None:
-        """Pose and size of the lighting volume; None before the first frame."""
+        """Pose and size of the lighting volume; None before the first frame. It follows the camera to other rooms."""
         return None if self._room is None else self._room.grid
 
     @property
@@ -132,12 +136,20 @@ class Session:
 
     @property
     def keyframes(self) -> int:
-        """Number of keyframes."""
+        """Number of keyframes of the room that the camera is in."""
         return 0 if self._room is None else len(self._room.keyframes)
 
     @property
+    def rooms_left(self) -> int:
+        """Number of rooms that are remembered after the camera left them."""
+        return len(self._left)
+
+    @property
     def meshes(self) -> list[tuple[int, FrameMesh]]:
-        """Frame index and mesh of every keyframe in order of time, then of the last frame if it is no keyframe."""
+        """Frame index and mesh of every keyframe in order of time, then of the last frame if it is no keyframe.
+
+        They are of the room that the camera is in.
+        """
         return [] if self._room is None else [(index, mesh.passing()) for index, mesh in self._room.meshes]
 
     @property
@@ -173,7 +185,8 @@ class Session:
         if self._room is None:  # the first frame fixes the volume's size, and with it the probe's state
             self._pending[handle] = (x, y, z)
         else:
-            self._probes[handle] = Probe.of_keyframes((x, y, z), self._room, height=self.options.height)
+            room = room_at((x, y, z), self._rooms)
+            self._probes[handle] = Probe.of_keyframes((x, y, z), room, height=self.options.height)
             self._probes[handle].update_lights()
         self._next_handle += 1
         return handle
@@ -197,14 +210,16 @@ class Session:
         with clock.stage("prepare"):
             measured, depth_m = at_working_size(frame, options.unknown_depth)
             earlier = [] if self._room is None else [mesh for _, mesh in self._room.meshes]
-            prepared = PreparedFrame.of(measured, depth_m, earlier, clipping=self._clipping)
-            room = self._room or self._new_room(VolumeGrid.from_frame(prepared.frame, shape=self._model.volume_shape))
+            drift = self._drift.after(measured, depth_m, earlier)
+            prepared = PreparedFrame.of(drift.corrected(measured), depth_m, earlier, clipping=self._clipping)
+            room = self._room_of(prepared.frame)
         with clock.stage("volume"):
             clipping = room.write_volume(prepared, options.unknown_depth)
         with clock.stage("sglv"):
             room.volume.update(clipping)
         with clock.stage("mesh"):
             mesh = prepared.mesh()
+            mesh.gain = drift.gain
         with clock.stage("keyframes"):
             is_keyframe = room.keep(frame.index, mesh)
         for handle, position in self._pending.items():
@@ -212,10 +227,44 @@ class Session:
         self._pending.clear()
         self._push_to_probes(mesh, clock)
         mesh.forget()
-        self._room, self._last_index = room, frame.index
+        self._last_index, self._drift = frame.index, drift
         self.frames += 1
         coverage = tuple(probe.panorama.coverage() for probe in self._probes.values())
         return FrameReport(frame.index, clock.stage_ms, is_keyframe, coverage)
+
+    def _room_of(self, frame: Frame) -> Room:
+        """Return the room that a frame is in: the present one while the camera is in its volume, else another or a new.
+
+        Raises:
+            FrameError: The first frame has no depth.
+        """
+        camera = frame.camera_to_world[:3, 3]
+        present = self._room
+        if present is not None and (present.grid.margin(camera) >= 0 or not frame.depth_m.any()):
+            return present
+        back = None if present is None else room_at(camera, self._rooms)
+        if isinstance(back, RoomView) and back.grid.margin(camera) >= BACK_MARGIN:
+            room = self._new_room(back.grid)
+            room.take_over(back.meshes)
+            others = tuple(other for other in self._left if other is not back)
+        else:
+            room = self._new_room(VolumeGrid.from_frame(frame, shape=self._model.volume_shape))
+            others = self._left
+        self._room = room
+        if present is not None:
+            room.take_over(present.meshes)
+            self._left = (*others, present.left(self._new_probe))[-MOST_LEFT:]
+        for handle, probe in self._probes.items():
+            self._probes[handle] = probe.in_room(room_at(probe.position, self._rooms))
+        return room
+
+    @property
+    def _rooms(self) -> tuple[AnyRoom, ...]:
+        return self._left if self._room is None else (*self._left, self._room)
+
+    def _new_probe(self) -> ProbeEstimator:
+        assert self._room is not None
+        return self._room.new_probe()
 
     def _push_to_probes(self, mesh: FrameMesh, clock: _Clock) -> None:
         """Blend the frame into every probe; many probes are computed side by side, on all cores."""
@@ -258,7 +307,7 @@ class Session:
         Raises:
             ProbeError: No frame was pushed yet, or the position is not usable.
         """
-        return self._view(self._room, position).light_at(position)
+        return self._view(self._rooms, position).light_at(position)
 
     def lights_at(self, positions: Sequence[Position]) -> list[Light]:
         """Return the light at several positions, as `light_at` does, faster on several cores.
@@ -266,7 +315,7 @@ class Session:
         Raises:
             ProbeError: No frame was pushed yet, or a position is not usable.
         """
-        return self._view(self._room, positions).lights_at(positions)
+        return self._view(self._rooms, positions).lights_at(positions)
 
     def view(self) -> SessionView:
         """Return the session after the last frame, which later frames do not change.
@@ -276,12 +325,12 @@ class Session:
         Raises:
             ProbeError: No frame was pushed yet.
         """
-        return self._view(None if self._room is None else self._room.view(), "any point")
+        return self._view(tuple(room.view() for room in self._rooms), "any point")
 
-    def _view(self, room: Room | RoomView | None, wanted: object) -> SessionView:
-        if room is None:
+    def _view(self, rooms: Sequence[AnyRoom], wanted: object) -> SessionView:
+        if not rooms:
             raise ProbeError(f"no light at {wanted} yet: push a frame first")
-        return SessionView(room, self.options.height, self._last_index, self._lighting)
+        return SessionView(rooms, self.options.height, self._last_index, self._lighting)
 
     def estimate(self, handle: int) -> Light:
         """Return the model's own estimate at a tracked position: cheaper than `light`, and too dark to light things.
@@ -303,6 +352,8 @@ class Session:
         """Return the state after the last frame. Later frames do not change it."""
         room = self._room
         last = None if room is None else room.keyframes.last
+        keyframes = {index: mesh for view in self._left for index, mesh in view.meshes}
+        keyframes |= {} if room is None else {key.index: key.mesh for key in room.keyframes}
         return SessionSnapshot(
             options=self.options,
             networks=self.networks,
@@ -312,9 +363,12 @@ class Session:
             grid=self.grid,
             volume={} if room is None else room.volume.save(),
             pending=dict(self._pending),
-            probes=tuple(probe.snapshot(handle) for handle, probe in self._probes.items()),
-            keyframes=() if room is None else tuple(KeptFrame.of(key.index, key.mesh) for key in room.keyframes),
+            probes=tuple(probe.snapshot(handle, self._rooms) for handle, probe in self._probes.items()),
+            keyframes=tuple(KeptFrame.of(index, mesh) for index, mesh in sorted(keyframes.items())),
             latest=None if last is None else KeptFrame.of(last.index, last.mesh),
+            left=tuple(view.snapshot() for view in self._left),
+            present=() if room is None else tuple(key.index for key in room.keyframes),
+            drift=self._drift,
         )
 
     @classmethod
@@ -390,10 +444,13 @@ class Session:
         if snapshot.grid is None:
             return
         room = self._room = self._new_room(snapshot.grid)
-        keyframes = {kept.index: kept.mesh for kept in snapshot.keyframes}
+        kept = {frame.index: frame.mesh for frame in snapshot.keyframes}
+        self._drift = snapshot.drift
+        self._left = tuple(RoomView.of_snapshot(saved, kept, room.far, self._new_probe) for saved in snapshot.left)
+        keyframes = {index: kept[index] for index in snapshot.present}
         latest = None if snapshot.latest is None else (snapshot.latest.index, snapshot.latest.mesh)
         room.restore(snapshot.volume, keyframes, latest)
-        self._probes = {saved.handle: Probe.of_snapshot(saved, room) for saved in snapshot.probes}
+        self._probes = {saved.handle: Probe.of_snapshot(saved, self._rooms[saved.room]) for saved in snapshot.probes}
 
 
 def warm_up(graphs: LightingGraphs | None = None) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from roomlight.conventions import Position
 from roomlight.engine.lighting import LightingModel
 from roomlight.engine.probe import Probe
-from roomlight.engine.room import Room, RoomView
+from roomlight.engine.room import AnyRoom, room_at
 from roomlight.engine.volume.sglv import check_position
 from roomlight.light.light import Light
 from roomlight.threads import parallel_for
@@ -24,13 +24,13 @@ class SessionView:
         0
 
     Attributes:
-        room: Of a session that goes on, or a view of it.
+        rooms: Those that are remembered, the present one last: of a session that goes on, or views of them.
         height: Rows of panoramas.
         frame: Index of the last frame.
         load: Returns the network that makes light of a panorama.
     """
 
-    room: Room | RoomView
+    rooms: Sequence[AnyRoom]
     height: int
     frame: int
     load: Callable[[], LightingModel]
@@ -42,7 +42,8 @@ class SessionView:
             ProbeError: The position is not usable.
         """
         x, y, z = check_position(position).tolist()
-        return Probe.of_keyframes((x, y, z), self.room, height=self.height).light(self.frame, self.load)
+        room = room_at((x, y, z), self.rooms)
+        return Probe.of_keyframes((x, y, z), room, height=self.height).light(self.frame, self.load)
 
     def lights_at(self, positions: Sequence[Position]) -> list[Light]:
         """Return the light at several positions, computed on all cores.

@@ -14,7 +14,7 @@ from roomlight.errors import RoomLightError, WireError
 from roomlight.frame import CLIPPED_SRGB8, Frame, hidden
 from roomlight.images import ColourImage, decode_depth, decode_grey8, decode_picture
 from roomlight.imaging.heic import heic_available, heic_size
-from roomlight.wire.frame_header import DEPTH_BYTES, ConfidencePart, DepthPart
+from roomlight.wire.frame_header import DEPTH_BYTES, ConfidencePart, DepthPart, FrameHeader
 from roomlight.wire.frame_message import FrameMessage
 
 
@@ -49,9 +49,16 @@ def decode_frame(
             camera_to_world=message.camera_to_world,
             timestamp_s=message.header.timestamp_s,
             source=f"frame {index}",
+            auto_exposed=is_auto_exposed(message.header),
         )
     except RoomLightError as error:
         raise WireError("bad-frame", field="colour", value=message.header.colour.encoding, rule=str(error)) from error
+
+
+def is_auto_exposed(header: FrameHeader) -> bool:
+    """Return `Frame.auto_exposed` of a message."""
+    unstated = header.colour.encoding != "linear_f32" and header.exposure == 1.0
+    return unstated if header.auto_exposed is None else header.auto_exposed
 
 
 def _colour(message: FrameMessage) -> ColourImage:

@@ -58,6 +58,7 @@ class CameraFrame:
         confidence: Optional uint8 [dh, dw]: 0 low, 1 medium, 2 high.
         timestamp_s: Seconds from any origin.
         exposure: Light taken, relative to the session's reference exposure (e.g. shutter seconds x ISO / 100).
+        auto_exposed: Whether nothing states how the camera changes its exposure; None: if `exposure` is 1.
         tracking_state: The server counts and skips frames whose state is not `normal`.
     """
 
@@ -68,6 +69,7 @@ class CameraFrame:
     confidence: UInt8[np.ndarray, "ch cw"] | None = None
     timestamp_s: float | None = None
     exposure: float = 1.0
+    auto_exposed: bool | None = None
     tracking_state: TrackingState = "normal"
 
 
@@ -104,6 +106,7 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
             camera_to_world=small.camera_to_world,
             timestamp_s=small.timestamp_s,
             exposure=exposure,
+            auto_exposed=None if frame.auto_exposed == (exposure == 1.0) else frame.auto_exposed,
         )
     )
 
@@ -114,7 +117,14 @@ def _pack_exact(frame: Frame) -> bytes:
     colour = small.image.astype("<f4").tobytes() + small.clipped.astype(np.uint8).tobytes()
     # Servers refuse depth without a known pixel. If resizing dropped all known pixels, send the full-size depth.
     depth_m = small.depth_m if small.depth_m.any() else frame.depth_m if frame.depth_m.any() else None
-    camera = CameraFrame(b"", depth_m, small.intrinsics, small.camera_to_world, timestamp_s=small.timestamp_s)
+    camera = CameraFrame(
+        b"",
+        depth_m,
+        small.intrinsics,
+        small.camera_to_world,
+        timestamp_s=small.timestamp_s,
+        auto_exposed=frame.auto_exposed or None,
+    )
     return _message(camera, "linear_f32", colour)
 
 
@@ -138,6 +148,7 @@ def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes) -> byt
             camera_to_world=column_major(frame.camera_to_world),
             timestamp_s=None if frame.timestamp_s is None else float(frame.timestamp_s),
             exposure=float(frame.exposure),
+            auto_exposed=frame.auto_exposed,
             tracking_state=frame.tracking_state,
         )
     except ValidationError as error:

@@ -118,6 +118,8 @@ class FrameHeader(WireModel):
         timestamp_s: seconds from any origin; optional.
         exposure: exposure of the image in the unit of the session's reference exposure (for example shutter seconds x
             ISO); linear radiance is divided by exposure / reference exposure. Default 1.
+        auto_exposed: whether the camera changes exposure and white balance and `exposure` does not say by how much: the
+            session then estimates it from surfaces that frames share. Default: true for 8-bit images of exposure 1.
         tracking_state: normal (default), limited or not_available, as in ARKit. Frames that are not normal are counted
             and skipped; sessions with `use_limited_tracking` also use limited ones.
     """
@@ -131,4 +133,5 @@ class FrameHeader(WireModel):
     camera_to_world: Annotated[list[FiniteNumber], Field(min_length=16, max_length=16)]
     timestamp_s: FiniteNumber | None = None
     exposure: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)] = 1.0
+    auto_exposed: bool | None = None
     tracking_state: TrackingState = "normal"

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Literal, TypeVar, cast
 
 from roomlight.engine.memory import Footprint
+from roomlight.engine.room import MOST_LEFT
 from roomlight.engine.session import FrameReport, Session, SessionOptions
 from roomlight.engine.state.snapshot import SessionSnapshot
 from roomlight.errors import FrameError, ModelError, WireError
@@ -393,7 +394,9 @@ class LiveSession:
     def bound_bytes(self) -> int:
         """Upper bound of the session's memory."""
         limits = self._limits
-        engine = self._footprint.total(keyframes=self._keyframe_capacity, probes=limits.max_probes, started=True)
+        engine = self._footprint.total(
+            keyframes=self._keyframe_capacity, probes=limits.max_probes, started=True, left=MOST_LEFT
+        )
         size = self.lighting.light_bytes
         lights = cached_lights(size) * size
         kept = SCENE_BYTES + DEPTH_STREAM_BYTES
@@ -419,7 +422,10 @@ class LiveSession:
         engine = self._access.engine
         volume = volume_of(engine)
         keyframes = 0 if engine is None else engine.keyframes
-        engine_bytes = self._footprint.total(keyframes=keyframes, probes=self.probe_count, started=volume is not None)
+        left = 0 if engine is None else engine.rooms_left
+        engine_bytes = self._footprint.total(
+            keyframes=keyframes, probes=self.probe_count, started=volume is not None, left=left
+        )
         kept = engine_bytes + self.lighting.cached_bytes + (0 if self._latest is None else self._latest.size)
         kept += self.history.size
         return SessionState(

@@ -22,7 +22,7 @@ import numpy as np
 from roomlight.camera import Intrinsics
 from roomlight.errors import ObjectError, RoomLightError, WireError
 from roomlight.frame import Frame
-from roomlight.wire.decoding import decode_frame
+from roomlight.wire.decoding import decode_frame, is_auto_exposed
 from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
 from roomlight_server.work.shared_block import BLOCK_BYTES, SharedBlock
 
@@ -95,6 +95,7 @@ def unpack_frame(text: dict[str, Any], data: bytes, message: FrameMessage, index
         camera_to_world=message.camera_to_world,
         timestamp_s=message.header.timestamp_s,
         source=f"frame {index}",
+        auto_exposed=is_auto_exposed(message.header),
     )
 
 

@@ -193,7 +193,7 @@ def test_files_of_other_kinds_and_versions_are_refused(saved, tmp_path):
     file = saved[1].read_bytes()
     assert "is not a saved state" in _refused(tmp_path, b"")
     assert "is not a saved state" in _refused(tmp_path, b"\x89PNG\r\n\x1a\n" + bytes(100))
-    assert "version '1'; this release reads version 2" in _refused(tmp_path, file.replace(b"RLSTATE2", b"RLSTATE1", 1))
+    assert "version '1'; this release reads version 3" in _refused(tmp_path, file.replace(b"RLSTATE3", b"RLSTATE1", 1))
     assert "8 bytes follow the end" in _refused(tmp_path, file + bytes(8))
     assert "0 saved sessions" in _refused(tmp_path, pack_records([Record("NOTE", {"a": 1})]))
     with pytest.raises(StateError, match=r"none\.state: cannot be read \(No such file"):

@@ -13,6 +13,7 @@ from roomlight.errors import DatasetError, OptionError
 from roomlight.metrics import log_l2
 from roomlight_evaluation.baselines import MeanColour
 from roomlight_evaluation.captures.estimators import EngineEstimator
+from roomlight_evaluation.drift import FOLLOWED, STATED, DriftModels, drift_gain
 from roomlight_evaluation.walks import (
     LATE_FROM,
     NO_RNN,
@@ -127,6 +128,20 @@ def test_single_images_are_first_frames_with_both_kinds_of_depth(tiny_video):
     track = next(track for track in scores.tracks if track.method == "mean colour" and track.probe == 0)
     x, y, z = (float(value) for value in walks[0].probe_positions[0])
     assert track.scores["log_l2"][0] == pytest.approx(log_l2(baseline.light_at((x, y, z)), truth), rel=1e-5)
+
+
+def test_drift_is_followed_from_the_first_frame_on():
+    """The walk's frames have the exposures 1, 1.08 and 1.16; the session takes them as stated or estimates them."""
+    scores = evaluate_walks([Walks(1, height=HEIGHT)], DriftModels.load(SessionOptions(model="classical", height=48)))
+    assert scores.methods == ("classical", FOLLOWED, STATED)
+    mean = {
+        name: np.mean([track.scores["log_l2"] for track in scores.tracks if track.method == name], axis=0)
+        for name in scores.methods
+    }
+    assert mean[FOLLOWED][0] == pytest.approx(mean["classical"][0], rel=0.02)
+    assert mean[FOLLOWED].mean() <= 1.05 * mean["classical"].mean()
+    assert mean[STATED].mean() > mean[FOLLOWED].mean()
+    assert (drift_gain(0) == 1).all()
 
 
 def test_phone_depth_is_seeded_by_the_walk_s_name():

@@ -9,12 +9,14 @@ from annotated_types import Ge
 from roomlight.dataset.loader import Dataset, DepthKind
 from roomlight.dataset.recording import Split
 from roomlight.engine.session import warm_up
+from roomlight.errors import OptionError
 from roomlight_cli.console import print_tables, say
 from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoredNetworks, ScoresJson
 from roomlight_evaluation.benchmark import benchmark_options, evaluate_benchmark, rooms_digest
 from roomlight_evaluation.captures.tables import capture_tables
+from roomlight_evaluation.drift import DriftModels
 from roomlight_evaluation.walks import ImageModels, WalkModels, evaluate_walks
 from roomlight_generator.generate import generate
 
@@ -24,6 +26,7 @@ def walks(
     light: ScoredNetworks,
     *,
     images: bool = False,
+    drift: bool = False,
     split: Split = "test",
     limit: Annotated[int, Ge(1)] | None = None,
     json: ScoresJson = None,
@@ -37,10 +40,16 @@ def walks(
         data: Dataset folders (roomlight dataset generate --split test).
         light: How to estimate the light.
         images: Score the single-view networks on the first frame of each walk instead.
+        drift: Score the chosen model with exposure and white balance that drift, and without, instead.
         split: Which rooms; no network is trained on those of test.
         limit: Score this many walks of each, evenly spread.
     """
-    models = ImageModels.load(light) if images else WalkModels.load(replace(light, model="video"))
+    if images and drift:
+        raise OptionError("drift needs whole walks: leave out `images`")
+    if drift:
+        models = DriftModels.load(light)
+    else:
+        models = ImageModels.load(light) if images else WalkModels.load(replace(light, model="video"))
     with Progress("compiling kernels (first run only)") as progress:
         warm_up()
         progress.say("scoring")

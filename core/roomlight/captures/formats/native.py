@@ -127,6 +127,7 @@ class NativeReader:
             intrinsics=intrinsics,
             pose=pose,
             confidence=confidence,
+            auto_exposed=entry.get("exposure") is None,
         )
 
     def _probe(self, entry: dict[str, Any]) -> RawProbe:

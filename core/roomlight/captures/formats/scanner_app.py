@@ -59,7 +59,7 @@ class ScannerAppReader(ListedReader):
         json_name = f"frame_{number}.json"
         stated = self._json(json_name)
         if "exposureDuration" in stated and not self.notes:
-            effect = "frames of other exposure count as equally bright"
+            effect = "exposure is estimated from surfaces that frames share"
             self.notes.append(Note(f"{self._source.label(json_name)}: exposureDuration", effect, "lock the exposure"))
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         height, width = read.picture.image.shape[:2]

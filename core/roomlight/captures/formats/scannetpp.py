@@ -62,7 +62,7 @@ class ScanNetPPReader(ListedReader):
             advice = "unpack it to rgb_masks/frame_000000.png"
             self.notes.append(Note(f"{folder}: rgb_mask.mkv", "blurred people and screens count as seen", advice))
         if source.has("exif.json"):
-            effect = "frames of other exposure count as equally bright"
+            effect = "exposure is estimated from surfaces that frames share"
             self.notes.append(Note(f"{folder}: exposure in exif.json", effect, "nothing to do in even light"))
         self._depth: DepthMaps | None = None
 

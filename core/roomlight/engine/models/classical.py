@@ -47,11 +47,18 @@ class ClassicalVolume:
         self.volume = np.zeros((5, *grid.shape), np.float32)
         self.sglv = Sglv.empty(grid)
         self._fused = FusedVolume.fresh(grid.shape)
+        self._whole = False  # whether other voxels than those of the volume in the buffer have changed
 
     def update(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
         """Add the volume to the average: alpha over the frames that observed a voxel, colour weighted by alpha."""
         self._fused.add(self.volume, clipping)
-        self._fused.write_surfaces(self.sglv, self.volume)
+        self._fused.write_surfaces(self.sglv, None if self._whole else self.volume)
+        self._whole = False
+
+    def add(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
+        """Add the volume to the sums; the next `update` writes their means."""
+        self._fused.add(self.volume, clipping)
+        self._whole = True
 
     def new_probe(self) -> "ClassicalProbe":
         """Begin a probe that has observed nothing."""

@@ -101,6 +101,10 @@ class VolumeEstimator(Protocol):
         """
         ...
 
+    def add(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
+        """Take the volume in the buffer as that of an earlier frame: the next `update` makes an SGLV of both."""
+        ...
+
     def new_probe(self) -> ProbeEstimator:
         """Begin a probe that has observed nothing."""
         ...

@@ -123,6 +123,10 @@ class SingleViewVolume:
             parallel_for(move, len(observed))
         self._frames += 1
 
+    def add(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
+        """Add the volume to the mean."""
+        self._fused.add(self.volume, clipping)
+
     def new_probe(self) -> NetworkProbe:
         """Begin a probe that has observed nothing."""
         return NetworkProbe(self._model.graphs, self._model.hedge)
@@ -188,6 +192,10 @@ class RecurrentVolume:
             return
         for step in self._next[self._latest]:
             step.run()
+
+    def add(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
+        """Run the graphs: the recursion takes frames one by one."""
+        self.update(clipping)
 
     def new_probe(self) -> NetworkProbe:
         """Begin a probe that has observed nothing."""

@@ -20,9 +20,17 @@ from roomlight.engine.networks.providers import Provider
 from roomlight.engine.options import ModelName, SessionOptions
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.light_tracking import LightTracker
-from roomlight.engine.state.kept_frames import base_arrays, base_of, base_values, change_arrays, changed
+from roomlight.engine.state.kept_frames import (
+    base_arrays,
+    base_of,
+    base_values,
+    brightened,
+    change_arrays,
+    changed,
+)
 from roomlight.engine.state.records import Record, array_records, arrays_of, unpack_records
-from roomlight.engine.state.snapshot import KeptFrame, ProbeSnapshot, SessionSnapshot
+from roomlight.engine.state.snapshot import KeptFrame, LeftRoom, ProbeSnapshot, SessionSnapshot
+from roomlight.engine.surface.drift import Drift
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import RoomLightError, StateError
@@ -52,10 +60,17 @@ class _Grid(_Values):
     shape: tuple[int, int, int]
 
 
+class _Left(_Values):
+    grid: _Grid
+    frames: tuple[int, ...]
+
+
 class _Probe(_Values):
     handle: int
     position: Position
     tracker: dict[str, Any]
+    room: int
+    forgotten: bool
 
 
 class _Kept(_Values):
@@ -64,6 +79,8 @@ class _Kept(_Values):
     checksum: int
     base: dict[str, Any] | None
     """None: the base is elsewhere."""
+    gain: tuple[float, float, float] | None
+    """Of red, green and blue against the image as it was pushed."""
 
 
 class _Session(_Values):
@@ -77,6 +94,9 @@ class _Session(_Values):
     pending: dict[int, Position]
     probes: list[_Probe]
     kept: list[_Kept]
+    left: list[_Left]
+    present: tuple[int, ...]
+    drift: Drift
 
 
 @dataclass(frozen=True)
@@ -116,22 +136,25 @@ class SavedSession:
     def _snapshot(self, bases: Mapping[int, FrameMesh]) -> SessionSnapshot:
         values = self.values
         kept = {role: [self._kept(frame, bases) for frame in values.kept if frame.role == role] for role in _ROLES}
-        grid = None
-        if values.grid is not None:
-            pose = np.array(values.grid.volume_to_world, np.float64)
-            grid = VolumeGrid(pose, values.grid.depth_max_m, values.grid.shape)
+        left = [
+            LeftRoom(_grid_of(room.grid), _under(f"left/{number}", self.arrays), room.frames)
+            for number, room in enumerate(values.left)
+        ]
         return SessionSnapshot(
             options=self.options,
             networks=values.networks,
             frames=values.frames,
             last_index=values.last_index,
             next_handle=values.next_handle,
-            grid=grid,
+            grid=None if values.grid is None else _grid_of(values.grid),
             volume=_under("volume", self.arrays),
             pending=values.pending,
             probes=tuple(self._probe(probe) for probe in values.probes),
             keyframes=tuple(kept["keyframe"]),
             latest=kept["latest"][0] if kept["latest"] else None,
+            left=tuple(left),
+            present=values.present,
+            drift=values.drift,
         )
 
     def _kept(self, frame: _Kept, bases: Mapping[int, FrameMesh]) -> KeptFrame:
@@ -139,7 +162,11 @@ class SavedSession:
         source = f"{self.source}: frame {frame.index}"
         if frame.base is None and frame.index not in bases:
             raise StateError(f"{source}: is missing")
-        base = bases[frame.index] if frame.base is None else base_of(frame.base, arrays)
+        if frame.base is None:
+            base = brightened(bases[frame.index], frame.gain)
+        else:
+            base = base_of(frame.base, arrays)
+            base.gain = frame.gain
         mesh = changed(base, arrays, frame.checksum, source)
         return KeptFrame(frame.index, mesh, mesh.texture)
 
@@ -147,12 +174,15 @@ class SavedSession:
         planes = _under(f"probe/{probe.handle}/panorama", self.arrays)
         memory = _under(f"probe/{probe.handle}/memory", self.arrays)
         panorama = PanoramaState(**{name: planes[name] for name in _PLANES})
-        return ProbeSnapshot(probe.handle, probe.position, panorama, memory, LightTracker.from_json(probe.tracker))
+        tracker = LightTracker.from_json(probe.tracker)
+        return ProbeSnapshot(probe.handle, probe.position, panorama, memory, tracker, probe.room, probe.forgotten)
 
 
 def records_of_snapshot(snapshot: SessionSnapshot, *, elsewhere: Collection[int] = ()) -> list[Record]:
     """Return the records of a snapshot; `elsewhere`: indices of kept frames whose bases are stored elsewhere."""
     arrays: Arrays = {f"volume/{name}": array for name, array in snapshot.volume.items()}
+    for number, room in enumerate(snapshot.left):
+        arrays |= {f"left/{number}/{name}": array for name, array in room.sglv.items()}
     for probe in snapshot.probes:
         arrays |= {f"probe/{probe.handle}/panorama/{name}": getattr(probe.panorama, name) for name in _PLANES}
         arrays |= {f"probe/{probe.handle}/memory/{name}": array for name, array in probe.memory.items()}
@@ -171,12 +201,16 @@ def _values_of(snapshot: SessionSnapshot, elsewhere: Collection[int]) -> _Sessio
         frames=snapshot.frames,
         last_index=snapshot.last_index,
         next_handle=snapshot.next_handle,
-        grid=None
-        if grid is None
-        else _Grid(volume_to_world=grid.volume_to_world.tolist(), depth_max_m=grid.depth_max_m, shape=grid.shape),
+        grid=None if grid is None else _values_of_grid(grid),
         pending=snapshot.pending,
         probes=[
-            _Probe(handle=probe.handle, position=probe.position, tracker=probe.tracker.to_json())
+            _Probe(
+                handle=probe.handle,
+                position=probe.position,
+                tracker=probe.tracker.to_json(),
+                room=probe.room,
+                forgotten=probe.forgotten,
+            )
             for probe in snapshot.probes
         ],
         kept=[
@@ -185,10 +219,22 @@ def _values_of(snapshot: SessionSnapshot, elsewhere: Collection[int]) -> _Sessio
                 role="latest" if frame is snapshot.latest else "keyframe",
                 checksum=frame.texture.checksum,
                 base=None if frame.index in elsewhere else base_values(frame.mesh),
+                gain=frame.mesh.gain,
             )
             for frame in snapshot.kept
         ],
+        left=[_Left(grid=_values_of_grid(room.grid), frames=room.frames) for room in snapshot.left],
+        present=snapshot.present,
+        drift=snapshot.drift,
     )
+
+
+def _values_of_grid(grid: VolumeGrid) -> _Grid:
+    return _Grid(volume_to_world=grid.volume_to_world.tolist(), depth_max_m=grid.depth_max_m, shape=grid.shape)
+
+
+def _grid_of(values: _Grid) -> VolumeGrid:
+    return VolumeGrid(np.array(values.volume_to_world, np.float64), values.depth_max_m, values.shape)
 
 
 def session_of_records(records: Iterable[Record], source: str) -> SavedSession:

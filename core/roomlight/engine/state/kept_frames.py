@@ -2,8 +2,9 @@
 
 The base of a kept frame is its camera, depth and image as the sensor measured them. It is stored as pixels
 (`base_arrays`), or made again from the frame as it was pushed (`base_of_frame`), for example from the message of a
-client. A session changes only pixels that were clipped: the change is their present values. A checksum of the texture
-holds both together, so that a restored frame has the same bits or is refused.
+client. A session changes only pixels that were clipped, and the brightness of the whole where exposure drifts: the
+change is their present values, and a gain. A checksum of the texture holds all together, so that a restored frame has
+the same bits or is refused.
 """
 
 from dataclasses import replace
@@ -16,6 +17,7 @@ from roomlight.engine.models.interface import Arrays
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.preparation import at_working_size
 from roomlight.engine.state.snapshot import KeptFrame
+from roomlight.engine.surface.drift import Gain, with_gain
 from roomlight.engine.surface.mesh import FrameMesh, MeshGrid
 from roomlight.engine.surface.texture import Texture
 from roomlight.errors import StateError
@@ -28,6 +30,14 @@ def base_of_frame(frame: Frame, options: SessionOptions) -> FrameMesh:
     mesh = FrameMesh(replace(measured, depth_m=depth_m), sensor_depth_m=measured.depth_m)
     mesh.texture = Texture(measured.image)
     return mesh
+
+
+def brightened(base: FrameMesh, gain: Gain | None) -> FrameMesh:
+    """Return the base with the gain that its frame had against drift, as `Drift.corrected` applies it."""
+    if gain is not None:
+        base.texture = Texture(with_gain(base.texture.image, gain))
+        base.gain = gain
+    return base
 
 
 def base_values(mesh: FrameMesh) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The file of a saved state: records of JSON and bytes, each with a checksum.
 
     bytes  content
-    8      "RLSTATE2", the format and its version
+    8      "RLSTATE3", the format and its version
     ...    records
     48     the last record, with the tag "DONE" and no content
 
@@ -30,7 +30,7 @@ import zstandard
 from roomlight.engine.models.interface import Arrays
 from roomlight.errors import StateError
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Version of the format and of what the records mean. Files of other versions are refused."""
 _NAME: Final = b"RLSTATE"
 _HEAD: Final = struct.Struct("<4sQ")

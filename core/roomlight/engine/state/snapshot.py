@@ -11,6 +11,7 @@ from roomlight.engine.models.interface import Arrays
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.light_tracking import LightTracker
+from roomlight.engine.surface.drift import Drift
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.surface.texture import Texture
 from roomlight.engine.volume.grid import VolumeGrid
@@ -34,13 +35,27 @@ class KeptFrame:
 
 @dataclass(frozen=True)
 class ProbeSnapshot:
-    """A tracked probe: its panorama, the model's state of it, its lights."""
+    """A tracked probe: its panorama, the model's state of it, its lights.
+
+    `room` is the number of its room: of `SessionSnapshot.left`, or the next one for the present room.
+    """
 
     handle: int
     position: Position
     panorama: PanoramaState
     memory: Arrays
     tracker: LightTracker
+    room: int
+    forgotten: bool
+
+
+@dataclass(frozen=True)
+class LeftRoom:
+    """What is remembered of a room that the camera has left: its SGLV, and the indices of its keyframes."""
+
+    grid: VolumeGrid
+    sglv: Arrays
+    frames: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -53,12 +68,15 @@ class SessionSnapshot:
         frames: number of frames so far.
         last_index: index of the last frame; `NO_FRAME` before the first.
         next_handle: of the next tracked probe.
-        grid: pose and size of the volume; None before the first frame.
+        grid: pose and size of the present volume; None before the first frame.
         volume: the model's 3D state; empty before the first frame.
         pending: positions tracked before the first frame, by handle.
         probes: the tracked probes, in the order of their handles in the session.
-        keyframes: in order of time.
+        keyframes: of all rooms, in order of their indices.
         latest: the last frame, if it is no keyframe.
+        left: rooms that the camera has left.
+        present: indices of the keyframes of the room that it is in, in order of time.
+        drift: gains against frames whose exposure drifts.
     """
 
     options: SessionOptions
@@ -72,6 +90,9 @@ class SessionSnapshot:
     probes: tuple[ProbeSnapshot, ...]
     keyframes: tuple[KeptFrame, ...]
     latest: KeptFrame | None
+    left: tuple[LeftRoom, ...]
+    present: tuple[int, ...]
+    drift: Drift
 
     @property
     def kept(self) -> tuple[KeptFrame, ...]:

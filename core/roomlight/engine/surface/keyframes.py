@@ -82,6 +82,14 @@ class KeyframeStore:
         self._last = None
         return True
 
+    def thinned(self, count: int) -> list[Keyframe]:
+        """Return at most `count` keyframes in order of time, without those that have the fewest cells of their own."""
+        chosen, counts = list(self._keyframes), self._counts.copy()
+        while len(chosen) > count:
+            alone = [int((key.cells & (counts == 1)).sum()) for key in chosen]
+            counts -= chosen.pop(int(np.argmin(alone))).cells
+        return chosen
+
     def restore(self, keyframes: Mapping[int, FrameMesh], last: tuple[int, FrameMesh] | None) -> None:
         """Take over the frames of a saved state.
 

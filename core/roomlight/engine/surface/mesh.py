@@ -144,6 +144,7 @@ class FrameMesh:
         self.image_camera, self._depth_shape = k, grid.depth_shape
         self.grid_depth_m = grid.depth_m
         self.measured = grid.measured  # [gh, gw]; elsewhere depth is completed
+        self.gain: tuple[float, float, float] | None = None  # of the texture against the image as pushed
         self._made: _Triangles | None = None
 
     def forget(self) -> None:

@@ -22,6 +22,10 @@ TEXTURE_LEVELS: Final = 4
 """Levels of the pyramid, each half of the one before: a panorama's pixel seldom spans over 8 image pixels."""
 
 
+_DARK: Final = 0.004
+"""Radiance below which the colour of 8-bit images is unreliable; white is 1."""
+
+
 class Pyramid(NamedTuple):
     """A texture at all levels.
 
@@ -92,10 +96,27 @@ class Texture:
         return float("inf") if self.clipped is None else float(np.median(self.bound[self.clipped]))
 
     @cached_property
+    def small(self) -> tuple[Float[np.ndarray, "sh sw 3"], Bool[np.ndarray, "sh sw"]]:
+        """The `small_logarithm` of the image."""
+        return small_logarithm(self.image, self.clipped)
+
+    @cached_property
     def checksum(self) -> int:
         """CRC-32 of all values: equal textures have equal ones."""
         parts = [part for part in (self.image, self.clipped, self.guessed) if part is not None]
         return reduce(lambda crc, part: zlib.crc32(np.ascontiguousarray(part).data, crc), parts, 0)
+
+
+def small_logarithm(
+    image: Float[np.ndarray, "h w 3"], clipped: Bool[np.ndarray, "h w"] | None
+) -> tuple[Float[np.ndarray, "sh sw 3"], Bool[np.ndarray, "sh sw"]]:
+    """Return the natural logarithm of an image at an eighth of its size, and where no pixel was clipped or is dark."""
+    size = max(2, image.shape[1] // 8), max(2, image.shape[0] // 8)
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    usable = small.min(axis=-1) > _DARK
+    if clipped is not None:
+        usable &= cv2.resize(clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA) == 0
+    return np.log(np.maximum(small, _DARK)), usable
 
 
 def _sample(

@@ -30,7 +30,7 @@ DEPTH_MAX_FLOOR_M: Final = 0.5
 
 @dataclass(frozen=True)
 class VolumeGrid:
-    """Pose and size of the volume: fixed by the first frame, constant through the session."""
+    """Pose and size of the volume: fixed by the first frame in a room, constant while the camera is in it."""
 
     volume_to_world: Float[np.ndarray, "4 4"]
     depth_max_m: float
@@ -88,8 +88,12 @@ class VolumeGrid:
 
     def contains(self, position_world: tuple[float, float, float]) -> bool:
         """Return whether a world position (metres) lies inside the volume."""
-        inside = self.world_to_volume[:3, :3] @ np.asarray(position_world) + self.world_to_volume[:3, 3]
-        return bool(((inside >= self.lower_m) & (inside <= self.upper_m)).all())
+        return self.margin(position_world) >= 0
+
+    def margin(self, position_world: tuple[float, float, float] | Float[np.ndarray, "3"]) -> float:
+        """Return how far a world position (metres) is from the nearest face, in units of D_max; below 0 outside."""
+        local = self.world_to_volume[:3, :3] @ np.asarray(position_world) + self.world_to_volume[:3, 3]
+        return float(min((local - self.lower_m).min(), (self.upper_m - local).min())) / self.depth_max_m
 
 
 def initial_volume(

@@ -1,0 +1,120 @@
+"""Exposure and white balance that drift, in a room whose light is known exactly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.engine.state.encoding import records_of_snapshot, saved_session
+from roomlight.engine.state.kept_frames import base_of_frame
+from roomlight.engine.state.records import pack_records
+from roomlight.metrics import log_l2
+from rooms import BoxRoom, camera_at
+
+LAMP = ((0.3, 1.6, -2.5), 0.35)
+ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)), lamp=LAMP)
+OPTIONS = SessionOptions(model="classical", height=48)
+PROBES = ((0.3, 1.0, -0.5), (-0.8, 0.8, 0.8))
+
+
+def _exposed(frame, gain=(1.0, 1.0, 1.0)):
+    """The frame as a phone's 8-bit picture with these gains; `auto_exposed`."""
+    image = srgb8_to_linear(linear_to_srgb8(np.minimum(frame.image * np.float32(gain), 1)))
+    return replace(frame, image=image, clipped=image.max(-1) >= 1, auto_exposed=True)
+
+
+def _look(yaw, index=0, room=ROOM):
+    return room.frame(camera_at((0.3, 1.4, 0.2), yaw, -5), index=index)
+
+
+FRAMES = [_look(9 * i, i) for i in range(24)]
+_PHASE = np.arange(24)[:, None] / 3
+GAINS = np.exp(-0.6 * np.sin(_PHASE) + 0.12 * (np.sin(_PHASE * [1.0, 1.3, 1.7] + [0, 2, 4]) - np.sin([0, 2, 4])))
+"""Over 1.6 stops, and 10 % between colours; the first is 1."""
+
+
+def _run(frames):
+    session = Session(OPTIONS)
+    for probe in PROBES:
+        session.track(probe)
+    scores = []
+    for frame in frames:
+        session.push(frame)
+        lights = [session.light(handle).reflection for handle in session.handles]
+        truth = [ROOM.panorama(probe, OPTIONS.height)[0] for probe in PROBES]
+        scores.append(np.mean([log_l2(light, true) for light, true in zip(lights, truth, strict=True)]))
+    return session, float(np.mean(scores))
+
+
+def _gain(*frames):
+    """The gain that a session gives to the last of these frames."""
+    session, _ = _run(frames)
+    return session.snapshot().drift.gain
+
+
+def test_light_is_as_without_drift():
+    steady, error = _run([_exposed(frame) for frame in FRAMES])
+    drifting = [_exposed(frame, gain) for frame, gain in zip(FRAMES, GAINS, strict=True)]
+    followed, with_drift = _run(drifting)
+    _, ignored = _run([replace(frame, auto_exposed=False) for frame in drifting])
+    assert steady.snapshot().drift.gain is None
+    assert with_drift <= 1.05 * error
+    assert ignored > 1.1 * error
+    np.testing.assert_allclose(followed.snapshot().drift.gain, 1 / GAINS[-1], rtol=0.03)
+
+
+def test_without_drift_every_bit_stays():
+    stated, _ = _run([replace(_exposed(frame), auto_exposed=False) for frame in FRAMES[:6]])
+    unstated, _ = _run([_exposed(frame) for frame in FRAMES[:6]])
+    assert pack_records(records_of_snapshot(stated.snapshot())) == pack_records(
+        records_of_snapshot(unstated.snapshot())
+    )
+
+
+def test_of_stated_exposure_only_the_balance_is_corrected():
+    first, second = _exposed(_look(0)), _look(9, 1)
+    red, green, blue = _gain(first, replace(_exposed(second, (0.9, 0.6, 0.6)), auto_exposed=False))
+    assert green == pytest.approx(1)
+    assert (red, blue) == pytest.approx((2 / 3, 1), rel=0.03)
+
+
+def test_light_that_is_switched_is_no_drift():
+    """Half of the view gets twice as bright: no factor fits the surfaces."""
+    first, second = _look(0), _look(0, 1)
+    brighter = second.image * np.where(np.arange(second.image.shape[1]) < 80, 1.0, 2.0)[:, None].astype(np.float32)
+    assert _gain(_exposed(first), _exposed(replace(second, image=brighter))) is None
+    assert _gain(_exposed(first), _exposed(second, (0.5, 0.5, 0.5))) == pytest.approx((2.0,) * 3, rel=0.03)
+
+
+def test_a_view_that_shares_nothing_keeps_the_last_gain():
+    dark = (0.5, 0.5, 0.5)
+    known = _gain(_exposed(_look(0)), _exposed(_look(9, 1), dark))
+    assert _gain(_exposed(_look(0)), _exposed(_look(9, 1), dark), _exposed(_look(180, 2), dark)) == known
+
+
+def test_a_gain_has_limits():
+    """Colours stay within e^0.5 of their mean, the mean within e^3: gains of 4 and of 100 are not believed."""
+    first = _look(0)
+    _, green, _ = _gain(_exposed(first), _exposed(_look(0, 1), (1.0, 0.25, 1.0)))
+    assert green == pytest.approx(4 ** (1 / 3) * np.exp(0.5), rel=0.03)
+    bright = replace(_exposed(_look(0)), image=100 * first.image)
+    assert _gain(bright, _exposed(_look(0, 1))) == pytest.approx((np.exp(3.0),) * 3, rel=0.03)
+
+
+def test_a_saved_session_goes_on_with_the_same_bits():
+    frames = [_exposed(frame, gain) for frame, gain in zip(FRAMES, GAINS, strict=True)]
+    whole, _ = _run(frames[:9])
+    kept = [frame.index for frame in whole.snapshot().kept]
+    bases = {index: base_of_frame(frames[index], OPTIONS) for index in kept}
+    file = pack_records(records_of_snapshot(whole.snapshot(), elsewhere=kept))
+    loaded = [
+        Session.from_snapshot(saved_session(file, "room").snapshot(bases)),
+        Session.from_snapshot(saved_session(pack_records(records_of_snapshot(whole.snapshot())), "room").snapshot()),
+    ]
+    for session in (whole, *loaded):
+        for frame in frames[9:13]:
+            session.push(frame)
+    states = [pack_records(records_of_snapshot(session.snapshot())) for session in (whole, *loaded)]
+    assert states[0] == states[1] == states[2]

@@ -1,0 +1,187 @@
+"""A camera that walks from a room into the next one, and back."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from roomlight.engine.room import LEFT_KEYFRAMES, MOST_LEFT
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.engine.state.encoding import records_of_snapshot, saved_session
+from roomlight.engine.state.records import pack_records
+from roomlight.metrics import log_l2
+from rooms import BoxRoom, camera_at
+
+OPTIONS = SessionOptions(model="classical", height=48)
+DEEP_M = 5.0
+DIM = 0.6
+"""The second room is this much darker, and its colours are others."""
+FIRST = ((0.3, 1.0, 0.5), (-0.8, 1.2, -1.0))
+SECOND = ((0.3, 1.0, -5.5), (-0.8, 1.2, -4.5), (1.5, 0.8, -6.2))
+
+
+@dataclass(frozen=True)
+class TwoRooms(BoxRoom):
+    """A box room around the origin, and another one behind a doorway in its wall at -z."""
+
+    def cast(self, origins, directions):
+        origins, directions = np.broadcast_arrays(np.asarray(origins, np.float64), np.asarray(directions, np.float64))
+        second = origins[..., 2] < -DEEP_M / 2
+        radiance, distance = self._inside(origins, directions, second)
+        points = origins + distance[..., None] * directions
+        through = abs(points[..., 2] + DEEP_M / 2) < 1e-3
+        through &= (abs(points[..., 0]) < 0.5) & (points[..., 1] < 2.1)
+        points = np.where(through[..., None], points, origins)
+        behind, farther = self._inside(points, directions, second ^ through)
+        distance = np.where(through, distance + farther, distance)
+        return np.where(through[..., None], behind, radiance), distance.astype(np.float32)
+
+    def _inside(self, origins, directions, second):
+        shift = np.array([0.0, 0.0, DEEP_M])
+        radiance, distance = BoxRoom(lamp=((0.3, 1.6, 2.5), 0.35)).cast(origins, directions)
+        other = BoxRoom(lamp=((1.0, 2.2, -2.5), 0.3), lamp_radiance=12).cast(origins + shift, directions)
+        radiance = np.where(second[..., None], DIM * other[0][..., [2, 0, 1]], radiance)
+        return radiance, np.where(second, other[1], distance)
+
+
+ROOMS = TwoRooms()
+
+
+def _walk(shares, start=0):
+    """A turn in the first room, through the doorway, a turn in the second one: shares of the way, from 0 to 1."""
+    frames = []
+    for index, share in enumerate(shares, start):
+        z = np.interp(share, [0, 0.35, 0.6, 1], [1.2, 0.5, -4.2, -5.6])
+        yaw = np.interp(share, [0, 0.35, 0.6, 1], [-180, 0, 0, 360])
+        frame = ROOMS.frame(camera_at((0.1, 1.4, z), yaw, -5), index=index)
+        image = np.minimum(frame.image, 1)
+        frames.append(replace(frame, image=image, clipped=image.max(-1) >= 1))
+    return frames
+
+
+WALK = _walk(np.linspace(0, 1, 48))
+ENTERS = next(frame.index for frame in WALK if frame.camera_to_world[2, 3] < -DEEP_M / 2)
+
+
+def _error(session, handles, probes):
+    truth = [ROOMS.panorama(probe, OPTIONS.height)[0] for probe in probes]
+    lights = [session.light(handle).reflection for handle in handles]
+    return float(np.mean([log_l2(light, true) for light, true in zip(lights, truth, strict=True)]))
+
+
+def _bits(session):
+    return pack_records(records_of_snapshot(session.snapshot()))
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """A session at the end of the walk, its errors in the second room, and those of a session begun there."""
+    whole, begun = Session(OPTIONS), Session(OPTIONS)
+    for probe in FIRST:
+        whole.track(probe)
+    errors = []
+    for frame in WALK:
+        whole.push(frame)
+        if frame.index == ENTERS:
+            handles = [whole.track(probe) for probe in SECOND]
+            begun_handles = [begun.track(probe) for probe in SECOND]
+        if frame.index >= ENTERS:
+            begun.push(frame)
+            errors.append((_error(whole, handles, SECOND), _error(begun, begun_handles, SECOND)))
+    return whole, np.array(errors)
+
+
+def test_the_second_room_is_as_for_a_session_begun_there(walked):
+    whole, errors = walked
+    assert whole.rooms_left == 1
+    assert errors[:, 0].mean() <= 1.1 * errors[:, 1].mean()
+    assert errors[-1, 0] <= 1.1 * errors[-1, 1]
+
+
+def test_the_first_room_is_remembered(walked):
+    whole, _ = walked
+    there, _ = _first(WALK[:14])
+    late = [log_l2(whole.light_at(probe).reflection, there.light_at(probe).reflection) for probe in FIRST]
+    assert max(late) < 0.02
+    assert len(whole.snapshot().left[0].frames) <= LEFT_KEYFRAMES
+
+
+def _first(frames):
+    session = Session(OPTIONS)
+    handles = [session.track(probe) for probe in FIRST]
+    for frame in frames:
+        session.push(frame)
+    return session, handles
+
+
+def _far(number, index):
+    """A view in a room of its own, 20 m from the one before."""
+    frame = BoxRoom().frame(camera_at((0.3, 1.4, 0.2)), index=index)
+    pose = frame.camera_to_world.copy()
+    pose[0, 3] += 20 * number
+    return replace(frame, camera_to_world=pose)
+
+
+def test_the_way_back_ends_in_the_first_rooms_volume():
+    session = Session(OPTIONS)
+    handle = session.track((0.3, 1.0, -0.5))
+    session.push(_far(0, 0))
+    first, seen = session.grid, session.light(handle)
+    session.push(_far(1, 1))
+    assert first is not None
+    assert session.grid is not None
+    assert session.grid.volume_to_world[0, 3] == pytest.approx(first.volume_to_world[0, 3] + 20)
+    session.push(_far(0, 2))
+    np.testing.assert_array_equal(session.grid.volume_to_world, first.volume_to_world)
+    assert session.rooms_left == 1
+    truth, _ = BoxRoom().panorama((0.3, 1.0, -0.5), OPTIONS.height)
+    assert log_l2(session.light(handle).reflection, truth) <= 1.05 * log_l2(seen.reflection, truth)
+
+
+def test_rooms_beyond_the_limit_are_forgotten_and_their_probes_keep_what_was_seen():
+    session = Session(OPTIONS)
+    handle = session.track((0.3, 1.0, -0.5))
+    session.push(_far(0, 0))
+    seen = session.light(handle)
+    for number in range(1, MOST_LEFT + 2):
+        session.push(_far(number, number))
+        assert session.rooms_left == min(number, MOST_LEFT)
+    (probe,) = session.snapshot().probes
+    assert probe.forgotten
+    assert probe.room == MOST_LEFT
+    light = session.light(handle)
+    sure = seen.observed > 0.9
+    assert sure.any()
+    np.testing.assert_allclose(light.reflection[sure], seen.reflection[sure], rtol=0.02, atol=0.01)
+    loaded = Session.from_snapshot(saved_session(_bits(session), "room").snapshot())
+    for same in (session, loaded):
+        same.push(_far(0, 9))
+    assert _bits(loaded) == _bits(session)
+
+
+def test_a_frame_without_depth_begins_no_room():
+    session = Session(OPTIONS)
+    session.push(_far(0, 0))
+    session.push(replace(_far(1, 1), depth_m=np.zeros((120, 160), np.float32)))
+    assert session.rooms_left == 0
+
+
+@pytest.mark.parametrize("model", ["classical", "single", "video"])
+def test_a_saved_walk_goes_on_with_the_same_bits(model, tiny_video):
+    weights = tiny_video[1] if model != "classical" else None
+    options = SessionOptions(model=model, provider="cpu", height=24, weights=weights)
+    walk = WALK[::4]
+    whole = Session(options)
+    for probe in (FIRST[0], SECOND[0]):
+        whole.track(probe)
+    for frame in walk[:9]:
+        whole.push(frame)
+    assert whole.rooms_left == 1
+    loaded = Session.from_snapshot(saved_session(_bits(whole), "walk").snapshot())
+    assert _bits(loaded) == _bits(whole)
+    for session in (whole, loaded):
+        for frame in walk[9:]:
+            session.push(frame)
+    assert _bits(loaded) == _bits(whole)
+    for position in (*FIRST, *SECOND):
+        assert (loaded.light_at(position).reflection == whole.light_at(position).reflection).all()
