@@ -1,4 +1,4 @@
-"""Progress of a command on standard error: a bar on a terminal, a line every ten seconds elsewhere."""
+"""Progress and time left of a command on standard error: a bar on a terminal, a line every ten seconds elsewhere."""
 
 import threading
 import time
@@ -30,6 +30,7 @@ class Progress:
         self.console = console or consoles.err
         self._text, self._done, self._total = text, 0, None
         self._began_s = time.monotonic()
+        self._first: tuple[str, int, float] = ("", 0, 0.0)  # what was first counted of this text, and when
         self._ended = threading.Event()
         self._bars: Bars | None = None
         if self.console.is_terminal:
@@ -68,11 +69,17 @@ class Progress:
         self._show(self._text, self._done + 1, self._total)
 
     def line(self) -> str:
-        """Return the state as a line: what, how much, for how long."""
-        count = f" {self._done} of {self._total}" if self._total else ""
-        return f"{self._text}{count}, {duration(time.monotonic() - self._began_s)}"
+        """Return the state as a line: what, how much, for how long, and how long it will take at this pace."""
+        now_s = time.monotonic()
+        count, left = f" {self._done} of {self._total}" if self._total else "", ""
+        _, first, first_s = self._first
+        if self._total and first < self._done < self._total:
+            left = f", {duration((now_s - first_s) / (self._done - first) * (self._total - self._done))} left"
+        return f"{self._text}{count}, {duration(now_s - self._began_s)}{left}"
 
     def _show(self, text: str, done: int, total: int | None) -> None:
+        if text != self._first[0]:
+            self._first = text, done, time.monotonic()
         self._text, self._done, self._total = text, done, total
         if self._bars:
             self._bars.update(self._task, description=escape(text), completed=done, total=total)

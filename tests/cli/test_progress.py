@@ -19,6 +19,22 @@ def test_a_line_says_what_how_much_and_for_how_long() -> None:
         assert shown.line() == "scoring [room] 1 of 2, 0:00"
 
 
+def test_a_line_says_the_time_left_at_the_pace_since_the_first_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s)
+    shown = Progress("replaying", Console(file=io.StringIO(), width=100))
+    now_s += 30  # until the first frame: not of the pace
+    shown.count(2, 10)
+    assert shown.line() == "replaying 2 of 10, 0:30"
+    now_s += 20
+    shown.count(4, 10)
+    assert shown.line() == "replaying 4 of 10, 0:50, 1:00 left"
+    shown.count(10, 10)
+    assert shown.line() == "replaying 10 of 10, 0:50"
+    shown.count_of("next", 1, 10)
+    assert shown.line() == "next 1 of 10, 0:50"
+
+
 def test_lines_are_printed_while_the_work_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress_module, "LINE_EVERY_S", 0.001)
     stream = io.StringIO()

@@ -131,6 +131,17 @@ def test_a_probe_outside_the_volume_is_reported(capture, tmp_path):
     assert report["probes"][0]["outside_volume"] is True
 
 
+def test_a_probe_of_a_room_that_was_left_is_not_outside(tmp_path):
+    frames = [replace(frame, timestamp_s=0.1 * frame.index) for frame in pan(BoxRoom(), 2, width=64, height=48)]
+    pose = frames[1].camera_to_world.copy()
+    pose[0, 3] += 50
+    capture = write_capture(tmp_path / "walk", [frames[0], replace(frames[1], camera_to_world=pose)])
+    x, y, z = PROBES[0]
+    options = ReplayOptions(session=SMALL, probes=(PROBES[0], (x + 50, y, z), (x + 25, y, z)))
+    report = replay(capture, tmp_path / "out", options).report
+    assert [probe.get("outside_volume", False) for probe in report["probes"]] == [False, False, True]
+
+
 class _InterruptError(KeyboardInterrupt):
     pass
 

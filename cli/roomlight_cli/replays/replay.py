@@ -115,6 +115,7 @@ def replay(
     unusable: list[dict[str, Any]] = []
     pictures: ReplayPictures | None = None
     writer: _Writer | None = None
+    first_grid: VolumeGrid | None = None
     tracked = False
     waiting: list[Frame] = []  # frames between the last session frame and the next, for interpolation
     try:
@@ -131,6 +132,7 @@ def replay(
                             session.track(position)
                         tracked = True
                     report = session.push(frame)
+                    first_grid = session.grid
                     claim(out, intent, overwrite=options.overwrite)  # only now: a mistaken command leaves nothing
                     writer = _Writer(out, positions, options, capture.frames_per_second, step=read.every * stride)
                     pictures = ReplayPictures(
@@ -178,7 +180,10 @@ def replay(
 
     wall_s = time.perf_counter() - began
     interpolated = writer.count_interpolated
-    report = _report(path, capture, session, reports, wall_s=wall_s, interpolated=interpolated, unusable=unusable)
+    grids = [grid for grid in (first_grid, session.grid) if grid is not None]
+    report = _report(
+        path, capture, session, grids, reports, wall_s=wall_s, interpolated=interpolated, unusable=unusable
+    )
     report["fingerprint"] = fingerprint(capture.path, out, options)
     write_json(out / REPORT, report)
     return ReplayResult(out, report)
@@ -188,13 +193,14 @@ def _report(
     path: Path,
     capture: Capture,
     session: ReplaySession,
+    grids: Sequence[VolumeGrid],
     reports: Sequence[FrameReport],
     *,
     wall_s: float,
     interpolated: int,
     unusable: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Return the values of `report.json`, without the fingerprint."""
+    """Return the values of `report.json`, without the fingerprint; `grids`: the first and last volume."""
     return {
         "complete": True,
         "roomlight": __version__,
@@ -202,7 +208,7 @@ def _report(
         "model": session.model,
         "probes": [
             {"position": list(light.position), "folder": f"probe-{n:02d}", "coverage": round(light.coverage, 4)}
-            | ({} if session.grid and session.grid.contains(light.position) else {"outside_volume": True})
+            | ({} if any(grid.contains(light.position) for grid in grids) else {"outside_volume": True})
             for n, light in enumerate(session.lights())
         ],
         "keyframes": session.keyframes,
