@@ -3,6 +3,7 @@
 Needs Node 20.19 or newer, `npm ci` in client/page, and Chromium at /usr/bin/chromium (or its path in CHROMIUM).
 """
 
+import json
 import os
 import subprocess
 from pathlib import Path
@@ -70,6 +71,10 @@ def test_token():
 def test_recordings(tmp_path):
     views = formats.scene()
     folder = formats.roomlight(tmp_path / "kitchen", views)
+    index = json.loads((folder / "capture.json").read_text())
+    for number, stated in enumerate(index["frames"]):
+        stated["timestamp_s"] = number * 100_000_000  # nanoseconds, which is a note
+    (folder / "capture.json").write_text(json.dumps(index))
     archive = formats.record3d(tmp_path / "hall.r3d", views)
     with PageServer() as server:
         drive("recordings", server, FOLDER=str(folder), ARCHIVE=str(archive))

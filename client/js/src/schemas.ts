@@ -195,6 +195,48 @@ export interface components {
             readonly bytes?: number | null;
         };
         /**
+         * @description A film of a recording with objects in it.
+         *
+         *     Attributes:
+         *         status: reading: the room, for its light; then making, ready; failed: see `problem`.
+         *         frame: frames that are read, or made.
+         *         frames: frames that will be.
+         *         bytes: of the finished file.
+         */
+        readonly Film: {
+            /** @enum {string} */
+            readonly status: "reading" | "making" | "ready" | "failed";
+            readonly frame: number;
+            readonly frames: number;
+            readonly bytes: number;
+            readonly problem: components["schemas"]["Problem"] | null;
+        };
+        /**
+         * @description A film of a recording's own frames, up to 30 a second, with objects in it. The whole recording lights them.
+         *
+         *     Attributes:
+         *         objects: with position or pose, in the world of the recording and of the sessions that it is played into.
+         *         quality: preview, good or final.
+         *         first: number of the first frame, of `film_frames`.
+         *         frames: frames at most.
+         */
+        readonly FilmRequest: {
+            /** @description 1 to 16 items */
+            readonly objects: readonly components["schemas"]["CompositeObject"][];
+            /**
+             * @default preview
+             * @enum {string}
+             */
+            readonly quality?: "preview" | "good" | "final";
+            /** @default 0 */
+            readonly first?: number;
+            /**
+             * @description 1 to 300
+             * @default 300
+             */
+            readonly frames?: number;
+        };
+        /**
          * @description Counts of a session's frames. accepted = processed + superseded + skipped + queued.
          *
          *     Attributes:
@@ -625,6 +667,8 @@ export interface components {
          *         frames: frames of the recording that are played; null before the first replay.
          *         unreadable: frames that could not be read or used so far.
          *         notes: what its files state and was left out, guessed or changed, and what to do about it.
+         *         film_frames: frames that a film of it can have, and film_fps: their rate; null before the first replay.
+         *         film: the film that was asked for last; null: none.
          *         expires_in_s: it is deleted after this time without a request.
          */
         readonly Recording: {
@@ -643,6 +687,9 @@ export interface components {
             readonly frames: number | null;
             readonly unreadable: number;
             readonly notes: readonly string[];
+            readonly film_frames: number | null;
+            readonly film_fps: number | null;
+            readonly film: components["schemas"]["Film"] | null;
             readonly problem: components["schemas"]["Problem"] | null;
             readonly expires_in_s: number;
         };
@@ -869,6 +916,8 @@ export type CompositeRequest = components['schemas']['CompositeRequest'];
 export type ConfidencePart = components['schemas']['ConfidencePart'];
 export type DepthPart = components['schemas']['DepthPart'];
 export type EncodedLight = components['schemas']['EncodedLight'];
+export type Film = components['schemas']['Film'];
+export type FilmRequest = components['schemas']['FilmRequest'];
 export type FrameCounts = components['schemas']['FrameCounts'];
 export type FrameEvent = components['schemas']['FrameEvent'];
 export type FrameHeader = components['schemas']['FrameHeader'];

@@ -9,6 +9,7 @@ import { parts } from "./lib/parts";
 import { cameraPanel, chosen } from "./panels/camera";
 import { askForToken, dialogs } from "./panels/dialogs";
 import { downloadsPanel } from "./panels/downloads";
+import { filmPanel } from "./panels/film";
 import { lightPanel } from "./panels/light";
 import { notify, reportError } from "./panels/notices";
 import { processingPanel } from "./panels/processing";
@@ -37,6 +38,7 @@ cameraPanel(api, state, objects);
 timelinePanel(api, state);
 processingPanel(state);
 downloadsPanel(api, state, objects);
+filmPanel(api, state, objects);
 lightPanel(state, {
   onMove: (name, position) => live?.release(name, position),
   onAdd: () => addProbe(pointAhead()),

@@ -44,7 +44,7 @@ test("the panels of a session", async () => {
 
 test("the dialogs", async () => {
   const { page } = await openPage(browser);
-  for (const [button, dialog] of [["open-recording", "recording-dialog"], ["open-phone", "phone-dialog"]]) {
+  for (const [button, dialog] of [["open-recording", "recording-dialog"], ["open-phone", "phone-dialog"], ["open-film", "film-dialog"]]) {
     await page.click(`#${button}`);
     await page.waitForFunction(() => !document.querySelector("dialog[open]").innerText.includes("Loading"));
     assert.deepEqual(await violations(page), [], dialog);

@@ -113,6 +113,13 @@ test("placed objects are kept with the session and seen by everyone, who can mov
   await noNotices();
 });
 
+test("a session without a recording has no film, and says why", async () => {
+  await page.click("#open-film");
+  await page.waitForFunction(() => document.getElementById("film-refusal").textContent.includes("record the room, and open the recording here"));
+  assert.ok(await page.isDisabled("#film-make"));
+  await page.click("#film-dialog [data-closes]");
+});
+
 test("an object behind something real has an outline", async () => {
   await page.evaluate(async () => {
     const { camera_to_world: pose } = await (await fetch("v1/sessions/room/camera")).json();
@@ -143,6 +150,7 @@ function tetrahedron() {
     asset: { version: "2.0" },
     scene: 0,
     scenes: [{ nodes: [0] }],
+    animations: [{ channels: [], samplers: [] }],
     nodes: [{ mesh: 0 }],
     materials: [{ pbrMetallicRoughness: { baseColorFactor: [0.8, 0.1, 0.1, 1], metallicFactor: 0 } }],
     meshes: [{ primitives: [{ attributes: { POSITION: 0 }, indices: 1, material: 0 }] }],
@@ -165,6 +173,8 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   await page.setInputFiles("#object-file", file);
   await page.waitForFunction(() => document.getElementById("object-shape").value === "file");
   assert.equal(await page.inputValue("#object-material"), "own");
+  await page.click("#object-notes summary");
+  assert.match(await page.locator("#object-notes li").innerText(), /animations: the object stands in its pose at rest; export the pose you want/);
   const { width, height } = await page.locator("#picture-image").boundingBox();
   await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.75 * height } });
   await waitForChange(page, "#picture-image", before);

@@ -1,6 +1,7 @@
 // Recordings that are dropped on the page or chosen.
 
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
 import { launch, openPage, waitForLight } from "./support.mjs";
 
@@ -32,6 +33,45 @@ test("the sample room is played", async () => {
   await other.close();
 });
 
+test("a film of the recording is made with the placed objects, refused beforehand, and cancelled", async () => {
+  await finished("Sample room");
+  const refusal = (text) => page.waitForFunction((text) => document.getElementById("film-refusal").textContent.includes(text), text);
+  await page.click("#open-film");
+  await refusal("Place an object first");
+  assert.ok(await page.isDisabled("#film-make"));
+  await page.click("#film-dialog [data-closes]");
+  const { width, height } = await page.locator("#picture-image").boundingBox();
+  await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.8 * height } });
+  const session = await page.evaluate(() => new URLSearchParams(location.hash.slice(1)).get("session"));
+  await page.waitForFunction(async (id) => (await (await fetch(`v1/sessions/${id}/scene`)).json()).objects.length === 1, session);
+
+  await page.click("#open-film");
+  await page.fill("#film-from", "11");
+  await refusal("to before 10.3 s, where the recording ends");
+  await page.fill("#film-from", "1");
+  await page.fill("#film-length", "101");
+  await refusal("at most 100.0 s of this recording");
+  await page.fill("#film-length", "1");
+  await page.click("#film-make:not(:disabled)");
+  await page.waitForSelector("#film-progress:not([hidden])");
+  await page.waitForSelector("#film-save:not([hidden])");
+  const download = page.waitForEvent("download");
+  await page.click("#film-save");
+  const file = await download;
+  assert.equal(file.suggestedFilename(), `${session}.mp4`);
+  assert.equal(readFileSync(await file.path()).toString("latin1", 4, 8), "ftyp");
+
+  await page.selectOption("#film-quality", "final");
+  await page.fill("#film-length", "10");
+  await page.click("#film-make:not(:disabled)");
+  await page.click("#film-cancel:not([hidden])");
+  await page.waitForSelector("#film-cancel", { state: "hidden" });
+  assert.ok(await page.isHidden("#film-save"));
+  const { recordings } = await page.evaluate(async () => (await fetch("v1/recordings")).json());
+  assert.equal(recordings.find((recording) => recording.session === session).film, null);
+  await page.click("#film-dialog [data-closes]");
+});
+
 test("a session is deleted after a question", async () => {
   const session = (await page.title()).split(" ")[0];
   page.once("dialog", (dialog) => dialog.accept());
@@ -57,6 +97,11 @@ test("a dropped folder is uploaded and played", async () => {
   assert.match(await page.title(), /^kitchen-/);
   await finished("kitchen");
   assert.ok(await page.isHidden("#drop"));
+  const notes = page.locator(".upload", { hasText: "kitchen" }).locator("details");
+  assert.equal(await notes.locator("summary").innerText(), "1 note on kitchen");
+  assert.ok(await notes.locator("li").isHidden());
+  await notes.locator("summary").click();
+  assert.match(await notes.locator("li").innerText(), /timestamps .*read as nanoseconds; store seconds/);
 });
 
 test("a chosen .r3d file is uploaded and played", async () => {

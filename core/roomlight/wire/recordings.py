@@ -1,14 +1,17 @@
 """Messages of uploaded recordings: `/v1/recordings`. A recording is a folder of files, or one `.r3d` file."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, model_validator
 
+from roomlight.wire.compositing import MAX_COMPOSITE_OBJECTS, CompositeObject, CompositeQuality
 from roomlight.wire.frame_header import WHOLE_NUMBER, FiniteNumber, WireModel
 from roomlight.wire.messages import Id, ModelChoice, Problem, WirePosition
 
 RecordingStatus = Literal["uploading", "ready", "playing", "finished", "failed"]
 RecordingId = Annotated[str, StringConstraints(pattern=r"^r-[0-9a-f]{16}$")]
+MAX_FILM_FRAMES: Final = 300
+"""Most frames of a film."""
 
 
 class RecordingRequest(WireModel):
@@ -25,6 +28,23 @@ class RecordingRequest(WireModel):
     files: Annotated[int, Field(ge=1), WHOLE_NUMBER]
 
 
+class Film(WireModel):
+    """A film of a recording with objects in it.
+
+    Attributes:
+        status: reading: the room, for its light; then making, ready; failed: see `problem`.
+        frame: frames that are read, or made.
+        frames: frames that will be.
+        bytes: of the finished file.
+    """
+
+    status: Literal["reading", "making", "ready", "failed"]
+    frame: int
+    frames: int
+    bytes: int
+    problem: Problem | None
+
+
 class Recording(WireModel):
     """An uploaded recording and its replay.
 
@@ -39,6 +59,8 @@ class Recording(WireModel):
         frames: frames of the recording that are played; null before the first replay.
         unreadable: frames that could not be read or used so far.
         notes: what its files state and was left out, guessed or changed, and what to do about it.
+        film_frames: frames that a film of it can have, and film_fps: their rate; null before the first replay.
+        film: the film that was asked for last; null: none.
         expires_in_s: it is deleted after this time without a request.
     """
 
@@ -54,6 +76,9 @@ class Recording(WireModel):
     frames: int | None
     unreadable: int
     notes: list[str]
+    film_frames: int | None
+    film_fps: FiniteNumber | None
+    film: Film | None
     problem: Problem | None
     expires_in_s: FiniteNumber
 
@@ -82,3 +107,25 @@ class ReplayRequest(ModelChoice):
     height: Annotated[int, Field(ge=16, le=512), WHOLE_NUMBER] = 120
     fps: Annotated[float, Field(ge=0.01, le=60, allow_inf_nan=False)] | None = None
     probes: Annotated[dict[Id, WirePosition], Field(max_length=64)] | None = None
+
+
+class FilmRequest(WireModel):
+    """A film of a recording's own frames, up to 30 a second, with objects in it. The whole recording lights them.
+
+    Attributes:
+        objects: with position or pose, in the world of the recording and of the sessions that it is played into.
+        quality: preview, good or final.
+        first: number of the first frame, of `film_frames`.
+        frames: frames at most.
+    """
+
+    objects: Annotated[list[CompositeObject], Field(min_length=1, max_length=MAX_COMPOSITE_OBJECTS)]
+    quality: CompositeQuality = "preview"
+    first: Annotated[int, Field(ge=0), WHOLE_NUMBER] = 0
+    frames: Annotated[int, Field(ge=1, le=MAX_FILM_FRAMES), WHOLE_NUMBER] = MAX_FILM_FRAMES
+
+    @model_validator(mode="after")
+    def _check_places(self) -> "FilmRequest":
+        if any(item.pixel is not None for item in self.objects):
+            raise ValueError("objects of a film must have position or pose: a pixel belongs to one frame")
+        return self

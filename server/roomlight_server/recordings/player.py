@@ -39,6 +39,7 @@ class Progress:
         frame: frames sent to the session.
         unreadable: frames that could not be read or used.
         notes: what the recording states and was left out, guessed or changed.
+        film_frames, film_fps: frames that a film of it can have, and their rate.
         problem: why the replay failed.
     """
 
@@ -47,6 +48,8 @@ class Progress:
     frame: int = 0
     unreadable: int = 0
     notes: tuple[str, ...] = ()
+    film_frames: int | None = None
+    film_fps: float | None = None
     problem: Problem | None = None
 
 
@@ -74,16 +77,15 @@ class Player:
             _log.exception("replay failed", extra={"session": self._live.name})
             self.progress.problem = ProblemError("internal", INTERNAL_DETAIL).problem
         finally:
-            if process.returncode is None:
-                process.kill()
-            await asyncio.shield(process.communicate())  # reads to the end: a pipe that is not read stays open
+            await end_process(process)
 
     async def _play(self, process: Process) -> None:
-        described, _ = await self._record(process)
+        described, _ = await read_record(process, READ_TIMEOUT_S)
         self.progress.frames = described["frames"]
+        self.progress.film_frames, self.progress.film_fps = described["film_frames"], described["film_fps"]
         start_s: float | None = None
         while True:
-            text, body = await self._record(process)
+            text, body = await read_record(process, READ_TIMEOUT_S)
             self.progress.unreadable, self.progress.notes = text["unreadable"], tuple(text["notes"])
             if "end" in text:
                 break
@@ -96,24 +98,6 @@ class Player:
             await self._send(body)
         if self.progress.frame == 0:
             raise _unreadable("; ".join(text["reasons"]) or "it has no usable frame")
-
-    async def _record(self, process: Process) -> tuple[dict[str, Any], bytes]:
-        """Read a record of the process. Raises ProblemError if the recording cannot be read, or not in time."""
-        assert process.stdout is not None
-        try:
-            async with asyncio.timeout(READ_TIMEOUT_S):
-                text_bytes, body_bytes = RECORD.unpack(await process.stdout.readexactly(RECORD.size))
-                if text_bytes + body_bytes > _MAX_RECORD_BYTES:
-                    raise _unreadable("a frame is too large")
-                text = json.loads(await process.stdout.readexactly(text_bytes))
-                body = await process.stdout.readexactly(body_bytes)
-        except TimeoutError:
-            raise _unreadable(f"a frame takes more than {READ_TIMEOUT_S:g} s to read") from None
-        except asyncio.IncompleteReadError:
-            raise _unreadable("a file ends the process that reads it; it may be damaged or too large") from None
-        if "problem" in text:
-            raise _unreadable(text["problem"])
-        return text, body
 
     async def _track(self, stated: list[list[float]], view: list[float] | None) -> None:
         """Track the requested probes; by default those of the recording, and one in front of the first camera."""
@@ -150,6 +134,38 @@ class Player:
         self._live.release_frame_slot()
         if not outcome.cancelled():
             outcome.exception()  # marks it as retrieved; the session counts refused frames
+
+
+async def end_process(process: Process) -> None:
+    """Kill a process and wait for its end, also if the caller is cancelled meanwhile."""
+    if process.returncode is None:
+        process.kill()
+    ended = asyncio.ensure_future(process.communicate())  # reads to the end: a pipe that is not read stays open
+    try:
+        await asyncio.shield(ended)
+    finally:
+        await ended
+
+
+async def read_record(process: Process, timeout_s: float) -> tuple[dict[str, Any], bytes]:
+    """Read a record of a process that reads recordings. Raises ProblemError if it cannot, or not in time."""
+    assert process.stdout is not None
+    try:
+        async with asyncio.timeout(timeout_s):
+            text_bytes, body_bytes = RECORD.unpack(await process.stdout.readexactly(RECORD.size))
+            if text_bytes + body_bytes > _MAX_RECORD_BYTES:
+                raise _unreadable("a frame is too large")
+            text = json.loads(await process.stdout.readexactly(text_bytes))
+            body = await process.stdout.readexactly(body_bytes)
+    except TimeoutError:
+        raise _unreadable(f"a frame takes more than {timeout_s:g} s") from None
+    except asyncio.IncompleteReadError:
+        raise _unreadable("a file ends the process that reads it; it may be damaged or too large") from None
+    if "place" in text:
+        raise ProblemError("bad-place", text["place"], field="objects", rule=text["place"])
+    if "problem" in text:
+        raise _unreadable(text["problem"])
+    return text, body
 
 
 def _unreadable(reason: str) -> ProblemError:

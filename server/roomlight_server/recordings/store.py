@@ -15,6 +15,8 @@ from roomlight_server.base.problems import ProblemError
 from roomlight_server.base.request_context import Flow, current_flow, sees
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.recordings.files import RecordingFiles, append
+from roomlight_server.recordings.film import FilmMaker
+from roomlight_server.recordings.film_worker import MAX_FILM_BYTES, FilmJob
 from roomlight_server.recordings.locked_folder import LockedFolder, remove_left_folders
 from roomlight_server.recordings.player import Player
 from roomlight_server.sessions.registry import Registry
@@ -37,11 +39,23 @@ class StoredRecording:
         self.owner, self.files, self.last_used_s = owner, files, now_s
         self.player: Player | None = None
         self.task: asyncio.Task[None] | None = None
+        self.film: FilmMaker | None = None
+        self.film_task: asyncio.Task[None] | None = None
 
     @property
     def playing(self) -> bool:
         """Whether a replay runs."""
         return self.task is not None and not self.task.done()
+
+    @property
+    def filming(self) -> bool:
+        """Whether a film is being made."""
+        return self.film_task is not None and not self.film_task.done()
+
+    @property
+    def reserved_bytes(self) -> int:
+        """What the recording and its film take on the disk, or may."""
+        return self.files.announced.bytes + (0 if self.film is None else self.film.reserved_bytes)
 
     @property
     def status(self) -> Literal["uploading", "ready", "playing", "finished", "failed"]:
@@ -72,7 +86,6 @@ class RecordingStore:
             ProblemError: It is too large (422), or the quota of the token (409) or of the server (503) is used up.
         """
         settings = self._settings
-        own = [recording for recording in self._recordings.values() if recording.owner == owner]
         for field, value, most in (
             ("bytes", announced.bytes, settings.max_recording_bytes),
             ("files", announced.files, MAX_FILES),
@@ -80,22 +93,7 @@ class RecordingStore:
             if value > most:
                 rule = f"at most {most} {field}"
                 raise ProblemError("invalid", f"{field}: {rule} in a recording", field=field, value=value, rule=rule)
-        limit = settings.max_owner_recording_bytes
-        if len(own) >= MAX_RECORDINGS or _announced(own) + announced.bytes > limit:
-            rule = f"at most {limit} bytes in {MAX_RECORDINGS} recordings of one token"
-            detail = f"{len(own)} recordings take {_announced(own)} bytes: {rule}; delete one first"
-            raise ProblemError("too-many-recordings", detail, field="bytes", value=announced.bytes, rule=rule)
-        root = self._folder()
-        total = _announced(self._recordings.values())
-        uploads = [recording.files for recording in self._recordings.values()]
-        missing = sum(files.announced.bytes - files.received for files in uploads)
-        free = shutil.disk_usage(root).free - SPARE_DISK_BYTES - missing
-        if announced.bytes > min(settings.max_all_recording_bytes - total, free):
-            rule = f"at most {settings.max_all_recording_bytes} bytes of all recordings, and what the disk has free"
-            detail = f"the server has no room for {announced.bytes} bytes: {rule}; retry later"
-            raise ProblemError(
-                "recording-memory", detail, field="bytes", value=announced.bytes, rule=rule, retry_after_s=60
-            )
+        root = self._room_for(owner, announced.bytes, MAX_RECORDINGS - 1)
         files = RecordingFiles(root / f"r-{secrets.token_hex(8)}", announced)
         recording = StoredRecording(owner, files, self._clock())
         self._recordings[recording.id] = recording
@@ -138,7 +136,7 @@ class RecordingStore:
         seen = [recording for recording in self._recordings.values() if sees(owner, recording.owner)]
         return RecordingList(
             recordings=[self.describe(recording) for recording in reversed(seen)],
-            bytes=_announced(recording for recording in seen if recording.owner == owner),
+            bytes=_reserved(recording for recording in seen if recording.owner == owner),
             limit_bytes=self._settings.max_owner_recording_bytes,
         )
 
@@ -146,7 +144,7 @@ class RecordingStore:
         """Return a recording as clients see it."""
         files, progress = recording.files, None if recording.player is None else recording.player.progress
         expiry_s = self._settings.recording_expiry_s
-        idle_s = 0.0 if recording.playing else self._clock() - recording.last_used_s
+        idle_s = 0.0 if recording.playing or recording.filming else self._clock() - recording.last_used_s
         return Recording(
             id=recording.id,
             name=files.announced.name,
@@ -160,6 +158,9 @@ class RecordingStore:
             frames=None if progress is None else progress.frames,
             unreadable=0 if progress is None else progress.unreadable,
             notes=[] if progress is None else list(progress.notes),
+            film_frames=None if progress is None else progress.film_frames,
+            film_fps=None if progress is None else progress.film_fps,
+            film=None if recording.film is None else recording.film.film,
             problem=None if progress is None else progress.problem,
             expires_in_s=round(max(0.0, expiry_s - idle_s), 1),
         )
@@ -173,10 +174,7 @@ class RecordingStore:
         """
         if recording.playing:
             raise ProblemError("recording-playing", "the recording is being played; stop it first with DELETE")
-        if not recording.files.complete:
-            files = recording.files
-            state = f"{files.received} of {files.announced.bytes} bytes, {files.files} of {files.announced.files} files"
-            raise ProblemError("recording-not-ready", f"the upload is not complete: {state}")
+        self._check_complete(recording)
         options = SessionRequest(model=request.model, height=request.height)
         live, _ = await self._registry.open(recording.owner, request.session, options)
         if live.state().frames.accepted:
@@ -205,25 +203,99 @@ class RecordingStore:
             recording.task.cancel()
             await asyncio.wait([recording.task])
 
+    def make_film(self, recording: StoredRecording, job: FilmJob) -> None:
+        """Begin a film, in place of the one that the recording has.
+
+        Raises:
+            ProblemError: The upload is not complete (409), a film of it or as many as the server makes at once are
+                being made (429), the first frame is beyond its last (422), or there is no room for a film (409, 503).
+        """
+        self._check_complete(recording)
+        if recording.filming:
+            raise ProblemError("film-running", "a film of the recording is being made; stop it first with DELETE")
+        running = sum(other.filming for other in self._recordings.values())
+        if running >= self._settings.composite_threads:
+            rule = f"at most {self._settings.composite_threads} films at once"
+            detail = f"the server is making {running} films: {rule}; retry later"
+            raise ProblemError("film-running", detail, rule=rule, retry_after_s=30)
+        count = None if recording.player is None else recording.player.progress.film_frames
+        if count is not None and job.first >= count:
+            rule = f"must be below {count}, the frames that a film of it can have"
+            raise ProblemError("invalid", f"first: {rule}", field="first", value=job.first, rule=rule)
+        self._remove_film(recording)
+        folder = self._room_for(recording.owner, MAX_FILM_BYTES) / f"{recording.id}-film"
+        file, timeout_s = folder / "film.mp4", self._settings.composite_timeout_s
+        recording.film = FilmMaker(recording.files.folder, file, job, timeout_s=timeout_s)
+        recording.film_task = asyncio.create_task(self._run_film(recording, recording.film))
+
+    async def _run_film(self, recording: StoredRecording, film: FilmMaker) -> None:
+        try:
+            await film.run()
+        finally:
+            recording.last_used_s = self._clock()
+
+    async def stop_film(self, recording: StoredRecording) -> None:
+        """Stop the film if it is being made, and delete it."""
+        if recording.film_task is not None and not recording.film_task.done():
+            recording.film_task.cancel()
+            await asyncio.wait([recording.film_task])
+        self._remove_film(recording)
+
+    @staticmethod
+    def _remove_film(recording: StoredRecording) -> None:
+        if recording.film is not None:
+            recording.film.remove()
+            recording.film = None
+
+    @staticmethod
+    def _check_complete(recording: StoredRecording) -> None:
+        if not recording.files.complete:
+            files = recording.files
+            state = f"{files.received} of {files.announced.bytes} bytes, {files.files} of {files.announced.files} files"
+            raise ProblemError("recording-not-ready", f"the upload is not complete: {state}")
+
+    def _room_for(self, owner: str, wanted: int, most: int = MAX_RECORDINGS) -> Path:
+        """Return the folder of all recordings if an owner with at most so many may use this much more of its disk."""
+        settings = self._settings
+        own = [recording for recording in self._recordings.values() if recording.owner == owner]
+        limit = settings.max_owner_recording_bytes
+        if len(own) > most or _reserved(own) + wanted > limit:
+            rule = f"at most {limit} bytes in {MAX_RECORDINGS} recordings of one token"
+            detail = f"{len(own)} recordings take {_reserved(own)} bytes: {rule}; delete one first"
+            raise ProblemError("too-many-recordings", detail, field="bytes", value=wanted, rule=rule)
+        root = self._folder()
+        total = _reserved(self._recordings.values())
+        uploads = [recording.files for recording in self._recordings.values()]
+        missing = sum(files.announced.bytes - files.received for files in uploads)
+        free = shutil.disk_usage(root).free - SPARE_DISK_BYTES - missing
+        if wanted > min(settings.max_all_recording_bytes - total, free):
+            rule = f"at most {settings.max_all_recording_bytes} bytes of all recordings, and what the disk has free"
+            detail = f"the server has no room for {wanted} bytes: {rule}; retry later"
+            raise ProblemError("recording-memory", detail, field="bytes", value=wanted, rule=rule, retry_after_s=60)
+        return root
+
     async def delete(self, recording: StoredRecording) -> None:
         """Stop the replay and delete the files; an upload in progress is cancelled."""
         self._recordings.pop(recording.id, None)
         await self.stop(recording)
+        await self.stop_film(recording)
         await asyncio.to_thread(recording.files.delete)
 
     def expire(self) -> None:
         """Delete the recordings that are unused for too long."""
         limit_s = self._clock() - self._settings.recording_expiry_s
         for recording in tuple(self._recordings.values()):
-            if not recording.playing and recording.last_used_s < limit_s:
+            if not (recording.playing or recording.filming) and recording.last_used_s < limit_s:
                 del self._recordings[recording.id]
+                self._remove_film(recording)
                 recording.files.delete()
                 _log.info("recording deleted", extra={"recording": recording.id, "reason": "expired"})
 
     async def close(self) -> None:
-        """Stop all replays and delete all files."""
+        """Stop all replays and films and delete all files."""
         for recording in tuple(self._recordings.values()):
             await self.stop(recording)
+            await self.stop_film(recording)
         self._recordings.clear()
         if self._root is not None:
             self._root.remove()
@@ -235,5 +307,5 @@ class RecordingStore:
         return self._root.path
 
 
-def _announced(recordings: Iterable[StoredRecording]) -> int:
-    return sum(recording.files.announced.bytes for recording in recordings)
+def _reserved(recordings: Iterable[StoredRecording]) -> int:
+    return sum(recording.reserved_bytes for recording in recordings)

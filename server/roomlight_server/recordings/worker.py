@@ -29,6 +29,8 @@ TIMED_FPS: Final = 10.0
 """Most frames per second of a recording with timestamps, where none is given: more than two cores process."""
 UNTIMED_FPS: Final = 3.0
 """Pace of a recording without timestamps: about what two cores keep up with."""
+FILM_FPS: Final = 30.0
+"""Most frames per second of a film."""
 _MAX_NOTES, _MAX_NOTE_LENGTH = 16, 400
 
 
@@ -48,6 +50,12 @@ def capture_path(folder: Path) -> Path:
     return folder
 
 
+def film_rate(rate: float | None) -> tuple[int, float]:
+    """Return which of a recording's frames a film shows, every n-th, and how many a second; without timestamps, 10."""
+    every = 1 if rate is None else max(1, math.ceil(rate / FILM_FPS - 0.01))
+    return every, min(max(rate / every, 0.1), FILM_FPS) if rate else TIMED_FPS
+
+
 def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
     """Write the records of a recording.
 
@@ -55,12 +63,15 @@ def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
         RoomLightError: The recording cannot be read.
     """
     path = capture_path(folder)
-    rate = open_capture(path).frames_per_second
+    whole = open_capture(path)
+    rate = whole.frames_per_second
     every = 1 if rate is None else max(1, math.ceil(rate / (fps or TIMED_FPS) - 0.01))
     capture = open_capture(path, CaptureOptions(every=every))
     step_s = every / rate if rate else 1 / (fps or UNTIMED_FPS)
     probes = [list(probe.position) for probe in capture.probes]
-    write(output, {"frames": capture.frame_count, "format": capture.format, "probes": probes})
+    film_every, film_fps = film_rate(rate)
+    film = {"film_frames": -(-whole.frame_count // film_every), "film_fps": film_fps}
+    write(output, {"frames": capture.frame_count, "format": capture.format, "probes": probes} | film)
     start_s: float | None = None
     sent, unusable = 0, 0
     for frame in capture:
@@ -82,37 +93,43 @@ def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
                 text["view"] = None
         write(output, text, body)
         sent += 1
-    reasons = [_without(folder, f"{skipped.file}: {skipped.reason}") for skipped in capture.skipped[:3]]
+    reasons = [without(folder, f"{skipped.file}: {skipped.reason}") for skipped in capture.skipped[:3]]
     bad = len(capture.skipped) + unusable
     write(output, {"end": True, "unreadable": bad, "notes": _notes(capture, folder), "reasons": reasons})
 
 
 def _notes(capture: Capture, folder: Path) -> list[str]:
-    return [_without(folder, str(note))[:_MAX_NOTE_LENGTH] for note in capture.notes[:_MAX_NOTES]]
+    return [without(folder, str(note))[:_MAX_NOTE_LENGTH] for note in capture.notes[:_MAX_NOTES]]
 
 
-def _without(folder: Path, text: str) -> str:
+def without(folder: Path, text: str) -> str:
     """Return a text without the place of the upload on the server; paths in it are those of the client."""
     for place in {str(folder), str(folder.resolve())}:
         text = text.replace(f"{place}{os.sep}", "").replace(place, "the recording")
     return text
 
 
-def main(arguments: list[str]) -> None:
-    """Play the recording in the folder of the first argument; the second is the rate, or `-`."""
+def open_output(file_bytes: int = 0) -> BinaryIO:
+    """Limit this process, which may write files of `file_bytes`, and return where it writes records."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends its processes
     resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not enter the records
+    return output
+
+
+def main(arguments: list[str]) -> None:
+    """Play the recording in the folder of the first argument; the second is the rate, or `-`."""
+    output = open_output()
     folder, fps = Path(arguments[0]), None if arguments[1] == "-" else float(arguments[1])
     try:
         play(folder, fps, output)
     except BrokenPipeError:
         pass  # the server has stopped the replay
     except (RoomLightError, OSError, ValueError) as error:
-        write(output, {"problem": _without(folder, str(error))[:1000]})
+        write(output, {"problem": without(folder, str(error))[:1000]})
     except MemoryError:
         write(output, {"problem": f"reading it needs more than {MAX_MEMORY_BYTES} bytes of memory"})
 

@@ -1,14 +1,17 @@
-"""Routes of recordings, `/v1/recordings`: upload in pieces, list, replay into a session."""
+"""Routes of recordings, `/v1/recordings`: upload in pieces, list, replay into a session, films with objects."""
 
 import asyncio
 from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Body, Header, Path, Request
-from fastapi.responses import JSONResponse
+from fastapi.responses import FileResponse, JSONResponse
 
-from roomlight.wire.recordings import Recording, RecordingList, RecordingRequest, ReplayRequest
+from roomlight.wire.compositing import CompositeRequest
+from roomlight.wire.recordings import FilmRequest, Recording, RecordingList, RecordingRequest, ReplayRequest
+from roomlight_server.answers.composites import scene_of
 from roomlight_server.base.problems import BODY_PROBLEMS, ProblemError, documented, problem_response
 from roomlight_server.recordings.files import MAX_PIECE_BYTES, append
+from roomlight_server.recordings.film_worker import FilmJob
 from roomlight_server.routes.context import ContextDep, OwnerDep, ReservationDep
 
 RECORDINGS_PATH: Final = "/v1/recordings"
@@ -28,6 +31,14 @@ _EXAMPLE: Final[dict[str, Any]] = {
     "archive": {"summary": "One .r3d file", "value": {"name": "kitchen.r3d", "bytes": 48210233, "files": 1}}
 }
 _REPLAY: Final[dict[str, Any]] = {"defaults": {"summary": "As recorded", "value": {"session": "kitchen"}}}
+_FILM: Final[dict[str, Any]] = {
+    "sphere": {
+        "summary": "A mirror sphere in the first ten seconds",
+        "value": {
+            "objects": [{"shape": "sphere", "size_m": 0.2, "material": {"kind": "mirror"}, "position": [0, 1, 0]}]
+        },
+    }
+}
 
 
 @router.post(
@@ -145,4 +156,55 @@ async def stop_replay(context: ContextDep, owner: OwnerDep, recording_id: Record
     """Stop the replay; the session stays as it is."""
     recording = context.recordings.find(owner, recording_id)
     await context.recordings.stop(recording)
+    return context.recordings.describe(recording)
+
+
+@router.put(
+    "/{recording_id}/film",
+    summary="Make a film of a recording",
+    status_code=202,
+    responses=documented(
+        *(*BODY_PROBLEMS, *_PROBLEMS, "object-not-found", "recording-not-ready", "film-running"),
+        *("too-many-recordings", "recording-memory"),
+    ),
+)
+async def make_film(
+    context: ContextDep,
+    owner: OwnerDep,
+    recording_id: RecordingPath,
+    body: Annotated[FilmRequest, Body(openapi_examples=_FILM)],
+) -> Recording:
+    """Begin a film of the recording with objects in it, in place of an earlier film; `film` says how far it is.
+
+    Frames are reduced as those of composites are. The film is H.264 in MP4, at most 128 MiB.
+    """
+    recording = context.recordings.find(owner, recording_id)
+    digests = {item.object for item in body.objects if item.object is not None}
+    files = {digest: context.objects.find(owner, digest) for digest in digests}
+    scene = scene_of(CompositeRequest(objects=body.objects), files, 1.0)
+    job = FilmJob(context.workers.base_options, scene, body.quality, body.first, body.frames)
+    context.recordings.make_film(recording, job)
+    return context.recordings.describe(recording)
+
+
+@router.get(
+    "/{recording_id}/film",
+    summary="The film of a recording",
+    response_class=FileResponse,
+    responses={200: {"content": {"video/mp4": {}}}} | documented(*_PROBLEMS, "film-not-found"),
+)
+async def get_film(context: ContextDep, owner: OwnerDep, recording_id: RecordingPath) -> FileResponse:
+    """Return the film once it is ready."""
+    made = context.recordings.find(owner, recording_id).film
+    if made is None or made.film.status != "ready":
+        state = "there is none" if made is None else f"its status is {made.film.status}"
+        raise ProblemError("film-not-found", f"the recording has no finished film: {state}; make one with PUT")
+    return FileResponse(made.file, media_type="video/mp4", filename=f"{recording_id}.mp4")
+
+
+@router.delete("/{recording_id}/film", summary="Stop and delete a film", responses=documented(*_PROBLEMS))
+async def delete_film(context: ContextDep, owner: OwnerDep, recording_id: RecordingPath) -> Recording:
+    """Stop the film if it is being made, and delete it; the recording stays."""
+    recording = context.recordings.find(owner, recording_id)
+    await context.recordings.stop_film(recording)
     return context.recordings.describe(recording)

@@ -64,6 +64,14 @@ export interface History {
   readonly entries: readonly HistoryEntry[];
 }
 
+export interface Film {
+  readonly status: "reading" | "making" | "ready" | "failed";
+  /** Frames that are read for the light, or made. */
+  readonly frame: number;
+  readonly frames: number;
+  readonly problem: Problem | null;
+}
+
 export interface Recording {
   readonly id: string;
   readonly name: string;
@@ -74,7 +82,26 @@ export interface Recording {
   readonly frame: number;
   readonly frames: number | null;
   readonly unreadable: number;
+  /** What its files state and was left out, guessed or changed, and what to do about it. */
+  readonly notes: readonly string[];
+  /** Frames that a film of it can have, and their rate; null until the server has opened it. */
+  readonly film_frames: number | null;
+  readonly film_fps: number | null;
+  readonly film: Film | null;
   readonly problem: Problem | null;
+}
+
+export interface RecordingList {
+  readonly recordings: readonly Recording[];
+  readonly bytes: number;
+  readonly limit_bytes: number;
+}
+
+export interface FilmRequest {
+  readonly objects: readonly CompositeObject[];
+  readonly quality: "preview" | "good" | "final";
+  readonly first: number;
+  readonly frames: number;
 }
 
 export interface Pairing {

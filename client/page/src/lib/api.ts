@@ -1,7 +1,7 @@
 // The endpoints that only the page uses; sessions, light and composites go through our client (`roomlight`).
 
 import { RoomLight, RoomLightError, type Problem } from "roomlight";
-import type { CameraState, History, PairedPhone, Pairing, Recording, SessionList, SessionScene } from "./answers";
+import type { CameraState, FilmRequest, History, PairedPhone, Pairing, Recording, RecordingList, SessionList, SessionScene } from "./answers";
 
 const TOKEN_KEY = "roomlight-token";
 
@@ -110,6 +110,18 @@ export class Api {
 
   recording(id: string): Promise<Recording> {
     return this.json(`v1/recordings/${id}`);
+  }
+
+  recordings(): Promise<RecordingList> {
+    return this.json("v1/recordings");
+  }
+
+  makeFilm(id: string, film: FilmRequest): Promise<Recording> {
+    return this.json(`v1/recordings/${id}/film`, { method: "PUT", ...jsonBody(film) });
+  }
+
+  deleteFilm(id: string): Promise<Recording> {
+    return this.json(`v1/recordings/${id}/film`, { method: "DELETE" });
   }
 
   deleteRecording(id: string): Promise<Response> {

@@ -7,6 +7,7 @@ import { latestOnly } from "../lib/signal";
 import type { ObjectFile, PlacedObject, PlacedObjects, Quality, Shape, Surface } from "../objects";
 import type { State } from "../state";
 import { objectHandles } from "./handles";
+import { showNotes } from "./notes";
 import { notify, reportError } from "./notices";
 
 /** The GLB file for new objects. */
@@ -192,11 +193,12 @@ function listenToFile(api: Api): void {
     input.value = "";
     try {
       if (file) {
-        const { id } = await api.client().upload(new Uint8Array(await file.arrayBuffer()), { kind: "glb" });
+        const { id, notes = [] } = await api.client().upload(new Uint8Array(await file.arrayBuffer()), { kind: "glb" });
         chosenFile = { id, name: file.name, data: file };
         option.textContent = file.name;
         byId<HTMLSelectElement>("object-material").value = "own";
         shape.value = "file";
+        showNotes(byId<HTMLDetailsElement>("object-notes"), file.name, notes);
       }
     } catch (error) {
       reportError(error);

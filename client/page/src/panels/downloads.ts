@@ -50,7 +50,7 @@ export function downloadsPanel(api: Api, state: State, objects: PlacedObjects): 
   });
   const picture = element("button", { class: "button", type: "button", title: "The camera's picture with objects", click: savePicture }, "Picture");
   const scene = element("button", { class: "button", type: "button", title: "The placed objects, for roomlight composite --scene", click: saveScene }, "Scene");
-  byId("downloads").replaceChildren(...buttons.map(({ button }) => button), picture, scene);
+  byId("downloads").replaceChildren(...buttons.map(({ button }) => button), picture, scene, byId("open-film"));
   byId("share").addEventListener("click", () => void share());
 
   function savePicture(): void {
@@ -115,7 +115,7 @@ async function save(api: Api, state: State, { path, ending, needsProbe }: Downlo
   }
 }
 
-function offer(file: Blob, name: string): void {
+export function offer(file: Blob, name: string): void {
   const url = URL.createObjectURL(file);
   element("a", { href: url, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(url), READ_MS);

@@ -3,6 +3,7 @@
 import type { Api } from "../lib/api";
 import { byId, element } from "../lib/dom";
 import { chosenFiles, droppedFiles, RecordingUpload, type NamedFile, type Upload } from "../recordings";
+import { showNotes } from "./notes";
 import { notify, reportError } from "./notices";
 
 const OBJECT = /\.(glb|gltf|obj|ply|usdz|fbx)$/i;
@@ -63,13 +64,16 @@ function showUpload(item: HTMLElement, state: Upload, upload: RecordingUpload): 
   const label = upload.isDone ? "Clear" : "Cancel";
   const button = element("button", { class: "button quiet", type: "button", "aria-label": `${label} ${name}`, click: remove }, label);
   const hadFocus = item.contains(document.activeElement);
+  const notes = item.querySelector("details") ?? element("details");
+  const wasOnNotes = notes.contains(document.activeElement);
   item.replaceChildren(
     element("b", {}, name),
     ...(upload.isDone ? [] : [bar]),
     element("div", { class: "row" }, element("span", { class: error ? "error" : "hint" }, text), button),
+    showNotes(notes, name, recording?.notes ?? []),
   );
   if (hadFocus) {
-    button.focus();
+    (wasOnNotes ? notes.querySelector("summary")! : button).focus();
   }
 }
 

@@ -1,0 +1,91 @@
+"""The process that makes a film of an uploaded recording: `python -m roomlight_server.recordings.film_worker IN OUT`.
+
+A pickled `FilmJob` comes on standard input, from the server alone; records go to standard output, as those of `worker`.
+Uploaded files are not trusted: the process has limits on its memory and on what it writes. It gives way to the server.
+"""
+
+import os
+import pickle
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+from roomlight.captures import CaptureOptions, open_capture
+from roomlight.compositing.compositor import Compositor
+from roomlight.compositing.placement.scene import Scene
+from roomlight.engine.options import SessionOptions
+from roomlight.engine.session import Session
+from roomlight.errors import ObjectError, RoomLightError, SceneError
+from roomlight.imaging.video_writer import VideoWriter
+from roomlight.wire.compositing import CompositeQuality
+from roomlight_server.answers.composites import BOXES, MAX_PATHS
+from roomlight_server.recordings.worker import MAX_MEMORY_BYTES, capture_path, film_rate, open_output, without, write
+
+MAX_FILM_BYTES: Final = 128 * 2**20
+"""Largest film; 300 frames of 1280 x 960 take about 40 MB."""
+_NICE: Final = 10
+_LIGHT_FRAMES: Final = 200
+"""Most frames that are read for the light; of a longer recording, every n-th."""
+
+
+class FilmJob(NamedTuple):
+    """A film that is to be made: options of the session that lights it, its objects, and which of its frames."""
+
+    options: SessionOptions
+    scene: Scene
+    quality: CompositeQuality
+    first: int
+    frames: int
+
+
+def make(folder: Path, film: Path, job: FilmJob, output: BinaryIO) -> None:
+    """Read the room, then composite the frames of the film, and write a record for each.
+
+    Raises:
+        RoomLightError: The recording cannot be read, or an object cannot be placed.
+    """
+    path = capture_path(folder)
+    whole = open_capture(path)
+    every, fps = film_rate(whole.frames_per_second)
+    seen = open_capture(path, CaptureOptions(every=every * -(-whole.frame_count // (every * _LIGHT_FRAMES))))
+    session = Session(job.options)
+    for number, frame in enumerate(seen, start=1):
+        session.push(frame)
+        write(output, {"status": "reading", "frame": number, "frames": seen.frame_count})
+    shown = open_capture(path, CaptureOptions(every=every, max_frames=job.first + job.frames))
+    wanted = shown.frame_count - job.first
+    made = 0
+    with (
+        closing(Compositor(session, job.scene, quality=job.quality, max_paths=MAX_PATHS)) as compositor,
+        VideoWriter(film, frames_per_second=fps) as video,
+    ):
+        for frame in shown:
+            if frame.index >= job.first * every:
+                picture = compositor.composite(frame.resized(*BOXES[job.quality])).image
+                height, width = (side - side % 2 for side in picture.shape[:2])
+                video.write(picture[:height, :width])
+                made += 1
+                write(output, {"status": "making", "frame": made, "frames": wanted})
+    write(output, {"end": True} if made else {"problem": f"it has no usable frame from number {job.first} on"})
+
+
+def main(arguments: list[str]) -> None:
+    """Make a film, the second argument, of the recording in the folder of the first."""
+    output = open_output(MAX_FILM_BYTES)
+    os.nice(_NICE)
+    folder, film = (Path(argument) for argument in arguments)
+    try:
+        make(folder, film, FilmJob(*pickle.load(sys.stdin.buffer)), output)
+    except BrokenPipeError:
+        pass  # the server has stopped the film
+    except (SceneError, ObjectError) as error:
+        write(output, {"place": str(error)[:1000]})
+    except (RoomLightError, OSError, ValueError) as error:
+        write(output, {"problem": without(folder, str(error))[:1000]})
+    except MemoryError:
+        write(output, {"problem": f"its film needs more than {MAX_MEMORY_BYTES} bytes of memory"})
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
