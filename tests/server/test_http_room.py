@@ -99,11 +99,20 @@ def test_the_camera_has_path_and_volume(server):
     assert size == pytest.approx(depth_max_m * np.array([2.2, 1.6, 1.7]))
 
 
+def test_the_exposure_of_the_camera_is_against_the_first_frame():
+    with RunningServer() as server:
+        server.open(options={"model": "classical", "height": 16})
+        for index, exposure in enumerate((0.5, 2.0)):
+            server.push(index, frame(0, exposure=exposure))
+            assert server.call("GET", f"{ROOM}/camera").json["exposure"] == pytest.approx(exposure / 0.5)
+
+
 def test_a_session_without_a_frame_has_no_camera():
     with RunningServer() as server:
         server.open()
         view = server.call("GET", f"{ROOM}/camera").json
-        assert view == {"frame": -1, "intrinsics": None, "camera_to_world": None, "path": [], "volume": None}
+        expected = {"frame": -1, "intrinsics": None, "camera_to_world": None, "exposure": None}
+        assert view == expected | {"path": [], "volume": None}
         assert server.call("GET", f"{ROOM}/mesh").kind == "no-frame"
         assert server.call("GET", f"{ROOM}/history").json["entries"] == []
 

@@ -17,12 +17,14 @@ export interface components {
          *         frame: index of the last processed frame; -1 before the first.
          *         intrinsics: of the last processed frame.
          *         camera_to_world: of the last processed frame.
+         *         exposure: of the last processed frame: radiance 1 / exposure is white in its picture; light has 1 as white.
          *         path: the frames of the history, in order.
          */
         readonly CameraView: {
             readonly frame: number;
             readonly intrinsics: components["schemas"]["WireIntrinsics"] | null;
             readonly camera_to_world: readonly number[] | null;
+            readonly exposure: number | null;
             readonly path: readonly components["schemas"]["CameraPose"][];
             readonly volume: components["schemas"]["VolumeBox"] | null;
         };

@@ -65,12 +65,14 @@ class CameraView(WireModel):
         frame: index of the last processed frame; -1 before the first.
         intrinsics: of the last processed frame.
         camera_to_world: of the last processed frame.
+        exposure: of the last processed frame: radiance 1 / exposure is white in its picture; light has 1 as white.
         path: the frames of the history, in order.
     """
 
     frame: int
     intrinsics: WireIntrinsics | None
     camera_to_world: WirePose | None
+    exposure: FiniteNumber | None
     path: list[CameraPose]
     volume: VolumeBox | None
 

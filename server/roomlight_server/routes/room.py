@@ -153,6 +153,7 @@ async def camera(live: SessionDep, request: Request) -> Response:
         frame=NO_FRAME if latest is None else latest.index,
         intrinsics=None if latest is None else latest.message.header.intrinsics,
         camera_to_world=None if latest is None else list(latest.message.header.camera_to_world),
+        exposure=None if latest is None else live.exposure_of(latest),
         path=live.history.path(),
         volume=None if grid is None else _box(grid),
     )

@@ -328,6 +328,10 @@ class LiveSession:
         """The last processed frame, as it was received."""
         return self._latest
 
+    def exposure_of(self, frame: LatestFrame) -> float:
+        """Return the exposure of a frame, of which 1 is the reference exposure of the session."""
+        return frame.message.header.exposure / (self._reference or frame.message.header.exposure)
+
     async def read(self, work: Callable[[Session], _R]) -> _R:
         """Run work that reads the engine on a decoding thread. Raises ProblemError if the session has ended."""
         async with self._access.state_lock:
