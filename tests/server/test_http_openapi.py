@@ -29,7 +29,7 @@ checks.positive_data_acceptance.enabled = false
 
 # An object has exactly one of position, pose and pixel.
 [[operations]]
-include-operation-id = ["composite", "put_scene"]
+include-operation-id = ["composite", "put_scene", "make_film"]
 checks.positive_data_acceptance.enabled = false
 """
 
