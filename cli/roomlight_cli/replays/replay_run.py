@@ -47,8 +47,8 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
                     options.server, capture, folder, options, token=token, progress=progress.count, on_recovery=tell
                 )
         except KeyboardInterrupt:
-            next_time = "starts again" if options.overwrite else "continues where it stopped"
-            err.print(f"stopped; the same command {next_time}", soft_wrap=True)
+            kept = "" if options.overwrite else ", and keeps the panoramas that are written"
+            err.print(f"stopped; the same command goes through the recording again{kept}", soft_wrap=True)
             raise typer.Exit(130) from None
     _print_result(folder, result.report)
 
