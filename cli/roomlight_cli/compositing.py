@@ -145,7 +145,8 @@ def composite_recording(
     count, times = 0, 1 if online else 2
     with ExitStack() as stack:
         progress = stack.enter_context(Progress("compositing" if online else "reading the room"))
-        progress.count(0, times * capture.frame_count)
+        capture.prepare(progress.count_of)
+        progress.count_of("compositing" if online else "reading the room", 0, times * capture.frame_count)
         frames.watch = progress.advance
         film = None
         if options.is_film:

@@ -21,7 +21,7 @@ COMMANDS: Final = (
     CommandEntry(
         "light",
         f"{_COMMANDS}.light:light",
-        "Light points of one photograph; depth that is not given is estimated.",
+        "Light points of one photograph, or of a video without poses; what is not given is estimated.",
         _LIGHT,
     ),
     CommandEntry(

@@ -1,10 +1,10 @@
-"""Light from one photograph with depth, measured or estimated.
+"""Light from one photograph, or from the frames of a video.
 
-Positions and panoramas are in the camera's axes (`roomlight.captures.photo`), in metres.
+Positions and panoramas are in the world of `roomlight.captures.photo`: the first camera at the origin, y up, metres.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -35,9 +35,10 @@ class PhotoPoints:
     """The points to light.
 
     Attributes:
-        probes: Light this point: metres from the camera, x right, y up, z backward (negative in front). Repeatable.
-        pixels: Light a point above the surface that this pixel of the upright photo shows: column U, row V from the
-            top left. Repeatable.
+        probes: Light this point: metres from the camera, x right, y up, z backward (negative in front), level.
+            Repeatable.
+        pixels: Light a point above the surface that this pixel of the upright photo or of a video's first frame shows:
+            column U, row V from the top left. Repeatable.
         above_m: Distance in metres of the points of `--pixel` from their surface.
 
     Raises:
@@ -65,6 +66,7 @@ class PhotoLight:
     Attributes:
         position: Metres from the camera.
         light: The light in all its forms.
+        behind_camera: Whether it lies behind the (first) camera, where the photograph shows nothing around it.
         inside_volume: Whether the position lies in the lighting volume; outside, only distant light is known.
         files: Names in the output folder: panorama (EXR), picture of it (PNG), picture of spheres (PNG).
         forms: Names of other forms that were asked for.
@@ -72,14 +74,10 @@ class PhotoLight:
 
     position: Position
     light: Light
+    behind_camera: bool
     inside_volume: bool
     files: tuple[str, str, str]
     forms: Mapping[FileFormat, str] = field(default_factory=dict[FileFormat, str])
-
-    @property
-    def behind_camera(self) -> bool:
-        """Whether the position lies behind the camera, where the photograph shows nothing around it."""
-        return self.position[2] > 0
 
     @property
     def heading(self) -> tuple[float, float]:
@@ -105,7 +103,7 @@ class PhotoLight:
 
 
 def light_photo(
-    frame: Frame,
+    frames: Iterable[Frame],
     positions: Sequence[Position],
     out: Path,
     *,
@@ -115,29 +113,45 @@ def light_photo(
 ) -> list[PhotoLight]:
     """Estimate the light at the positions and write it to `out`: an EXR and two PNGs for each, light.json for all.
 
-    `forms` are written too, as `probe-00.usdz` and the like.
+    Args:
+        frames: The photograph, or the frames of a video.
+        positions: In the world of the frames.
+        out: The folder.
+        options: Of the session.
+        graphs: The networks, if they are loaded already.
+        forms: Other forms that are written too, as `probe-00.usdz` and the like.
 
     Raises:
-        FrameError: The photograph cannot start a session.
+        FrameError: A frame cannot be used.
         ProbeError: A position cannot be used.
         ModelError: The weights cannot be used.
         OutputError: `out` cannot be written.
     """
     session = Session(options, graphs=graphs)
-    session.push(frame)
+    first: Frame | None = None
+    for frame in frames:
+        session.push(frame)
+        first = first or frame
     assert session.grid is not None
+    assert first is not None
     lights: list[PhotoLight] = []
     for number, position in enumerate(positions):
         light = session.light_at(position)
         files = (f"probe-{number:02d}.exr", f"probe-{number:02d}.png", f"probe-{number:02d}-spheres.png")
         write_exr(out / files[0], light.panorama)
         write_png(out / files[1], light.reflection)
-        write_png(out / files[2], _spheres(light, view_toward(frame.camera_to_world, position)))
+        write_png(out / files[2], _spheres(light, view_toward(first.camera_to_world, position)))
+        behind = bool((np.array(position) - first.camera_to_world[:3, 3]) @ first.camera_to_world[:3, 2] > 0)
         others: dict[FileFormat, str] = {form: f"probe-{number:02d}{ENDINGS[form]}" for form in forms}
         for name in others.values():
             light.save(out / name)
-        lights.append(PhotoLight(position, light, session.grid.contains(position), files, others))
-    report = {"model": session.model, "source": frame.source, "intrinsics": asdict(frame.intrinsics)}
+        lights.append(PhotoLight(position, light, behind, session.grid.contains(position), files, others))
+    report = {
+        "model": session.model,
+        "source": first.source,
+        "intrinsics": asdict(first.intrinsics),
+        "camera_to_world": first.camera_to_world.tolist(),
+    }
     write_json(out / "light.json", report | {"probes": [light.to_json() for light in lights]})
     return lights
 

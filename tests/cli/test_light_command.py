@@ -85,7 +85,7 @@ def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
 
 def test_the_exr_holds_the_engine_s_light(room):
     folder, frame = room[0], frame_of(room)
-    (one,) = light_photo(frame, [(0.0, 0.0, -1.5)], folder / "out", options=CLASSICAL)
+    (one,) = light_photo([frame], [(0.0, 0.0, -1.5)], folder / "out", options=CLASSICAL)
     written = read_panorama(folder / "out" / one.files[0])
     np.testing.assert_allclose(written, one.light.panorama, rtol=1e-3, atol=1e-4)  # half floats
 
@@ -120,7 +120,7 @@ def test_every_file_type_gives_the_same_depth(room, kind):
 
 def test_a_lamp_ahead_is_above_and_in_view(room):
     folder, frame = room[0], frame_of(room)
-    (one,) = light_photo(frame, [(0.0, -0.5, -1.0)], folder / "out", options=CLASSICAL)
+    (one,) = light_photo([frame], [(0.0, -0.5, -1.0)], folder / "out", options=CLASSICAL)
     elevation, azimuth = one.heading
     assert elevation > 20
     assert abs(azimuth) < 90
@@ -171,7 +171,7 @@ def test_usage_errors(room, arguments, message, roomlight):
 )
 def test_unusable_input_is_one_line(room, changed, message, roomlight):
     folder, _, _ = room
-    arguments = [changed.get("photo", "photo.png"), "--depth", "depth.png", "--out", "out"]
+    arguments = [changed.get("photo", "photo.png"), "--depth", "depth.png", "--out", "out", "--world-up", "y"]
     arguments += ["--probe", changed.get("probe", "0,0,-1")]
     for name in ("weights", "pixel"):
         if name in changed:
@@ -225,7 +225,7 @@ def test_without_exif_the_default_field_of_view_is_a_warning(room, roomlight):
     assert (photo.fov_deg, photo.fov_source) == (DEFAULT_FOV_DEG, "default")
     files = ("photo.png", "--depth", "depth.png", "--out", "out", "--model", "classical", "--height", "16")
     result = roomlight("light", *files, "--probe", "0,0,-1", cwd=folder)
-    assert "field of view 60.0 degrees, horizontal: the default" in result.out
+    assert "field of view 64.0 degrees, horizontal: the default" in result.out
     assert "warning: the photo does not state its focal length; give --fov" in result.out
 
 

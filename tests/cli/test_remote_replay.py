@@ -203,7 +203,7 @@ def test_a_replay_survives_a_killed_server(native, tmp_path):
     with ServerProcess() as server:
         starting = []
 
-        def kill_once(done, _):
+        def kill_once(_, done, __):
             if done == 1 and not starting:
                 server.kill()
                 starting.append(InThread(server.start))

@@ -43,7 +43,7 @@ def exr_names(folder: Path) -> list[str]:
 def test_each_frame_and_probe_gets_a_panorama(capture, tmp_path):
     seen = []
     options = ReplayOptions(session=SMALL, probes_from_capture=True)
-    result = replay(capture, tmp_path / "out", options, progress=lambda done, total: seen.append((done, total)))
+    result = replay(capture, tmp_path / "out", options, progress=lambda _, done, total: seen.append((done, total)))
     for probe in range(2):
         assert exr_names(tmp_path / "out" / f"probe-{probe:02d}") == [f"light.{n:06d}.exr" for n in range(FRAMES)]
     assert (tmp_path / "out" / "summary.png").stat().st_size > 0
@@ -151,7 +151,7 @@ def test_an_interrupted_replay_leaves_no_report_and_continues(capture, tmp_path)
     out = tmp_path / "out"
     options = ReplayOptions(session=SMALL, probes=(PROBES[0],))
 
-    def stop(done: int, _: int) -> None:
+    def stop(_: str, done: int, __: int) -> None:
         if done == 3:
             raise _InterruptError
 

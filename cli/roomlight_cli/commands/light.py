@@ -1,15 +1,23 @@
-"""`roomlight light`: HDR light at points of a room, from one photograph, with its depth or without."""
+"""`roomlight light`: HDR light at points of a room, from one photograph, with its depth or without, or from a video."""
 
+import math
+from collections.abc import Iterator
+from dataclasses import fields
+from itertools import chain
 from pathlib import Path
 
 from rich.markup import escape
 
+from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.photo import Photo, PhotoOptions, read_photo
+from roomlight.captures.video import DEMUXERS
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import warm_up
+from roomlight.errors import OptionError
+from roomlight.frame import Frame
 from roomlight.light.sources import FileFormat
+from roomlight_cli.console import err, print_notes, say
 from roomlight_cli.console import out as terminal
-from roomlight_cli.console import print_notes, say
 from roomlight_cli.photo import PhotoLight, PhotoPoints, light_photo
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
 from roomlight_cli.progress import Progress
@@ -26,12 +34,12 @@ def light(
     depth: Path | None = None,
     forms: tuple[FileFormat, ...] = (),
 ) -> None:
-    """Light points of one photograph; depth that is not given is estimated.
+    """Light points of one photograph, or of a video without poses; what is not given is estimated.
 
     Each point gets an HDR panorama (EXR and PNG), a picture of a mirror sphere and a glossy sphere, and its main light.
 
     Args:
-        image: The photograph: JPEG, PNG, HEIC, or linear EXR.
+        image: The photograph: JPEG, PNG, HEIC, or linear EXR. Or a video: MP4, MOV, MKV or WebM.
         points: Where to light.
         reading: How to read the photograph.
         options: How to estimate the light.
@@ -40,18 +48,74 @@ def light(
             depth map inside a HEIC portrait, else estimated.
         forms: Also write the light in this form: usdz, glb, ktx2, ... Repeatable.
     """
+    if image.suffix.lower() in DEMUXERS:
+        _light_video(image, points, _video_options(image, depth, reading), options, out, forms)
+        return
     photo = read_photo(image, depth, reading)
     positions = points.positions(photo.frame)
     graphs = choose_graphs(options)
     _print_field_of_view(photo)
+    _print_tilt(photo)
     print_notes(photo.notes)
     with Progress("estimating the light"):
         warm_up()
-        lights = light_photo(photo.frame, positions, out, options=options, graphs=graphs, forms=forms)
+        lights = light_photo([photo.frame], positions, out, options=options, graphs=graphs, forms=forms)
+    _print_lights(lights, out)
+
+
+def _video_options(video: Path, depth: Path | None, reading: PhotoOptions) -> CaptureOptions:
+    """Return how to read a video. Raises OptionError for what only a photograph has."""
+    taken = {name: getattr(reading, name) for name in ("fov_deg", "world_up", "depth_model")}
+    given = [f.name for f in fields(reading) if f.name not in taken and getattr(reading, f.name) != f.default]
+    given += [] if depth is None else ["depth"]
+    if given:
+        raise OptionError(f"{given[0]} is for photographs; {video} is a video, whose depth is estimated")
+    return CaptureOptions(**taken)
+
+
+def _light_video(
+    video: Path,
+    points: PhotoPoints,
+    reading: CaptureOptions,
+    options: LightOptions,
+    out: Path,
+    forms: tuple[FileFormat, ...],
+) -> None:
+    """Light points of a video by all its frames; pixels are those of the first frame."""
+    capture = open_capture(video, reading)
+    with Progress("estimating the light") as progress:
+        warm_up()
+        capture.prepare(progress.count_of)
+        frames = iter(capture)
+        first = next(frames)
+        positions = points.positions(first)
+
+        def counted() -> Iterator[Frame]:
+            for number, frame in enumerate(chain([first], frames), 1):
+                yield frame
+                progress.count_of("estimating the light", number, capture.frame_count)
+
+        lights = light_photo(counted(), positions, out, options=options, graphs=choose_graphs(options), forms=forms)
+    print_notes(capture.notes)
+    for skipped in capture.skipped[:3]:
+        err.print(f"[yellow]skipped[/] {escape(skipped.reason)}", soft_wrap=True)
+    if len(capture.skipped) > 3:
+        err.print(f"[yellow]skipped[/] {len(capture.skipped) - 3} more frames", soft_wrap=True)
+    _print_lights(lights, out)
+
+
+def _print_lights(lights: list[PhotoLight], out: Path) -> None:
     for lit in lights:
         _print_light(lit)
     panorama, _, spheres = lights[0].files
     say(f"Picture: {out / spheres}; panorama: {out / panorama}; figures: {out / 'light.json'}")
+
+
+def _print_tilt(photo: Photo) -> None:
+    right, up, back = photo.frame.camera_to_world[1, :3].tolist()
+    pitch, roll = math.degrees(math.asin(max(-1.0, min(1.0, -back)))), math.degrees(math.atan2(right, up))
+    if max(abs(pitch), abs(roll)) > 0.5:
+        say(f"the camera looks {abs(pitch):.0f} degrees {'up' if pitch > 0 else 'down'}, rolled by {abs(roll):.0f}")
 
 
 def _print_field_of_view(photo: Photo) -> None:

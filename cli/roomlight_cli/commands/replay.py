@@ -14,7 +14,7 @@ def replay(capture: Path, options: ReplayOptions, *, out: Path, token: Token = N
     weights or the results have changed since.
 
     Args:
-        capture: A recorded capture: a folder, or a Record3D .r3d file.
+        capture: A recorded capture: a folder, a Record3D .r3d file, or a video.
         options: What to replay.
         out: Folder for panoramas, pictures and the report.
         token: Of the server.

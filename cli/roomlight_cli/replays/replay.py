@@ -45,8 +45,8 @@ class ReplayResult:
     report: dict[str, Any]
 
 
-ProgressCallback = Callable[[int, int], None]
-"""Called with (frames done, frames in all)."""
+ProgressCallback = Callable[[str, int, int], None]
+"""Called with (what is being done, frames done, frames in all)."""
 
 
 @runtime_checkable  # the test run checks annotations with isinstance
@@ -105,6 +105,8 @@ def replay(
     read = options.capture
     stride = 1 if options.interpolate else options.every
     capture = open_capture(path, replace(read, every=read.every * stride))
+    if progress:
+        capture.prepare(progress)
     session = session or Session(options.session)
     positions = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
     intent = describe_intent(path, session.model, options)
@@ -163,7 +165,7 @@ def replay(
             reports.append(report)
             done = frame.index // (read.every * stride) + 1
             if progress:
-                progress(min(done, capture.frame_count), capture.frame_count)
+                progress("replaying", min(done, capture.frame_count), capture.frame_count)
         if writer is None or pictures is None:
             raise CaptureError(f"{path}: no frame can start a session; the first: {unusable[0]['reason']}")
         for frame in waiting:  # after the last session frame there is nothing to interpolate towards: the light stays
@@ -176,7 +178,7 @@ def replay(
             pictures.abandon(error)
         raise
     if progress:
-        progress(capture.frame_count, capture.frame_count)
+        progress("replaying", capture.frame_count, capture.frame_count)
 
     wall_s = time.perf_counter() - began
     interpolated = writer.count_interpolated

@@ -41,10 +41,10 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
 
         try:
             if options.server is None:
-                result = replay(capture, folder, options, progress=progress.count)
+                result = replay(capture, folder, options, progress=progress.count_of)
             else:
                 result = replay_through(
-                    options.server, capture, folder, options, token=token, progress=progress.count, on_recovery=tell
+                    options.server, capture, folder, options, token=token, progress=progress.count_of, on_recovery=tell
                 )
         except KeyboardInterrupt:
             kept = "" if options.overwrite else ", and keeps the panoramas that are written"

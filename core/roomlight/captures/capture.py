@@ -126,6 +126,15 @@ class Reader(Protocol):
         ...
 
 
+@runtime_checkable
+class Preparing(Protocol):
+    """A reader that looks at the whole recording before its first record, such as a video's."""
+
+    def prepare(self, watch: Callable[[int, int], object]) -> None:
+        """Look at it, once; `watch` is called with steps done and steps in all."""
+        ...
+
+
 class Capture:
     """Frames of a recording. Iterating decodes them one by one; opening decodes nothing.
 
@@ -191,6 +200,19 @@ class Capture:
     def notes(self) -> tuple[Note, ...]:
         """What the files state and was left out, guessed or changed, as far as they have been read."""
         return tuple(dict.fromkeys([*self._reader.notes, *self._notes]))
+
+    def prepare(self, watch: Callable[[str, int, int], object]) -> None:
+        """Do what takes a while before the first frame, with progress; without this call, iterating does it.
+
+        Args:
+            watch: Called with what is done, steps done and steps in all.
+
+        Raises:
+            CaptureError: The recording cannot be read.
+            ModelError: The depth model cannot be used.
+        """
+        if isinstance(self._reader, Preparing):
+            self._reader.prepare(lambda done, total: watch("estimating camera poses", done, total))
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames in order. `Frame.index` is the record's index: every = 10 yields 0, 10, 20, ...

@@ -5,6 +5,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
+from roomlight.captures.bare_video import BareVideoReader
 from roomlight.captures.capture import Capture, Reader
 from roomlight.captures.formats import native, nerfstudio
 from roomlight.captures.formats.arkit_scenes import ArkitScenesReader
@@ -40,8 +41,9 @@ _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
     "rtabmap": RtabmapReader,
     "ros-bag": RosBagReader,
     "colmap": ColmapReader,
+    "video": BareVideoReader,
 }
-_FILES: Final = ("record3d", "scannet", "ros-bag")
+_FILES: Final = ("record3d", "scannet", "ros-bag", "video")
 """Formats that are one file."""
 
 
@@ -57,8 +59,8 @@ _LISTED: Final = 1000
 def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Capture:
     """Open a capture for reading: its index is read and checked, no image is decoded.
 
-    `path` is the capture's folder, a folder that holds nothing but it, its file (`.r3d`, `.sens`, `.bag`), or its index
-    (`transforms.json`, `capture.json`).
+    `path` is the capture's folder, a folder that holds nothing but it, its file (`.r3d`, `.sens`, `.bag`, a video), or
+    its index (`transforms.json`, `capture.json`).
 
     Raises:
         OptionError: `options.format` is not one of `FORMATS`.
@@ -86,6 +88,8 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
             raise CaptureError(f"{path}: is a file; the {name} format is a folder")
     except (OSError, ValueError) as error:  # a name too long, no permission, a NUL byte
         raise CaptureError(f"{path}: cannot be opened ({error})") from error
+    if chosen.fov_deg is not None and name != "video":
+        raise OptionError(f"fov_deg is for videos without poses; a recording of the {name} format states its lens")
     return Capture(path, _READERS[name](path, chosen), chosen)
 
 

@@ -30,13 +30,16 @@ class CaptureOptions:
 
     Attributes:
         format: Use this reader instead of the one that recognises the files: roomlight, nerfstudio, stray-scanner,
-            record3d, tum, seven-scenes, polycam, 3d-scanner-app, arkitscenes, scannet, scannetpp, rtabmap, ros-bag or
-            colmap.
+            record3d, tum, seven-scenes, polycam, 3d-scanner-app, arkitscenes, scannet, scannetpp, rtabmap, ros-bag,
+            colmap or video.
         camera_convention: Camera axes of the stored poses: opengl (y up, z backward) or opencv (y down, z forward).
         pose_direction: Direction in which the stored poses map.
-        world_up: Up direction of the stored world: x, y, z, -x, -y, -z, or a vector X,Y,Z.
         camera_height_m: Mean height of the camera over the floor, for poses without scale (COLMAP): poses, and depth
             files in their unit, are scaled so that the floor in view is as far below. 1.5 if it is not known.
+        world_up: Up direction of the stored world: x, y, z, -x, -y, -z, or a vector X,Y,Z. Of a video without poses:
+            in the axes of its first camera, x right, y up, z backward.
+        fov_deg: Horizontal field of view of a video without poses, in degrees. Default: by its metadata, else adjusted
+            to the camera's motion.
         depth_unit_m: Metres per stored unit of depth.
         depth: auto takes the depth files, and for a capture without any estimates depth by a network; file refuses such
             a capture; network always estimates.
@@ -55,6 +58,7 @@ class CaptureOptions:
     pose_direction: PoseDirection | None = None
     world_up: str | tuple[float, float, float] | None = None
     camera_height_m: Annotated[float, Interval(ge=0.1, le=10)] | None = None
+    fov_deg: Annotated[float, Interval(ge=5, le=150)] | None = None
     depth_unit_m: Annotated[float, Interval(ge=1e-9, le=1e3)] | None = None
     depth: DepthSource = "auto"
     depth_model: Path | None = None

@@ -1,6 +1,7 @@
 """One photograph as a frame, with its depth or estimated depth: no capture, no poses, no stream.
 
-The camera stands at the origin and is level: x right, y up, z backward, so that points in front of it have negative z.
+The camera stands at the origin of a world whose y is up and whose negative z is where it looks, seen from above. How
+far it looks up or down is told by the room's straight lines.
 "Upright" is the photograph as viewers show it, rotated by its EXIF orientation.
 """
 
@@ -14,13 +15,20 @@ from annotated_types import Interval
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
+from roomlight.captures.bare_video import DEFAULT_FOV_DEG, unsure_horizon
 from roomlight.captures.decoding import decode_depth_map
+from roomlight.captures.options import up_vector
+from roomlight.conventions import rotation_to_y_up
 from roomlight.depth import without_unseen
 from roomlight.errors import FrameError, ImageError, OptionError
 from roomlight.frame import ASPECT_TOLERANCE, Frame, hidden
 from roomlight.images import MAX_PIXELS, decode_picture, exif_camera, read_bytes
 from roomlight.imaging.exif import oriented
 from roomlight.imaging.other_formats import as_png
+from roomlight.monocular.estimate import srgb_picture
+from roomlight.monocular.horizon import Upright, lines_of, upright
+from roomlight.monocular.motion import SIDE
+from roomlight.monocular.tracks import grey_picture
 from roomlight.notes import Note
 from roomlight.rules import check_options
 
@@ -28,9 +36,6 @@ DepthOrientation = Literal["auto", "upright", "stored"]
 """Whether the depth map is upright as viewers show the photo, or has the photo's stored rows and columns."""
 FovSource = Literal["option", "exif", "depth", "default"]
 
-DEFAULT_FOV_DEG: Final = 60.0
-"""Horizontal field of view without any better knowledge: a phone's main camera held level has 65 to 70 degrees, upright
-about 52."""
 _FARTHEST_M: Final = 1000.0
 """A median depth past this is in another unit."""
 
@@ -41,7 +46,9 @@ class PhotoOptions:
 
     Attributes:
         fov_deg: Horizontal field of view of the upright photo in degrees. Default: by the calibration of its own depth,
-            else by the focal length in its EXIF, else 60.
+            else by the focal length in its EXIF, else 64 along its longer side.
+        world_up: Up direction in the camera's axes, x right, y up, z backward: y for a camera that was level, or a
+            vector X,Y,Z. Default: by the straight lines of the room.
         depth_unit_m: Metres per stored unit of the depth; of a portrait's own depth map a factor.
         depth_orientation: For a photo that EXIF rotates: whether the depth is upright, as viewers show the photo, or
             has its stored rows and columns. auto decides by the aspect.
@@ -52,12 +59,18 @@ class PhotoOptions:
     """
 
     fov_deg: Annotated[float, Interval(ge=5, le=150)] | None = None
+    world_up: str | tuple[float, float, float] | None = None
     depth_unit_m: Annotated[float, Interval(ge=1e-6, le=1000)] | None = None
     depth_orientation: DepthOrientation = "auto"
     depth_model: Path | None = None
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.world_up is not None:
+            try:
+                up_vector(self.world_up)
+            except ValueError as error:
+                raise OptionError(str(error)) from error
 
 
 @dataclass(frozen=True)
@@ -65,11 +78,11 @@ class Photo:
     """A photograph as a frame, and where its field of view came from.
 
     Attributes:
-        frame: The upright photograph with its depth; the camera's pose is the identity.
+        frame: The upright photograph with its depth.
         fov_deg: Horizontal field of view of the upright photograph, in degrees.
         fov_source: The caller's option, the calibration of the photo's own depth, its EXIF, or `DEFAULT_FOV_DEG`.
         focal_35mm: EXIF's focal length in millimetres, equivalent on 36 x 24 mm film; None if not stated.
-        notes: What the file states and was not used, and whether depth was estimated.
+        notes: What the file states and was not used, and what was estimated.
     """
 
     frame: Frame
@@ -120,7 +133,8 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     if fov_deg is None:
         fov_deg, source = exif.fov_deg(width, height), "exif"
     if fov_deg is None:
-        fov_deg, source = DEFAULT_FOV_DEG, "default"
+        half = math.tan(math.radians(DEFAULT_FOV_DEG) / 2) * width / max(width, height)
+        fov_deg, source = math.degrees(2 * math.atan(half)), "default"
     if picture.seen is not None:
         colour, depth_m = hidden(colour, depth_m, picture.seen)
     focal = 0.5 * width / math.tan(math.radians(fov_deg) / 2)
@@ -139,6 +153,12 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
         camera_to_world=np.eye(4),
         source=str(image),
     )
+    if options.world_up is not None:
+        frame = replace(frame, camera_to_world=rotation_to_y_up(np.array(up_vector(options.world_up), np.float64)))
+    elif (up := _up(frame)).sure:
+        frame = replace(frame, camera_to_world=rotation_to_y_up(np.array(up.up)))
+    else:
+        notes = (*notes, unsure_horizon(str(image)))
     if estimated:
         from roomlight.monocular.stream import open_depth_stream  # onnxruntime takes a while to import
 
@@ -147,6 +167,12 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
         frame = replace(frame, depth_m=without_unseen(frame.depth_m, frame.seen))
         notes = (*notes, stream.note(str(image)))
     return Photo(frame, fov_deg, source, exif.focal_35mm, notes)
+
+
+def _up(frame: Frame) -> Upright:
+    """Estimate where up is in a photograph's camera."""
+    small = replace(frame, depth_m=np.zeros(frame.image.shape[:2], np.float32)).resized(SIDE, SIDE)
+    return upright([lines_of(grey_picture(srgb_picture(small)), small.intrinsics)], [np.eye(3)])
 
 
 def _check_depth(depth_m: Float[np.ndarray, "h w"], path: str) -> None:

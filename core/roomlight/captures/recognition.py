@@ -14,6 +14,7 @@ from roomlight.captures.formats.rtabmap import export_name
 from roomlight.captures.formats.scanner_app import is_scanner_app
 from roomlight.captures.formats.scannet import intrinsics_file
 from roomlight.captures.source import ZipSource
+from roomlight.captures.video import DEMUXERS
 from roomlight.errors import UnknownFormatError
 from roomlight.files import FolderSource
 
@@ -36,7 +37,7 @@ _PARTS: Final[dict[str, tuple[str, ...]]] = {
 """Files and folders that each format needs; `|` stands between alternatives."""
 
 _IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr", ".heic", ".webp", ".tif", ".tiff", ".bmp")
-_VIDEOS: Final = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+_VIDEOS: Final = (*DEMUXERS, ".avi", ".wmv", ".3gp", ".mts")
 _MODELS: Final = (
     *(".usdz", ".usda", ".usdc", ".glb", ".gltf", ".obj", ".ply", ".fbx", ".stl", ".dae"),
     *(".spz", ".splat", ".ksplat", ".las", ".laz", ".e57", ".pts", ".xyz"),
@@ -63,6 +64,8 @@ def recognised(path: Path) -> str:
             return "record3d"
         if path.suffix.lower() == ".sens":
             return "scannet"
+        if path.suffix.lower() in DEMUXERS:
+            return "video"
         if zipfile.is_zipfile(path):
             return _of_zip(path)
     elif has(native.INDEX):
@@ -96,7 +99,7 @@ def recognised(path: Path) -> str:
     known = "; ".join(f"{name}: {', '.join(parts).replace('|', ' or ')}" for name, parts in _PARTS.items())
     raise UnknownFormatError(
         f"{path}: no capture format recognised. {_nearest(path)}{_bare_images(path)}Set `format` to force one. "
-        f"Known are .r3d (record3d), .sens (scannet) and .bag (ros-bag) files, and folders of {known}"
+        f"Known are .r3d (record3d), .sens (scannet), .bag (ros-bag) and video files, and folders of {known}"
     )
 
 
@@ -131,7 +134,7 @@ def _known_otherwise(path: Path) -> str:
     if any(file.suffix.lower() == ".db" for file in files) and ends <= {".db"}:
         return "is RTAB-Map's database; export it: rtabmap-export --images --poses_camera FILE.db"
     if path.is_file() and path.suffix.lower() in _VIDEOS:
-        return "is a video without camera poses and depth; record with an app that stores them, such as Stray Scanner"
+        return f"is a video of a kind that is not read; convert it to {', '.join(DEMUXERS)} (ffmpeg -i IN OUT.mp4)"
     if path.is_file() and path.suffix.lower() in _IMAGES:
         return "is one photo; `roomlight light IMAGE` lights it"
     return ""

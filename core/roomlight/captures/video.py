@@ -1,5 +1,6 @@
 """Frames of a video by number, decoded in order with one in memory at a time (PyAV, which contains FFmpeg)."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -21,6 +22,10 @@ _UNSPECIFIED: Final = 2
 """H.273's code of what is not stated; a matrix that is not stated is read as BT.709's, which phones write."""
 _BT2020_MATRICES: Final = (9, 10)
 _BT2020: Final = 9
+DEMUXERS: Final = {".mp4": "mp4", ".mov": "mp4", ".m4v": "mp4", ".mkv": "matroska", ".webm": "matroska"}
+"""FFmpeg's reader by the end of a file's name."""
+_FOCAL_35MM: Final = "focal_length.35mm_equivalent"
+"""End of the name of QuickTime's entry that new iPhones write."""
 
 
 class VideoFrames:
@@ -30,16 +35,26 @@ class VideoFrames:
     own frame and does not shift the numbers of later frames.
     """
 
-    def __init__(self, path: Path, label: str) -> None:
-        """Index the packets and open the decoder. Raises FrameError if the file is not a readable video."""
-        self._label = label
-        self._path = path
-        self._kind = "matroska" if path.suffix.lower() == ".mkv" else "mp4"
+    def __init__(self, path: Path, label: str, *, upright: bool = False) -> None:
+        """Index the packets and open the decoder.
+
+        Args:
+            path: The file.
+            label: Its name in messages.
+            upright: Rotate frames by the video's rotation tag; otherwise they are as the sensor stored them.
+
+        Raises:
+            FrameError: The file is not a readable video.
+        """
+        self._label, self._path, self._upright = label, path, upright
+        self._kind = DEMUXERS.get(path.suffix.lower(), "mp4")
         try:
             with av.open(str(path), format=self._kind) as container:
                 stream, self._notes = _main_stream(container, label)
-                times = {packet.pts for packet in container.demux(stream) if packet.pts is not None}
-            self._number_of = {pts: number for number, pts in enumerate(sorted(times))}
+                times = sorted({packet.pts for packet in container.demux(stream) if packet.pts is not None})
+                self.focal_35mm = _stated_focal({**container.metadata, **stream.metadata})
+                self.times_s = [float((pts - times[0]) * (stream.time_base or 1)) for pts in times]
+            self._number_of = {pts: number for number, pts in enumerate(times)}
             self._open()
         except (FFmpegError, OSError, ValueError, IndexError) as error:
             raise FrameError(f"{label}: is not a readable video ({error})") from error
@@ -71,9 +86,12 @@ class VideoFrames:
         """Number of frames that the container lists."""
         return len(self._number_of)
 
-    def frame(self, number: int) -> ColourImage:
-        """Decode a frame to linear RGB by the video's colour tags; rotation tags are not applied, as poses refer to the
-        sensor.
+    def frame(self, number: int, *, longest: int | None = None) -> ColourImage:
+        """Decode a frame to linear RGB by the video's colour tags.
+
+        Args:
+            number: Of the frame.
+            longest: Most pixels of its longer side; it is shrunk to them.
 
         Raises:
             FrameError: The frame does not exist or does not decode, or its colour space is not read.
@@ -87,7 +105,7 @@ class VideoFrames:
             decoded = self._number_of.get(frame.pts, -1) if frame.pts is not None else -1
             self._at = max(self._at, decoded)
             if decoded == number:
-                return self._picture(frame, number)
+                return self._picture(frame, number, longest)
             if decoded > number:  # the wanted frame did not decode; keep this one for a later call
                 self._decoded.insert(0, frame)
                 self._at = number
@@ -109,7 +127,7 @@ class VideoFrames:
                 continue  # this packet is damaged; its frame is missed by its number
         return self._decoded.pop(0) if self._decoded else None
 
-    def _picture(self, frame: VideoFrame, number: int) -> ColourImage:
+    def _picture(self, frame: VideoFrame, number: int, longest: int | None) -> ColourImage:
         if frame.is_corrupt or frame.width * frame.height > MAX_PIXELS:
             raise FrameError(f"{self._label}: frame {number} is damaged")
         try:
@@ -119,14 +137,20 @@ class VideoFrames:
         # HLG and PQ have 10 bits, which 8 would band in the shadows.
         layout = "rgb24" if space.is_srgb else "rgb48le"
         try:
-            if frame.colorspace == _UNSPECIFIED:
-                frame = frame.reformat(format=layout, src_colorspace="ITU709")
-            rgb = np.ascontiguousarray(frame.to_ndarray(format=layout))
+            source = "ITU709" if frame.colorspace == _UNSPECIFIED else None
+            share = min(1.0, (longest or MAX_PIXELS) / max(frame.width, frame.height))
+            width, height = round(share * frame.width), round(share * frame.height)
+            small = frame.reformat(width, height, layout, src_colorspace=source, interpolation="AREA")
+            rgb = np.ascontiguousarray(small.to_ndarray(format=layout))
         except (FFmpegError, ValueError, MemoryError) as error:
             raise FrameError(f"{self._label}: frame {number} does not convert to RGB ({error})") from error
         clipped = np.max(rgb, axis=-1) >= CLIPPED_SRGB8 * (1 if rgb.dtype == np.uint8 else 257)
         notes = self._notes
-        if frame.rotation:
+        if self._upright:
+            rgb, clipped = (
+                np.ascontiguousarray(np.rot90(plane, round(frame.rotation / 90))) for plane in (rgb, clipped)
+            )
+        elif frame.rotation:
             rotation = Note(
                 f"{self._label}: its rotation of {frame.rotation} degrees",
                 "frames are read as stored, which is what intrinsics and poses refer to",
@@ -150,6 +174,18 @@ def _main_stream(container: Any, label: str) -> tuple[Any, tuple[Note, ...]]:
             Note(f"{label}: its pixels are {float(shape):.3g} times as wide as high", text, "resample the video")
         )
     return stream, tuple(notes)
+
+
+def _stated_focal(metadata: Mapping[str, str]) -> float | None:
+    """Return the focal length in millimetres, equivalent on 35 mm film; None if the video does not state it."""
+    for name, value in metadata.items():
+        if name.endswith(_FOCAL_35MM):
+            try:
+                focal = float(value)
+            except ValueError:
+                return None
+            return focal if 5 <= focal <= 500 else None
+    return None
 
 
 def _colour_space(frame: VideoFrame) -> ColourSpace:

@@ -260,6 +260,16 @@ def open_depth_stream(model: Path | None = None, *, gravity: bool = True, height
     return DepthStream(loaded, reference, gravity=gravity, height_m=height_m)
 
 
+def metric_model(model: Path | None = None) -> DepthModel:
+    """Return the model of an ONNX file if it knows metres, else the network inside the package.
+
+    Raises:
+        ModelError: The model cannot be used.
+    """
+    loaded = shipped_depth() if model is None else _load(model)
+    return loaded if loaded.kind == "metric" else shipped_depth()
+
+
 @cache
 def _load(path: Path) -> DepthModelFile:
     return DepthModelFile(path)

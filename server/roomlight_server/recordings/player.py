@@ -86,6 +86,8 @@ class Player:
         start_s: float | None = None
         while True:
             text, body = await read_record(process, READ_TIMEOUT_S)
+            if "preparing" in text:
+                continue
             self.progress.unreadable, self.progress.notes = text["unreadable"], tuple(text["notes"])
             if "end" in text:
                 break

@@ -1,7 +1,8 @@
 """The process that reads an uploaded recording: `python -m roomlight_server.recordings.worker PATH FPS`.
 
 It writes records to standard output: the lengths of a JSON text and of a body, the text, the body. The first record
-describes the recording, each following one is a frame message, and the last one has `end`. Uploaded files are not
+describes the recording, those with `preparing` say that it is being looked at, each following one is a frame message,
+and the last one has `end`. Uploaded files are not
 trusted: this process has limits on its memory and writes no file, so that a hostile file harms the server in no way.
 The pipe holds the process until the server takes the next frame.
 """
@@ -72,6 +73,7 @@ def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
     film_every, film_fps = film_rate(rate)
     film = {"film_frames": -(-whole.frame_count // film_every), "film_fps": film_fps}
     write(output, {"frames": capture.frame_count, "format": capture.format, "probes": probes} | film)
+    capture.prepare(lambda _text, done, total: write(output, {"preparing": [done, total]}))
     start_s: float | None = None
     sent, unusable = 0, 0
     for frame in capture:

@@ -44,7 +44,10 @@ def xmp(accuracy: str = "absolute") -> str:
 def test_a_portraits_own_depth_is_read(tmp_path: Path, stated: str) -> None:
     colour, disparity = scene()
     text, levels = (xmp(), None) if stated == "xmp" else ("", (LOW, HIGH))
-    photo = read_photo(written(tmp_path / "photo.heic", heic_files.portrait(colour, disparity, xmp=text, sei=levels)))
+    photo = read_photo(
+        written(tmp_path / "photo.heic", heic_files.portrait(colour, disparity, xmp=text, sei=levels)),
+        options=PhotoOptions(world_up="y"),
+    )
     depth_m = photo.frame.depth_m
     assert depth_m.shape == (48, 64)
     # half a level of 8 bits is 0.4 %; HEVC adds about two levels
@@ -54,14 +57,14 @@ def test_a_portraits_own_depth_is_read(tmp_path: Path, stated: str) -> None:
     if stated == "xmp":
         assert photo.fov_source == "depth"
         assert photo.frame.intrinsics.fx == pytest.approx(3024 / 4032 * 128)
-    assert photo.notes == ()
+    assert [note for note in photo.notes if "which way is up" not in note.left_out] == []
 
 
 def test_relative_depth_is_said_and_can_be_scaled(tmp_path: Path) -> None:
     path = written(tmp_path / "photo.heic", heic_files.portrait(*scene(), xmp=xmp("relative")))
-    photo = read_photo(path)
+    photo = read_photo(path, options=PhotoOptions(world_up="y"))
     assert "relative accuracy" in photo.notes[0].left_out
-    scaled = read_photo(path, options=PhotoOptions(depth_unit_m=1.5))
+    scaled = read_photo(path, options=PhotoOptions(depth_unit_m=1.5, world_up="y"))
     np.testing.assert_allclose(scaled.frame.depth_m, 1.5 * photo.frame.depth_m, rtol=1e-6)
     assert scaled.notes == ()
 
@@ -170,7 +173,7 @@ def test_captures_hold_webp_pictures(tmp_path: Path) -> None:
     [
         ("tif", np.ones((4, 4), np.float32), "the TIFF has values of the kind F; save it as EXR"),
         ("avif", np.zeros((16, 16, 3), np.uint8), "AVIF is not read, because its HDR would be lost"),
-        ("png", np.zeros((10, 3000, 3), np.uint8), "3000 x 10 pixels with a field of view of 60 degrees are no photo"),
+        ("png", np.zeros((10, 3000, 3), np.uint8), "3000 x 10 pixels with a field of view of 64 degrees are no photo"),
     ],
 )
 def test_other_pictures_are_refused_by_name(tmp_path: Path, ending: str, pixels: np.ndarray, message: str) -> None:

@@ -274,7 +274,7 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
         ("room.usdz", "a model, not a recording; Scaniverse"),
         ("splat.spz", "a model, not a recording"),
         ("map.db", "rtabmap-export --images --poses_camera"),
-        ("walk.mov", "a video without camera poses and depth"),
+        ("walk.avi", "a video of a kind that is not read"),
         ("photo.heic", "one photo"),
     ):
         (tmp_path / name).write_bytes(b"x" * 99)

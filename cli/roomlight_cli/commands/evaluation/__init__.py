@@ -16,6 +16,11 @@ EVALUATIONS: Final = (
         "Score estimated depth on recordings whose own depth is hidden from it, and the light that follows.",
     ),
     CommandEntry(
+        "poses",
+        f"{_COMMANDS}.captures:poses",
+        "Score estimated camera poses on recordings whose pictures become a video without anything else.",
+    ),
+    CommandEntry(
         "walks",
         f"{_COMMANDS}.rooms:walks",
         "Score the networks on walks through rooms that no network was trained on.",

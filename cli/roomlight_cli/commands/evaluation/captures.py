@@ -1,4 +1,4 @@
-"""`roomlight eval captures`: light scored on recordings; and `depth`: estimated depth."""
+"""`roomlight eval captures`: light scored on recordings; `depth` and `poses`: what is estimated for those without."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from roomlight_evaluation.captures.depth import evaluate_depth
 from roomlight_evaluation.captures.evaluation import evaluate_engine, evaluate_predictions
 from roomlight_evaluation.captures.main_light import evaluate_main_lights
 from roomlight_evaluation.captures.main_light_tables import main_light_table
+from roomlight_evaluation.captures.poses import evaluate_poses
 from roomlight_evaluation.captures.ship_rule import apply_ship_rule, ship_rule_table, write_rule
 from roomlight_evaluation.captures.tables import capture_tables
 
@@ -127,6 +128,29 @@ def depth(
     with Progress(_COMPILING) as progress:
         warm_up()
         scores = evaluate_depth(sources, light, reading, split=split, limit=limit, progress=progress.count_of)
+    print_tables(scores.table())
+    if json:
+        scores.write(json)
+        say(f"Scores: {json}")
+
+
+def poses(
+    captures: tuple[Path, ...],
+    light: ScoredLight,
+    reading: Annotated[CaptureOptions, Without("depth")],
+    *,
+    json: ScoresJson = None,
+) -> None:
+    """Score estimated camera poses on recordings whose pictures become a video without anything else.
+
+    Args:
+        captures: Captures with poses and depth.
+        light: How to estimate the light.
+        reading: How to read the captures; --fov and --depth-model are for the videos.
+    """
+    with Progress(_COMPILING) as progress:
+        warm_up()
+        scores = evaluate_poses(captures, light, reading, progress=progress.count_of)
     print_tables(scores.table())
     if json:
         scores.write(json)

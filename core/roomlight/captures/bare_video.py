@@ -1,0 +1,197 @@
+"""A video without poses, depth and intrinsics, as camera apps write it: `.mp4`, `.mov`, `.m4v`, `.mkv`, `.webm`.
+
+A record is a frame, a fifth of a second after the last one. Poses are estimated from the pictures
+(`roomlight.monocular.motion`) when the first record is read; depth is estimated as for any recording without. Frames
+are upright, by the video's rotation tag.
+
+World: that of the first camera, turned so that y is up; with `world_up`, its axes (x right, y up, z backward).
+"""
+
+import math
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from roomlight.camera import Intrinsics
+from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.video import VideoFrames
+from roomlight.conventions import linear_to_srgb
+from roomlight.errors import CaptureError, FrameError, OptionError
+from roomlight.monocular.motion import SIDE, CameraMotion, CameraPath
+from roomlight.notes import Note
+
+RATE: Final = 5.0
+"""Frames a second that are used: the share of the view that two of them have in common is what placing needs."""
+MOST_FRAMES: Final = 600
+"""Two minutes."""
+DEFAULT_FOV_DEG: Final = 64.0
+"""Field of view along the longer side without any better knowledge: of phones' main cameras, 60 to 68 degrees."""
+_FILM_WIDTH_MM: Final = 34.6
+"""Width of a 4:3 picture of the diagonal of 36 x 24 mm film: videos have the photos' width."""
+_UNUSED: Final = ("camera_convention", "pose_direction", "depth_unit_m", "depth_key", "min_confidence")
+
+
+class BareVideoReader:
+    """Reads a video file alone."""
+
+    format = "video"
+    conventions = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
+
+    def __init__(self, path: Path, options: CaptureOptions) -> None:
+        """List the frames.
+
+        Raises:
+            CaptureError: The file is not a readable video.
+            OptionError: An option is for stored poses or depth.
+        """
+        for name in _UNUSED:
+            if getattr(options, name) is not None:
+                raise OptionError(f"{name} is for stored poses and depth; {path} is a video without")
+        if options.depth == "file":
+            raise OptionError(f"depth is 'file', but {path} is a video without depth; depth=auto estimates it")
+        self._path, self._options = path, options
+        self.probes: list[RawProbe] = []
+        self.notes: list[Note] = []
+        with self._opened() as video:
+            self._times_s, self._focal_35mm = video.times_s, video.focal_35mm
+        self._numbers: list[int] = []
+        for number, time_s in enumerate(self._times_s):
+            if time_s >= len(self._numbers) / RATE - 1e-3:
+                self._numbers.append(number)
+        wanted = min(MOST_FRAMES, options.every * (options.max_frames or MOST_FRAMES))
+        if len(self._numbers) > MOST_FRAMES == wanted:
+            seconds = self._times_s[self._numbers[MOST_FRAMES]]
+            left = f"{path}: what follows after {seconds:.0f} s"
+            self.notes.append(Note(left, "is not read", "cut the video into parts, or record its poses"))
+        self._numbers = self._numbers[:wanted]
+        self.count = len(self._numbers)
+        self._motion: CameraPath | None = None
+
+    def name_of(self, index: int) -> str:
+        """Return the video and the frame's time."""
+        return f"{self._path}: frame {self._numbers[index]}, at {self._times_s[self._numbers[index]]:.1f} s"
+
+    def timestamps(self) -> list[float | None]:
+        """Return the frames' times."""
+        return [self._times_s[number] for number in self._numbers]
+
+    def prepare(self, watch: Callable[[int, int], object]) -> None:
+        """Estimate the poses of all frames, once.
+
+        Raises:
+            CaptureError: The video cannot be read.
+            ModelError: The depth model cannot be used.
+        """
+        if self._motion is not None:
+            return
+        from roomlight.monocular.stream import metric_model  # onnxruntime takes a while to import
+
+        model, motion, unread = metric_model(self._options.depth_model), None, dict[int, str]()
+        with self._opened() as video:
+            for index, number in enumerate(self._numbers):
+                watch(index, self.count)
+                try:
+                    image = video.frame(number, longest=SIDE).image
+                except FrameError as error:
+                    unread[index] = str(error)
+                    continue
+                if motion is None:
+                    lens, known = self._lens(image.shape[1], image.shape[0])
+                    motion = CameraMotion(model, lens, focal_is_known=known)
+                motion.add(index, linear_to_srgb(np.minimum(image, 1)).astype(np.float32))
+        if motion is None:
+            raise CaptureError(f"{self._path}: none of its frames decodes; the first: {unread[0]}")
+        self._motion = motion.path(level=self._options.world_up is None)
+        self._motion.lost.update(unread)
+        self._note(self._motion)
+        watch(self.count, self.count)
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Estimate the poses in the first pass, and hold the video open."""
+        self.prepare(lambda _done, _total: None)
+        with self._opened() as video:
+            yield lambda index: self._read(index, video)
+
+    def _read(self, index: int, video: VideoFrames) -> RawFrame:
+        assert self._motion is not None
+        if (reason := self._motion.lost.get(index)) is not None:
+            raise FrameError(f"{self.name_of(index)}: {reason}")
+        picture = video.frame(self._numbers[index])
+        height, width = picture.image.shape[:2]
+        return RawFrame(
+            name=self.name_of(index),
+            picture=picture,
+            depth_m=np.zeros((height, width), np.float32),
+            depth_name=None,
+            intrinsics=self._motion.intrinsics.resized(width, height),
+            pose=self._motion.poses[index],
+        )
+
+    @contextmanager
+    def _opened(self) -> Generator[VideoFrames]:
+        try:
+            video = VideoFrames(self._path, str(self._path), upright=True)
+        except FrameError as error:
+            raise CaptureError(str(error)) from error
+        with video:
+            yield video
+
+    def _lens(self, width: int, height: int) -> tuple[Intrinsics, bool]:
+        """Return the lens for frames of this size, and whether it is stated."""
+        longer = max(width, height)
+        focal, known = 0.5 * longer / math.tan(math.radians(DEFAULT_FOV_DEG) / 2), False
+        if self._options.fov_deg is not None:
+            focal, known = 0.5 * width / math.tan(math.radians(self._options.fov_deg) / 2), True
+        elif self._focal_35mm is not None:
+            focal, known = self._focal_35mm * longer / _FILM_WIDTH_MM, True
+        return Intrinsics(focal, focal, width / 2, height / 2, width, height), known
+
+    def _note(self, motion: CameraPath) -> None:
+        """Say what was estimated, and what was not to be told from the pictures."""
+        self.notes.append(
+            Note(
+                f"{self._path}: its camera poses are estimated from the pictures",
+                "places may be off by some centimetres, and sizes by the error of the estimated depth",
+                "record with an app that stores poses, such as Stray Scanner, for exact places",
+            )
+        )
+        lens = motion.intrinsics
+        if self._options.fov_deg is None and self._focal_35mm is None:
+            fov_deg = math.degrees(2 * math.atan(0.5 * lens.width / lens.fx))
+            self.notes.append(
+                Note(
+                    f"{self._path}: its focal length is not stated",
+                    f"a horizontal field of view of {fov_deg:.0f} degrees fits the pictures best",
+                    "state fov_deg (--fov) if the camera's is known",
+                )
+            )
+        if self._options.world_up is None and not motion.upright.sure:
+            self.notes.append(unsure_horizon(str(self._path)))
+        times = [self._times_s[self._numbers[index]] for index in motion.poses]
+        if len(motion.lost) > 0.2 * self.count:
+            share = (
+                f"{len(times)} of {self.count} frames, from {min(times):.1f} to {max(times):.1f} s,"
+                if times
+                else "none"
+            )
+            self.notes.append(
+                Note(
+                    f"{self._path}: poses were estimated for {share} alone",
+                    "the others are skipped, each with its reason",
+                    "cut the video to one take, move slowly in good light, or give poses in a transforms.json",
+                )
+            )
+
+
+def unsure_horizon(source: str) -> Note:
+    """Return the note for pictures whose lines do not tell which way is up."""
+    return Note(
+        f"{source}: no straight lines show which way is up",
+        "the camera is taken as level on average",
+        "state world_up (--world-up X,Y,Z in the first camera's axes: x right, y up, z backward; y if it was level)",
+    )

@@ -1,0 +1,283 @@
+"""Where a video's camera was, from its pictures alone.
+
+Features (SIFT) of each picture are matched with those of earlier ones, and the picture is placed by their estimated
+depth (PnP). In the end all cameras are adjusted together, also to pictures that show the same place again, and turned
+upright by the room's straight lines. The world is that of the first camera, turned upright; metres are the depth
+network's. A camera that only turns is the usual case, and needs no parallax.
+
+A picture that cannot be tied to the others is lost; after a cut the longest piece counts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+from roomlight.camera import Intrinsics
+from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
+from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, reprojection_errors
+from roomlight.monocular.estimate import DepthModel
+from roomlight.monocular.horizon import Lines, Upright, lines_of, upright
+from roomlight.monocular.tracks import grey_picture
+
+SIDE: Final = 640
+"""Longest side of the pictures that are compared."""
+_FEATURES: Final = 1000
+_CONTRAST: Final = 0.004
+"""SIFT's threshold; its default of 0.04 leaves few features on the walls of rooms."""
+_RATIO: Final = 0.8
+"""Distance of a feature's match relative to the second nearest feature's."""
+_LEAST_FEATURES: Final = 40
+_LEAST_MATCHES: Final = 40
+"""Of two pictures. With fewer, on blinds or plain walls, cameras came out 10 degrees off."""
+_PLACING_PX, _MATCH_PX = 8.0, 2.0
+"""Errors in pixels of a 640-pixel picture: of a placed feature, whose depth is estimated, and of a match."""
+_BEFORE: Final = (1, 2, 3, 5, 8)
+"""Pictures before one with which it is compared."""
+_RETRIED: Final = 8
+"""Earlier pictures, spread out, with which one is compared that shows nothing of the last ones."""
+_MOST_MATCHES: Final = 70
+"""Of two pictures, in the adjustment."""
+_LOOPS: Final = 4
+_LOOP_GAP, _LOOP_DEG = 12, 30.0
+"""Pictures that far apart in time whose cameras look the same way are compared, so many for each."""
+_DARK: Final = 24
+"""Grey level of a picture's brightest percent below which it is called dark."""
+_OUTLIER_PX: Final = 5.0
+_KNOWN_FOCAL, _GUESSED_FOCAL = 0.01, 0.12
+"""Relative errors of a focal length that is stated, and of one that is assumed."""
+
+
+@dataclass(frozen=True)
+class CameraPath:
+    """The cameras of a video.
+
+    Attributes:
+        poses: By number of the picture: camera to world, OpenGL axes, metres, y up.
+        intrinsics: For pictures of the size that was given.
+        lost: By number of the picture: why it has no pose.
+        upright: How the up direction was estimated, in the first camera's axes.
+    """
+
+    poses: dict[int, Float[np.ndarray, "4 4"]]
+    intrinsics: Intrinsics
+    lost: dict[int, str]
+    upright: Upright
+
+
+@dataclass(eq=False)
+class _Still:
+    """A picture's features; camera to world in OpenCV axes, once it is placed."""
+
+    number: int
+    pixels: Float32[np.ndarray, "n 2"]  # relative to the principal point
+    descriptors: Float32[np.ndarray, "n 128"]
+    depth_m: Float[np.ndarray, " n"]
+    lines: Lines
+    turn: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+    centre: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+
+
+class _Match(NamedTuple):
+    first: int
+    second: int
+    features: Int[np.ndarray, "n 2"]
+
+
+class CameraMotion:
+    """Collects the pictures of a video in order; `path` places their cameras.
+
+    Examples:
+        motion = CameraMotion(shipped_depth(), intrinsics, focal_is_known=False)
+        for number, picture in enumerate(pictures):
+            motion.add(number, picture)
+        poses = motion.path().poses
+    """
+
+    def __init__(self, model: DepthModel, intrinsics: Intrinsics, *, focal_is_known: bool) -> None:
+        """Take the metric depth model and the camera of the pictures.
+
+        Args:
+            model: Of kind "metric".
+            intrinsics: For pictures of the size that is given to `add`.
+            focal_is_known: Whether the focal length is stated; otherwise it is adjusted to the motion.
+        """
+        self._model, self._intrinsics, self._known = model, intrinsics, focal_is_known
+        self._unit = max(intrinsics.width, intrinsics.height) / SIDE
+        self._sift = cv2.SIFT.create(_FEATURES, contrastThreshold=_CONTRAST)
+        self._pieces: list[list[_Still]] = []
+        self._matches: dict[int, list[_Match]] = {}
+        self._lost: dict[int, str] = {}
+
+    @property
+    def _camera(self) -> Float[np.ndarray, "3 3"]:
+        """K for pixels relative to the principal point."""
+        return np.diag([self._intrinsics.fx, self._intrinsics.fx, 1.0])
+
+    def add(self, number: int, picture: Float32[np.ndarray, "h w 3"]) -> None:
+        """Place the camera of the next sRGB picture in [0, 1]; `number` names it.
+
+        Raises:
+            ModelError: The depth model fails.
+        """
+        grey = grey_picture(picture)
+        if np.percentile(grey, 99) < _DARK:
+            self._lost[number] = "is too dark to see the room"
+            return
+        points, descriptors = self._sift.detectAndCompute(grey, None)
+        if len(points) < _LEAST_FEATURES:
+            self._lost[number] = "shows too little detail to follow: it is blurred, or shows a bare wall"
+            return
+        corners = np.array([point.pt for point in points], np.float32) + 0.5
+        estimated = self._model.estimate(picture, self._intrinsics).resized(grey.shape[1], grey.shape[0])
+        columns, rows = np.floor(corners).astype(int).T
+        inverse = estimated.inverse[rows.clip(0, grey.shape[0] - 1), columns.clip(0, grey.shape[1] - 1)]
+        roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6))  # RootSIFT
+        still = _Still(
+            number,
+            corners - np.array([self._intrinsics.cx, self._intrinsics.cy], np.float32),
+            roots.astype(np.float32),
+            1 / np.clip(inverse, 0.02, 20).astype(np.float64),
+            lines_of(grey, self._intrinsics),
+        )
+        for piece in sorted(self._pieces, key=lambda piece: -piece[-1].number):
+            if self._continues(piece, still):
+                piece.append(still)
+                return
+        self._pieces.append([still])
+
+    def _continues(self, piece: list[_Still], still: _Still) -> bool:
+        """Place a picture by the pictures of a piece, the last ones or else any; keep the matches."""
+        last = [piece[-back] for back in _BEFORE if back <= len(piece)]
+        spread = [piece[at] for at in np.linspace(0, len(piece) - 1, min(_RETRIED, len(piece))).astype(int)]
+        for others in (last, spread):
+            matches = [match for other in others if (match := self._match(other, still)) is not None]
+            if matches and self._place(still, {other.number: other for other in others}, matches):
+                self._matches.setdefault(still.number, []).extend(matches)
+                return True
+        return False
+
+    def _match(self, first: _Still, second: _Still) -> _Match | None:
+        """Match features both ways, and keep those of a common epipolar geometry; None for too few."""
+        like = first.descriptors @ second.descriptors.T
+        there, back = like.argmax(axis=1), like.argmax(axis=0)
+        rows = np.arange(len(there))
+        nearest = like[rows, there]
+        like[rows, there] = -1
+        # descriptors are unit vectors: squared distance = 2 - 2 cosine
+        clear = (1 - nearest) < _RATIO**2 * (1 - like.max(axis=1))
+        kept = np.flatnonzero(clear & (back[there] == rows))
+        if len(kept) < _LEAST_MATCHES:
+            return None
+        pairs = np.stack([kept, there[kept]], axis=1)
+        ends = first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]]
+        _, fits = cv2.findEssentialMat(*ends, self._camera, cv2.USAC_MAGSAC, 0.999, _MATCH_PX * self._unit)
+        if fits is None or int(fits.sum()) < _LEAST_MATCHES:  # pyright: ignore[reportUnnecessaryComparison]
+            return None
+        return _Match(first.number, second.number, pairs[fits[:, 0] > 0])
+
+    def _place(self, still: _Still, others: dict[int, _Still], matches: Sequence[_Match]) -> bool:
+        """Place a picture by the depth of features that placed pictures see too."""
+        points, pixels = [], []
+        for match in matches:
+            other, own = others[match.first], match.features[:, 0]
+            local = np.concatenate([other.pixels[own] / self._intrinsics.fx, np.ones((len(own), 1))], axis=1)
+            points.append((local * other.depth_m[own, None]) @ other.turn.T + other.centre)
+            pixels.append(still.pixels[match.features[:, 1]])
+        world, seen = np.concatenate(points), np.concatenate(pixels).astype(np.float64)
+        works, turn, shift, inliers = cv2.solvePnPRansac(
+            world, seen, self._camera, None,
+            iterationsCount=200, reprojectionError=_PLACING_PX * self._unit, flags=cv2.SOLVEPNP_SQPNP,
+        )  # fmt: skip
+        if not works or len(inliers) < max(_LEAST_MATCHES, 0.3 * len(world)):
+            return False
+        near = inliers[:, 0].astype(int)
+        turn, shift = cv2.solvePnPRefineLM(world[near], seen[near], self._camera, None, turn, shift)
+        to_camera = cv2.Rodrigues(turn)[0]
+        still.turn, still.centre = to_camera.T, -(to_camera.T @ shift)[:, 0]
+        return True
+
+    def path(self, *, level: bool = True) -> CameraPath:
+        """Return the cameras of the longest piece, adjusted together.
+
+        Args:
+            level: Turn the world upright by straight lines; otherwise it has the first camera's axes.
+        """
+        piece = max(self._pieces, key=len, default=[])
+        lost = dict(self._lost)
+        for other in self._pieces:
+            if other is not piece:
+                reason = "shows nothing of the longest piece of the video: a cut, or a turn too fast to follow"
+                lost |= {still.number: reason for still in other}
+        focal = self._intrinsics.fx
+        if len(piece) > 1:
+            matches = [match for still in piece for match in self._matches.get(still.number, ())]
+            focal = self._adjust(piece, matches + self._loops(piece))
+        if not piece:
+            return CameraPath({}, self._intrinsics, lost, Upright((0.0, 1.0, 0.0), float("inf")))
+        poses = [_opengl(still) for still in piece]
+        lines = [still.lines.refocused(focal / self._intrinsics.fx) for still in piece]
+        up = upright(lines, [pose[:3, :3] for pose in poses])
+        turn = rotation_to_y_up(np.array(up.up)) if level else np.eye(4)
+        placed = {still.number: turn @ pose for still, pose in zip(piece, poses, strict=True)}
+        return CameraPath(placed, replace(self._intrinsics, fx=focal, fy=focal), lost, up)
+
+    def _loops(self, piece: list[_Still]) -> list[_Match]:
+        """Match pictures that look the same way at different times."""
+        turns, matches = np.stack([still.turn for still in piece]), list[_Match]()
+        for later in range(_LOOP_GAP, len(piece)):
+            cosine = (np.einsum("nab,ab->n", turns[: later - _LOOP_GAP + 1], turns[later]) - 1) / 2
+            alike = np.flatnonzero(cosine > np.cos(np.radians(_LOOP_DEG)))
+            for at in np.unique(alike[np.linspace(0, len(alike) - 1, min(_LOOPS, len(alike))).astype(int)]):
+                if (match := self._match(piece[at], piece[later])) is not None:
+                    matches.append(match)
+        return matches
+
+    def _adjust(self, piece: list[_Still], matches: Sequence[_Match]) -> float:
+        """Adjust all cameras of a piece to its matches; returns the focal length."""
+        index = {still.number: at for at, still in enumerate(piece)}
+        rows = np.concatenate([
+            [[index[match.first], first, index[match.second], second] for first, second in match.features[::step]]
+            for match in matches
+            if (step := 1 + len(match.features) // _MOST_MATCHES)
+        ])  # fmt: skip
+        rows = rows[np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))]
+        landmarks, landmark = np.unique(rows[:, :2], axis=0, return_inverse=True)
+        stated = np.array([-np.log(piece[host].depth_m[feature]) for host, feature in landmarks])
+        sightings = Sightings(
+            host=landmarks[:, 0],
+            pixel=np.array([piece[host].pixels[feature] for host, feature in landmarks], np.float64),
+            log_stated=stated,
+            landmark=landmark.ravel(),
+            picture=rows[:, 2],
+            seen=np.array([piece[picture].pixels[feature] for picture, feature in rows[:, 2:]], np.float64),
+            unit=self._unit,
+            focal_prior=(self._intrinsics.fx, _KNOWN_FOCAL if self._known else _GUESSED_FOCAL),
+        )
+        cameras = Cameras(
+            np.stack([still.turn for still in piece]),
+            np.stack([still.centre for still in piece]),
+            np.zeros(len(piece)),
+            stated,
+            self._intrinsics.fx,
+        )
+        cameras = adjusted(cameras, sightings, rounds=10)
+        good = reprojection_errors(cameras, sightings) < _OUTLIER_PX
+        sightings = replace(
+            sightings,
+            landmark=sightings.landmark[good], picture=sightings.picture[good], seen=sightings.seen[good],
+        )  # fmt: skip
+        cameras = adjusted(cameras, sightings)
+        for at, still in enumerate(piece):
+            still.turn, still.centre = cameras.turns[at], cameras.centres[at]
+        return cameras.focal
+
+
+def _opengl(still: _Still) -> Float[np.ndarray, "4 4"]:
+    """Return a picture's pose, OpenGL axes, in the world of the first camera's OpenGL axes."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = still.turn, still.centre
+    return OPENCV_TO_OPENGL @ pose @ OPENCV_TO_OPENGL

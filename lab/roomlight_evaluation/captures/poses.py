@@ -1,0 +1,246 @@
+"""Estimated camera poses scored on captures that have poses, and the light that follows from them.
+
+The pictures of a capture become a video without anything else, which is read as any video (`formats.bare_video`). Its
+cameras are compared with the capture's in the first camera's axes, so that which way the world is turned does not
+count; its up direction is compared apart. Light at the capture's probes, seen at the same pixels of the first picture,
+is compared with that by the capture's own depth and poses.
+"""
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+from rich.table import Table
+
+from roomlight.camera import rigid_inverse
+from roomlight.captures import Capture, CaptureOptions, open_capture
+from roomlight.captures.photo import read_photo
+from roomlight.conventions import direction_to_uv, linear_to_srgb8, panorama_directions
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import CaptureError
+from roomlight.files import write_json
+from roomlight.frame import Frame
+from roomlight.images import write_png
+from roomlight.imaging.tables import figure_table
+from roomlight.imaging.video_writer import VideoWriter
+from roomlight.metrics import log_l2
+from roomlight_evaluation.captures.evaluation import ProgressCallback
+
+_RATE: Final = 5.0
+"""Frames a second of captures without timestamps."""
+_PHOTOS: Final = 3
+"""Pictures of a capture that are read as photographs."""
+
+
+@dataclass(frozen=True)
+class PoseScore:
+    """Scores of one capture.
+
+    Attributes:
+        frames: In the video, as many as are used.
+        placed: Share of them that have poses.
+        fov_error: Relative error of the focal length.
+        turn_deg: Error of the rotation to the first camera: median over frames.
+        worst_turn_deg: Likewise, the largest.
+        shift: Error of the place after the best scale, relative to the farthest camera's distance: root mean square;
+            None if the camera moves by less than 10 cm.
+        scale: True size of the path relative to the estimated one.
+        horizon_deg: Error of the up direction.
+        photo_deg: Likewise of single pictures as photographs, which may say that they do not know.
+        light: log-L2 of light by estimated poses and depth, and by the capture's own; None without true panoramas.
+    """
+
+    capture: str
+    frames: int
+    placed: float
+    fov_error: float
+    turn_deg: float
+    worst_turn_deg: float
+    shift: float | None
+    scale: float | None
+    horizon_deg: float
+    photo_deg: tuple[float, ...]
+    light: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class PoseScores:
+    """Scores of several captures."""
+
+    scores: tuple[PoseScore, ...]
+
+    def table(self) -> Table:
+        """Return a row for each capture, the median and the worst."""
+        columns = ["placed", "focal", "turn", "worst turn", "shift", "scale", "horizon", "photo", "light"]
+        table = figure_table(
+            "estimated poses", columns, caption="degrees; light: log-L2, relative to exact poses and depth"
+        )
+        rows = [_figures(score) for score in self.scores]
+        for score, row in zip(self.scores, rows, strict=True):
+            table.add_row(score.capture, *(f"{value:.3g}" for value in row))
+        if len(rows) > 1:
+            values = np.array(rows)
+            worst = np.nanmax(values, axis=0)
+            worst[0] = values[:, 0].min()
+            table.add_row("median", *(f"{value:.3g}" for value in np.nanmedian(values, axis=0)))
+            table.add_row("worst", *(f"{value:.3g}" for value in worst))
+        return table
+
+    def write(self, path: Path) -> None:
+        """Write all scores as JSON. Raises OutputError."""
+        values: list[dict[str, Any]] = [asdict(score) for score in self.scores]
+        write_json(path, {"scores": values})
+
+
+def evaluate_poses(
+    captures: Sequence[Path],
+    light: SessionOptions,
+    reading: CaptureOptions,
+    *,
+    progress: ProgressCallback | None = None,
+) -> PoseScores:
+    """Score the estimated poses of captures, and their light.
+
+    Args:
+        captures: Captures with poses and depth.
+        light: How light is estimated.
+        reading: How captures are read; `fov_deg`, `depth_model`: how the videos are.
+        progress: Called after each capture.
+
+    Raises:
+        CaptureError: A capture cannot be read, or no camera of a video can be placed.
+        ModelError: A model cannot be used.
+    """
+    scores: list[PoseScore] = []
+    for done, path in enumerate(captures, 1):
+        capture = open_capture(path, replace(reading, fov_deg=None, depth_model=None))
+        with tempfile.TemporaryDirectory() as folder:
+            scores.append(_score(capture, list(capture), Path(folder), light, reading))
+        if progress is not None:
+            progress(path.name, done, len(captures))
+    if not scores:
+        raise CaptureError("no capture is given to score")
+    return PoseScores(tuple(scores))
+
+
+def _score(
+    capture: Capture, frames: list[Frame], folder: Path, light: SessionOptions, reading: CaptureOptions
+) -> PoseScore:
+    rate = capture.frames_per_second or _RATE
+    with VideoWriter(folder / "video.mp4", frames_per_second=rate) as writer:
+        for frame in frames:
+            height, width = (side - side % 2 for side in frame.image.shape[:2])
+            writer.write(linear_to_srgb8(np.clip(frame.image, 0, 1))[:height, :width])
+    video = open_capture(folder / "video.mp4", CaptureOptions(fov_deg=reading.fov_deg, depth_model=reading.depth_model))
+    placed = list(video)
+    pairs = [(frames[round((frame.timestamp_s or 0) * rate)], frame) for frame in placed]
+    true, estimated = _relative([frame for frame, _ in pairs]), _relative(placed)
+    turns = [angle_deg(a[:3, :3], b[:3, :3]) for a, b in zip(true, estimated, strict=True)][1:] or [0.0]
+    far = float(np.linalg.norm(true[:, :3, 3], axis=1).max())
+    shift = scale = None
+    if far > 0.1:
+        a, b = true[:, :3, 3], estimated[:, :3, 3]
+        scale = float((a * b).sum() / max((b * b).sum(), 1e-9))
+        shift = float(np.sqrt(((a - scale * b) ** 2).sum(axis=1).mean())) / far
+    horizon = np.median([_horizon_deg(a, b) for a, b in pairs])
+    return PoseScore(
+        capture=capture.path.name,
+        frames=video.frame_count,
+        placed=len(placed) / video.frame_count,
+        fov_error=placed[0].intrinsics.fx / frames[0].intrinsics.fx - 1,
+        turn_deg=float(np.median(turns)),
+        worst_turn_deg=float(np.max(turns)),
+        shift=shift,
+        scale=scale,
+        horizon_deg=float(horizon),
+        photo_deg=tuple(_photo_deg(frame, folder) for frame in frames[:: max(1, len(frames) // _PHOTOS)][:_PHOTOS]),
+        light=_light(capture, [a for a, _ in pairs], placed, light),
+    )
+
+
+def _relative(frames: Sequence[Frame]) -> Float[np.ndarray, "n 4 4"]:
+    """Return the poses in the first camera's axes."""
+    to_first = rigid_inverse(frames[0].camera_to_world)
+    return np.stack([to_first @ frame.camera_to_world for frame in frames])
+
+
+def angle_deg(first: Float[np.ndarray, "3 3"], second: Float[np.ndarray, "3 3"]) -> float:
+    """Return the angle of the rotation from one to the other."""
+    return math.degrees(float(np.linalg.norm(cv2.Rodrigues(first.T @ second)[0])))
+
+
+def _horizon_deg(true: Frame, estimated: Frame) -> float:
+    cosine = true.camera_to_world[1, :3] @ estimated.camera_to_world[1, :3]
+    return math.degrees(math.acos(min(1.0, max(-1.0, float(cosine)))))
+
+
+def _photo_deg(frame: Frame, folder: Path) -> float:
+    write_png(folder / "photo.png", linear_to_srgb8(np.clip(frame.image, 0, 1)))
+    return _horizon_deg(frame, read_photo(folder / "photo.png").frame)
+
+
+def _light(
+    capture: Capture, exact: list[Frame], estimated: list[Frame], options: SessionOptions
+) -> tuple[float, float] | None:
+    """Return the mean errors of light at the capture's probes: by estimated and by exact poses and depth."""
+    probes = [probe for probe in capture.probes if probe.panorama_path is not None]
+    if not probes:
+        return None
+    sessions = Session(options), Session(options)
+    for frames, session in zip((estimated, exact), sessions, strict=True):
+        for frame in frames:
+            session.push(frame)
+    turn = exact[0].camera_to_world[:3, :3] @ estimated[0].camera_to_world[:3, :3].T
+    errors: list[tuple[float, float]] = []
+    for probe in probes:
+        truth = probe.panorama()
+        guessed = sessions[0].light_at(_same_place(np.array(probe.position), exact[0], estimated[0])).panorama
+        known = sessions[1].light_at(probe.position).panorama
+        errors.append((log_l2(turned(guessed, turn), truth), log_l2(known, truth)))
+    first, second = np.mean(errors, axis=0).tolist()
+    return first, second
+
+
+def _same_place(position: Float[np.ndarray, "3"], exact: Frame, estimated: Frame) -> tuple[float, float, float]:
+    """Return the point at the same pixel, and as far before the surface there, in the estimated world."""
+    local = exact.camera_to_world[:3, :3].T @ (position - exact.camera_to_world[:3, 3])
+    pixel, _ = exact.intrinsics.project(local)
+    depths: list[float] = []
+    for frame in (exact, estimated):
+        height, width = frame.depth_m.shape
+        column = int(np.clip(pixel[0] * width / exact.intrinsics.width, 2, width - 3))
+        row = int(np.clip(pixel[1] * height / exact.intrinsics.height, 2, height - 3))
+        depths.append(float(np.median(frame.depth_m[row - 2 : row + 3, column - 2 : column + 3])))
+    lens, far = estimated.intrinsics, -local[2] * depths[1] / max(depths[0], 1e-3)
+    ray = np.array([(pixel[0] - lens.cx) / lens.fx, (lens.cy - pixel[1]) / lens.fy, -1.0])
+    x, y, z = (estimated.camera_to_world[:3, :3] @ (far * ray) + estimated.camera_to_world[:3, 3]).tolist()
+    return x, y, z
+
+
+def turned(panorama: Float[np.ndarray, "h w 3"], turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "h w 3"]:
+    """Return a panorama of another world's axes; `turn` maps its directions to the new ones."""
+    height, width = panorama.shape[:2]
+    uv = direction_to_uv(panorama_directions(height) @ turn)
+    wide = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], axis=1).astype(np.float32)
+    columns, rows = (uv[..., 0] * width + 0.5).astype(np.float32), (uv[..., 1] * height - 0.5).astype(np.float32)
+    return cv2.remap(wide, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _figures(score: PoseScore) -> list[float]:
+    return [
+        score.placed,
+        abs(score.fov_error),
+        score.turn_deg,
+        score.worst_turn_deg,
+        math.nan if score.shift is None else score.shift,
+        math.nan if score.scale is None else score.scale,
+        score.horizon_deg,
+        float(np.median(score.photo_deg)),
+        math.nan if score.light is None else score.light[0] / score.light[1],
+    ]

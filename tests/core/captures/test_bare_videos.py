@@ -1,0 +1,154 @@
+"""Videos without poses, depth and lens: frames with all three, what was estimated is said, options that do not fit."""
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from box_room import LENS, exact_depth, frame, pose
+from depth_models import SIZE, write_depth_model
+from roomlight.camera import rigid_inverse
+from roomlight.captures import CaptureOptions, open_capture
+from roomlight.captures.formats import bare_video
+from roomlight.captures.video import VideoFrames
+from roomlight.conventions import linear_to_srgb8
+from roomlight.errors import CaptureError, OptionError
+from roomlight.imaging.video_writer import VideoWriter
+from written_captures import write_capture
+
+POSES = [pose(0.02 * k, turn=0.03 * k) for k in range(6)]
+FOV_DEG = float(np.degrees(2 * np.arctan(160 / LENS.fx)))
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    truth = exact_depth(POSES[2], LENS.resized(SIZE[1], SIZE[0]))
+    return write_depth_model(tmp_path / "metric.onnx", {"depth": truth[None]})
+
+
+@pytest.fixture
+def video(tmp_path: Path) -> Path:
+    return written(tmp_path / "walk.mp4", [linear_to_srgb8(frame(k, at).image) for k, at in enumerate(POSES)])
+
+
+def written(path: Path, pictures: list[np.ndarray], rate: float = 5.0) -> Path:
+    with VideoWriter(path, frames_per_second=rate) as writer:
+        for picture in pictures:
+            writer.write(picture)
+    return path
+
+
+def test_a_video_alone_has_poses_depth_and_a_lens(video: Path, model: Path) -> None:
+    capture = open_capture(video, CaptureOptions(depth_model=model, fov_deg=FOV_DEG))
+    assert capture.format == "video"
+    steps: list[tuple[str, int, int]] = []
+    capture.prepare(lambda *step: steps.append(step))
+    assert steps[0] == ("estimating camera poses", 0, 6)
+    assert steps[-1] == ("estimating camera poses", 6, 6)
+    frames = list(capture)
+    assert [read.index for read in frames] == list(range(6))
+    assert [read.timestamp_s for read in frames] == pytest.approx([0.2 * k for k in range(6)])
+    for read, at in zip(frames, POSES, strict=True):
+        assert read.depth_m.any()
+        assert read.intrinsics.fx == pytest.approx(LENS.fx, rel=0.02)
+        true = rigid_inverse(POSES[0].astype(np.float64)) @ at
+        own = rigid_inverse(frames[0].camera_to_world) @ read.camera_to_world
+        np.testing.assert_allclose(own[:3, :3], true[:3, :3], atol=0.01)
+        np.testing.assert_allclose(own[:3, 3], true[:3, 3], atol=0.04)
+    said = " ".join(str(note) for note in capture.notes)
+    assert "its camera poses are estimated" in said
+    assert "its depth is estimated" in said
+    assert "focal length" not in said
+
+
+def test_a_lens_that_nobody_states_is_said(video: Path, model: Path) -> None:
+    capture = open_capture(video, CaptureOptions(depth_model=model))
+    first = next(iter(capture))
+    (note,) = [note for note in capture.notes if "focal length is not stated" in note.left_out]
+    fov_deg = np.degrees(2 * np.arctan(160 / first.intrinsics.fx))
+    assert f"{fov_deg:.0f} degrees" in note.effect
+    assert "--fov" in note.advice
+
+
+def test_up_can_be_stated(video: Path, model: Path) -> None:
+    capture = open_capture(video, CaptureOptions(depth_model=model, world_up=(0.0, 1.0, 0.2)))
+    first = next(iter(capture))
+    np.testing.assert_allclose(first.camera_to_world[1, :3], np.array([0, 1, 0.2]) / np.hypot(1, 0.2), atol=1e-9)
+    assert not [note for note in capture.notes if "which way is up" in note.left_out]
+
+
+def test_a_dark_video_is_refused_with_the_reason(tmp_path: Path, model: Path) -> None:
+    path = written(tmp_path / "dark.mp4", [np.zeros((64, 96, 3), np.uint8)] * 3)
+    with pytest.raises(CaptureError, match=r"none of its 3 frames can be used.*at 0\.0 s.*too dark to see the room"):
+        list(open_capture(path, CaptureOptions(depth_model=model)))
+
+
+def test_a_cut_loses_frames_and_says_so(tmp_path: Path, model: Path) -> None:
+    kept = [linear_to_srgb8(frame(k, at).image) for k, at in enumerate(POSES)]
+    path = written(tmp_path / "cut.mp4", [*kept, *(picture[:, ::-1].copy() for picture in kept[:3])])
+    capture = open_capture(path, CaptureOptions(depth_model=model))
+    assert len(list(capture)) == 6
+    assert [skipped.index for skipped in capture.skipped] == [6, 7, 8]
+    assert "a cut" in capture.skipped[0].reason
+    assert "at 1.2 s" in capture.skipped[0].file
+    assert [note for note in capture.notes if "6 of 9 frames, from 0.0 to 1.0 s" in note.left_out]
+
+
+def test_five_frames_a_second_are_used(tmp_path: Path) -> None:
+    path = written(tmp_path / "fast.mp4", [np.full((64, 96, 3), 9 * k, np.uint8) for k in range(24)], rate=24.0)
+    capture = open_capture(path)
+    assert capture.frame_count == 5
+    assert capture.frames_per_second == pytest.approx(5, rel=0.1)
+    assert open_capture(path, CaptureOptions(max_frames=2)).frame_count == 2
+
+
+def test_a_long_video_is_read_in_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bare_video, "MOST_FRAMES", 3)
+    path = written(tmp_path / "long.mp4", [np.full((64, 96, 3), 9 * k, np.uint8) for k in range(8)])
+    capture = open_capture(path)
+    assert capture.frame_count == 3
+    assert "after 1 s" in capture.notes[0].left_out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (CaptureOptions(depth="file"), "a video without depth; depth=auto estimates it"),
+        (CaptureOptions(depth_unit_m=0.001), "depth_unit_m is for stored poses and depth"),
+        (CaptureOptions(camera_convention="opencv"), "camera_convention is for stored poses"),
+    ],
+)
+def test_options_for_what_a_video_has_not_are_refused(video: Path, options: CaptureOptions, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        open_capture(video, options)
+
+
+def test_a_field_of_view_is_for_videos_alone(tmp_path: Path) -> None:
+    whole = write_capture(tmp_path / "whole", [frame(0, POSES[0], depth=True)])
+    with pytest.raises(OptionError, match="fov_deg is for videos without poses; a recording of the roomlight format"):
+        open_capture(whole, CaptureOptions(fov_deg=60.0))
+
+
+def test_what_is_no_video_is_named(tmp_path: Path) -> None:
+    (tmp_path / "walk.mov").write_bytes(b"x" * 99)
+    with pytest.raises(CaptureError, match=r"walk\.mov: is not a readable video"):
+        open_capture(tmp_path / "walk.mov")
+
+
+def test_a_stated_focal_length_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "phone.mov"
+    with av.open(str(path), "w", format="mov", options={"movflags": "use_metadata_tags"}) as container:
+        container.metadata["com.apple.quicktime.camera.focal_length.35mm_equivalent"] = "26"
+        stream = container.add_stream("libx264", rate=5)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((64, 96, 3), np.uint8), format="rgb24")))
+        container.mux(stream.encode())
+    with VideoFrames(path, "phone") as frames:
+        assert frames.focal_35mm == 26
+    lens, known = bare_video.BareVideoReader(path, CaptureOptions())._lens(1920, 1080)
+    assert known
+    assert np.degrees(2 * np.arctan(960 / lens.fx)) == pytest.approx(67.3, abs=0.1)
+    upright, known = bare_video.BareVideoReader(path, CaptureOptions(fov_deg=40.0))._lens(1080, 1920)
+    assert known
+    assert np.degrees(2 * np.arctan(540 / upright.fx)) == pytest.approx(40)

@@ -1,0 +1,170 @@
+"""Cameras of a video from its pictures: turns, walks, an unknown lens, what is lost and why; and their adjustment."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from box_room import LENS, exact_depth, frame, pose
+from roomlight.camera import Intrinsics, rigid_inverse
+from roomlight.monocular import adjustment
+from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, reprojection_errors
+from roomlight.monocular.estimate import DepthEstimate, DepthKind, srgb_picture
+from roomlight.monocular.motion import CameraMotion, CameraPath
+
+
+class RoomDepth:
+    """The depth of the room from the middle pose, with another error of scale for every picture."""
+
+    name = "room"
+    kind: DepthKind = "metric"
+
+    def __init__(self, poses: list[np.ndarray], breathing: float = 0.0) -> None:
+        self._poses, self._breathing, self._calls = poses, breathing, 0
+
+    def estimate(self, picture: np.ndarray, intrinsics: Intrinsics) -> DepthEstimate:
+        assert picture.shape[:2] == (intrinsics.height, intrinsics.width)
+        factor = 1 + self._breathing * (-1) ** self._calls
+        inverse = (1 / (factor * exact_depth(self._poses[self._calls]))).astype(np.float32)
+        self._calls += 1
+        return DepthEstimate(inverse, np.ones_like(inverse), self.kind)
+
+
+def _path(
+    poses: list[np.ndarray], *, lens: Intrinsics = LENS, known: bool = True, breathing: float = 0.0
+) -> CameraPath:
+    motion = CameraMotion(RoomDepth(poses, breathing), lens, focal_is_known=known)
+    for number, at in enumerate(poses):
+        motion.add(number, srgb_picture(frame(number, at)))
+    return motion.path()
+
+
+def _errors(path: CameraPath, poses: list[np.ndarray]) -> tuple[float, float]:
+    """The largest error of turns (degrees) and places (metres), in the first camera's axes."""
+    turns, places = [], []
+    for number, estimated in path.poses.items():
+        true = rigid_inverse(poses[0].astype(np.float64)) @ poses[number]
+        own = rigid_inverse(path.poses[0]) @ estimated
+        cosine = (np.trace(true[:3, :3].T @ own[:3, :3]) - 1) / 2
+        turns.append(np.degrees(np.arccos(min(1.0, cosine))))
+        places.append(np.linalg.norm(true[:3, 3] - own[:3, 3]))
+    return max(turns), max(places)
+
+
+def test_a_camera_that_turns_on_the_spot() -> None:
+    poses = [pose(0, turn=0.1 * k) for k in range(10)]
+    path = _path(poses, breathing=0.1)
+    assert list(path.poses) == list(range(10))
+    turn, place = _errors(path, poses)
+    assert turn < 1  # of 52
+    assert place < 0.08
+
+
+def test_a_walk_has_the_network_s_metres() -> None:
+    poses = [pose(0.1 * k, turn=0.02 * k) for k in range(10)]
+    turn, place = _errors(_path(poses, breathing=0.05), poses)
+    assert turn < 0.5
+    assert place < 0.06  # of 0.9 m
+
+
+def test_the_focal_length_follows_from_the_motion() -> None:
+    poses = [pose(0, turn=0.12 * k) for k in range(10)]
+    path = _path(poses, lens=replace(LENS, fx=0.88 * LENS.fx, fy=0.88 * LENS.fy), known=False)
+    assert path.intrinsics.fx == pytest.approx(LENS.fx, rel=0.02)
+    assert _errors(path, poses)[0] < 1
+
+
+def test_what_is_lost_says_why() -> None:
+    poses = [pose(0, turn=0.05 * k) for k in range(6)]
+    motion = CameraMotion(RoomDepth([*poses, pose(0, turn=3.0)]), LENS, focal_is_known=True)
+    for number, at in enumerate(poses):
+        motion.add(number, srgb_picture(frame(number, at)))
+    motion.add(6, np.full((240, 320, 3), 0.02, np.float32))
+    motion.add(7, np.full((240, 320, 3), 0.6, np.float32))
+    motion.add(8, srgb_picture(frame(8, pose(0, turn=3.0))))  # the other side of the room
+    path = motion.path()
+    assert list(path.poses) == list(range(6))
+    assert "too dark" in path.lost[6]
+    assert "bare wall" in path.lost[7]
+    assert "a cut" in path.lost[8]
+
+
+def test_nothing_placed_is_no_error_of_the_path() -> None:
+    motion = CameraMotion(RoomDepth([]), LENS, focal_is_known=True)
+    motion.add(0, np.zeros((240, 320, 3), np.float32))
+    path = motion.path()
+    assert path.poses == {}
+    assert "too dark" in path.lost[0]
+
+
+# The adjustment
+
+
+@pytest.fixture
+def problem() -> tuple[Cameras, Sightings]:
+    """Four cameras that see 60 landmarks of two hosts, a little off."""
+    rng = np.random.default_rng(3)
+    host = np.repeat([0, 1], 30)
+    pixel = rng.uniform(-140, 140, (60, 2))
+    landmark = np.repeat(np.arange(60), 2)
+    picture = np.array([[(other + 1) % 4, (other + 2) % 4] for other in host]).ravel()
+    turns = np.stack([adjustment.cv2.Rodrigues(rng.normal(size=3) * 0.1)[0] for _ in range(4)])
+    turns[0] = np.eye(3)
+    centres = rng.normal(size=(4, 3)) * 0.2
+    centres[0] = 0
+    stated = np.log(1 / rng.uniform(1, 4, 60))
+    cameras = Cameras(turns, centres, np.zeros(4), stated, 280.0)
+    blank = Sightings(host, pixel, stated, landmark, picture, np.zeros((120, 2)), 0.5, (280.0, 0.1))
+    seen = adjustment._projected(cameras, blank)[0]
+    return cameras, replace(blank, seen=seen)
+
+
+def _off(cameras: Cameras, step: np.ndarray) -> Cameras:
+    return adjustment._moved(cameras, step, [])
+
+
+def test_derivatives_are_those_of_differences(problem: tuple[Cameras, Sightings]) -> None:
+    cameras, sightings = problem
+    jacobian, to_inverse, _ = adjustment._jacobians(cameras, sightings)
+    size, small = 7 * 4 + 1, 1e-6
+    for column in range(size):
+        if 24 <= column < 28:
+            continue  # scales do not move pixels
+        step = np.zeros(size)
+        step[column] = small
+        ahead, behind = (adjustment._projected(_off(cameras, sign * step), sightings)[0] for sign in (1, -1))
+        expected = np.zeros((120, 2))
+        host, picture = sightings.host[sightings.landmark], sightings.picture
+        if column == size - 1:
+            expected = jacobian[:, :, 12]
+        else:
+            camera, part = divmod(column, 6)
+            expected[host == camera] += jacobian[host == camera, :, part]
+            expected[picture == camera] += jacobian[picture == camera, :, 6 + part]
+        np.testing.assert_allclose((ahead - behind) / (2 * small), expected, atol=1e-3)
+    nearer, farther = (
+        adjustment._projected(replace(cameras, log_inverse=cameras.log_inverse + sign * small), sightings)[0]
+        for sign in (1, -1)
+    )
+    np.testing.assert_allclose((nearer - farther) / (2 * small), to_inverse, atol=1e-3)
+
+
+def test_the_adjustment_finds_cameras_that_are_off(problem: tuple[Cameras, Sightings]) -> None:
+    cameras, sightings = problem
+    step = np.random.default_rng(4).normal(size=29) * 0.02
+    step[:6] = step[24:] = 0
+    start = _off(cameras, step)
+    assert np.median(reprojection_errors(start, sightings)) > 3
+    fitted = adjusted(start, sightings)
+    assert reprojection_errors(fitted, sightings).max() < 0.05
+    np.testing.assert_allclose(fitted.centres, cameras.centres, atol=2e-3)
+    assert fitted.focal == pytest.approx(cameras.focal, rel=2e-3)
+
+
+def test_a_wrong_sighting_weighs_little(problem: tuple[Cameras, Sightings]) -> None:
+    cameras, sightings = problem
+    seen = sightings.seen.copy()
+    seen[::15] += 60
+    fitted = adjusted(cameras, replace(sightings, seen=seen))
+    good = np.arange(120) % 15 != 0
+    assert np.median(reprojection_errors(fitted, replace(sightings, seen=seen))[good]) < 0.3
