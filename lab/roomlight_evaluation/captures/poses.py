@@ -1,6 +1,6 @@
 """Estimated camera poses scored on captures that have poses, and the light that follows from them.
 
-The pictures of a capture become a video without anything else, which is read as any video (`formats.bare_video`). Its
+The pictures of a capture become a video without anything else, which is read as any video (`captures.bare_video`). Its
 cameras are compared with the capture's in the first camera's axes, so that which way the world is turned does not
 count; its up direction is compared apart. Light at the capture's probes, seen at the same pixels of the first picture,
 is compared with that by the capture's own depth and poses.

@@ -9,8 +9,7 @@ import pytest
 from box_room import LENS, exact_depth, frame, pose
 from depth_models import SIZE, write_depth_model
 from roomlight.camera import rigid_inverse
-from roomlight.captures import CaptureOptions, open_capture
-from roomlight.captures.formats import bare_video
+from roomlight.captures import CaptureOptions, bare_video, open_capture
 from roomlight.captures.video import VideoFrames
 from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import CaptureError, OptionError
