@@ -156,7 +156,7 @@ class BareVideoReader:
         self.notes.append(
             Note(
                 f"{self._path}: its camera poses are estimated from the pictures",
-                "places may be off by some centimetres, and sizes by the error of the estimated depth",
+                "turns may be off by some degrees, and places by a good part of the walk",
                 "record with an app that stores poses, such as Stray Scanner, for exact places",
             )
         )
