@@ -2,7 +2,7 @@
 
 The pictures of a capture become a video without anything else, which is read as any video (`captures.bare_video`). Its
 cameras are compared with the capture's in the first camera's axes, so that which way the world is turned does not
-count; its up direction is compared apart. Light at the capture's probes, seen at the same pixels of the first picture,
+count; its up direction is compared apart. Light at the capture's probes, seen at the same pixels of a picture,
 is compared with that by the capture's own depth and poses.
 """
 
@@ -53,7 +53,8 @@ class PoseScore:
         scale: True size of the path relative to the estimated one.
         horizon_deg: Error of the up direction.
         photo_deg: Likewise of single pictures as photographs, which may say that they do not know.
-        light: log-L2 of light by estimated poses and depth, and by the capture's own; None without true panoramas.
+        light: log-L2 of light by estimated poses and depth, and by the capture's own; None without true panoramas of
+            places in view.
     """
 
     capture: str
@@ -199,12 +200,24 @@ def _light(
     turn = exact[0].camera_to_world[:3, :3] @ estimated[0].camera_to_world[:3, :3].T
     errors: list[tuple[float, float]] = []
     for probe in probes:
+        position = np.array(probe.position)
+        seen = next((pair for pair in zip(exact, estimated, strict=True) if _in_view(position, pair[0])), None)
+        if seen is None:
+            continue
         truth = probe.panorama()
-        guessed = sessions[0].light_at(_same_place(np.array(probe.position), exact[0], estimated[0])).panorama
+        guessed = sessions[0].light_at(_same_place(position, *seen)).panorama
         known = sessions[1].light_at(probe.position).panorama
         errors.append((log_l2(turned(guessed, turn), truth), log_l2(known, truth)))
+    if not errors:
+        return None
     first, second = np.mean(errors, axis=0).tolist()
     return first, second
+
+
+def _in_view(position: Float[np.ndarray, "3"], frame: Frame) -> bool:
+    pixel, _ = frame.intrinsics.project(frame.camera_to_world[:3, :3].T @ (position - frame.camera_to_world[:3, 3]))
+    size = np.array([frame.intrinsics.width, frame.intrinsics.height])
+    return bool(((pixel >= 0) & (pixel < size)).all())  # NaN behind the camera
 
 
 def _same_place(position: Float[np.ndarray, "3"], exact: Frame, estimated: Frame) -> tuple[float, float, float]:
