@@ -215,7 +215,8 @@ def _light(
 
 
 def _in_view(position: Float[np.ndarray, "3"], frame: Frame) -> bool:
-    pixel, _ = frame.intrinsics.project(frame.camera_to_world[:3, :3].T @ (position - frame.camera_to_world[:3, 3]))
+    local = frame.camera_to_world[:3, :3].T @ (position - frame.camera_to_world[:3, 3])
+    pixel = frame.intrinsics.project(local[None])[0][0]
     size = np.array([frame.intrinsics.width, frame.intrinsics.height])
     return bool(((pixel >= 0) & (pixel < size)).all())  # NaN behind the camera
 
@@ -223,7 +224,7 @@ def _in_view(position: Float[np.ndarray, "3"], frame: Frame) -> bool:
 def _same_place(position: Float[np.ndarray, "3"], exact: Frame, estimated: Frame) -> tuple[float, float, float]:
     """Return the point at the same pixel, and as far before the surface there, in the estimated world."""
     local = exact.camera_to_world[:3, :3].T @ (position - exact.camera_to_world[:3, 3])
-    pixel, _ = exact.intrinsics.project(local)
+    pixel = exact.intrinsics.project(local[None])[0][0]
     depths: list[float] = []
     for frame in (exact, estimated):
         height, width = frame.depth_m.shape
