@@ -181,7 +181,9 @@ def read_glb(data):
 
 
 def decode_rgbd(png):
-    bgra = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED).astype(np.float64) / 255
+    stored = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert stored is not None
+    bgra = stored.astype(np.float64) / 255
     return bgra[..., 2::-1] ** 2.2 / bgra[..., 3:]
 
 
@@ -228,7 +230,8 @@ def test_specular_images_of_gltf_show_a_lamp_where_it_is(direction):
     (room_light,) = document["extensions"]["EXT_lights_image_based"]["lights"]
     faces = np.stack([decode_rgbd(image(number)) for number in room_light["specularImages"][0]])
     brightest = np.unravel_index(np.argmax(faces.sum(axis=-1)), faces.shape[:3])
-    assert_lamp_at(direction, texel_direction(*brightest, faces.shape[1]))
+    face, row, column = (int(at) for at in brightest)
+    assert_lamp_at(direction, texel_direction(face, row, column, faces.shape[1]))
     assert faces.max() == pytest.approx(255, rel=0.01)
     assert faces.max() * room_light["intensity"] == pytest.approx(600.2, rel=0.06)  # texels and pixels cross
 

@@ -54,7 +54,7 @@ def test_the_mean_of_checkpoints(tmp_path):
     assert mean.card == {"steps": 0, "seed": 3, "mean_of": 3}
     states = [load_checkpoint(tmp_path / name).model.state_dict() for name in "abc"]
     for name, value in mean.model.state_dict().items():
-        assert torch.allclose(value, sum(state[name] for state in states) / 3, atol=1e-6)
+        assert torch.allclose(value, torch.stack([state[name] for state in states]).mean(dim=0), atol=1e-6)
     save_untrained(tmp_path / "other", "clipping", CONFIG)
     with pytest.raises(ModelError, match="a: the weights do not fit"):
         save_mean(tmp_path / "mean.pt", [tmp_path / "a", tmp_path / "other"])

@@ -369,8 +369,9 @@ def test_resampled_pictures_get_a_resampled_camera(tmp_path: Path, kind: str) ->
     path = BUILDERS[kind](tmp_path / "capture", VIEWS)
     whole = next(iter(open_capture(path, CaptureOptions(depth="network"))))
     for name in (path / "images").iterdir():
-        half = cv2.resize(cv2.imread(str(name)), (formats.WIDTH // 2, formats.HEIGHT // 2))
-        cv2.imwrite(str(name), half)
+        whole_picture = cv2.imread(str(name))
+        assert whole_picture is not None
+        cv2.imwrite(str(name), cv2.resize(whole_picture, (formats.WIDTH // 2, formats.HEIGHT // 2)))
     capture = open_capture(path)
     frame = next(iter(capture))
     assert frame.intrinsics == whole.intrinsics.resized(formats.WIDTH // 2, formats.HEIGHT // 2)

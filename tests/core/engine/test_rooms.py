@@ -79,7 +79,7 @@ def walked():
     whole, begun = Session(OPTIONS), Session(OPTIONS)
     for probe in FIRST:
         whole.track(probe)
-    errors = []
+    handles, begun_handles, errors = list[int](), list[int](), []
     for frame in WALK:
         whole.push(frame)
         if frame.index == ENTERS:

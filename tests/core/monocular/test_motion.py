@@ -22,7 +22,8 @@ class RoomDepth:
     def __init__(self, poses: list[np.ndarray], breathing: float = 0.0) -> None:
         self._poses, self._breathing, self._calls = poses, breathing, 0
 
-    def estimate(self, picture: np.ndarray, intrinsics: Intrinsics) -> DepthEstimate:
+    def estimate(self, picture: np.ndarray, intrinsics: Intrinsics, up: np.ndarray | None = None) -> DepthEstimate:
+        assert up is None  # it is told by all pictures together
         assert picture.shape[:2] == (intrinsics.height, intrinsics.width)
         factor = 1 + self._breathing * (-1) ** self._calls
         inverse = (1 / (factor * exact_depth(self._poses[self._calls]))).astype(np.float32)
