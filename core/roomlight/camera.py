@@ -45,7 +45,7 @@ class Intrinsics:
         for name, value, size in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
             if not np.isfinite(value) or value <= 0:
                 raise ValueError(f"focal length {name} must be positive and finite, got {value}")
-            if not low <= value / size <= high:
+            if not low * (1 - 1e-6) <= value / size <= high * (1 + 1e-6):  # `resized` rounds
                 raise ValueError(f"focal length {name} = {value:g} does not fit {size} pixels; check its unit (pixels)")
         for name, value, size in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
             if not np.isfinite(value) or not -size <= value <= 2 * size:

@@ -92,6 +92,9 @@ public struct RoomLightFrame {
     public var timestampSeconds: Double?
     /// Exposure, e.g. shutter seconds x ISO / 100; the server divides radiance by it.
     public var exposure = 1.0
+    /// Whether the camera changes exposure and white balance and `exposure` does not say by how much; nil: by the rule
+    /// of the wire format.
+    public var autoExposed: Bool?
     public var trackingState = TrackingState.normal
 
     public init(
@@ -169,6 +172,7 @@ public struct RoomLightFrame {
             "camera_to_world": .list(cameraToWorld.map { WireJSON.number($0) }),
             "timestamp_s": timestampSeconds.map { WireJSON.number($0) },
             "exposure": .number(exposure),
+            "auto_exposed": autoExposed.map { WireJSON.truth($0) },
             "tracking_state": .word(trackingState.rawValue),
         ]
         return .object(whole)

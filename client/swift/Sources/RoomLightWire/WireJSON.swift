@@ -8,6 +8,7 @@ enum WireJSON {
     case word(String)
     case whole(Int)
     case number(Double)
+    case truth(Bool)
     case list([WireJSON])
     case object([String: WireJSON?])
 
@@ -25,6 +26,8 @@ enum WireJSON {
                 return String(Int64(value))
             }
             return "\(value)" // the shortest form, with an exponent below 0.0001: 1.5e-05
+        case .truth(let value):
+            return value ? "true" : "false"
         case .list(let items):
             return "[" + (try items.map { try $0.written() }).joined(separator: ",") + "]"
         case .object(let fields):

@@ -55,6 +55,7 @@ final class WireVectorTests: XCTestCase {
             intrinsics: camera, cameraToWorld: try pose.map { try number($0) })
         frame.timestampSeconds = try header["timestamp_s"].map { try number($0) }
         frame.exposure = try header["exposure"].map { try number($0) } ?? 1
+        frame.autoExposed = header["auto_exposed"] as? Bool
         let state = header["tracking_state"] as? String ?? "normal"
         frame.trackingState = try XCTUnwrap(RoomLightFrame.TrackingState(rawValue: state))
         return frame
