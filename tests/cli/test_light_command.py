@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
+from box_room import LENS, exact_depth, frame, pose
+from depth_models import SIZE, write_depth_model
 from roomlight.captures.photo import DEFAULT_FOV_DEG, PhotoOptions, read_photo
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import FrameError, OptionError, ProbeError
 from roomlight.images import read_panorama, write_exr
 from roomlight.imaging.exif import oriented
+from roomlight.imaging.video_writer import VideoWriter
 from roomlight.placement import point_at_pixel
 from roomlight_cli.photo import PhotoPoints, light_photo
 from rooms import BoxRoom, camera_at
@@ -269,3 +272,22 @@ def test_an_ambiguous_orientation_needs_an_option(room):
     assert (turned.depth_m == shot.depth_m).all()
     kept = read_photo(*files, PhotoOptions(fov_deg=fov, depth_orientation="upright")).frame
     assert (kept.depth_m == stored(shot.depth_m, 3)).all()
+
+
+def test_a_video_alone_is_lit_by_all_its_frames(tmp_path, roomlight):
+    poses = [pose(0.02 * k, turn=0.03 * k) for k in range(6)]
+    with VideoWriter(tmp_path / "walk.mp4", frames_per_second=5.0) as writer:
+        for number, at in enumerate(poses):
+            writer.write(linear_to_srgb8(frame(number, at).image))
+    write_depth_model(tmp_path / "m.onnx", {"depth": exact_depth(poses[2], LENS.resized(SIZE[1], SIZE[0]))[None]})
+    files = ("walk.mp4", "--depth-model", "m.onnx", "--probe", "0,0,-1", "--model", "classical", "--out", "out")
+    result = roomlight("light", *files, cwd=tmp_path)
+    assert result.code == 0, result.err
+    assert "its camera poses are estimated" in result.err
+    assert "its focal length is not stated" in result.err
+    report = json.loads((tmp_path / "out" / "light.json").read_text())
+    assert len(report["probes"]) == 1
+    assert read_panorama(tmp_path / "out" / "probe-00.exr").max() > 0
+    refused = roomlight("light", *files, "--depth", "depth.png", cwd=tmp_path)
+    assert refused.code == 1
+    assert "depth is for photographs; walk.mp4 is a video, whose depth is estimated" in refused.err
