@@ -2,6 +2,7 @@
 
 import json
 import threading
+import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import parse_qsl, urlsplit
 
@@ -28,7 +29,7 @@ class PageServer:
         self._control = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
 
     def _clock(self):
-        return self._passed_s
+        return time.monotonic() + self._passed_s  # it goes on: recordings are played by it
 
     @property
     def running(self):
