@@ -26,6 +26,8 @@ from roomlight_evaluation.walks import (
     walk_frames,
 )
 
+pytestmark = pytest.mark.slow
+
 FRAMES, HEIGHT = 3, 32
 
 
