@@ -89,7 +89,7 @@ def test_a_film_is_stopped_and_replaced(server):
 @pytest.mark.slow
 def test_a_film_begins_before_the_end(server):
     url = add(server)
-    assert server.call("PUT", f"{url}/film", FILM | {"first": 4}).status == 202  # nobody has read the recording yet
+    assert server.call("PUT", f"{url}/film", FILM | {"first": 4}).status == 202  # the recording is not opened yet
     film = settled(server, url)
     assert film["status"] == "failed"
     assert "no usable frame from number 4 on" in film["problem"]["detail"]

@@ -61,7 +61,7 @@ def test_a_video_alone_has_poses_depth_and_a_lens(video: Path, model: Path) -> N
     assert "focal length" not in said
 
 
-def test_a_lens_that_nobody_states_is_said(video: Path, model: Path) -> None:
+def test_an_unstated_focal_length_is_noted(video: Path, model: Path) -> None:
     capture = open_capture(video, CaptureOptions(depth_model=model))
     first = next(iter(capture))
     (note,) = [note for note in capture.notes if "focal length is not stated" in note.left_out]

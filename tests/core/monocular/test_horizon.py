@@ -59,7 +59,7 @@ def test_pictures_agree_on_one_direction() -> None:
     assert _off_deg(estimate.up, first) < 1
 
 
-def test_without_lines_a_camera_is_level_and_nobody_is_sure() -> None:
+def test_without_lines_the_camera_counts_as_level_and_unsure() -> None:
     estimate = upright([lines_of(np.full((240, 320), 90, np.uint8), LENS)], [np.eye(3)])
     assert not estimate.sure
     np.testing.assert_allclose(estimate.up, (0, 1, 0), atol=1e-9)

@@ -105,7 +105,7 @@ def test_poses_that_do_not_fit_the_pictures_change_nothing() -> None:
         assert np.median(depth / exact_depth(at)) == pytest.approx(1, abs=0.1)
 
 
-def test_the_model_is_told_where_up_is_unless_nobody_knows() -> None:
+def test_the_model_gets_the_up_direction_where_it_is_known() -> None:
     told: list[np.ndarray | None] = []
 
     class Listening(WrongDepth):
