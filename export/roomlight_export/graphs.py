@@ -64,7 +64,7 @@ class _MergingDecoder(nn.Module):
         volume: Tensor,
         alpha_previous: Float[Tensor, "z y x"],
         lobes_previous: Float[Tensor, "z y x 10"],
-        unit: Tensor | None = None,
+        unit: Tensor,
     ) -> tuple[Tensor, Tensor]:
         merged = merge(self.decoder(h0, h1, volume, unit), alpha_previous[None], lobes_previous[None])
         return merged.alpha[0], merged.lobes[0]
@@ -168,11 +168,8 @@ def _video_graphs(model: VideoModel) -> list[Graph]:
     at = _Shapes.of(model)
     mask = (1, 1, *at.panorama)
     unit: Shape = (1, 3, 1, 1, 1)
-    first: dict[str, Shape] = {}
-    if model.config.sg.own_colour:
-        first = {"unit": unit}
     return [
-        Graph("video_sg_encoder", model.sg_encoder, {"volume": at.volume, **first}, {"f0": at.f0, "f1": at.f1}),
+        Graph("video_sg_encoder", model.sg_encoder, {"volume": at.volume, "unit": unit}, {"f0": at.f0, "f1": at.f1}),
         Graph(
             "video_sg_gru",
             _TwoGRUs(model.sg_gru0, model.sg_gru1),
@@ -188,7 +185,7 @@ def _video_graphs(model: VideoModel) -> list[Graph]:
                 "volume": at.volume,
                 "alpha_previous": at.alpha,
                 "lobes_previous": at.lobes,
-                **first,
+                "unit": unit,
             },
             {"alpha": at.alpha, "lobes": at.lobes},
         ),

@@ -5,7 +5,7 @@ Volumes are [z, y, x]; panoramas are H x 2H. `docs/networks.md` gives the reason
 
 import json
 from dataclasses import dataclass, field
-from typing import ClassVar, Final, Literal, get_args
+from typing import Any, ClassVar, Final, Literal, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -13,9 +13,6 @@ from roomlight.errors import ModelError
 
 NetworkForm = Literal["single", "video"]
 """`single`: each image on its own. `video`: the recurrent networks, with the single-view ones for frame 0."""
-
-Norm = Literal["group", "none"]
-GateKernel = Literal[1, 3]
 
 FORMS: tuple[str, ...] = get_args(NetworkForm)
 _STRICT = ConfigDict(extra="forbid")
@@ -33,21 +30,6 @@ class SGConfig:
     """Width at half resolution; twice that at a quarter, four times at an eighth."""
     full_channels: int = 16
     """Width at full resolution, which has nearly all voxels."""
-    full_layers: int = 1
-    """3 x 3 x 3 convolutions at full resolution before the heads."""
-    spherical_gaussians: bool = True
-    """False gives the RGB-alpha volume of the paper's ablation: w = 0 and no heads for it."""
-    norm: Norm = "group"
-    """Group normalisation at a quarter and an eighth of the resolution, or none."""
-    fine_gate_kernel: GateKernel = 1
-    """Kernel of the gates of SGGRU_0 (half resolution); its candidate is always 3 x 3 x 3."""
-    direct: bool = True
-    """The heads also receive the initial volume and start as its copy; False: only the paper's two skips."""
-    own_colour: bool = True
-    """Divide a frame by its mean colour and predict in units of it, so that unseen walls take the room's colour and
-    brightness without learning it. The recurrent networks take the first frame's mean colour for all frames."""
-    filled: bool = True
-    """Where nothing was seen, `direct` heads start from the surroundings; False: from the mean colour."""
 
     def __post_init__(self) -> None:
         if min(self.volume_shape) < 8:
@@ -56,10 +38,8 @@ class SGConfig:
             )
         if self.channels < 4 or self.channels % 4:
             raise ModelError(f"channels must be a positive multiple of 4, got {self.channels}")
-        if self.full_channels < 1 or self.full_layers < 1:
-            raise ModelError(
-                f"full_channels and full_layers must be positive, got {self.full_channels} and {self.full_layers}"
-            )
+        if self.full_channels < 1:
+            raise ModelError(f"full_channels must be positive, got {self.full_channels}")
 
 
 @dataclass(frozen=True)
@@ -74,9 +54,6 @@ class BlendConfig:
     """Width at half resolution; twice that at a quarter, four times at an eighth."""
     full_channels: int = 8
     """Width at full resolution."""
-    filled: bool = True
-    """Outside the mesh, mix a fill from the seen pixels into the volume's rendering; False: only the volume (the
-    paper)."""
 
     def __post_init__(self) -> None:
         if self.height < 8 or self.height % 2:
@@ -102,13 +79,13 @@ class ModelConfig:
     def from_dict(values: object) -> "ModelConfig":
         """Read the result of `to_dict`; missing fields take their defaults.
 
-        `sg.units` of older weights must be "first", the only units that are left.
+        Older weights have further fields, which were options once: each must have the value of `_SETTLED`.
 
         Raises:
             ModelError: A field is unknown, of the wrong type or out of range; the message names it.
         """
         try:
-            return _ADAPTER.validate_json(json.dumps(_without_units(values)), strict=True)
+            return _ADAPTER.validate_json(json.dumps(_without_settled(values)), strict=True)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(part) for part in first["loc"]) or "it"
@@ -119,13 +96,31 @@ class ModelConfig:
             raise ModelError(f"the configuration does not fit this version: it is not JSON ({error})") from error
 
 
-def _without_units(values: object) -> object:
-    """Drop the field `sg.units` of older weights where it says "first"; any other value stays and is refused."""
-    match values:
-        case {"sg": {"units": "first", **sg}, **others}:
-            return {**others, "sg": sg}
-        case _:
-            return values
+def _without_settled(values: Any) -> object:
+    """Drop the fields of older weights that have the value of `_SETTLED`; any other value stays and is refused."""
+    if not isinstance(values, dict):
+        return values
+    return {
+        part: {key: value for key, value in fields.items() if value != _SETTLED.get(part, {}).get(key, _UNKNOWN)}
+        if isinstance(fields, dict)
+        else fields
+        for part, fields in values.items()
+    }
 
 
 _ADAPTER: Final = TypeAdapter(ModelConfig)
+_UNKNOWN: Final = object()
+_SETTLED: Final[dict[str, dict[str, object]]] = {
+    "sg": {
+        "units": "first",
+        "full_layers": 1,
+        "spherical_gaussians": True,
+        "norm": "group",
+        "fine_gate_kernel": 1,
+        "direct": True,
+        "own_colour": True,
+        "filled": True,
+    },
+    "blend": {"filled": True},
+}
+"""Fields of older weights: what was an option, and the value that all shipped weights have."""

@@ -97,18 +97,7 @@ class SingleModel(nn.Module):
         """Return (L, L_M) at a probe from the volume's rendering, the mesh's (filled outside its mask) and its mask."""
         f0, f1 = self.blend_encoder(single_panels(hdr, ldr, mask))
         weight = self.blend_decoder(f0, f1, mask)
-        return blend(self.with_fill(hdr, ldr, mask, weight=weight), ldr, weight * mask), weight
-
-    def with_fill(
-        self,
-        hdr: Float[Tensor, "b 3 h w"],
-        ldr: Float[Tensor, "b 3 h w"],
-        mask: Float[Tensor, "b 1 h w"],
-        *,
-        weight: Float[Tensor, "b 1 h w"],
-    ) -> Float[Tensor, "b 3 h w"]:
-        """Mix the fill into the volume's rendering outside the mesh, if `BlendConfig.filled`."""
-        return fill_in(hdr, ldr, mask, weight=weight) if self.config.blend.filled else hdr
+        return blend(fill_in(hdr, ldr, mask, weight=weight), ldr, weight * mask), weight
 
 
 class VideoModel(nn.Module):
@@ -122,7 +111,7 @@ class VideoModel(nn.Module):
         self.config = config
         self.single = SingleModel(config)
         self.sg_encoder = SGEncoder(config.sg)
-        self.sg_gru0 = SGGRU(config.sg.channels, gate_kernel=config.sg.fine_gate_kernel)
+        self.sg_gru0 = SGGRU(config.sg.channels, gate_kernel=1)
         self.sg_gru1 = SGGRU(4 * config.sg.channels)
         self.sg_decoder = SGDecoder(config.sg, recurrent=True)
         self.blend_encoder = BlendEncoder(config.blend, panels=VIDEO_PANELS)
@@ -169,7 +158,7 @@ class VideoModel(nn.Module):
         """Run frame 0 at a probe by single-view blending; its features become the hidden states."""
         f0, f1 = self.single.blend_encoder(single_panels(seen.hdr, seen.ldr, seen.mask))
         weight = self.single.blend_decoder(f0, f1, seen.mask).to(seen.mask.dtype)
-        hdr = self.single.with_fill(seen.hdr, seen.ldr, seen.mask, weight=weight)
+        hdr = fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight)
         panorama = first_panorama(
             hdr,
             seen.ldr,
@@ -197,7 +186,7 @@ class VideoModel(nn.Module):
         h0 = self.blend_gru0(state.h0, f0)
         h1 = self.blend_gru1(state.h1, f1)
         weight = self.blend_decoder(h0, h1, seen.mask).to(seen.mask.dtype)
-        hdr = self.single.with_fill(seen.hdr, seen.ldr, seen.mask, weight=weight)
+        hdr = fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight)
         weight = _accepted(weight * seen.mask, seen, state.panorama, margin=margin)
         panorama = accumulate(
             state.panorama,

@@ -51,7 +51,7 @@ class BlendEncoder(nn.Module):
 class BlendDecoder(nn.Module):
     """L_M = BlendDecoder(F_0, F_1, mask): a weight in [0, 1] for each pixel.
 
-    Outside the partial mesh it is the share of the fill (`BlendConfig.filled`), or 0.
+    Outside the partial mesh it is the share of the fill.
     """
 
     def __init__(self, config: BlendConfig) -> None:
@@ -63,7 +63,6 @@ class BlendDecoder(nn.Module):
         self.at_quarter = block2d(2 * width, 2 * width)
         self.at_half = nn.Sequential(block2d(3 * width, width), block2d(width, full))
         self.at_full = block2d(full, full)
-        self.filled = config.filled
         self.head = nn.Conv2d(full + 1, 1, 1, bias=True)
         with torch.no_grad():  # initial weights: 0.88 on the mesh, 0.38 of the fill outside
             self.head.weight[:, -1] = 2.5
@@ -81,8 +80,7 @@ class BlendDecoder(nn.Module):
         x = self.at_quarter(resize_panorama(x, [size // 2 for size in f0.shape[2:]]))
         x = self.at_half(torch.cat([resize_panorama(x, f0.shape[2:]), f0], dim=1))
         x = self.at_full(resize_panorama(x, mask.shape[2:]))
-        weight = torch.sigmoid(self.head(torch.cat([x, mask.to(x.dtype)], dim=1)))
-        return weight if self.filled else weight * mask
+        return torch.sigmoid(self.head(torch.cat([x, mask.to(x.dtype)], dim=1)))
 
 
 class BlendGRU(ConvGRU):

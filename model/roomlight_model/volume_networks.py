@@ -12,7 +12,7 @@ Layers for a volume of 64 x 60 x 84, with C = `channels` and F = `full_channels`
     decoder, eighth    2C                 2C-K3 plus a matrix product of f1's mean over the volume, added to every voxel
     decoder, quarter   2C                 resize, 2C-K3 twice
     decoder, half      C, then F          resize, join f0, C-K3, F-K3
-    decoder, full      F                  resize, F-K3 (`full_layers` times), then all heads as one 1 x 1 x 1
+    decoder, full      F                  resize, F-K3, then all heads as one 1 x 1 x 1
     output             alpha, and c (3), w (3), lambda, s (3) channels last; V_x (1 + e) on each
 """
 
@@ -64,15 +64,13 @@ class SGEncoder(nn.Module):
     def __init__(self, config: SGConfig) -> None:
         """Build the layers of the paper's figure at the configured width."""
         super().__init__()
-        self.own_colour = config.own_colour
         width = config.channels
-        groups = GROUPS if config.norm == "group" else 0
         self.at_half = nn.Sequential(block3d(5, width, kernel=4, stride=2), conv3d(width, width))
         self.at_eighth = nn.Sequential(
-            block3d(width, 2 * width, kernel=4, stride=2, groups=groups),
-            block3d(2 * width, 2 * width, groups=groups),
-            block3d(2 * width, 4 * width, kernel=4, stride=2, groups=groups),
-            block3d(4 * width, 4 * width, groups=groups),
+            block3d(width, 2 * width, kernel=4, stride=2, groups=GROUPS),
+            block3d(2 * width, 2 * width, groups=GROUPS),
+            block3d(2 * width, 4 * width, kernel=4, stride=2, groups=GROUPS),
+            block3d(4 * width, 4 * width, groups=GROUPS),
             conv3d(4 * width, 4 * width),
         )
 
@@ -81,8 +79,8 @@ class SGEncoder(nn.Module):
     ) -> tuple[Float[Tensor, "b c0 z0 y0 x0"], Float[Tensor, "b c1 z1 y1 x1"]]:
         """Return (f0, f1) of an initial volume; `unit` replaces its own mean colour."""
         radiance, rest = volume[:, :3], volume[:, 3:]
-        if self.own_colour:
-            radiance = radiance * (GREY / (mean_colour(volume) if unit is None else unit))
+        # in units of the mean colour: unseen walls take the room's colour and brightness without learning it
+        radiance = radiance * (GREY / (mean_colour(volume) if unit is None else unit))
         # the loss compares log(L + 1); a lamp at 100 x white must not dominate the walls
         volume = torch.cat([torch.log1p(torch.relu(radiance)), rest], dim=1)
         f0 = torch.tanh(self.at_half(volume))
@@ -96,25 +94,19 @@ class SGDecoder(nn.Module):
     def __init__(self, config: SGConfig, *, recurrent: bool) -> None:
         """Build the layers; `recurrent` adds the head of the update volume V_u."""
         super().__init__()
-        self.spherical_gaussians = config.spherical_gaussians
         self.recurrent = recurrent
         width, full = config.channels, config.full_channels
-        groups = GROUPS if config.norm == "group" else 0
-        self.at_eighth = block3d(4 * width, 2 * width, groups=groups)
+        self.at_eighth = block3d(4 * width, 2 * width, groups=GROUPS)
         self.room = nn.Linear(4 * width, 2 * width)
-        self.tint = nn.Linear(3, 2 * width, bias=False) if config.own_colour else None
-        if self.tint is not None:
-            nn.init.zeros_(self.tint.weight)
+        self.tint = nn.Linear(3, 2 * width, bias=False)
+        nn.init.zeros_(self.tint.weight)
         self.at_quarter = nn.Sequential(
-            block3d(2 * width, 2 * width, groups=groups), block3d(2 * width, 2 * width, groups=groups)
+            block3d(2 * width, 2 * width, groups=GROUPS), block3d(2 * width, 2 * width, groups=GROUPS)
         )
         self.at_half = nn.Sequential(block3d(3 * width, width), block3d(width, full))
-        self.at_full = nn.Sequential(*(block3d(full, full) for _ in range(config.full_layers)))
-        self.heads = _heads(full, spherical_gaussians=config.spherical_gaussians, recurrent=recurrent)
-        self.filled = config.direct and config.filled
-        self.direct = (
-            _direct_heads(self.heads.out_channels, filled=config.filled, recurrent=recurrent) if config.direct else None
-        )
+        self.at_full = nn.Sequential(block3d(full, full))
+        self.heads = _heads(full, recurrent=recurrent)
+        self.direct = _direct_heads(self.heads.out_channels, recurrent=recurrent)
 
     def forward(
         self,
@@ -126,46 +118,33 @@ class SGDecoder(nn.Module):
         """Predict the volume; `volume` is the encoder's input, `unit` replaces its mean colour."""
         # global view: every voxel receives the mean of the whole volume, at the cost of one matrix product
         room = self.room(f1.mean(dim=(2, 3, 4)))
-        level: Tensor | float = 0.0
-        if self.tint is not None:
-            level = torch.log((mean_colour(volume) if unit is None else unit) / GREY)
-            room = room + self.tint(level[:, :, 0, 0, 0])
+        level = torch.log((mean_colour(volume) if unit is None else unit) / GREY)
+        room = room + self.tint(level[:, :, 0, 0, 0])
         x = self.at_eighth(f1) + room[:, :, None, None, None]
         x = self.at_quarter(resize_volume(x, [size // 2 for size in f0.shape[2:]]))
         x = self.at_half(torch.cat([resize_volume(x, f0.shape[2:]), f0], dim=1))
         x = self.at_full(resize_volume(x, volume.shape[2:]))
-        raw = self.heads(x)
-        if self.direct is not None:
-            observed = _observed(volume, level)
-            raw = raw + self.direct(
-                torch.cat([observed, _surroundings(observed, level)], dim=1) if self.filled else observed
-            )
+        observed = _observed(volume, level)
+        raw = self.heads(x) + self.direct(torch.cat([observed, _surroundings(observed, level)], dim=1))
         return self._activate(raw, volume[:, 4:], level)
 
-    def _activate(
-        self, raw: Float[Tensor, "b _ z y x"], empty: Float[Tensor, "b 1 z y x"], level: Tensor | float
-    ) -> SGVolume:
+    def _activate(self, raw: Float[Tensor, "b _ z y x"], empty: Float[Tensor, "b 1 z y x"], level: Tensor) -> SGVolume:
         """Convert head values to a volume; `level` is the logarithm of the unit of c and w."""
         if raw.dtype in (torch.bfloat16, torch.float16):  # autocast: exp of a bf16 keeps two digits
             raw = raw.float()
         keep = 1 + empty  # V_x = V_x (1 + V_e) for every x
         # split once: each slice's gradient would be a whole volume of zeros, a sixth of a training step
-        opacity, colour, *rest = raw.split(
-            [1, 3, *((3, 1, 3) if self.spherical_gaussians else ()), *((1,) if self.recurrent else ())], dim=1
+        opacity, colour, intensity, sharpness, axis, *update = raw.split(
+            [1, 3, 3, 1, 3, *((1,) if self.recurrent else ())], dim=1
         )
         alpha = torch.sigmoid(opacity) * keep
         radiance = torch.exp((colour + level).clamp(max=MAX_LOG_RADIANCE)) * keep
-        if self.spherical_gaussians:
-            intensity = torch.exp((rest[0] + level).clamp(max=MAX_LOG_RADIANCE))
-            sharpness = torch.exp(rest[1].clamp(max=MAX_LOG_SHARPNESS))
-            axis = rest[2]
-            axis = axis / torch.sqrt((axis * axis).sum(dim=1, keepdim=True) + 1e-12)
-            gaussian = torch.cat([intensity, sharpness, axis], dim=1) * keep
-        else:
-            gaussian = torch.zeros_like(radiance[:, :1]).expand(-1, 7, -1, -1, -1)
+        intensity = torch.exp((intensity + level).clamp(max=MAX_LOG_RADIANCE))
+        sharpness = torch.exp(sharpness.clamp(max=MAX_LOG_SHARPNESS))
+        axis = axis / torch.sqrt((axis * axis).sum(dim=1, keepdim=True) + 1e-12)
+        gaussian = torch.cat([intensity, sharpness, axis], dim=1) * keep
         lobes = torch.cat([radiance, gaussian], dim=1).permute(0, 2, 3, 4, 1)  # [b, z, y, x, 10]
-        update = torch.sigmoid(rest[-1][:, 0]) if self.recurrent else None
-        return SGVolume(alpha[:, 0], lobes, update)
+        return SGVolume(alpha[:, 0], lobes, torch.sigmoid(update[0][:, 0]) if update else None)
 
 
 class SGGRU(ConvGRU):
@@ -193,11 +172,10 @@ def merge(
     return SGVolume(alpha, lobes, update)
 
 
-def _heads(channels: int, *, spherical_gaussians: bool, recurrent: bool) -> nn.Conv3d:
-    """Build all heads as one 1 x 1 x 1 convolution: alpha, c(3) [, w(3), lambda, s(3)] [, u]."""
+def _heads(channels: int, *, recurrent: bool) -> nn.Conv3d:
+    """Build all heads as one 1 x 1 x 1 convolution: alpha, c(3), w(3), lambda, s(3) [, u]."""
     bias = [_INITIAL_BIAS["alpha"], *[_INITIAL_BIAS["c"]] * 3]
-    if spherical_gaussians:
-        bias += [*[_INITIAL_BIAS["w"]] * 3, _INITIAL_BIAS["sharpness"], 0.0, 1.0, 0.0]
+    bias += [*[_INITIAL_BIAS["w"]] * 3, _INITIAL_BIAS["sharpness"], 0.0, 1.0, 0.0]
     if recurrent:
         bias += [_KEPT_BIAS]
     heads = nn.Conv3d(channels, len(bias), 1, bias=True)
@@ -207,22 +185,21 @@ def _heads(channels: int, *, spherical_gaussians: bool, recurrent: bool) -> nn.C
     return heads
 
 
-def _direct_heads(outputs: int, *, filled: bool, recurrent: bool) -> nn.Conv3d:
+def _direct_heads(outputs: int, *, recurrent: bool) -> nn.Conv3d:
     """Build the connection from the observed volume to the heads, initially a copy.
 
     V_u, the last row of a recurrent decoder, starts at `_KEPT_BIAS`, and at its opposite where the frame shows a
     surface or empty space: a new observation replaces the previous volume, everything else is kept.
     Where the frame shows a surface, alpha starts at 0.88 and c at the observed colour; elsewhere c starts at the
-    surroundings' colour (`filled`) or is unchanged. Without this connection the image must be learned through half the
+    surroundings' colour. Without this connection the image must be learned through half the
     resolution: on 8 held-out sequences, mean log-L2 was 0.075 after 100 steps; the copy has 0.067 before the first.
     """
-    direct = nn.Conv3d(8 if filled else 5, outputs, 1, bias=False)
+    direct = nn.Conv3d(8, outputs, 1, bias=False)
     with torch.no_grad():
         direct.weight.zero_()
         for channel in range(3):
             direct.weight[1 + channel, channel] = 1.0
-            if filled:
-                direct.weight[1 + channel, 5 + channel] = 1.0
+            direct.weight[1 + channel, 5 + channel] = 1.0
         direct.weight[0, 3] = 5.0
         if recurrent:
             direct.weight[-1, 3] = -2 * _KEPT_BIAS
@@ -245,13 +222,13 @@ def _colour(volume: Float[Tensor, "b 5 z y x"]) -> Float[Tensor, "b 3 z y x"]:
     return torch.relu(volume[:, :3]) / volume[:, 3:4].clamp(min=1e-3)
 
 
-def _observed(volume: Float[Tensor, "b 5 z y x"], level: Tensor | float) -> Float[Tensor, "b 5 z y x"]:
+def _observed(volume: Float[Tensor, "b 5 z y x"], level: Tensor) -> Float[Tensor, "b 5 z y x"]:
     """Convert an initial volume to the heads' units: log c relative to its initial value (0 if unseen), alpha, e."""
     seen = torch.log(_colour(volume) + DARKEST) - _INITIAL_BIAS["c"] - level
     return torch.cat([volume[:, 3:4] * seen, volume[:, 3:]], dim=1)
 
 
-def _surroundings(observed: Float[Tensor, "b 5 z y x"], level: Tensor | float) -> Float[Tensor, "b 3 z y x"]:
+def _surroundings(observed: Float[Tensor, "b 5 z y x"], level: Tensor) -> Float[Tensor, "b 3 z y x"]:
     """Fill voxels without a surface from their surroundings, in the units of `_observed`, by push-pull.
 
     Push-pull (Gortler et al. 1996) uses coarser levels where finer ones have no data; the coarsest falls back to the

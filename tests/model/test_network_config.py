@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import ModelError
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 
@@ -15,10 +16,9 @@ from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
     [
         ModelConfig(),
         ModelConfig(
-            SGConfig(volume_shape=(17, 14, 23), channels=8, full_channels=4, full_layers=2, norm="none"),
+            SGConfig(volume_shape=(17, 14, 23), channels=8, full_channels=4),
             BlendConfig(height=24, channels=4, full_channels=2),
         ),
-        ModelConfig(SGConfig(spherical_gaussians=False, fine_gate_kernel=3)),
     ],
 )
 def test_survives_json(config):
@@ -45,8 +45,6 @@ def test_missing_fields_take_defaults():
         ({"sg": {"volume_shape": [64, 60, 4]}}, "volume_shape"),
         ({"sg": {"volume_shape": [64, 60, 84.5]}}, "volume_shape"),
         ({"sg": {"full_channels": 0}}, "full_channels"),
-        ({"sg": {"norm": "batch"}}, "norm"),
-        ({"sg": {"fine_gate_kernel": 2}}, "fine_gate_kernel"),
         ({"blend": {"height": 121}}, "height"),
         ({"blend": {"channels": 0}}, "widths"),
     ],
@@ -61,10 +59,12 @@ def test_configuration_needs_no_pytorch():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_units_of_older_weights_are_read_if_they_are_the_first_frames():
-    values = ModelConfig().to_dict()
-    older = {**values, "sg": {**values["sg"], "units": "first"}}
-    assert ModelConfig.from_dict(older) == ModelConfig()
-    older["sg"]["units"] = "own"
-    with pytest.raises(ModelError, match=r"sg.units: .*'own'"):
-        ModelConfig.from_dict(older)
+def test_what_was_an_option_is_read_from_older_weights_with_the_value_that_is_left():
+    described = json.loads((SHIPPED / "single" / "model.json").read_text())["config"]
+    assert described["sg"]["units"] == "first"
+    config = ModelConfig.from_dict(described)
+    assert set(config.to_dict()["sg"]) < set(described["sg"])
+    for part, key, value in (("sg", "units", "own"), ("sg", "full_layers", 2), ("blend", "filled", False)):
+        older = {**described, part: {**described[part], key: value}}
+        with pytest.raises(ModelError, match=rf"{part}.{key}: .*{value!r}"):
+            ModelConfig.from_dict(older)
