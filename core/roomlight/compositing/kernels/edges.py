@@ -40,8 +40,8 @@ def resample_depth(depth, smooth, corner, scale, out, certain, start, stop):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def guide_by_colour(visible, certain, wanted, guide, radius, spread, out, start, stop):
-    """Fill rows start..stop of `out` where `wanted`: the mean of certain neighbours, weighted by colour and distance.
+def guide_by_colour(visible, certain, wanted, guide, radius, spread, doubt, contrast, out, start, stop):
+    """Fill rows start..stop of `out` where `wanted`: the mean of neighbours, weighted by colour and distance.
 
     Args:
         visible: [h, w] 0 hidden to 1 visible.
@@ -50,10 +50,12 @@ def guide_by_colour(visible, certain, wanted, guide, radius, spread, out, start,
         guide: [h, w, 3] sRGB-encoded colour in [0, 1].
         radius: of the window, pixels.
         spread: difference of colour at which a neighbour's weight falls to 1/e.
+        doubt: weight of neighbours that are not certain.
+        contrast: of the mean about a half, which makes soft edges narrow.
     """
     height, width = visible.shape
     space = np.float32(2.0) / np.float32(radius * radius)
-    tone = np.float32(1.0) / (spread * spread)
+    tone, half = np.float32(1.0) / (spread * spread), np.float32(0.5)
     for i in range(start, stop):
         for j in range(width):
             if not wanted[i, j]:
@@ -62,18 +64,17 @@ def guide_by_colour(visible, certain, wanted, guide, radius, spread, out, start,
             near_total, near_mean = np.float32(0), np.float32(0)
             for y in range(max(0, i - radius), min(height, i + radius + 1)):
                 for x in range(max(0, j - radius), min(width, j + radius + 1)):
-                    if not certain[y, x]:
-                        continue
                     red = guide[y, x, 0] - guide[i, j, 0]
                     green = guide[y, x, 1] - guide[i, j, 1]
                     blue = guide[y, x, 2] - guide[i, j, 2]
                     near = math.exp(-np.float32((y - i) * (y - i) + (x - j) * (x - j)) * space)
+                    near *= np.float32(1) if certain[y, x] else doubt
                     weight = near * math.exp(-min((red * red + green * green + blue * blue) * tone, np.float32(40)))
                     total += weight
                     mean += weight * visible[y, x]
                     near_total += near
                     near_mean += near * visible[y, x]
-            if total > np.float32(1e-7):
-                out[i, j] = mean / total
-            elif near_total > 0:
-                out[i, j] = near_mean / near_total
+            if total <= np.float32(1e-7):
+                total, mean = near_total, near_mean
+            if total > 0:
+                out[i, j] = min(max((mean / total - half) * contrast + half, np.float32(0)), np.float32(1))

@@ -1,7 +1,7 @@
 """Which part of an object real things hide: edges at the colour image's resolution from depth of a few pixels.
 
 Depth decides where it is smooth. Around depth edges, whose place is known to one or two depth pixels only, and in holes
-the colour image decides: visibility is the joint bilateral mean of the pixels that depth decided (Kopf et al. 2007).
+the colour image decides: visibility is the joint bilateral mean of depth's own decisions around (Kopf et al. 2007).
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,11 @@ TOLERANCE_SHARE: Final = 0.01
 """A real surface hides an object if it is nearer by this and more: 1 cm and 1 % of the depth, the sensors' noise."""
 COLOUR_SPREAD: Final = 0.07
 """Difference of sRGB-encoded colour at which a neighbour's influence falls to 1/e: above camera noise, below edges."""
+DOUBT: Final = 0.15
+"""Weight of what depth says at a depth edge: it is wrong by a depth pixel, and seldom by more."""
+CONTRAST: Final = 3.0
+"""Of the mean about a half. With `DOUBT`, edges of simulated phone depth in 17 rooms are off by 0.62 pixels instead of
+0.84 (depth pixels of 2.5 image pixels), and half as many pixels are half seen."""
 CARRIER_M: Final = 0.03
 CARRIER_SHARE: Final = 0.015
 """Real points this close to the plane that an object stands on belong to the plane and never hide the object."""
@@ -120,7 +125,8 @@ def visibility(
     out[covered & ~certain & (least >= 1)] = 1
     if wanted.any():
         colour = np.ascontiguousarray(guide, np.float32)
-        arguments = (visible, certain, wanted, colour, reach, np.float32(COLOUR_SPREAD), out)
+        numbers = (np.float32(COLOUR_SPREAD), np.float32(DOUBT), np.float32(CONTRAST))
+        arguments = (visible, certain, wanted, colour, reach, *numbers, out)
         parallel_for(lambda start, stop: guide_by_colour(*arguments, start, stop), len(out))
     out[~covered] = 1
     return out.astype(np.float32)
