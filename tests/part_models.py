@@ -15,7 +15,7 @@ from roomlight.engine.panorama.panels import HEIGHT
 Form = Literal["clipping", "objects"]
 SHAPES = {
     "clipping": ("planes", (1, CHANNELS, SIDE, SIDE), "log_radiance", (1, 3, SIDE // 2, SIDE // 2)),
-    "objects": ("panels", (1, LIGHTING_PANELS, HEIGHT, 2 * HEIGHT), "changes", (1, 6, HEIGHT, 2 * HEIGHT)),
+    "objects": ("panels", (1, LIGHTING_PANELS, HEIGHT, 2 * HEIGHT), "change", (1, 3, HEIGHT, 2 * HEIGHT)),
 }
 
 

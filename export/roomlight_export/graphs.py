@@ -98,7 +98,7 @@ def graphs_of(model: Network) -> list[Graph]:
         half = DEPTH_SIDE // 2
         shapes = {"planes": (1, DEPTH_CHANNELS, DEPTH_SIDE, DEPTH_SIDE)}, {"log_depth": (1, 2, half, half)}
     else:
-        shapes = {"panels": (1, LIGHTING_PANELS, *panorama)}, {"changes": (1, 6, *panorama)}
+        shapes = {"panels": (1, LIGHTING_PANELS, *panorama)}, {"change": (1, 3, *panorama)}
     return [Graph(model.form, model, *shapes)]
 
 

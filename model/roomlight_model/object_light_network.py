@@ -1,4 +1,4 @@
-"""The network that gives the light of virtual objects: a 2D encoder-decoder on a probe's panorama.
+"""The network that gives the light that lights things: a 2D encoder-decoder on a probe's panorama.
 
 Panels are `roomlight.engine.lighting.lighting_panels`, linear radiance in units of white: what the frames
 have shown together. All layers wrap around at the left and right edge; the elevation is an input, because ceilings are
@@ -17,8 +17,6 @@ from roomlight_model.layers import LEAK, PanoramaConv, block2d
 
 _DERIVED: Final = 4
 """Planes that are computed from the panels."""
-_CHANGES: Final = 2
-"""Predicted changes, three channels each."""
 _COLOUR: Final = 0.3
 """Greatest change of a channel beside the common one, in log(1 + L)."""
 
@@ -36,7 +34,7 @@ class _Residual(nn.Module):
 
 
 class ObjectLightNetwork(nn.Module):
-    """Two changes of log(1 + L): for the light on objects, and for the light of their shadows and reflections.
+    """A change of log(1 + L) for each channel.
 
     It begins as the identity, without any change.
     """
@@ -57,7 +55,7 @@ class ObjectLightNetwork(nn.Module):
             nn.Sequential(block2d(low + high, high), _Residual(high))
             for low, high in zip(widths[:0:-1], widths[-2::-1], strict=True)
         )
-        self.head = PanoramaConv(width, 4 * _CHANGES)
+        self.head = PanoramaConv(width, 4)
         nn.init.zeros_(self.head.conv.weight)
         elevation = torch.cos((torch.arange(HEIGHT) + 0.5) / HEIGHT * torch.pi)
         self.register_buffer(
@@ -65,7 +63,7 @@ class ObjectLightNetwork(nn.Module):
         )
 
     def forward(self, panels: Float[Tensor, "b p h w"]) -> Float[Tensor, "b c h w"]:
-        """Return the changes of log(1 + L) for every direction; meaningful where the light was not measured."""
+        """Return the change of log(1 + L) in every direction; meaningful where the light was not measured."""
         known = panels[:, 3:4]
         detail = torch.log1p(panels[:, :3]) * known
         total = known.mean((2, 3), keepdim=True)
@@ -94,7 +92,5 @@ class ObjectLightNetwork(nn.Module):
         for up, skip in zip(self.up, features[-2::-1], strict=True):
             x = up(torch.cat([functional.interpolate(x, size=skip.shape[2:], mode="nearest"), skip], dim=1))
         out = self.head(x)
-        change = torch.cat(
-            [part[:, :1] + _COLOUR * torch.tanh(part[:, 1:]) for part in out.chunk(_CHANGES, dim=1)], dim=1
-        )
+        change = out[:, :1] + _COLOUR * torch.tanh(out[:, 1:])
         return functional.interpolate(change, size=panels.shape[2:], mode="bilinear", align_corners=False)

@@ -9,7 +9,7 @@ from light_rooms import room
 
 import roomlight as rl
 import roomlight_client as sdk
-from roomlight.light.sources import FileFormat, LightPanoramas
+from roomlight.light.sources import FileFormat, LightPanorama, LightUse
 from roomlight.light.spherical_harmonics import SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, pack_light
 from roomlight.wire.messages import EncodedLight, LightResponse, ProbeLight
@@ -23,8 +23,8 @@ MIRRORED = room(24)[::-1].copy()
 class TwoUses:
     """Other light is seen than lights things, as from a session."""
 
-    def panoramas(self) -> LightPanoramas:
-        return LightPanoramas(ROOM, MIRRORED)
+    def panorama(self, use: LightUse) -> LightPanorama:
+        return LightPanorama(ROOM if use == "lighting" else MIRRORED)
 
     def digest(self) -> str:
         return "two"

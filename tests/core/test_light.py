@@ -17,7 +17,7 @@ from roomlight.light.cube import CubeMap, observed_cube
 from roomlight.light.light import SAVED_AS, Light
 from roomlight.light.main_light import main_light
 from roomlight.light.prefilter import prefilter
-from roomlight.light.sources import LightPanoramas
+from roomlight.light.sources import LightPanorama, LightUse
 from roomlight.light.spherical_harmonics import SphericalHarmonics, project
 
 ROOM = room(24)
@@ -145,25 +145,25 @@ class TwoUses:
     """A source of two panoramas that counts how often it computes them."""
 
     def __init__(self) -> None:
-        self.runs = 0
+        self.runs: list[LightUse] = []
 
-    def panoramas(self) -> LightPanoramas:
-        self.runs += 1
-        return LightPanoramas(ROOM, 2 * ROOM)
+    def panorama(self, use: LightUse) -> LightPanorama:
+        self.runs.append(use)
+        return LightPanorama(ROOM if use == "lighting" else 2 * ROOM)
 
     def digest(self) -> str:
         return "source"
 
 
-def test_a_light_is_computed_when_it_is_asked_for_and_once_for_both_uses():
+def test_a_light_is_computed_when_it_is_asked_for_and_once_for_each_use():
     source = TwoUses()
     light = Light((0.0, 0.0, 0.0), observed=OBSERVED, source=source)
     assert light.digest()
-    assert source.runs == 0
+    assert source.runs == []
     mirrored = light.used_for("reflection")
     assert (mirrored.panorama == 2 * light.panorama).all()
     assert (light.reflection == mirrored.panorama).all()
-    assert source.runs == 1
+    assert source.runs == ["reflection", "lighting"]
 
 
 def test_forms_are_of_lighting_but_for_pictures():

@@ -18,7 +18,6 @@ from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.sglv import render_panorama
 from roomlight.light.light import Light
 from roomlight.light.main_light import find_lights
-from roomlight.light.sources import GivenPanorama
 from roomlight.threads import parallel_for, thread_count
 
 _VIEWS_AT_ONCE: Final = 4 * thread_count()
@@ -152,12 +151,6 @@ class Probe:
         state = self.panorama.for_lighting()
         source = ProbeLightSource(state, self.tracker.lights if self.tracker.frames else None, load)
         return Light(self.position, observed=state.observed, coverage=state.coverage(), frame=index, source=source)
-
-    def estimate(self, index: int) -> Light:
-        """Return the model's own estimate after the frame `index`: without the network that makes light of it."""
-        radiance, observed = self.panorama.radiance.copy(), self.panorama.observed.copy()
-        source = GivenPanorama(radiance, self.tracker.lights if self.tracker.frames else None)
-        return Light(self.position, observed=observed, coverage=self.panorama.coverage(), frame=index, source=source)
 
     def snapshot(self, handle: int, rooms: Sequence[AnyRoom]) -> ProbeSnapshot:
         """Return a copy that later frames do not change; `rooms` are those of the session."""

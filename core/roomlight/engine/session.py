@@ -332,14 +332,6 @@ class Session:
             raise ProbeError(f"no light at {wanted} yet: push a frame first")
         return SessionView(rooms, self.options.height, self._last_index, self._lighting)
 
-    def estimate(self, handle: int) -> Light:
-        """Return the model's own estimate at a tracked position: cheaper than `light`, and too dark to light things.
-
-        Raises:
-            ProbeError: No tracked probe has this handle, or no frame was pushed yet.
-        """
-        return self._probe(handle, "estimate").estimate(self._last_index)
-
     def panorama_state(self, handle: int) -> PanoramaState:
         """Return what a tracked position has accumulated up to the last frame; the next frame overwrites it.
 

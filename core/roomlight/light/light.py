@@ -124,7 +124,7 @@ class Light:
             name: of a tracked probe.
             etag: a server's identity of this light.
             forms: what a server sent.
-            source: computes the panoramas once, when the first is needed.
+            source: computes the panorama of each use once, when it is needed.
 
         Raises:
             ValueError: none of `panorama`, `forms` and `source` is given.
@@ -141,7 +141,7 @@ class Light:
         self.use: LightUse = "lighting"
         self._forms = forms
         self._source = source if panorama is None else GivenPanorama(panorama)
-        self._compute = None if self._source is None else cache(self._source.panoramas)  # one run for both uses
+        self._compute = None if self._source is None else cache(self._source.panorama)  # once for each use
         self._received: dict[LightUse, Float[np.ndarray, "h w 3"]] = {}
         self._observed = observed
 
@@ -182,7 +182,7 @@ class Light:
 
     @property
     def _tracked(self) -> TrackedLights | None:
-        return None if self._compute is None or self.use != "lighting" else self._compute().tracked
+        return None if self._compute is None else self._compute(self.use).tracked
 
     @property
     def is_prior(self) -> bool:
@@ -200,7 +200,9 @@ class Light:
 
     @property
     def reflection(self) -> Float[np.ndarray, "h w 3"]:
-        """The radiance that is seen from here, in a mirror or behind things: the best guess of each direction.
+        """The radiance that is seen from here, in a mirror or behind things: the best estimate of each direction.
+
+        Cheaper than `panorama`, and too dark as a sum: lamps are clipped or never seen.
 
         Raises:
             RoomLightError: it was not requested from the server.
@@ -421,8 +423,7 @@ class Light:
 
     def _find_panorama(self) -> Float[np.ndarray, "h w 3"] | None:
         if self._compute is not None:
-            computed = self._compute()
-            return computed.lighting if self.use == "lighting" else computed.reflection
+            return self._compute(self.use).radiance
         if self.use not in self._received and self._forms is not None:
             received = self._forms.panorama(self.use)
             if received is not None:

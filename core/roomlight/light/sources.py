@@ -67,17 +67,15 @@ class FormReader(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class LightPanoramas:
-    """The panoramas of one light by use, and its main lights where a session followed them.
+class LightPanorama:
+    """The panorama of one light for a use, and its main lights where a session followed them.
 
     Attributes:
-        lighting: float32 linear RGB [H, 2H, 3].
-        reflection: the same for what is seen.
-        tracked: the main lights that a session has seen, as strong as in `lighting`; None: to be found in the panorama.
+        radiance: float32 linear RGB [H, 2H, 3].
+        tracked: the main lights that a session has seen, as strong as in `radiance`; None: to be found in it.
     """
 
-    lighting: Float[np.ndarray, "h w 3"]
-    reflection: Float[np.ndarray, "h w 3"]
+    radiance: Float[np.ndarray, "h w 3"]
     tracked: TrackedLights | None = None
 
 
@@ -85,8 +83,8 @@ class LightPanoramas:
 class LightSource(Protocol):
     """What a light is computed from when it is asked for."""
 
-    def panoramas(self) -> LightPanoramas:
-        """Compute the panoramas."""
+    def panorama(self, use: LightUse) -> LightPanorama:
+        """Compute the panorama of a use."""
         ...
 
     def digest(self) -> str:
@@ -96,15 +94,14 @@ class LightSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class GivenPanorama:
-    """A panorama that is used for everything, and its main lights where a session followed them."""
+    """A panorama that is used for everything."""
 
-    panorama: Float[np.ndarray, "h w 3"]
-    tracked: TrackedLights | None = None
+    radiance: Float[np.ndarray, "h w 3"]
 
-    def panoramas(self) -> LightPanoramas:
+    def panorama(self, use: LightUse) -> LightPanorama:
         """Return it for both uses."""
-        return LightPanoramas(self.panorama, self.panorama, self.tracked)
+        return LightPanorama(self.radiance)
 
     def digest(self) -> str:
         """Hash its values."""
-        return hashlib.sha256(np.ascontiguousarray(self.panorama).tobytes()).hexdigest()[:24]
+        return hashlib.sha256(np.ascontiguousarray(self.radiance).tobytes()).hexdigest()[:24]

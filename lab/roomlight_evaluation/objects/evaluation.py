@@ -170,9 +170,9 @@ def _score(
         }
         of_probe = {method: objects.errors(panorama) for method, panorama in lights.items()}
         for model, own in zip(models, handles, strict=True):
-            of_probe[model.model] = objects.errors(model.panorama_state(own[number]).radiance)
             light = model.light(own[number])
             lit, mirrored = objects.errors(light.panorama), objects.errors(light.reflection)
+            of_probe[model.model] = mirrored
             of_probe[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": mirrored["mirror"], SHADOW: mirrored[SHADOW]}
         for method, looks in of_probe.items():
             errors.setdefault(method, []).append(looks)

@@ -1,7 +1,7 @@
 """What a panorama does to an object: the pictures of three spheres, and the shadow of a sphere on the surface below it.
 
 The spheres are those of `roomlight.spheres`, clamped to white as a camera clamps them; the diffuse one has an albedo of
-`DIFFUSE_ALBEDO`. The shadow is that of `roomlight_model.sphere_shadow`.
+`DIFFUSE_ALBEDO`. The shadow is that of `roomlight_evaluation.objects.sphere_shadow`.
 """
 
 from typing import Final
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roomlight.spheres import DIFFUSE_ALBEDO, Material, SphereRenderer
-from roomlight_model.sphere_shadow import SHADED, shadow_of_sphere
+from roomlight_evaluation.objects.sphere_shadow import SHADED, shadow_of_sphere
 
 SPHERES: Final[tuple[Material, ...]] = ("diffuse", "glossy", "mirror")
 SHADOW: Final = "shadow"

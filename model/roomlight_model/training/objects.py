@@ -1,8 +1,7 @@
-"""The stage `objects`: the light of virtual objects, from what random streams have shown a probe.
+"""The stage `objects`: the light that lights things, from what random streams have shown a probe.
 
-The loss is what one sees: errors of pictures of matte, glossy, metal and mirror spheres under the estimated light, cut
-at white as a camera cuts them, and of the shadow of a sphere. A weak log-L2 of the panoramas keeps light plausible that
-these pictures do not show.
+The loss is what one sees: errors of pictures of matte, glossy and metal spheres under the estimated light, cut at white
+as a camera cuts them. A weak log-L2 of the panoramas keeps light plausible that these pictures do not show.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +16,6 @@ import torch
 from annotated_types import Ge, Interval
 from jaxtyping import Float, Float16, Float32
 from torch import Tensor
-from torch.nn import functional
 
 from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.dataset.loader import Dataset
@@ -30,19 +28,18 @@ from roomlight.errors import DatasetError, FrameError, ModelError
 from roomlight.spheres import DIFFUSE_ALBEDO, GLOSSY_ALBEDO
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.object_light_network import ObjectLightNetwork
-from roomlight_model.sphere_shadow import ROWS, SHADED, shadow_tables
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
 
-MATERIALS: Final = ("diffuse", "glossy", "metal", "mirror", "shadow")
-"""Pictures whose errors are the loss: spheres of these materials, and a sphere's shadow."""
-USUAL_ERRORS: Final = (0.16, 0.2, 0.2, 0.22, 0.1)
+MATERIALS: Final = ("diffuse", "glossy", "metal")
+"""Pictures whose errors are the loss: spheres of these materials."""
+USUAL_ERRORS: Final = (0.16, 0.2, 0.2)
 """Usual errors of `MATERIALS`, by which the loss divides them."""
 LOG_WEIGHT: Final = 0.3
 MODELS: Final[tuple[ModelName, ...]] = ("classical", "single")
-"""Models of the streams, in turn: trained on classical light alone, mirrors in the networks' light get worse."""
+"""Models of the streams, in turn: the network changes the light of both."""
 _STREAMS: Final = 2
 """Streams of each recording."""
 _FROM_START: Final = 0.5
@@ -201,11 +198,11 @@ class ObjectsStage:
         return network
 
     def losses(self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator) -> Iterator[Losses]:
-        """Yield the errors of pictures, divided by their usual errors, and the log-L2 of both panoramas."""
-        lighting, reflection = object_lights(network, batch.panels)
-        errors = picture_errors(lighting, reflection, batch.truth) / torch.tensor(USUAL_ERRORS)
-        pictures, wanted = errors.sum(dim=1).mean(), torch.log1p(batch.truth)
-        logs = (torch.log1p(lighting) - wanted).square().mean() + (torch.log1p(reflection) - wanted).square().mean()
+        """Yield the errors of pictures, divided by their usual errors, and the log-L2 of the panorama."""
+        lighting = object_light(network, batch.panels)
+        errors = picture_errors(lighting, batch.truth) / torch.tensor(USUAL_ERRORS)
+        pictures = errors.sum(dim=1).mean()
+        logs = (torch.log1p(lighting) - torch.log1p(batch.truth)).square().mean()
         yield {"loss": pictures + LOG_WEIGHT * logs, "pictures": pictures, "log_l2": logs}
 
     # --- validation
@@ -217,9 +214,8 @@ class ObjectsStage:
             for first in range(0, len(self._held_out), 32):
                 numbers = range(first, min(first + 32, len(self._held_out)))
                 batch = panels_batch(self._held_out.take(numbers))
-                session_light = batch.panels[:, 6:9]
-                ours.append(picture_errors(*object_lights(network, batch.panels), batch.truth))
-                before.append(picture_errors(session_light, session_light, batch.truth))
+                ours.append(picture_errors(object_light(network, batch.panels), batch.truth))
+                before.append(picture_errors(batch.panels[:, 6:9], batch.truth))
         ratios = (torch.cat(ours).mean(dim=0) / torch.cat(before).mean(dim=0)).tolist()
         return {"loss": float(np.mean(ratios)), **dict(zip(MATERIALS, ratios, strict=True))}
 
@@ -245,33 +241,22 @@ def panels_batch(examples: ProbePanels, rng: np.random.Generator | None = None) 
     return PanelsBatch(stacked[:, :LIGHTING_PANELS], stacked[:, LIGHTING_PANELS:])
 
 
-def object_lights(
-    network: torch.nn.Module, panels: Float32[Tensor, "b 10 h w"]
-) -> tuple[Float32[Tensor, "b 3 h w"], Float32[Tensor, "b 3 h w"]]:
-    """Return the light of objects, and that of their shadows, as the engine's (`LightingModel.light`)."""
+def object_light(network: torch.nn.Module, panels: Float32[Tensor, "b 10 h w"]) -> Float32[Tensor, "b 3 h w"]:
+    """Return the light that lights things, as the engine's (`roomlight.engine.lighting.LightingModel.panorama`)."""
     with torch.autocast("cpu", dtype=torch.bfloat16, enabled=torch.is_grad_enabled()):
-        changes = network(panels)
+        change = network(panels)
     known, guessed, light = panels[:, 3:4], panels[:, 9:10], panels[:, 6:9]
     free = torch.maximum(1 - known, (guessed / _luminance(light).clamp(min=1e-6)).clamp(0, 1))
-    lighting, reflection = (
-        torch.expm1((torch.log1p(light) + change.float() * free).clamp(0, 11)) for change in changes.chunk(2, dim=1)
-    )
-    return lighting, reflection
+    return torch.expm1((torch.log1p(light) + change.float() * free).clamp(0, 11))
 
 
-def picture_errors(
-    lighting: Float[Tensor, "b 3 h w"], reflection: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]
-) -> Float[Tensor, "b 5"]:
+def picture_errors(lighting: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3"]:
     """Return the root of the mean squared error of each of `MATERIALS`."""
     spheres = [
         _squared_below_white(ours, theirs).mean((1, 2))
         for ours, theirs in zip(_spheres(lighting), _spheres(truth), strict=True)
     ]
-    mirror = (_squared_below_white(reflection, truth) * _solid_angles() / _solid_angles().mean()).mean((1, 2, 3))
-    wanted = _shadow(truth)
-    shaded = (wanted < float(np.exp(-SHADED))).float()
-    shadow = ((_shadow(reflection) - wanted).square() * shaded).sum(dim=1) / shaded.sum(dim=1).clamp(min=1)
-    return torch.sqrt(torch.stack([*spheres, mirror, shadow], dim=1) + 1e-5)
+    return torch.sqrt(torch.stack(spheres, dim=1) + 1e-5)
 
 
 def _spheres(light: Float[Tensor, "b 3 h w"]) -> list[Float[Tensor, "b 3 k"]]:
@@ -287,23 +272,9 @@ def _squared_below_white(predicted: Float[Tensor, "*n"], wanted: Float[Tensor, "
     return torch.where(wanted >= 1, (1 - predicted).clamp(min=0), inside).square()
 
 
-def _shadow(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b n"]:
-    """Return `roomlight_model.sphere_shadow.shadow_of_sphere`."""
-    cosine, blocked = _shadow_tables()
-    small = functional.interpolate(_luminance(light), size=(ROWS, 2 * ROWS), mode="area")
-    power = small.flatten(1)[:, : len(cosine)] * cosine
-    return 1 - (power @ blocked.T) / power.sum(dim=1, keepdim=True).clamp(min=1e-6)
-
-
 def _luminance(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
     weights = torch.from_numpy(np.asarray(LUMINANCE, np.float32))
     return (light * weights[:, None, None]).sum(dim=1, keepdim=True)
-
-
-@cache
-def _shadow_tables() -> tuple[Float32[Tensor, " d"], Float32[Tensor, "n d"]]:
-    cosine, blocked = shadow_tables()
-    return torch.from_numpy(cosine), torch.from_numpy(blocked)
 
 
 @cache

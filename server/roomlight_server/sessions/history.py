@@ -170,7 +170,7 @@ class History:
 
 
 def _lights(engine: Session, handles: dict[str, int]) -> dict[str, Light]:
-    return {name: engine.estimate(handle) for name, handle in handles.items()}
+    return {name: engine.light(handle).used_for("reflection") for name, handle in handles.items()}
 
 
 def _moment_of(

@@ -105,11 +105,11 @@ def test_learned_light_starts_from_the_shortest_exposure():
     """The network knows nothing of the bracket: its estimate is at least what the shortest exposure measured."""
     long, short = shown(1), shown(1 / 4, **MOVED)
     alone, together = streamed(long), streamed(long, short, long)
-    lamp = alone.estimate(0).panorama[in_lamp()]
+    lamp = alone.light(0).reflection[in_lamp()]
     assert lamp.min() > 1
-    for light in (together.estimate(0), together.light_at(PROBE)):
-        assert light.panorama[in_lamp()].min() >= 4
-        assert np.median(light.panorama[in_lamp()]) > 1.5 * np.median(lamp)
+    for light in (together.light(0), together.light_at(PROBE)):
+        assert light.reflection[in_lamp()].min() >= 4
+        assert np.median(light.reflection[in_lamp()]) > 1.5 * np.median(lamp)
 
 
 def test_a_short_exposure_overrides_what_was_learned():

@@ -43,7 +43,7 @@ class Stream:
         for yaw in yaws:
             self.session.push(frame(room, self.frames, yaw))
             self.frames += 1
-        return self.session.estimate(self.handle).panorama
+        return self.session.light(self.handle).reflection
 
 
 def near_lamp():

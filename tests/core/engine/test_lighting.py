@@ -1,4 +1,4 @@
-"""Light by its use: what was measured stays, the rest is changed by the network, once for each use."""
+"""Light by its use: what was measured stays, the network changes the rest of what lights things."""
 
 from pathlib import Path
 
@@ -47,44 +47,24 @@ def known_model(folder: Path, *, constant: float = 0.0, image: float = 0.0) -> L
 @pytest.mark.parametrize("rows", [16, 32, 60, 120, 200])
 def test_measured_light_keeps_its_bits(rows: int, tmp_path: Path) -> None:
     state = state_of(rows)
-    light = known_model(tmp_path, constant=0.7).panoramas(state)
+    lighting = known_model(tmp_path, constant=0.7).panorama(state)
     measured = (state.observed == 1) & (state.guessed == 0)
-    for panorama in (light.lighting, light.reflection):
-        assert panorama.dtype == np.float32
-        assert_array_equal(panorama[measured], state.radiance[measured])
-        gain = np.log1p(panorama) - np.log1p(state.radiance)
-        assert_allclose(gain[state.guessed > 0], 0.35, rtol=1e-3, atol=1e-5)  # half of it is an estimate
-    unseen = state.observed == 0
-    assert_allclose((np.log1p(light.lighting) - np.log1p(state.radiance))[unseen], 0.7, rtol=1e-4, atol=1e-5)
-    assert_allclose((light.reflection @ LUMINANCE)[unseen], (light.lighting @ LUMINANCE)[unseen], rtol=1e-3)
+    assert lighting.dtype == np.float32
+    assert_array_equal(lighting[measured], state.radiance[measured])
+    gain = np.log1p(lighting) - np.log1p(state.radiance)
+    assert_allclose(gain[state.guessed > 0], 0.35, rtol=1e-3, atol=1e-5)  # half of it is an estimate
+    assert_allclose(gain[state.observed == 0], 0.7, rtol=1e-4, atol=1e-5)
 
 
-def test_unseen_directions_of_mirrors_have_the_colour_of_lighting_and_of_what_was_seen(tmp_path: Path) -> None:
+def test_unseen_light_changes_by_the_network(tmp_path: Path) -> None:
+    """The known graph changes light by what was seen."""
     state = state_of()
-    state.radiance[:, :120] = (0.6, 0.3, 0.1)
-    state.radiance[:, 120:] = (0.2, 0.4, 0.6)
-    light = known_model(tmp_path).panoramas(state)
-    seen, own = (np.array(colour) / (colour @ LUMINANCE) for colour in ((0.6, 0.3, 0.1), (0.2, 0.4, 0.6)))
-    expected = (state.radiance[0, -1] @ LUMINANCE) * (seen + own) / 2
-    assert_allclose(light.reflection[:, 120:], np.broadcast_to(expected, (120, 120, 3)), rtol=0.01)
-
-
-def test_objects_and_shadows_have_changes_of_their_own(tmp_path: Path) -> None:
-    """The known graph changes objects by the light that was seen, and shadows by shares and distances."""
-    state = state_of()
-    light = known_model(tmp_path, image=0.1).panoramas(state)
-    panels = lighting_panels(state)
-    unseen = state.observed == 0
-    inside = unseen.copy()
+    planes = lighting_panels(state)[:3]
+    inside = state.observed == 0
     inside[:, [119, 120, 121, 122, -1, -2, -3]] = False  # changes are interpolated there
-    expected = [
-        np.expm1(np.log1p(state.radiance) + 0.1 * np.moveaxis(planes, 0, -1).repeat(2, axis=0).repeat(2, axis=1))
-        for planes in (panels[:3], panels[3:6])
-    ]
-    gain = np.log1p(light.lighting) - np.log1p(expected[0])
-    assert_allclose(gain[inside], 0, atol=0.02)
-    gain = np.log1p(light.reflection @ LUMINANCE) - np.log1p(expected[1] @ LUMINANCE)
-    assert_allclose(gain[inside], 0, atol=0.02)
+    expected = 0.1 * np.moveaxis(planes, 0, -1).repeat(2, axis=0).repeat(2, axis=1)
+    gain = np.log1p(known_model(tmp_path, image=0.1).panorama(state)) - np.log1p(state.radiance)
+    assert_allclose(gain[inside], expected[inside], atol=0.02)
 
 
 def test_panels_are_what_frames_have_shown_and_the_estimate_for_clipped_pixels() -> None:
@@ -117,14 +97,21 @@ def test_every_model_has_light_of_both_uses(model: str, room: BoxRoom) -> None:
     session = Session(SessionOptions(model=model, height=32))  # pyright: ignore[reportArgumentType]
     session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=-35.0), width=64, height=48))
     handle = session.track(PLACE)
-    own = session.estimate(handle).panorama.copy()
+    state = session.panorama_state(handle)
+    own, unseen = state.radiance.copy(), state.observed < 0.01
     light = session.light(handle)
-    unseen = session.panorama_state(handle).observed < 0.01
     assert unseen.any()
-    for panorama in (light.panorama, light.reflection):
-        assert (panorama[unseen] != own[unseen]).any(axis=-1).mean() > 0.9
-    assert (light.panorama[unseen] != light.reflection[unseen]).any()
-    assert_array_equal(session.estimate(handle).panorama, own)  # the session's own estimate stays
+    assert (light.panorama[unseen] != own[unseen]).any(axis=-1).mean() > 0.9
+    assert_array_equal(light.reflection, own)
+    assert_array_equal(state.radiance, own)  # the session's own estimate stays
+
+
+def test_mirrors_need_no_network(room: BoxRoom, tmp_path: Path) -> None:
+    write_part(tmp_path / "parts" / "clipping", "clipping", constant=1.0)
+    session = Session(SessionOptions(parts=tmp_path / "parts", provider="cpu", height=32))
+    handle = session.track(PLACE)
+    session.push(room.frame(camera_at((0.2, 1.4, 1.2)), width=64, height=48))
+    assert_array_equal(session.light(handle).reflection, session.panorama_state(handle).radiance)
 
 
 def test_light_is_that_of_its_frame_however_late_it_is_asked_for(room: BoxRoom) -> None:
@@ -143,7 +130,8 @@ def test_the_main_light_is_as_strong_as_in_the_light_that_lights_things(room: Bo
     session = Session(SessionOptions(model="classical", height=32))
     handle = session.track(PLACE)
     session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=20.0), width=64, height=48))
-    light, own = session.light(handle), session.estimate(handle)
+    light = session.light(handle)
+    own = light.used_for("reflection")
     assert own.main_light.intensity.max() > 0
     assert_array_equal(light.main_light.direction, own.main_light.direction)
     free = main_light(light.panorama)
@@ -179,7 +167,7 @@ def test_objects_are_lit_better_than_by_the_session(model: str) -> None:
     for probe, handle in zip(probes, handles, strict=True):
         objects = LitObjects(probe.panorama(), (0.0, -0.5, -0.866))
         before, after = (
-            objects.errors(panorama) for panorama in (session.estimate(handle).panorama, session.light(handle).panorama)
+            objects.errors(panorama) for panorama in (session.light(handle).reflection, session.light(handle).panorama)
         )
         for look in SPHERES:
             own[look] += before[look]

@@ -101,7 +101,7 @@ def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
         sglv = _kept_sglv(session)
         np.testing.assert_allclose(sglv.alpha, volume.alpha, atol=2e-3)
         np.testing.assert_allclose(np.log1p(sglv.lobes[..., :7]), np.log1p(volume.lobes[..., :7]), atol=1e-2)
-        light = session.estimate(0)
+        light = session.light(0).used_for("reflection")
         expected = np.moveaxis(panorama.radiance[0].numpy(), 0, -1)
         np.testing.assert_allclose(np.log1p(light.panorama), np.log1p(expected), atol=1e-2)
         np.testing.assert_allclose(light.observed, panorama.weight[0, 0].numpy(), atol=5e-3)
@@ -151,7 +151,7 @@ def test_the_hedge_is_between_networks_and_fill(tiny_video, form):
     for session in (alone, half, fill):
         session.track(PROBE)
         session.push(FRAMES[0])
-    networks, mean, fills = (np.log1p(session.estimate(0).panorama @ LUMINANCE) for session in (alone, half, fill))
+    networks, mean, fills = (np.log1p(session.light(0).reflection @ LUMINANCE) for session in (alone, half, fill))
     np.testing.assert_allclose(mean, (networks + fills) / 2, atol=0.03)
     unseen = half.light(0).observed == 0
     assert np.abs(networks - fills)[unseen].max() > 0.03

@@ -28,7 +28,7 @@ def clipped_frames(count):
 def test_a_complete_folder_loads(tmp_path):
     graph = load_part(write_part(tmp_path / "part", "objects"), "objects", provider="cpu")
     assert graph.inputs == {"panels": (1, 10, 60, 120)}
-    assert graph.outputs == {"changes": (1, 6, 60, 120)}
+    assert graph.outputs == {"change": (1, 3, 60, 120)}
 
 
 def test_other_folders_are_refused_with_the_reason(tmp_path):

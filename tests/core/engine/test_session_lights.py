@@ -21,7 +21,7 @@ def lights():
     for frame in pan(ROOM, 10, start_degrees=-90, step_degrees=15):
         session.push(frame)
         tracked.append(session.light(handle))
-        estimates.append(session.estimate(handle))
+        estimates.append(session.light(handle).used_for("reflection"))
     return session, tracked, estimates
 
 
@@ -41,7 +41,7 @@ def test_an_untracked_point_has_the_lights_that_were_seen(lights) -> None:
     session, _, _ = lights
     light = session.light_at(POSITION)
     handle = session.track(POSITION)
-    own = find_lights(session.estimate(handle).panorama)
+    own = find_lights(session.light(handle).reflection)
     session.untrack(handle)
     assert len(light.lights) == len(own)
     for lamp, seen in zip(light.lights, own, strict=True):
@@ -52,6 +52,6 @@ def test_an_untracked_point_has_the_lights_that_were_seen(lights) -> None:
 def test_a_probe_tracked_late_has_lights_at_once(lights) -> None:
     session, _, _ = lights
     handle = session.track(POSITION)
-    light, own = session.light(handle), session.estimate(handle)
+    light, own = session.light(handle), session.light(handle).used_for("reflection")
     session.untrack(handle)
     np.testing.assert_array_equal(light.main_light.direction, main_light(own.panorama).direction)

@@ -35,7 +35,7 @@ def scored(frames, probes):
             session.push(frame)
         errors = []
         for handle, probe in zip(handles, probes, strict=True):
-            light, truth = session.estimate(handle).panorama, probe.panorama()
+            light, truth = session.light(handle).reflection, probe.panorama()
             spheres = SphereRenderer(view_toward(frames[0].camera_to_world, probe.position))
             drawn = [np.minimum(spheres.pixels(panorama, "glossy"), 1) for panorama in (light, truth)]
             errors.append((log_l2(light, truth), float(np.square(drawn[0] - drawn[1]).mean())))

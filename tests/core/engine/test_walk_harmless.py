@@ -63,7 +63,7 @@ def energies(options, frames):
     panoramas = []
     for frame in frames:
         session.push(frame)
-        panoramas.append(session.estimate(handle).panorama)
+        panoramas.append(session.light(handle).reflection)
     never = (session.light(handle).observed == 0) * panorama_solid_angles(options.height)
     truth, _ = DoorwayRoom().panorama(PROBE, options.height)
     assert 0.3 < never.sum() / (4 * np.pi) < 0.9
