@@ -98,7 +98,7 @@ class GivenPanorama:
 
     radiance: Float[np.ndarray, "h w 3"]
 
-    def panorama(self, use: LightUse) -> LightPanorama:
+    def panorama(self, use: LightUse) -> LightPanorama:  # noqa: ARG002 - the same for both uses
         """Return it for both uses."""
         return LightPanorama(self.radiance)
 

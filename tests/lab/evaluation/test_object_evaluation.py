@@ -13,8 +13,8 @@ from roomlight.errors import CaptureError
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
 from roomlight_evaluation.objects.evaluation import COMPOSITED, evaluate_objects
 from roomlight_evaluation.objects.lit_objects import LOOKS, SHADOW, LitObjects
-from roomlight_evaluation.objects.tables import object_tables
 from roomlight_evaluation.objects.sphere_shadow import shadow_of_sphere
+from roomlight_evaluation.objects.tables import object_tables
 from rooms import BoxRoom, camera_at
 from written_captures import write_capture
 
