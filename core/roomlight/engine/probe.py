@@ -1,8 +1,8 @@
 """A tracked position: its panorama, the model's state of it, its lights."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
@@ -20,8 +20,8 @@ from roomlight.light.light import Light
 from roomlight.light.main_light import find_lights
 from roomlight.threads import parallel_for, thread_count
 
-_VIEWS_AT_ONCE: Final = 4 * thread_count()
-"""Views of meshes that are rendered before they are blended: 0.8 MB each at 120 rows."""
+_VIEWS_AT_ONCE: Final = 8 * thread_count()
+"""Views of meshes by probes between two pauses of long work; 0.8 MB each at 120 rows if one probe has them all."""
 
 
 @dataclass(frozen=True)
@@ -49,42 +49,62 @@ class Probe:
         return cls(position, room, panorama, room.new_probe(), LightTracker())
 
     @classmethod
-    def of_keyframes(cls, position: Position, room: AnyRoom, *, height: int) -> "Probe":
-        """Return a probe that knows what the keyframes and the last frame show.
+    def of_keyframes(cls, positions: Sequence[Position], room: AnyRoom, *, height: int) -> "list[Probe]":
+        """Return probes that know what the keyframes and the last frame show.
 
         Their views are blended in order of time, each with its full weight, into what is seen of the place. The model
         then estimates the light once, as if one frame had shown all of it. The SGLVs of those moments are gone; the
-        present one has observed more.
+        present one has observed more. Several probes share the meshes, and are computed on all cores.
         """
-        probe = cls.fresh(position, room, height=height)
-        shown = PanoramaState.fresh(height, room.grid.depth_max_m)
-        for mesh, partial in probe._views([mesh for _, mesh in room.meshes]):
-            weight = partial.mask.astype(np.float32)
-            probe._accumulate(shown, partial, mesh, hdr=shown.radiance, weight=weight)
+        probes = [cls.fresh(position, room, height=height) for position in positions]
+        shown = [PanoramaState.fresh(height, room.grid.depth_max_m) for _ in probes]
+        meshes, at_once = [mesh for _, mesh in room.meshes], max(1, _VIEWS_AT_ONCE // len(probes))
+        for start in range(0, len(meshes), at_once):
+            # of copies: the triangles of all keyframes would take 40 MB
+            cls._show([mesh.passing() for mesh in meshes[start : start + at_once]], probes, shown)
+
+        def finish(first: int, last: int) -> None:
+            for probe, seen in zip(probes[first:last], shown[first:last], strict=True):
+                probe._begin(seen)
+
+        parallel_for(finish, len(probes), most=1)
+        return probes
+
+    def _begin(self, shown: PanoramaState) -> None:
+        """Take over what is seen of the place, and let the model infer the rest."""
         seen = PartialPanorama(
             shown.radiance, shown.observed > 0, shown.depth_m * (shown.observed > 0), shown.clipped, shown.guessed
         )
-        depth_max_m = room.grid.depth_max_m
-        rendered = probe.render()
+        rendered = self.render()
         assert rendered is not None
-        estimate = probe.estimator.estimate(probe.panorama, rendered, seen, depth_max_m=depth_max_m)
+        estimate = self.estimator.estimate(self.panorama, rendered, seen, depth_max_m=self.room.grid.depth_max_m)
         for _ in range(2):  # surfaces are in several frames: each adds a share of what the ones before left out
-            probe._accumulate(probe.panorama, seen, None, hdr=estimate.hdr, weight=estimate.weight)
-        probe.panorama.changed[:], probe.panorama.viewed_from[:] = shown.changed, shown.viewed_from
-        return probe
+            self._accumulate(self.panorama, seen, None, hdr=estimate.hdr, weight=estimate.weight)
+        self.panorama.changed[:], self.panorama.viewed_from[:] = shown.changed, shown.viewed_from
 
-    def _views(self, meshes: Sequence[FrameMesh]) -> Iterator[tuple[FrameMesh, PartialPanorama]]:
-        """Render what the probe sees of each mesh, several at a time on all cores."""
-        for start in range(0, len(meshes), _VIEWS_AT_ONCE):
-            some = meshes[start : start + _VIEWS_AT_ONCE]
-            views: dict[int, PartialPanorama] = {}
+    @staticmethod
+    def _show(meshes: Sequence[FrameMesh], probes: "Sequence[Probe]", shown: Sequence[PanoramaState]) -> None:
+        """Blend views of meshes, in their order, into what probes are shown.
 
-            def look(first: int, last: int, some: Sequence[FrameMesh] = some, views: dict[int, Any] = views) -> None:
-                # of copies: the triangles of all keyframes would take 40 MB
-                views.update((number, self.view(some[number].passing())) for number in range(first, last))
+        A probe alone divides the meshes among the cores; several share each mesh.
+        """
+        views: dict[int, PartialPanorama] = {}
+        alone = probes[0] if len(probes) == 1 else None
 
-            parallel_for(look, len(some))
-            yield from ((mesh, views[number]) for number, mesh in enumerate(some))
+        def prepare(first: int, last: int) -> None:
+            for number in range(first, last):
+                meshes[number].prepare()
+                if alone is not None:
+                    views[number] = alone.view(meshes[number])
+
+        def blend(first: int, last: int) -> None:
+            for probe, state in zip(probes[first:last], shown[first:last], strict=True):
+                for number, mesh in enumerate(meshes):
+                    partial = views[number] if alone is not None else probe.view(mesh)
+                    probe._accumulate(state, partial, mesh, hdr=None, weight=partial.mask.astype(np.float32))
+
+        parallel_for(prepare, len(meshes), most=1)
+        parallel_for(blend, len(probes), most=1)
 
     @classmethod
     def of_snapshot(cls, saved: ProbeSnapshot, room: AnyRoom) -> "Probe":
@@ -114,8 +134,7 @@ class Probe:
     def blend(self, rendered: Rendered | None, partial: PartialPanorama, mesh: FrameMesh) -> None:
         """Let the model estimate the light, and blend the view of a mesh into the panorama."""
         if rendered is None:
-            weight, hdr = partial.mask.astype(np.float32), self.panorama.radiance.copy()
-            self._accumulate(self.panorama, partial, mesh, hdr=hdr, weight=weight)
+            self._accumulate(self.panorama, partial, mesh, hdr=None, weight=partial.mask.astype(np.float32))
             return
         depth_max_m = self.room.grid.depth_max_m
         estimate = self.estimator.estimate(self.panorama, rendered, partial, depth_max_m=depth_max_m)
@@ -127,7 +146,7 @@ class Probe:
         partial: PartialPanorama,
         mesh: FrameMesh | None,
         *,
-        hdr: Float[np.ndarray, "h w 3"],
+        hdr: Float[np.ndarray, "h w 3"] | None,
         weight: Float[np.ndarray, "h w"],
     ) -> None:
         camera = AT_PROBE if mesh is None else mesh.camera_to_world[:3, 3] - np.asarray(self.position)

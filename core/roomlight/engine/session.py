@@ -186,7 +186,7 @@ class Session:
             self._pending[handle] = (x, y, z)
         else:
             room = room_at((x, y, z), self._rooms)
-            self._probes[handle] = Probe.of_keyframes((x, y, z), room, height=self.options.height)
+            (self._probes[handle],) = Probe.of_keyframes([(x, y, z)], room, height=self.options.height)
             self._probes[handle].update_lights()
         self._next_handle += 1
         return handle

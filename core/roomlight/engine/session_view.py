@@ -9,7 +9,6 @@ from roomlight.engine.probe import Probe
 from roomlight.engine.room import AnyRoom, room_at
 from roomlight.engine.volume.sglv import check_position
 from roomlight.light.light import Light
-from roomlight.threads import parallel_for
 
 
 @dataclass(frozen=True)
@@ -41,22 +40,23 @@ class SessionView:
         Raises:
             ProbeError: The position is not usable.
         """
-        x, y, z = check_position(position).tolist()
-        room = room_at((x, y, z), self.rooms)
-        return Probe.of_keyframes((x, y, z), room, height=self.height).light(self.frame, self.load)
+        return self.lights_at([position])[0]
 
     def lights_at(self, positions: Sequence[Position]) -> list[Light]:
-        """Return the light at several positions, computed on all cores.
+        """Return the light at several positions, equal to the bit to that of each alone; computed on all cores.
 
         Raises:
             ProbeError: A position is not usable.
         """
-        for position in positions:
-            check_position(position)
-        lights: dict[int, Light] = {}
-
-        def compute(start: int, stop: int) -> None:
-            lights.update((number, self.light_at(positions[number])) for number in range(start, stop))
-
-        parallel_for(compute, len(positions), most=1)
-        return [lights[number] for number in range(len(positions))]
+        places: list[Position] = []
+        inside: dict[int, list[int]] = {}  # numbers of positions by that of their room
+        for number, position in enumerate(positions):
+            x, y, z = check_position(position).tolist()
+            room = room_at((x, y, z), self.rooms)
+            places.append((x, y, z))
+            inside.setdefault(next(n for n, other in enumerate(self.rooms) if other is room), []).append(number)
+        probes: dict[int, Probe] = {}
+        for room, numbers in inside.items():
+            some = [places[number] for number in numbers]
+            probes |= zip(numbers, Probe.of_keyframes(some, self.rooms[room], height=self.height), strict=True)
+        return [probes[number].light(self.frame, self.load) for number in range(len(positions))]

@@ -81,6 +81,19 @@ def test_the_kernel_equals_its_readable_reference(seed, binary):
         )
 
 
+def test_without_inferred_light_pixels_without_weight_stay_as_they_are():
+    before, kept, copied, views = _state(3), _state(3), _state(3), _views(3)
+    views["weight"][: HEIGHT // 2] = 0
+    accumulate(kept, **views | {"hdr": None})
+    accumulate(copied, **views | {"hdr": copied.radiance.copy()})
+    unseen = views["weight"] == 0
+    for field in dataclasses.fields(PanoramaState):
+        plane = getattr(kept, field.name)
+        np.testing.assert_allclose(plane, getattr(copied, field.name), rtol=1e-5, atol=1e-5)
+        np.testing.assert_array_equal(plane[unseen], getattr(before, field.name)[unseen])
+    assert (kept.radiance != before.radiance).any()
+
+
 def test_the_first_frame_is_accepted_fully_and_the_rest_is_sglv():
     state = PanoramaState.fresh(HEIGHT, 3.0)
     views = _constant(weight=1.0)

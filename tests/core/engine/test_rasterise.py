@@ -6,7 +6,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from roomlight.conventions import panorama_rays
-from roomlight.engine.kernels.rasterise import Raster, place_vertices, rasterise
+from roomlight.engine.kernels.rasterise import MARGIN, Raster, place_vertices, rasterise
 from roomlight.engine.surface.mesh import FrameMesh
 from rooms import BoxRoom, camera_at
 
@@ -22,9 +22,10 @@ def rasterised(vertices, faces, position, height=HEIGHT):
         np.zeros((pixels, 2), np.float32),
         np.zeros(pixels, np.int32),
     )
-    offsets, places = np.empty((len(vertices), 3), np.float32), np.empty((len(vertices), 2), np.float32)
-    place_vertices(vertices, np.asarray(position, float), height, offsets, places, 0, len(vertices))
-    rasterise(faces, offsets, places, panorama_rays(height), height, raster, 0, len(faces))
+    offsets, places = np.empty((3, len(vertices)), np.float32), np.empty((2, len(vertices)), np.float32)
+    place_vertices(vertices, np.asarray(position, float), height, offsets, places)
+    numbers = np.arange(len(faces), dtype=np.int32)
+    rasterise(faces, numbers, offsets, places, panorama_rays(height), height, raster)
     return raster
 
 
@@ -59,6 +60,35 @@ def assert_same(vertices, faces, position, *, edge_share=0.0, height=HEIGHT):
 def test_a_frames_mesh_as_embree_traces_it(position):
     mesh = FrameMesh(ROOM.frame(camera_at((0.3, 1.5, 1.2), 8, -6)))
     assert_same(mesh.vertices, mesh.faces, position, edge_share=2e-4, height=120)
+
+
+@pytest.mark.parametrize("height", [16, 120, 500])
+def test_vertices_are_placed_where_their_directions_are(height):
+    rng = np.random.default_rng(5)
+    vertices = np.concatenate([rng.normal(size=(3000, 3)), 1e-4 * np.eye(3), -1e-4 * np.eye(3)]).astype(np.float32) + 0
+    offsets, places = np.empty((3, len(vertices)), np.float32), np.empty((2, len(vertices)), np.float32)
+    place_vertices(vertices, np.zeros(3), height, offsets, places)
+    x, y, z = vertices.T.astype(float)
+    np.testing.assert_allclose(places[0], height * (1 + np.arctan2(z, x) / np.pi), atol=0.1 * MARGIN)
+    np.testing.assert_allclose(places[1], height / np.pi * np.arctan2(np.hypot(x, z), y), atol=0.1 * MARGIN)
+
+
+@pytest.mark.parametrize("height", [16, 60, 120])
+@pytest.mark.parametrize("position", [(0.3, 1.5, 1.2), (0.1, 0.6, -0.6), (0.3, 2.4, 0.9), (0.2, 0.1, 1.1)])
+def test_quads_between_pixel_centres_are_left_out_and_no_other(position, height):
+    mesh = FrameMesh(ROOM.frame(camera_at((0.3, 1.5, 1.2), 8, -6)))
+    every = rasterised(mesh.vertices, mesh.faces, position, height)
+    for seen, wanted in zip(mesh._rasterise(np.array(position), height), every, strict=True):
+        hit = every.triangle >= 0
+        np.testing.assert_array_equal(seen[hit], wanted[hit])
+    np.testing.assert_array_equal(mesh._rasterise(np.array(position), height).triangle, every.triangle)
+
+
+def test_quads_at_the_position_are_tested():
+    mesh = FrameMesh(ROOM.frame(camera_at((0.3, 1.5, 1.2), 8, -6)))
+    vertex = mesh.vertices[len(mesh.vertices) // 2].astype(float)
+    seen, every = mesh._rasterise(vertex, 60), rasterised(mesh.vertices, mesh.faces, vertex, 60)
+    np.testing.assert_array_equal(seen.triangle, every.triangle)
 
 
 def test_triangles_of_all_sizes_in_all_directions():

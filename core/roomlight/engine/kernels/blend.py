@@ -139,10 +139,11 @@ def compare_rows(state, detail, rays, closer_m, comparison, start, stop):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def accumulate_rows(state, hdr, detail, replaced, closer_m, start, stop):
+def accumulate_rows(state, hdr, detail, replaced, closer_m, only_seen, start, stop):
     """Update rows start..stop of the state (`StateArrays`); `detail` is `DetailArrays`, hdr [h, w, 3].
 
     replaced [h, w]:  where light has changed: what was accumulated is forgotten, as if the frame were the first.
+    only_seen:        whether pixels without weight stay as they are.
 
     1. The conservative rule: a surface that is not closer than the accumulated one loses 1 of its weight.
     2. A clipped observation of the same surface gives way to one that knows more (`better_share`).
@@ -155,6 +156,8 @@ def accumulate_rows(state, hdr, detail, replaced, closer_m, start, stop):
     for row in range(start, stop):
         for column in range(state.depth.shape[1]):
             blend = detail.weight[row, column]
+            if only_seen and blend <= zero:
+                continue
             before = kept = state.observed[row, column]
             clipped, known = state.clipped[row, column], state.guessed[row, column]
             nearer = state.depth[row, column] - detail.depth[row, column]

@@ -18,15 +18,21 @@ WIDE = np.float32(0.5)
 MARGIN = np.float32(0.02)
 """Added to bounds, in pixels, for rounding."""
 _NEAREST_M = np.float32(1e-6)
+_QUARTER = np.float32(math.pi / 2)
+_A2, _A4, _A6, _A8 = (np.float32(a) for a in (-0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393))
+_A10, _A12, _A14, _A16 = (np.float32(a) for a in (-0.0752896400, 0.0429096138, -0.0161657367, 0.0028662257))
+_REACH = np.float32(2) * MARGIN
+"""Beyond the corners of a quad of at most a pixel: `MARGIN`, and what its edges bulge."""
 _WIDEST_CONE = np.float32(0.2)
 """Least cosine of a bounding cone's half angle; wider triangles are tested at every pixel."""
 
 
 @njit(nogil=True, cache=True)
-def join_quads(depth, ratio, faces):
+def join_quads(depth, ratio, faces, numbers):
     """Write the triangles of a depth grid's quads into `faces` [n, 3], upper ones first; return their number.
 
-    Only triangles whose depths are known and differ by at most `ratio`.
+    Only triangles whose depths are known and differ by at most `ratio`. `numbers` [2, quads] becomes the number of each
+    quad's upper and lower triangle, -1 where it is left out.
     """
     rows, columns = depth.shape
     count = 0
@@ -37,11 +43,14 @@ def join_quads(depth, ratio, faces):
                 second = depth[row, column + 1]
                 third = depth[row + 1, column + 1] if lower else depth[row, column]
                 low = min(first, second, third)
+                quad = row * (columns - 1) + column
+                numbers[lower, quad] = -1
                 if low > 0 and max(first, second, third) <= np.float32(ratio) * low:
                     corner = row * columns + column
                     faces[count, 0] = corner + lower
                     faces[count, 1] = corner + columns
                     faces[count, 2] = corner + 1 + lower * columns
+                    numbers[lower, quad] = count
                     count += 1
     return count
 
@@ -63,32 +72,106 @@ class Raster(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def place_vertices(vertices, position, height, offsets, places, start, stop):
-    """Write the offsets of vertices start..stop from `position` [n, 3], and their (column, row) in the panorama [n, 2].
+def raise_vertices(depth, uv, camera, camera_to_world, vertices):
+    """Write the vertices [v, 3] of depth samples [v] at `uv` [v, 2], 0 to 1 in the image, in world metres.
 
-    Centres of pixels are at halves. A vertex at the position itself has NaN for a place.
+    Args:
+        depth: z-depth.
+        uv: place in the image.
+        camera: float32 width, height, fx, fy, cx, cy of the image.
+        camera_to_world: float32 [4, 4].
+        vertices: output.
     """
-    per_radian = np.float32(height / math.pi)
-    middle = np.float32(height)
-    for i in range(start, stop):
-        x = np.float32(vertices[i, 0] - position[0])
-        y = np.float32(vertices[i, 1] - position[1])
-        z = np.float32(vertices[i, 2] - position[2])
-        offsets[i, 0], offsets[i, 1], offsets[i, 2] = x, y, z
-        length = math.sqrt(x * x + y * y + z * z)
-        if length < _NEAREST_M:
-            places[i, 0] = places[i, 1] = np.float32(np.nan)
-        else:
-            places[i, 0] = middle + per_radian * math.atan2(z, x)
-            places[i, 1] = per_radian * math.acos(min(max(y / length, np.float32(-1)), np.float32(1)))
+    width, height, fx, fy, cx, cy = camera
+    for i in range(len(depth)):
+        x = (uv[i, 0] * width - cx) / fx * depth[i]
+        y = -(uv[i, 1] * height - cy) / fy * depth[i]
+        for axis in range(3):
+            turned = camera_to_world[axis, 0] * x + camera_to_world[axis, 1] * y - camera_to_world[axis, 2] * depth[i]
+            vertices[i, axis] = turned + camera_to_world[axis, 3]
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath={"nsz", "contract"})
+def place_vertices(vertices, position, height, offsets, places):
+    """Write the offsets of vertices [n, 3] from `position` [3, n], and their columns and rows in the panorama [2, n].
+
+    Centres of pixels are at halves. A vertex at the position itself has NaN for a place. Places are exact to 1e-4
+    pixels, far within `MARGIN`; the second loop has no branches, so that the processor places 16 vertices at a time.
+    """
+    for i in range(len(vertices)):
+        for axis in range(3):
+            offsets[axis, i] = np.float32(vertices[i, axis] - position[axis])
+    xs, ys, zs, columns, rows = offsets[0], offsets[1], offsets[2], places[0], places[1]
+    per_radian, middle = np.float32(height / math.pi), np.float32(height)
+    for i in range(len(vertices)):
+        x, y, z = xs[i], ys[i], zs[i]
+        flat = x * x + z * z
+        nowhere = np.float32(0) if flat + y * y >= _NEAREST_M * _NEAREST_M else np.float32(np.nan)
+        columns[i] = middle + per_radian * _angle(z, x) + nowhere
+        rows[i] = per_radian * _angle(np.sqrt(flat), y) + nowhere
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath={"nsz", "contract"})
+def _angle(y, x):
+    """Return atan2(y, x), by 4.4.49 of Abramowitz and Stegun."""
+    across, along = abs(y), abs(x)
+    ratio = min(across, along) / max(max(across, along), np.float32(1e-30))
+    s = ratio * ratio
+    series = (((_A16 * s + _A14) * s + _A12) * s + _A10) * s + _A8
+    angle = (((series * s + _A6) * s + _A4) * s + _A2) * s * ratio + ratio
+    angle = _QUARTER - angle if across > along else angle
+    angle = np.float32(math.pi) - angle if x < 0 else angle
+    return -angle if y < 0 else angle
 
 
 @njit(nogil=True, cache=True)
-def rasterise(faces, offsets, places, rays, height, raster, start, stop):
-    """Rasterise the triangles start..stop of `faces` [n, 3] into `raster`; `rays` [p, 3] are the pixels' directions."""
+def near_centres(places, shape, numbers, flags, chosen):
+    """Write the numbers of the triangles that may hold the centre of a pixel into `chosen`; return how many.
+
+    A frame's triangles are small: most quads of the grid lie between centres.
+
+    Args:
+        places: columns and rows of the vertices, [2, v].
+        shape: rows and columns of the grid.
+        numbers: of the triangles of each quad, [2, quads], ascending.
+        flags: a buffer, [quads].
+        chosen: output, ascending.
+    """
+    rows, columns = shape
+    after, before, widest = np.float32(1.5) + _REACH, np.float32(1.5) - _REACH, np.float32(1)
+    for row in range(rows - 1):
+        start, stop = row * columns, (row + 1) * columns
+        u0, v0 = places[0, start:stop], places[1, start:stop]
+        u1, v1 = places[0, stop : stop + columns], places[1, stop : stop + columns]
+        out = flags[row * (columns - 1) : (row + 1) * (columns - 1)]
+        for i in range(columns - 1):  # without branches, as in `place_vertices`
+            a, b, c, d = u0[i], u0[i + 1], u1[i], u1[i + 1]
+            e, f, g, h = v0[i], v0[i + 1], v1[i], v1[i + 1]
+            left, right = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
+            top, bottom = min(min(e, f), min(g, h)), max(max(e, f), max(g, h))
+            beside = np.int32(left + before) == np.int32(right + after)
+            between = np.int32(top + before) == np.int32(bottom + after)
+            # a wider one bulges between its corners, or crosses the edge; NaN is at the position
+            small = (right - left < widest) & (a + b + c + d + e + f + g + h < np.float32(np.inf))
+            out[i] = not (small & (beside | between))
+    count = 0
+    for half in range(2):
+        for quad in range(len(flags)):
+            if flags[quad] and numbers[half, quad] >= 0:
+                chosen[count] = numbers[half, quad]
+                count += 1
+    return count
+
+
+@njit(nogil=True, cache=True)
+def rasterise(faces, numbers, offsets, places, rays, height, raster):
+    """Rasterise triangles of `faces` [n, 3], those of these ascending numbers, into `raster`.
+
+    `rays` [p, 3] are the pixels' directions.
+    """
     width = 2 * height
     rows = np.float32(height)
-    for number in range(start, stop):
+    for number in numbers:
         i, j, k = faces[number, 0], faces[number, 1], faces[number, 2]
         # 1. Bounds in pixels
         left, right, top, bottom = _corner_bounds(places, i, j, k, height)
@@ -101,9 +184,9 @@ def rasterise(faces, offsets, places, rays, height, raster, start, stop):
         if first_row > last_row or first_column > last_column or top > rows:
             continue
         # 2. Planes through the origin and two corners: a ray inside the triangle is on one side of all three
-        ax, ay, az = offsets[i, 0], offsets[i, 1], offsets[i, 2]
-        bx, by, bz = offsets[j, 0], offsets[j, 1], offsets[j, 2]
-        cx, cy, cz = offsets[k, 0], offsets[k, 1], offsets[k, 2]
+        ax, ay, az = offsets[0, i], offsets[1, i], offsets[2, i]
+        bx, by, bz = offsets[0, j], offsets[1, j], offsets[2, j]
+        cx, cy, cz = offsets[0, k], offsets[1, k], offsets[2, k]
         px, py, pz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
         qx, qy, qz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
         rx, ry, rz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -144,12 +227,12 @@ def rasterise(faces, offsets, places, rays, height, raster, start, stop):
 def _corner_bounds(places, i, j, k, height):
     """Return (left, right, top, bottom) of a narrow triangle, in pixels; columns may lie beyond the edges."""
     width, middle = np.float32(2 * height), np.float32(height)
-    u, v, w = places[i, 0], places[j, 0], places[k, 0]
+    u, v, w = places[0, i], places[0, j], places[0, k]
     left, right = min(u, v, w), max(u, v, w)
     if right - left > middle:  # it crosses the edge
         u, v, w = _unwrapped(u, middle, width), _unwrapped(v, middle, width), _unwrapped(w, middle, width)
         left, right = min(u, v, w), max(u, v, w)
-    u, v, w = places[i, 1], places[j, 1], places[k, 1]
+    u, v, w = places[1, i], places[1, j], places[1, k]
     # An edge is an arc that bulges to the pole: by sin cos (d phi)^2 / 8 radians, at most half of that square
     per_pixel = np.float32(math.pi / height)
     bulge = (right - left) * (right - left) * per_pixel / np.float32(16)
@@ -169,18 +252,18 @@ def _cone_bounds(offsets, i, j, k, height):
     per_radian = np.float32(height / math.pi)
     axis = np.zeros(3, np.float32)
     for corner in (i, j, k):
-        x, y, z = offsets[corner, 0], offsets[corner, 1], offsets[corner, 2]
+        x, y, z = offsets[0, corner], offsets[1, corner], offsets[2, corner]
         length = math.sqrt(x * x + y * y + z * z)
         if length < _NEAREST_M:
             return np.float32(0), width, np.float32(0), rows
-        axis += offsets[corner] / np.float32(length)
+        axis += offsets[:, corner] / np.float32(length)
     length = math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2])
     if length < _NEAREST_M:
         return np.float32(0), width, np.float32(0), rows
     axis /= np.float32(length)
     cosine = np.float32(1)
     for corner in (i, j, k):
-        x, y, z = offsets[corner, 0], offsets[corner, 1], offsets[corner, 2]
+        x, y, z = offsets[0, corner], offsets[1, corner], offsets[2, corner]
         dot = (axis[0] * x + axis[1] * y + axis[2] * z) / math.sqrt(x * x + y * y + z * z)
         cosine = min(cosine, np.float32(dot))
     if cosine < _WIDEST_CONE:
@@ -210,63 +293,68 @@ class Surface(NamedTuple):
 
 
 @njit(nogil=True, cache=True)
-def locate(raster, surface, per_pixel, maps, levels, distance):
-    """Find each panorama pixel's place in the image, its pyramid level, and its distance.
+def locate(raster, surface, per_pixel, seen, maps, levels, distance):
+    """Find the pixels that see the front of a mesh; return how many, and each one's place, pyramid level and distance.
 
     Args:
         raster: nearest triangles [p].
         surface: the mesh's corners.
         per_pixel: image pixels that a panorama pixel spans at a distance equal to the z-depth: focal length x radians.
-        maps: output [p, 2]: (column, row) in the image.
-        levels: output [p]: k for a box of 2^k pixels, -1 where the front of the mesh is not seen.
-        distance: output [p]: metres along the ray, 0 where it is not seen.
+        seen: output [p]: the pixels' numbers, ascending.
+        maps: output [p, 2]: (column, row) in the image of each that is seen.
+        levels: output [p]: k for a box of 2^k pixels, of each that is seen.
+        distance: output [p], of all pixels: metres along the ray, 0 where it is not seen.
     """
     one, half_step = np.float32(1), np.float32(math.sqrt(2.0))
     unit = np.float32(math.sqrt(3.0))  # a tent twice as wide as a box of 2^k has the variance of a box of sqrt(3) 2^k
-    for pixel in range(len(levels)):
+    count = 0
+    for pixel in range(len(distance)):
         number = raster.triangle[pixel]
         if number < 0 or raster.front[pixel] == 0:
-            levels[pixel], distance[pixel] = -1, 0
+            distance[pixel] = 0
             continue
         i, j, k = surface.faces[number, 0], surface.faces[number, 1], surface.faces[number, 2]
         v, w = raster.weights[pixel, 0], raster.weights[pixel, 1]
         u = one - v - w
         for axis in range(2):
-            maps[pixel, axis] = u * surface.pixels[i, axis] + v * surface.pixels[j, axis] + w * surface.pixels[k, axis]
+            maps[count, axis] = u * surface.pixels[i, axis] + v * surface.pixels[j, axis] + w * surface.pixels[k, axis]
         distance[pixel] = raster.distance[pixel]
         span = per_pixel * raster.distance[pixel] / surface.depth_m[i]
         level, limit = 0, unit * half_step
         while span > limit and level < 15:
             level += 1
             limit *= np.float32(2)
-        levels[pixel] = level
+        seen[count], levels[count] = pixel, level
+        count += 1
+    return count
 
 
 @njit(nogil=True, cache=True)
-def sample_level(image, shape, maps, levels, level, last, out):
+def sample_level(image, shape, seen, maps, levels, level, last, out):
     """Sample one pyramid level [h, w, c] bilinearly into `out` [p, c], at the pixels of this level.
 
     Args:
         image: the level.
         shape: rows and columns of the finest level, in whose pixels `maps` is.
-        maps: (column, row) of each pixel, [p, 2].
-        levels: level wanted by each pixel, -1 for none.
+        seen: numbers of pixels, [n].
+        maps: (column, row) of each of them, [n, 2].
+        levels: level wanted by each of them.
         level: number of this level.
         last: whether it is the coarsest, which serves all coarser wishes.
-        out: output; pixels of other levels are not touched.
+        out: output; other pixels are not touched.
     """
     rows, columns, channels = image.shape
     scale_row, scale_column = np.float32(rows / shape[0]), np.float32(columns / shape[1])
     half, one = np.float32(0.5), np.float32(1)
-    for pixel in range(len(levels)):
-        if levels[pixel] != level and not (last and levels[pixel] > level):
+    for number in range(len(seen)):
+        if levels[number] != level and not (last and levels[number] > level):
             continue
-        x = min(max((maps[pixel, 0] + half) * scale_column - half, np.float32(0)), np.float32(columns - 1))
-        y = min(max((maps[pixel, 1] + half) * scale_row - half, np.float32(0)), np.float32(rows - 1))
+        x = min(max((maps[number, 0] + half) * scale_column - half, np.float32(0)), np.float32(columns - 1))
+        y = min(max((maps[number, 1] + half) * scale_row - half, np.float32(0)), np.float32(rows - 1))
         left, top = int(x), int(y)
         right, bottom = min(left + 1, columns - 1), min(top + 1, rows - 1)
         across, down = x - np.float32(left), y - np.float32(top)
         for channel in range(channels):
             above = image[top, left, channel] * (one - across) + image[top, right, channel] * across
             below = image[bottom, left, channel] * (one - across) + image[bottom, right, channel] * across
-            out[pixel, channel] = above * (one - down) + below * down
+            out[seen[number], channel] = above * (one - down) + below * down

@@ -94,7 +94,7 @@ def render_rays_reference(
 def accumulate_reference(
     state: PanoramaState,
     *,
-    hdr: Float[np.ndarray, "h w 3"],
+    hdr: Float[np.ndarray, "h w 3"] | None,
     detail: Float[np.ndarray, "h w 3"],
     detail_depth_m: Float[np.ndarray, "h w"],
     weight: Float[np.ndarray, "h w"],
@@ -128,7 +128,7 @@ def accumulate_reference(
     known = np.where(replaced, 0, state.observed)[..., None]
     for forgotten in (state.clipped, state.guessed):
         forgotten[replaced] = 0
-    background = (1 - known) * hdr + known * state.radiance
+    background = (1 - known) * (state.radiance if hdr is None else hdr) + known * state.radiance
     state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * background
     for accumulated, new in ((state.depth_m, detail_depth_m), (state.clipped, clipped), (state.guessed, guessed)):
         accumulated[:] = blend * new + (1 - blend) * accumulated

@@ -124,7 +124,7 @@ class PanoramaState:
 def accumulate(
     state: PanoramaState,
     *,
-    hdr: Float[np.ndarray, "h w 3"],
+    hdr: Float[np.ndarray, "h w 3"] | None,
     detail: Float[np.ndarray, "h w 3"],
     detail_depth_m: Float[np.ndarray, "h w"],
     weight: Float[np.ndarray, "h w"],
@@ -137,6 +137,7 @@ def accumulate(
     With L_M the weight after the conservative rule, L~ the detail, L. the HDR panorama from the SGLV:
     L_M = max(L_M - 1(D^ - D~ < 0.25), 0);  L = L_M L~ + (1 - L_M)((1 - M^) L. + M^ L);
     D^ = L_M D~ + (1 - L_M) D^;  M^ = min(M^ + L_M, 1).  `weight` must be 0 where the frame's mesh is not seen.
+    Without `hdr` (None) L. is L: nothing changes where the weight is 0.
 
     Where the state is clipped and the detail shows the same surface, L_M is at least min(weight, 1) times
     `better_share`. Where its light has changed (see the module), L_M is min(weight, 1) and M^ is 0
@@ -158,7 +159,8 @@ def accumulate(
     comparison = np.empty(state.observed.shape, np.uint8)
     # One thread: both 0.1 ms for 120 x 240, more on a pool.
     compare_rows(accumulated, frame, panorama_rays(height), closer_m, comparison, 0, height)
-    accumulate_rows(accumulated, hdr, frame, replaced_by_change(state, comparison), closer_m, 0, height)
+    replaced, behind = replaced_by_change(state, comparison), state.radiance if hdr is None else hdr
+    accumulate_rows(accumulated, behind, frame, replaced, closer_m, hdr is None, 0, height)
 
 
 def replaced_by_change(state: PanoramaState, comparison: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
@@ -187,17 +189,25 @@ def extremes_around(
     *,
     weight: Float[np.ndarray, "h w"],
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """Return the least lower bound, the greatest possible luminance and the greatest lower bound around each pixel.
+    """Return least lower bound, greatest possible luminance and greatest lower bound around each seen pixel.
 
-    Unseen pixels are left out; a clipped one has no upper bound. Panoramas wrap around; pixels at the two edge columns
-    see fewer neighbours.
+    Unseen pixels are left out, and have no values; a clipped one has no upper bound. Panoramas wrap around; pixels at
+    the two edge columns see fewer neighbours.
     """
-    luminance = np.asarray(detail @ LUMINANCE, np.float32)
-    seen, bound, zero = weight > 0, luminance - guessed, np.float32(0)
-    lowest = np.where(seen, bound, _UNBOUNDED)
-    highest = np.where(seen, np.where(clipped > 0, _UNBOUNDED, luminance), zero)
-    around = _neighbourhood(len(luminance))
-    return cv2.erode(lowest, around), cv2.dilate(highest, around), cv2.dilate(np.where(seen, bound, zero), around)
+    lowest, highest, brightest = (np.zeros_like(weight) for _ in range(3))
+    seen, around = weight > 0, _neighbourhood(len(weight))
+    rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
+    if len(rows):
+        reach = len(around) // 2
+        top, left = max(rows[0] - reach, 0), max(columns[0] - reach, 0)
+        box = np.s_[top : rows[-1] + 1 + reach, left : columns[-1] + 1 + reach]
+        luminance, seen, zero = np.asarray(detail[box] @ LUMINANCE, np.float32), seen[box], np.float32(0)
+        bound = luminance - guessed[box]
+        lowest[box] = cv2.erode(np.where(seen, bound, _UNBOUNDED), around)
+        limit = np.where(clipped[box] > 0, _UNBOUNDED, luminance)
+        highest[box] = cv2.dilate(np.where(seen, limit, zero), around)
+        brightest[box] = cv2.dilate(np.where(seen, bound, zero), around)
+    return lowest, highest, brightest
 
 
 def latest_detail(

@@ -13,9 +13,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from roomlight.camera import Intrinsics, transform_points
+from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_rays
-from roomlight.engine.kernels.rasterise import Raster, Surface, join_quads, locate, place_vertices, rasterise
+from roomlight.engine.kernels.rasterise import (
+    Raster,
+    Surface,
+    join_quads,
+    locate,
+    near_centres,
+    place_vertices,
+    raise_vertices,
+    rasterise,
+)
 from roomlight.engine.surface.texture import Pyramid, Texture
 from roomlight.frame import Frame
 
@@ -86,11 +95,13 @@ class _Triangles(NamedTuple):
     Attributes:
         vertices: [v, 3] world metres.
         faces: [n, 3] vertices.
+        numbers: [2, quads] faces of each quad, -1 where one is left out.
         pixels: [v, 2] (column, row) of a vertex in the image.
     """
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "n 3"]
+    numbers: Int[np.ndarray, "2 quads"]
     pixels: Float[np.ndarray, "v 2"]
 
 
@@ -147,6 +158,10 @@ class FrameMesh:
         self.gain: tuple[float, float, float] | None = None  # of the texture against the image as pushed
         self._made: _Triangles | None = None
 
+    def prepare(self) -> None:
+        """Make what views need now, so that several threads may ask for views."""
+        self._made, self._pyramid = self._triangles, self._levels
+
     def forget(self) -> None:
         """Release what can be made again."""
         self._made = self._pyramid = None
@@ -187,14 +202,19 @@ class FrameMesh:
             made = self._made = self._triangulated()
         return made
 
+    @property
+    def _levels(self) -> Pyramid:
+        pyramid = self._pyramid
+        if pyramid is None:
+            pyramid = self._pyramid = self.texture.pyramid()
+        return pyramid
+
     def _triangulated(self) -> _Triangles:
         k, depth, uv = self.image_camera, self.grid_depth_m, self.grid.uv()
-        points = np.empty((*depth.shape, 3), np.float32)
-        points[..., 0] = (uv[..., 0] * k.width - k.cx) / k.fx * depth
-        points[..., 1] = -(uv[..., 1] * k.height - k.cy) / k.fy * depth
-        points[..., 2] = -depth
-        pixels = _pixels(self._depth_shape, depth.size, (k.width, k.height))
-        return _Triangles(transform_points(self.camera_to_world, points.reshape(-1, 3)), grid_faces(depth), pixels)
+        vertices = np.empty((depth.size, 3), np.float32)
+        camera = np.array([k.width, k.height, k.fx, k.fy, k.cx, k.cy], np.float32)
+        raise_vertices(depth.reshape(-1), uv.reshape(-1, 2), camera, self.camera_to_world.astype(np.float32), vertices)
+        return _Triangles(vertices, *_joined(depth), _pixels(self._depth_shape, depth.size, (k.width, k.height)))
 
     @property
     def grid(self) -> MeshGrid:
@@ -218,26 +238,24 @@ class FrameMesh:
         """
         pixels, shape = 2 * height * height, (height, 2 * height)
         raster = self._rasterise(position_world, height)
+        seen, distance = np.empty(pixels, np.int32), np.empty(pixels, np.float32)
         maps, levels = np.empty((pixels, 2), np.float32), np.empty(pixels, np.int8)
-        distance = np.empty(pixels, np.float32)
         made, k = self._triangles, self.image_camera
         surface = Surface(made.faces, made.pixels, self.grid_depth_m.reshape(-1))
-        locate(raster, surface, np.float32((k.fx + k.fy) / 2 * np.pi / height), maps, levels, distance)
-        pyramid = self._pyramid
-        if pyramid is None:
-            pyramid = self._pyramid = self.texture.pyramid()
-        radiance, clipping = pyramid.sample(maps, levels)
+        per_pixel = np.float32((k.fx + k.fy) / 2 * np.pi / height)
+        count = locate(raster, surface, per_pixel, seen, maps, levels, distance)
+        radiance, clipping = self._levels.sample(pixels, seen[:count], maps[:count], levels[:count])
         clipped, guessed = (None, None) if clipping is None else (clipping[:, 0], clipping[:, 1])
         return PartialPanorama(
             radiance.reshape(*shape, 3),
-            (levels >= 0).reshape(shape),
+            (distance > 0).reshape(shape),
             distance.reshape(shape),
             None if clipped is None else np.ascontiguousarray(clipped).reshape(shape),
             None if guessed is None else np.ascontiguousarray(guessed).reshape(shape),
         )
 
     def _rasterise(self, position_world: Float[np.ndarray, "3"], height: int) -> Raster:
-        vertices, faces, _ = self._triangles
+        vertices, faces, numbers, _ = self._triangles
         count, pixels = len(vertices), 2 * height * height
         raster = Raster(
             np.full(pixels, np.inf, np.float32),
@@ -245,10 +263,11 @@ class FrameMesh:
             np.empty((pixels, 2), np.float32),
             np.zeros(pixels, np.int32),
         )
-        offsets, places = np.empty((count, 3), np.float32), np.empty((count, 2), np.float32)
-        position = np.asarray(position_world, np.float64)
-        place_vertices(vertices, position, height, offsets, places, 0, count)
-        rasterise(faces, offsets, places, panorama_rays(height), height, raster, 0, len(faces))
+        offsets, places = np.empty((3, count), np.float32), np.empty((2, count), np.float32)
+        place_vertices(vertices, np.asarray(position_world, np.float64), height, offsets, places)
+        flags, chosen = np.empty(numbers.shape[1], np.bool_), np.empty(len(faces), np.int32)
+        some = near_centres(places, self.grid_depth_m.shape, numbers, flags, chosen)
+        rasterise(faces, chosen[:some], offsets, places, panorama_rays(height), height, raster)
         return raster
 
 
@@ -257,8 +276,13 @@ def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:
 
     A triangle with an unknown corner, or across a depth edge (`EDGE_RATIO`), is left out.
     """
-    faces = np.empty((2 * (depth.shape[0] - 1) * (depth.shape[1] - 1), 3), np.int32)
-    return faces[: join_quads(depth, EDGE_RATIO, faces)]
+    return _joined(depth)[0]
+
+
+def _joined(depth: Float[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "2 quads"]]:
+    quads = (depth.shape[0] - 1) * (depth.shape[1] - 1)
+    faces, numbers = np.empty((2 * quads, 3), np.int32), np.empty((2, quads), np.int32)
+    return faces[: join_quads(depth, EDGE_RATIO, faces, numbers)], numbers
 
 
 def _stride(height: int, width: int, max_vertices: int) -> int:

@@ -38,15 +38,19 @@ class Pyramid(NamedTuple):
     clipping: list[Float[np.ndarray, "_ _ 2"]] | None
 
     def sample(
-        self, maps: Float[np.ndarray, "p 2"], levels: Int[np.ndarray, " p"]
-    ) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "p 2"] | None]:
-        """Sample at (column, row) on the given levels of the pyramid; 0 where the level is -1.
+        self,
+        pixels: int,
+        seen: Int[np.ndarray, " n"],
+        maps: Float[np.ndarray, "n 2"],
+        levels: Int[np.ndarray, " n"],
+    ) -> tuple[Float[np.ndarray, "pixels 3"], Float[np.ndarray, "pixels 2"] | None]:
+        """Sample those of so many pixels that are `seen`, at (column, row) on the given levels; 0 elsewhere.
 
         Returns:
             The image, and the share of clipped pixels with the estimated luminance (None: nothing was clipped).
         """
-        clipping = None if self.clipping is None else _sample(self.clipping, maps, levels)
-        return _sample(self.image, maps, levels), clipping
+        clipping = None if self.clipping is None else _sample(self.clipping, pixels, seen, maps, levels)
+        return _sample(self.image, pixels, seen, maps, levels), clipping
 
 
 @dataclass(frozen=True)
@@ -120,11 +124,16 @@ def small_logarithm(
 
 
 def _sample(
-    pyramid: list[Float[np.ndarray, "_ _ c"]], maps: Float[np.ndarray, "p 2"], levels: Int[np.ndarray, " p"]
-) -> Float[np.ndarray, "p c"]:
-    out = np.zeros((len(levels), pyramid[0].shape[2]), np.float32)
+    pyramid: list[Float[np.ndarray, "_ _ c"]],
+    pixels: int,
+    seen: Int[np.ndarray, " n"],
+    maps: Float[np.ndarray, "n 2"],
+    levels: Int[np.ndarray, " n"],
+) -> Float[np.ndarray, "pixels c"]:
+    out = np.zeros((pixels, pyramid[0].shape[2]), np.float32)
     for number, image in enumerate(pyramid):
-        sample_level(image, pyramid[0].shape[:2], maps, levels, number, number == len(pyramid) - 1, out)
+        last = number == len(pyramid) - 1
+        sample_level(image, pyramid[0].shape[:2], seen, maps, levels, number, last, out)
     return out
 
 
