@@ -7,6 +7,7 @@ Start at `generate.generate`, which assigns shards to worker processes.
 - `transport`: the renderer. `transport.RoomLight` solves a room's light once, then renders frames and panoramas.
 - `sequences`: camera walks, probe positions, the phone's exposure and sensor; renders the recordings.
 - `panoramas`: a second renderer, for rooms lit by real HDR panoramas.
+- `blender`: rooms of other authors, from Blender files.
 - `light_stats`: the light of a dataset beside real panoramas; `reports` shows datasets as contact sheets and tables.
 
 `roomlight.dataset` writes the files; `docs/dataset.md` describes them.

@@ -28,7 +28,7 @@ from roomlight.dataset.shards import is_finished, read_index, shard_path
 from roomlight.errors import DatasetError
 from roomlight.rules import check_options
 from roomlight_generator.furniture_digest import furniture_digest
-from roomlight_generator.panoramas.library import panoramas_digest, split_files
+from roomlight_generator.panoramas.library import files_digest, panoramas_digest, split_files
 from roomlight_generator.worker import ShardTask
 from roomlight_generator.worker_pool import Message, WorkerPool
 
@@ -36,6 +36,7 @@ RENDERER: Final = "roomlight_generator.sequences.render:render_room"
 PANORAMA_RENDERER: Final = "roomlight_generator.panoramas.render:render_room"
 VIEWS: Final = "roomlight_generator.sequences.any_view:render_views"
 PANORAMA_VIEWS: Final = "roomlight_generator.sequences.any_view:render_panorama_views"
+BLENDER_RENDERER: Final = "roomlight_generator.blender.render:render_room"
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ class GenerateOptions:
         panoramas: Folder of equirectangular HDR panoramas (.exr, .hdr) that light the rooms: real light.
         furniture_share: Share of the rooms lit by panoramas that have furniture.
         any_view: Instead of walks with probes, single views from anywhere in the room, without probes (for depth).
+        scenes: Blender files, a room each, that are rendered instead of generated rooms.
+        samples: Paths a pixel of frames of Blender files; probes have four times as many.
 
     Raises:
         OptionError: An option is out of range.
@@ -73,6 +76,8 @@ class GenerateOptions:
     panoramas: Path | None = None
     furniture_share: Annotated[float, Interval(ge=0, le=1)] = 0.7
     any_view: bool = False
+    scenes: tuple[Path, ...] = ()
+    samples: Annotated[int, Ge(1)] = 64
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -85,13 +90,13 @@ class GenerateOptions:
     @property
     def furnished(self) -> bool:
         """Whether any room has furniture."""
-        return self.panoramas is None or self.furniture_share > 0
+        return not self.scenes and (self.panoramas is None or self.furniture_share > 0)
 
     @property
     def renderer_name(self) -> str:
         """The renderer's `module:function`."""
-        if self.renderer is not None:
-            return self.renderer
+        if self.renderer is not None or self.scenes:
+            return self.renderer or BLENDER_RENDERER
         own = (VIEWS, PANORAMA_VIEWS) if self.any_view else (RENDERER, PANORAMA_RENDERER)
         return own[self.panoramas is not None]
 
@@ -183,6 +188,8 @@ def generate(
         renderer=options.renderer_name,
         panoramas=None if options.panoramas is None else panoramas_digest(options.panoramas),
         furniture_share=None if options.panoramas is None else options.furniture_share,
+        scenes=files_digest(options.scenes) if options.scenes else None,
+        samples=options.samples if options.scenes else None,
     )
     with locked(out):
         update_manifest(out, settings, split=options.split, sequences=options.sequences)
@@ -230,6 +237,8 @@ def _task(tar: Path, numbers: range, options: GenerateOptions) -> ShardTask:
         renderer=options.renderer_name,
         panoramas=None if options.panoramas is None else str(options.panoramas.resolve()),
         furniture_share=None if options.panoramas is None else options.furniture_share,
+        scenes=[str(path.resolve()) for path in options.scenes] or None,
+        samples=options.samples,
     )
 
 

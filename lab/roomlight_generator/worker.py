@@ -51,6 +51,7 @@ class ShardTask:
         tar: File of the shard.
         first, last: The shard's sequences are `first` to `last` - 1 of the split.
         panoramas, furniture_share: Given for rooms lit by panoramas only.
+        scenes, samples: For Blender scenes only.
     """
 
     tar: str
@@ -64,6 +65,8 @@ class ShardTask:
     renderer: str
     panoramas: str | None = None
     furniture_share: float | None = None
+    scenes: list[str] | None = None
+    samples: int | None = None
 
 
 Emit = Callable[[dict[str, Any]], None]
@@ -145,9 +148,11 @@ def _attempt_seed(seed: int, attempt: int) -> int:
 
 
 def find_renderer(task: ShardTask) -> RenderRoom:
-    """Import the task's renderer, and give it panoramas where it takes them."""
+    """Import the task's renderer, and give it what it takes beside the common arguments: panoramas or scenes."""
     module, _, function = task.renderer.partition(":")
     render = getattr(import_module(module), function)
+    if task.scenes is not None:
+        return partial(render, scenes=[Path(path) for path in task.scenes], samples=task.samples)
     if task.panoramas is None:
         return render
     return partial(render, panoramas=Path(task.panoramas), furniture_share=task.furniture_share)

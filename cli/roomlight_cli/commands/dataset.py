@@ -14,6 +14,7 @@ from annotated_types import Ge
 from jaxtyping import Float32
 
 from roomlight.dataset.extract import extract as extract_sequence
+from roomlight.dataset.folder import FRAMES
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording, Split
 from roomlight.dataset.verify import verify as verify_dataset
@@ -25,6 +26,7 @@ from roomlight_cli.console import run, say
 from roomlight_cli.generation import cost_text, show_generation
 from roomlight_cli.options import Flag, Without, add_command
 from roomlight_cli.progress import Progress, duration
+from roomlight_generator.blender.scene import require_blender
 from roomlight_generator.generate import GenerateOptions
 from roomlight_generator.generate import generate as run_generator
 from roomlight_generator.light_stats import compare_light
@@ -39,7 +41,7 @@ OnlySplit = Annotated[Split | None, Flag(text="Use this split only.")]
 
 
 def generate(
-    options: Annotated[GenerateOptions, Without("renderer")],
+    options: Annotated[GenerateOptions, Without("renderer", "scenes", "samples")],
     *,
     out: Path,
     workers: Annotated[int, Ge(1)] | None = None,
@@ -53,6 +55,51 @@ def generate(
     """
     if options.panoramas is not None:
         _say_split(options.panoramas, options.split)
+    _generate(out, options, workers)
+
+
+def render(
+    scenes: Annotated[tuple[Path, ...], Flag(text="Blender files (.blend), a room each.")],
+    *,
+    out: Path,
+    walks: Annotated[int, Ge(1)] = 1,
+    frames: Annotated[int, Ge(1)] = FRAMES,
+    samples: Annotated[int, Ge(1)] = 64,
+    seed: Annotated[int, Ge(0)] = 0,
+    split: Split = "train",
+    workers: Annotated[int, Ge(1)] | None = None,
+) -> None:
+    """Render Blender scenes as sequences with ground-truth probes. Stopped or killed, the same command continues.
+
+    Walks go through the room in which the scene's camera stands. Cycles renders; it needs the extra `blender`.
+
+    Args:
+        out: Dataset folder: a new one, or one to continue.
+        walks: Walks through each scene.
+        frames: Frames of a walk.
+        samples: Paths a pixel of frames, which are denoised; probes have four times as many.
+        seed: Seed of walks, phones and exposures.
+        split: Split of these rooms.
+        workers: Processes; default: one per core.
+    """
+    require_blender()
+    for path in scenes:
+        if not path.is_file():
+            raise DatasetError(f"{path}: is not a file; give Blender scenes (.blend)")
+    options = GenerateOptions(
+        sequences=walks * len(scenes),
+        seed=seed,
+        split=split,
+        shard_size=walks,
+        sequences_per_room=walks,
+        frames=frames,
+        scenes=scenes,
+        samples=samples,
+    )
+    _generate(out, options, workers)
+
+
+def _generate(out: Path, options: GenerateOptions, workers: int | None) -> None:
     with Progress("generating") as progress:
         try:
             report = run_generator(out, options, workers=workers, progress=show_generation(progress))
@@ -205,7 +252,7 @@ def _probes_of(dataset: Dataset) -> Iterator[Recording]:
 app = typer.Typer(
     help="Generate, view, measure and extract datasets of path-traced rooms.", no_args_is_help=True, **APP_OPTIONS
 )
-for _command in (generate, preview, stats, verify, extract, furniture, prior):
+for _command in (generate, render, preview, stats, verify, extract, furniture, prior):
     add_command(app, _command)
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ GENERATOR: Final = f"{__version__}+4"
 """RoomLight's version and the generator's: the latter rises when the same seed gives other rooms, so that a dataset is
 not continued with them. 2: flat colours, and furniture of the library. 4: lamps with sharp edges."""
 
-_OPTIONAL: Final = ("panoramas", "furniture_share")
+_OPTIONAL: Final = ("panoramas", "furniture_share", "scenes", "samples")
 """Settings that are written only where they apply: earlier versions read manifests without them."""
 
 
@@ -55,6 +55,8 @@ class DatasetSettings:
         generator: `GENERATOR`.
         panoramas: SHA-256 of the folder of panoramas that light the rooms; None for generated light.
         furniture_share: Share of the rooms lit by panoramas that have furniture; None for generated light.
+        scenes: SHA-256 of the Blender files that are the rooms; None for rooms of our own.
+        samples: Paths a pixel of frames of Blender files; None for rooms of our own.
     """
 
     seed: int
@@ -66,6 +68,8 @@ class DatasetSettings:
     generator: str = GENERATOR
     panoramas: str | None = None
     furniture_share: float | None = None
+    scenes: str | None = None
+    samples: int | None = None
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,8 @@ def read_manifest(folder: Path) -> Manifest:
             generator=str(values["generator"]),
             panoramas=None if values.get("panoramas") is None else str(values["panoramas"]),
             furniture_share=None if values.get("furniture_share") is None else float(values["furniture_share"]),
+            scenes=None if values.get("scenes") is None else str(values["scenes"]),
+            samples=None if values.get("samples") is None else int(values["samples"]),
         )
         return Manifest(settings, {str(split): int(count) for split, count in values["sequences"].items()})
     except (ValueError, TypeError, KeyError, AttributeError) as error:

@@ -6,6 +6,7 @@ a resolution such as `_2k`, are taken to show one building.
 
 import hashlib
 import re
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -79,8 +80,17 @@ def panoramas_digest(folder: Path) -> str:
     Raises:
         DatasetError: if one cannot be read.
     """
+    return files_digest(panorama_files(folder))
+
+
+def files_digest(paths: Sequence[Path]) -> str:
+    """Return the SHA-256 of files and their names, in their order.
+
+    Raises:
+        DatasetError: if one cannot be read.
+    """
     sha = hashlib.sha256()
-    for path in panorama_files(folder):
+    for path in paths:
         try:
             sha.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
         except OSError as error:

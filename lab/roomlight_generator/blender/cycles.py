@@ -1,0 +1,139 @@
+"""Frames and panoramas of a Blender scene by Cycles: physical light, scene-linear, nothing clamped.
+
+World: y up, metres, the floor at y = 0. Cycles' light has no photometric unit; `kcd_m2` scales it.
+"""
+
+import tempfile
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from roomlight.camera import Intrinsics
+from roomlight.conventions import panorama_solid_angles
+from roomlight.dataset.recording import ORDINARY
+from roomlight.images import read_colour
+from roomlight_generator.blender.scene import BLENDER_TO_WORLD, BlenderRoom, blender, quiet
+from roomlight_generator.transport import FrameView
+
+SENSOR_MM: Final = 36.0
+FORWARD_TO_CENTRE: Final = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
+"""Camera axes (columns: right, up, backward) of a panorama whose middle column looks along +x."""
+_LEAST_BOUNCES: Final = 12
+
+
+FINER: Final = 2
+"""Panoramas are rendered at this many times their height and averaged by solid angle: Cycles spreads its paths evenly
+over a pixel's azimuth and elevation, and too many of them lie near a pole. They are not denoised, which changes the
+light of a lamp of a few pixels by a tenth."""
+
+
+class CyclesViews:
+    """A renderer of an open scene (`sequences.render.Views`)."""
+
+    def __init__(self, room: BlenderRoom, floor_y: float, *, samples: int) -> None:
+        """Set the scene up, with `samples` paths a pixel of frames. It must be the one that is open in this process."""
+        self._room, self._samples, self._origin = room, samples, np.array([0, floor_y, 0])
+        self.kcd_m2 = 1.0
+        bpy, scene = blender(), room.scene
+        self._data = bpy.data.cameras.new("roomlight")
+        self._camera = bpy.data.objects.new("roomlight", self._data)
+        scene.collection.objects.link(self._camera)
+        scene.camera = self._camera
+        self._data.clip_start, self._data.clip_end = 0.01 / room.unit_m, 1000 / room.unit_m
+        self._data.sensor_fit, self._data.sensor_width = "HORIZONTAL", SENSOR_MM
+        _set_up(scene)
+
+    def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
+        """Render what a pinhole camera sees. Depth and kinds are those of the rays through the pixels' centres."""
+        k, data = intrinsics, self._data
+        self._room.scene.cycles.use_denoising = True
+        data.type, data.lens = "PERSP", k.fx * SENSOR_MM / k.width
+        longer = max(k.width, k.height)
+        data.shift_x, data.shift_y = (k.width / 2 - k.cx) / longer, (k.cy - k.height / 2) / longer
+        self._place(camera_to_world[:3, :3], camera_to_world[:3, 3])
+        radiance = self._render(k.width, k.height, self._samples, seed)
+        hits, along = self._first_hits(k, camera_to_world)
+        kinds = np.where(hits.face >= 0, self._room.kinds[hits.face], ORDINARY).astype(np.uint8)
+        return FrameView(radiance, _z_depth(hits.distance_m, along), kinds.reshape(k.height, k.width))
+
+    def depth(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> Float32[np.ndarray, "h w"]:
+        """Compute the depth of `frame` alone."""
+        hits, along = self._first_hits(intrinsics, camera_to_world)
+        return _z_depth(hits.distance_m, along)
+
+    def panorama(
+        self, position: Float[np.ndarray, "3"], height: int = 120, *, seed: int
+    ) -> Float32[np.ndarray, "{height} 2*{height} 3"]:
+        """Render the radiance that arrives at a point from all sides, the mean over each pixel."""
+        return self._panorama(position, height, self._samples, seed)
+
+    def set_median(self, position: Float[np.ndarray, "3"], kcd_m2: float) -> None:
+        """Scale all light so that the median of what arrives at a point is `kcd_m2`."""
+        self.kcd_m2 = 1.0
+        brightness = np.median(self._panorama(position, 24, 32, 0).mean(axis=-1))
+        self.kcd_m2 = kcd_m2 / max(float(brightness), 1e-9)
+
+    def _panorama(
+        self, position: Float[np.ndarray, "3"], height: int, samples: int, seed: int
+    ) -> Float32[np.ndarray, "h w 3"]:
+        self._data.type, self._data.panorama_type = "PANO", "EQUIRECTANGULAR"
+        self._data.shift_x = self._data.shift_y = 0.0
+        self._place(FORWARD_TO_CENTRE, np.asarray(position))
+        self._room.scene.cycles.use_denoising = False
+        fine = self._render(2 * FINER * height, FINER * height, samples, seed).reshape(
+            height, FINER, 2 * height, FINER, 3
+        )
+        weight = panorama_solid_angles(FINER * height).reshape(height, FINER)
+        weight = (weight / weight.sum(axis=1, keepdims=True)).reshape(height, FINER, 1, 1, 1)
+        return (fine * weight).sum(axis=1).mean(axis=2).astype(np.float32)
+
+    def _place(self, axes: Float[np.ndarray, "3 3"], position: Float[np.ndarray, "3"]) -> None:
+        matrix = np.eye(4)
+        matrix[:3, :3] = BLENDER_TO_WORLD.T @ axes
+        matrix[:3, 3] = BLENDER_TO_WORLD.T @ (position + self._origin) / self._room.unit_m
+        self._camera.matrix_world = matrix.T.tolist()  # Blender takes columns
+
+    def _render(self, width: int, height: int, samples: int, seed: int) -> Float32[np.ndarray, "h w 3"]:
+        bpy, scene = blender(), self._room.scene
+        scene.render.resolution_x, scene.render.resolution_y = width, height
+        scene.cycles.samples, scene.cycles.seed = samples, seed % 2**31
+        with tempfile.TemporaryDirectory() as folder, quiet():
+            scene.render.filepath = str(Path(folder) / "picture.exr")
+            bpy.ops.render.render(write_still=True)
+            picture, _ = read_colour(Path(scene.render.filepath))
+        return np.asarray(picture[..., :3] * self.kcd_m2, np.float32)
+
+    def _first_hits(self, k: Intrinsics, pose: Float[np.ndarray, "4 4"]) -> tuple[Any, Float[np.ndarray, "h w"]]:
+        rays = k.rays().astype(np.float64)
+        along = np.linalg.norm(rays, axis=-1)
+        directions = (rays / along[..., None]).reshape(-1, 3) @ pose[:3, :3].T
+        origins = np.broadcast_to(pose[:3, 3] + self._origin, directions.shape)
+        hits = self._room.tree.trace_here(origins.astype(np.float32), np.ascontiguousarray(directions, np.float32))
+        return hits, along
+
+
+def _z_depth(distance_m: Float[np.ndarray, " n"], along: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Convert distances along rays to z-depth, 0 where nothing is met."""
+    return (np.where(np.isfinite(distance_m), distance_m, 0).reshape(along.shape) / along).astype(np.float32)
+
+
+def _set_up(scene: Any) -> None:
+    """Choose physical light: no clamping, no view transform, no compositor, enough bounces, one thread."""
+    render, cycles = scene.render, scene.cycles
+    render.engine, cycles.device = "CYCLES", "CPU"
+    render.use_compositing = render.use_sequencer = render.use_border = render.use_motion_blur = False
+    render.resolution_percentage, render.pixel_aspect_x, render.pixel_aspect_y = 100, 1, 1
+    render.threads_mode, render.threads = "FIXED", 1
+    render.use_persistent_data = True  # a walk's frames share the scene
+    render.film_transparent = False
+    settings = render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
+    cycles.film_exposure = 1.0
+    cycles.pixel_filter_type = "BOX"  # a wider filter would bring light of the poles of panoramas into larger pixels
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
+    cycles.max_bounces = max(cycles.max_bounces, _LEAST_BOUNCES)
+    cycles.diffuse_bounces = max(cycles.diffuse_bounces, _LEAST_BOUNCES)
+    cycles.denoiser = "OPENIMAGEDENOISE"
+    cycles.use_adaptive_sampling = False

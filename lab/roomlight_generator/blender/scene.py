@@ -1,0 +1,192 @@
+"""A Blender file as RoomLight sees it: triangles in metres, y up, with the kind of surface of each.
+
+Blender's world is z up; its point (x, y, z) is (x, z, -y) here. Lengths are multiplied by the scene's unit scale.
+"""
+
+import importlib
+import importlib.util
+import os
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, Float32, Int32, UInt8
+
+from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
+from roomlight.errors import DatasetError
+from roomlight.rays import RayTree
+
+BLENDER_TO_WORLD: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+"""Blender's axes in RoomLight's world: x, up, toward the viewer."""
+_BLOCK: Final = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class BlenderRoom:
+    """An open scene.
+
+    Attributes:
+        scene: `bpy.types.Scene`.
+        path: Its file.
+        unit_m: Metres of Blender's unit.
+        vertices: Corners in metres, y up, in the file's own origin.
+        kinds: Kind of surface of each triangle (`roomlight.dataset.recording`).
+        tree: The triangles, for rays.
+        anchor: Where the scene's camera is, in metres; None if the scene has none.
+        lamps: Names of the light objects.
+    """
+
+    scene: Any
+    path: Path
+    unit_m: float
+    vertices: Float32[np.ndarray, "v 3"]
+    kinds: UInt8[np.ndarray, " f"]
+    tree: RayTree
+    anchor: Float[np.ndarray, "3"] | None
+    lamps: tuple[str, ...]
+
+
+def require_blender() -> None:
+    """Check that Blender is installed, without importing it: that changes the module path.
+
+    Raises:
+        DatasetError: it is not installed.
+    """
+    if importlib.util.find_spec("bpy") is None:
+        raise DatasetError(
+            "Blender scenes need Blender as a Python module, whose wheel is for Python 3.11: in an environment of that "
+            "version, pip install 'roomlight[blender]'"
+        )
+
+
+def blender() -> Any:
+    """Import `bpy` with the renderer Cycles.
+
+    Raises:
+        DatasetError: it is not installed.
+    """
+    require_blender()
+    bpy = importlib.import_module("bpy")
+    importlib.import_module("addon_utils").enable("cycles")
+    return bpy
+
+
+@contextmanager
+def quiet() -> Generator[None]:
+    """Drop what Blender prints to standard output: a line for each sample."""
+    kept, nothing = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nothing)
+
+
+def open_scene(path: Path) -> BlenderRoom:
+    """Open a .blend file with all that a render of it would show.
+
+    Raises:
+        DatasetError: `bpy` is not installed, the file cannot be opened, or it shows no triangle.
+    """
+    bpy = blender()
+    try:
+        with quiet():
+            bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise DatasetError(f"{path}: Blender {bpy.app.version_string} cannot open it ({reason})") from error
+    scene = bpy.context.scene
+    _show_what_is_rendered(bpy, scene)
+    graph = bpy.context.evaluated_depsgraph_get()
+    unit_m = float(scene.unit_settings.scale_length)
+    parts = [part for instance in graph.object_instances if (part := _triangles(instance, unit_m)) is not None]
+    if not parts:
+        raise DatasetError(f"{path}: it shows no mesh; open the scene in Blender and check that it renders")
+    first = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
+    vertices = np.concatenate([vertices for vertices, _, _ in parts])
+    faces = np.concatenate([faces + start for (_, faces, _), start in zip(parts, first, strict=False)])
+    kinds = np.concatenate([kinds for _, _, kinds in parts])
+    if not np.isfinite(vertices).all():
+        raise DatasetError(f"{path}: a vertex is not a finite number")
+    camera = scene.camera
+    anchor = None if camera is None else BLENDER_TO_WORLD @ np.array(camera.matrix_world.translation) * unit_m
+    lamps = tuple(thing.name for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render)
+    return BlenderRoom(scene, path, unit_m, vertices, kinds, RayTree(vertices, faces), anchor, lamps)
+
+
+def distances(
+    room: BlenderRoom, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, " n"]:
+    """Return the metres along each ray to the first surface, inf without; in this thread."""
+    parts = [
+        room.tree.trace_here(
+            np.ascontiguousarray(origins[start : start + _BLOCK], np.float32),
+            np.ascontiguousarray(directions[start : start + _BLOCK], np.float32),
+        ).distance_m
+        for start in range(0, len(origins), _BLOCK)
+    ]
+    return np.concatenate(parts) if parts else np.zeros(0, np.float32)
+
+
+def _show_what_is_rendered(bpy: Any, scene: Any) -> None:
+    """Make the viewport's evaluation, which scripts read, that of a render."""
+    for thing in scene.objects:
+        thing.hide_viewport = thing.hide_render
+        thing.hide_set(False)
+        for modifier in thing.modifiers:
+            modifier.show_viewport = modifier.show_render
+            if modifier.type in ("SUBSURF", "MULTIRES"):
+                modifier.levels = modifier.render_levels
+    bpy.context.view_layer.update()
+
+
+def _triangles(
+    instance: Any, unit_m: float
+) -> tuple[Float32[np.ndarray, "v 3"], Int32[np.ndarray, "f 3"], UInt8[np.ndarray, " f"]] | None:
+    """Return vertices, faces and kinds of an instance of an object; None if it has no surface."""
+    thing = instance.object
+    if not instance.show_self or thing.hide_render or thing.type not in ("MESH", "CURVE", "SURFACE", "META", "FONT"):
+        return None
+    mesh = thing.to_mesh()
+    if mesh is None:
+        return None
+    mesh.calc_loop_triangles()
+    count = len(mesh.loop_triangles)
+    points, faces = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * count, np.int32)
+    slots = np.zeros(count, np.int32)
+    mesh.vertices.foreach_get("co", points)
+    mesh.loop_triangles.foreach_get("vertices", faces)
+    mesh.loop_triangles.foreach_get("material_index", slots)
+    kind_of = np.array([_kind(material) for material in mesh.materials] or [ORDINARY], np.uint8)
+    thing.to_mesh_clear()
+    if count == 0:
+        return None
+    matrix = np.array(instance.matrix_world)
+    placed = points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+    world = (placed @ BLENDER_TO_WORLD.T * unit_m).astype(np.float32)
+    return world, faces.reshape(-1, 3), kind_of[np.minimum(slots, len(kind_of) - 1)]
+
+
+def _kind(material: Any) -> int:
+    """Return the kind of surface of a material, by the first of its shaders that decides it."""
+    if material is None or not material.use_nodes or material.node_tree is None:
+        return ORDINARY
+    for node in material.node_tree.nodes:
+        sockets = node.inputs
+        principled = node.type == "BSDF_PRINCIPLED"
+        if node.type == "EMISSION" or (principled and any(sockets["Emission Color"].default_value[:3])):
+            strength = sockets["Emission Strength" if principled else "Strength"]
+            if strength.is_linked or strength.default_value > 0:
+                return LIGHT
+        if node.type == "BSDF_GLASS" or (principled and sockets["Transmission Weight"].default_value > 0.5):
+            return GLASS
+        if principled and sockets["Metallic"].default_value > 0.9:
+            roughness = sockets["Roughness"]
+            if not roughness.is_linked and roughness.default_value < 0.1:
+                return MIRROR
+    return ORDINARY

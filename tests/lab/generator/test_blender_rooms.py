@@ -1,0 +1,135 @@
+"""Blender scenes: depth, direction and light against closed form, and whole recordings. Skipped without `bpy`."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from blender_scenes import SIZE_M, box_room
+
+from roomlight.camera import Intrinsics
+from roomlight.conventions import panorama_rays, panorama_solid_angles
+from roomlight.dataset.loader import Dataset
+from roomlight.dataset.recording import LIGHT
+from roomlight.errors import DatasetError
+from roomlight_generator.blender.cycles import CyclesViews
+from roomlight_generator.blender.floor import find_floor
+from roomlight_generator.blender.render import render_room
+from roomlight_generator.blender.scene import open_scene
+
+with_blender = pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="bpy is not installed")
+
+CAMERA = Intrinsics(fx=60.0, fy=60.0, cx=45.0, cy=28.0, width=80, height=60)
+
+
+def _views(path: Path) -> CyclesViews:
+    room = open_scene(path)
+    floor_y, _ = find_floor(room)
+    return CyclesViews(room, floor_y, samples=16)
+
+
+def _pose(forward, position) -> np.ndarray:
+    forward = np.asarray(forward, float) / np.linalg.norm(forward)
+    right = np.cross(forward, [0, 1, 0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(right, forward), -forward], axis=1)
+    pose[:3, 3] = position
+    return pose
+
+
+def test_without_blender_the_error_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(DatasetError, match=r"roomlight\[blender\]"):
+        open_scene(tmp_path / "room.blend")
+
+
+@with_blender
+def test_a_lamp_is_where_its_direction_and_depth_say(tmp_path):
+    """A lamp at Blender's (1.5, 1.0, 2.0) is at (1.5, 2.0, -1.0): in frames, depth, kinds and panoramas."""
+    views = _views(box_room(tmp_path / "room.blend", albedo=0.0, lamps=((1.5, 1.0, 2.0, 0.2, 50.0),)))
+    lamp, eye = np.array([1.5, 2.0, -1.0]), np.array([-1.0, 1.2, 0.5])
+    pose = _pose(lamp - eye + [0.3, -0.2, 0.1], eye)
+    view = views.frame(CAMERA, pose, seed=1)
+    (xy,), (z,) = CAMERA.project(((lamp - eye) @ pose[:3, :3])[None])
+    bright = view.radiance.mean(-1)
+    v, u = (np.indices(bright.shape) + 0.5) * bright / bright.sum()
+    np.testing.assert_allclose([u.sum(), v.sum()], xy, atol=0.5)
+    column, row = xy.astype(int)
+    assert view.surface[row, column] == LIGHT
+    assert abs(view.depth_m[row, column] - z) < 0.15  # its front, half a side nearer at most
+    panorama = views.panorama(eye, 64, seed=1).mean(-1) * panorama_solid_angles(64)
+    direction = panorama.reshape(-1) @ panorama_rays(64)
+    towards = (lamp - eye) / np.linalg.norm(lamp - eye)
+    assert np.degrees(np.arccos(direction / np.linalg.norm(direction) @ towards)) < 1.5
+
+
+@with_blender
+def test_depth_of_the_walls_is_exact(tmp_path):
+    views = _views(box_room(tmp_path / "room.blend"))
+    depth = views.depth(CAMERA, _pose([1, 0, 0], [0.5, 1.5, 0.2]))
+    np.testing.assert_allclose(depth[20:40, 30:60], SIZE_M[0] / 2 - 0.5, atol=1e-4)
+
+
+@with_blender
+def test_light_between_walls_is_that_of_the_furnace(tmp_path):
+    """Walls that emit E and reflect rho shine with E / (1 - rho) everywhere: every bounce counts."""
+    views = _views(box_room(tmp_path / "room.blend", albedo=0.5, walls_emit=40.0))
+    panorama = views.panorama(np.array([0.3, 1.1, 0.4]), 16, seed=3)
+    mean = float((panorama[..., 1] * panorama_solid_angles(16)).sum() / (4 * np.pi))
+    assert mean == pytest.approx(80.0, rel=0.01)
+    assert panorama.min() > 60
+
+
+@with_blender
+@pytest.mark.parametrize("place", [(0.0, 0.0, 2.5), (1.5, 0.0, 2.0)], ids=["above", "aside"])
+def test_irradiance_of_a_small_lamp_is_radiance_times_solid_angle(tmp_path, place):
+    """A lamp that is small against its distance lights as the solid angle of its faces, and from where it is."""
+    side, radiance, eye = 0.1, 500.0, np.array([0.0, 0.5, 0.0])
+    views = _views(box_room(tmp_path / "room.blend", albedo=0.0, lamps=((*place, side, radiance),)))
+    panorama = views.panorama(eye, 120, seed=2)[..., 1]
+    flux = float((panorama * panorama_solid_angles(120)).sum())
+    away = np.array([place[0], place[2], -place[1]]) - eye
+    squares = np.abs(away) - side / 2  # distance of the near face along each axis
+    expected = sum(
+        radiance * side**2 * squares[axis] / np.linalg.norm(np.where(np.arange(3) == axis, squares, away)) ** 3
+        for axis in range(3)
+        if squares[axis] > 0
+    )
+    assert flux == pytest.approx(expected, rel=0.03)
+
+
+@with_blender
+def test_a_scene_becomes_a_dataset_that_is_not_made_twice(tmp_path):
+    """The command, in a process that has not imported `bpy`, as its users run it."""
+    scene = box_room(tmp_path / "room.blend", lamps=((1.0, 1.0, 2.8, 0.3, 60.0), (-1.5, -1.0, 1.0, 0.2, 20.0)))
+    command = [Path(sys.prefix) / "bin/python", "-c", "from roomlight_cli.main import main; main()"]
+    command += ["dataset", "render", scene, "--out", tmp_path / "rooms", "--frames", "2", "--samples", "1"]
+    first, second = (subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2))
+    assert "1 made" in first
+    assert "already has its 1 train sequences" in second
+    recording = Dataset(tmp_path / "rooms").read(0)
+    assert recording.facts["scene"] == "room.blend"
+    assert recording.probe_panoramas.shape == (3, 120, 240, 3)
+    assert (recording.depth_mm > 0).all()
+    assert 0.1 < np.percentile(recording.colour[0].max(-1), 80) / 255 < 1
+
+
+@with_blender
+def test_the_same_numbers_give_the_same_recording(tmp_path):
+    scene = box_room(tmp_path / "room.blend", lamps=((1.0, 1.0, 2.8, 0.3, 60.0),))
+    first, second = (
+        next(render_room(0, seed=5, split="train", furniture=None, count=1, frames=1, scenes=[scene], samples=1))
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.colour, second.colour)
+    np.testing.assert_array_equal(first.probe_panoramas, second.probe_panoramas)
+
+
+@with_blender
+def test_files_that_are_no_scene_are_refused_by_name(tmp_path):
+    (tmp_path / "broken.blend").write_bytes(b"not a scene")
+    with pytest.raises(DatasetError, match=r"broken\.blend: Blender .* cannot open it"):
+        open_scene(tmp_path / "broken.blend")
