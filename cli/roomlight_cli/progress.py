@@ -80,6 +80,8 @@ class Progress:
     def _show(self, text: str, done: int, total: int | None) -> None:
         if text != self._first[0]:
             self._first = text, done, time.monotonic()
+            if self._bars and total:  # what was done before is not of the pace
+                self._bars.reset(self._task, completed=done, total=total)
         self._text, self._done, self._total = text, done, total
         if self._bars:
             self._bars.update(self._task, description=escape(text), completed=done, total=total)

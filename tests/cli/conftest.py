@@ -7,7 +7,7 @@ import pytest
 from command_runner import Finished, RunCommand
 
 from roomlight_cli.main import main
-from roomlight_cli.replays.pictures import ReplayPictures
+from roomlight_cli.replays.pictures import PicturesState, ReplayPictures
 from rooms import BoxRoom, pan
 from written_captures import write_capture
 
@@ -35,8 +35,11 @@ def roomlight(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 class NoPictures:
     """Video and sheet are compared in one test; elsewhere their spheres would take most of the time."""
 
-    def __init__(self, *_: object, **__: object) -> None:
-        pass
+    def __init__(self, _: Path, __: object, state: PicturesState, **___: object) -> None:
+        self.state = state
+
+    def end_part(self) -> PicturesState:
+        return self.state
 
     def add(self, *_: object) -> None:
         pass

@@ -17,7 +17,7 @@ from roomlight.frame import Frame
 from roomlight_cli.replays.sheet import InsertedObjects
 
 _COLUMNS: Final = 960
-"""Small frames are enlarged to this width first, so that the spheres' edges are those of the printed picture."""
+"""Width of the printed picture. Small frames are enlarged to it first, so that the spheres' edges are sharp."""
 _DIAMETER_SHARE: Final = 0.055
 """A sphere's diameter as a share of its distance: large enough to see the room in it."""
 _DIAMETERS_M: Final = (0.08, 0.3)
@@ -59,6 +59,13 @@ class ProbeView:
             within = depth_m > 0.2 and _MARGIN_SHARE < x < 1 - _MARGIN_SHARE and _MARGIN_SHARE < y < 1 - _MARGIN_SHARE
             marks.append((x, y) if within and not _hidden(frame, x, y, depth_m) else None)
         return cls(frame, tuple(positions), tuple(marks), tuple(depths_m.tolist()))
+
+
+def printed(view: ProbeView) -> ProbeView:
+    """Return the view with its frame no wider than it is printed."""
+    rows = round(view.frame.image.shape[0] * _COLUMNS / view.frame.image.shape[1])
+    fits = view.frame.image.shape[1] <= _COLUMNS
+    return view if fits else replace(view, frame=view.frame.resized(max(_COLUMNS, rows), max(_COLUMNS, rows)))
 
 
 def insert_spheres(session: Session, view: ProbeView) -> InsertedObjects | None:

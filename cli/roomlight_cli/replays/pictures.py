@@ -1,4 +1,4 @@
-"""The pictures of a replay: a video while it runs, and a summary at its end."""
+"""The pictures of a replay: a video in parts while it runs, which are joined at its end, and a summary."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,10 +12,10 @@ from roomlight.conventions import Position
 from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session
 from roomlight.frame import Frame
-from roomlight.imaging.video_writer import VideoWriter
+from roomlight.imaging.video_writer import VideoWriter, join_videos
 from roomlight.spheres import view_toward
 from roomlight_cli.probe_notes import position_text
-from roomlight_cli.replays.inserted_spheres import ProbeView, insert_spheres
+from roomlight_cli.replays.inserted_spheres import ProbeView, insert_spheres, printed
 from roomlight_cli.replays.sheet import Sheet, SheetProbe, SheetTime, mean_light, sheet_times, write_sheet
 from roomlight_cli.replays.video import MAX_PROBES, ReplayPicture
 
@@ -35,21 +35,46 @@ class Titles:
 
 
 @dataclass
-class _History:
-    """Numbers of every frame whose light was computed, for the plots."""
+class PicturesState:
+    """What the pictures of a replay know after a frame.
 
+    Attributes:
+        views: World directions along which the probes' spheres are seen: from the first camera.
+        frame_size: Columns and rows of a frame in the video.
+        times: Of the summary.
+        indices: Of the frames whose light was computed, for the plots.
+        light: The panoramas' mean luminance in these frames.
+        coverage: The share of the sphere seen in them.
+        best: The frame that shows most probes.
+        taken: Number of frames drawn.
+        parts: Number of finished parts of the video.
+    """
+
+    views: list[tuple[float, float, float]]
+    frame_size: tuple[int, int]
+    times: list[SheetTime] = field(default_factory=list[SheetTime])
     indices: list[int] = field(default_factory=list[int])
     light: list[list[float]] = field(default_factory=list[list[float]])
     coverage: list[list[float]] = field(default_factory=list[list[float]])
+    best: ProbeView | None = None
+    taken: int = 0
+    parts: int = 0
+
+    @classmethod
+    def of(cls, first: Frame, positions: Sequence[Position]) -> "PicturesState":
+        """Begin with the first frame."""
+        height, width = first.resized(*WORKING_SIZE).image.shape[:2]
+        return cls([view_toward(first.camera_to_world, position) for position in positions], (width, height))
 
 
 class ReplayPictures:
-    """Draws each frame with its panoramas; `close` finishes video and summary, `abandon` removes the unfinished video.
+    """Draws each frame with its panoramas; `close` finishes video and summary, `abandon` leaves neither.
 
     Args:
         out: The replay's folder.
         positions: The probes, world metres.
-        first: The first frame; spheres are seen from its camera.
+        state: What is known so far.
+        parts: Folder for the parts of the video.
         frame_count: Frames of the whole replay.
         frames_per_second: The recording's rate; None if unknown.
         truths: Measured panoramas of the probes where the capture has them.
@@ -60,29 +85,31 @@ class ReplayPictures:
         self,
         out: Path,
         positions: Sequence[Position],
-        first: Frame,
+        state: PicturesState,
         *,
+        parts: Path,
         frame_count: int,
         frames_per_second: float | None,
         truths: Sequence[Float[np.ndarray, "th tw 3"] | None] = (),
         titles: Titles = Titles(),
     ) -> None:
-        self._summary = out / SUMMARY
+        self.state = state
+        self._summary, self._whole, self._parts = out / SUMMARY, out / VIDEO, parts
         self._titles = titles
         self._positions = tuple(positions)
         self._labels = [f"Probe {n} at {position_text(position)}" for n, position in enumerate(positions)]
         self._shown = f", {MAX_PROBES} of {len(positions)} probes" if len(positions) > MAX_PROBES else ""
-        self._views = [view_toward(first.camera_to_world, position) for position in positions]
         self._truths = tuple(truths) or (None,) * len(positions)
         self._wanted = sheet_times(frame_count)
-        self._taken = 0
-        self._times: list[SheetTime] = []
-        self._history = _History()
-        self._best: ProbeView | None = None
-        small = first.resized(*WORKING_SIZE).image
-        self._picture = ReplayPicture(self._labels, views=self._views, frame_size=(small.shape[1], small.shape[0]))
-        rate = min(max(frames_per_second or _DEFAULT_RATE, _RATES[0]), _RATES[1])
-        self._video = VideoWriter(out / VIDEO, frames_per_second=rate)
+        self._picture = ReplayPicture(self._labels, views=state.views, frame_size=state.frame_size)
+        self._rate = min(max(frames_per_second or _DEFAULT_RATE, _RATES[0]), _RATES[1])
+        self._video = self._next_part()
+
+    def _next_part(self) -> VideoWriter:
+        return VideoWriter(self._part(self.state.parts), frames_per_second=self._rate)
+
+    def _part(self, number: int) -> Path:
+        return self._parts / f"{number:06d}.mp4"
 
     def add(
         self,
@@ -92,47 +119,61 @@ class ReplayPictures:
         observed: Sequence[Float[np.ndarray, "..."] | None] = (),
     ) -> None:
         """Draw the next frame; `coverage` and `observed` tell how much was seen around each probe, if it is known."""
-        image = frame.resized(*WORKING_SIZE).image
+        image, state = frame.resized(*WORKING_SIZE).image, self.state
         self._video.write(self._picture.compose(image, panoramas, label=f"Frame {frame.index}{self._shown}"))
-        due = len(self._times) < len(self._wanted) and self._taken >= self._wanted[len(self._times)]
+        due = len(state.times) < len(self._wanted) and state.taken >= self._wanted[len(state.times)]
         if due:
             copies = tuple(panorama.copy() for panorama in panoramas)
             seen = tuple(None if share is None else share.copy() for share in observed)
-            self._times.append(SheetTime(f"Frame {frame.index}", image, copies, seen))
+            state.times.append(SheetTime(f"Frame {frame.index}", image, copies, seen))
         if coverage:
-            self._history.indices.append(frame.index)
-            self._history.light.append([mean_light(panorama) for panorama in panoramas])
-            self._history.coverage.append(list(coverage))
+            state.indices.append(frame.index)
+            state.light.append([mean_light(panorama) for panorama in panoramas])
+            state.coverage.append(list(coverage))
         view = ProbeView.of(frame, self._positions)
         # late frames are preferred: their light is known best, and so is the room's shape
-        if self._best is None or view.score >= self._best.score:
-            self._best = view
-        self._taken += 1
+        if state.best is None or view.score >= state.best.score:
+            state.best = view
+        state.taken += 1
+
+    def end_part(self) -> PicturesState:
+        """Finish a part of the video, and return what later frames go on from. Raises OutputError."""
+        self._video.__exit__(None, None, None)
+        self.state.parts += 1
+        self._video = self._next_part()
+        if self.state.best is not None:
+            self.state.best = printed(self.state.best)
+        return self.state
 
     def close(self, session: Session | None = None) -> None:
         """Finish the video and write the summary, with spheres if the session is given. Raises OutputError."""
         self._video.__exit__(None, None, None)
+        parts = [self._part(number) for number in range(self.state.parts + 1)]
+        join_videos([part for part in parts if part.exists()], self._whole)
         probes = [
             SheetProbe(
                 label,
                 view,
                 truth,
-                light=tuple(values[number] for values in self._history.light),
-                coverage=tuple(values[number] for values in self._history.coverage),
+                light=tuple(values[number] for values in self.state.light),
+                coverage=tuple(values[number] for values in self.state.coverage),
             )
-            for number, (label, view, truth) in enumerate(zip(self._labels, self._views, self._truths, strict=True))
+            for number, (label, view, truth) in enumerate(
+                zip(self._labels, self.state.views, self._truths, strict=True)
+            )
         ]
-        inserted = None if session is None or self._best is None else insert_spheres(session, self._best)
+        best = self.state.best
+        inserted = None if session is None or best is None else insert_spheres(session, printed(best))
         sheet = Sheet(
             self._titles.title,
             self._titles.subtitle,
-            self._times,
+            self.state.times,
             probes,
-            indices=self._history.indices,
+            indices=self.state.indices,
             inserted=inserted,
         )
         write_sheet(self._summary, sheet)
 
     def abandon(self, error: BaseException) -> None:
-        """Remove the unfinished video; there is no summary yet."""
+        """Remove the unfinished part of the video; there is no summary yet."""
         self._video.__exit__(type(error), error, error.__traceback__)

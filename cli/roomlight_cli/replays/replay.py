@@ -5,8 +5,8 @@ The session is the engine here, or one on a server (`remote_replay`): the loop i
 It writes `probe-00/light.000000.exr` ... (numbered by the capture's frame index, with timecode where the capture has
 times), the same as a USD stage (`probe-00/light.usda`), `summary.png`, `replay.mp4` and, last of all, `report.json`: a
 folder without it is unfinished. `replay.json` is written as soon as a frame has proved usable and says
-what the folder is for (`replay_folder`): the same command continues an interrupted replay, and another one refuses to
-write there.
+what the folder is for (`replay_folder`): another command refuses to write there, and the same one goes on from the
+state that was saved last (`saved_replay`), with the same bits as without the interruption.
 """
 
 import time
@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight import __version__
-from roomlight.captures import Capture, open_capture
+from roomlight.captures import Capture, SkippedFrame, open_capture
 from roomlight.conventions import Position
 from roomlight.engine.session import FrameReport, Session
 from roomlight.engine.volume.grid import VolumeGrid
@@ -32,9 +32,10 @@ from roomlight.light.light import ENDINGS, Light
 from roomlight.light.sources import LightUse
 from roomlight.light.usd import sequence_stage
 from roomlight.placement import point_at_pixel, point_in_view
-from roomlight_cli.replays.pictures import ReplayPictures, Titles
+from roomlight_cli.replays.pictures import PicturesState, ReplayPictures, Titles
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
 from roomlight_cli.replays.replay_options import ReplayOptions
+from roomlight_cli.replays.saved_replay import FOLDER, SAVE_EVERY, ReplayState, forget_replay, load_replay, save_replay
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,8 @@ def replay(
 ) -> ReplayResult:
     """Replay a capture into a folder, with the engine here or with a new `session`.
 
-    An interruption leaves what is written, without a report; the next call with the same arguments continues. A
-    finished replay is made again (`replay_folder.finished_report` tells beforehand that it would be the same).
+    The next call with the same arguments after an interruption goes on, if the engine is here. A finished replay is
+    made again (`replay_folder.finished_report` tells beforehand that it would be the same).
 
     Raises:
         CaptureError: The capture cannot be read, or no frame of it can start a session.
@@ -107,102 +108,131 @@ def replay(
     capture = open_capture(path, replace(read, every=read.every * stride))
     if progress:
         capture.prepare(progress)
+    local = session is None
     session = session or Session(options.session)
-    positions = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
     intent = describe_intent(path, session.model, options)
     refuse_foreign(out, capture.path, intent, overwrite=options.overwrite)
+    inputs = fingerprint(capture.path, out, options)["inputs"]
+    stopped = local and not options.overwrite and not (out / REPORT).exists()
+    saved = load_replay(out, inputs, options.session) if stopped else None
+    state, session = saved or (ReplayState(inputs), session)
 
-    began = time.perf_counter()
-    reports: list[FrameReport] = []
-    unusable: list[dict[str, Any]] = []
-    pictures: ReplayPictures | None = None
-    writer: _Writer | None = None
-    first_grid: VolumeGrid | None = None
-    tracked = False
+    began = time.perf_counter() - state.wall_s
+    run: _Run | None = None
     waiting: list[Frame] = []  # frames between the last session frame and the next, for interpolation
     try:
-        for frame in capture:
-            computed = frame.index // read.every % options.every == 0 or not reports
-            if not computed:
+        if saved is not None:
+            run = _Run(out, capture, session, options, state, step=read.every * stride)
+            if progress:
+                progress("replaying", min(run.done, capture.frame_count), capture.frame_count)
+        for frame in capture.frames(state.passed):
+            if run is not None and frame.index // read.every % options.every:
                 waiting.append(frame)
                 continue
             try:
-                if writer is None or pictures is None:
-                    if not tracked:  # a frame that cannot start the session must not track its probes twice
-                        positions = _all_positions(frame, positions, options)
-                        for position in positions:
-                            session.track(position)
-                        tracked = True
-                    report = session.push(frame)
-                    first_grid = session.grid
-                    claim(out, intent, overwrite=options.overwrite)  # only now: a mistaken command leaves nothing
-                    writer = _Writer(out, positions, options, capture.frames_per_second, step=read.every * stride)
-                    pictures = ReplayPictures(
-                        out,
-                        positions,
-                        frame,
-                        frame_count=capture.frame_count,
-                        frames_per_second=capture.frames_per_second,
-                        truths=_truths(capture, positions),
-                        titles=_titles(capture, session.model),
-                    )
-                else:
-                    report = session.push(frame)
+                if not state.positions:  # a frame that cannot start the session must not track its probes twice
+                    given = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
+                    state.positions = _all_positions(frame, given, options)
+                    for position in state.positions:
+                        session.track(position)
+                report = session.push(frame)
             except FrameError as error:
-                unusable.append({"index": frame.index, "file": frame.source, "reason": str(error)})
+                state.unusable.append(SkippedFrame(frame.index, frame.source, str(error)))
                 continue
-            lights = session.lights()
-            for between, mixed in writer.interpolated(waiting, frame, lights):
-                pictures.add(between, mixed)
+            if run is None:
+                grid = session.grid
+                state.inside = tuple(grid is not None and grid.contains(position) for position in state.positions)
+                state.pictures = PicturesState.of(frame, state.positions)
+                claim(out, intent)  # only now: a mistaken command leaves nothing
+                run = _Run(out, capture, session, options, state, step=read.every * stride)
+            run.add(waiting, frame, report)
             waiting.clear()
-            writer.write(frame, lights)
-            pictures.add(
-                frame,
-                panoramas_of(lights, "reflection"),
-                [light.coverage for light in lights],
-                [light.observed for light in lights],
-            )
-            reports.append(report)
-            done = frame.index // (read.every * stride) + 1
+            if len(state.reports) % SAVE_EVERY == 0 and (passed := capture.passed()) is not None:
+                state.passed, state.wall_s = passed, time.perf_counter() - began
+                state.pictures = run.pictures.end_part()
+                if isinstance(session, Session):
+                    save_replay(out, state, session)
             if progress:
-                progress("replaying", min(done, capture.frame_count), capture.frame_count)
-        if writer is None or pictures is None:
-            raise CaptureError(f"{path}: no frame can start a session; the first: {unusable[0]['reason']}")
-        for frame in waiting:  # after the last session frame there is nothing to interpolate towards: the light stays
-            writer.repeat(frame)
-            pictures.add(frame, writer.last_seen)
-        writer.close()
-        pictures.close(session if isinstance(session, Session) else None)
+                progress("replaying", min(run.done, capture.frame_count), capture.frame_count)
+        if run is None:
+            raise CaptureError(f"{path}: no frame can start a session; the first: {state.unusable[0].reason}")
+        run.close(waiting)
     except BaseException as error:
-        if pictures is not None:
-            pictures.abandon(error)
+        if run is not None:
+            run.pictures.abandon(error)
         raise
     if progress:
         progress("replaying", capture.frame_count, capture.frame_count)
 
-    wall_s = time.perf_counter() - began
-    interpolated = writer.count_interpolated
-    grids = [grid for grid in (first_grid, session.grid) if grid is not None]
-    report = _report(
-        path, capture, session, grids, reports, wall_s=wall_s, interpolated=interpolated, unusable=unusable
-    )
+    state.wall_s = time.perf_counter() - began
+    report = _report(path, capture, session, state)
     report["fingerprint"] = fingerprint(capture.path, out, options)
     write_json(out / REPORT, report)
+    forget_replay(out)
     return ReplayResult(out, report)
 
 
-def _report(
-    path: Path,
-    capture: Capture,
-    session: ReplaySession,
-    grids: Sequence[VolumeGrid],
-    reports: Sequence[FrameReport],
-    *,
-    wall_s: float,
-    interpolated: int,
-    unusable: list[dict[str, Any]],
-) -> dict[str, Any]:
-    """Return the values of `report.json`, without the fingerprint; `grids`: the first and last volume."""
+class _Run:
+    """A replay from its first usable frame on: its panoramas and pictures."""
+
+    def __init__(
+        self,
+        out: Path,
+        capture: Capture,
+        session: ReplaySession,
+        options: ReplayOptions,
+        state: ReplayState,
+        *,
+        step: int,
+    ) -> None:
+        """Begin with the first frame, or go on; a computed or interpolated frame is `step` indices after the last."""
+        assert state.pictures is not None
+        self._session, self._state, self._step = session, state, step
+        self._writer = _Writer(out, state, options, capture.frames_per_second, step=step)
+        if state.reports:
+            self._writer.go_on(state.reports[-1].index, session.lights())
+        self.pictures = ReplayPictures(
+            out,
+            state.positions,
+            state.pictures,
+            parts=out / FOLDER,
+            frame_count=capture.frame_count,
+            frames_per_second=capture.frames_per_second,
+            truths=_truths(capture, state.positions),
+            titles=_titles(capture, session.model),
+        )
+
+    @property
+    def done(self) -> int:
+        """Number of the capture's frames that are done."""
+        return self._state.reports[-1].index // self._step + 1
+
+    def add(self, waiting: Sequence[Frame], frame: Frame, report: FrameReport) -> None:
+        """Write and draw the light after a frame, and the interpolated light of those before it."""
+        lights = self._session.lights()
+        for between, mixed in self._writer.interpolated(waiting, frame, lights):
+            self.pictures.add(between, mixed)
+        self._writer.write(frame, lights)
+        self.pictures.add(
+            frame,
+            panoramas_of(lights, "reflection"),
+            [light.coverage for light in lights],
+            [light.observed for light in lights],
+        )
+        self._state.reports.append(report)
+
+    def close(self, waiting: Sequence[Frame]) -> None:
+        """Write the frames after the last session frame, and what is made of all."""
+        for frame in waiting:  # there is nothing to interpolate towards: the light stays
+            self._writer.repeat(frame)
+            self.pictures.add(frame, self._writer.last_seen)
+        self._writer.close()
+        self.pictures.close(self._session if isinstance(self._session, Session) else None)
+
+
+def _report(path: Path, capture: Capture, session: ReplaySession, state: ReplayState) -> dict[str, Any]:
+    """Return the values of `report.json`, without the fingerprint."""
+    reports, last = state.reports, session.grid
     return {
         "complete": True,
         "roomlight": __version__,
@@ -210,12 +240,12 @@ def _report(
         "model": session.model,
         "probes": [
             {"position": list(light.position), "folder": f"probe-{n:02d}", "coverage": round(light.coverage, 4)}
-            | ({} if any(grid.contains(light.position) for grid in grids) else {"outside_volume": True})
-            for n, light in enumerate(session.lights())
+            | ({} if inside or (last is not None and last.contains(light.position)) else {"outside_volume": True})
+            for n, (light, inside) in enumerate(zip(session.lights(), state.inside, strict=True))
         ],
         "keyframes": session.keyframes,
         "stage_ms_median": _medians(reports),
-        "wall_s": round(wall_s, 3),
+        "wall_s": round(state.wall_s, 3),
         "frames": [
             {
                 "index": r.index,
@@ -225,31 +255,32 @@ def _report(
             }
             for r in reports
         ],
-        "interpolated": interpolated,
-        "skipped": [asdict(s) for s in capture.skipped] + unusable,
+        "interpolated": state.interpolated,
+        "skipped": [asdict(skipped) for skipped in (*capture.skipped, *state.unusable)],
         "notes": [asdict(note) for note in capture.notes],
     }
 
 
 class _Writer:
-    """Writes panoramas as EXR, a folder per probe; files of an interrupted run are kept."""
+    """Writes panoramas as EXR, a folder per probe."""
 
-    def __init__(
-        self, out: Path, probes: Sequence[Position], options: ReplayOptions, rate: float | None, *, step: int
-    ) -> None:
+    def __init__(self, out: Path, state: ReplayState, options: ReplayOptions, rate: float | None, *, step: int) -> None:
         """Write into `out`; the capture gives `rate` frames a second, of which each is `step` indices on."""
-        self._folders = [out / f"probe-{n:02d}" for n in range(len(probes))]
-        self._probes = probes
+        self._folders = [out / f"probe-{n:02d}" for n in range(len(state.positions))]
+        self._state = state
         self._use: LightUse = options.use
         self._forms = options.forms
         self._rate = None if rate is None else rate * step  # at which indices count
-        self._names: dict[int, str] = {}
         self._before: tuple[int, Sequence[Light]] | None = None
-        self.count_interpolated = 0
+
+    def go_on(self, index: int, lights: Sequence[Light]) -> None:
+        """Go on after a session frame."""
+        self._before = index, lights
 
     def write(self, frame: Frame, lights: Sequence[Light]) -> None:
         """Write the panoramas of one session frame."""
         self._before = frame.index, lights
+        self._state.written.append(frame.index)
         for folder, light in zip(self._folders, lights, strict=True):
             coverage = f"{light.coverage:.4f}"
             panorama = light.panorama if self._use == "lighting" else light.reflection
@@ -283,25 +314,28 @@ class _Writer:
         self._save_interpolated(frame.index, panoramas_of(lights, self._use))
 
     def _save_interpolated(self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]]) -> None:
-        self.count_interpolated += 1
+        self._state.interpolated += 1
+        self._state.written.append(index)
         for folder, panorama in zip(self._folders, panoramas, strict=True):
             self._save(folder, index, panorama, {"roomlight:interpolated": "true"})
 
     def close(self) -> None:
         """Write the stages of the panoramas, and the last light in the other forms."""
         lights = () if self._before is None else self._before[1]
-        for folder, position, light in zip(self._folders, self._probes, lights, strict=True):
-            stage = sequence_stage(position, self._names, self._rate)
+        names = {index: _name(index) for index in self._state.written}
+        for folder, position, light in zip(self._folders, self._state.positions, lights, strict=True):
+            stage = sequence_stage(position, names, self._rate)
             write_atomic(folder / "light.usda", stage.encode())
             for form in self._forms:
                 light.save(folder / f"light{ENDINGS[form]}")
 
     def _save(self, folder: Path, index: int, panorama: Float[np.ndarray, "h w 3"], metadata: dict[str, str]) -> None:
-        self._names[index] = f"light.{index:06d}.exr"
-        path = folder / self._names[index]
-        if not path.exists():
-            timing = {} if self._rate is None else sequence_metadata(index, self._rate)
-            write_exr(path, panorama, metadata=timing | metadata | {"roomlight:use": self._use})
+        timing = {} if self._rate is None else sequence_metadata(index, self._rate)
+        write_exr(folder / _name(index), panorama, metadata=timing | metadata | {"roomlight:use": self._use})
+
+
+def _name(index: int) -> str:
+    return f"light.{index:06d}.exr"
 
 
 def panoramas_of(lights: Sequence[Light], use: LightUse) -> list[Float[np.ndarray, "h w 3"]]:

@@ -1,7 +1,8 @@
 """The output folder of a replay: which replay it holds, whether that is finished, and who may write there.
 
 `replay.json` says what the folder is for: the options and the capture. `report.json` is written last, so a folder
-without it is an interrupted replay. Its `fingerprint` is of the capture's and the weights' files, and of the outputs.
+without it is an interrupted replay (`saved_replay`). Its `fingerprint` is of the capture's and the weights' files, and
+of the outputs.
 """
 
 import json
@@ -18,6 +19,7 @@ from roomlight.errors import OutputError
 from roomlight.files import write_json
 from roomlight_cli.replays.pictures import SUMMARY, VIDEO
 from roomlight_cli.replays.replay_options import ReplayOptions
+from roomlight_cli.replays.saved_replay import forget_replay
 
 REPORT: Final = "report.json"
 INTENT: Final = "replay.json"
@@ -73,9 +75,9 @@ def refuse_foreign(out: Path, capture: Path, intent: dict[str, Any], *, overwrit
         if overwrite:
             return
         if (out / INTENT).is_file():
-            if _read_json(out / INTENT) != intent:
+            if differing := _differing(_read_json(out / INTENT), intent):
                 raise OutputError(
-                    f"{out}: holds another replay (see {INTENT}); choose another --out, or replace it with --overwrite"
+                    f"{out}: holds another replay ({differing}); choose another --out, or replace it with --overwrite"
                 )
         elif out.is_dir() and any(out.iterdir()):
             raise OutputError(f"{out}: holds other files; choose another --out, or write there with --overwrite")
@@ -83,24 +85,31 @@ def refuse_foreign(out: Path, capture: Path, intent: dict[str, Any], *, overwrit
         raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
 
 
-def claim(out: Path, intent: dict[str, Any], *, overwrite: bool) -> None:
+def _differing(there: Any, here: Any, name: str = "") -> str:
+    """Return which values of two replays differ; empty if none do."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        parts = [_differing(there.get(key), here.get(key), key) for key in {**here, **there}]
+        return "; ".join(part for part in parts if part)
+    return "" if there == here else f"{name}={there!r} there, {here!r} here" if name else f"its {INTENT} is damaged"
+
+
+def claim(out: Path, intent: dict[str, Any]) -> None:
     """Prepare the folder for a replay and write `replay.json`.
 
-    Panoramas of an interrupted replay of the same intent stay. Those of any other go, and those of a finished one:
-    its frames or weights may have changed under the same names.
+    Outputs of an earlier replay go: its frames or weights may have changed under the same names.
 
     Raises:
         OutputError: A file cannot be removed or written.
     """
     try:
-        if overwrite or (out / REPORT).exists() or _read_json(out / INTENT) != intent:
-            for file in out.glob(_LIGHT):
-                file.unlink()
-            for folder in out.glob(_FOLDERS):
-                if folder.is_dir() and not any(folder.iterdir()):
-                    folder.rmdir()
-            for name in (REPORT, SUMMARY, VIDEO):
-                (out / name).unlink(missing_ok=True)
+        for file in out.glob(_LIGHT):
+            file.unlink()
+        for folder in out.glob(_FOLDERS):
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+        for name in (REPORT, SUMMARY, VIDEO):
+            (out / name).unlink(missing_ok=True)
+        forget_replay(out)
     except OSError as error:
         raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
     write_json(out / INTENT, intent)

@@ -16,6 +16,7 @@ from roomlight_cli.replays.remote_replay import replay_through
 from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_folder import REPORT, finished_report
 from roomlight_cli.replays.replay_options import ReplayOptions
+from roomlight_cli.replays.saved_replay import forget_replay, saved_frames
 from roomlight_cli.shared_options import recovery_line
 from roomlight_client import RecoveryEvent
 
@@ -28,6 +29,7 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
         RoomLightError: As `replay` and `replay_through` raise it.
     """
     if not options.overwrite and (report := finished_report(capture, folder, options)):
+        forget_replay(folder)  # a replay that was stopped between its last two steps
         say(f"{folder} already holds this replay, finished; --overwrite makes it again")
         _print_result(folder, report)
         return
@@ -47,10 +49,18 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
                     options.server, capture, folder, options, token=token, progress=progress.count_of, on_recovery=tell
                 )
         except KeyboardInterrupt:
-            kept = "" if options.overwrite else ", and keeps the panoramas that are written"
-            err.print(f"stopped; the same command goes through the recording again{kept}", soft_wrap=True)
+            err.print(f"stopped; {_next_run(folder, options)}", soft_wrap=True)
             raise typer.Exit(130) from None
     _print_result(folder, result.report)
+
+
+def _next_run(folder: Path, options: ReplayOptions) -> str:
+    """Return what the next run does after an interruption."""
+    if options.server is not None:
+        return "the same command begins again, with a new session on the server"
+    without = " without --overwrite" if options.overwrite else ""
+    frames = saved_frames(folder)
+    return f"the same command{without} " + (f"goes on after frame {frames} of this run" if frames else "begins again")
 
 
 def _print_result(folder: Path, report: dict[str, Any]) -> None:

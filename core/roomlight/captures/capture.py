@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
-from roomlight.captures.consistency import DepthCheck
+from roomlight.captures.consistency import FRAMES, DepthCheck
 from roomlight.captures.notes import lying_camera, scaled_poses, wrong_scale
 from roomlight.captures.options import UP_AXES, CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
@@ -24,6 +24,7 @@ from roomlight.depth import without_unseen
 from roomlight.errors import CaptureError, FrameError, ImageError, ModelError, RoomLightError
 from roomlight.frame import Frame, hidden
 from roomlight.images import ColourImage, read_panorama
+from roomlight.monocular.stream_state import StreamState
 from roomlight.notes import Note
 
 if TYPE_CHECKING:
@@ -65,6 +66,27 @@ class ProbeTruth:
         if self.panorama_path is None:
             raise ImageError(f"the probe at {self.position} has a position but no panorama file")
         return read_panorama(self.panorama_path)
+
+
+@dataclass(frozen=True)
+class PassState:
+    """Where a pass over a capture is, for another to go on from.
+
+    Attributes:
+        last: Index of its last record.
+        good: Number of frames so far.
+        skipped: As in `Capture`.
+        notes: As in `Capture`.
+        noted: Kinds of notes of pictures that are not repeated.
+        depth: What the stream of estimated depth knows; None where depth is measured.
+    """
+
+    last: int
+    good: int
+    skipped: list[SkippedFrame]
+    notes: list[Note]
+    noted: list[str]
+    depth: StreamState | None
 
 
 @dataclass(frozen=True)
@@ -135,6 +157,14 @@ class Preparing(Protocol):
         ...
 
 
+@dataclass
+class _Place:
+    """Where a pass is: frames so far, and the last index."""
+
+    good: int = 0
+    last: int = -1
+
+
 class Capture:
     """Frames of a recording. Iterating decodes them one by one; opening decodes nothing.
 
@@ -176,6 +206,7 @@ class Capture:
         stored = reader.timestamps()
         self._timeline = timeline(stored or [None] * reader.count, str(path))
         self._depth_stream: DepthStream | None = None
+        self._at = _Place()
         self._notes = dict.fromkeys(self._timeline.notes)
         self._metres = 1.0 if options.camera_height_m is None else None
 
@@ -224,34 +255,57 @@ class Capture:
                 no floor is seen.
             ModelError: The capture has no depth, and the model that is to estimate it cannot be used.
         """
-        self.skipped = skipped = list[SkippedFrame]()
+        return self.frames()
+
+    def frames(self, after: PassState | None = None) -> Iterator[Frame]:
+        """Yield frames as iterating does, the same ones after an earlier pass (`passed`) if that is given."""
+        self.skipped = skipped = [] if after is None else list(after.skipped)
         self._metres_per_unit()
-        good, self._depth_stream = 0, None
+        at = self._at = _Place()
+        self._depth_stream = None
+        if after is not None:
+            at.good, at.last, self._first_pose = after.good, after.last, False
+            self._noted.update(after.noted)
+            self._notes |= dict.fromkeys(after.notes)
+            if after.depth is not None:
+                self._depth_stream = self._opened_stream()
+                self._depth_stream.state = after.depth
         turns: list[Float[np.ndarray, "3 3"]] = []
         depths = DepthCheck()
         with self._reader.records() as read:
             for index in self._indices:
+                if index <= at.last:
+                    continue
+                at.last = index
                 try:
                     frame = self._frame(index, read)
                 except FrameError as error:
                     skipped.append(SkippedFrame(index, self._reader.name_of(index), str(error)))
                     continue
-                good += 1
-                turns.append(frame.camera_to_world[:3, :3])
-                if self._up_is_assumed and good == _LEVEL_FRAMES:
-                    self._check_up(turns)
-                if (
-                    self._depth_stream is None
-                    and self._options.depth_unit_m is None
-                    and depths.add(frame)
-                    and (factor := depths.factor())
-                ):
-                    self._notes[wrong_scale(str(self.path), factor)] = None
+                at.good += 1
+                if at.good <= FRAMES:  # the first ones are compared
+                    turns.append(frame.camera_to_world[:3, :3])
+                    if self._up_is_assumed and at.good == _LEVEL_FRAMES:
+                        self._check_up(turns)
+                    if (
+                        self._depth_stream is None
+                        and self._options.depth_unit_m is None
+                        and depths.add(frame)
+                        and (factor := depths.factor())
+                    ):
+                        self._notes[wrong_scale(str(self.path), factor)] = None
                 yield frame
-        if good == 0:
+        if at.good == 0:
             first = skipped[0]
             reason = first.reason if first.reason.startswith(first.file) else f"{first.file}: {first.reason}"
             raise CaptureError(f"{self.path}: none of its {self.frame_count} frames can be used; the first is {reason}")
+
+    def passed(self) -> PassState | None:
+        """Return where the latest pass is; None among its first frames, which are compared with each other."""
+        if self._at.good < FRAMES:
+            return None
+        depth = None if self._depth_stream is None else self._depth_stream.state
+        return PassState(self._at.last, self._at.good, self.skipped, list(self.notes), sorted(self._noted), depth)
 
     def frame_at(self, index: int) -> Frame:
         """Read one frame by its `Frame.index`. A video is decoded up to it; other formats read this frame only.
@@ -333,13 +387,15 @@ class Capture:
     def _with_depth(self, frame: Frame) -> Frame:
         """Estimate the depth of the next frame of this pass. Raises ModelError and FrameError."""
         if self._depth_stream is None:
-            from roomlight.monocular.stream import open_depth_stream  # onnxruntime takes a while to import
-
-            height_m = self._options.camera_height_m
-            self._depth_stream = open_depth_stream(self._options.depth_model, height_m=height_m)
+            self._depth_stream = self._opened_stream()
             self._notes[self._depth_stream.note(str(self.path))] = None
         estimated = self._depth_stream.complete(frame)
         return replace(estimated, depth_m=without_unseen(estimated.depth_m, frame.seen))
+
+    def _opened_stream(self) -> "DepthStream":
+        from roomlight.monocular.stream import open_depth_stream  # onnxruntime takes a while to import
+
+        return open_depth_stream(self._options.depth_model, height_m=self._options.camera_height_m)
 
     def _take_notes(self, raw: RawFrame, pose: Float[np.ndarray, "4 4"], frame: Frame) -> None:
         """Keep the notes of a frame, one for all frames of a kind: the first frame's file stands for the others."""

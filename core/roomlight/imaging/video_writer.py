@@ -1,5 +1,6 @@
 """Videos: H.264 in MP4, which browsers and phones play."""
 
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -81,3 +82,31 @@ class VideoWriter:
             raise OutputError(f"{self.path}: cannot be written ({problem})") from problem
         finally:
             self._temporary.unlink(missing_ok=True)
+
+
+def join_videos(parts: Sequence[Path], path: Path) -> None:
+    """Join the videos of `VideoWriter`s of the same picture size and rate to one, without encoding them again.
+
+    Raises:
+        OutputError: A part cannot be read, or the file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        with av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as whole:
+            joined: VideoStream | None = None
+            start = 0
+            for part in parts:
+                with av.open(str(part), format="mp4") as container:
+                    stream = container.streams.video[0]
+                    joined = joined or whole.add_stream_from_template(stream)
+                    for packet in container.demux(stream):
+                        if packet.dts is None or packet.pts is None:  # the end
+                            continue
+                        packet.dts, packet.pts, packet.stream = packet.dts + start, packet.pts + start, joined
+                        whole.mux(packet)
+                    start += stream.duration or 0
+        temporary.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error})") from error
+    finally:
+        temporary.unlink(missing_ok=True)

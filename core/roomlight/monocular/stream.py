@@ -24,9 +24,10 @@ from roomlight.errors import FrameError
 from roomlight.frame import Frame
 from roomlight.monocular.estimate import DepthEstimate, DepthModel, srgb_picture
 from roomlight.monocular.fitting import LEAST_SAMPLES, Fit, error_field, fit_inverse, median_of
-from roomlight.monocular.floor import CAMERA_HEIGHT_M, FloorFit, camera_height, floor_scale
+from roomlight.monocular.floor import CAMERA_HEIGHT_M, camera_height, floor_scale
 from roomlight.monocular.model_file import DepthModelFile
 from roomlight.monocular.network import shipped_depth
+from roomlight.monocular.stream_state import StreamState
 from roomlight.monocular.tracks import (
     Samples,
     View,
@@ -71,6 +72,9 @@ _MOST_BY_FLOOR: Final = 2.0
 class DepthStream:
     """Depth for the frames of one stream, in order.
 
+    Attributes:
+        state: What it knows; another stream of the same models goes on from it.
+
     Examples:
         stream = DepthStream(shipped_depth())
         session.push(stream.complete(frame))
@@ -94,13 +98,7 @@ class DepthStream:
         """
         self.model, self._reference, self._gravity = model, reference, gravity
         self._height_m = CAMERA_HEIGHT_M if height_m is None else height_m
-        self._views: list[View] = []
-        self._last: View | None = None
-        self._motion: list[Float[np.ndarray, "n 2"]] = []
-        self._fit: Fit | None = None if model.kind != "metric" else Fit(1.0)
-        self._floors: list[FloorFit | None] = []
-        self._unmoved = True
-        self._per_metre = 1.0  # times 1 / depth in the stream's unit: 1 / depth in metres
+        self.state = StreamState(fit=None if model.kind != "metric" else Fit(1.0))
 
     def note(self, source: str) -> Note:
         """Return what a capture says whose depth is estimated."""
@@ -130,17 +128,17 @@ class DepthStream:
         moved = self._moved(view, inverse)
         if len(moved.inverse):
             self._weigh(inverse, moved)
-        samples = Samples.joined([moved.scaled(1 / self._per_metre), kept])
+        samples = Samples.joined([moved.scaled(1 / self.state.per_metre), kept])
         if len(moved.inverse):
             inverse = _applied(self._fitted(estimated, samples, small, picture), estimated)
         if len(samples.inverse):
             inverse = corrected(inverse, samples)
         sure = estimated.confidence >= min(LEAST_CONFIDENCE, float(np.median(estimated.confidence)))
-        self._last = replace(view, inverse=grid_of(np.where(sure, inverse, 0)).copy())
-        if not self._views or far_apart(self._last, self._views[-1]):
-            self._views = [*self._views, self._last][-_KEPT:]
+        self.state.last = replace(view, inverse=grid_of(np.where(sure, inverse, 0)).copy())
+        if not self.state.views or far_apart(self.state.last, self.state.views[-1]):
+            self.state.views = [*self.state.views, self.state.last][-_KEPT:]
         self._level(np.where(sure, 1 / inverse, 0), small)
-        depth_m = 1 / np.clip(self._per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M)
+        depth_m = 1 / np.clip(self.state.per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M)
         return np.where(sure, depth_m, 0).astype(np.float32)
 
     def _estimated(self, model: DepthModel, picture: Float32[np.ndarray, "h w 3"], frame: Frame) -> DepthEstimate:
@@ -151,29 +149,29 @@ class DepthStream:
     def _carried(self, view: View) -> Samples:
         """Return the depth of the nearest keyframes, in the stream's unit."""
         here = view.camera_to_world[:3, 3]
-        near = sorted(self._views, key=lambda other: float(np.linalg.norm(other.camera_to_world[:3, 3] - here)))
-        return Samples.joined([carried(view, other, self._per_metre) for other in near[:_CARRIED]])
+        near = sorted(self.state.views, key=lambda other: float(np.linalg.norm(other.camera_to_world[:3, 3] - here)))
+        return Samples.joined([carried(view, other, self.state.per_metre) for other in near[:_CARRIED]])
 
     def _fitted(
         self, estimated: DepthEstimate, known: Samples, frame: Frame, picture: Float32[np.ndarray, "h w 3"]
     ) -> Fit:
         """Return scale and shift of a frame in the stream's unit."""
-        if self._fit is None and self._reference is not None:
+        if self.state.fit is None and self._reference is not None:
             known = _on_grid(self._estimated(self._reference, picture, frame))
         q, t, weight = _pairs(known, estimated).T
-        fit = fit_inverse(q, t, weight, kind=estimated.kind, prior=self._fit)
+        fit = fit_inverse(q, t, weight, kind=estimated.kind, prior=self.state.fit)
         if fit is None:
             raise FrameError(
                 f"the depth of {self.model.name} is known up to scale only, and no metric model is given: give one"
             )
         if estimated.kind != "metric":  # each of a metric model's words counts as much as its first
-            self._fit = fit
+            self.state.fit = fit
         return fit
 
     def _moved(self, view: View, inverse: Float32[np.ndarray, "h w"]) -> Samples:
         """Return the features of a view that moved since earlier ones, per metre."""
-        guess = np.clip(self._per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M)
-        earlier = self._views if self._last is None else [*self._views, self._last]
+        guess = np.clip(self.state.per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M)
+        earlier = self.state.views if self.state.last is None else [*self.state.views, self.state.last]
         all_samples: list[Samples] = []
         for other in partners(view, earlier, 1 / float(np.median(guess)), _FOLLOWED):
             samples = triangulated(view, other, guess)
@@ -184,26 +182,31 @@ class DepthStream:
 
     def _level(self, depth: Float[np.ndarray, "h w"], frame: Frame) -> None:
         """Move the metres of the unit toward those that the floor gives, as long as no features tell them."""
-        if not self._gravity or not self._unmoved:
+        if not self._gravity or not self.state.unmoved:
             return
-        self._floors.append(camera_height(depth, frame.intrinsics, frame.camera_to_world[1, :3].astype(np.float64)))
-        metres = floor_scale(self._floors, self._height_m)
+        self.state.floors.append(
+            camera_height(depth, frame.intrinsics, frame.camera_to_world[1, :3].astype(np.float64))
+        )
+        metres = floor_scale(self.state.floors, self._height_m)
         if metres is not None:
-            self._per_metre = float(np.clip(metres, 1 / _MOST_BY_FLOOR, _MOST_BY_FLOOR)) ** -_FLOOR_SHARE
+            self.state.per_metre = float(np.clip(metres, 1 / _MOST_BY_FLOOR, _MOST_BY_FLOOR)) ** -_FLOOR_SHARE
 
     def _weigh(self, inverse: Float32[np.ndarray, "h w"], moved: Samples) -> None:
         """Fit the metres of the stream's unit to the features of this frame and the last ones."""
         rows, columns = places_of(moved, inverse)
         ratio = np.log(moved.inverse / inverse[rows, columns])
-        self._motion = [*(_FADING * old for old in self._motion[1 - _REMEMBERED :]), np.stack([ratio, moved.weight], 1)]
-        ratios, weight = np.concatenate(self._motion).T
-        seen, before = float(weight.sum()), np.log(self._per_metre)
+        self.state.motion = [
+            *(_FADING * old for old in self.state.motion[1 - _REMEMBERED :]),
+            np.stack([ratio, moved.weight], 1),
+        ]
+        ratios, weight = np.concatenate(self.state.motion).T
+        seen, before = float(weight.sum()), np.log(self.state.per_metre)
         if seen < _LEAST_FEATURES:
             return
-        self._unmoved = False
+        self.state.unmoved = False
         middle = median_of(np.append(ratios, before), np.append(weight, _BEFORE))
         if float(weight[np.abs(ratios - middle) < np.log(1.25)].sum()) > _AGREEING * seen:
-            self._per_metre = float(np.exp(middle))
+            self.state.per_metre = float(np.exp(middle))
 
 
 def _applied(fit: Fit, estimated: DepthEstimate) -> Float32[np.ndarray, "h w"]:

@@ -37,7 +37,7 @@ _HEAD: Final = struct.Struct("<4sQ")
 _JSON: Final = struct.Struct("<I")
 _DIGEST_BYTES: Final = 32
 _END: Final = "DONE"
-_TYPES: Final = ("float32", "float64", "int64", "bool")
+_TYPES: Final = ("float32", "float64", "int64", "bool", "uint8")
 _ZSTD_LEVEL: Final = 1
 """Higher levels and byte shuffling make the volume no smaller, and take up to ten times as long."""
 
