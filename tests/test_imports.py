@@ -52,6 +52,19 @@ def test_base_install_needs_no_training_extra(folders: tuple[str, ...]):
     assert not loaded & TRAINING_EXTRA
 
 
+def test_a_server_answers_before_it_imports_what_only_composites_and_recordings_need():
+    code = "import sys, roomlight_server.serving; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=240)
+    modules = set(loaded.stdout.split())
+    assert "roomlight.engine.session" in modules
+    assert not modules & {
+        "av",
+        "roomlight.captures",
+        "roomlight.compositing.compositor",
+        "roomlight.compositing.loading",
+    }
+
+
 def test_each_source_folder_holds_its_packages():
     for folder, packages in SOURCES.items():
         importable = {

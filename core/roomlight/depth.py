@@ -19,6 +19,8 @@ UnknownDepth = Literal["rim", "far", "drop"]
 
 MAX_DEPTH_M: Final = 100_000.0
 """Deeper values are damaged readings. Millimetres taken for metres stay below it, and a later check names them."""
+DEPTH_MEDIAN_M: Final = (0.01, 100.0)
+"""Allowed range of the median known depth. Rooms lie inside; a wrong unit (factor 1000) falls outside."""
 _NEAREST_INVERSE: Final = 20.0
 """In 1/m: no depth is assumed to be below 5 cm."""
 _SWEEPS: Final = 4

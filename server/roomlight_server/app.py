@@ -19,7 +19,7 @@ from roomlight import __version__
 from roomlight.errors import RoomLightError
 from roomlight.wire import messages
 from roomlight.wire.frame_header import FrameHeader
-from roomlight_server.answers import light_forms
+from roomlight_server.answers import composites, light_forms
 from roomlight_server.answers.object_store import ObjectStore
 from roomlight_server.base import problems
 from roomlight_server.base.byte_budget import ByteBudget
@@ -241,6 +241,7 @@ async def _prepare(context: Context, when_ready: Callable[[], object] | None) ->
     try:
         await context.workers.start()
         await context.workers.run_in_encode_pool(light_forms.warm_up)
+        await context.workers.run_in_encode_pool(composites.load)
     except RoomLightError as error:
         _log.error("server cannot become ready: %s", error)
     except Exception:

@@ -20,7 +20,7 @@ from roomlight.captures.notes import lying_camera, scaled_poses, wrong_scale
 from roomlight.captures.options import UP_AXES, CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
-from roomlight.depth import without_unseen
+from roomlight.depth import DEPTH_MEDIAN_M, without_unseen
 from roomlight.errors import CaptureError, FrameError, ImageError, ModelError, RoomLightError
 from roomlight.frame import Frame, hidden
 from roomlight.images import ColourImage, read_panorama
@@ -29,9 +29,6 @@ from roomlight.notes import Note
 
 if TYPE_CHECKING:
     from roomlight.monocular.stream import DepthStream
-
-DEPTH_MEDIAN_M: Final = (0.01, 100.0)
-"""Allowed range of the median known depth. Rooms lie inside; a wrong unit (factor 1000) falls outside."""
 
 _LEVEL_FRAMES: Final = 8
 """Frames after which the assumed up direction is compared with how the camera was held."""

@@ -7,9 +7,8 @@ import numpy as np
 import zstandard
 from jaxtyping import Float, UInt8
 
-from roomlight.captures.capture import DEPTH_MEDIAN_M
 from roomlight.conventions import srgb8_to_linear
-from roomlight.depth import clean_depth
+from roomlight.depth import DEPTH_MEDIAN_M, clean_depth
 from roomlight.errors import RoomLightError, WireError
 from roomlight.frame import CLIPPED_SRGB8, Frame, hidden
 from roomlight.images import ColourImage, decode_depth, decode_grey8, decode_picture

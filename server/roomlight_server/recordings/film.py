@@ -11,7 +11,7 @@ from pathlib import Path
 
 from roomlight.wire.recordings import Film
 from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError
-from roomlight_server.recordings.film_worker import MAX_FILM_BYTES, FilmJob
+from roomlight_server.recordings.jobs import MAX_FILM_BYTES, FilmJob
 from roomlight_server.recordings.player import end_process, read_record
 
 _log = logging.getLogger("roomlight.server")

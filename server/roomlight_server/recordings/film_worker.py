@@ -9,34 +9,20 @@ import pickle
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple
+from typing import BinaryIO, Final
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.compositing.compositor import Compositor
-from roomlight.compositing.placement.scene import Scene
-from roomlight.engine.options import SessionOptions
 from roomlight.engine.session import Session
 from roomlight.errors import ObjectError, RoomLightError, SceneError
 from roomlight.imaging.video_writer import VideoWriter
-from roomlight.wire.compositing import CompositeQuality
 from roomlight_server.answers.composites import BOXES, MAX_PATHS
+from roomlight_server.recordings.jobs import MAX_FILM_BYTES, FilmJob
 from roomlight_server.recordings.worker import MAX_MEMORY_BYTES, capture_path, film_rate, open_output, without, write
 
-MAX_FILM_BYTES: Final = 128 * 2**20
-"""Largest film; 300 frames of 1280 x 960 take about 40 MB."""
 _NICE: Final = 10
 _LIGHT_FRAMES: Final = 200
 """Most frames that are read for the light; of a longer recording, every n-th."""
-
-
-class FilmJob(NamedTuple):
-    """A film that is to be made: options of the session that lights it, its objects, and which of its frames."""
-
-    options: SessionOptions
-    scene: Scene
-    quality: CompositeQuality
-    first: int
-    frames: int
 
 
 def make(folder: Path, film: Path, job: FilmJob, output: BinaryIO) -> None:

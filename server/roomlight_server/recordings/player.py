@@ -18,7 +18,7 @@ from roomlight.conventions import Position
 from roomlight.wire.messages import Problem
 from roomlight.wire.recordings import ReplayRequest
 from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError
-from roomlight_server.recordings.worker import RECORD
+from roomlight_server.recordings.jobs import RECORD
 from roomlight_server.sessions.live_session import LiveSession
 
 _log = logging.getLogger("roomlight.server")

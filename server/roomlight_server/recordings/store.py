@@ -16,7 +16,7 @@ from roomlight_server.base.request_context import Flow, current_flow, sees
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.recordings.files import RecordingFiles, append
 from roomlight_server.recordings.film import FilmMaker
-from roomlight_server.recordings.film_worker import MAX_FILM_BYTES, FilmJob
+from roomlight_server.recordings.jobs import MAX_FILM_BYTES, FilmJob
 from roomlight_server.recordings.locked_folder import LockedFolder, remove_left_folders
 from roomlight_server.recordings.player import Player
 from roomlight_server.sessions.registry import Registry

@@ -12,7 +12,6 @@ import math
 import os
 import resource
 import signal
-import struct
 import sys
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -21,9 +20,8 @@ from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.errors import ProbeError, RoomLightError
 from roomlight.placement import point_in_view
 from roomlight.wire.frame_encoding import pack_frame
+from roomlight_server.recordings.jobs import RECORD
 
-RECORD: Final = struct.Struct("<II")
-"""Lengths of the JSON and of the body."""
 MAX_MEMORY_BYTES: Final = 4 * 2**30
 """Address space of the process; reading a 12-megapixel frame takes 0.6 GB of it, mostly libraries."""
 TIMED_FPS: Final = 10.0

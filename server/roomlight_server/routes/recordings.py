@@ -11,7 +11,7 @@ from roomlight.wire.recordings import FilmRequest, Recording, RecordingList, Rec
 from roomlight_server.answers.composites import scene_of
 from roomlight_server.base.problems import BODY_PROBLEMS, ProblemError, documented, problem_response
 from roomlight_server.recordings.files import MAX_PIECE_BYTES, append
-from roomlight_server.recordings.film_worker import FilmJob
+from roomlight_server.recordings.jobs import FilmJob
 from roomlight_server.routes.context import ContextDep, OwnerDep, ReservationDep
 
 RECORDINGS_PATH: Final = "/v1/recordings"

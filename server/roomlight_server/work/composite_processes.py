@@ -1,15 +1,17 @@
 """Processes that make composites of the qualities `good` and `final`: limited, killed at a deadline or when in vain."""
 
 import pickle
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from roomlight.compositing.placement.scene import Scene
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.state.snapshot import SessionSnapshot
 from roomlight.errors import SceneError
 from roomlight.frame import Frame
 from roomlight.wire.compositing import CompositeFormat, CompositeQuality
 from roomlight_server.work.processes import Cancellation, KilledError, Processes
+
+if TYPE_CHECKING:
+    from roomlight.compositing.placement.scene import Scene
 
 MAX_MEMORY_BYTES: Final = 4 * 2**30
 """Address space of a process, of which libraries and networks take 2 GB."""
@@ -21,7 +23,7 @@ class CompositeJob(NamedTuple):
     snapshot: SessionSnapshot
     options: SessionOptions
     frame: Frame
-    scene: Scene
+    scene: "Scene"
     quality: CompositeQuality
     form: CompositeFormat
 

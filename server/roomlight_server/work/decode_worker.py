@@ -3,7 +3,7 @@
 The process reads requests from standard input and writes results to standard output, one at a time, until the input
 ends. Files and arrays are in the block of the descriptor FD (`shared_block`). A result is plain numbers and no pickle,
 so that a decoder taken over by a hostile image cannot run code in the server. This module imports no engine: a process
-takes 94 MB and starts in 0.6 s.
+takes 76 MB and starts in 0.4 s.
 """
 
 import ctypes

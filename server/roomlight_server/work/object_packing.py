@@ -5,7 +5,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.textures import Texture
@@ -22,6 +21,8 @@ def pack_object(body: bytes, kind: str | None, limits: dict[str, int]) -> tuple[
     Raises:
         ObjectError: The file is refused.
     """
+    from roomlight.compositing.loading import load_object  # the server itself loads none
+
     virtual = load_object(body, kind, ObjectLimits(**limits))  # pyright: ignore[reportArgumentType]  (it checks the kind)
     textures: dict[Texture, int] = {}
     parts: list[dict[str, Any]] = []
