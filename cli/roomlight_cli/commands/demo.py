@@ -12,6 +12,7 @@ from roomlight.sample import sample_capture
 from roomlight_cli.compositing import CompositeOptions, composite_recording
 from roomlight_cli.console import say
 from roomlight_cli.live_demo import find_browser, page_is_built, run_live_demo
+from roomlight_cli.progress import Progress
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_cli.replays.replay_run import run_replay
 from roomlight_evaluation.captures.evaluation import evaluate_predictions
@@ -56,7 +57,9 @@ def demo(
 def write_pictures(capture: Path, out: Path) -> None:
     """Light the sample room and write pictures, a report and a film with virtual objects."""
     run_replay(capture, out, ReplayOptions(probes_from_capture=True, overwrite=True))
-    say(score_line(capture, out))
+    with Progress("comparing with the room's ground truth"):
+        scores = score_line(capture, out)
+    say(scores)
     film = CompositeOptions(out / FILM, quality="preview", fps=FILM_RATE, overwrite=True)
     done = composite_recording(capture, load_scene(SCENE), film, light=SessionOptions(), reading=CaptureOptions())
     say(f"A chair, a mirror sphere and two moving objects in the room: {done}")

@@ -156,14 +156,13 @@ def replay(
                 progress("replaying", min(run.done, capture.frame_count), capture.frame_count)
         if run is None:
             raise CaptureError(f"{path}: no frame can start a session; the first: {state.unusable[0].reason}")
+        if progress:
+            progress("drawing the summary", 0, 0)
         run.close(waiting)
     except BaseException as error:
         if run is not None:
             run.pictures.abandon(error)
         raise
-    if progress:
-        progress("replaying", capture.frame_count, capture.frame_count)
-
     state.wall_s = time.perf_counter() - began
     report = _report(path, capture, session, state)
     report["fingerprint"] = fingerprint(capture.path, out, options)
