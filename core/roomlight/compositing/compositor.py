@@ -352,7 +352,8 @@ class Compositor:
             return np.zeros((*crop.shape, 4), np.float32)
         real = real.part(crop.inside(crops.shadow))
         camera = CropCamera.of(frame.intrinsics, crop)
-        carrier = on_carrier(real, camera, frame.camera_to_world, posed.planes)
+        object_id = rendered.object_id[crop.slices]
+        carrier = on_carrier(real, camera, frame.camera_to_world, posed.supports, object_id)
         guide = image[crop.slices].astype(np.float32) / np.float32(255)
         visible = visibility(rendered.depth_m[crop.slices], real, guide, carrier)
         layer = np.empty((*crop.shape, 4), np.float32)

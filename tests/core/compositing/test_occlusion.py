@@ -85,9 +85,17 @@ def test_the_plane_under_an_object_never_hides_it():
     depth = np.where(down < -0.3, 1.0 / -np.minimum(down, -0.3), 0).astype(np.float32)
     real = RealDepth(np.where(depth > 0, depth + noise, 0), np.ones(depth.shape, bool), 1.0)
     floor = Plane(np.zeros(3), np.array([0.0, 1, 0]))
-    assert on_carrier(real, camera, pose, [floor])[depth > 0].mean() > 0.95
+    first = np.zeros(depth.shape, np.int32)
+    assert on_carrier(real, camera, pose, [floor], first)[depth > 0].mean() > 0.95
     below = Plane(np.array([0.0, 2.0, 0]), np.array([0.0, 1, 0]))  # faces away from the camera
-    assert not on_carrier(real, camera, pose, [below]).any()
+    assert not on_carrier(real, camera, pose, [below], first).any()
+    # A table hides what stands on the floor, though another object stands on the table.
+    objects = np.where(np.arange(160) < 80, 0, -1) * np.ones((120, 1), int)
+    objects[:, 120:] = 1
+    other = on_carrier(real, camera, pose, [floor, None], objects)
+    assert other[:, :90][depth[:, :90] > 0].mean() > 0.95
+    assert not other[:, 110:].any()
+    assert not on_carrier(real, camera, pose, [floor, None], np.full(depth.shape, -1)).any()
 
 
 def test_a_grazing_floor_has_no_depth_edges():

@@ -4,12 +4,13 @@ Depth decides where it is smooth. Around depth edges, whose place is known to on
 the colour image decides: visibility is the joint bilateral mean of depth's own decisions around (Kopf et al. 2007).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int, Real
 
 from roomlight.compositing.kernels.edges import guide_by_colour, resample_depth
 from roomlight.compositing.picture.crop import Crop, CropCamera
@@ -104,7 +105,7 @@ def visibility(
     covered = np.isfinite(object_depth_m) & (object_depth_m > 0)
     if not covered.any():
         return np.ones(covered.shape, np.float32)
-    depth = _extended(object_depth_m, covered)
+    depth = _extended(object_depth_m.astype(np.float32), covered)
     tolerance = TOLERANCE_M + TOLERANCE_SHARE * depth
     visible = np.clip((real.depth_m - depth) / tolerance + 1.5, 0, 1).astype(np.float32)
     if on_carrier is not None:
@@ -133,30 +134,47 @@ def visibility(
 
 
 def on_carrier(
-    real: RealDepth, camera: CropCamera, camera_to_world: Float[np.ndarray, "4 4"], planes: list[Plane]
+    real: RealDepth,
+    camera: CropCamera,
+    camera_to_world: Float[np.ndarray, "4 4"],
+    planes: Sequence[Plane | None],
+    object_id: Int[np.ndarray, "h w"],
 ) -> Bool[np.ndarray, "h w"]:
-    """Return which real points lie on one of the planes, as far as the sensor can tell; only of planes that face the
-    camera."""
+    """Return which real points lie on the plane that the object at their pixel stands on, as far as the sensor can tell.
+
+    Args:
+        real: depth of real surfaces.
+        camera: of the crop.
+        camera_to_world: its pose.
+        planes: what each object stands on; None for nothing. Planes that face away from the camera do not count.
+        object_id: the object at each pixel, -1 for none; there the nearest pixel's counts.
+    """
     on_plane = np.zeros(real.depth_m.shape, bool)
     rotation, origin = camera_to_world[:3, :3].astype(np.float32), camera_to_world[:3, 3].astype(np.float32)
-    facing = [plane for plane in planes if float(plane.height_of(origin)) > 0]
-    if not facing:
+    facing = [k for k, plane in enumerate(planes) if plane is not None and float(plane.height_of(origin)) > 0]
+    covered = object_id >= 0
+    if not facing or not covered.any():
         return on_plane
+    nearest = object_id if len(planes) == 1 else _extended(object_id, covered)
     points = (camera.rays() * real.depth_m[..., None]) @ rotation.T + origin
     tolerance = CARRIER_M + CARRIER_SHARE * real.depth_m
-    for plane in facing:
-        on_plane |= (real.depth_m > 0) & (np.abs(plane.height_of(points)) < tolerance)
+    for number in facing:
+        plane = planes[number]
+        assert plane is not None
+        own = nearest == number if len(planes) > 1 else np.True_
+        if np.any(own):
+            on_plane |= own & (real.depth_m > 0) & (np.abs(plane.height_of(points)) < tolerance)
     return on_plane
 
 
-def _extended(depth_m: Float[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Continue an object's depth beyond its silhouette by the nearest covered pixel's."""
+def _extended(values: Real[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]) -> Real[np.ndarray, "h w"]:
+    """Continue values of objects beyond their silhouettes by the nearest covered pixel's."""
     if covered.all():
-        return depth_m.astype(np.float32)
+        return values
     _, labels = cv2.distanceTransformWithLabels(
         (~covered).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
     nearest = np.asarray(labels, np.int32)
-    table = np.zeros(int(nearest.max()) + 1, np.float32)
-    table[nearest[covered]] = depth_m[covered]
+    table = np.zeros(int(nearest.max()) + 1, values.dtype)
+    table[nearest[covered]] = values[covered]
     return table[nearest]
