@@ -140,10 +140,10 @@ def on_carrier(
     planes: Sequence[Plane | None],
     object_id: Int[np.ndarray, "h w"],
 ) -> Bool[np.ndarray, "h w"]:
-    """Return which real points lie on the plane that the object at their pixel stands on, as far as the sensor can tell.
+    """Return which real points lie on the plane that the object at their pixel stands on, as far as sensors can tell.
 
     Args:
-        real: depth of real surfaces.
+        real: depth of real surfaces at the pixels of the crop.
         camera: of the crop.
         camera_to_world: its pose.
         planes: what each object stands on; None for nothing. Planes that face away from the camera do not count.
