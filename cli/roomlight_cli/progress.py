@@ -61,8 +61,8 @@ class Progress:
         self._show(self._text, done, total)
 
     def count_of(self, name: str, done: int, total: int) -> None:
-        """Set what is being done, how much of it is done, and of how much (0: it is not known)."""
-        self._show(name, done, total or None)
+        """Set what is being done, how much of it is done, and of how much."""
+        self._show(name, done, total)
 
     def advance(self) -> None:
         """Count one more."""
