@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import cv2
 import numpy as np
@@ -24,11 +24,11 @@ from roomlight.conventions import linear_to_srgb, srgb8_to_linear
 from roomlight.dataset.loader import Dataset
 from roomlight.errors import DatasetError, ModelError
 from roomlight.monocular.network import DEPTH_CHANNELS, DEPTH_SIDE, ray_planes
-from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.depth.network import DepthNetwork
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
+from roomlight_model.training.small_stage import SmallStage
 
 GRADIENT_WEIGHT: Final = 0.5
 """Weight of the differences between neighbouring errors, at four scales: edges and planes (Li and Snavely 2018)."""
@@ -144,42 +144,18 @@ class DepthBatch(Tensors):
     known: Float32[Tensor, "b 1 h h"]
 
 
-class DepthStage:
-    """Trains `DepthNetwork`; held-out frames score it."""
-
-    def __init__(
-        self,
-        options: DepthOptions,
-        training: DepthFrames,
-        held_out: DepthFrames,
-        *,
-        start_from: Checkpoint | None = None,
-        data: list[dict[str, Any]] | None = None,
-    ) -> None:
-        """Take the frames, and the weights to start from (None: fresh ones, or a published encoder's).
-
-        Raises:
-            ModelError: `start_from` holds another network.
-        """
-        if start_from is not None and start_from.form != "depth":
-            raise ModelError(f"stage depth cannot start from a {start_from.form} network")
-        self.options, self.device, self.data = options, torch.device("cpu"), data or []
-        self.before = None if start_from is None else start_from.card
-        self._training, self._held_out, self._start_from = training, held_out, start_from
+class DepthStage(SmallStage[DepthOptions, DepthFrames]):
+    """Trains `DepthNetwork`, from fresh weights, a checkpoint or a published encoder."""
 
     @property
     def piece_size(self) -> int:
         """Pictures in one forward pass."""
         return 4
 
-    def __len__(self) -> int:
-        """Return the number of training frames."""
-        return len(self._training)
-
     def batch(self, step: int) -> DepthBatch:
         """Cut and vary the frames of a step anew."""
         drawn = list(self.options.draw_examples(len(self), step))
-        return depth_batch(self._training.take([number for number, _ in drawn]), [rng for _, rng in drawn])
+        return depth_batch(self.training.take([number for number, _ in drawn]), [rng for _, rng in drawn])
 
     def network(self) -> DepthNetwork:
         """Build the network.
@@ -187,14 +163,10 @@ class DepthStage:
         Raises:
             ModelError: The published encoder cannot be read or is another network.
         """
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.options.seed)
-            network = DepthNetwork()
-        if self._start_from is not None:
-            network.load_state_dict(self._start_from.model.state_dict())
-        elif self.options.encoder is not None:
+        network: DepthNetwork = super().network()
+        if self.before is None and self.options.encoder is not None:
             network.start_encoder(_published(self.options.encoder))
-        if self._start_from is not None or self.options.encoder is not None:
+        if self.before is not None or self.options.encoder is not None:
             network.keep_early_layers()
         return network
 
@@ -214,9 +186,8 @@ class DepthStage:
         """Score held-out frames: mean relative error, share within 25 %, and the same of the constant 2.5 m."""
         relative, within, constant, scaled = list[float](), list[float](), list[float](), list[float]()
         with torch.no_grad():
-            for first in range(0, len(self._held_out), 16):
-                numbers = range(first, min(first + 16, len(self._held_out)))
-                batch = depth_batch(self._held_out.take(numbers))
+            for frames in self.held_out_parts(16):
+                batch = depth_batch(frames)
                 error = (network(batch.planes)[:, :1] - batch.log_depth).clamp(-3, 3)
                 for log_error, truth, known in zip(error, batch.log_depth, batch.known > 0, strict=True):
                     own = log_error[known]
@@ -227,9 +198,6 @@ class DepthStage:
                         constant.append(float((2.5 / truth[known].exp() - 1).abs().mean()))
         means = [float(np.mean(values)) for values in (relative, within, scaled, constant)]
         return dict(zip(("loss", "within_25", "scaled", "constant"), means, strict=True))
-
-    def draw(self, network: DepthNetwork, path: Path) -> None:
-        """Draw nothing: the scores say all."""
 
 
 def depth_batch(frames: DepthFrames, rngs: Sequence[np.random.Generator] | None = None) -> DepthBatch:

@@ -6,7 +6,6 @@ frame anew: other pixels clip, and their truth is known too.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import cv2
@@ -18,13 +17,13 @@ from torch import Tensor
 
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.clipping import SIDE, Placement, clipping_planes
-from roomlight.errors import DatasetError, ModelError
-from roomlight_model.checkpoint import Checkpoint
+from roomlight.errors import DatasetError
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
+from roomlight_model.training.small_stage import SmallStage
 
 CLIPPED: Final = 0.956
 """Radiance from which an 8-bit sRGB value counts as clipped (`roomlight.frame.CLIPPED_SRGB8`)."""
@@ -128,19 +127,13 @@ class ClippingBatch(Tensors):
     weight: Float32[Tensor, "b 1 h h"]
 
 
-class ClippingStage:
-    """Trains `ClippingNetwork` on frames; held-out frames score it."""
+class ClippingStage(SmallStage[ClippingOptions, ClippingFrames]):
+    """Trains `ClippingNetwork` on frames. A batch is one piece: the loss weighs its frames against each other."""
 
     def __init__(
-        self,
-        options: ClippingOptions,
-        training: ClippingFrames,
-        held_out: ClippingFrames,
-        *,
-        start_from: Checkpoint | None = None,
-        data: list[dict[str, Any]] | None = None,
+        self, options: ClippingOptions, training: ClippingFrames, held_out: ClippingFrames, **shared: Any
     ) -> None:
-        """Take the frames, and the weights to start from (None: fresh ones).
+        """Take the frames, and what `SmallStage` takes.
 
         Raises:
             DatasetError: No held-out frame has a clipped pixel.
@@ -151,38 +144,12 @@ class ClippingStage:
                 f"none of the {len(held_out)} held-out frames has a clipped pixel: nothing could be scored; "
                 "give a larger dataset"
             )
-        if start_from is not None and start_from.form != "clipping":
-            raise ModelError(f"stage clipping cannot start from a {start_from.form} network")
-        self.options, self.device, self.data = options, torch.device("cpu"), data or []
-        self.before = None if start_from is None else start_from.card
-        self._training, self._held_out, self._start_from = training, held_out, start_from
-
-    @property
-    def piece_size(self) -> int:
-        """A batch is not split: the loss weighs its frames against each other."""
-        return self.options.batch
-
-    # --- data
-
-    def __len__(self) -> int:
-        """Return the number of training frames."""
-        return len(self._training)
+        super().__init__(options, training, held_out, **shared)
 
     def batch(self, step: int) -> ClippingBatch:
         """Expose the frames of a step anew."""
         numbers = [index for index, _ in self.options.draw_examples(len(self), step)]
-        return clipping_batch(self._training.take(numbers), self.options.rng(step))
-
-    # --- network, forward and loss
-
-    def network(self) -> ClippingNetwork:
-        """Build the network."""
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.options.seed)
-            network = ClippingNetwork()
-        if self._start_from is not None:
-            network.load_state_dict(self._start_from.model.state_dict())
-        return network
+        return clipping_batch(self.training.take(numbers), self.options.rng(step))
 
     def losses(self, network: ClippingNetwork, batch: ClippingBatch, _: torch.Generator) -> Iterator[Losses]:
         """Yield squared errors of log radiance: of pixels, and of each frame's clipped light."""
@@ -191,15 +158,12 @@ class ClippingStage:
         pixels, energy = _errors(predicted.float(), batch)
         yield {"loss": pixels + ENERGY_WEIGHT * energy, "pixels": pixels, "energy": energy}
 
-    # --- validation
-
     def scores(self, network: ClippingNetwork) -> Mapping[str, float]:
         """Score held-out frames: squared log errors of pixels and light, and of the constant 2 x white beside them."""
         pixels, constant, light = list[float](), list[float](), list[float]()
         with torch.no_grad():
-            for first in range(0, len(self._held_out), 16):
-                numbers = range(first, min(first + 16, len(self._held_out)))
-                batch = clipping_batch(self._held_out.take(numbers))
+            for frames in self.held_out_parts(16):
+                batch = clipping_batch(frames)
                 if batch.weight.any():
                     ours, energy = _errors(network(batch.planes).float(), batch)
                     twice_white, _ = _errors(torch.full_like(batch.truth, float(np.log(2))), batch)
@@ -207,9 +171,6 @@ class ClippingStage:
                     light.append(float(energy))
                     constant.append(float(twice_white))
         return {"loss": float(np.mean(pixels)), "light": float(np.mean(light)), "constant_2": float(np.mean(constant))}
-
-    def draw(self, network: ClippingNetwork, path: Path) -> None:
-        """Draw nothing: the scores say all."""
 
 
 def clipping_batch(frames: ClippingFrames, rng: np.random.Generator | None = None) -> ClippingBatch:

@@ -7,8 +7,7 @@ as a camera cuts them. A weak log-L2 of the panoramas keeps light plausible that
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import cv2
 import numpy as np
@@ -24,14 +23,14 @@ from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.options import ModelName
 from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.errors import DatasetError, FrameError, ModelError
+from roomlight.errors import DatasetError, FrameError
 from roomlight.spheres import DIFFUSE_ALBEDO, GLOSSY_ALBEDO
-from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.object_light_network import ObjectLightNetwork
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
+from roomlight_model.training.small_stage import SmallStage
 
 MATERIALS: Final = ("diffuse", "glossy", "metal")
 """Pictures whose errors are the loss: spheres of these materials."""
@@ -147,55 +146,13 @@ class PanelsBatch(Tensors):
     truth: Float32[Tensor, "b 3 h w"]
 
 
-class ObjectsStage:
-    """Trains `ObjectLightNetwork` on probes; held-out ones score it."""
-
-    def __init__(
-        self,
-        options: ObjectsOptions,
-        training: ProbePanels,
-        held_out: ProbePanels,
-        *,
-        start_from: Checkpoint | None = None,
-        data: list[dict[str, Any]] | None = None,
-    ) -> None:
-        """Take the examples, and the weights to start from (None: fresh ones).
-
-        Raises:
-            ModelError: `start_from` holds another network.
-        """
-        if start_from is not None and start_from.form != "objects":
-            raise ModelError(f"stage objects cannot start from a {start_from.form} network")
-        self.options, self.device, self.data = options, torch.device("cpu"), data or []
-        self.before = None if start_from is None else start_from.card
-        self._training, self._held_out, self._start_from = training, held_out, start_from
-
-    @property
-    def piece_size(self) -> int:
-        """A batch is not split: 2D convolutions share their work well between threads."""
-        return self.options.batch
-
-    # --- data
-
-    def __len__(self) -> int:
-        """Return the number of training examples."""
-        return len(self._training)
+class ObjectsStage(SmallStage[ObjectsOptions, ProbePanels]):
+    """Trains `ObjectLightNetwork` on probes."""
 
     def batch(self, step: int) -> PanelsBatch:
         """Augment and stack the examples of a step."""
         numbers = [index for index, _ in self.options.draw_examples(len(self), step)]
-        return panels_batch(self._training.take(numbers), self.options.rng(step))
-
-    # --- network, forward and loss
-
-    def network(self) -> ObjectLightNetwork:
-        """Build the network."""
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.options.seed)
-            network = ObjectLightNetwork()
-        if self._start_from is not None:
-            network.load_state_dict(self._start_from.model.state_dict())
-        return network
+        return panels_batch(self.training.take(numbers), self.options.rng(step))
 
     def losses(self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator) -> Iterator[Losses]:
         """Yield the errors of pictures, divided by their usual errors, and the log-L2 of the panorama."""
@@ -205,22 +162,16 @@ class ObjectsStage:
         logs = (torch.log1p(lighting) - torch.log1p(batch.truth)).square().mean()
         yield {"loss": pictures + LOG_WEIGHT * logs, "pictures": pictures, "log_l2": logs}
 
-    # --- validation
-
     def scores(self, network: ObjectLightNetwork) -> Mapping[str, float]:
         """Score held-out examples: errors relative to those in the light that the session has, and their mean."""
         ours, before = list[Tensor](), list[Tensor]()
         with torch.no_grad():
-            for first in range(0, len(self._held_out), 32):
-                numbers = range(first, min(first + 32, len(self._held_out)))
-                batch = panels_batch(self._held_out.take(numbers))
+            for examples in self.held_out_parts(32):
+                batch = panels_batch(examples)
                 ours.append(picture_errors(object_light(network, batch.panels), batch.truth))
                 before.append(picture_errors(batch.panels[:, 6:9], batch.truth))
         ratios = (torch.cat(ours).mean(dim=0) / torch.cat(before).mean(dim=0)).tolist()
         return {"loss": float(np.mean(ratios)), **dict(zip(MATERIALS, ratios, strict=True))}
-
-    def draw(self, network: ObjectLightNetwork, path: Path) -> None:
-        """Draw nothing: the scores say all."""
 
 
 def panels_batch(examples: ProbePanels, rng: np.random.Generator | None = None) -> PanelsBatch:

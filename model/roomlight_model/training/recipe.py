@@ -25,6 +25,7 @@ import json
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -218,36 +219,25 @@ def build_stage(
             )
         return SingleViewStage(options, training, held_out, device=device, start_from=start_from, data=data)
     test = test_split(datasets)
-    if isinstance(options, ClippingOptions):
-        frames = ClippingFrames.read(datasets, seed=options.seed, progress=progress)
-        train, split_off = random_split(len(frames), options.seed)
-        return ClippingStage(
-            options,
-            frames if test else frames.take(train),
-            ClippingFrames.read(test, seed=options.seed) if test else frames.take(split_off),
-            start_from=start_from,
-            data=data,
-        )
-    if isinstance(options, DepthOptions):
-        pictures = DepthFrames.read(datasets, progress=progress)
-        train, split_off = random_split(len(pictures), options.seed)
-        return DepthStage(
-            options,
-            pictures if test else pictures.take(train),
-            DepthFrames.read(test) if test else pictures.take(split_off),
-            start_from=start_from,
-            data=data,
-        )
-    assert isinstance(options, ObjectsOptions)
-    panels = ProbePanels.read(datasets, seed=options.seed, progress=progress)
-    train, split_off = random_split(len(panels), options.seed)
-    return ObjectsStage(
+    stage, read = _small_stage(options)
+    examples = read(datasets, progress=progress)
+    train, split_off = random_split(len(examples), options.seed)
+    return stage(
         options,
-        panels if test else panels.take(train),
-        ProbePanels.read(test, seed=options.seed) if test else panels.take(split_off),
+        examples if test else examples.take(train),
+        read(test) if test else examples.take(split_off),
         start_from=start_from,
         data=data,
     )
+
+
+def _small_stage(options: RunOptions) -> tuple[Any, Any]:
+    """Return the stage of a small network, and the function that reads its examples."""
+    if isinstance(options, DepthOptions):
+        return DepthStage, DepthFrames.read
+    if isinstance(options, ClippingOptions):
+        return ClippingStage, partial(ClippingFrames.read, seed=options.seed)
+    return ObjectsStage, partial(ProbePanels.read, seed=options.seed)
 
 
 def _stage(

@@ -1,0 +1,82 @@
+"""What the stages of the small networks share: examples in memory, a network of a fixed width, weights to start from.
+
+A stage adds its batches, its losses and its scores: `clipping`, `objects`, `depth.stage`.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+
+import torch
+
+from roomlight.errors import ModelError
+from roomlight_model.checkpoint import Checkpoint, build_network
+from roomlight_model.config import ModelConfig
+from roomlight_model.training.run_folder import RunOptions
+
+
+@runtime_checkable  # so that annotations can be checked in the test run
+class SmallExamples(Protocol):
+    """Examples of a small network, all in memory."""
+
+    def __len__(self) -> int:
+        """Return the number of examples."""
+        ...
+
+    def take(self, numbers: Sequence[int]) -> Any:
+        """Return the examples with these numbers."""
+        ...
+
+
+OptionsT = TypeVar("OptionsT", bound=RunOptions)
+ExamplesT = TypeVar("ExamplesT", bound=SmallExamples)
+
+
+class SmallStage(Generic[OptionsT, ExamplesT]):
+    """A stage whose name is the form of the network that it trains; held-out examples score it."""
+
+    def __init__(
+        self,
+        options: OptionsT,
+        training: ExamplesT,
+        held_out: ExamplesT,
+        *,
+        start_from: Checkpoint | None = None,
+        data: list[dict[str, Any]] | None = None,
+    ) -> None:
+        """Take the examples, and the weights to start from (None: fresh ones).
+
+        Raises:
+            ModelError: `start_from` holds another network.
+        """
+        if start_from is not None and start_from.form != options.stage:
+            raise ModelError(f"stage {options.stage} cannot start from a {start_from.form} network")
+        self.options, self.device, self.data = options, torch.device("cpu"), data or []
+        self.before = None if start_from is None else start_from.card
+        self.training, self.held_out, self._start_from = training, held_out, start_from
+
+    @property
+    def piece_size(self) -> int:
+        """A batch is not split: its examples share their work well between threads."""
+        return self.options.batch
+
+    def __len__(self) -> int:
+        """Return the number of training examples."""
+        return len(self.training)
+
+    def network(self) -> Any:
+        """Build the network."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.options.seed)
+            network = build_network(self.options.stage, ModelConfig())
+        if self._start_from is not None:
+            network.load_state_dict(self._start_from.model.state_dict())
+        return network
+
+    def held_out_parts(self, size: int) -> Iterator[ExamplesT]:
+        """Yield the held-out examples, `size` at a time."""
+        for first in range(0, len(self.held_out), size):
+            yield self.held_out.take(range(first, min(first + size, len(self.held_out))))
+
+    def draw(self, network: Any, path: Path) -> None:
+        """Draw nothing: the scores say all."""
