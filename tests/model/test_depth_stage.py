@@ -164,7 +164,7 @@ def test_a_step_trains_all_but_the_early_layers() -> None:
     stage = DepthStage(DepthOptions(batch=2), _frames(3), _frames(2))
     network = stage.network()
     network.keep_early_layers()
-    (losses,) = stage.losses(network, stage.batch(0), torch.Generator())
+    losses = stage.losses(network, stage.batch(0), torch.Generator())
     losses["loss"].backward()
     assert network.encoder.stem.conv.weight.grad is None
     assert network.head.weight.grad is not None

@@ -50,11 +50,9 @@ class SmallStage:
         return ClippingBatch(planes, torch.zeros(len(drawn), 3, 16, 16), torch.ones(len(drawn), 1, 16, 16))
 
     def losses(self, network, batch, generator):
-        """Two windows, as of a sequence: the upper and the lower half of the square."""
         noise = 0.01 * torch.randn(1, generator=generator)
-        for half in batch.planes.split(16, dim=2):
-            error = (network(half) - 2 - noise).square().mean() / 2
-            yield {"loss": self._factor * error, "half": error}
+        error = (network(batch.planes) - 2 - noise).square().mean()
+        return {"loss": self._factor * error, "half": error / 2}
 
     def scores(self, network):
         assert not network.training
@@ -64,14 +62,6 @@ class SmallStage:
     def draw(self, _, path):
         path.parent.mkdir(exist_ok=True)
         path.write_text("a picture")
-
-
-class OneWindowStage(SmallStage):
-    """The same losses at once."""
-
-    def losses(self, network, batch, generator):
-        windows = list(super().losses(network, batch, generator))
-        yield {name: windows[0][name] + windows[1][name] for name in windows[0]}
 
 
 def run_of(folder, options=SMALL, *, stop_after=None, **changes):
@@ -116,13 +106,6 @@ def test_a_stopped_run_goes_on_to_the_same_weights(finished, tmp_path, stop_afte
     for name, value in resumed.network.state_dict().items():
         assert value.equal(finished.network.state_dict()[name]), name
         assert resumed.average[name].equal(finished.average[name]), name
-
-
-def test_windows_add_up_to_the_whole_loss(finished, tmp_path):
-    run = Run(OneWindowStage(), tmp_path / "run")
-    run.train()
-    for name, value in run.network.state_dict().items():
-        torch.testing.assert_close(value, finished.network.state_dict()[name], rtol=1e-3, atol=1e-5)
 
 
 SCRIPT = textwrap.dedent("""

@@ -93,12 +93,12 @@ def test_a_file_is_read_into_the_options_of_its_stages(tmp_path) -> None:
 
 
 def test_options_change_in_every_stage_that_has_them(tmp_path) -> None:
-    recipe = read_recipe(write(tmp_path, SMALL)).changed({"steps": 7, "window": 3, "depth": "exact"})
+    recipe = read_recipe(write(tmp_path, SMALL)).changed({"steps": 7, "light_changes": 0.5, "depth": "exact"})
     assert [stage.options.steps for stage in recipe.stages] == [7, 7]
     first, second = (stage.options for stage in recipe.stages)
     assert isinstance(first, SingleViewOptions)
     assert isinstance(second, VideoOptions)
-    assert (first.depth, second.depth, second.window) == ("exact", "exact", 3)
+    assert (first.depth, second.depth, second.light_changes) == ("exact", "exact", 0.5)
     assert first.volume_shape == (16, 15, 21)
 
 
@@ -109,7 +109,7 @@ def test_options_change_in_every_stage_that_has_them(tmp_path) -> None:
         ({"stage": "video-joint"}, "no stage has an option stage"),
         ({"steps": "many"}, "stage first: steps is 'many': Input should be a valid integer"),
         ({"steps": 0}, "stage first: steps is 0: Input should be greater than or equal to 1"),
-        ({"window": 0}, "stage second: window is 0"),
+        ({"light_changes": 2}, "stage second: light_changes is 2"),
     ],
 )
 def test_wrong_changes_are_refused(change, message, tmp_path) -> None:
@@ -123,7 +123,7 @@ def test_wrong_changes_are_refused(change, message, tmp_path) -> None:
         ("steps = 4", "steps = 0", "stage first: steps is 0: Input should be greater than or equal to 1"),
         ("steps = 4", "step = 4", "stage first: step is 4: Unexpected keyword argument"),
         ("steps = 4", 'steps = "4"', "stage first: steps is '4': Input should be a valid integer"),
-        ("steps = 4", "window = 3", "stage first: window is 3: Unexpected keyword argument"),
+        ("steps = 4", "light_changes = 0.5", r"stage first: light_changes is 0\.5: Unexpected keyword argument"),
         ("channels = 4", "channels = 5", "stage first: .*channels must be a positive multiple of 4"),
         ("channels = 4", "depth = 4", r"stage first: model\.sg\.depth is 4: Unexpected"),
         ('stage = "single-sglv"', 'stage = "cats"', "stage is 'cats'; it must be one of single-sglv, single-blend"),

@@ -6,7 +6,7 @@ near the floor are thinned out, and rooms without furniture, whose size nothing 
 the camera is at that height.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
@@ -170,8 +170,8 @@ class DepthStage(SmallStage[DepthOptions, DepthFrames]):
             network.keep_early_layers()
         return network
 
-    def losses(self, network: DepthNetwork, batch: DepthBatch, _: torch.Generator) -> Iterator[Losses]:
-        """Yield the loss: likelihood of the log error under its own scale, its shape, its gradients."""
+    def losses(self, network: DepthNetwork, batch: DepthBatch, _: torch.Generator) -> Losses:
+        """Return the loss: likelihood of the log error under its own scale, its shape, its gradients."""
         predicted = network(batch.planes)
         error, scale, known = predicted[:, :1] - batch.log_depth, predicted[:, 1:], batch.known
         size = error.abs().clamp(max=2)
@@ -180,7 +180,7 @@ class DepthStage(SmallStage[DepthOptions, DepthFrames]):
         shape = _mean((error - own).abs().clamp(max=2), known)
         edges = _gradients(error, known)
         loss = 0.3 * likelihood + _mean(size, known) + SHAPE_WEIGHT * shape + GRADIENT_WEIGHT * edges
-        yield {"loss": loss, "error": _mean(size, known), "shape": shape, "edges": edges}
+        return {"loss": loss, "error": _mean(size, known), "shape": shape, "edges": edges}
 
     def scores(self, network: DepthNetwork) -> Mapping[str, float]:
         """Score held-out frames: mean relative error, share within 25 %, and the same of the constant 2.5 m."""

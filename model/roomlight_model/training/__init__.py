@@ -12,6 +12,7 @@ and files. A stage is its data, its forward pass and its loss, in one file each:
 
 A recording's way to a batch: `subsets` chooses sequences, `examples` draws and augments frames, `sequences` and
 `light_changes` make sequences of them, `batches` makes tensors. `losses` has what single views and sequences share,
-`gradients` distributes a batch over threads, `validation` scores held-out rooms. `recipe` reads a file of `recipes/`,
-which states the data and the stages of a shipped network.
+`small_stage` what the stages of small networks share, `gradients` distributes a batch over threads, `validation` scores
+held-out rooms. `recipe` reads a file of `recipes/`, which
+states the data and the stages of a shipped network.
 """

@@ -4,7 +4,7 @@ A generated recording holds the radiance of its clipped pixels, so that every fr
 frame anew: other pixels clip, and their truth is known too.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
@@ -151,12 +151,12 @@ class ClippingStage(SmallStage[ClippingOptions, ClippingFrames]):
         numbers = [index for index, _ in self.options.draw_examples(len(self), step)]
         return clipping_batch(self.training.take(numbers), self.options.rng(step))
 
-    def losses(self, network: ClippingNetwork, batch: ClippingBatch, _: torch.Generator) -> Iterator[Losses]:
-        """Yield squared errors of log radiance: of pixels, and of each frame's clipped light."""
+    def losses(self, network: ClippingNetwork, batch: ClippingBatch, _: torch.Generator) -> Losses:
+        """Return squared errors of log radiance: of pixels, and of each frame's clipped light."""
         with torch.autocast("cpu", dtype=torch.bfloat16):
             predicted = network(batch.planes)
         pixels, energy = _errors(predicted.float(), batch)
-        yield {"loss": pixels + ENERGY_WEIGHT * energy, "pixels": pixels, "energy": energy}
+        return {"loss": pixels + ENERGY_WEIGHT * energy, "pixels": pixels, "energy": energy}
 
     def scores(self, network: ClippingNetwork) -> Mapping[str, float]:
         """Score held-out frames: squared log errors of pixels and light, and of the constant 2 x white beside them."""

@@ -4,7 +4,7 @@ On CPUs the pieces of a batch run on threads of their own. oneDNN's 3D convoluti
 levels to share between threads, which then wait for each other; two halves of a batch on a thread each do not.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -15,8 +15,8 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
 
-LossFunction = Callable[[Any, torch.Generator], Iterator[Losses]]
-"""A stage's losses of some examples, in one or more windows: gradients are taken after each (`loop.Stage.losses`)."""
+LossFunction = Callable[[Any, torch.Generator], Losses]
+"""A stage's losses of some examples (`loop.Stage.losses`)."""
 
 
 class _Piece(NamedTuple):
@@ -73,20 +73,9 @@ class BatchGradients:
 
     def _piece(self, batch: Tensors, keys: tuple[int, int], share: float) -> _Piece:
         generator = torch.Generator().manual_seed(int(self._options.rng(*keys).integers(2**31)))
-        sums: dict[str, float] = {}
-        gradients: list[Tensor | None] = [None for _ in self._parameters]
-        for losses in self._losses(batch.to(self._device), generator):
-            window = torch.autograd.grad(losses["loss"], self._parameters, allow_unused=True)
-            gradients = [_added(total, added) for total, added in zip(gradients, window, strict=True)]
-            for name, value in losses.items():
-                sums[name] = sums.get(name, 0.0) + float(value.detach())
-        return _Piece(sums, gradients, share)
-
-
-def _added(gradient: Tensor | None, other: Tensor | None) -> Tensor | None:
-    if gradient is None or other is None:
-        return other if gradient is None else gradient
-    return gradient + other
+        losses = self._losses(batch.to(self._device), generator)
+        gradients = torch.autograd.grad(losses["loss"], self._parameters, allow_unused=True)
+        return _Piece({name: float(value.detach()) for name, value in losses.items()}, gradients, share)
 
 
 def _accumulate(parameter: nn.Parameter, pieces: Sequence[tuple[Tensor | None, float]]) -> None:

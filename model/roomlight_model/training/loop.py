@@ -76,11 +76,8 @@ class Stage(Protocol):
         """Prepare the batch of a step; runs on a thread of its own, ahead of the step."""
         ...
 
-    def losses(self, network: Any, batch: Any, generator: torch.Generator, /) -> Iterator[Losses]:
-        """Yield the losses of a batch, as parts that sum up to its mean: one part, or one for each window of frames.
-
-        The gradient of each part's "loss" is taken before the next one is computed.
-        """
+    def losses(self, network: Any, batch: Any, generator: torch.Generator, /) -> Losses:
+        """Return the mean losses of a batch; the gradient of "loss" trains."""
         ...
 
     def scores(self, network: Any, /) -> Mapping[str, float]:

@@ -4,7 +4,7 @@ The loss is what one sees: errors of pictures of matte, glossy and metal spheres
 as a camera cuts them. A weak log-L2 of the panoramas keeps light plausible that these pictures do not show.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated, Final, Literal
@@ -154,13 +154,13 @@ class ObjectsStage(SmallStage[ObjectsOptions, ProbePanels]):
         numbers = [index for index, _ in self.options.draw_examples(len(self), step)]
         return panels_batch(self.training.take(numbers), self.options.rng(step))
 
-    def losses(self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator) -> Iterator[Losses]:
-        """Yield the errors of pictures, divided by their usual errors, and the log-L2 of the panorama."""
+    def losses(self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator) -> Losses:
+        """Return the errors of pictures, divided by their usual errors, and the log-L2 of the panorama."""
         lighting = object_light(network, batch.panels)
         errors = picture_errors(lighting, batch.truth) / torch.tensor(USUAL_ERRORS)
         pictures = errors.sum(dim=1).mean()
         logs = (torch.log1p(lighting) - torch.log1p(batch.truth)).square().mean()
-        yield {"loss": pictures + LOG_WEIGHT * logs, "pictures": pictures, "log_l2": logs}
+        return {"loss": pictures + LOG_WEIGHT * logs, "pictures": pictures, "log_l2": logs}
 
     def scores(self, network: ObjectLightNetwork) -> Mapping[str, float]:
         """Score held-out examples: errors relative to those in the light that the session has, and their mean."""

@@ -7,7 +7,7 @@
 | single-joint | all four           | as single-blend                                      |
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -54,7 +54,7 @@ class SingleViewOptions(RunOptions):
         stage: What is trained; see `training.single_view`.
         rendering_weight: Weight of the rendering loss.
         rays: Rays drawn at random from each probe's panorama in the first stage.
-        sphere_pixels: Pixels of the rendering layer's sphere; 0 leaves the rendering loss out.
+        sphere_pixels: Pixels of the rendering layer's sphere.
         sphere_samples: Directions of each of its pixels.
         volume_shape: Resolution [z, y, x] of training (half of the paper's costs an eighth) and of the exported
             graphs. Opacity is per voxel, so that weights need training at the resolution they are used at.
@@ -76,7 +76,7 @@ class SingleViewOptions(RunOptions):
     stage: SingleViewStageName = "single-sglv"
     rendering_weight: Annotated[float, Interval(ge=0, le=100)] = 0.3
     rays: Annotated[int, Ge(8)] = 384
-    sphere_pixels: Annotated[int, Ge(0)] = 24
+    sphere_pixels: Annotated[int, Ge(1)] = 24
     sphere_samples: Annotated[int, Ge(2)] = 12
     volume_shape: tuple[int, int, int] = (32, 30, 42)
     panorama_height: Annotated[int, Ge(8)] = 60
@@ -171,8 +171,8 @@ class SingleViewStage:
 
     # --- forward and loss
 
-    def losses(self, model: SingleModel, batch: Batch, generator: torch.Generator) -> Iterator[Losses]:
-        """Yield the losses of a batch."""
+    def losses(self, model: SingleModel, batch: Batch, generator: torch.Generator) -> Losses:
+        """Return the losses of a batch."""
         options = self.options
         trains_volume = options.stage != "single-blend" and torch.is_grad_enabled()
         with self._autocast(), torch.set_grad_enabled(trains_volume):
@@ -182,7 +182,7 @@ class SingleViewStage:
         else:
             log_l2, rendering = self._panorama_losses(model, sglv, batch, generator)
         total = log_l2 + options.rendering_weight * rendering
-        yield {"loss": total, "log_l2": log_l2, "rendering": rendering}
+        return {"loss": total, "log_l2": log_l2, "rendering": rendering}
 
     def _ray_losses(self, sglv: SGVolume, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Compare random pixels of the probes' panoramas, and the light that a glossy sphere reflects."""
@@ -190,9 +190,6 @@ class SingleViewStage:
         pixels = torch.randint(h * w, (b, p, options.rays), generator=generator).to(self.device)
         directions = panorama_directions(h, self.device)[pixels]
         truth = batch.truth.flatten(3).transpose(2, 3).gather(2, pixels[..., None].expand(-1, -1, -1, 3))
-        if options.sphere_pixels == 0:
-            log_l2 = log_l2_loss(render_rays(sglv, batch, directions), truth)
-            return log_l2, torch.zeros_like(log_l2)
         sphere = draw_sphere(batch, pixels=options.sphere_pixels, samples=options.sphere_samples, generator=generator)
         to_sphere = sphere.directions.flatten(2, 3)
         radiance = render_rays(sglv, batch, torch.cat([directions, to_sphere], dim=2))
@@ -210,8 +207,6 @@ class SingleViewStage:
         log_l2 = log_l2_loss(blended, batch.truth)
         if options.stage == "single-joint":  # keeps the volume accurate where nothing is blended in
             log_l2 = (log_l2 + log_l2_loss(hdr, batch.truth)) / 2
-        if options.sphere_pixels == 0:
-            return log_l2, torch.zeros_like(log_l2)
         sphere = draw_sphere(batch, pixels=options.sphere_pixels, samples=options.sphere_samples, generator=generator)
         shaded, true_shaded = (shade(sphere, radiance_along(sphere, light)) for light in (blended, batch.truth))
         return log_l2, rendering_loss(shaded, true_shaded)

@@ -8,10 +8,10 @@
 
 The single-view networks run the first frame and stay as they are. Losses are means over the other frames, with the
 smoothness between consecutive ones. The networks of a frame are recomputed in the backward pass
-(`torch.utils.checkpoint`): only the states between the frames of a window are kept.
+(`torch.utils.checkpoint`): only the states between the frames are kept.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -69,7 +69,6 @@ class VideoOptions(SingleViewOptions):
         stage: What is trained; see `training.video`.
         batch: Sequences in a batch.
         frames: Largest number of frames of a sequence, 2 or more.
-        window: Frames over which gradients go back in time (truncated back-propagation); fewer take less memory.
         variants: `video-blend`: draw so many sequences from each walk and keep what the fixed 3D networks make of them
             in the run's folder, about 10 MB each; 0 draws new ones at every step.
         smoothness_weight: Weight of the difference between the panoramas of consecutive frames.
@@ -85,7 +84,6 @@ class VideoOptions(SingleViewOptions):
     batch: Annotated[int, Ge(1)] = 2
     learning_rate: Annotated[float, Interval(gt=0, le=1)] = 3e-4
     frames: Annotated[int, Ge(2)] = 31
-    window: Annotated[int, Ge(1)] = 31
     variants: Annotated[int, Ge(0)] = 0
     smoothness_weight: Annotated[float, Interval(ge=0, le=100)] = 0.01
     light_changes: Annotated[float, Interval(ge=0, le=1)] = 0.0
@@ -226,14 +224,11 @@ class VideoStage:
 
     # --- forward and loss
 
-    def losses(self, model: VideoModel, batch: WalkBatch, generator: torch.Generator) -> Iterator[Losses]:
-        """Yield the losses of each window of frames, as shares of the mean over all frames after the first."""
+    def losses(self, model: VideoModel, batch: WalkBatch, generator: torch.Generator) -> Losses:
+        """Return the mean losses over all frames after the first."""
         sequence = Unroll(model, batch, self.options, generator=generator)
-        for start in range(1, batch.frames, self.options.window):
-            frames = range(start, min(start + self.options.window, batch.frames))
-            window = [sequence.advance(frame) for frame in frames]
-            yield {name: torch.stack([now[name] for now in window]).sum() / (batch.frames - 1) for name in window[0]}
-            sequence.detach()
+        frames = [sequence.advance(frame) for frame in range(1, batch.frames)]
+        return {name: torch.stack([now[name] for now in frames]).sum() / len(frames) for name in frames[0]}
 
     # --- validation
 
@@ -281,17 +276,14 @@ class Unroll:
         self._device = batch.origins.device
         self._blends = options.stage != "video-sglv"
         self._trains_volume = options.stage != "video-blend"
-        self._sphere = (
-            draw_sphere(batch, pixels=options.sphere_pixels, samples=options.sphere_samples, generator=generator)
-            if options.sphere_pixels
-            else None
+        self._sphere = draw_sphere(
+            batch, pixels=options.sphere_pixels, samples=options.sphere_samples, generator=generator
         )
         height = batch.lights.shape[-2]
         self._pixels = torch.randint(2 * height * height, (*batch.origins.shape[:2], options.rays), generator=generator)
         self._pixels = self._pixels.to(self._device)
-        self._directions = panorama_directions(height, self._device)[self._pixels]
-        if self._sphere is not None:
-            self._directions = torch.cat([self._directions, self._sphere.directions.flatten(2, 3)], dim=2)
+        along = panorama_directions(height, self._device)[self._pixels]
+        self._directions = torch.cat([along, self._sphere.directions.flatten(2, 3)], dim=2)
         self._volume_state: SGState | None = None
         self.probe_state: BlendState | None = None
         with torch.no_grad():
@@ -325,12 +317,6 @@ class Unroll:
         self._hdr, self._light = self._observe(frame)
         return self._losses(frame, before)
 
-    def detach(self) -> None:
-        """End the way back in time here: the states have no gradient from now on."""
-        self._volume_state = _detached(self._volume_state)
-        self.probe_state = _detached(self.probe_state)
-        self._hdr, self._light = self._hdr.detach(), self._light.detach()
-
     def _observe(self, frame: int) -> tuple[Tensor, Tensor]:
         """Render the volume at the probes; return (HDR, the light of the loss): along rays, or blended panoramas."""
         batch = self._batch
@@ -348,22 +334,19 @@ class Unroll:
     def _losses(self, frame: int, before: Tensor) -> Losses:
         """Compare the light of a frame with its truth, and with the light before."""
         options, truth, light = self._options, self._batch.truth(frame), self._light
-        at_sphere: Tensor | None = None
+        sphere = self._sphere
         if self._blends:
+            reflected = radiance_along(sphere, light)
             log_l2, smoothness = log_l2_loss(light, truth), log_l2_loss(light, before)
             if options.stage == "video-joint":  # keeps the volume accurate where nothing is blended in
                 log_l2 = (log_l2 + log_l2_loss(self._hdr, truth)) / 2
         else:  # light along the directions: random pixels, then the sphere's
             wanted = truth.flatten(3).transpose(2, 3).gather(2, self._pixels[..., None].expand(-1, -1, -1, 3))
             at_pixels, at_sphere = light[:, :, : options.rays], light[:, :, options.rays :]
+            reflected = at_sphere.unflatten(2, sphere.weights.shape[2:])
             log_l2 = log_l2_loss(at_pixels, wanted)
             smoothness = log_l2_loss(at_pixels, before[:, :, : options.rays])
-        rendering = torch.zeros_like(log_l2)
-        if (sphere := self._sphere) is not None:
-            reflected = (
-                radiance_along(sphere, light) if at_sphere is None else at_sphere.unflatten(2, sphere.weights.shape[2:])
-            )
-            rendering = rendering_loss(shade(sphere, reflected), shade(sphere, radiance_along(sphere, truth)))
+        rendering = rendering_loss(shade(sphere, reflected), shade(sphere, radiance_along(sphere, truth)))
         total = log_l2 + options.rendering_weight * rendering + options.smoothness_weight * smoothness
         return {"loss": total, "log_l2": log_l2, "rendering": rendering, "smoothness": smoothness}
 
@@ -417,13 +400,6 @@ def _recomputed(step: Callable[[Any, Any], Any], given: Any, state: Any) -> Any:
     if not torch.is_grad_enabled():
         return step(given, state)
     return checkpoint(step, given, state, use_reentrant=False, preserve_rng_state=False)  # there is no dropout
-
-
-def _detached(state: Any) -> Any:
-    """Return a named tuple of tensors, nested or not, without gradients."""
-    if isinstance(state, Tensor):
-        return state.detach()
-    return None if state is None else type(state)(*(_detached(part) for part in state))
 
 
 def _in_float32(state: SGState) -> SGState:
