@@ -25,11 +25,10 @@ def lit_room(room_index, *, seed=SEED, split: Split = "train"):
     return solve_lighting(room_index, seed=seed, split=split, catalogue=models)
 
 
-def render_room(room_index, *, seed, split, furniture, count, frames):
+def render_room(request):
     """What `roomlight_generator.sequences.render.render_room` does without a library."""
-    assert furniture is None
-    stage = lit_room(room_index, seed=seed, split=split)
-    yield from render_walks(stage, room_index, seed=seed, split=split, count=count, frames=frames)
+    assert request.furniture is None
+    yield from render_walks(lit_room(request.index, seed=request.seed, split=request.split), request)
 
 
 def main():

@@ -11,11 +11,11 @@ LAMP = 12.0
 """Radiance of the lamp in units of white."""
 
 
-def render_room(room_index, *, seed, split, furniture, count, frames):
+def render_room(request):
     """Yield recordings as the generator's own `render_room` does."""
-    del furniture
-    for walk in range(count):
-        made = stub_rooms.recording(np.random.default_rng([seed, split == "train", room_index, walk]), frames=frames)
+    for walk in range(request.count):
+        rng = np.random.default_rng([request.seed, request.split == "train", request.index, walk])
+        made = stub_rooms.recording(rng, frames=request.frames)
         colour, truth = made.colour.copy(), np.zeros(made.colour.shape, np.float16)
         colour[:, 6:14, 12:22] = 255
         truth[:, 6:14, 12:22] = LAMP

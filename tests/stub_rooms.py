@@ -55,8 +55,9 @@ def recording(rng, *, name="one", frames=4, height=24, width=32, probes=2, facts
     )
 
 
-def render_room(room_index, *, seed, split, furniture, count, frames):
+def render_room(request):
     """Yield recordings as the generator's own `render_room` does."""
+    room_index, seed, furniture = request.index, request.seed, request.furniture
     steer = _steer()
     if "limit" in steer:
         resource.setrlimit(resource.RLIMIT_FSIZE, (steer["limit"], steer["limit"]))
@@ -68,7 +69,7 @@ def render_room(room_index, *, seed, split, furniture, count, frames):
         "threads": os.environ.get("ROOMLIGHT_THREADS"),
         "furniture_file": None if furniture is None else furniture.name,
     }
-    for walk in range(count):
+    for walk in range(request.count):
         sys.stdout.write("libraries print at times\n")
         if steer.get("hopeless") == room_index or (
             steer.get("fails", {}).get(str(room_index)) == walk and seed < 1000  # a retry's seed has 64 bits
@@ -78,8 +79,8 @@ def render_room(room_index, *, seed, split, furniture, count, frames):
             _wait_at_gate()
         if walk == 0 and _dies_again(room_index, steer.get("dies", {})):
             os.kill(os.getpid(), signal.SIGKILL)
-        rng = np.random.default_rng([seed, split == "train", room_index, walk])
-        yield recording(rng, frames=frames, facts=facts)
+        rng = np.random.default_rng([seed, request.split == "train", room_index, walk])
+        yield recording(rng, frames=request.frames, facts=facts)
 
 
 def _steer():

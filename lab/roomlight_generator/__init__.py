@@ -2,6 +2,7 @@
 
 Start at `generate.generate`, which assigns shards to worker processes.
 
+- `room_request`: what a renderer of rooms is asked for.
 - `worker`, `worker_pool`: the processes that make shards, and the pool that starts and replaces them.
 - `rooms`: shells, finishes, furniture, placement and lamps; `rooms.build.build_room` makes a room from a seed.
 - `transport`: the renderer. `transport.RoomLight` solves a room's light once, then renders frames and panoramas.

@@ -53,7 +53,7 @@ class GenerateOptions:
         sequences_per_room: Walks through each room; they share the solution of its light.
         frames: Frames per walk; 1 makes single views and is four times as fast.
         furniture: A .sh3f library, or a cache of several; default: the installed libraries.
-        renderer: `module:function` that renders a room's recordings (`worker.RenderRoom`); None for RoomLight's own.
+        renderer: `module:function` that renders a room's recordings (`RenderRoom`); None for RoomLight's own.
         panoramas: Folder of equirectangular HDR panoramas (.exr, .hdr) that light the rooms: real light.
         furniture_share: Share of the rooms lit by panoramas that have furniture.
         any_view: Instead of walks with probes, single views from anywhere in the room, without probes (for depth).

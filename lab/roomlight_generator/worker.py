@@ -13,10 +13,9 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -27,20 +26,10 @@ from roomlight.dataset.recording import Recording, Split
 from roomlight.dataset.sequence_files import encode
 from roomlight.dataset.shards import ShardWriter
 from roomlight.errors import DatasetError, RoomLightError
+from roomlight_generator.room_request import RenderRoom, RoomRequest
 
 ATTEMPTS: Final = 3
 """Rooms drawn for one room index before the run fails."""
-
-
-@runtime_checkable  # so that annotations can be checked in the test run
-class RenderRoom(Protocol):
-    """A function that renders the recordings of a room: `sequences.render.render_room`, or a test's stand-in."""
-
-    def __call__(
-        self, room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int, frames: int
-    ) -> Iterator[Recording]:
-        """Yield the recordings of `count` walks, of `frames` frames each, through the room of this index."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -101,20 +90,23 @@ def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emi
     comes from depends on the room alone, not on the sequences that the shard contains. Attempts after the first have a
     seed drawn from the seed and the attempt's number.
     """
-    furniture = None if task.furniture is None else Path(task.furniture)
     done = 0
     for attempt in range(ATTEMPTS):
         seed = task.seed if attempt == 0 else _attempt_seed(task.seed, attempt)
+        request = RoomRequest(
+            room,
+            seed,
+            task.split,
+            task.sequences_per_room,
+            task.frames,
+            furniture=None if task.furniture is None else Path(task.furniture),
+            panoramas=None if task.panoramas is None else Path(task.panoramas),
+            furniture_share=task.furniture_share or 0.0,
+            scenes=tuple(map(Path, task.scenes or ())),
+            samples=task.samples or 0,
+        )
         try:
-            walks = render(
-                room,
-                seed=seed,
-                split=task.split,
-                furniture=furniture,
-                count=task.sequences_per_room,
-                frames=task.frames,
-            )
-            for within, recording in enumerate(walks):
+            for within, recording in enumerate(render(request)):
                 if within < done:
                     continue
                 done = within + 1
@@ -148,14 +140,9 @@ def _attempt_seed(seed: int, attempt: int) -> int:
 
 
 def find_renderer(task: ShardTask) -> RenderRoom:
-    """Import the task's renderer, and give it what it takes beside the common arguments: panoramas or scenes."""
+    """Import the task's renderer."""
     module, _, function = task.renderer.partition(":")
-    render = getattr(import_module(module), function)
-    if task.scenes is not None:
-        return partial(render, scenes=[Path(path) for path in task.scenes], samples=task.samples)
-    if task.panoramas is None:
-        return render
-    return partial(render, panoramas=Path(task.panoramas), furniture_share=task.furniture_share)
+    return getattr(import_module(module), function)
 
 
 def _one_thread() -> None:

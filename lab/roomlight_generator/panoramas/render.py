@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from roomlight.conventions import LUMINANCE
-from roomlight.dataset.recording import Recording, Split
+from roomlight.dataset.recording import Recording
 from roomlight_generator.panoramas.furniture import furnish_shell
 from roomlight_generator.panoramas.library import building, load_panorama, split_files
 from roomlight_generator.panoramas.room import PanoramaRoom, classify_surfaces, describe, percentile
 from roomlight_generator.panoramas.shell import draw_shell
+from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.rooms.build import room_generator
 from roomlight_generator.sequences.exposure import Exposure, MeterSettings, settle
 from roomlight_generator.sequences.render import catalogue_for, find_camera_path, record
@@ -34,70 +35,48 @@ _FURNITURE: Final = 1 << 20
 """Purpose of the random numbers that decide whether a room has furniture."""
 
 
-def render_room(
-    room_index: int,
-    *,
-    seed: int,
-    split: Split,
-    furniture: Path | None,
-    count: int,
-    frames: int,
-    panoramas: Path,
-    furniture_share: float,
-) -> Iterator[Recording]:
-    """Yield sequences of a room; the same arguments give the same recordings.
-
-    Args:
-        room_index: Number of the room in its split.
-        seed: Seed of the dataset.
-        split: Split of the room.
-        furniture: Furniture library or cache; None: the installed libraries.
-        count: Number of sequences.
-        frames: Frames of a sequence.
-        panoramas: Folder of panoramas.
-        furniture_share: Share of the rooms that have furniture.
+def render_room(request: RoomRequest) -> Iterator[Recording]:
+    """Yield sequences of a room.
 
     Raises:
-        DatasetError: if the folder `panoramas` cannot be read or has none for this split.
+        DatasetError: if the folder of panoramas cannot be read or has none for this split.
         ValueError: if no walk through the room is found; the generator then takes another room.
     """
-    room, room_facts = lit_room(
-        room_index, seed=seed, split=split, furniture=furniture, panoramas=panoramas, furniture_share=furniture_share
-    )
+    room, facts = lit_room(request)
     free = room.free_space()
-    for walk in range(count):
-        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
-        name = f"panorama-{room_index}-{walk}"
-        path = find_camera_path(free, room, rng, name=name, walks=_WALKS, frames=frames)
-        yield record(room, path, rng, name=name, facts=room_facts, expose=expose)
+    for walk in range(request.count):
+        rng = room_generator(request.index, seed=request.seed, split=request.split, purpose=1 + walk)
+        name = f"panorama-{request.index}-{walk}"
+        path = find_camera_path(free, room, rng, name=name, walks=_WALKS, frames=request.frames)
+        yield record(room, path, rng, name=name, facts=facts, expose=expose)
 
 
-def lit_room(
-    room_index: int, *, seed: int, split: Split, furniture: Path | None, panoramas: Path, furniture_share: float
-) -> tuple[PanoramaRoom, dict[str, Any]]:
+def lit_room(request: RoomRequest) -> tuple[PanoramaRoom, dict[str, Any]]:
     """Choose a room's panorama, project it onto a shell and furnish it; returns the room and its facts.
 
-    The arguments and what they raise are those of `render_room`.
+    Raises:
+        DatasetError: if the folder of panoramas cannot be read or has none for this split.
     """
-    path = _choose(split_files(panoramas, split), room_index, seed)
-    rng = room_generator(room_index, seed=seed, split=split)
+    assert request.panoramas is not None
+    index, seed, split = request.index, request.seed, request.split
+    path = _choose(split_files(request.panoramas, split), index, seed)
+    rng = room_generator(index, seed=seed, split=split)
     image, facts = _varied(load_panorama(path), rng)
     kinds = classify_surfaces(image, rng)
     facts |= {"panorama": path.name, "building": building(path), **describe(kinds)}
     shell = draw_shell(rng)
     pieces = None
-    if room_generator(room_index, seed=seed, split=split, purpose=_FURNITURE).random() < furniture_share:
-        pieces = furnish_shell(shell, catalogue_for(furniture), rng, split=split)
+    if room_generator(index, seed=seed, split=split, purpose=_FURNITURE).random() < request.furniture_share:
+        pieces = furnish_shell(shell, catalogue_for(request.furniture), rng, split=split)
     room = PanoramaRoom(shell, image, kinds, pieces)
     facts |= shell.facts
-    room_facts = {
+    return room, {
         "room_type": "panorama",
         "light": {"scenario": "panorama", "sources": [], **facts},
         "panorama": path.name,
         "furniture": {} if pieces is None else pieces.roles,
         "attributions": [] if pieces is None else pieces.attributions,
     }
-    return room, room_facts
 
 
 def _choose(files: list[Path], room_index: int, seed: int) -> Path:

@@ -4,21 +4,21 @@ World frame: y up, metres; poses camera-to-world, OpenGL axes. A sequence has on
 other, and each is exposed by itself.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
-from roomlight.dataset.recording import Recording, Split
+from roomlight.dataset.recording import Recording
 from roomlight_generator.panoramas.render import expose as expose_panorama
 from roomlight_generator.panoramas.render import lit_room
+from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.rooms.build import room_generator
-from roomlight_generator.sequences.exposure import expose
-from roomlight_generator.sequences.render import CameraPath, catalogue_for, record, solve_lighting
+from roomlight_generator.sequences.exposure import Exposure, expose
+from roomlight_generator.sequences.render import CameraPath, Views, catalogue_for, record, solve_lighting
 from roomlight_generator.sequences.walk import FreeSpace
 
 FIELD_OF_VIEW_DEGREES: Final = (48.0, 92.0)
@@ -32,66 +32,44 @@ _APART_S: Final = 60.0
 _TRIES: Final = 40
 
 
-def render_views(
-    room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int, frames: int
-) -> Iterator[Recording]:
-    """Yield sequences of single views of a generated room; the same arguments give the same recordings.
-
-    Args:
-        room_index: Number of the room in its split.
-        seed: Seed of the dataset.
-        split: Split of the room.
-        furniture: Furniture library or cache; None: the installed libraries.
-        count: Number of sequences.
-        frames: Views of a sequence.
+def render_views(request: RoomRequest) -> Iterator[Recording]:
+    """Yield sequences of single views of a generated room.
 
     Raises:
         ValueError: if the room has no place for a camera; the generator then takes another room.
     """
-    room = solve_lighting(room_index, seed=seed, split=split, catalogue=catalogue_for(furniture))
-    for walk in range(count):
-        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
-        path, name = draw_views(room.free, rng, frames=frames), f"{room.room.name}-{walk}"
-        exposed = partial(expose, interval_s=_APART_S)
-        yield record(room.light, path, rng, name=name, facts=room.room.facts, expose=exposed)
+    catalogue = catalogue_for(request.furniture)
+    room = solve_lighting(request.index, seed=request.seed, split=request.split, catalogue=catalogue)
+    yield from _views(request, room.free, room.light, name=room.room.name, facts=room.room.facts, expose=expose)
 
 
-def render_panorama_views(
-    room_index: int,
-    *,
-    seed: int,
-    split: Split,
-    furniture: Path | None,
-    count: int,
-    frames: int,
-    panoramas: Path,
-    furniture_share: float,
-) -> Iterator[Recording]:
+def render_panorama_views(request: RoomRequest) -> Iterator[Recording]:
     """Yield sequences of single views of a room lit by a panorama, as `render_views` does.
 
-    Args:
-        room_index: Number of the room in its split.
-        seed: Seed of the dataset.
-        split: Split of the room.
-        furniture: Furniture library or cache; None: the installed libraries.
-        count: Number of sequences.
-        frames: Views of a sequence.
-        panoramas: Folder of panoramas.
-        furniture_share: Share of the rooms that have furniture.
-
     Raises:
-        DatasetError: if the folder `panoramas` cannot be read or has none for this split.
+        DatasetError: if the folder of panoramas cannot be read or has none for this split.
         ValueError: if the room has no place for a camera.
     """
-    room, facts = lit_room(
-        room_index, seed=seed, split=split, furniture=furniture, panoramas=panoramas, furniture_share=furniture_share
-    )
-    free = room.free_space()
-    for walk in range(count):
-        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
-        path, name = draw_views(free, rng, frames=frames), f"panorama-{room_index}-{walk}"
-        exposed = partial(expose_panorama, interval_s=_APART_S)
-        yield record(room, path, rng, name=name, facts=facts, expose=exposed)
+    room, facts = lit_room(request)
+    name = f"panorama-{request.index}"
+    yield from _views(request, room.free_space(), room, name=name, facts=facts, expose=expose_panorama)
+
+
+def _views(
+    request: RoomRequest,
+    free: FreeSpace,
+    views: Views,
+    *,
+    name: str,
+    facts: dict[str, Any],
+    expose: Callable[..., Exposure],
+) -> Iterator[Recording]:
+    """Yield recordings of drawn views, exposed apart from each other."""
+    for walk in range(request.count):
+        rng = room_generator(request.index, seed=request.seed, split=request.split, purpose=1 + walk)
+        path = draw_views(free, rng, frames=request.frames)
+        exposed = partial(expose, interval_s=_APART_S)
+        yield record(views, path, rng, name=f"{name}-{walk}", facts=facts, expose=exposed)
 
 
 def draw_views(free: FreeSpace, rng: np.random.Generator, *, frames: int) -> CameraPath:

@@ -16,6 +16,7 @@ from jaxtyping import Float, Float32
 from roomlight.camera import Intrinsics
 from roomlight.dataset.folder import FRAMES
 from roomlight.dataset.recording import Recording, Split
+from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.rooms.build import Room, build_room, room_generator
 from roomlight_generator.rooms.furniture import Catalogue, fallback_models, load_catalogue
 from roomlight_generator.rooms.planner import free_floor
@@ -79,35 +80,23 @@ class CameraPath:
     probes: Float[np.ndarray, "p 3"]
 
 
-def render_room(
-    room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int, frames: int
-) -> Iterator[Recording]:
-    """Yield sequences of a room; the same arguments give the same recordings.
-
-    Args:
-        room_index: Number of the room in its split.
-        seed: Seed of the dataset.
-        split: Split of the room.
-        furniture: Furniture library or cache; None: the installed libraries.
-        count: Number of sequences.
-        frames: Frames of a sequence.
+def render_room(request: RoomRequest) -> Iterator[Recording]:
+    """Yield sequences of a room.
 
     Raises:
         ValueError: if no walk through the room is found; the generator then takes another room.
     """
-    lit_room = solve_lighting(room_index, seed=seed, split=split, catalogue=catalogue_for(furniture))
-    yield from render_walks(lit_room, room_index, seed=seed, split=split, count=count, frames=frames)
+    catalogue = catalogue_for(request.furniture)
+    lit_room = solve_lighting(request.index, seed=request.seed, split=request.split, catalogue=catalogue)
+    yield from render_walks(lit_room, request)
 
 
-def render_walks(
-    lit_room: LitRoom, room_index: int, *, seed: int, split: Split, count: int, frames: int = FRAMES
-) -> Iterator[Recording]:
-    """Yield the recordings of the first `count` walks through the room of this index."""
-    for walk in range(count):
-        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
-        yield render_sequence(
-            lit_room, plan_camera_path(lit_room, rng, frames=frames), rng, name=f"{lit_room.room.name}-{walk}"
-        )
+def render_walks(lit_room: LitRoom, request: RoomRequest) -> Iterator[Recording]:
+    """Yield the recordings of the first walks through the room of a request, whose light is solved."""
+    for walk in range(request.count):
+        rng = room_generator(request.index, seed=request.seed, split=request.split, purpose=1 + walk)
+        path = plan_camera_path(lit_room, rng, frames=request.frames)
+        yield render_sequence(lit_room, path, rng, name=f"{lit_room.room.name}-{walk}")
 
 
 def solve_lighting(room_index: int, *, seed: int, split: Split, catalogue: Catalogue) -> LitRoom:

@@ -18,6 +18,7 @@ from roomlight_generator.blender.cycles import CyclesViews
 from roomlight_generator.blender.floor import find_floor
 from roomlight_generator.blender.render import render_room
 from roomlight_generator.blender.scene import open_scene
+from roomlight_generator.room_request import RoomRequest
 
 with_blender = pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="bpy is not installed")
 
@@ -120,10 +121,8 @@ def test_a_scene_becomes_a_dataset_that_is_not_made_twice(tmp_path):
 @with_blender
 def test_the_same_numbers_give_the_same_recording(tmp_path):
     scene = box_room(tmp_path / "room.blend", lamps=((1.0, 1.0, 2.8, 0.3, 60.0),))
-    first, second = (
-        next(render_room(0, seed=5, split="train", furniture=None, count=1, frames=1, scenes=[scene], samples=1))
-        for _ in range(2)
-    )
+    request = RoomRequest(0, 5, "train", count=1, frames=1, scenes=(scene,), samples=1)
+    first, second = (next(render_room(request)) for _ in range(2))
     np.testing.assert_array_equal(first.colour, second.colour)
     np.testing.assert_array_equal(first.probe_panoramas, second.probe_panoramas)
 

@@ -17,6 +17,7 @@ from roomlight_generator.panoramas import render
 from roomlight_generator.panoramas.library import split_of
 from roomlight_generator.panoramas.room import PanoramaRoom, classify_surfaces, percentile
 from roomlight_generator.panoramas.shell import draw_shell
+from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.sequences import render as sequences
 from roomlight_generator.sequences.walk import phone_intrinsics
 
@@ -211,8 +212,8 @@ def test_clipped_pixels_have_their_true_radiance(dataset):
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_the_same_room_gives_the_same_recording(folder, share, monkeypatch):
     monkeypatch.setattr(render, "catalogue_for", lambda _: CATALOGUE)
-    options = {"seed": 1, "split": "train", "furniture": None, "count": 1, "frames": 2, "furniture_share": share}
-    first, second = (next(render.render_room(0, panoramas=folder, **options)) for _ in range(2))
+    request = RoomRequest(0, 1, "train", count=1, frames=2, panoramas=folder, furniture_share=share)
+    first, second = (next(render.render_room(request)) for _ in range(2))
     for name in ("colour", "depth_mm", "surface", "probe_panoramas", "clipped_radiance"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     assert first.facts == second.facts

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fixture_rooms import lit_room
+from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.sequences import render as room_sequences
 from roomlight_generator.sequences.render import plan_camera_path, render_walks
 from roomlight_generator.sequences.walk import phone_intrinsics
@@ -55,7 +56,7 @@ def test_a_room_without_any_walk_is_named(coarse_room, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.usefixtures("small_views")
 def test_a_single_view_is_a_sequence_of_one_frame(coarse_room):
-    views = list(render_walks(coarse_room, 1, seed=21, split="train", count=2, frames=1))
+    views = list(render_walks(coarse_room, RoomRequest(1, 21, "train", count=2, frames=1)))
     for view in views:
         assert view.colour.shape == (1, 48, 64, 3)
         assert view.depth_mm.shape == view.surface.shape == (1, 48, 64)
