@@ -1,5 +1,7 @@
 """Run the comparison of composites with the truth over numbered scenes; finished scenes are kept and not repeated."""
 
+import pickle
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -10,12 +12,11 @@ from jaxtyping import Float
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.errors import SceneError
+from roomlight.errors import OutputError, SceneError
 from roomlight.files import write_atomic
-from roomlight_evaluation.composites.files import kept_scene
 from roomlight_evaluation.composites.methods import HARMONICS, OURS, TRUE_LIGHT, composites
 from roomlight_evaluation.composites.regions import SHADOW, darker_part
-from roomlight_evaluation.composites.scenes import CompositeScene
+from roomlight_evaluation.composites.scenes import CompositeScene, scene_for
 from roomlight_evaluation.composites.scores import (
     CompositeScores,
     SceneScore,
@@ -68,6 +69,27 @@ def evaluate_composites(
         if progress is not None:
             progress(len(done), count, note)
     return CompositeScores(tuple(done[:count]))
+
+
+def kept_scene(folder: Path | None, number: int, *, seed: int) -> CompositeScene:
+    """Read the rendered scene of this number from a folder, or render it and keep it there; None: render it.
+
+    Raises:
+        SceneError: as `scene_for`.
+        OutputError: A file of the folder is damaged, or cannot be written.
+    """
+    if folder is None:
+        return scene_for(number, seed=seed)
+    path = folder / f"scene-{seed}-{number:03d}.pickle"
+    if path.is_file():
+        try:
+            return pickle.loads(zlib.decompress(path.read_bytes()))
+        except Exception as error:  # what a pickle raises depends on where it is damaged
+            raise OutputError(f"{path}: is damaged ({error}); remove it, and the scene is rendered again") from error
+    scene = scene_for(number, seed=seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, zlib.compress(pickle.dumps(scene), level=1))
+    return scene
 
 
 def _score(number: int, scene: CompositeScene, session: Session, pictures: Path | None) -> SceneScore:

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject
 from roomlight.conventions import panorama_rays, panorama_solid_angles
 from roomlight.engine.session import SessionOptions
+from roomlight.errors import OutputError
 from roomlight_evaluation.composites import evaluation as composite_evaluation
 from roomlight_evaluation.composites.methods import HARMONICS, METHODS, OURS, TRUE_LIGHT, harmonics_and_directional
 from roomlight_evaluation.composites.regions import (
@@ -16,7 +18,7 @@ from roomlight_evaluation.composites.regions import (
     regions,
     smoothed_truth,
 )
-from roomlight_evaluation.composites.scenes import MATERIALS
+from roomlight_evaluation.composites.scenes import MATERIALS, NAME, CompositeScene, virtual_object
 from roomlight_evaluation.composites.scores import (
     CompositeScores,
     SceneScore,
@@ -26,6 +28,7 @@ from roomlight_evaluation.composites.scores import (
     write_line,
 )
 from roomlight_evaluation.composites.tables import composite_tables, summary, targets_met
+from rooms import BoxRoom, camera_at
 
 FLOOR = np.full((60, 80, 3), 0.5, np.float32)
 
@@ -144,3 +147,35 @@ def test_ratios_are_of_means_over_the_same_scenes():
     assert targets_met(scores) == {OBJECT: True, SHADOW: True}
     assert "0.50" in summary(scores)[0]
     assert "diffuse" in list(composite_tables(scores)[3].columns[0].cells)
+
+
+def test_a_kept_scene_is_rendered_once_and_the_same_when_it_is_read(tmp_path, monkeypatch):
+    picture, covered = drawn()
+    frames = tuple(
+        BoxRoom().frame(camera_at((0.2, 1.4, 1.2), 10.0 * number, -30.0), index=number, width=80, height=60)
+        for number in range(3)
+    )
+    objects = Scene((SceneObject(NAME, virtual_object("vase", "glossy"), AtPixel(30.5, 40.0)),))
+    scene = CompositeScene(
+        "room", "vase", "glossy", frames[1], objects, (0.1, 0.2, -0.3), picture, (picture, FLOOR), covered,
+        dict.fromkeys(REGIONS, covered), FLOOR, frames, 0.004,
+    )  # fmt: skip
+    rendered = []
+
+    def render(number, *, seed):
+        rendered.append((number, seed))
+        return scene
+
+    monkeypatch.setattr(composite_evaluation, "scene_for", render)
+    kept_scene, folder = composite_evaluation.kept_scene, tmp_path / "kept"
+    assert kept_scene(None, 7, seed=3) is kept_scene(folder, 7, seed=3) is scene
+    read = kept_scene(folder, 7, seed=3)
+    assert rendered == [(7, 3)] * 2
+    assert read.frame is read.frames[1]
+    np.testing.assert_array_equal(read.frame.depth_m, scene.frame.depth_m)
+    np.testing.assert_array_equal(read.truth, scene.truth)
+    assert read.objects.objects[0].place == AtPixel(30.5, 40.0)
+    (path,) = folder.iterdir()
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(OutputError, match=rf"{path.name}: is damaged .* remove it"):
+        kept_scene(folder, 7, seed=3)
