@@ -77,15 +77,13 @@ def export_checkpoint(
     report_step: ProgressCallback = progress or _ignore
     loaded = load_checkpoint(checkpoint)
     check_target(out)
-    rounded = half_rounded(loaded.model, str(checkpoint))
-    originals = {graph.name: graph for graph in graphs_of(loaded.model)}
-    graphs = {graph.name: graph for graph in graphs_of(rounded)}
+    graphs = {graph.name: graph for graph in graphs_of(half_rounded(loaded.model, str(checkpoint)))}
     with new_folder(out) as folder:
         for name, graph in graphs.items():
             report_step(f"exporting {name}")
             _write(folder / f"{name}.onnx", to_onnx(graph, metadata=_metadata(loaded, name)))
         report_step("comparing with PyTorch")
-        parity = _verify(loaded, folder, graphs, originals)
+        parity = _verify(loaded, folder, graphs)
         _check_parity(parity, tolerance, checkpoint)
         if ort:
             (folder / "ort").mkdir()
@@ -129,14 +127,9 @@ def _write(path: Path, model: ModelProto) -> None:
     path.write_bytes(model.SerializeToString())
 
 
-def _verify(
-    loaded: Checkpoint, folder: Path, graphs: Mapping[str, Graph], originals: Mapping[str, Graph]
-) -> dict[str, Parity]:
-    runs = (
-        session_runner({name: open_graph(folder / f"{name}.onnx", "cpu") for name in graphs}),
-        torch_runner(graphs),
-        torch_runner(originals),
-    )
+def _verify(loaded: Checkpoint, folder: Path, graphs: Mapping[str, Graph]) -> dict[str, Parity]:
+    files = session_runner({name: open_graph(folder / f"{name}.onnx", "cpu") for name in graphs})
+    runs = files, torch_runner(graphs)
     if loaded.form not in ("single", "video"):
         return {loaded.form: compare_small(*runs, graph=graphs[loaded.form])}
     recurrent = loaded.form == "video"

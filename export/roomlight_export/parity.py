@@ -38,8 +38,6 @@ class Parity:
     steps: int
     error: dict[str, float]
     """ONNX Runtime against PyTorch with the same weights; must be within the tolerance."""
-    rounding: dict[str, float]
-    """ONNX Runtime against PyTorch with the unrounded float32 weights: the cost of half precision."""
 
     @property
     def largest(self) -> float:
@@ -73,28 +71,24 @@ def session_runner(graphs: Mapping[str, LoadedGraph]) -> Run:
     return run
 
 
-def compare_volumes(tested: Run, rounded: Run, original: Run, *, volumes: list[np.ndarray], recurrent: bool) -> Parity:
+def compare_volumes(tested: Run, wanted: Run, *, volumes: list[np.ndarray], recurrent: bool) -> Parity:
     """Compare the 3D networks over a sequence of initial volumes; frame 0 is single-view."""
-    return _compare(
-        [_run_volumes(run, volumes, recurrent=recurrent) for run in (tested, rounded, original)], len(volumes)
-    )
+    return _compare(*(_run_volumes(run, volumes, recurrent=recurrent) for run in (tested, wanted)))
 
 
-def compare_blending(tested: Run, rounded: Run, original: Run, *, frames: list[ProbeFrame], recurrent: bool) -> Parity:
+def compare_blending(tested: Run, wanted: Run, *, frames: list[ProbeFrame], recurrent: bool) -> Parity:
     """Compare the 2D networks over a probe's frames.
 
     Inputs are given, not accumulated from the outputs: the conservative rule is a step function, and a pixel at its
     threshold would count as an error of 1.
     """
-    return _compare(
-        [_run_blending(run, frames, recurrent=recurrent) for run in (tested, rounded, original)], len(frames)
-    )
+    return _compare(*(_run_blending(run, frames, recurrent=recurrent) for run in (tested, wanted)))
 
 
-def compare_small(tested: Run, rounded: Run, original: Run, *, graph: Graph) -> Parity:
+def compare_small(tested: Run, wanted: Run, *, graph: Graph) -> Parity:
     """Compare the graph of a small network on several random inputs like the engine's."""
     inputs = [random_planes(graph, seed=seed) for seed in range(_TRIALS)]
-    return _compare([[run(graph.name, planes) for planes in inputs] for run in (tested, rounded, original)], _TRIALS)
+    return _compare(*([run(graph.name, planes) for planes in inputs] for run in (tested, wanted)))
 
 
 def _run_volumes(run: Run, volumes: list[np.ndarray], *, recurrent: bool) -> list[Tensors]:
@@ -147,12 +141,9 @@ def _compress(lobes: np.ndarray) -> np.ndarray:
     return np.concatenate([np.log1p(lobes[..., :7]), lobes[..., 7:]], axis=-1)
 
 
-def _compare(runs: list[list[Tensors]], steps: int) -> Parity:
-    tested, rounded, original = runs
+def _compare(tested: list[Tensors], wanted: list[Tensors]) -> Parity:
     error: dict[str, float] = {}
-    rounding: dict[str, float] = {}
-    for step in range(steps):
-        for name, value in tested[step].items():
-            error[name] = max(error.get(name, 0.0), difference(name, value, rounded[step][name]))
-            rounding[name] = max(rounding.get(name, 0.0), difference(name, value, original[step][name]))
-    return Parity(steps, error, rounding)
+    for ours, theirs in zip(tested, wanted, strict=True):
+        for name, value in ours.items():
+            error[name] = max(error.get(name, 0.0), difference(name, value, theirs[name]))
+    return Parity(len(tested), error)
