@@ -1,4 +1,4 @@
-"""`roomlight bench composite`: what a frame with virtual objects costs, part by part, and how much it shimmers.
+"""`roomlight bench composite`: what a frame with virtual objects costs, part by part.
 
 The benchmark's room, a hand-held camera of 640 x 480 pixels with 8-bit colour noise and depth of 256 x 192 samples, as
 phones send. The session takes every tenth frame. Processor time stands beside the time that passed: on a machine with
@@ -6,7 +6,7 @@ other work the first one is nearly the same, the second one is not. Ratios are a
 timed after every frame.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from roomlight.compositing.compositor import Compositor
-from roomlight.compositing.light.temporal import rest_variance, warped_variance
 from roomlight.compositing.objects.materials import glossy, mirror
 from roomlight.compositing.objects.primitives import chair, sphere
 from roomlight.compositing.picture.layers import Composite
@@ -27,7 +26,7 @@ from roomlight.engine.session import Session, SessionOptions, warm_up
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.errors import OptionError
 from roomlight.frame import Frame
-from roomlight_bench.compositing.report import CompositeReport, PartTimes, PresetTimes, Shimmer
+from roomlight_bench.compositing.report import CompositeReport, PartTimes, PresetTimes
 from roomlight_bench.reporting import describe_machine
 from roomlight_bench.stages.room import RoomSize, handheld, views
 from roomlight_bench.timing import ProgressCallback
@@ -54,8 +53,6 @@ COLOUR_NOISE: Final = 0.01
 """Standard deviation of the encoded colour: a phone by lamplight."""
 DEPTH_NOISE_M: Final = 0.006
 """Standard deviation of depth: LiDAR and time-of-flight cameras at 2 m."""
-STILL_FRAMES: Final = 8
-"""Frames of each measure of shimmer, after as many that settle depth and shadows."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ def run_composite(
     progress: ProgressCallback | None = None,
     size: CompositeSize | None = None,
 ) -> CompositeReport:
-    """Time every preset and object, and measure their shimmer; a minute on two idle cores, ten more with `final`.
+    """Time every preset and object; a minute on two idle cores, ten more with `final`.
 
     Args:
         frames: Measured frames of a preview; the slower presets take fewer.
@@ -118,18 +115,12 @@ def run_composite(
     room = views(size.keyframes, RoomSize(320, 240))
     presets = ("preview", "good", "final") if final else ("preview", "good")
     times: list[PresetTimes] = []
-    shimmer: list[Shimmer] = []
     for preset in presets:
         count = max(1, frames // FEWER[preset]) + UNMEASURED
         for scene_object in objects():
-            session = _session(room, size)
-            times.append(_timed(session, scene_object, preset, phone[:count], report))
-            if scene_object.motion is None and preset != "final":  # its sampling points are fixed as those of good
-                report(f"shimmer of {scene_object.name}, {preset}")
-                shimmer.append(_shimmer(session, scene_object, preset, seen, size))
+            times.append(_timed(_session(room, size), scene_object, preset, phone[:count], report))
     return CompositeReport(
         times=tuple(times),
-        shimmer=tuple(shimmer),
         denoiser=denoiser_name(),
         image=(size.width, size.height),
         depth=size.depth,
@@ -185,48 +176,6 @@ def _timed(
 
 def _sums(columns: dict[str, list[float]]) -> list[float]:
     return [sum(row) for row in zip(*columns.values(), strict=True)]
-
-
-def _shimmer(
-    session: Session, scene_object: SceneObject, preset: str, seen: Sequence[Frame], size: CompositeSize
-) -> Shimmer:
-    """Measure the picture at rest, without and with depth noise, and the shadow under the moving camera.
-
-    Colour has no noise here: the camera's own would hide what objects and shadows do.
-    """
-    still = [replace(seen[0], index=index, timestamp_s=index / 30) for index in range(2 * STILL_FRAMES)]
-    exact_depth = (_with_depth(frame, size, 0.0, 0) for frame in still)
-    resting = list(_composited(session, scene_object, preset, exact_depth))[STILL_FRAMES:]
-    noisy = (_with_depth(frame, size, DEPTH_NOISE_M, seed) for seed, frame in enumerate(still))
-    shaken = list(_composited(session, scene_object, preset, noisy))[STILL_FRAMES:]
-    moved = (_with_depth(frame, size, 0.0, 0) for frame in seen[: 2 * STILL_FRAMES])
-    moving = list(_composited(session, scene_object, preset, moved))[2:]
-    near = np.zeros(resting[0].alpha.shape, bool)
-    near[resting[0].crop.slices] = True
-    exact = seen[2 : 2 + len(moving)]
-    depths = [np.where(result.alpha > 0, 0, frame.depth_m) for result, frame in zip(moving, exact, strict=True)]
-    change = warped_variance(
-        [result.shadow for result in moving],
-        [depth.astype(np.float32) for depth in depths],
-        [frame.intrinsics for frame in exact],
-        [frame.camera_to_world for frame in exact],
-    )
-    return Shimmer(
-        preset,
-        scene_object.name,
-        255 * rest_variance([result.image for result in resting], near) ** 0.5,
-        255 * rest_variance([result.image for result in shaken], near) ** 0.5,
-        change**0.5,
-    )
-
-
-def _composited(
-    session: Session, scene_object: SceneObject, preset: str, frames: Iterator[Frame]
-) -> Iterator[Composite]:
-    compositor = Compositor(session, [scene_object], quality=preset, match_camera=False)
-    for frame in frames:
-        yield compositor.composite(frame)
-    compositor.close()
 
 
 def _with_depth(frame: Frame, size: CompositeSize, noise_m: float, seed: int) -> Frame:

@@ -62,31 +62,11 @@ class PresetTimes:
 
 
 @dataclass(frozen=True)
-class Shimmer:
-    """Change over time of what should not change; standard deviations.
-
-    Attributes:
-        preset: Quality.
-        object: Name of the object.
-        rest_steps: Of the picture around the object, in steps of 8 bits, when everything rests.
-        noisy_depth_steps: The same with noise in depth.
-        moving_shadow: Of the shadow's ratio on real surfaces under the moving camera, warped back.
-    """
-
-    preset: str
-    object: str
-    rest_steps: float
-    noisy_depth_steps: float
-    moving_shadow: float
-
-
-@dataclass(frozen=True)
 class CompositeReport:
     """All figures of a run.
 
     Attributes:
         times: A row per preset and object.
-        shimmer: A row per preset and resting object.
         denoiser: "oidn" if Open Image Denoise is installed, which `final` uses; else "none".
         image: Columns and rows of a frame.
         depth: Columns and rows of its depth.
@@ -94,7 +74,6 @@ class CompositeReport:
     """
 
     times: tuple[PresetTimes, ...]
-    shimmer: tuple[Shimmer, ...]
     denoiser: str
     image: tuple[int, int]
     depth: tuple[int, int]
@@ -118,7 +97,7 @@ class CompositeReport:
         )
 
     def tables(self) -> list[Table]:
-        """Return a table with a row per part, preset by preset and object by object; shimmer; the criteria."""
+        """Return a table with a row per part, preset by preset and object by object; the criteria."""
         (width, height), (columns, rows) = self.image, self.depth
         table = figure_table(
             f"A frame of {width} x {height} pixels with depth of {columns} x {rows}, milliseconds",
@@ -135,15 +114,7 @@ class CompositeReport:
                 table.add_row(part.name, *(short_number(value) for value in values), ratio)
             about = f"{row.frames} frames, {row.triangles} triangles, {row.pixels:.0f} pixels"
             table.add_row(f"[dim]{about}[/dim]")
-        shimmer = figure_table(
-            "Shimmer, standard deviation over time",
-            ("picture at rest", "with noisy depth", "shadow, moving camera"),
-            caption="picture: around the object, in steps of 8 bits; shadow: light with objects / without, warped back",
-        )
-        for row in self.shimmer:
-            values = f"{row.rest_steps:.3f}", f"{row.noisy_depth_steps:.3f}", f"{100 * row.moving_shadow:.2f} %"
-            shimmer.add_row(f"{row.preset}, {row.object}", *values)
-        return [table, shimmer, criteria_table(self.criteria())]
+        return [table, criteria_table(self.criteria())]
 
     def denoiser_note(self) -> str:
         """Say whether `final` denoises."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from shimmer import rest_variance, warped_variance
 
 from roomlight.compositing.compositor import Compositor, composite
 from roomlight.compositing.light.lighting import LightSampler
@@ -12,9 +13,7 @@ from roomlight.compositing.light.temporal import (
     LIGHT_S,
     DepthFilter,
     EasedLight,
-    rest_variance,
     share_of,
-    warped_variance,
 )
 from roomlight.compositing.objects.materials import diffuse, mirror
 from roomlight.compositing.objects.primitives import cube, sphere

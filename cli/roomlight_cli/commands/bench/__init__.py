@@ -25,7 +25,7 @@ BENCHMARKS: Final = (
     CommandEntry(
         "composite",
         f"{_COMMANDS}.engine:composite",
-        "Measure what virtual objects in a frame cost by part, and how much they shimmer.",
+        "Measure what virtual objects in a frame cost by part.",
     ),
 )
 

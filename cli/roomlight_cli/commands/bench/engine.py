@@ -42,7 +42,7 @@ def composite(
     final: bool = False,
     json: FiguresJson = None,
 ) -> None:
-    """Measure what virtual objects in a frame cost by part, and how much they shimmer.
+    """Measure what virtual objects in a frame cost by part.
 
     Args:
         frames: Measured frames of a preview; good takes a quarter, final a tenth.

@@ -1,16 +1,15 @@
-"""Stability over time: depth, shadows and light are eased into their new state, and shimmer is measured.
+"""Stability over time: depth, shadows and light are eased into their new state.
 
 Each follows its input with a time constant: after it, 63 % of a change has happened. Depth and shadows of the frame
 before are reprojected into the new view first; where that view shows something else, the new value is taken at once.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32
 
 from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.compositing.kernels.reproject import accumulate_image, splat_depth
@@ -167,58 +166,6 @@ class EasedLight:
             return False
         self.sampler = LightSampler(present + share * (self._target - present), self.position)
         return True
-
-
-def rest_variance(images: Sequence[UInt8[np.ndarray, "h w 3"]], mask: Bool[np.ndarray, "h w"] | None = None) -> float:
-    """Return the mean variance over time of encoded values in [0, 1], where camera and objects rest.
-
-    Args:
-        mask: pixels that count; default all.
-    """
-    stack = np.stack(images).astype(np.float32) / np.float32(255)
-    variance = stack.var(axis=0).mean(axis=-1)
-    chosen = variance if mask is None else variance[mask]
-    return float(chosen.mean()) if chosen.size else 0.0
-
-
-def warped_variance(
-    layers: Sequence[Float[np.ndarray, "h w 3"]],
-    depths_m: Sequence[Float[np.ndarray, "h w"]],
-    cameras: Sequence[Intrinsics],
-    poses: Sequence[Float[np.ndarray, "4 4"]],
-) -> float:
-    """Return the mean squared change of each layer against the one before, warped by depth and camera motion, over 2.
-
-    Equal to the variance for independent noise. Layers: any image in [0, 1] on surfaces of known depth; pixels without
-    depth, or hidden in one of the two, do not count.
-    """
-    total, count = 0.0, 0
-    for number in range(1, len(layers)):
-        known = depths_m[number] > 0
-        points = cameras[number].rays() * depths_m[number][..., None]
-        rotation, origin = poses[number][:3, :3].astype(np.float32), poses[number][:3, 3].astype(np.float32)
-        world = np.ascontiguousarray(points @ rotation.T + origin)
-        k = cameras[number - 1]
-        before = np.concatenate([layers[number - 1], depths_m[number - 1][..., None]], axis=-1).astype(np.float32)
-        warped = np.full(before[..., :3].shape, np.float32(-10))
-        accumulate_image(
-            warped,
-            warped.copy(),
-            known,
-            world,
-            rigid_inverse(poses[number - 1])[:3].astype(np.float32),
-            np.array([k.fx, k.fy, k.cx, k.cy], np.float32),
-            before,
-            depths_m[number - 1] > 0,
-            np.float32(0),
-            np.float32(1e6),
-            0,
-            len(known),
-        )
-        seen = known & (warped[..., 0] > -5)
-        total += float(((warped - layers[number])[seen] ** 2).sum() / 2)
-        count += 3 * int(seen.sum())
-    return total / max(count, 1)
 
 
 def _reduced(depth_m: Float[np.ndarray, "h w"], max_width: int) -> Float32[np.ndarray, "h2 w2"]:
