@@ -36,9 +36,6 @@ from roomlight_bench.timing import Implementation, ProgressCallback, Timing, tim
 
 SLOW_RUNS: Final = 3
 """Most runs of the references that take seconds."""
-FINE_SAMPLES: Final = 110.0
-"""Mean number of samples per ray inside the volume, in the row with fine steps. At the engine's own step of one voxel,
-a ray from inside takes about 40 before it leaves the volume, while `grid_sample` computes all 128."""
 _FAINT_ALPHA: Final = (0.02, 0.05)
 """Opacity of empty space in the network-like volume: decoders start at 0.05, and training lowers it."""
 _BRUTE_FORCE_RAYS: Final = 32
@@ -187,19 +184,14 @@ def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list
     dense = _network_like(grid, sparse)
     return [
         _march_stage("ray tracing, network-like volume", dense, size, far="boundary", paper_ms=22.0),
-        _march_stage("ray tracing, fine steps", dense, size, far="boundary", mean_inside=FINE_SAMPLES),
         _march_stage("ray tracing, classical volume", sparse, size, far="none"),
     ]
 
 
-def _march_stage(
-    name: str, sglv: Sglv, size: RoomSize, *, far: Far, mean_inside: float | None = None, paper_ms: float | None = None
-) -> BenchStage:
-    """Time ray tracing; `mean_inside` samples per ray lie inside the volume, None keeps the engine's own step."""
+def _march_stage(name: str, sglv: Sglv, size: RoomSize, *, far: Far, paper_ms: float | None = None) -> BenchStage:
+    """Time ray tracing at the engine's own step."""
     directions = panorama_directions(size.panorama_height).reshape(-1, 3)
     step_m = sglv.grid.edge_m
-    if mean_inside is not None:
-        step_m *= float(_samples_inside(sglv.grid, directions, size.samples, step_m).mean()) / mean_inside
 
     def ours() -> Float[np.ndarray, "n 3"]:
         return render_rays(sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far)[0]
@@ -214,8 +206,7 @@ def _march_stage(
         )
         torch = Implementation(by_grid_sample)
     deviations = differences(ours, {"reference": reference, "torch": torch.run if torch else None})
-    inside = _samples_inside(sglv.grid, directions, size.samples, step_m)
-    note = f"{len(directions)} rays, {size.samples} samples, {inside.mean():.0f} inside"
+    note = f"{len(directions)} rays, {size.samples} samples"
     return BenchStage(
         name,
         Implementation(ours),
@@ -225,18 +216,6 @@ def _march_stage(
         note=note,
         differences=deviations,
     )
-
-
-def _samples_inside(
-    grid: VolumeGrid, directions: Float[np.ndarray, "n 3"], samples: int, step_m: float
-) -> Float[np.ndarray, " n"]:
-    """Count the samples of each ray from the probe before it leaves the volume; the probe is inside."""
-    rotation = grid.world_to_volume[:3, :3]
-    origin = rotation @ np.asarray(PROBE) + grid.world_to_volume[:3, 3]
-    slope = directions.astype(np.float64) @ rotation.T
-    slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
-    leave = np.maximum((grid.lower_m - origin) / slope, (grid.upper_m - origin) / slope).min(axis=-1)
-    return np.clip(np.ceil(leave / step_m - 0.5), 0, samples)
 
 
 def _mesh_stages(frame: Frame, size: RoomSize) -> list[BenchStage]:

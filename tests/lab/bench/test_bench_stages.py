@@ -16,7 +16,6 @@ NETWORK_STAGES = ("SGLV network", "3D GRU", "blending network", "2D GRU")
 OWN_STAGES = (
     "volume initialisation",
     "ray tracing, network-like volume",
-    "ray tracing, fine steps",
     "ray tracing, classical volume",
     "mesh building",
     "partial-mesh panorama",
