@@ -33,7 +33,6 @@ class Room:
     scene: Scene
     shell: Shell
     placements: tuple[Placement, ...]
-    room_type: str
     facts: dict[str, Any]
 
 
@@ -74,7 +73,7 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
         "attributions": scene.attributions(),
         "light": lighting.facts,
     }
-    return Room(f"{split}-{index:06d}", scene, shell, placements, room_type.name, facts)
+    return Room(f"{split}-{index:06d}", scene, shell, placements, facts)
 
 
 def _choose_type(split: Split, rng: np.random.Generator) -> RoomType:

@@ -67,8 +67,8 @@ def test_the_test_split_has_its_own_models_and_room_types(count):
     assert len(reserved) == 2
     train = [room(index) for index in range(count)]
     test = [room(index, split="test") for index in range(count)]
-    assert not {built.room_type for built in train} & reserved
-    assert {built.room_type for built in test} & reserved
+    assert not {built.facts["room_type"] for built in train} & reserved
+    assert {built.facts["room_type"] for built in test} & reserved
     models = [{name for built in rooms for name in built.facts["models"]} for rooms in (train, test)]
     assert not models[0] & models[1]
 

@@ -68,7 +68,6 @@ class RoomType:
         clutter: Range, from bare (0) to crowded (1).
         people, pets: Probabilities.
         radiators: Probability of a radiator below a window.
-        public: Rooms other than homes: larger surfaces, other finishes.
     """
 
     name: str
@@ -89,7 +88,6 @@ class RoomType:
     people: float = 0.06
     pets: float = 0.02
     radiators: float = 0.45
-    public: bool = False
 
     def furnish(self, arrangement: Arrangement) -> None:
         """Run the furnishing programme."""
