@@ -33,7 +33,7 @@ const shared = new SharedScene(api, state, objects, reportError);
 
 sessionsPanel(state, { onDelete: (id) => void removeSession(id), onRename: (session) => void renameSession(session) });
 dialogs(api);
-const cancelUploads = uploadsPanel(api, (session) => (state.selected.value = session));
+const cancelUploads = uploadsPanel(api, (session) => (state.selected.value = session), (session) => void discard(session));
 cameraPanel(api, state, objects);
 timelinePanel(api, state);
 processingPanel(state);
@@ -89,6 +89,19 @@ async function removeSession(id: string): Promise<void> {
     if (state.selected.value === id) {
       state.selected.value = null;
     }
+    await readSessions();
+  } catch (error) {
+    reportError(error);
+  }
+}
+
+/** Delete the session of a recording that cannot be played: it has no frame. */
+async function discard(id: string): Promise<void> {
+  try {
+    if (state.selected.value === id) {
+      state.selected.value = null;
+    }
+    await api.deleteSession(id);
     await readSessions();
   } catch (error) {
     reportError(error);

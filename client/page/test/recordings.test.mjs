@@ -119,7 +119,13 @@ test("a file that is no recording is refused with the reason", async () => {
   await page.setInputFiles("#file-input", file);
   const error = page.locator(".upload .error");
   await error.waitFor();
-  assert.match(await error.innerText(), /r3d|archive|zip|recording/i);
+  assert.match(await error.locator("summary").innerText(), /recording/i);
+  assert.ok(await error.locator("p").isHidden());
+  await error.locator("summary").click();
+  assert.match(await error.locator("p").innerText(), /broken\.r3d.*archive/s);
+  // its session, without a frame, is gone
+  await page.waitForFunction(() => ![...document.querySelectorAll(".session")].some(({ dataset }) => dataset.session.startsWith("broken-")));
+  assert.doesNotMatch(await page.title(), /^broken-/);
 });
 
 test("markup in the name of a file is shown as text", async () => {

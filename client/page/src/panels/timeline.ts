@@ -167,7 +167,7 @@ async function pastLight(api: Api, id: string, index: number, probe: HistoryEntr
   return { ...probe, frame: index, panorama, seen: null, harmonics: null };
 }
 
-/** Columns of the time per frame; a mark above where frames were lost; a line at the shown one. */
+/** Columns of the time per frame; a mark above where frames were left out, red where refused; a line at the shown one. */
 function drawChart(state: State): void {
   const { context, width, height } = fitCanvas(byId<HTMLCanvasElement>("timeline-chart"));
   const entries = state.history.value;
@@ -176,7 +176,7 @@ function drawChart(state: State): void {
   const slowest_ms = times_ms.reduce((most, time) => Math.max(most, time), 1);
   const step = width / Math.max(1, entries.length);
   const top = 6;
-  const [plain, accent, bad] = [themeColour("--control-line"), themeColour("--accent"), themeColour("--bad")];
+  const [plain, accent, muted, bad] = ["--control-line", "--accent", "--muted", "--bad"].map(themeColour) as [string, string, string, string];
   const column = (at: number) => {
     const tall = ((height - top) * times_ms[at]!) / slowest_ms;
     context.fillRect(at * step, Math.round(height - tall), Math.max(1, step - 1), Math.round(tall));
@@ -185,9 +185,9 @@ function drawChart(state: State): void {
   context.fillStyle = plain;
   entries.forEach((_, at) => at !== shown && column(at));
   context.globalAlpha = 1;
-  context.fillStyle = bad;
   entries.forEach((entry, at) => {
     if (at > 0 && lostFrames(entry) > lostFrames(entries[at - 1]!)) {
+      context.fillStyle = entry.refused > entries[at - 1]!.refused ? bad : muted;
       context.fillRect(at * step, 0, Math.max(2, step - 1), 3);
     }
   });

@@ -8,8 +8,11 @@ import { notify, reportError } from "./notices";
 
 const OBJECT = /\.(glb|gltf|obj|ply|usdz|fbx)$/i;
 
-/** Returns what cancels the recordings that play into a session. */
-export function uploadsPanel(api: Api, opened: (session: string) => void): (session: string) => void {
+/**
+ * `opened` is called with the session that a recording plays into, `failed` if not even a frame of it could be played.
+ * Returns what cancels the recordings that play into a session.
+ */
+export function uploadsPanel(api: Api, opened: (session: string) => void, failed: (session: string) => void): (session: string) => void {
   const uploads = new Map<RecordingUpload, HTMLElement>();
   const start = (found: { name: string; files: NamedFile[] } | null) => {
     byId<HTMLDialogElement>("recording-dialog").close();
@@ -26,7 +29,13 @@ export function uploadsPanel(api: Api, opened: (session: string) => void): (sess
     byId("uploads").append(item);
     uploads.set(upload, item);
     upload.state.watch((state) => showUpload(item, state, upload));
-    void upload.run(opened);
+    void upload.run(opened).then(() => {
+      const { recording, error } = upload.state.value;
+      item.scrollIntoView({ block: "nearest", inline: "nearest" }); // the strip of a phone
+      if (error !== null && recording?.session && recording.frame === 0) {
+        failed(recording.session);
+      }
+    });
   };
   for (const [button, input] of [["choose-file", "file-input"], ["choose-folder", "folder-input"]] as const) {
     const files = byId<HTMLInputElement>(input);
@@ -60,21 +69,27 @@ function showUpload(item: HTMLElement, state: Upload, upload: RecordingUpload): 
   const isPlaying = recording !== null && ["playing", "finished"].includes(recording.status);
   const [done, all] = isPlaying ? [recording.frame, recording.frames ?? 0] : [state.sent, state.bytes];
   const bar = element("progress", { max: Math.max(1, all), value: Math.min(done, Math.max(1, all)), "aria-label": name });
-  const text = error ?? (recording?.status === "finished" ? finishedText(state) : isPlaying ? `Frame ${done} of ${all || "?"}` : uploadText(state));
+  const text = recording?.status === "finished" ? finishedText(state) : isPlaying ? `Frame ${done} of ${all || "?"}` : uploadText(state);
   const label = upload.isDone ? "Clear" : "Cancel";
   const button = element("button", { class: "button quiet", type: "button", "aria-label": `${label} ${name}`, click: remove }, label);
   const hadFocus = item.contains(document.activeElement);
-  const notes = item.querySelector("details") ?? element("details");
+  const notes = item.querySelector<HTMLDetailsElement>(".file-notes") ?? element("details");
   const wasOnNotes = notes.contains(document.activeElement);
   item.replaceChildren(
     element("b", {}, name),
     ...(upload.isDone ? [] : [bar]),
-    element("div", { class: "row" }, element("span", { class: error ? "error" : "hint" }, text), button),
+    element("div", { class: "row" }, error === null ? element("span", { class: "hint" }, text) : failure(error), button),
     showNotes(notes, name, recording?.notes ?? []),
   );
   if (hadFocus) {
     (wasOnNotes ? notes.querySelector("summary")! : button).focus();
   }
+}
+
+/** One line, and the server's words under it. */
+function failure(error: string): HTMLElement {
+  const [, line = error, detail = ""] = /^([^:]{3,60}): (.*)$/s.exec(error) ?? [];
+  return detail === "" ? element("span", { class: "error" }, line) : element("details", { class: "error" }, element("summary", {}, line), element("p", {}, detail));
 }
 
 function uploadText({ sent, bytes }: Upload): string {
