@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.scene import Item, Opening
@@ -96,18 +96,22 @@ class Shell:
 
     def contains(self, x: float, z: float, margin_m: float = 0.0) -> bool:
         """Return whether the plan point lies inside the polygon, at least margin_m from every wall."""
-        inside = False
-        previous = self.polygon[-1]
-        nearest = np.inf
-        for corner in self.polygon:
-            (x0, z0), (x1, z1) = previous, corner
-            if (z0 > z) != (z1 > z) and x < x0 + (z - z0) * (x1 - x0) / (z1 - z0):
-                inside = not inside
-            edge = np.array([x1 - x0, z1 - z0])
-            along = np.clip(((x - x0) * edge[0] + (z - z0) * edge[1]) / max(float(edge @ edge), 1e-12), 0, 1)
-            nearest = min(nearest, float(np.hypot(x - x0 - along * edge[0], z - z0 - along * edge[1])))
-            previous = corner
-        return inside and nearest >= margin_m
+        inside, squared_m2 = inside_outline(self.polygon, np.array(x, np.float64), np.array(z, np.float64))
+        return bool(inside) and float(squared_m2) >= margin_m**2
+
+
+def inside_outline(
+    polygon: Float[np.ndarray, "n 2"], x: Float[np.ndarray, "*shape"], z: Float[np.ndarray, "*shape"]
+) -> tuple[Bool[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
+    """Return which plan points lie inside an outline, and their squared distances from it."""
+    inside, nearest = np.zeros(np.shape(x), bool), np.full(np.shape(x), np.inf)
+    for (x0, z0), (x1, z1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if z0 != z1:
+            inside ^= ((z0 > z) != (z1 > z)) & (x < x0 + (z - z0) * (x1 - x0) / (z1 - z0))
+        along = ((x - x0) * (x1 - x0) + (z - z0) * (z1 - z0)) / max((x1 - x0) ** 2 + (z1 - z0) ** 2, 1e-12)
+        along = np.clip(along, 0, 1)
+        np.minimum(nearest, (x - x0 - along * (x1 - x0)) ** 2 + (z - z0 - along * (z1 - z0)) ** 2, out=nearest)
+    return inside, nearest
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import Intrinsics, transform_points
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Scene
+from roomlight_generator.rooms.shapes import bare_mesh, with_material
 from roomlight_generator.transport import FrameView, RoomLight, Tracer
+from roomlight_generator.transport.paths import unit_rows
 
 OBJECT: Final = "object"
 """Name and role of the item."""
@@ -57,14 +59,7 @@ def object_mesh(
     material: Material,
 ) -> Mesh:
     """Make a mesh of one material from an object's surface in the world."""
-    return Mesh(
-        vertices.astype(np.float32),
-        normals.astype(np.float32),
-        np.zeros((len(vertices), 2), np.float32),
-        faces.astype(np.int32),
-        np.zeros(len(faces), np.int32),
-        (material,),
-    )
+    return with_material(bare_mesh(vertices, normals, faces), material)
 
 
 def with_object(scene: Scene, mesh: Mesh) -> Scene:
@@ -92,7 +87,7 @@ def render_with_object(
     tracer = Tracer(with_object(scene, mesh))
     view = _solved(tracer, seed).frame(intrinsics, camera_to_world, seed=seed)
     rays = intrinsics.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T
-    directions = _unit(rays)
+    directions = unit_rows(rays)
     origins = np.broadcast_to(camera_to_world[:3, 3], directions.shape)
     hits = tracer.trace(np.ascontiguousarray(origins, np.float32), directions)
     item = np.where(hits.face >= 0, tracer.geometry.item[hits.face], -1)
@@ -125,7 +120,7 @@ def find_resting_place(
     count = _CANDIDATES
     u, v = rng.uniform(0.12, 0.88, count) * intrinsics.width, rng.uniform(0.2, 0.92, count) * intrinsics.height
     local = np.stack([(u - intrinsics.cx) / intrinsics.fx, -(v - intrinsics.cy) / intrinsics.fy, -np.ones(count)], 1)
-    directions = _unit(local @ camera_to_world[:3, :3].T)
+    directions = unit_rows(local @ camera_to_world[:3, :3].T)
     eye = camera_to_world[:3, 3].astype(np.float32)
     hits = tracer.trace(np.broadcast_to(eye, directions.shape).copy(), directions)
     normals = tracer.geometry.normals[hits.face].mean(axis=1)
@@ -176,7 +171,7 @@ def _fits(
     seen = point + np.outer([0.1, 0.5, 1.0], [0, height_m, 0]).astype(np.float32)
     away = seen - eye
     reach = np.linalg.norm(away, axis=1)
-    free = tracer.distances(np.broadcast_to(eye, seen.shape), _unit(away))
+    free = tracer.distances(np.broadcast_to(eye, seen.shape), unit_rows(away))
     return bool((free > reach - 0.01).all())
 
 
@@ -192,8 +187,3 @@ def _in_picture(
     xy, _ = intrinsics.project(transform_points(inverse, corners + point))
     margin = 0.03 * intrinsics.width
     return bool(((xy > margin) & (xy < [intrinsics.width - margin, intrinsics.height - margin])).all())
-
-
-def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.ascontiguousarray(vectors / length, np.float32)

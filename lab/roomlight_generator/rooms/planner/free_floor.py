@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roomlight_generator.rooms.plan import Placement, Shell
+from roomlight_generator.rooms.plan import Placement, Shell, inside_outline
 from roomlight_generator.rooms.planner.body import Body
 from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
 
@@ -63,14 +63,7 @@ def bare_floor(shell: Shell, *, radius_m: float, cell_m: float = 0.1) -> FreeFlo
     low, high = shell.polygon.min(0), shell.polygon.max(0)
     columns, rows = (int(n) for n in np.floor((high - low) / cell_m) + 1)
     x, z = np.meshgrid(float(low[0]) + cell_m * np.arange(columns), float(low[1]) + cell_m * np.arange(rows))
-    inside = np.zeros(x.shape, bool)
-    nearest = np.full(x.shape, np.inf)
-    for (x0, z0), (x1, z1) in zip(shell.polygon, np.roll(shell.polygon, -1, axis=0), strict=True):
-        if z0 != z1:
-            inside ^= ((z0 > z) != (z1 > z)) & (x < x0 + (z - z0) * (x1 - x0) / (z1 - z0))
-        along = ((x - x0) * (x1 - x0) + (z - z0) * (z1 - z0)) / max((x1 - x0) ** 2 + (z1 - z0) ** 2, 1e-12)
-        along = np.clip(along, 0, 1)
-        nearest = np.minimum(nearest, (x - x0 - along * (x1 - x0)) ** 2 + (z - z0 - along * (z1 - z0)) ** 2)
+    inside, nearest = inside_outline(shell.polygon, x, z)
     head = np.full(x.shape, True)
     for normal, d in shell.slopes:
         head &= (d - normal[0] * x - normal[2] * z) / normal[1] >= OBSTACLE_HEIGHTS_M[1]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roomlight_generator.rooms.plan import Shell
+from roomlight_generator.rooms.plan import Shell, inside_outline
 from roomlight_generator.rooms.planner.body import Body
 from roomlight_generator.rooms.scene import Mesh
 
@@ -56,16 +56,8 @@ def _along_edges(mesh: Mesh) -> Float[np.ndarray, "n 3"]:
 
 
 def _protrudes(shell: Shell, plan: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-    x, z = plan[:, 0], plan[:, 1]
-    inside = np.zeros(len(plan), bool)
-    near = np.zeros(len(plan), bool)
-    for (x0, z0), (x1, z1) in zip(shell.polygon, np.roll(shell.polygon, -1, axis=0), strict=True):
-        if z0 != z1:
-            inside ^= ((z0 > z) != (z1 > z)) & (x < x0 + (z - z0) * (x1 - x0) / (z1 - z0))
-        along = ((x - x0) * (x1 - x0) + (z - z0) * (z1 - z0)) / max((x1 - x0) ** 2 + (z1 - z0) ** 2, 1e-12)
-        along = np.clip(along, 0, 1)
-        near |= np.hypot(x - x0 - along * (x1 - x0), z - z0 - along * (z1 - z0)) < MIN_PROTRUSION_M
-    return inside & ~near
+    inside, squared_m2 = inside_outline(shell.polygon, plan[:, 0], plan[:, 1])
+    return inside & (squared_m2 >= MIN_PROTRUSION_M**2)
 
 
 def _boxes(points: Float[np.ndarray, "n 3"]) -> list[Body]:
