@@ -8,7 +8,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -198,7 +198,7 @@ def generate(
             for numbers in shards_of(options.sequences, options.shard_size)
         }
         todo = deque(
-            _task(tar, numbers, options)
+            ShardTask(tar, numbers.start, numbers.stop, replace(options, renderer=options.renderer_name))
             for tar, numbers in shards.items()
             if not is_finished(tar, _names(options.split, numbers))
         )
@@ -222,24 +222,6 @@ def _count(shards: dict[Path, range], split: str) -> tuple[int, int]:
         if entry.name in _names(split, numbers)
     ]
     return len(lengths), sum(lengths)
-
-
-def _task(tar: Path, numbers: range, options: GenerateOptions) -> ShardTask:
-    return ShardTask(
-        tar=str(tar),
-        split=options.split,
-        first=numbers.start,
-        last=numbers.stop,
-        seed=options.seed,
-        sequences_per_room=options.sequences_per_room,
-        frames=options.frames,
-        furniture=None if options.furniture is None else str(options.furniture.resolve()),
-        renderer=options.renderer_name,
-        panoramas=None if options.panoramas is None else str(options.panoramas.resolve()),
-        furniture_share=None if options.panoramas is None else options.furniture_share,
-        scenes=[str(path.resolve()) for path in options.scenes] or None,
-        samples=options.samples,
-    )
 
 
 class _RunCounts:

@@ -1,11 +1,13 @@
 """A process that makes shards: `python -m roomlight_generator.worker`, started by `generate`.
 
-It reads tasks from standard input and writes messages to standard output, one JSON object a line. When the input ends,
-also because the parent died, the process exits at once: the next writer of its shard truncates an unfinished sequence.
+It reads tasks from standard input, a line each (`ShardTask.to_line`), and writes messages to standard output, a JSON
+object a line. When the input ends, also because the parent died, the process exits at once: the next writer of its
+shard truncates an unfinished sequence.
 """
 
 import json
 import os
+import pickle
 import queue
 import sys
 import threading
@@ -15,18 +17,21 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
 
 from roomlight.dataset.archive import pack
 from roomlight.dataset.folder import sequence_name
-from roomlight.dataset.recording import Recording, Split
+from roomlight.dataset.recording import Recording
 from roomlight.dataset.sequence_files import encode
 from roomlight.dataset.shards import ShardWriter
 from roomlight.errors import DatasetError, RoomLightError
 from roomlight_generator.room_request import RenderRoom, RoomRequest
+
+if TYPE_CHECKING:
+    from roomlight_generator.generate import GenerateOptions
 
 ATTEMPTS: Final = 3
 """Rooms drawn for one room index before the run fails."""
@@ -39,23 +44,22 @@ class ShardTask:
     Attributes:
         tar: File of the shard.
         first, last: The shard's sequences are `first` to `last` - 1 of the split.
-        panoramas, furniture_share: Given for rooms lit by panoramas only.
-        scenes, samples: For Blender scenes only.
+        options: Of the dataset.
     """
 
-    tar: str
-    split: Split
+    tar: Path
     first: int
     last: int
-    seed: int
-    sequences_per_room: int
-    frames: int
-    furniture: str | None
-    renderer: str
-    panoramas: str | None = None
-    furniture_share: float | None = None
-    scenes: list[str] | None = None
-    samples: int | None = None
+    options: "GenerateOptions"
+
+    def to_line(self) -> str:
+        """Return the task as a line of text: a pickle in hexadecimal digits, since options hold paths."""
+        return pickle.dumps(self).hex() + "\n"
+
+    @staticmethod
+    def from_line(line: str) -> "ShardTask":
+        """Read what `to_line` returned."""
+        return pickle.loads(bytes.fromhex(line))
 
 
 Emit = Callable[[dict[str, Any]], None]
@@ -68,15 +72,15 @@ def make_shard(task: ShardTask, render: RenderRoom, emit: Emit) -> None:
         DatasetError: if a room cannot be made or the shard is damaged.
         OutputError: if the shard cannot be written.
     """
-    per_room = task.sequences_per_room
-    with ShardWriter(Path(task.tar)) as shard:
+    per_room, split = task.options.sequences_per_room, task.options.split
+    with ShardWriter(task.tar) as shard:
         names = shard.names
         for room in range(task.first // per_room, -(-task.last // per_room)):
             numbers = range(max(task.first, room * per_room), min(task.last, (room + 1) * per_room))
-            missing = {n - room * per_room for n in numbers if sequence_name(task.split, n) not in names}
+            missing = {n - room * per_room for n in numbers if sequence_name(split, n) not in names}
             clock = time.process_time()
             for within, packed in _room(task, room, missing, render, emit):
-                name = sequence_name(task.split, room * per_room + within)
+                name = sequence_name(split, room * per_room + within)
                 shard.append(name, packed)
                 clock, before = time.process_time(), clock
                 emit({"what": "sequence", "name": name, "bytes": len(packed), "core_s": clock - before})
@@ -90,20 +94,20 @@ def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emi
     comes from depends on the room alone, not on the sequences that the shard contains. Attempts after the first have a
     seed drawn from the seed and the attempt's number.
     """
-    done = 0
+    options, done = task.options, 0
     for attempt in range(ATTEMPTS):
-        seed = task.seed if attempt == 0 else _attempt_seed(task.seed, attempt)
+        seed = options.seed if attempt == 0 else _attempt_seed(options.seed, attempt)
         request = RoomRequest(
             room,
             seed,
-            task.split,
-            task.sequences_per_room,
-            task.frames,
-            furniture=None if task.furniture is None else Path(task.furniture),
-            panoramas=None if task.panoramas is None else Path(task.panoramas),
-            furniture_share=task.furniture_share or 0.0,
-            scenes=tuple(map(Path, task.scenes or ())),
-            samples=task.samples or 0,
+            options.split,
+            options.sequences_per_room,
+            options.frames,
+            furniture=options.furniture,
+            panoramas=options.panoramas,
+            furniture_share=options.furniture_share,
+            scenes=options.scenes,
+            samples=options.samples,
         )
         try:
             for within, recording in enumerate(render(request)):
@@ -111,27 +115,28 @@ def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emi
                     continue
                 done = within + 1
                 if within in missing:
-                    yield within, _packed(task, room, within, attempt, seed, recording)
+                    yield within, _packed(options, room, within, attempt, seed, recording)
                 if done > max(missing, default=-1):
                     return
-            raise ValueError(f"it gave {done} of {task.sequences_per_room} sequences")
+            raise ValueError(f"it gave {done} of {options.sequences_per_room} sequences")
         except (RoomLightError, MemoryError):
             raise
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
             last = f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
-            what = f"room {room} of {task.split}, seed {task.seed}, attempt {attempt + 1} of {ATTEMPTS}: {last}"
+            what = f"room {room} of {options.split}, seed {options.seed}, attempt {attempt + 1} of {ATTEMPTS}: {last}"
             emit({"what": "note", "text": what})
             if attempt == ATTEMPTS - 1:
                 raise DatasetError(
-                    f"room {room} of {task.split} with seed {task.seed} cannot be made; all {ATTEMPTS} attempts "
+                    f"room {room} of {options.split} with seed {options.seed} cannot be made; all {ATTEMPTS} attempts "
                     f"failed, the last with {last}; another `seed` gives other rooms"
                 ) from error
 
 
-def _packed(task: ShardTask, room: int, within: int, attempt: int, seed: int, recording: Recording) -> bytes:
-    name = sequence_name(task.split, room * task.sequences_per_room + within)
-    made = {"seed": task.seed, "split": task.split, "room": room, "walk": within, "attempt": attempt, "room_seed": seed}
+def _packed(options: "GenerateOptions", room: int, within: int, attempt: int, seed: int, recording: Recording) -> bytes:
+    name = sequence_name(options.split, room * options.sequences_per_room + within)
+    made = {"seed": options.seed, "split": options.split, "room": room, "walk": within}
+    made |= {"attempt": attempt, "room_seed": seed}
     return pack(name, encode(replace(recording, name=name, facts={**recording.facts, "made": made})))
 
 
@@ -139,9 +144,9 @@ def _attempt_seed(seed: int, attempt: int) -> int:
     return int(np.random.SeedSequence([seed, attempt]).generate_state(1, np.uint64)[0])
 
 
-def find_renderer(task: ShardTask) -> RenderRoom:
-    """Import the task's renderer."""
-    module, _, function = task.renderer.partition(":")
+def find_renderer(name: str) -> RenderRoom:
+    """Import a renderer by its `module:function`."""
+    module, _, function = name.partition(":")
     return getattr(import_module(module), function)
 
 
@@ -169,10 +174,10 @@ def main() -> None:
 
     threading.Thread(target=read_tasks, daemon=True).start()
     while True:
-        task = ShardTask(**json.loads(tasks.get()))
+        task = ShardTask.from_line(tasks.get())
         try:
-            make_shard(task, find_renderer(task), emit)
-            emit({"what": "shard", "tar": task.tar})
+            make_shard(task, find_renderer(task.options.renderer_name), emit)
+            emit({"what": "shard"})
         except RoomLightError as error:
             emit({"what": "failed", "error": type(error).__name__, "text": str(error)})
         except MemoryError:

@@ -1,6 +1,6 @@
 """The worker processes of a run: each is assigned one shard after the other; one that dies is replaced.
 
-They are plain child processes that exchange JSON lines with this one (`worker`), not a `concurrent.futures` pool: such
+They are plain child processes that exchange lines with this one (`worker`), not a `concurrent.futures` pool: such
 a pool breaks when one of its processes is killed for lack of memory, and imports the parent's script into each.
 """
 
@@ -13,6 +13,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final
 
 from roomlight import errors
@@ -41,7 +42,7 @@ class WorkerPool:
         self._on_message = on_message
         self._inbox: queue.Queue[tuple[_Worker, Message | None]] = queue.Queue()
         self._workers: set[_Worker] = set()
-        self._deaths: dict[str, int] = {}
+        self._deaths: dict[Path, int] = {}
 
     def run(self, tasks: deque[ShardTask]) -> None:
         """Run all tasks; no worker is left when this returns or raises, KeyboardInterrupt included.
@@ -134,7 +135,7 @@ class _Worker:
         self.task = task
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):  # it just died, which `inbox` will report
-            self._process.stdin.write(json.dumps(vars(task)) + "\n")
+            self._process.stdin.write(task.to_line())
             self._process.stdin.flush()
 
     def dismiss(self) -> None:
