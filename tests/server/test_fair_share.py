@@ -104,6 +104,26 @@ async def test_the_session_with_the_least_time_is_served(clock):
 
 
 @in_loop
+async def test_the_next_job_is_told_that_it_is_near(clock):
+    share, gate, told = FairShare(1, clock=clock), asyncio.Event(), []
+
+    async def job(name, session):
+        current_flow.set(Flow("a", session))
+        async with share.slot(near=lambda: told.append(name)):
+            await gate.wait()
+            clock.advance(1.0)
+
+    tasks = [asyncio.create_task(job(name, session)) for name, session in (("1", "s"), ("2", "s"), ("3", "t"))]
+    for _ in range(3):
+        await asyncio.sleep(0)
+    assert told == ["2", "2"]  # the third has used as much time, and came later
+    told.clear()
+    gate.set()
+    await asyncio.gather(*tasks)
+    assert told == ["2"]  # after the first, the session of the third has used less
+
+
+@in_loop
 async def test_an_idle_owner_saves_no_time_up(clock):
     jobs = Jobs(FairShare(1, clock=clock), clock)
     for number in range(10):  # b is idle for ten seconds

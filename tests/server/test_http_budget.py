@@ -98,6 +98,6 @@ def test_a_failed_answer_releases_its_memory(monkeypatch):
     with RunningServer() as server:
         server.open()
         assert server.push(0).status == 200
-        monkeypatch.setattr(SessionView, "light_at", fail)
+        monkeypatch.setattr(SessionView, "lights_at", fail)
         assert server.call("GET", "/v1/sessions/room/probe?x=0&y=0&z=0").status == 500
         assert server.app.state.context.budget.used == 0

@@ -15,6 +15,7 @@ import pytest
 from websockets.sync.client import connect
 
 from http_servers import LATE, SMALL, InThread, RunningServer, frame, metric, post, with_small_buffer
+from roomlight.engine.probe import Probe
 from roomlight.engine.session_view import SessionView
 from roomlight.threads import parallel_for
 from roomlight.wire.frame_encoding import pack_frame
@@ -72,8 +73,8 @@ class HeldLight:
 
 @pytest.fixture
 def held_light(monkeypatch):
-    held = HeldLight(SessionView.light_at)
-    monkeypatch.setattr(SessionView, "light_at", held)
+    held = HeldLight(SessionView.lights_at)
+    monkeypatch.setattr(SessionView, "lights_at", held)
     yield held
     held.gate.release(1000)
 
@@ -100,15 +101,17 @@ def idle(server):
     return late_points(server) == 0
 
 
-def test_the_rest_of_a_hung_up_post_is_not_computed(server, held_light):
+def test_the_rest_of_a_hung_up_post_is_not_computed(server, held_light, monkeypatch):
     """The 64 points of a client that is gone were all computed."""
+    computed = []
+    monkeypatch.setattr(Probe, "_begin", lambda *_: computed.append(1))
     connection = post(server, late(64))
     held_light.wait_entered()
     connection.close()
     wait_until(server, lambda: abandoned(server) == 1)
     held_light.gate.release(64)
     wait_until(server, lambda: idle(server))
-    assert held_light.calls == 1
+    assert (held_light.calls, computed) == (1, [])
     assert server.push(1, frame(1)).json["status"] == "processed"
 
 
@@ -163,14 +166,14 @@ def one_piece(*_):
 def endless(running, ended):
     """Return an engine call that computes until `ended` is set, as a late probe of 512 rows does for seconds."""
 
-    def light_at(self, position):
+    def lights_at(self, positions):
         running.set()
         while not ended.is_set():
             parallel_for(one_piece, 1)
-        return compute(self, position)
+        return compute(self, positions)
 
-    compute = SessionView.light_at
-    return light_at
+    compute = SessionView.lights_at
+    return lights_at
 
 
 @pytest.mark.parametrize("tokens", [(A, B), ()])
@@ -179,7 +182,7 @@ def test_a_long_computation_is_paused_for_a_neighbour(tokens, monkeypatch):
     hostile, neighbour = tokens or (None, None)
     running, ended = threading.Event(), threading.Event()
     monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
-    monkeypatch.setattr(SessionView, "light_at", endless(running, ended))
+    monkeypatch.setattr(SessionView, "lights_at", endless(running, ended))
     with RunningServer(tokens=tokens) as server:
         for name, token in (("room", hostile), ("home", neighbour)):
             server.open(name, token=token)
@@ -196,7 +199,7 @@ def test_a_long_computation_is_paused_for_a_neighbour(tokens, monkeypatch):
 
 def test_late_points_do_not_hold_up_frames_of_their_session(server, monkeypatch):
     running, ended = threading.Event(), threading.Event()
-    monkeypatch.setattr(SessionView, "light_at", endless(running, ended))
+    monkeypatch.setattr(SessionView, "lights_at", endless(running, ended))
     connection = post(server, late(2))
     assert running.wait(60)
     for index in range(1, 4):

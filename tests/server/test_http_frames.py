@@ -1,6 +1,7 @@
 """Frames over a real socket: order, replays, the queue, engine failures, multipart."""
 
 import json
+import threading
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from http_servers import SMALL, HeldSession, InThread, RunningServer, box_shot, 
 from roomlight.errors import FrameError
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import pack
+from roomlight_server.base.request_context import current_flow
 from roomlight_server.sessions import live_session
 
 
@@ -273,6 +275,39 @@ def test_a_replacing_frame_is_decoded_when_it_is_taken(held, monkeypatch):
     assert fourth.result().json["status"] == "processed"
     assert decoded == [0, 1, 4]
     assert held.state()["frames"]["superseded"] == 3
+
+
+def test_the_frame_of_the_next_session_is_decoded_while_the_engine_works(held, monkeypatch):
+    decoded, done = [], threading.Semaphore(0)
+    decode = live_session.decode_to_size
+
+    def noted(message, index, *more):
+        decoded.append((index, current_flow.get().session))
+        done.release()
+        return decode(message, index, *more)
+
+    monkeypatch.setattr(live_session, "decode_to_size", noted)
+    for name in ("second", "third"):
+        held.open(name)
+    queued(held, 0)
+    HeldSession.wait_entered()
+    for name in ("second", "third"):
+        queued(held, 0, name=name)
+    queued(held, 1, body=frame(1), name="third")
+    for _ in range(3):
+        assert done.acquire(timeout=60)
+    newest = InThread(held.push, 2, frame(2), name="third")
+    for _ in range(10_000):
+        if held.state("third")["frames"]["last_index"] == 2:
+            break
+    assert [index for index, _ in decoded] == [0, 0, 0]
+    HeldSession.release()
+    HeldSession.wait_entered()  # of the second session: the third is next
+    assert done.acquire(timeout=60)
+    assert decoded[-1] == (2, "third")
+    HeldSession.release(2)
+    assert newest.result().json["status"] == "processed"
+    assert len(decoded) == 4
 
 
 def test_a_frame_that_fails_to_decode_late_is_rejected(held):

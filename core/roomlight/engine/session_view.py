@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from roomlight.conventions import Position
 from roomlight.engine.lighting import LightingModel
@@ -9,6 +10,9 @@ from roomlight.engine.probe import Probe
 from roomlight.engine.room import AnyRoom, room_at
 from roomlight.engine.volume.sglv import check_position
 from roomlight.light.light import Light
+
+_PIXELS_AT_ONCE: Final = 8 * 2 * 120**2
+"""Pixels of panoramas that are made at once, about 150 bytes each."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,10 @@ class SessionView:
             places.append((x, y, z))
             inside.setdefault(next(n for n, other in enumerate(self.rooms) if other is room), []).append(number)
         probes: dict[int, Probe] = {}
+        at_once = max(1, _PIXELS_AT_ONCE // (2 * self.height**2))
         for room, numbers in inside.items():
-            some = [places[number] for number in numbers]
-            probes |= zip(numbers, Probe.of_keyframes(some, self.rooms[room], height=self.height), strict=True)
+            for start in range(0, len(numbers), at_once):
+                some = numbers[start : start + at_once]
+                made = Probe.of_keyframes([places[n] for n in some], self.rooms[room], height=self.height)
+                probes |= zip(some, made, strict=True)
         return [probes[number].light(self.frame, self.load) for number in range(len(positions))]

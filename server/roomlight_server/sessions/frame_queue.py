@@ -4,8 +4,9 @@ At most one frame waits; a newer frame replaces it. All methods run on the event
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
+from typing import Any
 
 from roomlight.frame import Frame
 from roomlight.wire.frame_message import FrameMessage
@@ -20,16 +21,30 @@ class Entry:
     """An accepted frame. `outcome` becomes its result or a ProblemError; it may stay unread.
 
     A frame that replaced a waiting one is stored undecoded (`frame` is None), because on a busy server most of these
-    are replaced too. A frame with neither `frame` nor `message` is skipped because of its tracking state.
-    `request_id` is that of the request or WebSocket that sent it.
+    are replaced too; `decoding` begins when its session is the next one that the engine works for. A frame with neither
+    `frame` nor `message` is skipped because of its tracking state. `request_id` is that of the request or WebSocket
+    that sent it.
     """
 
     index: int
     digest: bytes
     frame: Frame | None = None
     message: FrameMessage | None = None
+    decoding: "asyncio.Task[Frame] | None" = None
     request_id: str = field(default_factory=request_id.get)
     outcome: "asyncio.Future[FrameResult]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
+
+    def decode(self, work: Coroutine[Any, Any, Frame]) -> None:
+        """Begin to decode the frame; nobody may ask for the result."""
+        self.decoding = asyncio.create_task(work)
+        self.decoding.add_done_callback(lambda done: done.cancelled() or done.exception())
+
+    def drop(self) -> None:
+        """Release the frame: a replay needs only the outcome."""
+        self.frame = self.message = None
+        if self.decoding is not None:
+            self.decoding.cancel()
+            self.decoding = None
 
     def settle(self, result: FrameResult) -> None:
         """Record the result, unless there is an outcome already."""
@@ -98,7 +113,7 @@ class FrameQueue:
             self._counted("superseded")
             superseded = FrameResult(index=self._waiting.index, status="superseded", durable_index=self._durable())
             self._waiting.settle(superseded)
-            self._waiting.frame = self._waiting.message = None
+            self._waiting.drop()
         self._waiting, self._before_waiting, self._skipped_after_waiting = entry, self._before_last, 0
 
     def take(self) -> Entry | None:
@@ -143,9 +158,9 @@ class FrameQueue:
         return None if self._last is None else self._last.index
 
     @property
-    def has_waiting(self) -> bool:
-        """Whether a frame is waiting."""
-        return self._waiting is not None
+    def waiting(self) -> Entry | None:
+        """The frame that waits."""
+        return self._waiting
 
     def counts(self) -> FrameCounts:
         """Return the counts of all frames so far."""
@@ -187,7 +202,7 @@ class FrameQueue:
                 self._last.settle(saved.result.model_copy(update={"epoch": None}))  # of another owner
 
     def _done(self, entry: Entry) -> None:
-        entry.frame = entry.message = None  # a replay needs only the outcome
+        entry.drop()
         if self._processing is entry:
             self._processing = None
 

@@ -29,6 +29,8 @@ from roomlight_server.base.problems import ProblemError
 from roomlight_server.work.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
+NamedLights = dict[str, Light] | None
+"""Lights of named probes; None of a frame that is not recorded."""
 THUMBNAIL_PX: Final = 160
 """Long side of a recorded picture: 4 kB of JPEG."""
 PANORAMA_ROWS: Final = 32
@@ -78,28 +80,26 @@ class History:
         """Memory of all entries in bytes."""
         return sum(moment.size for moment in self._moments)
 
-    async def add(
-        self, engine: Session, frame: Frame, report: FrameReport, counts: FrameCounts, handles: dict[str, int]
-    ) -> None:
+    def next_handles(self, handles: dict[str, int]) -> dict[str, int] | None:
+        """Return the handles of probes whose lights `add` wants of the next frame; None: it will not record it."""
+        return None if self._limit_bytes == 0 or self._frames % self._stride else handles
+
+    def add(self, frame: Frame, report: FrameReport, counts: FrameCounts, lights: NamedLights) -> None:
         """Record a processed frame; a failure is logged and harms nothing else.
 
-        The caller holds an engine thread and the engine's state.
-
         Args:
-            engine: The session, after the frame.
             frame: The frame as it was decoded.
             report: The engine's report on it.
             counts: Counts of the session's frames before this one.
-            handles: Handles of the named probes.
+            lights: Of the named probes, by `lights_for_history`; None: the frame is not recorded.
         """
-        number, self._frames = self._frames, self._frames + 1
-        if self._limit_bytes == 0 or number % self._stride:
+        self._frames += 1
+        if lights is None:
             return
         now_s = self._clock()
         if not self._moments:
             self._start_s = now_s
         try:
-            lights = await self._workers.run_in_engine_pool(_lights, engine, handles)
             moment = _moment_of(frame, report, counts, lights, round(now_s - self._start_s, 3))
         except Exception:
             _log.exception("frame not recorded", extra={"frame": frame.index})
@@ -167,6 +167,17 @@ class History:
     def clear(self) -> None:
         """Forget all entries."""
         self._moments = []
+
+
+def lights_for_history(engine: Session, handles: dict[str, int] | None) -> NamedLights:
+    """Return the lights of named probes after a frame; None if it is not recorded, or if they fail (logged)."""
+    if handles is None:
+        return None
+    try:
+        return _lights(engine, handles)
+    except Exception:
+        _log.exception("lights not recorded")
+        return None
 
 
 def _lights(engine: Session, handles: dict[str, int]) -> dict[str, Light]:

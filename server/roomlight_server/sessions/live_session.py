@@ -10,7 +10,9 @@ import logging
 from collections.abc import AsyncGenerator, Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
+from contextvars import copy_context
 from dataclasses import replace
+from functools import partial
 from typing import Literal, TypeVar, cast
 
 from roomlight.engine.memory import Footprint
@@ -28,7 +30,7 @@ from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError
 from roomlight_server.base.request_context import request_id
 from roomlight_server.sessions.engine_access import EngineAccess
 from roomlight_server.sessions.frame_queue import Entry, FrameQueue, replayed
-from roomlight_server.sessions.history import History
+from roomlight_server.sessions.history import History, NamedLights, lights_for_history
 from roomlight_server.sessions.session_lighting import SessionLighting
 from roomlight_server.sessions.session_parts import (
     SCENE_BYTES,
@@ -135,7 +137,7 @@ class LiveSession:
                 self._queue.count_rejected()
                 self._metrics.refused.labels(error.kind).inc()
                 raise
-        if self._queue.has_waiting and self._runner is None:
+        if self._queue.waiting is not None and self._runner is None:
             self._runner = asyncio.create_task(self._run())
         return entry
 
@@ -152,7 +154,7 @@ class LiveSession:
         entry = Entry(index, digest)
         if message.header.tracking_state in usable:
             entry.message = message
-            if not self._queue.has_waiting:
+            if self._queue.waiting is None:
                 entry.frame = await self._decoded(message, index)
         self.check_open()
         self._queue.accept(entry)
@@ -175,8 +177,10 @@ class LiveSession:
     async def _run(self) -> None:
         """Process waiting frames until the queue is empty; each is taken when an engine thread is free."""
         try:
-            while self._queue.has_waiting:
-                async with self._access.engine_lock, self._workers.engine_slot(), self._access.state_lock:
+            while self._queue.waiting is not None:
+                near = partial(copy_context().run, self._decode_ahead)  # on account of this session's owner
+                slot = self._workers.engine_slot(near=near)
+                async with self._access.engine_lock, slot, self._access.state_lock:
                     entry = self._queue.take()
                     if entry is not None:
                         await self._push(entry)
@@ -186,6 +190,12 @@ class LiveSession:
             self._runner = None
             if self._access.ended is not None:
                 self._workers.release_memory()  # of the frame that was being processed
+
+    def _decode_ahead(self) -> None:
+        """Decode the waiting frame while the engine works for another session, which is before this one."""
+        entry = self._queue.waiting
+        if entry is not None and entry.message is not None and entry.frame is None and entry.decoding is None:
+            entry.decode(self._decoded(entry.message, entry.index))
 
     async def _push(self, entry: Entry) -> None:
         request_id.set(entry.request_id)  # the task was started by an earlier frame
@@ -198,7 +208,8 @@ class LiveSession:
             estimated = entry.message is not None and entry.message.header.depth is None
             if estimated:
                 frame = await self._workers.run_in_engine_pool(self._with_depth, frame)
-            report = await self._workers.run_in_engine_pool(engine.push, frame)
+            shown = self.history.next_handles(self.lighting.handles)
+            report, lights = await self._workers.run_in_engine_pool(_pushed, engine, frame, shown)
             result = self._result(engine, entry.index, report, depth_estimated=estimated)
             if self.lease is not None:
                 await self.lease.check()  # only the owner answers
@@ -222,7 +233,7 @@ class LiveSession:
             if self.journal is not None:
                 self.journal.processed(entry.index, entry.message, keyframe=report.keyframe)
             self._metrics.observe_frame(report)
-            await self.history.add(engine, frame, report, self._queue.counts(), self.lighting.handles)
+            self.history.add(frame, report, self._queue.counts(), lights)
             self._queue.processed(entry, result)
 
     def _with_depth(self, frame: Frame) -> Frame:
@@ -234,7 +245,7 @@ class LiveSession:
         """Decode a frame that replaced a waiting one. ProblemError if that fails: the engine is unchanged then."""
         assert entry.message is not None
         try:
-            return await self._decoded(entry.message, entry.index)
+            return await (entry.decoding or self._decoded(entry.message, entry.index))
         except WireError as error:
             raise ProblemError.from_wire(error) from error
         except Exception as error:
@@ -445,3 +456,8 @@ class LiveSession:
             volume=volume,
             idle_expiry_s=self._limits.idle_expiry_s,
         )
+
+
+def _pushed(engine: Session, frame: Frame, handles: dict[str, int] | None) -> tuple[FrameReport, NamedLights]:
+    """Push a frame; return the report, and lights for the history (None: it records no such frame)."""
+    return engine.push(frame), lights_for_history(engine, handles)

@@ -7,7 +7,6 @@ from typing import Final
 
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.session import FrameReport, Session
-from roomlight.engine.session_view import SessionView
 from roomlight.light.light import Light
 from roomlight.wire.messages import ProbeQuery
 from roomlight_server.answers.light_forms import default_panorama
@@ -101,12 +100,11 @@ class SessionLighting:
             async with self._access.state_lock:
                 lights, frame = await self._at_hand(queries), self.frame
                 view = await self._workers.read_in_engine_pool(self._access.live().view)
-            return [light or await self._late(view, query, frame) for light, query in zip(lights, queries, strict=True)]
-
-    async def _late(self, view: SessionView, query: ProbeQuery, frame: int) -> Light:
-        position = self._position(query)
-        light = await convert_probe_errors(self._workers.read_in_engine_pool(view.light_at, position))
-        return await self._kept(light, None, frame)
+            late = [number for number, light in enumerate(lights) if light is None]
+            positions = [self._position(queries[number]) for number in late]
+            made = await convert_probe_errors(self._workers.read_in_engine_pool(view.lights_at, positions))
+            kept = {number: await self._kept(light, None, frame) for number, light in zip(late, made, strict=True)}
+            return [light or kept[number] for number, light in enumerate(lights)]
 
     async def _at_hand(self, queries: Sequence[ProbeQuery]) -> list[Light | None]:
         """Return cached lights and those of named probes; None for late points."""

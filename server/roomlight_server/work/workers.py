@@ -149,12 +149,14 @@ class Workers:
             self._engine.submit(release_free_memory)
 
     @asynccontextmanager
-    async def engine_slot(self, order: int = 0) -> AsyncGenerator[None]:
+    async def engine_slot(self, order: int = 0, near: Callable[[], object] = lambda: None) -> AsyncGenerator[None]:
         """Wait for a free engine thread; inside the context, `run_in_engine_pool` starts immediately.
 
-        `order`: lower ones come first, and interrupt others.
+        Args:
+            order: Lower ones come first, and interrupt others.
+            near: As in `FairShare.slot`.
         """
-        async with self._engine_share.slot(order) as turn:
+        async with self._engine_share.slot(order, near) as turn:
             token = _engine_turn.set(turn)
             try:
                 yield
