@@ -9,8 +9,10 @@ from roomlight.camera import Intrinsics
 from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glass, glossy, mirror, rough_metal
 from roomlight.compositing.objects.primitives import cube, plane, sphere
+from roomlight.compositing.rendering import renderer
 from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects
+from roomlight.conventions import linear_to_srgb
 from roomlight.errors import ObjectError, OptionError
 
 CAMERA = Intrinsics(60.0, 60.0, 32.0, 24.0, 64, 48)
@@ -68,6 +70,37 @@ def test_diffuse_sphere_under_constant_light_is_its_albedo() -> None:
         picture = render_objects(scene, CAMERA, POSE, light, quality=quality)
         inside = picture.radiance[picture.alpha == 1]
         np.testing.assert_allclose(inside.mean(axis=0), [0.8, 1.0, 0.6], rtol=tolerance)
+
+
+def test_pixels_without_noise_get_a_quarter_of_the_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mirror under smooth light needs all samples on its outline alone, a glossy sphere under lamps elsewhere too."""
+    paths: list[int] = []
+    traced = renderer._traced
+
+    def counted(scene, world, view, settings, span, background):
+        paths.append(len(view.column) * span[1])
+        return traced(scene, world, view, settings, span, background)
+
+    monkeypatch.setattr(renderer, "_traced", counted)
+    lamps = 20 * panorama() ** 8
+    smooth = ProbeSet.single(cv2.GaussianBlur(panorama(), (0, 0), 3))
+    many = RenderSettings(64, 4, denoised=False)
+    taken = {}
+    for name, material, light in (("mirror", mirror(), smooth), ("glossy", glossy(), ProbeSet.single(lamps))):
+        pictures = []
+        for least in (renderer._LEAST_NOISE, -1.0):
+            monkeypatch.setattr(renderer, "_LEAST_NOISE", least)
+            paths.clear()
+            pictures.append(render_objects(TracedObjects([sphere(0.5, material)]), CAMERA, POSE, light, quality=many))
+            taken[name, least < 0] = sum(paths)
+        monkeypatch.undo()
+        monkeypatch.setattr(renderer, "_traced", counted)
+        inside = pictures[1].alpha == 1
+        shown = [linear_to_srgb(picture.radiance[inside].clip(0, 1)) for picture in pictures]
+        assert np.abs(shown[0] - shown[1]).mean() < 2 / 255
+        assert np.abs(pictures[0].alpha - pictures[1].alpha).max() < 0.1  # a corner of a pixel that a quarter misses
+    assert taken["mirror", False] < 0.55 * taken["mirror", True]
+    assert taken["glossy", False] > 1.15 * taken["mirror", False]
 
 
 def test_same_inputs_and_seed_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
