@@ -1,6 +1,6 @@
 """Score a session on walks whose exposure and white balance drift, beside the same walks without drift."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -8,11 +8,10 @@ from jaxtyping import Float
 
 from roomlight.conventions import Position, linear_to_srgb8, srgb8_to_linear
 from roomlight.engine.models.choosing import choose_graphs
-from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import SessionOptions
 from roomlight.frame import Frame
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
-from roomlight_evaluation.walks import Renamed
+from roomlight_evaluation.walks import Compared
 
 FOLLOWED: Final = "drift"
 STATED: Final = "drift, exposure taken as stated"
@@ -24,40 +23,31 @@ _PERIODS: Final = np.array([17.0, 23.0, 31.0])
 """Frames of a period of red, green and blue; exposure takes the first."""
 
 
-@dataclass(frozen=True)
-class DriftModels:
-    """The same session on a walk as it is, and with drift, which it follows or is told not to expect."""
+def drift_models(options: SessionOptions) -> Compared:
+    """Return the same session on a walk as it is, and with drift, which it follows or is told not to expect.
 
-    options: SessionOptions
-    graphs: LightingGraphs | None
-    frames: int | None = None
+    Raises:
+        ModelError: The weights are missing, damaged or untrained.
+    """
+    graphs = choose_graphs(options)
 
-    @classmethod
-    def load(cls, options: SessionOptions) -> "DriftModels":
-        """Load the networks of `options`. Raises ModelError."""
-        return cls(options, choose_graphs(options))
+    def exact() -> list[Estimator]:
+        plain, followed, stated = (EngineEstimator(options, graphs) for _ in range(3))
+        return [
+            plain,
+            Drifting(followed, FOLLOWED, auto_exposed=True),
+            Drifting(stated, STATED, auto_exposed=False),
+        ]
 
-    def estimators(self) -> list[Estimator]:
-        """Return new estimators: without drift, with drift, and with drift that the session does not know of."""
-        drifting = [Drifting(self._session(), auto_exposed=True), Drifting(self._session(), auto_exposed=False)]
-        return [self._session(), Renamed(drifting[0], FOLLOWED), Renamed(drifting[1], STATED)]
-
-    def phone_estimators(self) -> list[Estimator]:
-        """Return none."""
-        return []
-
-    def _session(self) -> EngineEstimator:
-        return EngineEstimator(self.options, self.graphs)
+    return Compared(exact)
 
 
 class Drifting:
     """An estimator whose frames are 8-bit pictures with `drift_gain`."""
 
-    name = FOLLOWED
-
-    def __init__(self, inner: Estimator, *, auto_exposed: bool) -> None:
+    def __init__(self, inner: Estimator, name: str, *, auto_exposed: bool) -> None:
         """Give `inner` the frames; `auto_exposed` is as in `Frame`."""
-        self._inner, self._auto_exposed, self._pushed = inner, auto_exposed, 0
+        self.name, self._inner, self._auto_exposed, self._pushed = name, inner, auto_exposed, 0
 
     def push(self, frame: Frame) -> None:
         """Take the next frame."""

@@ -1,15 +1,15 @@
 """Score models on walks of a dataset, frame by frame, or on their first frames alone.
 
-`WalkModels` are the paper's comparisons of the recurrent form, `ImageModels` those of single images. Each walk is
-streamed to every method at once, with exact depth and again with depth as a phone measures it. The phone's
-depth is seeded by the walk's name, so that every method and every run gets the same one.
+`recurrent_models` are the paper's comparisons of the recurrent form, `image_models` those of single images. Each walk
+is streamed to every method at once, with exact depth and again with depth as a phone measures it. The phone's depth is
+seeded by the walk's name, so that every method and every run gets the same one.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -57,100 +57,76 @@ class Walks(Protocol):
         ...
 
 
-@runtime_checkable
-class Compared(Protocol):
-    """Models to compare."""
-
-    @property
-    def frames(self) -> int | None:
-        """Frames of a walk that are scored; None: all."""
-        ...
-
-    def estimators(self) -> list[Estimator]:
-        """Return new estimators of every comparison on exact depth."""
-        ...
-
-    def phone_estimators(self) -> list[Estimator]:
-        """Return new estimators of the comparison on phone-like depth."""
-        ...
-
-
 @dataclass(frozen=True)
-class WalkModels:
-    """The models to compare; graphs are loaded once and shared by all walks."""
+class Compared:
+    """What is compared; networks are loaded once and shared by all walks.
 
-    video: SessionOptions
-    video_graphs: LightingGraphs
-    single: SessionOptions
-    single_graphs: LightingGraphs
+    Attributes:
+        exact: Makes new estimators of every comparison on exact depth.
+        phone: Likewise on depth as a phone measures it.
+        frames: Frames of a walk that are scored, the first ones; None: all.
+    """
+
+    exact: Callable[[], list[Estimator]]
+    phone: Callable[[], list[Estimator]] = list
     frames: int | None = None
 
-    @classmethod
-    def load(cls, options: SessionOptions) -> "WalkModels":
-        """Load the recurrent networks of `options`, and their single-view form.
 
-        Raises:
-            ModelError: The weights are missing, damaged or untrained.
-            OptionError: The weights are single-view only.
-        """
-        video, single = replace(options, model="video"), replace(options, model="single")
-        graphs = choose_graphs(video)
-        assert graphs is not None
-        return cls(video, graphs, single, replace(graphs, form="single"))
+def recurrent_models(options: SessionOptions) -> Compared:
+    """Return the paper's comparisons of the recurrent form.
 
-    def estimators(self) -> list[Estimator]:
-        """Return new estimators of every comparison on exact depth."""
-        alone = FrameAlone(self.single, self.single_graphs)
-        classical = replace(self.single, model="classical", weights=None)
-        video = EngineEstimator(self.video, self.video_graphs)
+    Raises:
+        ModelError: The weights are missing, damaged or untrained.
+        OptionError: The weights are single-view only.
+    """
+    video, single = replace(options, model="video"), replace(options, model="single")
+    graphs = choose_graphs(video)
+    assert graphs is not None
+    single_graphs = replace(graphs, form="single")
+
+    def exact() -> list[Estimator]:
+        alone, tracked = FrameAlone(single, single_graphs), EngineEstimator(video, graphs)
         return [
             MeanColour(),
             WarpAndFill(),
-            EngineEstimator(classical, None),
+            _classical(options),
             alone,
             SimpleAverage(alone),
-            EngineEstimator(self.single, self.single_graphs),
-            video,
-            LateProbe(video),
+            EngineEstimator(single, single_graphs),
+            tracked,
+            LateProbe(tracked),
         ]
 
-    def phone_estimators(self) -> list[Estimator]:
-        """Return new estimators of the comparison on phone-like depth."""
-        classical = replace(self.single, model="classical", weights=None)
-        return [
-            Renamed(EngineEstimator(classical, None), f"classical, {PHONE}"),
-            Renamed(EngineEstimator(self.video, self.video_graphs), f"video, {PHONE}"),
-        ]
+    return Compared(exact, lambda: _by_phone([_classical(options), EngineEstimator(video, graphs)]))
 
 
-@dataclass(frozen=True)
-class ImageModels:
-    """The single-view networks and the methods without learning, on the first `frames` of each walk."""
+def image_models(options: SessionOptions) -> Compared:
+    """Return the single-view networks and the methods without learning, on the first frame of each walk.
 
-    single: SessionOptions
-    graphs: LightingGraphs
-    frames: int | None = 1
+    Raises:
+        ModelError: The weights are missing, damaged or untrained.
+    """
+    single = replace(options, model="single")
+    graphs = choose_graphs(single)
 
-    @classmethod
-    def load(cls, options: SessionOptions) -> "ImageModels":
-        """Load the single-view networks of `options`.
+    def exact() -> list[Estimator]:
+        return [MeanColour(), WarpAndFill(), _classical(options), EngineEstimator(single, graphs)]
 
-        Raises:
-            ModelError: The weights are missing, damaged or untrained.
-        """
-        single = replace(options, model="single")
-        graphs = choose_graphs(single)
-        assert graphs is not None
-        return cls(single, graphs)
+    return Compared(exact, lambda: _by_phone(exact()[1:]), frames=1)
 
-    def estimators(self) -> list[Estimator]:
-        """Return new estimators of every comparison on exact depth."""
-        classical = EngineEstimator(replace(self.single, model="classical", weights=None), None)
-        return [MeanColour(), WarpAndFill(), classical, EngineEstimator(self.single, self.graphs)]
 
-    def phone_estimators(self) -> list[Estimator]:
-        """Return new estimators of the comparison on phone-like depth."""
-        return [Renamed(estimator, f"{estimator.name}, {PHONE}") for estimator in self.estimators()[1:]]
+def _classical(options: SessionOptions) -> EngineEstimator:
+    return EngineEstimator(replace(options, model="classical", weights=None), None)
+
+
+def _by_phone(estimators: Sequence[Estimator]) -> list[Estimator]:
+    return [renamed(estimator, f"{estimator.name}, {PHONE}") for estimator in estimators]
+
+
+def renamed(estimator: Any, name: str) -> Estimator:
+    """Give an estimator another name."""
+    estimator.name = name
+    return estimator
 
 
 class FrameAlone:
@@ -219,22 +195,6 @@ class LateProbe:
         return self._video.late_light_at(position) if self._frames >= LATE_FROM else None
 
 
-class Renamed:
-    """An estimator under another name."""
-
-    def __init__(self, inner: Estimator, name: str) -> None:
-        """Call `inner` by this name."""
-        self._inner, self.name = inner, name
-
-    def push(self, frame: Frame) -> None:
-        """Take the next frame."""
-        self._inner.push(frame)
-
-    def light_at(self, position: Position) -> Panorama | None:
-        """Return the estimate of the inner estimator."""
-        return self._inner.light_at(position)
-
-
 def evaluate_walks(
     datasets: Sequence[Walks],
     models: Compared,
@@ -290,8 +250,8 @@ def score_walk(recording: Recording, models: Compared, *, name: str) -> list[Tra
         for number, ((x, y, z), panorama) in enumerate(zip(recording.probe_positions, truth, strict=True))
     ]
     sensors: tuple[tuple[DepthKind, list[Estimator]], ...] = (
-        ("exact", models.estimators()),
-        ("arkit", models.phone_estimators()),
+        ("exact", models.exact()),
+        ("arkit", models.phone()),
     )
     tracks: list[Track] = []
     for depth, estimators in sensors:

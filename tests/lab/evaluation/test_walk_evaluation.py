@@ -8,21 +8,22 @@ import pytest
 
 from present import present
 from recordings import BoxRecordings
+from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import DatasetError, OptionError
 from roomlight.metrics import log_l2
 from roomlight_evaluation.baselines import MeanColour
 from roomlight_evaluation.captures.estimators import EngineEstimator
-from roomlight_evaluation.drift import FOLLOWED, STATED, DriftModels, drift_gain
+from roomlight_evaluation.drift import FOLLOWED, STATED, drift_gain, drift_models
 from roomlight_evaluation.walks import (
     LATE_FROM,
     NO_RNN,
     FrameAlone,
-    ImageModels,
     LateProbe,
     SimpleAverage,
-    WalkModels,
     evaluate_walks,
+    image_models,
+    recurrent_models,
     walk_frames,
 )
 
@@ -41,8 +42,20 @@ class Walks(BoxRecordings):
 
 
 @pytest.fixture(scope="module")
-def models(tiny_video):
-    return WalkModels.load(SessionOptions(weights=tiny_video[1], height=HEIGHT))
+def options(tiny_video):
+    return SessionOptions(weights=tiny_video[1], height=HEIGHT)
+
+
+@pytest.fixture(scope="module")
+def models(options):
+    return recurrent_models(options)
+
+
+@pytest.fixture(scope="module")
+def single(options):
+    """Options and graphs of the single-view form."""
+    chosen = replace(options, model="single")
+    return chosen, choose_graphs(chosen)
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +77,11 @@ def test_every_comparison_is_scored_on_every_walk(evaluated):
         assert len(track.scores["smoothness"]) == FRAMES - 1
 
 
-def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, models):
+def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, options):
     late = [track for track in evaluated.tracks if track.method == "video, late probe"]
     assert all(np.isnan(track.scores["log_l2"]).all() for track in late)
-    video = EngineEstimator(models.video, models.video_graphs)
+    chosen = replace(options, model="video")
+    video = EngineEstimator(chosen, choose_graphs(chosen))
     estimator, position, tracked = LateProbe(video), (0.0, 0.0, 0.0), None
     frames = list(walk_frames(Walks(1, height=HEIGHT)[0], "exact"))
     for number in range(LATE_FROM):
@@ -81,17 +95,17 @@ def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, models):
     assert not np.array_equal(late, tracked)  # it has blended no earlier frame
 
 
-def test_each_frame_alone_knows_nothing_of_earlier_ones(models):
+def test_each_frame_alone_knows_nothing_of_earlier_ones(single):
     frames = list(walk_frames(Walks(1, height=HEIGHT)[0], "exact"))
-    both, last = (FrameAlone(models.single, models.single_graphs) for _ in range(2))
+    both, last = (FrameAlone(*single) for _ in range(2))
     for frame in frames:
         both.push(frame)
     last.push(frames[-1])
     np.testing.assert_array_equal(both.light_at((0.0, 0.0, 0.0)), last.light_at((0.0, 0.0, 0.0)))
 
 
-def test_the_average_is_of_the_frames_so_far(models):
-    alone = FrameAlone(models.single, models.single_graphs)
+def test_the_average_is_of_the_frames_so_far(single):
+    alone = FrameAlone(*single)
     average = SimpleAverage(alone)
     point, seen, result = (0.0, 0.0, 0.0), [], None
     for frame in list(walk_frames(Walks(1, height=HEIGHT)[0], "exact"))[:3]:
@@ -103,11 +117,11 @@ def test_the_average_is_of_the_frames_so_far(models):
     np.testing.assert_allclose(result, np.mean(seen, axis=0), rtol=1e-5)
 
 
-def test_scores_are_of_the_walk_s_own_truth(evaluated, models):
+def test_scores_are_of_the_walk_s_own_truth(evaluated, single):
     walks = Walks(3, height=HEIGHT)
     recording = walks[0]
     frames = list(walk_frames(recording, "exact"))
-    alone = FrameAlone(models.single, models.single_graphs)
+    alone = FrameAlone(*single)
     alone.push(frames[2])
     x, y, z = recording.probe_positions[0]
     position = (float(x), float(y), float(z))
@@ -116,10 +130,9 @@ def test_scores_are_of_the_walk_s_own_truth(evaluated, models):
     assert track.scores["log_l2"][2] == pytest.approx(log_l2(alone.light_at(position), truth), rel=1e-5)
 
 
-def test_single_images_are_first_frames_with_both_kinds_of_depth(tiny_video):
-    models = ImageModels.load(SessionOptions(weights=tiny_video[1], height=HEIGHT))
+def test_single_images_are_first_frames_with_both_kinds_of_depth(options):
     walks = Walks(3, height=HEIGHT)
-    scores = evaluate_walks([walks], models, limit=2)
+    scores = evaluate_walks([walks], image_models(options), limit=2)
     names = ("warp and fill", "classical", "single")
     assert scores.methods == ("mean colour", *names, *(f"{name}, phone depth" for name in names))
     assert {track.frames for track in scores.tracks} == {(0,)}
@@ -134,7 +147,7 @@ def test_single_images_are_first_frames_with_both_kinds_of_depth(tiny_video):
 
 def test_drift_is_followed_from_the_first_frame_on():
     """The walk's frames have the exposures 1, 1.08 and 1.16; the session takes them as stated or estimates them."""
-    scores = evaluate_walks([Walks(1, height=HEIGHT)], DriftModels.load(SessionOptions(model="classical", height=48)))
+    scores = evaluate_walks([Walks(1, height=HEIGHT)], drift_models(SessionOptions(model="classical", height=48)))
     assert scores.methods == ("classical", FOLLOWED, STATED)
     mean = {
         name: np.mean([track.scores["log_l2"] for track in scores.tracks if track.method == name], axis=0)
@@ -169,4 +182,4 @@ def test_an_empty_dataset_and_single_view_weights_are_refused(models):
     with pytest.raises(DatasetError, match="boxes: has no finished walk"):
         evaluate_walks([Walks(0)], models)
     with pytest.raises(OptionError, match="single-view weights only"):
-        WalkModels.load(SessionOptions(weights=Path("core/roomlight/engine/weights/single").resolve()))
+        recurrent_models(SessionOptions(weights=Path("core/roomlight/engine/weights/single").resolve()))

@@ -1,6 +1,6 @@
 """`roomlight eval walks` and `benchmark`: light scored in generated rooms that no network was trained on."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,8 +16,8 @@ from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoredNetworks, ScoresJson
 from roomlight_evaluation.benchmark import benchmark_options, evaluate_benchmark, rooms_digest
 from roomlight_evaluation.captures.tables import capture_tables
-from roomlight_evaluation.drift import DriftModels
-from roomlight_evaluation.walks import ImageModels, WalkModels, evaluate_walks
+from roomlight_evaluation.drift import drift_models
+from roomlight_evaluation.walks import evaluate_walks, image_models, recurrent_models
 from roomlight_generator.generate import generate
 
 
@@ -46,10 +46,8 @@ def walks(
     """
     if images and drift:
         raise OptionError("drift needs whole walks: leave out `images`")
-    if drift:
-        models = DriftModels.load(light)
-    else:
-        models = ImageModels.load(light) if images else WalkModels.load(replace(light, model="video"))
+    compared = drift_models if drift else image_models if images else recurrent_models
+    models = compared(light)
     with Progress("compiling kernels (first run only)") as progress:
         warm_up()
         progress.say("scoring")
