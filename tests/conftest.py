@@ -56,8 +56,8 @@ def tiny_video() -> tuple[Path, Path]:
 
 def _export_tiny_video(folder: Path) -> None:
     from roomlight_export.exporting import export_checkpoint
-    from roomlight_model.checkpoint import save_untrained
     from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+    from untrained import save_untrained
 
     config = ModelConfig(
         sg=SGConfig(volume_shape=(16, 15, 21), channels=4, full_channels=4),

@@ -1,5 +1,7 @@
 """Small recordings of box rooms, rendered when they are read, in place of a dataset."""
 
+from pathlib import Path
+
 import numpy as np
 
 from roomlight.conventions import linear_to_srgb8
@@ -43,3 +45,12 @@ class BoxRecordings:
             probe_panoramas=np.stack([room.panorama(p, height=self._height)[0] for p in positions]),
             facts={"room_type": "box"},
         )
+
+
+class BoxWalks(BoxRecordings):
+    """Walks through boxes, of three frames, as a dataset gives them."""
+
+    folder = Path("boxes")
+
+    def __getitem__(self, number):
+        return self.read(number, frames=[0, 8, 16])

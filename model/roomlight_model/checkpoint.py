@@ -6,7 +6,7 @@ plain JSON values (steps, seed, data, scores); a card with steps = 0 says that t
 
 import json
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -25,7 +25,14 @@ from roomlight_model.object_light_network import ObjectLightNetwork
 
 Network = SingleModel | VideoModel | ClippingNetwork | ObjectLightNetwork | DepthNetwork
 FORMAT: Final = 2
-FORMS: Final = ("single", "video", "clipping", "objects", "depth")
+_NETWORKS: Final[Mapping[str, Callable[[ModelConfig], Network]]] = {
+    "single": SingleModel,
+    "video": VideoModel,
+    "clipping": lambda _: ClippingNetwork(),
+    "objects": lambda _: ObjectLightNetwork(),
+    "depth": lambda _: DepthNetwork(),
+}
+FORMS: Final = tuple(_NETWORKS)
 """Forms of a network: the whole models for one view and for video, and the small networks that serve both."""
 
 
@@ -52,17 +59,9 @@ def build_network(form: str, config: ModelConfig) -> Network:
     Raises:
         ModelError: The form is unknown.
     """
-    if form == "single":
-        return SingleModel(config)
-    if form == "video":
-        return VideoModel(config)
-    if form == "clipping":
-        return ClippingNetwork()
-    if form == "objects":
-        return ObjectLightNetwork()
-    if form == "depth":
-        return DepthNetwork()
-    raise ModelError(f"the form is {form!r}; it must be one of {', '.join(FORMS)}")
+    if form not in _NETWORKS:
+        raise ModelError(f"the form is {form!r}; it must be one of {', '.join(FORMS)}")
+    return _NETWORKS[form](config)
 
 
 def save_checkpoint(path: Path, model: Network, *, card: Mapping[str, Any]) -> None:
@@ -110,14 +109,6 @@ def save_mean(path: Path, parts: Sequence[Path]) -> None:
     states = [other.model.state_dict() for other in loaded]
     last.model.load_state_dict({name: torch.stack([state[name] for state in states]).mean(dim=0) for name in wanted})
     save_checkpoint(path, last.model, card={**last.card, "mean_of": len(parts)})
-
-
-def save_untrained(path: Path, form: str, config: ModelConfig, *, seed: int = 0) -> None:
-    """Write a checkpoint of freshly initialised weights (card: steps 0); the same seed gives the same weights."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        model = build_network(form, config)
-    save_checkpoint(path, model, card={"steps": 0, "seed": seed})
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

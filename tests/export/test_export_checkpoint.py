@@ -16,9 +16,10 @@ from roomlight_export import exporting
 from roomlight_export.exporting import RECURRENT_STEPS, export_checkpoint
 from roomlight_export.graphs import graphs_of
 from roomlight_export.inputs import room_volume
-from roomlight_model.checkpoint import load_checkpoint, save_checkpoint, save_untrained
+from roomlight_model.checkpoint import load_checkpoint, save_checkpoint
 from roomlight_model.config import ModelConfig
 from roomlight_model.networks import SingleModel, VideoModel
+from untrained import save_untrained
 
 SINGLE = {"single_sg_encoder", "single_sg_decoder", "single_blend_encoder", "single_blend_decoder"}
 VIDEO = {

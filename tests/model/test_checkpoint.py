@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from roomlight.errors import ModelError, OutputError
-from roomlight_model.checkpoint import FORMS, build_network, load_checkpoint, save_checkpoint, save_mean, save_untrained
+from roomlight_model.checkpoint import FORMS, build_network, load_checkpoint, save_checkpoint, save_mean
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
+from untrained import save_untrained
 
 CONFIG = ModelConfig(SGConfig(channels=4, full_channels=4), BlendConfig(height=16, channels=4, full_channels=4))
 

@@ -1,12 +1,11 @@
 """The benchmark: which light each sphere gets, at which moments; rooms that a seed gives."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from recordings import BoxRecordings
+from recordings import BoxWalks
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError
 from roomlight.metrics import SPHERES, SphereScorer
@@ -25,19 +24,10 @@ OPTIONS = SessionOptions(model="classical", height=HEIGHT)
 LAST = "3 frames"
 
 
-class Walks(BoxRecordings):
-    """Walks through boxes, of three frames."""
-
-    folder = Path("boxes")
-
-    def __getitem__(self, number):
-        return self.read(number, frames=[0, 8, 16])
-
-
 @pytest.fixture(scope="module")
 def scores():
     reported = []
-    found = evaluate_benchmark(Walks(3, height=HEIGHT), OPTIONS, rooms=2, progress=lambda *at: reported.append(at))
+    found = evaluate_benchmark(BoxWalks(3, height=HEIGHT), OPTIONS, rooms=2, progress=lambda *at: reported.append(at))
     assert reported == [(1, 2), (2, 2)]
     return found
 
@@ -51,7 +41,7 @@ def test_methods_are_scored_after_the_first_and_the_last_frame(scores):
 
 
 def test_the_mirror_shows_reflection_and_the_others_are_lit_by_lighting(scores):
-    recording = Walks(1, height=HEIGHT)[0]
+    recording = BoxWalks(1, height=HEIGHT)[0]
     session = Session(OPTIONS)
     positions = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
     for position in positions:
@@ -81,7 +71,7 @@ def test_tables_and_json_hold_every_room(scores, tmp_path):
 
 def test_too_few_walks_are_refused():
     with pytest.raises(DatasetError, match="boxes: has 3 walks, not 4; generate more"):
-        evaluate_benchmark(Walks(3, height=HEIGHT), OPTIONS, rooms=4)
+        evaluate_benchmark(BoxWalks(3, height=HEIGHT), OPTIONS, rooms=4)
 
 
 def test_rooms_are_of_a_seed_a_walk_each():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from present import present
-from recordings import BoxRecordings
+from recordings import BoxWalks
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import DatasetError, OptionError
@@ -32,15 +32,6 @@ pytestmark = pytest.mark.slow
 FRAMES, HEIGHT = 3, 32
 
 
-class Walks(BoxRecordings):
-    """Walks through boxes, of three frames."""
-
-    folder = Path("boxes")
-
-    def __getitem__(self, number):
-        return self.read(number, frames=[0, 8, 16])
-
-
 @pytest.fixture(scope="module")
 def options(tiny_video):
     return SessionOptions(weights=tiny_video[1], height=HEIGHT)
@@ -61,7 +52,7 @@ def single(options):
 @pytest.fixture(scope="module")
 def evaluated(models):
     reported = []
-    scores = evaluate_walks([Walks(3, height=HEIGHT)], models, limit=2, progress=lambda *at: reported.append(at))
+    scores = evaluate_walks([BoxWalks(3, height=HEIGHT)], models, limit=2, progress=lambda *at: reported.append(at))
     assert reported == [(1, 2), (2, 2)]
     return scores
 
@@ -83,7 +74,7 @@ def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, options):
     chosen = replace(options, model="video")
     video = EngineEstimator(chosen, choose_graphs(chosen))
     estimator, position, tracked = LateProbe(video), (0.0, 0.0, 0.0), None
-    frames = list(walk_frames(Walks(1, height=HEIGHT)[0], "exact"))
+    frames = list(walk_frames(BoxWalks(1, height=HEIGHT)[0], "exact"))
     for number in range(LATE_FROM):
         assert estimator.light_at(position) is None
         frame = replace(frames[number % FRAMES], index=number)
@@ -96,7 +87,7 @@ def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, options):
 
 
 def test_each_frame_alone_knows_nothing_of_earlier_ones(single):
-    frames = list(walk_frames(Walks(1, height=HEIGHT)[0], "exact"))
+    frames = list(walk_frames(BoxWalks(1, height=HEIGHT)[0], "exact"))
     both, last = (FrameAlone(*single) for _ in range(2))
     for frame in frames:
         both.push(frame)
@@ -108,7 +99,7 @@ def test_the_average_is_of_the_frames_so_far(single):
     alone = FrameAlone(*single)
     average = SimpleAverage(alone)
     point, seen, result = (0.0, 0.0, 0.0), [], None
-    for frame in list(walk_frames(Walks(1, height=HEIGHT)[0], "exact"))[:3]:
+    for frame in list(walk_frames(BoxWalks(1, height=HEIGHT)[0], "exact"))[:3]:
         alone.push(frame)
         average.push(frame)
         seen.append(alone.light_at(point))
@@ -118,7 +109,7 @@ def test_the_average_is_of_the_frames_so_far(single):
 
 
 def test_scores_are_of_the_walk_s_own_truth(evaluated, single):
-    walks = Walks(3, height=HEIGHT)
+    walks = BoxWalks(3, height=HEIGHT)
     recording = walks[0]
     frames = list(walk_frames(recording, "exact"))
     alone = FrameAlone(*single)
@@ -131,7 +122,7 @@ def test_scores_are_of_the_walk_s_own_truth(evaluated, single):
 
 
 def test_single_images_are_first_frames_with_both_kinds_of_depth(options):
-    walks = Walks(3, height=HEIGHT)
+    walks = BoxWalks(3, height=HEIGHT)
     scores = evaluate_walks([walks], image_models(options), limit=2)
     names = ("warp and fill", "classical", "single")
     assert scores.methods == ("mean colour", *names, *(f"{name}, phone depth" for name in names))
@@ -147,7 +138,7 @@ def test_single_images_are_first_frames_with_both_kinds_of_depth(options):
 
 def test_drift_is_followed_from_the_first_frame_on():
     """The walk's frames have the exposures 1, 1.08 and 1.16; the session takes them as stated or estimates them."""
-    scores = evaluate_walks([Walks(1, height=HEIGHT)], drift_models(SessionOptions(model="classical", height=48)))
+    scores = evaluate_walks([BoxWalks(1, height=HEIGHT)], drift_models(SessionOptions(model="classical", height=48)))
     assert scores.methods == ("classical", FOLLOWED, STATED)
     mean = {
         name: np.mean([track.scores["log_l2"] for track in scores.tracks if track.method == name], axis=0)
@@ -160,7 +151,7 @@ def test_drift_is_followed_from_the_first_frame_on():
 
 
 def test_phone_depth_is_seeded_by_the_walk_s_name():
-    recording = Walks(2, height=HEIGHT)[0]
+    recording = BoxWalks(2, height=HEIGHT)[0]
     once, again = ([frame.depth_m for frame in walk_frames(recording, "arkit")] for _ in range(2))
     np.testing.assert_array_equal(once, again)
     renamed = replace(recording, name="another")
@@ -168,7 +159,7 @@ def test_phone_depth_is_seeded_by_the_walk_s_name():
 
 
 def test_walks_without_depth_are_left_out(models):
-    class Blind(Walks):
+    class Blind(BoxWalks):
         def __getitem__(self, number):
             recording = super().__getitem__(number)
             return recording if number else replace(recording, depth_mm=np.zeros_like(recording.depth_mm))
@@ -180,6 +171,6 @@ def test_walks_without_depth_are_left_out(models):
 
 def test_an_empty_dataset_and_single_view_weights_are_refused(models):
     with pytest.raises(DatasetError, match="boxes: has no finished walk"):
-        evaluate_walks([Walks(0)], models)
+        evaluate_walks([BoxWalks(0)], models)
     with pytest.raises(OptionError, match="single-view weights only"):
         recurrent_models(SessionOptions(weights=Path("core/roomlight/engine/weights/single").resolve()))
