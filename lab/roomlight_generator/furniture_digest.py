@@ -4,6 +4,7 @@ import hashlib
 from pathlib import Path
 
 from roomlight.errors import DatasetError
+from roomlight_generator.panoramas.library import files_digest
 from roomlight_generator.rooms.furniture.catalogue import installed_libraries, named_library
 
 
@@ -16,23 +17,15 @@ def furniture_digest(furniture: Path | None) -> str | None:
         DatasetError: if the file does not exist, the folder holds no file, or they cannot be read.
     """
     root = furniture if furniture is not None else named_library()
+    if root is None:
+        files = {path.name: path for path in installed_libraries()}
+        return files_digest(sorted(files.items())) if files else None
     try:
-        if root is None:
-            return _digest_of({path.name: path for path in installed_libraries()})
         if root.is_file():
             return hashlib.sha256(root.read_bytes()).hexdigest()
-        combined = _digest_of({str(path.relative_to(root)): path for path in root.rglob("*") if path.is_file()})
+        files = {str(path.relative_to(root)): path for path in root.rglob("*") if path.is_file()}
     except OSError as error:
-        raise DatasetError(f"{root or 'furniture'}: cannot be read ({error.strerror or error})") from error
-    if combined is None:
-        raise DatasetError(f"{root}: there is no such file, or no file in it; name a furniture library or cache")
-    return combined
-
-
-def _digest_of(files: dict[str, Path]) -> str | None:
+        raise DatasetError(f"{root}: cannot be read ({error.strerror or error})") from error
     if not files:
-        return None
-    sha = hashlib.sha256()
-    for name, path in sorted(files.items()):
-        sha.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
-    return sha.hexdigest()
+        raise DatasetError(f"{root}: there is no such file, or no file in it; name a furniture library or cache")
+    return files_digest(sorted(files.items()))

@@ -188,7 +188,7 @@ def generate(
         renderer=options.renderer_name,
         panoramas=None if options.panoramas is None else panoramas_digest(options.panoramas),
         furniture_share=None if options.panoramas is None else options.furniture_share,
-        scenes=files_digest(options.scenes) if options.scenes else None,
+        scenes=files_digest((path.name, path) for path in options.scenes) if options.scenes else None,
         samples=options.samples if options.scenes else None,
     )
     with locked(out):

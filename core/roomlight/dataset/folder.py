@@ -27,12 +27,6 @@ FORMAT: Final = "roomlight-dataset"
 VERSION: Final = 1
 FRAMES: Final = 31
 """Default number of frames in a sequence."""
-_RENAMED: Final = {
-    "roomlight_model.dataset.room_sequences:render_room": "roomlight_generator.sequences.render:render_room"
-}
-"""Renderers that moved; datasets made under the old name can be continued."""
-
-
 GENERATOR: Final = f"{__version__}+4"
 """RoomLight's version and the generator's: the latter rises when the same seed gives other rooms, so that a dataset is
 not continued with them. 2: flat colours, and furniture of the library. 4: lamps with sharp edges."""
@@ -121,7 +115,7 @@ def read_manifest(folder: Path) -> Manifest:
             sequences_per_room=int(values["sequences_per_room"]),
             frames=int(values.get("frames", FRAMES)),
             furniture=values["furniture"],
-            renderer=_RENAMED.get(values["renderer"], str(values["renderer"])),
+            renderer=str(values["renderer"]),
             generator=str(values["generator"]),
             panoramas=None if values.get("panoramas") is None else str(values["panoramas"]),
             furniture_share=None if values.get("furniture_share") is None else float(values["furniture_share"]),

@@ -6,7 +6,7 @@ a resolution such as `_2k`, are taken to show one building.
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -80,19 +80,19 @@ def panoramas_digest(folder: Path) -> str:
     Raises:
         DatasetError: if one cannot be read.
     """
-    return files_digest(panorama_files(folder))
+    return files_digest((path.name, path) for path in panorama_files(folder))
 
 
-def files_digest(paths: Sequence[Path]) -> str:
-    """Return the SHA-256 of files and their names, in their order.
+def files_digest(files: Iterable[tuple[str, Path]]) -> str:
+    """Return the SHA-256 of named files, in their order.
 
     Raises:
         DatasetError: if one cannot be read.
     """
     sha = hashlib.sha256()
-    for path in paths:
+    for name, path in files:
         try:
-            sha.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+            sha.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
         except OSError as error:
             raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
     return sha.hexdigest()
