@@ -1,14 +1,83 @@
 # pyright: reportMissingParameterType=false
-"""Two levels of a push-pull pyramid; its tests have a readable twin in NumPy.
+"""Two levels of a push-pull pyramid, and how its fill is mixed with light; tests have readable twins in NumPy.
 
-Pixels are [row, column, channel], premultiplied by their weight, which is the last channel. Columns wrap around, the
-pole rows repeat.
+Pixels of a level are [row, column, channel], premultiplied by their weight, which is the last channel. Columns wrap
+around, the pole rows repeat. Each kernel goes over its pixels once, where NumPy would write an array for each step.
 """
 
 import numpy as np
 from numba import njit
 
 _TINY = np.finfo(np.float32).tiny
+
+
+@njit(nogil=True, cache=True)
+def premultiply(image, weight, out):
+    """Write the finest level [h, w, c + 1] of an image [h, w, c]; return whether every pixel has full weight.
+
+    Weights are clipped to 0..1; NaN counts as 0. The colour of a pixel without weight is not read.
+    """
+    zero, one, complete = np.float32(0), np.float32(1), True
+    height, width, colours = image.shape
+    for row in range(height):
+        for column in range(width):
+            share = weight[row, column]
+            share = min(share, one) if share > zero else zero
+            complete = complete and share >= one
+            for channel in range(colours):
+                out[row, column, channel] = share * image[row, column, channel] if share > zero else zero
+            out[row, column, colours] = share
+    return complete
+
+
+@njit(nogil=True, cache=True)
+def put_before(image, weight, filled):
+    """Put an image [h, w, c] before a fill of the same size, in place: weight x image + (1 - weight) x fill."""
+    zero, one = np.float32(0), np.float32(1)
+    height, width, colours = image.shape
+    for row in range(height):
+        for column in range(width):
+            share = min(max(weight[row, column], zero), one)
+            for channel in range(colours):
+                filled[row, column, channel] = (
+                    share * image[row, column, channel] + (one - share) * filled[row, column, channel]
+                )
+
+
+@njit(nogil=True, cache=True)
+def mix_beyond(hdr, ldr, mask, weight, colour_share, dark, out):
+    """Compute `roomlight.engine.panorama.blend.fill_in` into `out` [h, w, 3]."""
+    red, green, blue = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+    height, width = mask.shape
+    for row in range(height):
+        for column in range(width):
+            if mask[row, column]:
+                for channel in range(3):
+                    out[row, column, channel] = hdr[row, column, channel]
+                continue
+            mixed, fill = np.float32(0), np.float32(0)
+            for channel in range(3):
+                light, fills = hdr[row, column, channel], ldr[row, column, channel]
+                part = red if channel == 0 else (green if channel == 1 else blue)
+                out[row, column, channel] = light + weight[row, column] * (fills - light)
+                mixed += part * out[row, column, channel]
+                fill += part * fills
+            for channel in range(3):
+                colour = (ldr[row, column, channel] + dark) / (fill + dark)
+                out[row, column, channel] += colour_share * (mixed * colour - out[row, column, channel])
+
+
+@njit(nogil=True, cache=True)
+def mute(light, colour, own, out):
+    """Move the colour of light [h, w, 3] toward `colour` [3] of luminance 1, into `out`; `own` is its share."""
+    red, green, blue = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
+    height, width, _ = light.shape
+    for row in range(height):
+        for column in range(width):
+            luminance = red * light[row, column, 0] + green * light[row, column, 1] + blue * light[row, column, 2]
+            for channel in range(3):
+                grey = luminance * colour[channel]
+                out[row, column, channel] = grey + own * (light[row, column, channel] - grey)
 
 
 @njit(nogil=True, cache=True)

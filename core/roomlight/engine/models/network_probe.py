@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import LUMINANCE
+from roomlight.engine.kernels.fill import mute
 from roomlight.engine.models.interface import FILL_UPDATE, Arrays, Estimate, Rendered
 from roomlight.engine.networks.graph import BoundGraph
 from roomlight.engine.networks.graphs import LightingGraphs
@@ -62,8 +62,10 @@ def muted(
     """
     if not known.any():
         return hdr
-    grey = (hdr @ LUMINANCE)[..., None] * mean_colour(detail, known)
-    return grey + np.float32(OWN_COLOUR) * (hdr - grey)
+    changed = np.empty(hdr.shape, np.float32)
+    light = np.ascontiguousarray(hdr, np.float32)
+    mute(light, mean_colour(detail, known), np.float32(OWN_COLOUR), changed)
+    return changed
 
 
 class NetworkProbe:

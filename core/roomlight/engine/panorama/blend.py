@@ -35,6 +35,7 @@ from roomlight.engine.kernels.blend import (
     accumulate_rows,
     compare_rows,
 )
+from roomlight.engine.kernels.fill import mix_beyond
 from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.panorama.fill import fill_unknown
 
@@ -277,7 +278,7 @@ def fill_in(
     Networks learn how bright unobserved places are. Their colour follows from the surroundings as well, and better in
     rooms unlike the training rooms.
     """
-    mixed = hdr + weight[..., None] * (ldr - hdr)
-    colour = (ldr + np.float32(DARK)) / ((ldr @ LUMINANCE)[..., None] + np.float32(DARK))
-    coloured = mixed + np.float32(FILL_COLOUR) * ((mixed @ LUMINANCE)[..., None] * colour - mixed)
-    return np.where(mask[..., None], hdr, coloured)
+    hdr, ldr, weight = (np.ascontiguousarray(plane, np.float32) for plane in (hdr, ldr, weight))
+    mixed = np.empty_like(hdr)
+    mix_beyond(hdr, ldr, np.ascontiguousarray(mask), weight, np.float32(FILL_COLOUR), np.float32(DARK), mixed)
+    return mixed

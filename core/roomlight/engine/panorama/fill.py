@@ -6,9 +6,9 @@ levels with the tent filter (1 3 3 1) / 8, then pull it back into the pixels who
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
-from roomlight.engine.kernels.fill import halve, pull
+from roomlight.engine.kernels.fill import halve, premultiply, pull, put_before
 
 
 def push_pull(image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w c"]:
@@ -19,13 +19,9 @@ def push_pull(image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h w"
     their range and a constant stays that constant. Where nothing is known at all the result is zero
     everywhere: the caller chooses a prior. 1 ms for 120 x 240 x 3.
     """
-    share = np.clip(np.nan_to_num(weight.astype(np.float32)), 0.0, 1.0)
     rows, columns, colours = image.shape
-    finest = np.empty((rows, columns, colours + 1), np.float32)  # premultiplied by the weight
-    finest[..., :-1] = np.where(share[..., None] > 0, image, 0)
-    finest[..., :-1] *= share[..., None]
-    finest[..., -1] = share
-    if (share >= 1).all():
+    finest = np.empty((rows, columns, colours + 1), np.float32)
+    if premultiply(*_plain(image, weight), finest):
         return np.ascontiguousarray(finest[..., :-1])
     levels = [finest]
     while rows > 1 or columns > 1:
@@ -44,8 +40,15 @@ def fill_unknown(image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h
     """Return `image` where `weight` is 1, and where it is 0 a push-pull fill from pixels of at most white
     (`at_most_white`).
     """
-    known = np.clip(weight, 0, 1)[..., None]
-    return known * image + (1 - known) * push_pull(at_most_white(image), weight)
+    filled = push_pull(at_most_white(image), weight)
+    put_before(*_plain(image, weight), filled)
+    return filled
+
+
+def _plain(
+    image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h w"]
+) -> tuple[Float32[np.ndarray, "h w c"], Float32[np.ndarray, "h w"]]:
+    return np.ascontiguousarray(image, np.float32), np.ascontiguousarray(weight, np.float32)
 
 
 def at_most_white(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:

@@ -14,7 +14,7 @@ Fitted on the ground-truth panoramas of a dataset (`roomlight dataset prior`), i
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -159,7 +159,12 @@ def _reduced(plane: Float[np.ndarray, "h w c"]) -> Float32[np.ndarray, "rows col
 def _enlarged(plane: Float[np.ndarray, "rows columns c"], height: int) -> Float32[np.ndarray, "h w c"]:
     """Enlarge bilinearly; columns wrap around."""
     wrapped = np.concatenate([plane[:, -1:], plane, plane[:, :1]], axis=1).astype(np.float32)
+    return cv2.remap(wrapped, *_places(height), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+@lru_cache(4)
+def _places(height: int) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Return column and row of each pixel in the wrapped coarse panorama."""
     scale = COLUMNS / (2 * height)
     column, row = np.meshgrid((np.arange(2 * height) + 0.5) * scale + 0.5, (np.arange(height) + 0.5) * scale - 0.5)
-    maps = column.astype(np.float32), row.astype(np.float32)
-    return cv2.remap(wrapped, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return column.astype(np.float32), row.astype(np.float32)
