@@ -72,7 +72,7 @@ def test_diffuse_sphere_under_constant_light_is_its_albedo() -> None:
         np.testing.assert_allclose(inside.mean(axis=0), [0.8, 1.0, 0.6], rtol=tolerance)
 
 
-def test_pixels_without_noise_get_a_quarter_of_the_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pixels_without_noise_get_the_least_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """A mirror under smooth light needs all samples on its outline alone, a glossy sphere under lamps elsewhere too."""
     paths: list[int] = []
     traced = renderer._traced
@@ -82,25 +82,22 @@ def test_pixels_without_noise_get_a_quarter_of_the_samples(monkeypatch: pytest.M
         return traced(scene, world, view, settings, span, background)
 
     monkeypatch.setattr(renderer, "_traced", counted)
-    lamps = 20 * panorama() ** 8
     smooth = ProbeSet.single(cv2.GaussianBlur(panorama(), (0, 0), 3))
-    many = RenderSettings(64, 4, denoised=False)
-    taken = {}
-    for name, material, light in (("mirror", mirror(), smooth), ("glossy", glossy(), ProbeSet.single(lamps))):
-        pictures = []
-        for least in (renderer._LEAST_NOISE, -1.0):
-            monkeypatch.setattr(renderer, "_LEAST_NOISE", least)
+    shares = []
+    for material, light in ((mirror(), smooth), (glossy(), ProbeSet.single(20 * panorama() ** 8))):
+        pictures, taken = [], []
+        for least in (16, 0):
             paths.clear()
-            pictures.append(render_objects(TracedObjects([sphere(0.5, material)]), CAMERA, POSE, light, quality=many))
-            taken[name, least < 0] = sum(paths)
-        monkeypatch.undo()
-        monkeypatch.setattr(renderer, "_traced", counted)
-        inside = pictures[1].alpha == 1
-        shown = [linear_to_srgb(picture.radiance[inside].clip(0, 1)) for picture in pictures]
+            quality = RenderSettings(64, 4, denoised=False, least=least)
+            scene = TracedObjects([sphere(0.5, material)])
+            pictures.append(render_objects(scene, CAMERA, POSE, light, quality=quality))
+            taken.append(sum(paths))
+        shown = [linear_to_srgb(picture.radiance[pictures[1].alpha == 1].clip(0, 1)) for picture in pictures]
         assert np.abs(shown[0] - shown[1]).mean() < 2 / 255
-        assert np.abs(pictures[0].alpha - pictures[1].alpha).max() < 0.1  # a corner of a pixel that a quarter misses
-    assert taken["mirror", False] < 0.55 * taken["mirror", True]
-    assert taken["glossy", False] > 1.15 * taken["mirror", False]
+        assert np.abs(pictures[0].alpha - pictures[1].alpha).max() < 0.1  # a corner of a pixel that 16 points miss
+        shares.append(taken[0] / taken[1])
+    assert shares[0] < 0.5
+    assert shares[1] > 1.05 * shares[0]
 
 
 def test_same_inputs_and_seed_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -340,7 +337,8 @@ def test_final_is_denoised_only_where_objects_are() -> None:
 
 
 def test_unknown_qualities_and_empty_scenes_are_refused() -> None:
-    for quality in ("best", RenderSettings(3, 4, denoised=False), RenderSettings(16, 0, denoised=False)):
+    odd = RenderSettings(16, 4, denoised=False, least=3)
+    for quality in ("best", RenderSettings(3, 4, denoised=False), RenderSettings(16, 0, denoised=False), odd):
         with pytest.raises(OptionError):
             render_objects(TracedObjects([sphere(0.1)]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
     with pytest.raises(ObjectError, match="one object at least"):

@@ -40,16 +40,18 @@ class RenderSettings:
         samples: Paths a pixel, a power of two; 0 shades first hits by prefiltered panoramas instead.
         bounces: Most surfaces that a path meets.
         denoised: Denoise by Open Image Denoise where it is installed.
+        least: Paths that every pixel gets, a power of two; more only where these differ. 0: all get `samples`.
     """
 
     samples: int
     bounces: int
     denoised: bool
+    least: int = 0
 
 
 PRESETS: Final[dict[str, RenderSettings]] = {
     "preview": RenderSettings(0, 1, denoised=False),
-    "good": RenderSettings(64, 6, denoised=False),
+    "good": RenderSettings(64, 6, denoised=False, least=16),
     "final": RenderSettings(256, 12, denoised=True),
 }
 _EDGE_SAMPLES: Final = 8
@@ -59,10 +61,8 @@ _COVERAGE_SAMPLES: Final = 4
 _BRIGHTEST_CAUSTIC: Final = 10.0
 """Light that reaches a matte surface through glass is limited to this multiple of the panorama's mean: a lamp seen so
 is a rare bright dot."""
-_LEAST_SAMPLES: Final = 16
-"""From so many samples on, pixels whose first quarter agrees get no more."""
 _LEAST_NOISE: Final = 3 / 255
-"""Standard error of the first quarter up to which it is enough: about the noise of a camera."""
+"""Standard error on a screen up to which samples are enough: about the noise of a camera."""
 _BLOCK_RAYS: Final = 1 << 15
 """Rays of a block: 6 MB of paths, which stay in a core's cache."""
 
@@ -76,7 +76,7 @@ class RenderedObjects:
         alpha: [h, w] share of the pixel that objects cover, 0 to 1; glass covers, and holds what is seen through it.
         depth_m: [h, w] z-depth, mean over the covered part; 0 where no object is.
         object_id: [h, w] the nearest object's index in the scene; -1 where no object is.
-        samples: paths a pixel that were traced; 0 for a preview.
+        samples: most paths a pixel that were traced; 0 for a preview.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -220,8 +220,9 @@ def _checked_settings(quality: str | RenderSettings) -> RenderSettings:
             raise OptionError(f"quality must be {', '.join(PRESETS)} or RenderSettings, got {quality!r}")
         return preset
     samples = quality.samples
-    if samples < 0 or samples > 65536 or samples & (samples - 1):
-        raise OptionError(f"samples must be 0 or a power of two up to 65536, got {samples}")
+    for name, count in (("samples", samples), ("least", quality.least)):
+        if count < 0 or count > 65536 or count & (count - 1):
+            raise OptionError(f"{name} must be 0 or a power of two up to 65536, got {count}")
     if not 1 <= quality.bounces <= 64:
         raise OptionError(f"bounces must be 1 to 64, got {quality.bounces}")
     return quality
@@ -365,7 +366,7 @@ def _sampled(
     per_block = max(1, _BLOCK_RAYS // per_pass)
     blocks = -(-len(pixels) // per_block)
 
-    sparing = not settings.denoised and _LEAST_SAMPLES <= settings.samples == per_pass
+    sparing = 0 < settings.least < settings.samples == per_pass
 
     def work(start: int, stop: int) -> None:
         for block in range(start, stop):
@@ -387,26 +388,26 @@ def _sampled(
 def _spared(
     scene: TracedObjects, world: _World, view: _View, settings: RenderSettings, background: Background | None
 ) -> _Film:
-    """Trace a quarter of the samples, and the others of the pixels where these differ."""
-    first = settings.samples // 4
-    rest = settings.samples - first
-    taken = _traced(scene, world, view, settings, (0, first), background)
-    out = _reduced(taken, first)
-    noisy = np.flatnonzero(_is_noisy(taken, first))
-    if len(noisy):
+    """Trace the least samples, and twice as many of the pixels where these differ, until they are all."""
+    count = settings.least
+    taken = _traced(scene, world, view, settings, (0, count), background)
+    out, noisy = _reduced(taken, count), np.flatnonzero(_is_noisy(taken, count, count))
+    while len(noisy) and count < settings.samples:
+        more = _traced(scene, world, view.part(noisy), settings, (count, count), background)
         total = _film(len(noisy))
-        _accumulate(total, _Film(*(column[noisy] for column in out)), first / settings.samples)
-        more = _traced(scene, world, view.part(noisy), settings, (first, rest), background)
-        _accumulate(total, _reduced(more, rest), rest / settings.samples)
+        for half in (_Film(*(column[noisy] for column in out)), _reduced(more, count)):
+            _accumulate(total, half, 0.5)
         for whole, own in zip(out, total, strict=True):
             whole[noisy] = own
+        noisy = noisy[_is_noisy(more, count, 2 * count)]
+        count *= 2
     return out
 
 
-def _is_noisy(film: _Film, samples: int) -> Bool[np.ndarray, " p"]:
-    """Return which pixels are on an outline, or have a standard error above `_LEAST_NOISE` as an sRGB screen shows."""
+def _is_noisy(film: _Film, samples: int, total: int) -> Bool[np.ndarray, " p"]:
+    """Return which pixels are on an outline, or differ so much that `total` samples leave a visible standard error."""
     grey = film.radiance.mean(axis=1).reshape(-1, samples)
-    mean, error = grey.mean(axis=1), grey.std(axis=1) / np.sqrt(samples)
+    mean, error = grey.mean(axis=1), grey.std(axis=1) / np.sqrt(total)
     alpha = film.alpha.reshape(-1, samples)
     shown = error * 0.44 * np.maximum(mean, 0.005) ** (1 / 2.4 - 1)  # the slope of sRGB's curve
     return (shown > _LEAST_NOISE) | (alpha.max(axis=1) != alpha.min(axis=1))
