@@ -23,12 +23,12 @@ def pose(x: float, *, turn: float = 0.0) -> Float32[np.ndarray, "4 4"]:
 
 def exact_depth(camera_to_world: np.ndarray, lens: Intrinsics = LENS) -> Float32[np.ndarray, "h w"]:
     """Return the exact z-depth."""
-    return _hit(camera_to_world, lens)[0]
+    return hit(camera_to_world, lens)[0]
 
 
 def frame(index: int, camera_to_world: np.ndarray, *, depth: bool = False, lens: Intrinsics = LENS) -> Frame:
     """Return a frame with the room's texture; without depth unless asked for."""
-    depth_m, points, axis = _hit(camera_to_world, lens)
+    depth_m, points, axis = hit(camera_to_world, lens)
     across = np.take_along_axis(points, ((axis + 1) % 3)[..., None], 2)[..., 0]
     along = np.take_along_axis(points, ((axis + 2) % 3)[..., None], 2)[..., 0]
     columns = ((across + 5) * 120 + 97 * axis).astype(np.float32) % 1535
@@ -39,7 +39,8 @@ def frame(index: int, camera_to_world: np.ndarray, *, depth: bool = False, lens:
     return Frame(index, image, np.zeros(value.shape, bool), known, lens, camera_to_world.astype(np.float64))
 
 
-def _hit(camera_to_world: np.ndarray, lens: Intrinsics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def hit(camera_to_world: np.ndarray, lens: Intrinsics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return z-depth, the points in the world, and the axis of the wall, of each pixel."""
     rays = lens.rays().astype(np.float64) @ np.asarray(camera_to_world, np.float64)[:3, :3].T
     origin = np.asarray(camera_to_world, np.float64)[:3, 3]
     with np.errstate(divide="ignore"):

@@ -1,6 +1,7 @@
 """A replay that was stopped goes on with the same bits, or says why it does not."""
 
 import errno
+import itertools
 import json
 import os
 import signal
@@ -27,6 +28,7 @@ from roomlight.sample import sample_capture
 from roomlight_cli.replays.pictures import VIDEO
 from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_options import ReplayOptions
+from roomlight_cli.replays.saved_replay import is_due
 from rooms import BoxRoom, pan
 from written_captures import write_capture
 
@@ -51,7 +53,7 @@ main()
 
 @pytest.fixture(autouse=True)
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("roomlight_cli.replays.replay.SAVE_EVERY", SAVE_EVERY)
+    monkeypatch.setattr("roomlight_cli.replays.saved_replay.SAVE_EVERY", SAVE_EVERY)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +150,7 @@ def test_a_full_disk_stops_a_replay_that_goes_on_later(capture, tmp_path, monkey
 
     with monkeypatch.context() as patch:
         patch.setattr("roomlight.files.os.fsync", full)
-        patch.setattr("roomlight_cli.replays.replay.SAVE_EVERY", 2)
+        patch.setattr("roomlight_cli.replays.saved_replay.SAVE_EVERY", 2)
         with pytest.raises(OutputError, match=r"state: cannot be written \(No space left on device\)"):
             replay(capture, tmp_path / "out", SMALL)
     seen = []
@@ -197,6 +199,15 @@ def test_the_message_says_what_the_next_run_does(capture, tmp_path, monkeypatch,
     stopped = roomlight(*command, "--out", tmp_path / "out", *more)
     assert stopped.code == 130
     assert f"stopped; {said}" in stopped.err
+
+
+def test_a_long_replay_is_saved_at_each_hundredth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The state grows by the frames' reports: saving it takes the same share of the time."""
+    monkeypatch.undo()
+    due = [0, *(frames for frames in range(1, 10_001) if is_due(frames))]
+    assert due[:101] == list(range(0, 2501, 25))
+    assert 0.005 < max(frames / last - 1 for last, frames in itertools.pairwise(due[100:])) < 0.02
+    assert len(due) < 300
 
 
 def test_a_pass_over_a_capture_without_depth_goes_on():

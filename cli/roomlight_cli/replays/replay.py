@@ -35,7 +35,7 @@ from roomlight.placement import point_at_pixel, point_in_view
 from roomlight_cli.replays.pictures import PicturesState, ReplayPictures, Titles
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
 from roomlight_cli.replays.replay_options import ReplayOptions
-from roomlight_cli.replays.saved_replay import FOLDER, SAVE_EVERY, ReplayState, forget_replay, load_replay, save_replay
+from roomlight_cli.replays.saved_replay import FOLDER, ReplayState, forget_replay, is_due, load_replay, save_replay
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def replay(
                 run = _Run(out, capture, session, options, state, step=read.every * stride)
             run.add(waiting, frame, report)
             waiting.clear()
-            if len(state.reports) % SAVE_EVERY == 0 and (passed := capture.passed()) is not None:
+            if is_due(len(state.reports)) and (passed := capture.passed()) is not None:
                 state.passed, state.wall_s = passed, time.perf_counter() - began
                 state.pictures = run.pictures.end_part()
                 if isinstance(session, Session):

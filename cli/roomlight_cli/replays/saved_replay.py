@@ -23,7 +23,7 @@ from roomlight_cli.replays.pictures import PicturesState
 FOLDER: Final = ".replay"
 _STATE: Final = "state"
 SAVE_EVERY: Final = 25
-"""Frames after which the state is saved: 10 to 20 MB, 0.1 s."""
+"""Frames after which the state is saved (10 to 20 MB, 0.1 s); in a long replay, a hundredth of the frames so far."""
 
 
 @dataclass
@@ -53,6 +53,11 @@ class ReplayState:
     wall_s: float = 0.0
     passed: PassState | None = None
     pictures: PicturesState | None = None
+
+
+def is_due(frames: int) -> bool:
+    """Return whether the state is saved after so many frames."""
+    return frames % (SAVE_EVERY * max(1, frames // (100 * SAVE_EVERY))) == 0
 
 
 def save_replay(out: Path, state: ReplayState, session: Session) -> None:

@@ -5,6 +5,6 @@
 see, `fitting` scale, shift and errors over the picture, `floor` how high the camera is over the floor, `pose_scale` the
 metres of poses that have none.
 
-What else pictures tell: `motion` places the cameras of a video, `adjustment` adjusts them together, `horizon` says
-which way is up.
+What else pictures tell: `motion` places the cameras of a video by their `features`, `adjustment` adjusts them together,
+`horizon` says which way is up.
 """

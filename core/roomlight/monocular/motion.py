@@ -1,9 +1,9 @@
 """Where a video's camera was, from its pictures alone.
 
-Features (SIFT) of each picture are matched with those of earlier ones, and the picture is placed by their estimated
-depth (PnP). In the end all cameras are adjusted together, also to pictures that show the same place again, and turned
-upright by the room's straight lines. The world is that of the first camera, turned upright; metres are the depth
-network's. A camera that only turns is the usual case, and needs no parallax.
+Features of each picture are matched with those of earlier ones or followed from the last one, and the picture is placed
+by their estimated depth (PnP). In the end all cameras are adjusted together, also to pictures that show the same place
+again, and turned upright by the room's straight lines. The world is that of the first camera, turned upright; metres
+are the depth network's. A camera that only turns is the usual case, and needs no parallax.
 
 A picture that cannot be tied to the others is lost; after a cut the longest piece counts.
 """
@@ -20,18 +20,14 @@ from roomlight.camera import Intrinsics
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
 from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, reprojection_errors
 from roomlight.monocular.estimate import DepthModel
+from roomlight.monocular.features import Features, FeatureTracker, matched
 from roomlight.monocular.horizon import Lines, Upright, lines_of, upright
 from roomlight.monocular.tracks import grey_picture
 
 SIDE: Final = 640
 """Longest side of the pictures that are compared."""
-_FEATURES: Final = 1000
-_CONTRAST: Final = 0.004
-"""SIFT's threshold; its default of 0.04 leaves few features on the walls of rooms."""
-_RATIO: Final = 0.8
-"""Distance of a feature's match relative to the second nearest feature's."""
 _LEAST_FEATURES: Final = 40
-_LEAST_MATCHES: Final = 40
+_LEAST_MATCHES: Final = 30
 """Of two pictures. With fewer, on blinds or plain walls, cameras came out 10 degrees off."""
 _PLACING_PX, _MATCH_PX = 8.0, 2.0
 """Errors in pixels of a 640-pixel picture: of a placed feature, whose depth is estimated, and of a match."""
@@ -73,8 +69,8 @@ class _Still:
     """A picture's features; camera to world in OpenCV axes, once it is placed."""
 
     number: int
+    features: Features
     pixels: Float32[np.ndarray, "n 2"]  # relative to the principal point
-    descriptors: Float32[np.ndarray, "n 128"]
     depth_m: Float[np.ndarray, " n"]
     lines: Lines
     turn: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
@@ -107,7 +103,7 @@ class CameraMotion:
         """
         self._model, self._intrinsics, self._known = model, intrinsics, focal_is_known
         self._unit = max(intrinsics.width, intrinsics.height) / SIDE
-        self._sift = cv2.SIFT.create(_FEATURES, contrastThreshold=_CONTRAST)
+        self._tracker = FeatureTracker()
         self._pieces: list[list[_Still]] = []
         self._matches: dict[int, list[_Match]] = {}
         self._lost: dict[int, str] = {}
@@ -127,19 +123,18 @@ class CameraMotion:
         if np.percentile(grey, 99) < _DARK:
             self._lost[number] = "is too dark to see the room"
             return
-        points, descriptors = self._sift.detectAndCompute(grey, None)
-        if len(points) < _LEAST_FEATURES:
+        features = self._tracker.features(grey)
+        corners = features.pixels
+        if len(corners) < _LEAST_FEATURES:
             self._lost[number] = "shows too little detail to follow: it is blurred, or shows a bare wall"
             return
-        corners = np.array([point.pt for point in points], np.float32) + 0.5
         estimated = self._model.estimate(picture, self._intrinsics).resized(grey.shape[1], grey.shape[0])
         columns, rows = np.floor(corners).astype(int).T
         inverse = estimated.inverse[rows.clip(0, grey.shape[0] - 1), columns.clip(0, grey.shape[1] - 1)]
-        roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6))  # RootSIFT
         still = _Still(
             number,
+            features,
             corners - np.array([self._intrinsics.cx, self._intrinsics.cy], np.float32),
-            roots.astype(np.float32),
             1 / np.clip(inverse, 0.02, 20).astype(np.float64),
             lines_of(grey, self._intrinsics),
         )
@@ -161,18 +156,10 @@ class CameraMotion:
         return False
 
     def _match(self, first: _Still, second: _Still) -> _Match | None:
-        """Match features both ways, and keep those of a common epipolar geometry; None for too few."""
-        like = first.descriptors @ second.descriptors.T
-        there, back = like.argmax(axis=1), like.argmax(axis=0)
-        rows = np.arange(len(there))
-        nearest = like[rows, there]
-        like[rows, there] = -1
-        # descriptors are unit vectors: squared distance = 2 - 2 cosine
-        clear = (1 - nearest) < _RATIO**2 * (1 - like.max(axis=1))
-        kept = np.flatnonzero(clear & (back[there] == rows))
-        if len(kept) < _LEAST_MATCHES:
+        """Match features, and keep those of a common epipolar geometry; None for too few."""
+        pairs = matched(first.features, second.features)
+        if len(pairs) < _LEAST_MATCHES:
             return None
-        pairs = np.stack([kept, there[kept]], axis=1)
         ends = first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]]
         _, fits = cv2.findEssentialMat(*ends, self._camera, cv2.USAC_MAGSAC, 0.999, _MATCH_PX * self._unit)
         if fits is None or int(fits.sum()) < _LEAST_MATCHES:  # pyright: ignore[reportUnnecessaryComparison]

@@ -21,7 +21,7 @@ from rich.table import Table
 from roomlight.camera import rigid_inverse
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.captures.photo import read_photo
-from roomlight.conventions import direction_to_uv, linear_to_srgb8, panorama_directions
+from roomlight.conventions import Position, direction_to_uv, linear_to_srgb8, panorama_directions
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError
 from roomlight.files import write_json
@@ -202,10 +202,11 @@ def _light(
     for probe in probes:
         position = np.array(probe.position)
         seen = next((pair for pair in zip(exact, estimated, strict=True) if _in_view(position, pair[0])), None)
-        if seen is None:
+        place = None if seen is None else _same_place(position, *seen)
+        if place is None:
             continue
         truth = probe.panorama()
-        guessed = sessions[0].light_at(_same_place(position, *seen)).panorama
+        guessed = sessions[0].light_at(place).panorama
         known = sessions[1].light_at(probe.position).panorama
         errors.append((log_l2(turned(guessed, turn), truth), log_l2(known, truth)))
     if not errors:
@@ -221,8 +222,8 @@ def _in_view(position: Float[np.ndarray, "3"], frame: Frame) -> bool:
     return bool(((pixel >= 0) & (pixel < size)).all())  # NaN behind the camera
 
 
-def _same_place(position: Float[np.ndarray, "3"], exact: Frame, estimated: Frame) -> tuple[float, float, float]:
-    """Return the point at the same pixel, and as far before the surface there, in the estimated world."""
+def _same_place(position: Float[np.ndarray, "3"], exact: Frame, estimated: Frame) -> Position | None:
+    """Return the point at the same pixel, as far before the surface, in the estimated world; None without depth."""
     local = exact.camera_to_world[:3, :3].T @ (position - exact.camera_to_world[:3, 3])
     pixel = exact.intrinsics.project(local[None])[0][0]
     depths: list[float] = []
@@ -231,7 +232,9 @@ def _same_place(position: Float[np.ndarray, "3"], exact: Frame, estimated: Frame
         column = int(np.clip(pixel[0] * width / exact.intrinsics.width, 2, width - 3))
         row = int(np.clip(pixel[1] * height / exact.intrinsics.height, 2, height - 3))
         depths.append(float(np.median(frame.depth_m[row - 2 : row + 3, column - 2 : column + 3])))
-    lens, far = estimated.intrinsics, -local[2] * depths[1] / max(depths[0], 1e-3)
+    if min(depths) <= 0:
+        return None
+    lens, far = estimated.intrinsics, -local[2] * depths[1] / depths[0]
     ray = np.array([(pixel[0] - lens.cx) / lens.fx, (lens.cy - pixel[1]) / lens.fy, -1.0])
     x, y, z = (estimated.camera_to_world[:3, :3] @ (far * ray) + estimated.camera_to_world[:3, 3]).tolist()
     return x, y, z

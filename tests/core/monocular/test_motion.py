@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import box_room
 from box_room import LENS, exact_depth, frame, pose
 from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.monocular import adjustment
 from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, reprojection_errors
 from roomlight.monocular.estimate import DepthEstimate, DepthKind, srgb_picture
+from roomlight.monocular.features import FeatureTracker, matched
 from roomlight.monocular.motion import CameraMotion, CameraPath
+from roomlight.monocular.tracks import grey_picture
 
 
 class RoomDepth:
@@ -66,6 +69,38 @@ def test_a_walk_has_the_network_s_metres() -> None:
     turn, place = _errors(_path(poses, breathing=0.05), poses)
     assert turn < 0.5
     assert place < 0.06  # of 0.9 m
+
+
+def test_walls_whose_features_look_alike_are_followed() -> None:
+    """Each feature has the looks of many others, so that none is recognised."""
+    poses = [pose(0.03 * k, turn=0.08 * k) for k in range(10)]
+    motion = CameraMotion(RoomDepth(poses), LENS, focal_is_known=True)
+    for number, at in enumerate(poses):
+        points = box_room.hit(at, LENS)[1]
+        value = 0.5 + 0.3 * np.sin(6 * points).prod(axis=2) + 0.15 * np.cos(6 * points).sum(axis=2) / 3
+        motion.add(number, np.repeat(value[..., None], 3, axis=2).astype(np.float32))
+    path = motion.path()
+    assert list(path.poses) == list(range(10))
+    turn, place = _errors(path, poses)
+    assert turn < 2  # of 41
+    assert place < 0.15  # of 0.27 m
+
+
+def test_a_feature_keeps_its_track_while_it_is_followed() -> None:
+    tracker = FeatureTracker()
+    poses = [pose(0, turn=0.05 * k) for k in range(3)]
+    first, _, third = (tracker.features(grey_picture(srgb_picture(frame(k, at)))) for k, at in enumerate(poses))
+    same = np.intersect1d(first.tracks, third.tracks, return_indices=True)[1:]
+    assert len(same[0]) > 50
+    rays = np.concatenate([(first.pixels[same[0]] - [LENS.cx, LENS.cy]) / LENS.fx, np.ones((len(same[0]), 1))], axis=1)
+    across = np.arctan2(rays[:, 0], 1) + 0.1  # the camera turned to the left, about the vertical
+    ahead = np.hypot(rays[:, 0], 1)
+    expected = np.stack(
+        [LENS.cx + LENS.fx * np.tan(across), LENS.cy + LENS.fy * rays[:, 1] / ahead / np.cos(across)], 1
+    )
+    assert np.median(np.linalg.norm(third.pixels[same[1]] - expected, axis=1)) < 0.3
+    pairs = matched(first, third)
+    assert len(np.unique(pairs[:, 0])) == len(pairs) > len(same[0]) / 2
 
 
 def test_the_focal_length_follows_from_the_motion() -> None:
