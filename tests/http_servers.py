@@ -101,7 +101,7 @@ class RunningServer:
     def port(self):
         return self._server.servers[0].sockets[0].getsockname()[1]
 
-    def call(self, method, path, body=None, *, token=None, headers=None, timeout=60):
+    def call(self, method, path, body=None, *, token=None, headers=None, timeout=180):
         """Send one request on a new connection; a dict is sent as JSON."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout)
         given = {} if token is None else {"Authorization": f"Bearer {token}"}

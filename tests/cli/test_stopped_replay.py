@@ -99,7 +99,9 @@ def assert_same(out: Path, whole: Path) -> None:
     assert report(out) == report(whole)
     assert (VIDEO in first) == (VIDEO in second)
     if VIDEO in first:
-        assert pictures(out) == pytest.approx(pictures(whole), abs=8)
+        different = np.abs(pictures(out) - pictures(whole))
+        assert different.mean() < 0.5
+        assert different.max() < 40
 
 
 def test_a_killed_process_goes_on_with_the_same_bits(tmp_path):

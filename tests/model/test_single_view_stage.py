@@ -14,9 +14,8 @@ from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.training.batches import collate
 from roomlight_model.training.examples import example_of, read_example
-from roomlight_model.training.gradients import BatchGradients
 from roomlight_model.training.loop import Run
-from roomlight_model.training.losses import render_rays
+from roomlight_model.training.losses import BatchGradients, render_rays
 from roomlight_model.training.single_view import predict_panoramas
 from tiny_stages import CPU, HEIGHT, SHAPE, TINY, VIEWS, single_view_weights, trained_networks, view_stage
 

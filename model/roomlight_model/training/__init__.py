@@ -11,8 +11,7 @@ and files. A stage is its data, its forward pass and its loss, in one file each:
 | `objects`     | `objects`                                  | what streams have shown a probe           |
 
 A recording's way to a batch: `subsets` chooses sequences, `examples` draws and augments frames, `sequences` and
-`light_changes` make sequences of them, `batches` makes tensors. `losses` has what single views and sequences share,
-`small_stage` what the stages of small networks share, `gradients` distributes a batch over threads, `validation` scores
-held-out rooms. `recipe` reads a file of `recipes/`, which
-states the data and the stages of a shipped network.
+`light_changes` make sequences of them, `batches` makes tensors. `losses` has what single views and sequences share, and
+distributes a batch over threads; `small_stage` is what the stages of small networks share, `validation` scores held-out
+rooms. `recipe` reads a file of `recipes/`, which states the data and the stages of a shipped network.
 """

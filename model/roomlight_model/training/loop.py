@@ -24,8 +24,7 @@ from torch.utils.tensorboard import SummaryWriter
 from roomlight.errors import ModelError
 from roomlight_model.checkpoint import Network
 from roomlight_model.training.batches import Tensors
-from roomlight_model.training.gradients import BatchGradients
-from roomlight_model.training.losses import Losses
+from roomlight_model.training.losses import BatchGradients, Losses
 from roomlight_model.training.run_folder import RunFolder, RunOptions
 
 _AHEAD: Final = 3

@@ -133,7 +133,7 @@ class SingleViewStage:
                 raise ModelError(f"stage {options.stage} trains a single-view model, not a {start_from.form} one")
             options = replace(options, model=start_from.config)
         self.options, self.device, self.data = options, device, data or []
-        self.piece_size = 2  # views in a pass on one thread; see `training.gradients`
+        self.piece_size = 2  # views in a pass on one thread; see `training.losses`
         self.before = None if start_from is None else start_from.card
         self._training, self._held_out, self._start_from = training, held_out, start_from
 
