@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from roomlight.engine.kernels.cholesky import solve_in_place
+from roomlight.engine.kernels.cholesky import multiply, solve_in_place
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import ModelError
 
@@ -84,21 +84,24 @@ class PanoramaPrior:
         return np.maximum(np.exp(_enlarged(logs.reshape(ROWS, COLUMNS, 3), height)) - np.float32(OFFSET), 0)
 
     def _given(self, logs: Float[np.ndarray, "n 3"], known: Bool[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3"]:
-        mean = np.repeat(self.mean, COLUMNS)[:, None]
+        mean = np.repeat(self.mean, COLUMNS)
         if not known.any():
-            return np.repeat(mean, 3, axis=1)
-        deviation = (logs - mean)[known].astype(np.float32)
+            return np.repeat(mean[:, None], 3, axis=1)
+        deviation = np.where(known, logs.T - mean, 0).astype(np.float32)
         # (K_ss + noise)^-1 y through the precision of all pixels, whose block of unseen pixels is inverted instead
-        # where these are fewer: a solve takes the third power of the number of pixels
-        if 2 * known.sum() <= len(known):
-            weights = deviation
-            solve_in_place(self._covariance_with_noise[np.ix_(known, known)], weights)
+        # where these are fewer: a solve takes the third power of the number of pixels. Products take all pixels, of
+        # which those that do not count are 0: that is faster than to gather a matrix.
+        fewer = known if 2 * known.sum() <= len(known) else ~known
+        if fewer is known:
+            solved = np.ascontiguousarray(deviation[:, known])
+            solve_in_place(self._covariance_with_noise[np.ix_(known, known)], solved)
+            deviation[:, known] = solved
         else:
-            across = self._precision[np.ix_(~known, known)]
-            unseen = across @ deviation
-            solve_in_place(self._precision[np.ix_(~known, ~known)], unseen)
-            weights = self._precision[np.ix_(known, known)] @ deviation - across.T @ unseen
-        return mean + self._matrix[:, known] @ weights
+            across = np.ascontiguousarray(_product(self._precision, deviation)[:, fewer])
+            solve_in_place(self._precision[np.ix_(fewer, fewer)], across)
+            deviation[:, fewer] = -across
+            deviation = np.where(known, _product(self._precision, deviation), np.float32(0))
+        return (mean + _product(self._matrix, deviation)).T.astype(np.float32)
 
     @cached_property
     def _covariance_with_noise(self) -> Float32[np.ndarray, "n n"]:
@@ -139,6 +142,12 @@ class PanoramaPrior:
                 f"got {mean.shape} and {covariance.shape}"
             )
         return cls(mean.astype(np.float32), covariance.astype(np.float32))
+
+
+def _product(matrix: Float32[np.ndarray, "m n"], values: Float32[np.ndarray, "c n"]) -> Float32[np.ndarray, "c m"]:
+    out = np.empty((len(values), len(matrix)), np.float32)
+    multiply(matrix, np.ascontiguousarray(values), out)
+    return out
 
 
 @cache
