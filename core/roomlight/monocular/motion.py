@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from roomlight.camera import Intrinsics
+from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
 from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, reprojection_errors
 from roomlight.monocular.estimate import DepthModel
@@ -40,6 +40,8 @@ _MOST_MATCHES: Final = 70
 _LOOPS: Final = 4
 _LOOP_GAP, _LOOP_DEG = 12, 30.0
 """Pictures that far apart in time whose cameras look the same way are compared, so many for each."""
+_LEAST_SIGHTINGS: Final = 40
+"""Of a picture after the adjustment: one with 29 was turned wrong by 26 degrees, others had 79 and more."""
 _DARK: Final = 24
 """Grey level of a picture's brightest percent below which it is called dark."""
 _OUTLIER_PX: Final = 5.0
@@ -75,6 +77,7 @@ class _Still:
     lines: Lines
     turn: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
     centre: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    sightings: int = 0  # that agree with its adjusted camera
 
 
 class _Match(NamedTuple):
@@ -102,6 +105,7 @@ class CameraMotion:
             focal_is_known: Whether the focal length is stated; otherwise it is adjusted to the motion.
         """
         self._model, self._intrinsics, self._known = model, intrinsics, focal_is_known
+        self._focal = intrinsics.fx
         self._unit = max(intrinsics.width, intrinsics.height) / SIDE
         self._tracker = FeatureTracker()
         self._pieces: list[list[_Still]] = []
@@ -111,7 +115,7 @@ class CameraMotion:
     @property
     def _camera(self) -> Float[np.ndarray, "3 3"]:
         """K for pixels relative to the principal point."""
-        return np.diag([self._intrinsics.fx, self._intrinsics.fx, 1.0])
+        return np.diag([self._focal, self._focal, 1.0])
 
     def add(self, number: int, picture: Float32[np.ndarray, "h w 3"]) -> None:
         """Place the camera of the next sRGB picture in [0, 1]; `number` names it.
@@ -171,7 +175,7 @@ class CameraMotion:
         points, pixels = [], []
         for match in matches:
             other, own = others[match.first], match.features[:, 0]
-            local = np.concatenate([other.pixels[own] / self._intrinsics.fx, np.ones((len(own), 1))], axis=1)
+            local = np.concatenate([other.pixels[own] / self._focal, np.ones((len(own), 1))], axis=1)
             points.append((local * other.depth_m[own, None]) @ other.turn.T + other.centre)
             pixels.append(still.pixels[match.features[:, 1]])
         world, seen = np.concatenate(points), np.concatenate(pixels).astype(np.float64)
@@ -199,18 +203,34 @@ class CameraMotion:
             if other is not piece:
                 reason = "shows nothing of the longest piece of the video: a cut, or a turn too fast to follow"
                 lost |= {still.number: reason for still in other}
-        focal = self._intrinsics.fx
         if len(piece) > 1:
             matches = [match for still in piece for match in self._matches.get(still.number, ())]
-            focal = self._adjust(piece, matches + self._loops(piece))
+            matches += self._loops(piece)
+            self._focal = self._adjust(piece, matches)
+            if not self._known:  # a wrong lens may have misled the first cameras
+                self._place_again(piece)
+                self._focal = self._adjust(piece, matches)
+            tied = [still for still in piece if still.sightings >= _LEAST_SIGHTINGS]
+            if len(tied) > 1:
+                lost |= {still.number: "shares too little with the others" for still in piece if still not in tied}
+                piece = tied
+        focal = self._focal
         if not piece:
             return CameraPath({}, self._intrinsics, lost, Upright((0.0, 1.0, 0.0), float("inf")))
-        poses = [_opengl(still) for still in piece]
+        first = rigid_inverse(_opengl(piece[0]))
+        poses = [first @ _opengl(still) for still in piece]
         lines = [still.lines.refocused(focal / self._intrinsics.fx) for still in piece]
         up = upright(lines, [pose[:3, :3] for pose in poses])
         turn = rotation_to_y_up(np.array(up.up)) if level else np.eye(4)
         placed = {still.number: turn @ pose for still, pose in zip(piece, poses, strict=True)}
         return CameraPath(placed, replace(self._intrinsics, fx=focal, fy=focal), lost, up)
+
+    def _place_again(self, piece: list[_Still]) -> None:
+        """Place a piece's pictures one after the other with the present focal length; one that fails stays."""
+        placed = {still.number: still for still in piece}
+        piece[0].turn, piece[0].centre = np.eye(3), np.zeros(3)
+        for still in piece[1:]:
+            self._place(still, placed, self._matches[still.number])
 
     def _loops(self, piece: list[_Still]) -> list[_Match]:
         """Match pictures that look the same way at different times."""
@@ -249,7 +269,7 @@ class CameraMotion:
             np.stack([still.centre for still in piece]),
             np.zeros(len(piece)),
             stated,
-            self._intrinsics.fx,
+            self._focal,
         )
         cameras = adjusted(cameras, sightings, rounds=10)
         good = reprojection_errors(cameras, sightings) < _OUTLIER_PX
@@ -258,8 +278,11 @@ class CameraMotion:
             landmark=sightings.landmark[good], picture=sightings.picture[good], seen=sightings.seen[good],
         )  # fmt: skip
         cameras = adjusted(cameras, sightings)
+        good = reprojection_errors(cameras, sightings) < _OUTLIER_PX
+        pictures = np.concatenate([sightings.host[sightings.landmark[good]], sightings.picture[good]])
         for at, still in enumerate(piece):
             still.turn, still.centre = cameras.turns[at], cameras.centres[at]
+            still.sightings = int((pictures == at).sum())
         return cameras.focal
 
 

@@ -86,6 +86,20 @@ def test_walls_whose_features_look_alike_are_followed() -> None:
     assert place < 0.15  # of 0.27 m
 
 
+def test_a_picture_that_shares_too_little_is_lost() -> None:
+    """The first one shows a strip alone: cameras are then those of the others, in the axes of the first of these."""
+    poses = [pose(0, turn=0.05 * k) for k in range(6)]
+    pictures = [srgb_picture(frame(k, at)) for k, at in enumerate(poses)]
+    pictures[0][:, :-60] = 0.5
+    motion = CameraMotion(RoomDepth(poses), LENS, focal_is_known=True)
+    for number, picture in enumerate(pictures):
+        motion.add(number, picture)
+    path = motion.path(level=False)
+    assert list(path.poses) == [1, 2, 3, 4, 5]
+    assert "shares too little" in path.lost[0]
+    np.testing.assert_allclose(path.poses[1], np.eye(4), atol=1e-9)
+
+
 def test_a_feature_keeps_its_track_while_it_is_followed() -> None:
     tracker = FeatureTracker()
     poses = [pose(0, turn=0.05 * k) for k in range(3)]
