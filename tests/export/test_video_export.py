@@ -91,7 +91,7 @@ def test_training_reaches_the_exported_graphs(trained):
     assert graphs.form == "video"
     assert graphs.card["stage"] == "video-joint"
     assert graphs.card["steps"] == 2
-    assert graphs.card["options"]["window"] == WALKS.window
+    assert graphs.card["options"]["frames"] == 3
     assert graphs.card["before"]["steps"] == 5
     again = load_exported(folder)
     kept = load_checkpoint(checkpoint).model.state_dict()

@@ -84,7 +84,7 @@ def test_the_kernel_equals_its_readable_reference(seed, binary):
 def test_without_inferred_light_pixels_without_weight_stay_as_they_are():
     before, kept, copied, views = _state(3), _state(3), _state(3), _views(3)
     views["weight"][: HEIGHT // 2] = 0
-    accumulate(kept, **views | {"hdr": None})
+    accumulate(kept, **(views | {"hdr": None}))  # pyright: ignore[reportArgumentType] - the others are arrays
     accumulate(copied, **views | {"hdr": copied.radiance.copy()})
     unseen = views["weight"] == 0
     for field in dataclasses.fields(PanoramaState):

@@ -69,8 +69,8 @@ def test_vertices_are_placed_where_their_directions_are(height):
     offsets, places = np.empty((3, len(vertices)), np.float32), np.empty((2, len(vertices)), np.float32)
     place_vertices(vertices, np.zeros(3), height, offsets, places)
     x, y, z = vertices.T.astype(float)
-    np.testing.assert_allclose(places[0], height * (1 + np.arctan2(z, x) / np.pi), atol=0.1 * MARGIN)
-    np.testing.assert_allclose(places[1], height / np.pi * np.arctan2(np.hypot(x, z), y), atol=0.1 * MARGIN)
+    np.testing.assert_allclose(places[0], height * (1 + np.arctan2(z, x) / np.pi), atol=0.1 * float(MARGIN))
+    np.testing.assert_allclose(places[1], height / np.pi * np.arctan2(np.hypot(x, z), y), atol=0.1 * float(MARGIN))
 
 
 @pytest.mark.parametrize("height", [16, 60, 120])

@@ -115,8 +115,7 @@ class NetworkProbe:
         detail, known = latest_detail(panorama, partial.radiance, partial.depth_m, mask=partial.mask)
         ldr = fill_beyond(detail, known, partial.radiance, mask=partial.mask, hdr=hdr)
         weight = self.weigh(panorama, hdr, replace(partial, radiance=ldr), depth_max_m)
-        if self._graphs.filled:
-            hdr = fill_in(hdr, ldr, partial.mask, weight=weight)
+        hdr = fill_in(hdr, ldr, partial.mask, weight=weight)
         if self._hedge > 0:
             hdr = muted(hedged(hdr, (ldr, shipped_prior().fill(detail, known)), share=self._hedge), detail, known)
         if (self._graphs.form == "single" or self._hedge > 0) and not first:  # the fill has no memory of its own

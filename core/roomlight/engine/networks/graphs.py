@@ -52,8 +52,6 @@ class LightingGraphs:
     form: NetworkForm
     card: dict[str, Any]
     graphs: dict[str, Graph]
-    filled: bool
-    """Whether a fill is mixed in beyond the mesh (`BlendConfig.filled`), or only the volume is used there."""
 
     @property
     def volume_shape(self) -> tuple[int, int, int]:
@@ -94,8 +92,7 @@ def load_graphs(path: Path, *, provider: Provider = "auto") -> LightingGraphs:
             "their light would be noise; train them with `roomlight train`"
         )
     names = SINGLE_GRAPHS + (VIDEO_GRAPHS if form == "video" else ())
-    graphs = _open_checked(path, names, entries, provider)
-    return LightingGraphs(path, form, card, graphs, bool(index["config"].get("blend", {}).get("filled", True)))
+    return LightingGraphs(path, form, card, _open_checked(path, names, entries, provider))
 
 
 def load_part(path: Path, form: PartForm, *, provider: Provider = "auto") -> Graph:
