@@ -77,6 +77,11 @@ class ServerBenchOptions:
         weights = [] if self.weights is None else ["--weights", str(self.weights)]
         return ["--max-sessions", str(max(self.sessions) + 4), "--model", self.model, *weights]
 
+    @property
+    def serve_variables(self) -> dict[str, str]:
+        """Environment of the server: all phones have this machine's address."""
+        return {"ROOMLIGHT_MAX_CONNECTIONS_PER_ADDRESS": str(100 + 8 * max(self.sessions))}
+
 
 def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback | None = None) -> ServerReport:
     """Measure overhead and load, two minutes by default.
@@ -101,13 +106,16 @@ def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback 
         return server
 
     report("starting a server")
-    with ServerProcess(options.serve_arguments) as server, Client(started(server).url, timeouts=TIMEOUTS) as client:
+    with (
+        ServerProcess(options.serve_arguments, variables=options.serve_variables) as server,
+        Client(started(server).url, timeouts=TIMEOUTS) as client,
+    ):
         colours: tuple[FrameEncoding, ...] = ("jpeg", "exact")
         overhead = [_overhead(client, frames[::2], colour, probe, options, report) for colour in colours]
     load: list[LoadRow] = []
     for sessions in options.sessions:
         report(f"{sessions} sessions: starting a server")
-        with ServerProcess(options.serve_arguments) as server:
+        with ServerProcess(options.serve_arguments, variables=options.serve_variables) as server:
             load.append(_loaded(started(server), bodies, probe, sessions, options, report))
     return ServerReport(
         model=engine.model,

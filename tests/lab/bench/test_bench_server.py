@@ -2,7 +2,9 @@
 
 import asyncio
 import json
+from contextlib import ExitStack
 from dataclasses import replace
+from http.client import HTTPConnection
 
 import pytest
 from typer.testing import CliRunner
@@ -73,6 +75,18 @@ def test_criteria_are_judged_by_their_limits(report):
     stuck = replace(report.load[0], health=Latencies.of([1.0, 60.0, 60.0]))
     judged = replace(report, overhead=(slow, replace(slow, http_ms=11.4)), load=(stuck,)).criteria
     assert [criterion.holds for criterion in judged] == [False, True, False]
+
+
+@pytest.mark.slow
+def test_the_server_takes_the_connections_of_all_phones():
+    """Two each and those that are opened anew; 64 phones were refused at 128 connections of this address."""
+    options = replace(TINY, sessions=(64,))
+    with ExitStack() as opened, ServerProcess(options.serve_arguments, variables=options.serve_variables) as server:
+        for _ in range(3 * 64):
+            connection = HTTPConnection("127.0.0.1", server.port, timeout=60)
+            opened.callback(connection.close)
+            connection.request("GET", "/healthz")
+            assert connection.getresponse().status == 200
 
 
 def test_percentiles_of_nothing_are_none():
