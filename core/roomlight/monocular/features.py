@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Int, UInt8
 
+SIDE: Final = 640
+"""Longest side of the pictures that are compared; lengths in pixels are of such a picture."""
 _SIFT: Final = 1000
 _CONTRAST: Final = 0.004
 """SIFT's threshold; its default of 0.04 leaves few features on the walls of rooms."""
@@ -18,9 +20,8 @@ _RATIO: Final = 0.8
 """Distance of a feature's match relative to the second nearest feature's."""
 _CORNERS: Final = 500
 _CELL_PX: Final = 20.0
-"""Of the features in a cell of so many pixels of a 640-pixel picture, as all lengths here are, the one is followed on
-that was followed longest: with all of them, cameras took five times as long, and were turned wrong by 5.3 degrees
-instead of 3.4 (mean of 11 captures)."""
+"""Of the features in a cell of so many pixels the one is followed on that was followed longest: with all of them,
+cameras took five times as long, and were turned wrong by 5.3 degrees instead of 3.4 (mean of 11 captures)."""
 _APART_PX: Final = 12.0
 """Pixels between a corner and other features."""
 _ROUND_TRIP_PX: Final = 1.0
@@ -91,7 +92,7 @@ class FeatureTracker:
 
 
 def _unit(grey: UInt8[np.ndarray, "h w"]) -> float:
-    return max(grey.shape) / 640
+    return max(grey.shape) / SIDE
 
 
 def matched(first: Features, second: Features) -> Int[np.ndarray, "k 2"]:

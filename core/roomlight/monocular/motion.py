@@ -20,12 +20,10 @@ from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
 from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, reprojection_errors
 from roomlight.monocular.estimate import DepthModel
-from roomlight.monocular.features import Features, FeatureTracker, matched
+from roomlight.monocular.features import SIDE, Features, FeatureTracker, matched
 from roomlight.monocular.horizon import Lines, Upright, lines_of, upright
 from roomlight.monocular.tracks import grey_picture
 
-SIDE: Final = 640
-"""Longest side of the pictures that are compared."""
 _LEAST_FEATURES: Final = 40
 _LEAST_MATCHES: Final = 30
 """Of two pictures. With fewer, on blinds or plain walls, cameras came out 10 degrees off."""

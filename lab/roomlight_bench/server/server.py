@@ -71,16 +71,12 @@ class ServerBenchOptions:
     def __post_init__(self) -> None:
         check_options(self)
 
-    @property
-    def serve_arguments(self) -> list[str]:
-        """Arguments of `roomlight serve` that allow what these options measure."""
+    def server(self) -> ServerProcess:
+        """Prepare a server that allows what these options measure; all phones have this machine's address."""
         weights = [] if self.weights is None else ["--weights", str(self.weights)]
-        return ["--max-sessions", str(max(self.sessions) + 4), "--model", self.model, *weights]
-
-    @property
-    def serve_variables(self) -> dict[str, str]:
-        """Environment of the server: all phones have this machine's address."""
-        return {"ROOMLIGHT_MAX_CONNECTIONS_PER_ADDRESS": str(100 + 8 * max(self.sessions))}
+        arguments = ["--max-sessions", str(max(self.sessions) + 4), "--model", self.model, *weights]
+        connections = str(100 + 8 * max(self.sessions))
+        return ServerProcess(arguments, variables={"ROOMLIGHT_MAX_CONNECTIONS_PER_ADDRESS": connections})
 
 
 def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback | None = None) -> ServerReport:
@@ -106,16 +102,13 @@ def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback 
         return server
 
     report("starting a server")
-    with (
-        ServerProcess(options.serve_arguments, variables=options.serve_variables) as server,
-        Client(started(server).url, timeouts=TIMEOUTS) as client,
-    ):
+    with options.server() as server, Client(started(server).url, timeouts=TIMEOUTS) as client:
         colours: tuple[FrameEncoding, ...] = ("jpeg", "exact")
         overhead = [_overhead(client, frames[::2], colour, probe, options, report) for colour in colours]
     load: list[LoadRow] = []
     for sessions in options.sessions:
         report(f"{sessions} sessions: starting a server")
-        with ServerProcess(options.serve_arguments, variables=options.serve_variables) as server:
+        with options.server() as server:
             load.append(_loaded(started(server), bodies, probe, sessions, options, report))
     return ServerReport(
         model=engine.model,

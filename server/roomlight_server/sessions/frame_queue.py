@@ -35,7 +35,7 @@ class Entry:
     outcome: "asyncio.Future[FrameResult]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
     def decode(self, work: Coroutine[Any, Any, Frame]) -> None:
-        """Begin to decode the frame; nobody may ask for the result."""
+        """Begin to decode the frame; if its error stays unread, asyncio does not log it."""
         self.decoding = asyncio.create_task(work)
         self.decoding.add_done_callback(lambda done: done.cancelled() or done.exception())
 

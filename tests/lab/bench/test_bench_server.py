@@ -81,7 +81,7 @@ def test_criteria_are_judged_by_their_limits(report):
 def test_the_server_takes_the_connections_of_all_phones():
     """Two each and those that are opened anew; 64 phones were refused at 128 connections of this address."""
     options = replace(TINY, sessions=(64,))
-    with ExitStack() as opened, ServerProcess(options.serve_arguments, variables=options.serve_variables) as server:
+    with ExitStack() as opened, options.server() as server:
         for _ in range(3 * 64):
             connection = HTTPConnection("127.0.0.1", server.port, timeout=60)
             opened.callback(connection.close)

@@ -8,6 +8,8 @@ around, the pole rows repeat. Each kernel goes over its pixels once, where NumPy
 import numpy as np
 from numba import njit
 
+from roomlight.engine.kernels.blend import luminance
+
 _TINY = np.finfo(np.float32).tiny
 
 
@@ -47,7 +49,6 @@ def put_before(image, weight, filled):
 @njit(nogil=True, cache=True)
 def mix_beyond(hdr, ldr, mask, weight, colour_share, dark, out):
     """Compute `roomlight.engine.panorama.blend.fill_in` into `out` [h, w, 3]."""
-    red, green, blue = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
     height, width = mask.shape
     for row in range(height):
         for column in range(width):
@@ -55,13 +56,11 @@ def mix_beyond(hdr, ldr, mask, weight, colour_share, dark, out):
                 for channel in range(3):
                     out[row, column, channel] = hdr[row, column, channel]
                 continue
-            mixed, fill = np.float32(0), np.float32(0)
             for channel in range(3):
-                light, fills = hdr[row, column, channel], ldr[row, column, channel]
-                part = red if channel == 0 else (green if channel == 1 else blue)
-                out[row, column, channel] = light + weight[row, column] * (fills - light)
-                mixed += part * out[row, column, channel]
-                fill += part * fills
+                light = hdr[row, column, channel]
+                out[row, column, channel] = light + weight[row, column] * (ldr[row, column, channel] - light)
+            mixed = luminance(out[row, column, 0], out[row, column, 1], out[row, column, 2])
+            fill = luminance(ldr[row, column, 0], ldr[row, column, 1], ldr[row, column, 2])
             for channel in range(3):
                 colour = (ldr[row, column, channel] + dark) / (fill + dark)
                 out[row, column, channel] += colour_share * (mixed * colour - out[row, column, channel])
@@ -70,13 +69,12 @@ def mix_beyond(hdr, ldr, mask, weight, colour_share, dark, out):
 @njit(nogil=True, cache=True)
 def mute(light, colour, own, out):
     """Move the colour of light [h, w, 3] toward `colour` [3] of luminance 1, into `out`; `own` is its share."""
-    red, green, blue = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
     height, width, _ = light.shape
     for row in range(height):
         for column in range(width):
-            luminance = red * light[row, column, 0] + green * light[row, column, 1] + blue * light[row, column, 2]
+            level = luminance(light[row, column, 0], light[row, column, 1], light[row, column, 2])
             for channel in range(3):
-                grey = luminance * colour[channel]
+                grey = level * colour[channel]
                 out[row, column, channel] = grey + own * (light[row, column, channel] - grey)
 
 
