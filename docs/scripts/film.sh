@@ -1,5 +1,5 @@
 #!/bin/sh
-# Make docs/images/film.mp4, film.jpg and composite.jpg: docs/scripts/film.sh FOLDER (half an hour on two cores).
+# Make docs/images/film.mp4, film.jpg and composite.jpg: docs/scripts/film.sh FOLDER (six minutes on two cores).
 # FOLDER keeps the rendered room; stopped, the same command continues. Run it in the virtual environment.
 set -eu
 root=$(cd "$(dirname "$0")/../.." && pwd)
