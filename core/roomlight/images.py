@@ -32,6 +32,7 @@ from roomlight.imaging.exif import ExifCamera, oriented, read_exif
 from roomlight.imaging.exr import exr_size, read_exr
 from roomlight.imaging.heic import heic_exif, heic_size, is_heic, read_heic
 from roomlight.imaging.limits import MAX_JPEG_SEGMENTS, check_jpeg, check_png
+from roomlight.imaging.radiance import read_header, standard_size
 from roomlight.imaging.tags import ImageTags, profile_to_srgb8, read_tags
 from roomlight.notes import Note
 
@@ -120,18 +121,18 @@ def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> Colour
     if data[:4] == _EXR:
         _check_size(data, name)
         exr = read_exr(data, name)
-        image, alpha, seen = _finite(exr.colour(), name), exr.alpha(), exr.seen
-        if alpha is not None:
-            opaque = alpha >= MIN_ALPHA
-            seen = opaque if seen is None else seen & opaque
+        stored, alpha, seen = exr.colour(), exr.alpha(), exr.seen
+        for shown in (None if alpha is None else alpha >= MIN_ALPHA, ~np.isnan(stored).any(axis=-1)):
+            if shown is not None:
+                seen = shown if seen is None else seen & shown
+        image = _finite(stored, name)
         return ColourImage(image, np.zeros(image.shape[:2], bool), _unless_all(seen), exr.notes)
     if is_heic(data):
         return _decode_heic(data, name)
     if data[:2] == _HDR:
-        if b"32-bit_rle_xyze" in data[:4096]:
-            raise ImageError(f"{name}: the HDR holds XYZ, which is not read; convert it to RGB")
-        encoded = _decode_with_opencv(data, name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-        image = _finite(np.ascontiguousarray(encoded[..., ::-1], np.float32), name)
+        header = read_header(data, name)
+        encoded = _decode_with_opencv(standard_size(data), name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+        image = _finite(header.picture(encoded[..., ::-1].astype(np.float32)), name)
         return ColourImage(image, np.zeros(image.shape[:2], bool))
     return _decode_encoded(data, name, as_stored=as_stored)
 
@@ -367,8 +368,7 @@ def peek_size(data: bytes, name: str) -> tuple[int, int]:
             check_jpeg(data, name)
             return _jpeg_size(data, name)
         if data[:2] == _HDR:
-            line = data[data.index(b"\n\n") + 2 :].split(b"\n", 1)[0].split()
-            return int(line[3]), int(line[1])
+            return read_header(data, name).size
     except (struct.error, ValueError, IndexError) as error:
         raise ImageError(f"{name}: its header is damaged") from error
     raise ImageError(f"{name}: neither PNG, JPEG, EXR nor HDR (it starts with {data[:4].hex()})")

@@ -14,7 +14,7 @@ from roomlight.captures.source import Source
 from roomlight.depth import clean_depth
 from roomlight.errors import ImageError
 from roomlight.files import FolderSource
-from roomlight.images import MAX_PIXELS, ColourImage, decode_depth, decode_grey8, decode_picture, peek_size
+from roomlight.images import MAX_PIXELS, MIN_ALPHA, ColourImage, decode_depth, decode_grey8, decode_picture, peek_size
 from roomlight.imaging.other_formats import as_png
 
 _COLMAP: Final = re.compile(rb"(\d{1,5})&(\d{1,5})&1&")
@@ -50,13 +50,19 @@ def read_picture(source: Source, name: str) -> ColourImage:
 
 
 def read_mask(source: Source, name: str) -> Bool[np.ndarray, "h w"]:
-    """Read a mask: pixels of 0 are not seen. Raises FrameError and ImageError."""
+    """Read a mask: pixels of 0, or transparent where its alpha varies, are not seen. Raises FrameError and ImageError."""
     data = source.read(name)
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if peek_size(data, name) else None
     if decoded is None:
         raise ImageError(f"{source.label(name)}: the mask does not decode")
     mask = np.asarray(decoded)
-    return (mask if mask.ndim == 2 else mask[..., :3].max(axis=-1)) > 0
+    if mask.ndim == 2:
+        return mask > 0
+    shown = mask[..., :3].max(axis=-1) > 0
+    if mask.shape[2] < 4 or mask[..., 3].min() == mask[..., 3].max():
+        return shown
+    opaque = mask[..., 3] >= np.iinfo(mask.dtype).max * MIN_ALPHA
+    return opaque & shown if shown[opaque].any() else opaque
 
 
 def with_mask(picture: ColourImage, mask: Bool[np.ndarray, "mh mw"]) -> ColourImage:

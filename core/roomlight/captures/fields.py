@@ -34,7 +34,11 @@ def naming(label: str, error: type[CaptureError] | type[FrameError]) -> Generato
 def parse_json(data: bytes, label: str) -> dict[str, Any]:
     """Parse a JSON object. Raises CaptureError, which says where the JSON breaks."""
     try:
-        value: Any = json.loads(data.removeprefix(codecs.BOM_UTF8))
+        data = data.removeprefix(codecs.BOM_UTF8)
+        try:
+            value: Any = json.loads(data)
+        except UnicodeDecodeError:  # programs of Windows write names in the code page
+            value = json.loads(data.decode("latin-1"))
     except RecursionError as error:
         raise CaptureError(f"{label}: the JSON is nested too deeply to be a capture's index") from error
     except ValueError as error:  # JSONDecodeError, UnicodeDecodeError, integers of thousands of digits

@@ -5,6 +5,7 @@ pictures, Aria's FISHEYE624, F-theta) are refused by name, because a pinhole in 
 """
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -18,7 +19,10 @@ from roomlight.captures import fields
 from roomlight.images import ColourImage
 from roomlight.notes import Note
 
-_PERSPECTIVE: Final = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "PERSPECTIVE")
+_PERSPECTIVE: Final = (
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "PERSPECTIVE"),
+    *("PLUMB_BOB", "RADTAN", "BROWN"),
+)
 _FISHEYE: Final = (
     "OPENCV_FISHEYE",
     "OPENCVFISHEYE",
@@ -26,9 +30,17 @@ _FISHEYE: Final = (
     "RADIAL_FISHEYE",
     "FISHEYE",
     "EQUIDISTANT",
+    "KANNALA_BRANDT",
+    "KB4",
 )
+_NAMES: Final = ("file_path", "depth_file_path", "depth_path", "mask_path", "name")
+_FOREIGN_KEY: Final = re.compile(
+    r"ftheta|(equirectangular|orthographic|latlong|fisheye|xi|s[1-4]|b[12]|skew)$|dist(ortion)?_?(coef|param)"
+)
+"""Keys of lenses that no pinhole stands for."""
+_FOREIGN_LENS: Final = re.compile(r"fish.?eye|equirect|equidistant|panoram|spherical|omnidir|orthograph|kannala", re.I)
 _KEYS: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_MODEL_KEYS: Final = ("camera_model", "lens_mode", "lens", "model", "camera_type")
+_MODEL_KEYS: Final = ("camera_model", "lens_mode", "lens", "model", "camera_type", "distortion_model")
 _MAX_TANGENT: Final = math.tan(math.radians(60))
 """A straightened camera sees at most 120 degrees: beyond it pixels at the edge are stretched four times."""
 _HORIZON: Final = math.tan(math.radians(84.9))
@@ -86,10 +98,13 @@ def lens_of(entry: Mapping[str, Any], shared: Mapping[str, Any]) -> Lens:
     fisheye = fields.flag(fields.first_of(entry, shared, "is_fisheye")) or model in _FISHEYE
     if model and not fisheye and model not in _PERSPECTIVE:
         raise ValueError(f"camera_model {stated!r} is not read; undistort the images to a pinhole camera first")
-    for key in sorted({*entry, *shared}):
-        foreign = key.startswith("ftheta") or key in ("equirectangular", "orthographic", "latlong")
-        if foreign and _is_set(fields.first_of(entry, shared, key)):
-            raise ValueError(f"the lens of {key!r} is not read; undistort the images to a pinhole camera first")
+    for key in sorted({*entry, *shared} - {*MODEL_KEYS, *_NAMES}):
+        value = fields.first_of(entry, shared, key)
+        if _is_set(value) and (_FOREIGN_KEY.match(key) or (isinstance(value, str) and _FOREIGN_LENS.search(value))):
+            raise ValueError(
+                f"the lens of {key!r} ({str(value)[:40]}) is not read; state camera_model, k1, k2, p1, p2, or undistort "
+                "the images to a pinhole camera first"
+            )
     listed = fields.first_of(entry, shared, "distortion_params", "distortion")
     if isinstance(listed, list) and any(listed):
         raise ValueError(
@@ -219,4 +234,6 @@ def _opencv_matrix(camera: Intrinsics) -> Float[np.ndarray, "3 3"]:
 
 def _is_set(value: object) -> bool:
     """Whether a key's value is more than its default."""
+    if isinstance(value, list):
+        return any(map(_is_set, value))
     return value is not None and value is not False and value != 0

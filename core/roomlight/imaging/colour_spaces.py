@@ -110,7 +110,7 @@ def to_rec709(primaries: Chromaticities) -> Float[np.ndarray, "3 3"]:
     Raises:
         ValueError: The chromaticities are not those of three colours.
     """
-    if not all(map(math.isfinite, primaries)) or min(primaries[1::2]) <= 0:
+    if not all(map(math.isfinite, primaries)) or min(map(abs, primaries[1::2])) < 1e-6:  # ACES' blue lies below 0
         raise ValueError(f"has impossible chromaticities {primaries}")
     source, target = _to_xyz(primaries), _to_xyz(REC709)
     cones = (_BRADFORD @ target @ np.ones(3)) / (_BRADFORD @ source @ np.ones(3))

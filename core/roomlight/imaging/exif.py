@@ -23,11 +23,13 @@ class ExifCamera:
         orientation: EXIF's orientation tag, 1 to 8. 1 is upright, 3 upside down; the stored pixels must be rotated
             by 90 degrees clockwise for 6 and counter-clockwise for 8; 2, 4, 5 and 7 are mirrored.
         adobe_rgb: Whether the pixels are Adobe RGB, by the camera industry's DCF.
+        uncalibrated: Whether they are of another space than sRGB, which a profile should state.
     """
 
     focal_35mm: float | None = None
     orientation: int = 1
     adobe_rgb: bool = False
+    uncalibrated: bool = False
 
     def fov_deg(self, width: int, height: int) -> float | None:
         """Return the horizontal field of view in degrees of an image of this size in pixels; None if not stated.
@@ -63,6 +65,7 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         focal_35mm=float(focal) if isinstance(focal, int) and focal > 0 else None,  # 0 is EXIF's "unknown"
         orientation=orientation if isinstance(orientation, int) and 1 <= orientation <= 8 else 1,
         adobe_rgb=adobe,
+        uncalibrated=not adobe and details.get(ExifTags.Base.ColorSpace) == 65535,
     )
 
 

@@ -2,10 +2,12 @@
 
 Renderers write many layers into a file, named `Layer.Pass.Channel`. Colour is R, G, B without a layer, else the layer
 that is called Combined, rgba, beauty or the like, else the only layer with R, G and B. Depth is Z, or Z or V of a layer
-called depth, or the only channel of the file; a Z beside X and Y is a vector, and red is no depth.
+called depth, or the only Z or channel of the file; a Z beside X and Y is a vector, red is no depth, and neither are
+mist, masks and disparity. Colour is divided by its alpha, by which EXR multiplies it.
 """
 
 import os
+import re
 import struct
 import tempfile
 from collections.abc import Iterator
@@ -16,13 +18,20 @@ from typing import Any, Final
 
 import numpy as np
 import OpenEXR
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 
 from roomlight.errors import ImageError
 from roomlight.imaging.colour_spaces import REC709, to_rec709
 from roomlight.notes import Note
 
 _COMBINED: Final = ("combined", "rgba", "rgb", "beauty", "color", "colour", "image", "composite", "main")
+_PASSES: Final = re.compile(
+    r".(dir|ind|col)$|albedo|normal|position|vector|^uv$|crypto|emi(t|ssion)|^env|^ao$|shadow|mist|depth|luminance"
+)
+"""Layers of renderers that are a part of the picture, or none."""
+_NO_DEPTH: Final = re.compile(
+    r"mist|alpha|index|mask|confid|dispar|inv|norm|crypto|shadow|luminance|(^|\.)(a|ao|x|u|g|b)$"
+)
 _DEEPEST: Final = 65504.0
 """Half's largest value: it and beyond, and infinity, mean that nothing was hit."""
 
@@ -53,7 +62,7 @@ class ExrChannels:
     """The full-size channels of all parts by name, as stored; `seen` is where the data window has pixels."""
 
     name: str
-    channels: dict[str, Float[np.ndarray, "h w"]]
+    channels: dict[str, Shaped[np.ndarray, "h w"]]
     primaries: tuple[float, ...]
     seen: Bool[np.ndarray, "h w"] | None
     notes: tuple[Note, ...] = ()
@@ -66,14 +75,17 @@ class ExrChannels:
         """
         layer = self._colour_layer()
         if layer is not None:
-            image = np.stack([self.channels[f"{layer}{key}"] for key in "RGB"], axis=-1).astype(np.float32)
-            return self._to_rec709(image)
-        grey = self.channels.get("Y")
-        if grey is None and len(self.channels) == 1:
-            grey = next(iter(self.channels.values()))
-        if grey is None:
-            raise ImageError(f"{self.name}: the EXR has no colour; its channels are {_listed(self.channels)}")
-        return np.repeat(grey[..., None], 3, axis=-1).astype(np.float32)
+            image = np.stack([self.channels[f"{layer}{key}"] for key in "RGB"], axis=-1)
+            if image.dtype.kind != "f":
+                raise ImageError(f"{self.name}: the EXR holds integers, whose white is not stated; export half floats")
+            alpha = self.channels.get(f"{layer}A")
+            if alpha is not None:
+                image = image / np.where((alpha > 0) & (alpha < 1), alpha, 1)[..., None]
+            return self._to_rec709(image.astype(np.float32))
+        known = set(self.channels) - {"A"}
+        if len(known) != 1:
+            raise ImageError(f"{self.name}: the EXR has no colour (R, G, B); its channels are {_listed(self.channels)}")
+        return np.repeat(self.channels[known.pop()][..., None], 3, axis=-1).astype(np.float32)
 
     def alpha(self) -> Float[np.ndarray, "h w"] | None:
         """Return the alpha of the colour's layer; None without one. Raises ImageError as `colour`."""
@@ -86,7 +98,10 @@ class ExrChannels:
         layers = [layer for layer in layers if f"{layer}G" in self.channels and f"{layer}B" in self.channels]
         if "" in layers:
             return ""
-        chosen = [layer for layer in layers if _last(layer) in _COMBINED] or layers
+        chosen = [layer for layer in layers if _last(layer) in _COMBINED]
+        chosen = chosen or [layer for layer in layers if not _PASSES.search(_last(layer))]
+        if layers and not chosen:
+            raise ImageError(f"{self.name}: the EXR has only the passes {_listed(layers)}; export the combined picture")
         if len(chosen) > 1:
             raise ImageError(f"{self.name}: the EXR has the layers {_listed(chosen)}; keep the one that is the picture")
         return chosen[0] if chosen else None
@@ -107,22 +122,25 @@ class ExrChannels:
 
     def _depth_channels(self) -> list[str]:
         ranked: dict[int, list[str]] = {}
-        for key in self.channels:
+        names = [key for key in self.channels if not _NO_DEPTH.search(key.lower())]
+        for key in names:
             layer, _, last = key.rpartition(".")
             vector = f"{layer}.X" if layer else "X"
-            if last.lower() in ("z", "depth") and vector not in self.channels and layer == "":
-                ranked.setdefault(0, []).append(key)
-            elif last.lower() in ("z", "v", "y", "r", "depth") and "depth" in _last(f"{layer}."):
-                ranked.setdefault(1 + (last.lower() in "yr"), []).append(key)
+            if last.lower() in ("z", "depth") and vector not in self.channels:
+                ranked.setdefault(0 if layer == "" else 1 if "depth" in _last(f"{layer}.") else 3, []).append(key)
+            elif last.lower() in ("v", "y", "r") and "depth" in _last(f"{layer}."):
+                if last.lower() != "r" or self._is_grey(f"{layer}."):
+                    ranked.setdefault(1 if last.lower() == "v" else 2, []).append(key)
         if ranked:
             return ranked[min(ranked)]
         if len(self.channels) == 1:
-            return list(self.channels)
-        if set(self.channels) - {"A"} == {"R", "G", "B"}:  # a grey picture of depth
-            red, green, blue = (self.channels[key] for key in "RGB")
-            if np.array_equal(red, green, equal_nan=True) and np.array_equal(red, blue, equal_nan=True):
-                return ["R"]
-        return []
+            return names
+        return ["R"] if set(self.channels) - {"A"} == {"R", "G", "B"} and self._is_grey("") else []
+
+    def _is_grey(self, layer: str) -> bool:
+        """Whether red, green and blue of a layer, as far as they are there, are equal."""
+        red, *others = (self.channels[f"{layer}{key}"] for key in "RGB" if f"{layer}{key}" in self.channels)
+        return all(np.array_equal(red, other, equal_nan=True) for other in others)
 
     def _to_rec709(self, image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
         if max(abs(a - b) for a, b in zip(self.primaries, REC709, strict=True)) < 0.002:

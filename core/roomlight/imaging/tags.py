@@ -84,6 +84,9 @@ def _jpeg_tags(data: bytes, name: str) -> ImageTags:
         offset += 2 + length if marker != 0xFF else 1
     profile = b"".join(pieces[key] for key in sorted(pieces)) or None
     space = ColourSpace(ADOBE_RGB, gamma=563 / 256) if exif.adobe_rgb and profile is None else ColourSpace()
+    if exif.uncalibrated and profile is None:
+        stated = f"{name}: its EXIF says that its colours are not sRGB, and no profile says what they are"
+        notes.append(Note(stated, "they are read as sRGB", "save it as sRGB, or with its profile"))
     return ImageTags(space, profile, exif, notes=tuple(notes))
 
 
@@ -111,11 +114,13 @@ def _png_tags(data: bytes, name: str) -> ImageTags:
             )
     space, profile = ColourSpace(), None
     if len(chunks.get(b"cICP", b"")) == 4:
+        if chunks[b"cICP"][3] != 1:
+            raise ValueError("states values of narrow range (cICP), which are not read; save it with full range")
         space = ColourSpace.of_codes(chunks[b"cICP"][0], chunks[b"cICP"][1])
     elif b"iCCP" in chunks:
         profile = _inflated(chunks[b"iCCP"].partition(b"\0")[2][1:])
-    elif b"sRGB" not in chunks and len(chunks.get(b"gAMA", b"")) == 4:
-        space = _measured(chunks[b"gAMA"], chunks.get(b"cHRM", b""))
+    elif b"sRGB" not in chunks and (len(chunks.get(b"gAMA", b"")) == 4 or b"cHRM" in chunks):
+        space = _measured(chunks.get(b"gAMA", struct.pack(">I", 45455)), chunks.get(b"cHRM", b""))
     return ImageTags(space, profile, exif, alpha, tuple(notes))
 
 

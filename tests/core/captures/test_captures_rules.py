@@ -71,6 +71,7 @@ def test_pixels_look_where_the_lens_model_says(bent: Lens, radius: Callable[[np.
         {"is_fisheye": True},
         {"is_fisheye": "true"},
         {"lens_mode": "OpenCVFisheye"},
+        {"distortion_model": "kannala_brandt"},
     ],
 )
 def test_a_fisheye_is_one_by_every_name(transforms: Path, keys: dict) -> None:
@@ -90,6 +91,9 @@ def test_a_fisheye_is_one_by_every_name(transforms: Path, keys: dict) -> None:
         {"camera_model": "VR180_L"},
         {"lens_mode": "LatLong"},
         {"ftheta_p0": 0, "ftheta_p1": 0.01},
+        {"xi": 1.2},
+        {"projection": "Equirectangular"},
+        {"distortion_coefficients": [0.1, 0.02]},
         {"distortion_params": [0.1, 0.2, 0, 0]},
         {"k4": 0.1},
         {"is_fisheye": True, "p1": 0.01},
@@ -256,8 +260,16 @@ def test_transparent_and_masked_pixels_are_not_seen(transforms: Path) -> None:
     mask[:, :4] = 0
     formats.save(transforms / "masks/1.png", formats.image(".png", mask))
     edit(transforms / "transforms.json", lambda index: index["frames"][1].update(mask_path="masks/1.png"))
-    transparent, masked, plain, _ = open_capture(transforms)
-    assert plain.seen is None
+    moving = np.where(mask == 0, 255, 0).astype(np.uint8)
+    formats.save(transforms / "images/dynamic_mask_frame_00003.png", formats.image(".png", moving))
+    in_alpha = np.dstack([np.full((12, 16, 3), 255, np.uint8), mask])
+    formats.save(transforms / "masks/4.png", cv2.imencode(".png", in_alpha)[1].tobytes())
+    edit(transforms / "transforms.json", lambda index: index["frames"][3].update(mask_path="masks/4.png"))
+    transparent, masked, left_out, alpha = open_capture(transforms)
+    for frame in (left_out, alpha):
+        np.testing.assert_array_equal(frame.seen, masked.seen)
+    edit(transforms / "transforms.json", lambda index: index.update(mask_path="masks/1.png"))
+    np.testing.assert_array_equal(list(open_capture(transforms))[2].seen, masked.seen)
     for frame, hidden in ((transparent, np.s_[:6]), (masked, np.s_[:, :8])):
         assert frame.seen is not None
         assert not frame.seen[hidden].any()
@@ -265,6 +277,29 @@ def test_transparent_and_masked_pixels_are_not_seen(transforms: Path) -> None:
         assert not frame.depth_m[hidden].any()
         assert (frame.depth_m > 0).sum() == 576
         assert frame.image[hidden].min() > 0.02  # the colour around, not black
+
+
+def test_angles_of_view_that_differ_give_pixels_that_are_not_square(transforms: Path) -> None:
+    def change(index: dict) -> None:
+        for key in ("fl_x", "fl_y"):
+            index.pop(key, None)
+            for frame in index["frames"]:
+                frame.pop(key, None)
+        index.update(camera_angle_x=1.0, camera_angle_y=0.5)
+
+    edit(transforms / "transforms.json", change)
+    camera = next(iter(open_capture(transforms))).intrinsics
+    assert camera.fx == pytest.approx(camera.width / 2 / np.tan(0.5))
+    assert camera.fy == pytest.approx(camera.height / 2 / np.tan(0.25))
+
+
+def test_an_index_in_a_code_page_of_windows(transforms: Path) -> None:
+    (transforms / "images/frame_00001.png").rename(transforms / "images/fläche.png")
+    path = transforms / "transforms.json"
+    edit(path, lambda index: index["frames"][0].update(file_path="images/fläche.png"))
+    text = json.dumps(json.loads(path.read_text()), ensure_ascii=False)
+    path.write_bytes(text.encode("latin-1"))
+    assert len(list(open_capture(transforms))) == 4
 
 
 # Colour of video, orientation

@@ -119,6 +119,9 @@ def test_png_states_display_p3_by_codes_and_by_chromaticities() -> None:
     chromaticities = chunk(b"cHRM", struct.pack(">8I", *(round(value * 100_000) for value in stated)))
     gamma = chunk(b"gAMA", struct.pack(">I", 45455))
     np.testing.assert_allclose(linear_of(png(RED, gamma, chromaticities)), by_codes, atol=1e-3)
+    np.testing.assert_allclose(linear_of(png(RED, chromaticities)), by_codes, atol=1e-3)
+    with pytest.raises(ImageError, match="narrow range"):
+        linear_of(png(RED, chunk(b"cICP", bytes([1, 13, 0, 0]))))
 
 
 def test_a_linear_png_of_16_bits_keeps_its_values() -> None:
@@ -133,6 +136,48 @@ def test_adobe_rgb_by_exif() -> None:
     red = linear_of(saved("JPEG", exif=exif, quality=100))
     expected = to_rec709((0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.329)) @ (RED[0, 0] / 255.0) ** (563 / 256)
     np.testing.assert_allclose(red, np.maximum(expected, 0), atol=0.01)
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.ColorSpace] = 65535
+    (note,) = decode_picture(saved("JPEG", exif=exif), "x").notes
+    assert "not sRGB" in note.left_out
+
+
+RADIANCE = cv2.imencode(".hdr", np.arange(1, 16 * 12 * 3 + 1).reshape(12, 16, 3)[..., ::-1].astype(np.float32))[1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "change"),
+    [
+        (b"FORMAT", b"EXPOSURE=2\nEXPOSURE= 4\nFORMAT", lambda image: image / 8),
+        (b"FORMAT", b"COLORCORR=1 2 4\nFORMAT", lambda image: image / [1, 2, 4]),
+        (b"FORMAT", b"GAMMA=1\nPRIMARIES=0.64 0.33 0.29 0.6 0.15 0.06 0.3333 0.3333\nFORMAT", lambda image: image),
+        (
+            b"FORMAT",
+            b"PRIMARIES=0.68 0.32 0.265 0.69 0.15 0.06 0.3127 0.329\nFORMAT",
+            lambda image: np.maximum(image @ to_rec709(DISPLAY_P3).T, 0),
+        ),
+        (b"-Y 12 +X 16", b"+Y 12 +X 16", lambda image: image[::-1]),
+        (b"-Y 12 +X 16", b"-Y 12 -X 16", lambda image: image[:, ::-1]),
+    ],
+)
+def test_the_header_of_radiance_is_read(old: bytes, new: bytes, change) -> None:
+    plain = decode_picture(RADIANCE.tobytes(), "x.hdr").image
+    read = decode_picture(RADIANCE.tobytes().replace(old, new, 1), "x.hdr").image
+    np.testing.assert_allclose(read, change(plain), rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (b"FORMAT", b"GAMMA=2.2\nFORMAT", "gamma of 2.2"),
+        (b"rle_rgbe", b"rle_xyze", "xyze"),
+        (b"-Y 12 +X 16", b"+X 16 -Y 12", "no size as rows"),
+        (b"FORMAT", b"EXPOSURE=x\nFORMAT", "EXPOSURE=x"),
+        (b"FORMAT", b"PRIMARIES=1 2\nFORMAT", "2 numbers as primaries"),
+    ],
+)
+def test_what_is_not_read_of_radiance_is_refused_by_name(old: bytes, new: bytes, says: str) -> None:
+    with pytest.raises(ImageError, match=rf"^x\.hdr: .*{says}"):
+        decode_picture(RADIANCE.tobytes().replace(old, new, 1), "x.hdr")
 
 
 def test_cmyk_jpegs_are_read() -> None:

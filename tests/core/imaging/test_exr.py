@@ -36,8 +36,9 @@ def layer(name: str, **channels: np.ndarray) -> dict[str, np.ndarray]:
         {"V": DEPTH},
         {"Y": DEPTH},
         {"R": DEPTH, "G": DEPTH, "B": DEPTH},
+        {**layer("RenderLayer", **PLANE), **layer("RenderLayer", Z=DEPTH)},
     ],
-    ids=["rgbz", "blender", "compositor", "normals", "mist", "V", "Y", "grey"],
+    ids=["rgbz", "blender", "compositor", "normals", "mist", "V", "Y", "grey", "old blender"],
 )
 def test_depth_is_found_by_its_name(tmp_path: Path, channels: dict[str, np.ndarray]) -> None:
     np.testing.assert_array_equal(decode_depth(written(tmp_path / "d.exr", channels), "d.exr"), DEPTH)
@@ -49,6 +50,11 @@ def test_depth_is_found_by_its_name(tmp_path: Path, channels: dict[str, np.ndarr
         (PLANE, "no depth channel .*: A, B, G, R"),
         ({**layer("A.Depth", Z=DEPTH), **layer("B.Depth", Z=DEPTH)}, "several channels .*A.Depth.Z, B.Depth.Z"),
         (layer("Normal", X=DEPTH, Y=DEPTH, Z=DEPTH), "no depth channel"),
+        (layer("ViewLayer.Mist", Z=DEPTH), "no depth channel"),
+        (layer("disparity", V=DEPTH), "no depth channel"),
+        (layer("Depth_Normalized", Z=DEPTH), "no depth channel"),
+        ({"A": DEPTH}, "no depth channel"),
+        (layer("Depth", R=DEPTH, G=2 * DEPTH, B=DEPTH), "no depth channel"),
     ],
 )
 def test_what_cannot_be_told_is_refused(tmp_path: Path, channels: dict[str, np.ndarray], says: str) -> None:
@@ -65,10 +71,45 @@ def test_colour_is_the_combined_layer(tmp_path: Path) -> None:
     picture = decode_picture(written(tmp_path / "c.exr", passes), "c.exr")
     np.testing.assert_allclose(picture.image[0, 0], [0.5, 0.25, 0.125])
     two = {**layer("V.DiffDir", **PLANE), **layer("V.GlossDir", **PLANE)}
-    with pytest.raises(ImageError, match=r"layers V\.DiffDir, V\.GlossDir"):
+    with pytest.raises(ImageError, match=r"only the passes V\.DiffDir, V\.GlossDir"):
         decode_picture(written(tmp_path / "c.exr", two), "c.exr")
+    with pytest.raises(ImageError, match="layers left, right"):
+        decode_picture(written(tmp_path / "c.exr", {**layer("left", **PLANE), **layer("right", **PLANE)}), "c.exr")
     with pytest.raises(ImageError, match="has no colour"):
         decode_picture(written(tmp_path / "c.exr", layer("V.Normal", X=DEPTH, Y=DEPTH, Z=DEPTH)), "c.exr")
+
+
+@pytest.mark.parametrize(
+    ("channels", "says"),
+    [
+        ({"Y": DEPTH, "RY": DEPTH, "BY": DEPTH}, "no colour"),
+        ({"X": DEPTH, "Y": DEPTH, "Z": DEPTH}, "no colour"),
+        ({key: (255 * DEPTH).astype(np.uint32) for key in "RGB"}, "integers"),
+        (layer("ViewLayer.DiffCol", **PLANE), "only the passes"),
+    ],
+)
+def test_what_is_no_picture_is_refused(tmp_path: Path, channels: dict[str, np.ndarray], says: str) -> None:
+    with pytest.raises(ImageError, match=rf"^c\.exr: .*{says}"):
+        decode_picture(written(tmp_path / "c.exr", channels), "c.exr")
+
+
+def test_alpha_is_divided_out_and_what_is_no_number_is_not_seen(tmp_path: Path) -> None:
+    alpha = np.full_like(DEPTH, 0.75)
+    stored = {**{key: 0.75 * plane for key, plane in PLANE.items()}, "A": alpha}
+    picture = decode_picture(written(tmp_path / "a.exr", stored), "a.exr")
+    np.testing.assert_allclose(picture.image[0, 0], [0.5, 0.25, 0.125], rtol=1e-3)
+    picture = decode_picture(written(tmp_path / "n.exr", {**PLANE, "R": np.where(DEPTH < 2, np.nan, DEPTH)}), "n.exr")
+    assert picture.seen is not None
+    np.testing.assert_array_equal(picture.seen, DEPTH >= 2)
+
+
+def test_primaries_of_aces(tmp_path: Path) -> None:
+    """White of AP0 is white; its green lies outside Rec. 709. Coefficients of SMPTE ST 2065-1's matrix, adapted."""
+    ap0 = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
+    grey = dict.fromkeys("RGB", np.full_like(DEPTH, 0.5))
+    image = decode_picture(written(tmp_path / "w.exr", grey, chromaticities=ap0), "w.exr").image
+    np.testing.assert_allclose(image[0, 0], 0.5, rtol=1e-3)
+    np.testing.assert_allclose(to_rec709(ap0)[0], [2.5217, -1.1341, -0.3876], atol=2e-3)
 
 
 def test_parts_are_layers(tmp_path: Path) -> None:

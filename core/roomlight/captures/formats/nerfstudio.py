@@ -2,7 +2,8 @@
 
 Schema: `frames: [{file_path, depth_file_path | depth_path, transform_matrix, timestamp?, intrinsics?, mask_path?,
 is_bad?}]`; intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x`. Colour names may lack their suffix.
-Pixels of a mask that are 0 are not seen; frames that are marked `is_bad` are skipped.
+Pixels of a mask that are 0 are not seen; instant-ngp's `dynamic_mask_NAME.png` beside an image is the other way round.
+Frames that are marked `is_bad` are skipped.
 
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up`
 (x, y, z, -x, -y, -z or three numbers), or is NeRFCapture's (it alone has `depth_path` or `*integer_*scale`
@@ -22,7 +23,7 @@ import math
 import re
 from collections.abc import Generator
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from roomlight.camera import Intrinsics
@@ -52,6 +53,7 @@ _READ: Final = frozenset(
             "w",
             "h",
             "camera_angle_x",
+            "camera_angle_y",
             "world_up",
             "depth_unit_scale_factor",
             "applied_scale",
@@ -62,7 +64,7 @@ _READ: Final = frozenset(
 _HARMLESS: Final = frozenset(  # what trainers of radiance fields need, and names
     {
         *("aabb_scale", "scale", "offset", "applied_transform", "ply_file_path", "train_filenames", "val_filenames"),
-        *("test_filenames", "test_frames", "sharpness", "colmap_im_id", "has_mask", "camera_angle_y", "name", "id"),
+        *("test_filenames", "test_frames", "sharpness", "colmap_im_id", "has_mask", "name", "id"),
         *("version", "format", "fps", "n_frames", "camera_id", "frame_id", "orientation_override", "rotation"),
     }
 )
@@ -150,11 +152,14 @@ class NerfstudioReader:
 
     def _masked(self, entry: dict[str, Any], picture: ColourImage, where: str) -> ColourImage:
         """Apply the frame's mask, which may have another size."""
-        if entry.get("mask_path") is None:
-            return picture
-        with fields.naming(where, FrameError):
-            name = self._source.with_suffix(fields.text(entry["mask_path"], "mask_path"), _SUFFIXES)
-        return with_mask(picture, read_mask(self._source, name))
+        stated = fields.first_of(entry, self._shared, "mask_path")
+        if stated is not None:
+            with fields.naming(where, FrameError):
+                name = self._source.with_suffix(fields.text(stated, "mask_path"), _SUFFIXES)
+            picture = with_mask(picture, read_mask(self._source, name))
+        path = PurePosixPath(str(entry["file_path"]).replace("\\", "/"))
+        moving = str(path.with_name(f"dynamic_mask_{path.stem}.png"))
+        return with_mask(picture, ~read_mask(self._source, moving)) if self._source.has(moving) else picture
 
     def _unread_keys(self) -> list[Note]:
         keys = {str(key)[:40] for entry in (self._shared, *self._frames) for key in entry} - _READ - _HARMLESS
@@ -182,8 +187,10 @@ class NerfstudioReader:
             fx = 0.5 * width / math.tan(0.5 * _angle(angle))
         else:
             raise ValueError("has neither fl_x nor camera_angle_x")
-        fl_y = fields.first_of(entry, self._shared, "fl_y")
+        fl_y, high = (fields.first_of(entry, self._shared, key) for key in ("fl_y", "camera_angle_y"))
         fy = fx if fl_y is None else fields.positive(fl_y, "fl_y")
+        if fl_y is None and fl_x is None and high is not None:
+            fy = 0.5 * height / math.tan(0.5 * _angle(high, "camera_angle_y"))
         cx, cy = (fields.first_of(entry, self._shared, key) for key in ("cx", "cy"))
         return Intrinsics(
             fx,
@@ -261,10 +268,10 @@ def _time(frame: dict[str, Any]) -> float | None:
         return None
 
 
-def _angle(value: object) -> float:
-    angle = fields.positive(value, "camera_angle_x")
+def _angle(value: object, what: str = "camera_angle_x") -> float:
+    angle = fields.positive(value, what)
     if angle >= math.pi:
-        raise ValueError(f"camera_angle_x is {angle} rad; it must be below pi")
+        raise ValueError(f"{what} is {angle} rad; it must be below pi")
     return angle
 
 
