@@ -121,10 +121,10 @@ def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> Colour
     if data[:4] == _EXR:
         _check_size(data, name)
         exr = read_exr(data, name)
-        stored, alpha, seen = exr.colour(), exr.alpha(), exr.seen
-        for shown in (None if alpha is None else alpha >= MIN_ALPHA, ~np.isnan(stored).any(axis=-1)):
-            if shown is not None:
-                seen = shown if seen is None else seen & shown
+        stored, alpha = exr.colour(), exr.alpha()
+        seen = np.logical_not(np.isnan(stored).any(axis=-1))
+        for shown in (exr.seen, None if alpha is None else alpha >= MIN_ALPHA):
+            seen = seen if shown is None else np.logical_and(seen, shown)
         image = _finite(stored, name)
         return ColourImage(image, np.zeros(image.shape[:2], bool), _unless_all(seen), exr.notes)
     if is_heic(data):

@@ -50,7 +50,7 @@ def read_picture(source: Source, name: str) -> ColourImage:
 
 
 def read_mask(source: Source, name: str) -> Bool[np.ndarray, "h w"]:
-    """Read a mask: pixels of 0, or transparent where its alpha varies, are not seen. Raises FrameError and ImageError."""
+    """Read a mask: pixels of 0, or transparent ones where alpha varies, are not seen. Raises FrameError, ImageError."""
     data = source.read(name)
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if peek_size(data, name) else None
     if decoded is None:
@@ -61,7 +61,7 @@ def read_mask(source: Source, name: str) -> Bool[np.ndarray, "h w"]:
     shown = mask[..., :3].max(axis=-1) > 0
     if mask.shape[2] < 4 or mask[..., 3].min() == mask[..., 3].max():
         return shown
-    opaque = mask[..., 3] >= np.iinfo(mask.dtype).max * MIN_ALPHA
+    opaque = mask[..., 3] >= int(mask[..., 3].max()) * MIN_ALPHA
     return opaque & shown if shown[opaque].any() else opaque
 
 

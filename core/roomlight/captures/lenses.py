@@ -102,8 +102,8 @@ def lens_of(entry: Mapping[str, Any], shared: Mapping[str, Any]) -> Lens:
         value = fields.first_of(entry, shared, key)
         if _is_set(value) and (_FOREIGN_KEY.match(key) or (isinstance(value, str) and _FOREIGN_LENS.search(value))):
             raise ValueError(
-                f"the lens of {key!r} ({str(value)[:40]}) is not read; state camera_model, k1, k2, p1, p2, or undistort "
-                "the images to a pinhole camera first"
+                f"the lens of {key!r} ({str(value)[:40]}) is not read; state camera_model with k1, k2, p1, p2; or "
+                "undistort the images to a pinhole camera first"
             )
     listed = fields.first_of(entry, shared, "distortion_params", "distortion")
     if isinstance(listed, list) and any(listed):

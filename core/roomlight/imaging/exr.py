@@ -128,9 +128,10 @@ class ExrChannels:
             vector = f"{layer}.X" if layer else "X"
             if last.lower() in ("z", "depth") and vector not in self.channels:
                 ranked.setdefault(0 if layer == "" else 1 if "depth" in _last(f"{layer}.") else 3, []).append(key)
-            elif last.lower() in ("v", "y", "r") and "depth" in _last(f"{layer}."):
-                if last.lower() != "r" or self._is_grey(f"{layer}."):
-                    ranked.setdefault(1 if last.lower() == "v" else 2, []).append(key)
+            elif last.lower() in ("v", "y") and "depth" in _last(f"{layer}."):
+                ranked.setdefault(1 if last.lower() == "v" else 2, []).append(key)
+            elif last == "R" and "depth" in _last(f"{layer}.") and self._is_grey(f"{layer}."):
+                ranked.setdefault(2, []).append(key)
         if ranked:
             return ranked[min(ranked)]
         if len(self.channels) == 1:

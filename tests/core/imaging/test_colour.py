@@ -3,6 +3,7 @@
 import io
 import struct
 import zlib
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -159,7 +160,7 @@ RADIANCE = cv2.imencode(".hdr", np.arange(1, 16 * 12 * 3 + 1).reshape(12, 16, 3)
         (b"-Y 12 +X 16", b"-Y 12 -X 16", lambda image: image[:, ::-1]),
     ],
 )
-def test_the_header_of_radiance_is_read(old: bytes, new: bytes, change) -> None:
+def test_the_header_of_radiance_is_read(old: bytes, new: bytes, change: Callable[[np.ndarray], np.ndarray]) -> None:
     plain = decode_picture(RADIANCE.tobytes(), "x.hdr").image
     read = decode_picture(RADIANCE.tobytes().replace(old, new, 1), "x.hdr").image
     np.testing.assert_allclose(read, change(plain), rtol=1e-5, atol=1e-4)
