@@ -26,7 +26,7 @@ from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
 from roomlight.depth import clean_depth
 from roomlight.errors import ImageError, OutputError
 from roomlight.files import write_atomic
-from roomlight.frame import CLIPPED_SRGB8
+from roomlight.frame import clipped_pixels
 from roomlight.imaging.colour_spaces import ColourSpace
 from roomlight.imaging.exif import ExifCamera, oriented, read_exif
 from roomlight.imaging.exr import exr_size, read_exr
@@ -111,8 +111,8 @@ def read_bytes(path: Path) -> bytes:
 def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> ColourImage:
     """Decode a JPEG, PNG, HEIC, EXR or HDR file to linear RGB by the file's colour space.
 
-    Files of 8 and 16 bits clip at `CLIPPED_SRGB8`, and are rotated by their EXIF orientation unless `as_stored`. EXR
-    and HDR are linear and never clip.
+    Files of 8 and 16 bits clip at `roomlight.frame.CLIPPED_SRGB8`, and are rotated by their EXIF orientation unless
+    `as_stored`. EXR and HDR are linear and never clip.
 
     Raises:
         ImageError: The data does not decode, its header declares more than `MAX_PIXELS`, or its colour space is not
@@ -142,7 +142,7 @@ def _decode_heic(data: bytes, name: str) -> ColourImage:
     photo = read_heic(data, name)
     rgb, notes = np.ascontiguousarray(photo.pixels[..., :3]), photo.notes
     top = int(np.iinfo(rgb.dtype).max)
-    clipped = np.max(rgb, axis=-1) >= CLIPPED_SRGB8 * (top // 255)
+    clipped = clipped_pixels(rgb)
     seen = photo.pixels[..., 3] >= top * MIN_ALPHA if photo.pixels.shape[2] == 4 else None
     space = photo.space
     if photo.profile is not None:
@@ -165,8 +165,8 @@ def _decode_encoded(data: bytes, name: str, *, as_stored: bool) -> ColourImage:
         raise ImageError(f"{name}: {error}") from error
     depth = 0 if tags.space.is_srgb else cv2.IMREAD_ANYDEPTH
     encoded = _decode_with_opencv(data, name, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION | depth)
-    rgb = np.ascontiguousarray(encoded[..., ::-1])
-    clipped = np.max(rgb, axis=-1) >= CLIPPED_SRGB8 * (1 if rgb.dtype == np.uint8 else 257)
+    rgb = np.asarray(cv2.cvtColor(encoded, cv2.COLOR_BGR2RGB))
+    clipped = clipped_pixels(rgb)
     notes = tags.notes
     if tags.profile is not None:
         source = Image.open(io.BytesIO(data)) if _is_cmyk(data) else rgb

@@ -13,7 +13,7 @@ from av.video.frame import VideoFrame
 
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import FrameError
-from roomlight.frame import CLIPPED_SRGB8
+from roomlight.frame import clipped_pixels
 from roomlight.images import MAX_PIXELS, ColourImage
 from roomlight.imaging.colour_spaces import ColourSpace
 from roomlight.notes import Note
@@ -144,7 +144,7 @@ class VideoFrames:
             rgb = np.ascontiguousarray(small.to_ndarray(format=layout))
         except (FFmpegError, ValueError, MemoryError) as error:
             raise FrameError(f"{self._label}: frame {number} does not convert to RGB ({error})") from error
-        clipped = np.max(rgb, axis=-1) >= CLIPPED_SRGB8 * (1 if rgb.dtype == np.uint8 else 257)
+        clipped = clipped_pixels(rgb)
         notes = self._notes
         if self._upright:
             rgb, clipped = (

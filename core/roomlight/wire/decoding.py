@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from roomlight.conventions import srgb8_to_linear
 from roomlight.depth import DEPTH_MEDIAN_M, clean_depth
 from roomlight.errors import RoomLightError, WireError
-from roomlight.frame import CLIPPED_SRGB8, Frame, hidden
+from roomlight.frame import Frame, clipped_pixels, hidden
 from roomlight.images import ColourImage, decode_depth, decode_grey8, decode_picture
 from roomlight.imaging.heic import heic_available, heic_size
 from roomlight.wire.frame_header import DEPTH_BYTES, ConfidencePart, DepthPart, FrameHeader
@@ -69,7 +69,7 @@ def _colour(message: FrameMessage) -> ColourImage:
         return ColourImage(image, clipped > 0)
     if encoding == "rgb8":
         rgb = np.frombuffer(data, np.uint8).reshape(height, width, 3)
-        return ColourImage(srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8)
+        return ColourImage(srgb8_to_linear(rgb), clipped_pixels(rgb))
     if encoding == "heic" and not heic_available():
         rule = "the server has no HEIC decoder (pip install 'roomlight[heic]'); send jpeg or png"
         raise _error("colour.encoding", "heic", rule)

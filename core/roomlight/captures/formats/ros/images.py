@@ -12,7 +12,7 @@ from roomlight.captures.decoding import decode_depth_map
 from roomlight.captures.lenses import Lens, lens_of
 from roomlight.conventions import srgb8_to_linear
 from roomlight.depth import clean_depth
-from roomlight.frame import CLIPPED_SRGB8
+from roomlight.frame import clipped_pixels
 from roomlight.images import MAX_PIXELS, ColourImage, decode_picture
 
 _ORDERS: Final = {
@@ -76,7 +76,7 @@ def decode_colour_image(message: Any, label: str) -> ColourImage:
         rgb = np.ascontiguousarray(values[..., [order.index(key) if key in order else 0 for key in "RGB"]])
     else:
         raise ValueError(f"colour of {message.encoding[:40]!r} is not read; record rgb8 or bgr8")
-    return ColourImage(srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8)
+    return ColourImage(srgb8_to_linear(rgb), clipped_pixels(rgb))
 
 
 def decode_depth_image(message: Any, label: str, unit_m: float | None) -> Float[np.ndarray, "h w"]:
