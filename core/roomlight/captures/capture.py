@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
-from roomlight.captures.consistency import FRAMES, DepthCheck
-from roomlight.captures.notes import lying_camera, scaled_poses, wrong_scale
-from roomlight.captures.options import UP_AXES, CameraConvention, CaptureOptions, PoseDirection, up_vector
+from roomlight.captures.consistency import FRAMES, DepthCheck, PoseCheck
+from roomlight.captures.notes import lying_camera, odd_camera, scaled_poses, wrong_poses, wrong_scale
+from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
 from roomlight.depth import DEPTH_MEDIAN_M, without_unseen
@@ -29,9 +29,6 @@ from roomlight.notes import Note
 
 if TYPE_CHECKING:
     from roomlight.monocular.stream import DepthStream
-
-_LEVEL_FRAMES: Final = 8
-"""Frames after which the assumed up direction is compared with how the camera was held."""
 
 
 @dataclass(frozen=True)
@@ -267,8 +264,7 @@ class Capture:
             if after.depth is not None:
                 self._depth_stream = self._opened_stream()
                 self._depth_stream.state = after.depth
-        turns: list[Float[np.ndarray, "3 3"]] = []
-        depths = DepthCheck()
+        depths, poses = DepthCheck(), PoseCheck(self._to_y_up, opencv=self._camera_convention == "opencv")
         with self._reader.records() as read:
             for index in self._indices:
                 if index <= at.last:
@@ -280,18 +276,18 @@ class Capture:
                     skipped.append(SkippedFrame(index, self._reader.name_of(index), str(error)))
                     continue
                 at.good += 1
-                if at.good <= FRAMES:  # the first ones are compared
-                    turns.append(frame.camera_to_world[:3, :3])
-                    if self._up_is_assumed and at.good == _LEVEL_FRAMES:
-                        self._check_up(turns)
-                    if (
-                        self._depth_stream is None
-                        and self._options.depth_unit_m is None
-                        and depths.add(frame)
-                        and (factor := depths.factor())
-                    ):
-                        self._notes[wrong_scale(str(self.path), factor)] = None
+                if (
+                    at.good <= FRAMES  # the first ones are compared
+                    and self._depth_stream is None
+                    and self._options.depth_unit_m is None
+                    and depths.add(frame)
+                    and (factor := depths.factor())
+                ):
+                    self._notes[wrong_scale(str(self.path), factor)] = None
+                if poses.add(frame):
+                    self._check_poses(poses)
                 yield frame
+        self._check_poses(poses)
         if at.good == 0:
             first = skipped[0]
             reason = first.reason if first.reason.startswith(first.file) else f"{first.file}: {first.reason}"
@@ -406,23 +402,14 @@ class Capture:
             upward = float(-frame.camera_to_world[1, 2])
             if np.abs(pose[:3, :3] - np.eye(3)).max() < 0.02 and abs(upward) > 0.99 and self._up_is_assumed:
                 self._notes[lying_camera(frame.source, self._camera_convention, upward)] = None
+            if (odd := odd_camera(frame.source, frame.intrinsics)) is not None:
+                self._notes[odd] = None
 
-    def _check_up(self, turns: list[Float[np.ndarray, "3 3"]]) -> None:
-        """Note another axis of the stored world about which the cameras were held level, if the assumed one is none."""
-        mean = np.mean(turns, axis=0)[:, :2]  # where the image's x and y point, on average, in the y-up world
-
-        def level(axis: str) -> float:
-            return float(np.abs(self._to_y_up[:3, :3] @ np.array(UP_AXES[axis]) @ mean).max())
-
-        if np.abs(mean[1]).max() > 0.6:
-            return
-        axis = max(("x", "y", "z"), key=level)
-        if level(axis) > 0.9:
-            note = Note(
-                f"{self.path}: the cameras are level about the {axis} axis of the stored world, not the assumed up",
-                "the panorama may be turned by 90 degrees",
-                f"state world_up (--world-up {axis} or -{axis})",
-            )
+    def _check_poses(self, poses: PoseCheck) -> None:
+        """Note what contradicts the pictures in the assumed conventions; estimated poses fit them."""
+        wrong = None if isinstance(self._reader, Preparing) else poses.disagreement()
+        if wrong is not None and (wrong.axis is None or self._up_is_assumed):
+            note = wrong_poses(str(self.path), wrong, self._camera_convention, self._pose_direction)
             self._notes[note] = None
 
     def _to_conventions(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

@@ -1,17 +1,22 @@
-"""Whether the depth of a capture agrees with its poses: a wrong unit of either shows in the maps themselves.
+"""Whether pictures, depth and poses of a capture agree: what a format or a user assumes is checked by what they show.
 
 The map of a camera, moved into the view of another by the poses, must meet that camera's own map. Where the unit of
-depth is wrong, the maps meet only when all depths are multiplied by the same factor.
+depth is wrong, the maps meet only when all depths are multiplied by the same factor. Features of the pictures move as
+poses and depth say; where the direction of the poses or the camera's axes are assumed wrongly, they move as the other
+convention says.
 """
 
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.captures.decoding import registered
+from roomlight.captures.options import UP_AXES
 from roomlight.conventions import OPENCV_TO_OPENGL
 from roomlight.frame import Frame
 
@@ -25,6 +30,137 @@ _MIN_MOVE: Final = 0.03
 _MIN_SHARED: Final = 0.2
 _CLEAR: Final = 0.5
 """Disagreement that the best factor may leave, of that without it."""
+
+
+_TURN_DEG: Final = 3.0
+"""Turn between the pictures whose features are compared."""
+_TURNS: Final = 6
+_WIDTH: Final = 320
+_LEAST_TRACKS: Final = 20
+_LEAST_PAIRS: Final = 3
+_LEAST_ERROR: Final = 0.012
+"""Distance of features from where they should be, relative to the width, below which nothing is said: the smallest turn
+moves them by 0.04."""
+_SHARE: Final = 0.3
+"""Distance that another convention may leave, of that of the assumed one."""
+_LENGTHS: Final = (1e-3, 1e-2, 1e2, 1e3)
+
+
+class Tracks(NamedTuple):
+    """Pixels of features in a view and in the next one, and their depth in the first."""
+
+    at: int
+    start: Float[np.ndarray, "n 2"]
+    end: Float[np.ndarray, "n 2"]
+    depth_m: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """What is wrong with the poses, as features show it.
+
+    Attributes:
+        inverse: The poses map the other way.
+        other_axes: The camera has the axes of the other convention.
+        length: Factor on positions that brings them together with depth.
+        known: Whether one of these explains it.
+        axis: Axis of the stored world about which the cameras are level, if it is not the assumed up.
+    """
+
+    inverse: bool = False
+    other_axes: bool = False
+    length: float = 1.0
+    known: bool = True
+    axis: str | None = None
+
+
+class PoseCheck:
+    """Collects pictures of a pass that differ by a turn; `disagreement` compares them."""
+
+    def __init__(self, to_y_up: Float[np.ndarray, "4 4"], *, opencv: bool) -> None:
+        """Take the conventions that are assumed: the turn of the world, and whether cameras have OpenCV's axes."""
+        self._to_y_up, self._opencv = to_y_up, opencv
+        self._views: list[tuple[UInt8[np.ndarray, "h w"], Frame]] = []
+
+    def add(self, frame: Frame) -> bool:
+        """Take a frame; returns whether it completes the set."""
+        if len(self._views) >= _TURNS:
+            return False
+        if self._views:
+            last = self._views[-1][1].camera_to_world[:3, :3]
+            cosine = (np.trace(last.T @ frame.camera_to_world[:3, :3]) - 1) / 2
+            if cosine > np.cos(np.radians(_TURN_DEG)):
+                return False
+        small = frame.resized(_WIDTH, _WIDTH)
+        grey = np.clip(small.image.mean(axis=-1) / max(float(np.percentile(small.image, 99)), 1e-6), 0, 1)
+        self._views.append((np.rint(255 * np.sqrt(grey)).astype(np.uint8), small))
+        return len(self._views) == _TURNS
+
+    def disagreement(self) -> Disagreement | None:
+        """Return what is wrong; None for nothing, and if the pictures do not tell."""
+        stated = [frame.camera_to_world for _, frame in self._views]
+        if len(stated) < _LEAST_PAIRS:
+            return None
+        axis = self._level_axis(np.stack(stated)[:, :3, :3])
+        lying = None if axis is None else Disagreement(axis=axis)
+        pairs = [pair for at in range(len(stated) - 1) if (pair := self._tracks(at)) is not None]
+        if len(pairs) < _LEAST_PAIRS:
+            return lying
+
+        def error(poses: Sequence[Float[np.ndarray, "4 4"]], length: float = 1.0) -> float:
+            return float(np.median([self._error(pair, poses, length) for pair in pairs]))
+
+        assumed = error(stated)
+        if assumed < _LEAST_ERROR:
+            return lying
+        axes = OPENCV_TO_OPENGL if self._opencv else np.eye(4)
+        stored = [rigid_inverse(self._to_y_up) @ pose @ axes for pose in stated]
+        choices = {Disagreement(length=length): error(stated, length) for length in _LENGTHS}
+        for inverse in (False, True):
+            poses = [rigid_inverse(pose) for pose in stored] if inverse else stored
+            for other in (False, True):
+                flip = OPENCV_TO_OPENGL if other != self._opencv else np.eye(4)
+                choices[Disagreement(inverse, other)] = error([pose @ flip for pose in poses])
+        best = min(choices, key=lambda choice: choices[choice])
+        if choices[best] < min(_LEAST_ERROR, _SHARE * assumed):
+            return best
+        moved = np.median([np.median(np.linalg.norm(pair.end - pair.start, axis=1)) for pair in pairs])
+        lost = assumed > max(4 * _LEAST_ERROR, float(moved) / self._views[0][0].shape[1])
+        return Disagreement(known=False) if lost else lying
+
+    def _tracks(self, at: int) -> Tracks | None:
+        """Follow features of a view into the next one; None for too few."""
+        (first, frame), (second, _) = self._views[at : at + 2]
+        corners = cv2.goodFeaturesToTrack(first, 200, 0.01, 5)
+        if np.size(corners) < 2 * _LEAST_TRACKS or first.shape != second.shape:
+            return None
+        there, there_is, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, np.copy(corners), None, None, (15, 15), 4)
+        back, back_is, _ = cv2.calcOpticalFlowPyrLK(second, first, there, there.copy(), None, None, (15, 15), 4)
+        start, end = corners[:, 0], there[:, 0]
+        share = np.array(frame.depth_m.shape[::-1]) / first.shape[::-1]
+        column, row = ((start + 0.5) * share).astype(int).T
+        depth_m = frame.depth_m[row, column]
+        good = (there_is[:, 0] > 0) & (back_is[:, 0] > 0) & (depth_m > 0)
+        good &= np.linalg.norm(back[:, 0] - start, axis=1) < 0.5
+        return Tracks(at, start[good], end[good], depth_m[good]) if good.sum() >= _LEAST_TRACKS else None
+
+    def _error(self, pair: Tracks, poses: Sequence[Float[np.ndarray, "4 4"]], length: float) -> float:
+        """Return how far features are from where poses and depth put them: median, relative to the width."""
+        camera = self._views[pair.at][1].intrinsics
+        motion = rigid_inverse(poses[pair.at + 1]) @ poses[pair.at]
+        x, y = ((pair.start + 0.5 - [camera.cx, camera.cy]) / [camera.fx, camera.fy]).T
+        points = np.stack([x, -y, -np.ones_like(x)], axis=1) * pair.depth_m[:, None]
+        xy, z = camera.project(points @ motion[:3, :3].T + length * motion[:3, 3])
+        distance = np.where(z > 0, np.linalg.norm(xy - 0.5 - pair.end, axis=1), camera.width)
+        return min(float(np.median(distance)) / camera.width, 1.0)
+
+    def _level_axis(self, turns: Float[np.ndarray, "n 3 3"]) -> str | None:
+        """Return the axis of the stored world about which the cameras turned upright, if it is not the assumed one."""
+        seen = {name: turns.transpose(0, 2, 1) @ self._to_y_up[:3, :3] @ np.array(UP_AXES[name]) for name in "xyz"}
+        up, axis = turns[:, 1], max(seen, key=lambda name: float(np.abs(seen[name][:, 1]).mean()))
+        assumed, other = (np.linalg.norm(way - way.mean(axis=0), axis=1).mean() for way in (up, seen[axis]))
+        wrong = assumed > 0.1 and other < 0.5 * assumed and np.abs(up[:, 1]).mean() < 0.5
+        return axis if wrong and np.abs(seen[axis][:, 1]).mean() > 0.8 else None
 
 
 class DepthCheck:

@@ -1,5 +1,7 @@
-"""Notes of an open capture: what its poses and depth leave open."""
+"""Notes of an open capture: what its poses, lens and depth leave open."""
 
+from roomlight.camera import Intrinsics
+from roomlight.captures.consistency import Disagreement
 from roomlight.notes import Note
 
 
@@ -26,7 +28,50 @@ def scaled_poses(name: str, metres: float, height_m: float) -> Note:
 def wrong_scale(name: str, factor: float) -> Note:
     """Make the note for depth whose unit is not that of the poses."""
     return Note(
-        f"{name}: depth contradicts the poses; they agree with depth about {factor:.2g} times as large",
+        f"{name}: depth contradicts the poses; they agree with depth about {float(f'{factor:.2g}'):g} times as large",
         "the unit of depth, or of the poses, seems wrong",
         "state depth_unit_m, the metres for one stored unit of depth, or scale the poses to metres",
     )
+
+
+def wrong_poses(name: str, wrong: Disagreement, convention: str, direction: str) -> Note:
+    """Make the note for poses that do not fit the pictures, or a world that lies on its side."""
+    if wrong.axis is not None:
+        return Note(
+            f"{name}: the cameras are level about the {wrong.axis} axis of the stored world, not the assumed up",
+            "the panorama may be turned by 90 degrees",
+            f"state world_up (--world-up {wrong.axis} or -{wrong.axis})",
+        )
+    if wrong.length != 1:
+        return wrong_scale(name, 1 / wrong.length)
+    if not wrong.known:
+        return Note(
+            f"{name}: features of the pictures move otherwise than poses and depth say",
+            "light comes from wrong places",
+            "check that pictures, poses and depth are in one order, and none of them turned",
+        )
+    options: list[str] = []
+    if wrong.other_axes:
+        options.append(f"camera_convention (--camera-convention {'opengl' if convention == 'opencv' else 'opencv'})")
+    if wrong.inverse:
+        other = "camera-to-world" if direction == "world-to-camera" else "world-to-camera"
+        options.append(f"pose_direction (--pose-direction {other})")
+    return Note(
+        f"{name}: features of the pictures do not move as {direction} poses with the camera axes of {convention} say",
+        "light comes from wrong directions",
+        f"state {' and '.join(options)}, with which they do",
+    )
+
+
+def odd_camera(name: str, camera: Intrinsics) -> Note | None:
+    """Make the note for intrinsics that hardly a camera has, and another size or unit explains; else None."""
+    x, y = camera.cx / camera.width, camera.cy / camera.height
+    if not (0.2 <= min(x, y) and max(x, y) <= 0.8):
+        what = f"a principal point at ({camera.cx:g}, {camera.cy:g}) of {camera.width} x {camera.height}"
+    elif not 0.25 <= camera.width / camera.fx <= 8:
+        what = f"a focal length of {camera.fx:g} pixels for {camera.width} pixels"
+    elif not 0.8 <= camera.fx / camera.fy <= 1.25:
+        what = f"focal lengths of {camera.fx:g} and {camera.fy:g} pixels"
+    else:
+        return None
+    return Note(f"{name}: {what}", "it is taken as stated", "check that the intrinsics are those of this picture")
