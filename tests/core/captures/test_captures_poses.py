@@ -1,0 +1,100 @@
+"""Assumed conventions of poses, and intrinsics, are compared with what the pictures show."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from capture_checks import edit
+
+import box_room
+from roomlight.camera import Intrinsics
+from roomlight.captures import CaptureOptions, open_capture
+from roomlight.conventions import OPENCV_TO_OPENGL, linear_to_srgb8
+
+CAMERA = Intrinsics(140.0, 140.0, 80.0, 60.0, 160, 120)
+
+
+def walk(count: int = 7) -> list[np.ndarray]:
+    """A camera that turns, nods and moves."""
+    poses = []
+    for k in range(count):
+        nod = np.eye(4)
+        c, s = np.cos(0.08 * np.sin(k)), np.sin(0.08 * np.sin(k))
+        nod[1:3, 1:3] = [[c, -s], [s, c]]
+        poses.append(box_room.pose(0.06 * k, turn=0.3 + 0.09 * k).astype(np.float64) @ nod)
+    return poses
+
+
+def written(path: Path, stored: Callable[[np.ndarray], np.ndarray], **keys: object) -> Path:
+    """Write the walk as a transforms.json whose world is y-up, with its poses stored in some way."""
+    path.mkdir()
+    frames = []
+    for number, pose in enumerate(walk()):
+        frame = box_room.frame(number, pose, depth=True, lens=CAMERA)
+        cv2.imwrite(str(path / f"{number}.png"), linear_to_srgb8(frame.image)[..., ::-1])
+        cv2.imwrite(str(path / f"d{number}.png"), np.rint(1000 * frame.depth_m).astype(np.uint16))
+        files = {"file_path": f"{number}.png", "depth_file_path": f"d{number}.png"}
+        frames.append(files | {"transform_matrix": stored(pose).tolist()})
+    lens = {"fl_x": 140, "fl_y": 140, "cx": 80, "cy": 60, "w": 160, "h": 120, "world_up": "y"}
+    (path / "transforms.json").write_text(json.dumps(lens | keys | {"frames": frames}))
+    return path
+
+
+def in_millimetres(pose: np.ndarray) -> np.ndarray:
+    moved = pose.copy()
+    moved[:3, 3] *= 1000
+    return moved
+
+
+@pytest.mark.parametrize(
+    ("stored", "keys", "says"),
+    [
+        (lambda pose: pose, {}, None),
+        (lambda pose: pose @ OPENCV_TO_OPENGL, {}, "--camera-convention opencv"),
+        (np.linalg.inv, {}, "--pose-direction world-to-camera"),
+        (
+            lambda pose: np.linalg.inv(pose @ OPENCV_TO_OPENGL),
+            {},
+            "--camera-convention opencv) and pose_direction (--pose-direction world-to-camera",
+        ),
+        (in_millimetres, {}, "about 1000 times as large"),
+        (lambda pose: pose, {"world_up": "z"}, "--world-up y"),
+        (lambda pose: pose @ np.diag([-1.0, -1, 1, 1]), {}, "move otherwise than poses and depth say"),
+    ],
+    ids=["right", "opencv", "world-to-camera", "both", "millimetres", "z-up", "upside down"],
+)
+def test_conventions_that_contradict_the_pictures_are_pointed_out(
+    tmp_path: Path, stored: Callable[[np.ndarray], np.ndarray], keys: dict, says: str | None
+) -> None:
+    capture = open_capture(written(tmp_path / "walk", stored, **keys))
+    assert len(list(capture)) == 7
+    assert len(capture.notes) == (says is not None)
+    assert says is None or says in str(capture.notes[0])
+
+
+def test_stated_conventions_that_fit_are_silent(tmp_path: Path) -> None:
+    path = written(tmp_path / "walk", lambda pose: np.linalg.inv(pose @ OPENCV_TO_OPENGL))
+    options = CaptureOptions(camera_convention="opencv", pose_direction="world-to-camera")
+    list(capture := open_capture(path, options))
+    assert capture.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"cx": 30}, "(30, 60) of 160 x 120"),
+        ({"fl_x": 1400, "fl_y": 1400}, "1400 pixels"),
+        ({"fl_y": 70}, "140 and 70"),
+    ],
+)
+def test_intrinsics_that_hardly_a_camera_has_are_pointed_out(transforms: Path, keys: dict, says: str) -> None:
+    for file in (*(transforms / "images").iterdir(), *(transforms / "depth").iterdir()):
+        stored = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(file), cv2.resize(stored, (160, 120), interpolation=cv2.INTER_NEAREST))
+    lens = {"fl_x": 140, "fl_y": 140, "cx": 80, "cy": 60, "w": 160, "h": 120}
+    edit(transforms / "transforms.json", lambda index: [frame.update(lens | keys) for frame in index["frames"]])
+    list(capture := open_capture(transforms))
+    assert says in capture.notes[0].left_out
