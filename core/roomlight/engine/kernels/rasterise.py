@@ -171,8 +171,9 @@ def rasterise(faces, numbers, offsets, places, rays, height, raster):
     """
     width = 2 * height
     rows = np.float32(height)
-    for number in numbers:
-        i, j, k = faces[number, 0], faces[number, 1], faces[number, 2]
+    for signed in numbers:
+        number = np.uint64(signed)  # numba wraps signed indices: a select for each look-up
+        i, j, k = np.uint64(faces[number, 0]), np.uint64(faces[number, 1]), np.uint64(faces[number, 2])
         # 1. Bounds in pixels
         left, right, top, bottom = _corner_bounds(places, i, j, k, height)
         if not (right - left) * np.float32(math.pi / height) < WIDE:  # also where a place is NaN
@@ -200,8 +201,8 @@ def rasterise(faces, numbers, offsets, places, rays, height, raster):
         # 3. Pixel centres inside, and the nearest triangle of each
         for row in range(first_row, last_row + 1):
             for unwrapped in range(first_column, last_column + 1):
-                column = unwrapped % width
-                pixel = row * width + column
+                beyond = width if unwrapped < 0 else (-width if unwrapped >= width else 0)
+                pixel = np.uint64(row * width + unwrapped + beyond)
                 x, y, z = rays[pixel, 0], rays[pixel, 1], rays[pixel, 2]
                 a = sign * (x * px + y * py + z * pz)
                 b = sign * (x * qx + y * qy + z * qz)
@@ -214,7 +215,7 @@ def rasterise(faces, numbers, offsets, places, rays, height, raster):
                 distance = sign * volume / slope
                 if distance < raster.distance[pixel]:
                     raster.distance[pixel] = distance
-                    raster.triangle[pixel] = number
+                    raster.triangle[pixel] = signed
                     raster.front[pixel] = np.int32(volume < 0)
                     hx, hy, hz = distance * x - ax, distance * y - ay, distance * z - az
                     mx, my, mz = hy * fz - hz * fy, hz * fx - hx * fz, hx * fy - hy * fx
@@ -351,9 +352,9 @@ def sample_level(image, shape, seen, maps, levels, level, last, out):
             continue
         x = min(max((maps[number, 0] + half) * scale_column - half, np.float32(0)), np.float32(columns - 1))
         y = min(max((maps[number, 1] + half) * scale_row - half, np.float32(0)), np.float32(rows - 1))
-        left, top = int(x), int(y)
-        right, bottom = min(left + 1, columns - 1), min(top + 1, rows - 1)
-        across, down = x - np.float32(left), y - np.float32(top)
+        left, top = np.uint64(x), np.uint64(y)
+        right, bottom = np.uint64(min(int(x) + 1, columns - 1)), np.uint64(min(int(y) + 1, rows - 1))
+        across, down = x - np.float32(int(x)), y - np.float32(int(y))
         for channel in range(channels):
             above = image[top, left, channel] * (one - across) + image[top, right, channel] * across
             below = image[bottom, left, channel] * (one - across) + image[bottom, right, channel] * across
