@@ -11,6 +11,7 @@ import ssl
 import sys
 import threading
 from collections.abc import Callable, Generator
+from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from types import FrameType
 from typing import Any, Final
@@ -18,6 +19,7 @@ from typing import Any, Final
 import uvicorn
 from fastapi import FastAPI
 
+from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.errors import ServerError
 from roomlight_server.app import create_app
 from roomlight_server.base.logs import configure_logging, native_lines_logged
@@ -251,6 +253,7 @@ def serve(
     *,
     listening: Callable[[str, str | None], object],
     read_tokens: ReadTokens | None = None,
+    graphs: "Future[LightingGraphs | None] | None" = None,
 ) -> None:
     """Serve until SIGINT or SIGTERM.
 
@@ -259,6 +262,7 @@ def serve(
         listening: Called before the first request is answered, with the URL of the server and, on the local network,
             the URL that pairs a phone.
         read_tokens: Called at SIGHUP; None: SIGHUP stops the server.
+        graphs: As in `Workers.load`.
 
     Raises:
         ModelError: The weights of the default model cannot be loaded.
@@ -270,7 +274,7 @@ def serve(
         allow_files(settings.max_connections)
         app = create_app(settings, when_ready=freeze_garbage_collector)
         context: Context = app.state.context
-        context.workers.load()
+        context.workers.load(graphs)
         if "*" in settings.allow_origins and not settings.tokens:
             _log.warning("allow_origins is * and there is no token: any web page on this machine can use the server")
         try:

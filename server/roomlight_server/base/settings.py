@@ -12,7 +12,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.engine.networks.providers import Provider
-from roomlight.engine.options import ModelName
+from roomlight.engine.options import ModelName, SessionOptions
 from roomlight.engine.surface.keyframes import DEFAULT_KEYFRAMES
 from roomlight.errors import ServerError
 from roomlight.wire.frame_message import FrameLimits, rule_text
@@ -195,6 +195,11 @@ class ServerSettings(BaseSettings):
             if not 16 <= len(token) <= 512 or not token.isascii() or not token.isprintable() or " " in token:
                 raise ValueError("a token must be 16 to 512 printable ASCII characters without spaces")
         return tokens
+
+    @property
+    def session_options(self) -> SessionOptions:
+        """Options of the engine on which those of each session are based."""
+        return SessionOptions(model=self.model, weights=self.weights, provider=self.provider, keyframes=self.keyframes)
 
     @property
     def session_expiry_s(self) -> float:

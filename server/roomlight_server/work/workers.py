@@ -8,7 +8,7 @@ import asyncio
 import threading
 import time
 from collections.abc import AsyncGenerator, Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from contextvars import ContextVar, copy_context
 from dataclasses import replace
@@ -74,25 +74,23 @@ class Workers:
             settings.decode_timeout_s, settings.object_timeout_s, settings.object_limits
         )
         self._decode_threads, self._composite_timeout_s = settings.decode_threads, settings.composite_timeout_s
-        self._base = SessionOptions(
-            model=settings.model,
-            weights=settings.weights,
-            provider=settings.provider,
-            keyframes=settings.keyframes,
-        )
+        self._base = settings.session_options
         self._depth_model = settings.depth_model
         self._graphs: dict[ModelName, LightingGraphs | None] = {}
         self._loading_lock = asyncio.Lock()
 
-    def load(self) -> None:
+    def load(self, graphs: "Future[LightingGraphs | None] | None" = None) -> None:
         """Load the graphs of the default model and a depth model of one's own, blocking; start the decoding processes.
+
+        Args:
+            graphs: Those of the settings, if another thread loads them already.
 
         Raises:
             ModelError: The weights or the depth model cannot be loaded.
         """
         if self._depth_model is not None:
             self.new_depth_stream()
-        self._graphs[self._base.model] = choose_graphs(self._base)
+        self._graphs[self._base.model] = choose_graphs(self._base) if graphs is None else graphs.result()
         self.decode_processes.start(self._decode_threads)
 
     def new_depth_stream(self) -> DepthStream:
