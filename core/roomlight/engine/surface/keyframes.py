@@ -16,7 +16,7 @@ from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import OptionError
 
 DEFAULT_KEYFRAMES: Final = 24
-"""A keyframe of 320 x 240 pixels takes 2.1 MB, 3.7 MB where pixels are clipped, so 24 take 50 to 90 MB a session; they
+"""A keyframe of 320 x 240 pixels takes at most 1.5 MB (`roomlight.engine.memory`), so 24 take 36 MB a session; they
 cover two pans around a room at 58 degrees of view."""
 MIN_NEW_SHARE: Final = 0.04
 """A frame is kept if at least this share of its cells is in no keyframe yet: 4 % is a pan of about 2.5 degrees."""
