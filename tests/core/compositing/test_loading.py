@@ -250,7 +250,7 @@ HOSTILE: dict[str, tuple[Callable[[GltfFile], object], str]] = {
         ),
         "sparse index points at",
     ),
-    "required extension": (lambda f: f.tree.update(extensionsRequired=["KHR_meshopt_compression"]), "meshopt"),
+    "required extension": (lambda f: f.tree.update(extensionsRequired=["KHR_gaussian_splatting"]), "splatting"),
     "points alone": (lambda f: f.tree["meshes"][0]["primitives"][0].update(mode=0), "no surface"),
     "roughness as a list": (
         lambda f: f.tree["materials"][0]["pbrMetallicRoughness"].update(roughnessFactor=[1]),

@@ -1,4 +1,4 @@
-"""EXT_meshopt_compression: streams that its encoder wrote of the values that are computed here."""
+"""EXT_ and KHR_meshopt_compression: streams that the encoder wrote of the values that are computed here."""
 
 import base64
 import random
@@ -34,6 +34,19 @@ EXPONENTIAL = (
     "pWW7Ed5SiAE//wAArYMcGXy+aAE//wAAERIREhESEQAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAPAVNQTw54sE8A=="
 )
 
+NEWER = (
+    "oR9drygAAOY3UnqX5xPlhFmEBhFKFAmJN7mN2iL6HlZsOG+rnVn7mUENAzm1AAAJopg3ruCeCcU+4BuUz0IfWY/A7ua/mXdWNxoBGzRM"
+    "YniNobTG1ysAAGpQRh4aGhgWFBQSEhIQ9oiGhmhmZmYSZGZkZAAAAAABAgB/GgATFxMfExcTDx8TFxMfExcTHw93dwAAPwMHAwBLZ48T"
+    "49/Xm3v3P0Oz74frq0cv8wP/NzvbF58j088niwunT1OjH5cOABNj1PWvn48cPhs4Ch8KNxw0DBcyHzETMBMxHv8ANRMtNB0qNhoKD+9q"
+    "+m/vavr6Gj4aeh5v72r6b+9q+joa/ho6Hv8ABnoOGgYKPgoA66+HSxkYSoau4OOxiU0bFkiErN7ls4tPHRRGgqrc57+DUR8SRHayAD4+"
+    "PoM+PoM+PoM+PoM+PoM+PoM+PoM+Pj6DPj6DPj6DPj6DPj6DPgQgAAQsAAANMfExcTEf3d0AAA8DBwMAAAAAAAAAAAAAAAAAAAAAAAAA"
+    "AAFiAEI="
+)
+COLOURS_8 = "of8ADg4OcQ4ODgAbGxvkGxsZAFVXUyhVVVUAfn1+fX59fgAAAAAAAAAAAAAAAAAAAAAAAAB/AH/AAA=="
+COLOURS_16 = (
+    "oXffANzc3CXc3NwAEAAHALW3tUi3tbUBFdUAAA4AkpSUkJSSlAADBQUEBQUDARmZAAAABgUGBQYFBgAAAAAAAAAAAAAAAAAA/wcAAP8HAAwBAA=="
+)
+
 
 def decoded(text: str, count: int, stride: int, mode: Any, filtered: Any = "NONE") -> bytes:
     content = memoryview(base64.b64decode(text))
@@ -64,6 +77,31 @@ def test_attributes_are_exact() -> None:
     assert np.frombuffer(decoded(ATTRIBUTES, 20, 8, "ATTRIBUTES"), "<u2").tolist() == expected
 
 
+def newer() -> bytes:
+    """Floats, numbers of 16 and 32 bits, and zeros that end: every mode of version 1 for 4 bytes and their bits."""
+    k = np.arange(40)
+    columns = [
+        np.sqrt(k).astype("<f4").view("<u4"),
+        k * k * 300 % 65536 | k * 1000 % 65536 << 16,
+        k * k * 7919 % 251 + 256 * (k * 31 % 97),
+        np.where(k > 20, 0x3F800000 + (k << 20), 0),
+    ]
+    return np.stack(columns, axis=1).astype("<u4").tobytes()
+
+
+def test_attributes_of_the_newer_version_are_exact() -> None:
+    assert decoded(NEWER, 40, 16, "ATTRIBUTES") == newer()
+
+
+@pytest.mark.parametrize(("text", "dtype", "bits"), [(COLOURS_8, "<u1", 8), (COLOURS_16, "<u2", 12)])
+def test_colours(text: str, dtype: str, bits: int) -> None:
+    size = np.dtype(dtype).itemsize
+    values = np.frombuffer(decoded(text, 8, 4 * size, "ATTRIBUTES", "COLOR"), dtype).reshape(8, 4)
+    k = np.arange(8)
+    expected = np.stack([k / 7, 1 - k / 7, k % 4 / 4, np.where(k % 2, 1, 0.5)], axis=1)
+    np.testing.assert_allclose(values / np.iinfo(values.dtype).max, expected, atol=4 / 2**bits)
+
+
 def unit(*components: np.ndarray) -> np.ndarray:
     vectors = np.stack(components, axis=1)
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -88,7 +126,7 @@ def test_quaternions_and_exponents() -> None:
     np.testing.assert_allclose(floats, 5 * np.sin(np.arange(24)), atol=1e-4)
 
 
-def compressed_grid() -> GltfFile:
+def compressed_grid(name: str = "EXT_meshopt_compression") -> GltfFile:
     """A GLB as gltfpack packs it: the indices compressed, their plain buffer left out."""
     file = GltfFile()
     points = np.stack([np.arange(901) % 4, np.arange(901) // 4, np.zeros(901)], axis=1)
@@ -98,18 +136,19 @@ def compressed_grid() -> GltfFile:
     packed = file.tree["bufferViews"][file.view(content)]
     stated = {"buffer": 0, "byteOffset": packed["byteOffset"], "byteLength": len(content)}
     stated |= {"byteStride": 2, "count": 63, "mode": "TRIANGLES"}
-    extensions = {"EXT_meshopt_compression": stated}
+    extensions = {name: stated}
     file.tree["bufferViews"][at] = {"buffer": 1, "byteLength": 126, "extensions": extensions}
-    file.tree["extensionsRequired"] = ["EXT_meshopt_compression"]
+    file.tree["extensionsRequired"] = [name]
     file.tree["buffers"] = [
         {"byteLength": len(file.content)},
-        {"byteLength": 126, "extensions": {"EXT_meshopt_compression": {"fallback": True}}},
+        {"byteLength": 126} | ({"extensions": {name: {"fallback": True}}} if name.startswith("EXT") else {}),
     ]
     return file
 
 
-def test_a_compressed_glb_is_read() -> None:
-    found = load_object(compressed_grid().glb())
+@pytest.mark.parametrize("name", ["EXT_meshopt_compression", "KHR_meshopt_compression"])
+def test_a_compressed_glb_is_read(name: str) -> None:
+    found = load_object(compressed_grid(name).glb())
     assert found.triangles == 21
     assert found.notes == ()
 
@@ -154,7 +193,10 @@ def _bomb() -> bytes:
 
 @pytest.mark.parametrize(
     ("text", "count", "stride", "mode"),
-    [(TRIANGLES, 63, 2, "TRIANGLES"), (INDICES, 24, 4, "INDICES"), (ATTRIBUTES, 20, 8, "ATTRIBUTES")],
+    [
+        *[(TRIANGLES, 63, 2, "TRIANGLES"), (INDICES, 24, 4, "INDICES")],
+        *[(ATTRIBUTES, 20, 8, "ATTRIBUTES"), (NEWER, 40, 16, "ATTRIBUTES")],
+    ],
 )
 def test_changed_bytes_are_decoded_or_refused(text: str, count: int, stride: int, mode: str) -> None:
     rng, whole = random.Random(3), base64.b64decode(text)

@@ -121,7 +121,7 @@ def buffer_views(
             content = resource(buffer.uri, beside, f"{name}: buffer {index}")
         elif index == 0 and binary is not None:
             content = binary
-        elif MESHOPT in buffer.extensions:
+        elif any(key in buffer.extensions or key in gltf.extensionsRequired for key in MESHOPT):
             buffers.append(memoryview(b""))  # stands for what the views decompress to
             continue
         else:
@@ -142,7 +142,8 @@ def buffer_views(
     decoded = 0
     for index, view in enumerate(gltf.bufferViews):
         label = f"{name}: bufferViews.{index}"
-        compressed = extension(Compressed, view, MESHOPT, label, [])
+        named = next((key for key in MESHOPT if key in view.extensions), MESHOPT[0])
+        compressed = extension(Compressed, view, named, label, [])
         if compressed is None:
             views.append(span(view, label))
             continue

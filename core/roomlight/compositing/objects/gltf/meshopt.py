@@ -1,4 +1,4 @@
-"""Decode buffer views of EXT_meshopt_compression, as gltfpack writes them."""
+"""Decode buffer views of EXT_meshopt_compression and KHR_meshopt_compression, as gltfpack writes them."""
 
 from typing import Annotated, Final, Literal
 
@@ -10,8 +10,8 @@ from roomlight.compositing.objects.gltf.kernels.meshopt import attributes, indic
 from roomlight.compositing.objects.gltf.schema import BufferView
 from roomlight.errors import ObjectError
 
-MESHOPT: Final = "EXT_meshopt_compression"
-_HEADERS: Final = {"ATTRIBUTES": 0xA0, "TRIANGLES": 0xE1, "INDICES": 0xD1}
+MESHOPT: Final = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+_HEADERS: Final = {"ATTRIBUTES": (0xA0, 0xA1), "TRIANGLES": (0xE1,), "INDICES": (0xD1,)}
 _Index = Annotated[int, Field(ge=0)]
 
 
@@ -26,7 +26,7 @@ class Compressed(BaseModel):
     byteStride: Annotated[int, Field(ge=1, le=256)]  # noqa: N815
     count: _Index
     mode: Literal["ATTRIBUTES", "TRIANGLES", "INDICES"]
-    filter: Literal["NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL"] = "NONE"
+    filter: Literal["NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR"] = "NONE"
 
 
 def decode_view(stated: Compressed, view: BufferView, content: memoryview, label: str) -> memoryview:
@@ -47,7 +47,7 @@ def decode_view(stated: Compressed, view: BufferView, content: memoryview, label
         raise ObjectError(f"{label}: {count} values of {stride} bytes are not the {view.byteLength} of the view")
     if count == 0:
         return memoryview(b"")
-    if len(data) == 0 or data[0] != _HEADERS[stated.mode]:
+    if len(data) == 0 or data[0] not in _HEADERS[stated.mode]:
         raise ObjectError(f"{label}: its compressed {stated.mode.lower()} have the header {data[:1].tolist()}")
     out = np.zeros((count, stride), np.uint8)
     if stated.mode == "ATTRIBUTES":
@@ -76,6 +76,8 @@ def _filtered(values: UInt8[np.ndarray, "n b"], stated: Compressed, label: str) 
             return np.ldexp(((words << 8) >> 8).astype(np.float32), words >> 24).astype("<f4")
     if stride != 8 and (name == "QUATERNION" or stride != 4):
         raise ObjectError(f"{label}: the filter {name} of values of {stride} bytes")
+    if name == "COLOR":
+        return _colours(values.view("<u2" if stride == 8 else "<u1"))
     whole = values.view("<i2" if stride == 8 else "<i1")
     most = np.iinfo(whole.dtype).max
     v = whole.astype(np.float64)
@@ -92,3 +94,14 @@ def _filtered(values: UInt8[np.ndarray, "n b"], stated: Compressed, label: str) 
     for step, component in enumerate((w, *xyz.T)):
         out[np.arange(len(v)), (first + step) % 4] = np.rint(component * most)
     return out
+
+
+def _colours(values: np.ndarray) -> np.ndarray:
+    """Return RGBA of luma, two differences of colour and alpha; alpha's highest bit says how many bits they have."""
+    luma, alpha = values[:, 0].astype(np.int64), values[:, 3].astype(np.int64)
+    orange, green = values.view("<i2" if values.itemsize == 2 else "<i1")[:, 1:3].astype(np.int64).T
+    most = (1 << np.frexp(np.maximum(alpha, 1).astype(np.float64))[1]) - 1
+    low = alpha & (most >> 1)
+    rgba = np.stack([luma + orange - green, luma + green, luma - orange - green, 2 * low | (low & 1)], axis=1)
+    scaled = np.rint(rgba * (np.iinfo(values.dtype).max / most)[:, None])
+    return np.clip(scaled, 0, np.iinfo(values.dtype).max).astype(values.dtype)

@@ -35,7 +35,7 @@ SUPPORTED_EXTENSIONS: Final = frozenset(
         *(
             "KHR_mesh_quantization",
             "EXT_mesh_gpu_instancing",
-            MESHOPT,
+            *MESHOPT,
             "KHR_node_visibility",
             "EXT_texture_webp",
             "EXT_texture_avif",

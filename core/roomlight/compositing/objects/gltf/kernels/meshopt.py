@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""The bit streams of EXT_meshopt_compression, as the extension's own text defines them.
+"""The bit streams of EXT_ and KHR_meshopt_compression, as the extensions' own text defines them.
 
 Each kernel reads the bytes `data` and returns how many it has read, or -1 where the stream ends before its values do.
 """
@@ -11,50 +11,106 @@ from roomlight.kernels.common import KERNEL
 
 
 @njit(**KERNEL)
+def _group(data, at, end, bits, out):
+    """Read 16 deltas of 0, 1, 2, 4 or 8 bits into `out`; return the place after them, -1 where they do not end."""
+    extra = at + 2 * bits
+    if extra > end:
+        return -1
+    for i in range(16):
+        if bits == 0:
+            out[i] = 0
+        elif bits == 8:
+            out[i] = data[at + i]
+        else:
+            place = bits * i % 8
+            shift = place if bits == 1 else 8 - bits - place
+            out[i] = (data[at + bits * i // 8] >> shift) & ((1 << bits) - 1)
+            if out[i] == (1 << bits) - 1:
+                if extra >= end:
+                    return -1
+                out[i] = data[extra]
+                extra += 1
+    return extra
+
+
+@njit(**KERNEL)
+def _add_deltas(deltas, mode, last):
+    """Change 4 bytes of the value before by 4 deltas, of 8 or 16 bits (zigzag) or of 32 bits (exclusive or)."""
+    if mode & 15 == 2:
+        change = np.uint32(0)
+        for k in range(4):
+            change |= np.uint32(deltas[k]) << np.uint32(8 * k)
+        turn = np.uint32(mode >> 4)
+        change = np.uint32(change >> turn) | np.uint32(change << np.uint32((32 - turn) & 31))
+        for k in range(4):
+            last[k] ^= np.uint8((change >> np.uint32(8 * k)) & np.uint32(255))
+        return
+    size = mode + 1
+    for first in range(0, 4, size):
+        change, value = 0, 0
+        for k in range(size):
+            change |= int(deltas[first + k]) << (8 * k)
+            value |= int(last[first + k]) << (8 * k)
+        value += -(change >> 1) - 1 if change & 1 else change >> 1
+        for k in range(size):
+            last[first + k] = np.uint8((value >> (8 * k)) & 255)
+
+
+@njit(**KERNEL)
 def attributes(data, out):
-    """Decode mode 0 into `out` [count, stride] of bytes: each byte is stored as its change from the value before."""
+    """Decode mode 0 into `out` [count, stride] of bytes: each byte is stored as its change from the value before.
+
+    The header 0xA0 is version 0; 0xA1 is version 1, of KHR_meshopt_compression, whose blocks have control bytes and
+    whose tail has a mode for every 4 bytes.
+    """
     count, stride = out.shape
-    tail = max(stride, 32)
+    newer = data[0] == 0xA1
+    tail = max(stride + stride // 4, 24) if newer else max(stride, 32)
     end = len(data) - tail
     if end < 1:
         return -1
-    last = data[len(data) - stride :].copy()
+    first = len(data) - stride - (stride // 4 if newer else 0)
+    last, modes = data[first : first + stride].copy(), np.zeros(stride // 4, np.uint8)
+    if newer:
+        modes[:] = data[first + stride :]
+        for mode in modes:
+            if mode & 15 > 2 or (mode & 15 < 2 and mode > 1):
+                return -1
     block = min((8192 // stride) & ~15, 256)
+    deltas, read = np.zeros((stride, 256), np.uint8), np.zeros(16, np.uint8)
     at = 1
     for start in range(0, count, block):
         size = min(block, count - start)
         groups = (size + 15) // 16
+        controls = at
+        at += stride // 4 if newer else 0
+        if at > end:
+            return -1
         for k in range(stride):
+            control = (data[controls + k // 4] >> (2 * (k % 4))) & 3 if newer else 4
+            if control == 2:
+                deltas[k] = 0
+                continue
+            if control == 3:
+                if at + size > end:
+                    return -1
+                deltas[k, :size] = data[at : at + size]
+                at += size
+                continue
+            lengths = (0, 1, 2, 4) if control == 0 else (1, 2, 4, 8) if control == 1 else (0, 2, 4, 8)
             head = at
             at += (groups + 3) // 4
             if at > end:
                 return -1
             for group in range(groups):
-                mode = (data[head + group // 4] >> (2 * (group % 4))) & 3
-                bits = (0, 2, 4, 8)[mode]
-                extra = at + 2 * bits
-                if extra > end:
+                at = _group(data, at, end, lengths[(data[head + group // 4] >> (2 * (group % 4))) & 3], read)
+                if at < 0:
                     return -1
-                for i in range(16):
-                    if mode == 0:
-                        value = np.uint8(0)
-                    elif mode == 3:
-                        value = data[at + i]
-                    else:
-                        of_byte = 8 // bits
-                        byte = data[at + i // of_byte]
-                        value = np.uint8((byte >> (8 - bits - bits * (i % of_byte))) & ((1 << bits) - 1))
-                        if value == (1 << bits) - 1:
-                            if extra >= end:
-                                return -1
-                            value = data[extra]
-                            extra += 1
-                    number = 16 * group + i
-                    if number < size:
-                        delta = (value >> 1) ^ (0 if value & 1 == 0 else 255)
-                        last[k] = np.uint8((last[k] + delta) & 255)
-                        out[start + number, k] = last[k]
-                at = extra
+                deltas[k, 16 * group : 16 * group + 16] = read
+        for number in range(size):
+            for k in range(0, stride, 4):
+                _add_deltas(deltas[k : k + 4, number], modes[k // 4], last[k : k + 4])
+            out[start + number] = last
     return at
 
 
