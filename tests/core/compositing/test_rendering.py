@@ -100,6 +100,30 @@ def test_pixels_without_noise_get_the_least_samples(monkeypatch: pytest.MonkeyPa
     assert shares[1] > 1.05 * shares[0]
 
 
+def test_neighbours_are_averaged_as_far_as_they_look_alike() -> None:
+    """Smoothing takes noise from rough faces, and leaves mirrors and the borders of colours."""
+    light = ProbeSet.single(panorama())
+    pair = (
+        moved(cube(0.5, rough_metal(0.5, (0.8, 0.2, 0.1))), -0.26),
+        moved(cube(0.5, rough_metal(0.5, (0.1, 0.2, 0.8))), 0.26),
+    )
+    scenes = {"rough": TracedObjects(pair), "mirror": TracedObjects([sphere(0.5, mirror())])}
+    plain, smooth, truth = (
+        {
+            name: render_objects(scene, CAMERA, POSE, light, quality=RenderSettings(count, 4, denoised=False, **extra))
+            for name, scene in scenes.items()
+        }
+        for count, extra in ((16, {}), (16, {"smoothed": True}), (512, {}))
+    )
+    np.testing.assert_array_equal(smooth["mirror"].radiance, plain["mirror"].radiance)
+    inside = truth["rough"].alpha == 1
+    noisy = inside & np.any(plain["rough"].radiance != smooth["rough"].radiance, axis=-1)
+    assert noisy.sum() > 100
+    errors = [np.abs(one["rough"].radiance - truth["rough"].radiance)[noisy].mean() for one in (smooth, plain)]
+    assert errors[0] < 0.6 * errors[1]
+    np.testing.assert_allclose(smooth["rough"].radiance[inside].mean(0), plain["rough"].radiance[inside].mean(0), 0.01)
+
+
 def test_same_inputs_and_seed_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = TracedObjects([sphere(0.4, glossy()), moved(cube(0.4, glass()), 0.5)])
     light = ProbeSet.single(panorama())

@@ -348,6 +348,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         hit = (scatter, frame, local_view, flat, is_open)
         if scatter.lobe_probability < 1 or roughness >= MIRROR_ROUGHNESS:
             if guided:
+                film.doubt[slot] = 1
                 pixel = slot // settings.samples
                 turned = normal[0] * guide_normal[0] + normal[1] * guide_normal[1] + normal[2] * guide_normal[2]
                 if pixel != guide_pixel or material != guide_material or turned < _SAME_GUIDE:

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8, UInt64
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.compositing.kernels import paths as path_kernels
 from roomlight.compositing.kernels.environment import fill_radiance
-from roomlight.compositing.kernels.film import average_samples
+from roomlight.compositing.kernels.film import average_samples, smooth_alike
 from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.kernels.preview import shade_hits
 from roomlight.compositing.light.lighting import Environment, ProbeSet
@@ -41,17 +41,19 @@ class RenderSettings:
         bounces: Most surfaces that a path meets.
         denoised: Denoise by Open Image Denoise where it is installed.
         least: Paths that every pixel gets, a power of two; more only where these differ. 0: all get `samples`.
+        smoothed: Average neighbours of one colour and normal, as far as their noise hides how they differ.
     """
 
     samples: int
     bounces: int
     denoised: bool
     least: int = 0
+    smoothed: bool = False
 
 
 PRESETS: Final[dict[str, RenderSettings]] = {
     "preview": RenderSettings(0, 1, denoised=False),
-    "good": RenderSettings(64, 6, denoised=False, least=16),
+    "good": RenderSettings(64, 6, denoised=False, least=16, smoothed=True),
     "final": RenderSettings(256, 12, denoised=True),
 }
 _EDGE_SAMPLES: Final = 8
@@ -63,6 +65,8 @@ _BRIGHTEST_CAUSTIC: Final = 10.0
 is a rare bright dot."""
 _LEAST_NOISE: Final = 3 / 255
 """Standard error on a screen up to which samples are enough: about the noise of a camera."""
+_SMOOTHED_NOISE: Final = 2 * _LEAST_NOISE
+"""The same before neighbours are averaged."""
 _BLOCK_RAYS: Final = 1 << 15
 """Rays of a block: 6 MB of paths, which stay in a core's cache."""
 
@@ -128,7 +132,12 @@ class _Queue(NamedTuple):
 
 
 class _Film(NamedTuple):
-    """A value for each sample, or, reduced, for each pixel; albedo and normal, for the denoiser, may have no rows."""
+    """A value for each sample, or, reduced, for each pixel; albedo and normal, for the denoisers, may have no rows.
+
+    `doubt` of a pixel is the variance of the mean of its samples, of the mean of their channels: negative where the
+    first surfaces are mirrors and glass, whose samples differ by what they show. Of a sample it is 1 where that
+    scatters light.
+    """
 
     radiance: Float32[np.ndarray, "n 3"]
     alpha: Float32[np.ndarray, " n"]
@@ -136,6 +145,7 @@ class _Film(NamedTuple):
     object_id: Int32[np.ndarray, " n"]
     albedo: Float32[np.ndarray, "n 3"]
     normal: Float32[np.ndarray, "n 3"]
+    doubt: Float32[np.ndarray, " n"]
 
 
 class _Settings(NamedTuple):
@@ -181,7 +191,7 @@ def render_objects(
     settings = _checked_settings(quality)
     pose = check_rigid(camera_to_world)
     pixels = _pixels_around(scene, camera, pose)
-    film = _film(camera.width * camera.height, extra=settings.denoised)
+    film = _film(camera.width * camera.height, extra=settings.denoised or settings.smoothed)
     if len(pixels):
         world = _World(
             scene.surfaces,
@@ -204,6 +214,8 @@ def render_objects(
     alpha = film.alpha.reshape(shape)
     if settings.denoised and len(pixels):
         radiance = denoise(radiance, alpha, film.albedo.reshape(*shape, 3), film.normal.reshape(*shape, 3))
+    if settings.smoothed and len(pixels):
+        radiance = _smoothed(film, pixels, camera)
     depth_m, object_id = film.depth_m.reshape(shape), film.object_id.reshape(shape)
     return RenderedObjects(radiance, alpha, depth_m, object_id, settings.samples)
 
@@ -264,6 +276,7 @@ def _film(count: int, *, extra: bool = True) -> _Film:
         np.full(flat, -1, np.int32),
         np.zeros(more, np.float32),
         np.zeros(more, np.float32),
+        np.zeros(flat, np.float32),
     )
 
 
@@ -390,27 +403,34 @@ def _spared(
 ) -> _Film:
     """Trace the least samples, and twice as many of the pixels where these differ, until they are all."""
     count = settings.least
-    taken = _traced(scene, world, view, settings, (0, count), background)
-    out, noisy = _reduced(taken, count), np.flatnonzero(_is_noisy(taken, count, count))
+    out = _reduced(_traced(scene, world, view, settings, (0, count), background), count)
+    noisy = np.flatnonzero(_is_noisy(out, settings.smoothed))
     while len(noisy) and count < settings.samples:
-        more = _traced(scene, world, view.part(noisy), settings, (count, count), background)
+        more = _reduced(_traced(scene, world, view.part(noisy), settings, (count, count), background), count)
         total = _film(len(noisy))
-        for half in (_Film(*(column[noisy] for column in out)), _reduced(more, count)):
+        for half in (_Film(*(column[noisy] for column in out)), more):
             _accumulate(total, half, 0.5)
         for whole, own in zip(out, total, strict=True):
             whole[noisy] = own
-        noisy = noisy[_is_noisy(more, count, 2 * count)]
+        noisy = noisy[_is_noisy(total, settings.smoothed)]
         count *= 2
     return out
 
 
-def _is_noisy(film: _Film, samples: int, total: int) -> Bool[np.ndarray, " p"]:
-    """Return which pixels are on an outline, or differ so much that `total` samples leave a visible standard error."""
-    grey = film.radiance.mean(axis=1).reshape(-1, samples)
-    mean, error = grey.mean(axis=1), grey.std(axis=1) / np.sqrt(total)
-    alpha = film.alpha.reshape(-1, samples)
-    shown = error * 0.44 * np.maximum(mean, 0.005) ** (1 / 2.4 - 1)  # the slope of sRGB's curve
-    return (shown > _LEAST_NOISE) | (alpha.max(axis=1) != alpha.min(axis=1))
+def _is_noisy(film: _Film, smoothed: bool) -> Bool[np.ndarray, " p"]:
+    """Return which pixels are on an outline, or have a visible standard error."""
+    slope = 0.44 * np.maximum(film.radiance.mean(axis=1), 0.005) ** (1 / 2.4 - 1)  # of sRGB's curve
+    most = _SMOOTHED_NOISE if smoothed else _LEAST_NOISE
+    return (np.sqrt(np.abs(film.doubt)) * slope > most) | ((film.alpha > 0) & (film.alpha < 1))
+
+
+def _smoothed(film: _Film, pixels: Int64[np.ndarray, " p"], camera: Intrinsics) -> Float32[np.ndarray, "h w 3"]:
+    """Return the film's radiance, averaged over neighbours that look alike."""
+    whole = [column.reshape(camera.height, camera.width, *column.shape[1:]) for column in film]
+    top, bottom = int(pixels[0]) // camera.width, int(pixels[-1]) // camera.width + 1
+    out = whole[0].copy()
+    parallel_for(lambda start, stop: smooth_alike(_Film(*whole), out, top + start, top + stop), bottom - top)
+    return out
 
 
 def _traced(
@@ -468,6 +488,7 @@ def _accumulate(total: _Film, part: _Film, weight: float) -> None:
     covered = np.maximum(before + after, np.float32(1e-12))
     total.depth_m[:] = (total.depth_m * before + part.depth_m * after) / covered
     total.alpha[:] = before + after
+    total.doubt[:] += part.doubt * share**2
     np.copyto(total.object_id, part.object_id, where=total.object_id < 0)
     for name in ("radiance", "albedo", "normal"):
         getattr(total, name)[:] += getattr(part, name) * share
