@@ -28,7 +28,8 @@ from roomlight.engine.networks.graphs import SHIPPED, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.panels import BRIGHTEST, PANELS, changed_light, panel, panorama_panels
-from roomlight.light.main_light import TrackedLights, lights_of, relit
+from roomlight.light.likely_light import likely_lights
+from roomlight.light.main_light import TrackedLights, relit
 from roomlight.light.sources import LightPanorama, LightUse
 
 LIGHTING_PANELS: Final = PANELS + 1
@@ -85,7 +86,7 @@ class ProbeLightSource:
 
     Attributes:
         state: a copy that later frames do not change; see `PanoramaState.for_lighting`.
-        tracked: the main lights in `state`; None at a point that is not tracked: they are found in it.
+        tracked: the main lights in `state`; None at a point that is not tracked: they are looked for in it.
         load: returns the network; called when the light is computed.
     """
 
@@ -96,10 +97,10 @@ class ProbeLightSource:
     def panorama(self, use: LightUse) -> LightPanorama:
         """Return the estimate as what is seen, or run the network for what lights things."""
         estimate = self.state.radiance
+        lights = self.tracked or likely_lights(estimate, self.state.observed)
         if use == "reflection":
-            return LightPanorama(estimate, self.tracked)
+            return LightPanorama(estimate, lights)
         lighting = self.load().panorama(self.state)
-        lights = lights_of(estimate) if self.tracked is None else self.tracked
         return LightPanorama(lighting, relit(lights, before=estimate, after=lighting))
 
     def digest(self) -> str:

@@ -17,7 +17,7 @@ from roomlight.engine.state.snapshot import ProbeSnapshot
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.sglv import render_panorama
 from roomlight.light.light import Light
-from roomlight.light.main_light import find_lights
+from roomlight.light.likely_light import likely_lights
 from roomlight.threads import parallel_for, thread_count
 
 _VIEWS_AT_ONCE: Final = 8 * thread_count()
@@ -163,7 +163,7 @@ class Probe:
 
     def update_lights(self) -> None:
         """Let the tracker see the panorama after a frame."""
-        self.tracker.update(find_lights(self.panorama.radiance))
+        self.tracker.update(likely_lights(self.panorama.radiance, self.panorama.observed))
 
     def light(self, index: int, load: Callable[[], LightingModel]) -> Light:
         """Return the light after the frame `index`; later frames do not change it, and it is computed on first use."""

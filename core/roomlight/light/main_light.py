@@ -31,6 +31,8 @@ from roomlight.light.checks import check_panorama
 from roomlight.spheres import resize_panorama
 
 MAX_LIGHTS: Final = 3
+NO_SOURCE: Final = -1
+"""Number of a main light that is none of the lights: it is expected where frames have not looked."""
 _SEARCH_ROWS: Final = 24  # 7.5 degrees a pixel, under a kernel of 12
 _KERNELS_DEG: Final = (12.0, 12.0, 12.0, 6.0, 6.0, 6.0, 6.0)
 """Widths (standard deviation) of the steps to the centre: from that of a lobe to one that separates lamps 15 degrees
@@ -58,7 +60,8 @@ class MainLight:
             darker its shadow is.
         emitted: 1 where the light is brighter than any surface that the room's light could explain (a lamp, a window),
             toward 0 where it may be a bright surface.
-        number: identity of the light at a tracked probe, equal from frame to frame; elsewhere its rank, 0 the first.
+        number: identity of the light at a tracked probe, equal from frame to frame; elsewhere its rank, 0 the first;
+            -1 for a main light that is none of the lights.
 
     Examples:
         >>> import numpy as np, roomlight as rl
@@ -140,24 +143,7 @@ def find_lights(panorama: Float[np.ndarray, "h w 3"]) -> tuple[MainLight, ...]:
     Raises:
         ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
     """
-    panorama = np.maximum(check_panorama(panorama), 0)
-    coarse = resize_panorama(panorama, min(len(panorama), _SEARCH_ROWS)) @ LUMINANCE
-    search = _Search.of_rows(len(coarse))
-    coarse = coarse.reshape(-1)
-    total = float(_dot(coarse, search.solid_angle))
-    pixels = _Pixels.above(panorama, level=_median(coarse, search.solid_angle), mean=total / (4 * np.pi))
-    cell = pixels.cell_of(search.rows)
-    left = np.ones(len(cell))  # share of each pixel's light that no lobe has yet
-    chosen: list[MainLight] = []
-    while len(cell) and len(chosen) < MAX_LIGHTS:
-        peak = search.brightest(np.bincount(cell, pixels.power * left, minlength=len(coarse)))
-        near = np.flatnonzero(_along(pixels.rays, peak) > np.cos(np.radians(_NEAR_DEG)))
-        light, share = _light_near(pixels.select(near), left[near], peak)
-        if light.intensity @ LUMINANCE <= _FAINTEST * total or (chosen and light.weight < _WEAKEST * chosen[0].weight):
-            break
-        chosen.append(replace(light, shadow_strength=search.shadow_strength(light, coarse)))
-        left[near] -= share
-    return rank(chosen)
+    return Surroundings.of(panorama).lights()
 
 
 def lights_of(panorama: Float[np.ndarray, "h w 3"]) -> TrackedLights:
@@ -178,7 +164,7 @@ def relit(
         before: linear RGB [H, 2H, 3].
         after: the same place in other light, [H, 2H, 3].
     """
-    seen, lit = _Surroundings.of(before), _Surroundings.of(after)
+    seen, lit = Surroundings.of(before), Surroundings.of(after)
 
     def measured(light: MainLight) -> MainLight:
         full = float(seen.intensity(light.direction) @ LUMINANCE)
@@ -201,7 +187,7 @@ def without_lights(
         panorama: linear RGB [H, 2H, 3], in which the lights were seen.
         lights: its lights, as strong as they are there or weaker; without light none is returned.
     """
-    pixels = _Surroundings.of(panorama).pixels
+    pixels = Surroundings.of(panorama).pixels
     per_solid_angle = pixels.excess / panorama_solid_angles(pixels.rows)[pixels.index // (2 * pixels.rows), 0]
     kept = np.ones((len(pixels.index), 3))  # share of each pixel's radiance
     left = np.ones(len(pixels.index))  # share of each pixel's excess that no light has yet
@@ -253,8 +239,7 @@ class _Pixels:
         index = np.flatnonzero(luminance > max(level, mean))
         rays, luminance = panorama_rays(rows)[index].astype(np.float64), luminance[index].astype(np.float64)
         excess = (1 - level / luminance) * panorama_solid_angles(rows)[index // (2 * rows), 0]
-        surface = mean * (1 + (_BELOW - 1) * np.clip(-rays[:, 1] / _BELOW_SINE, 0, 1))
-        emitted = np.clip((luminance - surface) / ((_BRIGHTEST_SURFACE - 1) * surface), 0, 1)
+        emitted = emitted_share(luminance, rays[:, 1], mean)
         radiance = panorama.reshape(-1, 3)[index].astype(np.float64)
         return _Pixels(rows, index, rays, radiance, excess, excess * luminance * emitted)
 
@@ -270,23 +255,55 @@ class _Pixels:
 
 
 @dataclass(frozen=True)
-class _Surroundings:
-    """A panorama as light about given directions."""
+class Surroundings:
+    """A panorama as light about given directions.
+
+    Attributes:
+        pixels: what may belong to a light.
+        coarse: luminance of the panorama of the search.
+        search: its pixels.
+    """
 
     pixels: _Pixels
     coarse: Float[np.ndarray, " n"]
-    search: "_Search"
+    search: "Search"
 
     @staticmethod
-    def of(panorama: Float[np.ndarray, "h w 3"]) -> "_Surroundings":
+    def of(panorama: Float[np.ndarray, "h w 3"]) -> "Surroundings":
+        """Look at a panorama. Raises ValueError as `find_lights`."""
         panorama = np.maximum(check_panorama(panorama), 0)
         coarse = resize_panorama(panorama, min(len(panorama), _SEARCH_ROWS)) @ LUMINANCE
-        search = _Search.of_rows(len(coarse))
+        search = Search.of_rows(len(coarse))
         coarse = coarse.reshape(-1)
         mean = float(_dot(coarse, search.solid_angle)) / (4 * np.pi)
-        return _Surroundings(
+        return Surroundings(
             _Pixels.above(panorama, level=_median(coarse, search.solid_angle), mean=mean), coarse, search
         )
+
+    def lights(self) -> tuple[MainLight, ...]:
+        """Return up to `MAX_LIGHTS` lights, the strongest first."""
+        pixels, search = self.pixels, self.search
+        total = float(_dot(self.coarse, search.solid_angle))
+        cell = pixels.cell_of(search.rows)
+        left = np.ones(len(cell))  # share of each pixel's light that no lobe has yet
+        chosen: list[MainLight] = []
+        while len(cell) and len(chosen) < MAX_LIGHTS:
+            peak = search.brightest(np.bincount(cell, pixels.power * left, minlength=len(self.coarse)))
+            near = np.flatnonzero(_along(pixels.rays, peak) > np.cos(np.radians(_NEAR_DEG)))
+            some = pixels.select(near)
+            light, share = _light_toward(some, left[near], _centre(some, left[near], peak))
+            if light.intensity @ LUMINANCE <= _FAINTEST * total or (
+                chosen and light.weight < _WEAKEST * chosen[0].weight
+            ):
+                break
+            chosen.append(replace(light, shadow_strength=self.shadow_strength(light)))
+            left[near] -= share
+        return rank(chosen)
+
+    def light(self, direction: Float[np.ndarray, "3"]) -> MainLight:
+        """Return the light about a direction, in exactly that direction; it has no number."""
+        light, _ = _light_toward(self.pixels, np.ones(len(self.pixels.index)), direction)
+        return replace(light, shadow_strength=self.shadow_strength(light), number=NO_SOURCE)
 
     def intensity(self, direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Return the irradiance RGB of the lobe about a direction, on a surface that faces it."""
@@ -299,7 +316,7 @@ class _Surroundings:
 
 
 @dataclass(frozen=True)
-class _Search:
+class Search:
     """Weights that gather light about every direction of a coarse panorama."""
 
     rows: int
@@ -309,11 +326,12 @@ class _Search:
 
     @staticmethod
     @lru_cache(maxsize=4)
-    def of_rows(rows: int) -> "_Search":
+    def of_rows(rows: int) -> "Search":
+        """Return the weights for a panorama of `rows` rows."""
         rays = panorama_rays(rows)
         solid_angle = np.repeat(panorama_solid_angles(rows)[:, 0], 2 * rows)
         kernel = np.exp((rays @ rays.T - 1) / np.float32(np.radians(_KERNELS_DEG[0]) ** 2))
-        return _Search(rows, kernel, solid_angle, rays)
+        return Search(rows, kernel, solid_angle, rays)
 
     def brightest(self, power: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3"]:
         """Return the direction about which the most power lies."""
@@ -328,14 +346,13 @@ class _Search:
         return min(float(light.intensity @ LUMINANCE) / max(irradiance, 1e-30), 1.0)
 
 
-def _light_near(
-    pixels: _Pixels, left: Float[np.ndarray, " n"], peak: Float[np.ndarray, "3"]
+def _light_toward(
+    pixels: _Pixels, left: Float[np.ndarray, " n"], direction: Float[np.ndarray, "3"]
 ) -> tuple[MainLight, Float[np.ndarray, " n"]]:
-    """Return the light about a peak, without shadow strength, and the share of each pixel's light that it takes.
+    """Return the light about a direction, without shadow strength, and the share of each pixel's light that it takes.
 
     `radius_deg` is that of the uniform disc with the same mean of 1 - cos(angle), which is (1 - cos radius) / 2.
     """
-    direction = _centre(pixels, left, peak)
     cosine = _along(pixels.rays, direction)
     share = left * _lobe(cosine)
     intensity = np.einsum("i,ij->j", share * pixels.excess, pixels.radiance)
@@ -344,6 +361,20 @@ def _light_near(
     radius = np.arccos(np.clip(1 - 2 * _dot(power, 1 - cosine) / max(sure, 1e-30), -1, 1))
     emitted = min(sure / max(float(intensity @ LUMINANCE), 1e-30), 1.0)
     return MainLight(direction, intensity, float(np.degrees(radius)), emitted=emitted), share
+
+
+def emitted_share(
+    luminance: Float[np.ndarray, " n"], height: Float[np.ndarray, " n"], mean: float
+) -> Float[np.ndarray, " n"]:
+    """Return how surely light comes from a lamp: 0 at the mean luminance, 1 at `_BRIGHTEST_SURFACE` times that.
+
+    Args:
+        luminance: of pixels.
+        height: y of their unit directions.
+        mean: luminance of all directions.
+    """
+    surface = max(mean, 1e-30) * (1 + (_BELOW - 1) * np.clip(-height / _BELOW_SINE, 0, 1))
+    return np.clip((luminance - surface) / ((_BRIGHTEST_SURFACE - 1) * surface), 0, 1)
 
 
 def _centre(

@@ -1,18 +1,16 @@
 """Lights of a tracked probe from frame to frame: identity, bounded turning, hysteresis, fading.
 
-`find_lights` sees one panorama. Two lamps of almost equal strength would take turns as its main light, and a window
+`likely_lights` sees one panorama. Two lamps of almost equal strength would take turns as its main light, and a window
 that comes into view would move it by a right angle between two frames. A tracker keeps the lights instead:
 
 - A light found within `SAME_LIGHT_DEG` of a tracked one is the same light: it keeps its number, turns by half of the
   difference and at most `MAX_TURN_DEG` a frame, and changes its strength by half of the difference.
 - A new light fades in by halves. One that is no longer found fades out by halves, and is dropped after `DROP_FRAMES`.
-- The main light changes to another one that is `CHALLENGE_RATIO` times as strong for `CHALLENGE_FRAMES` frames in a
-  row, or when it is dropped. Its direction then turns by at most `MAX_TURN_DEG` a frame. Meanwhile its intensity is
-  reduced: it tends to nothing while the light is 45 degrees or more away.
+- The main light follows in the same way. It leaves for a place farther away after that was the likeliest for
+  `CHALLENGE_FRAMES` frames in a row, and turns there by `MAX_TURN_DEG` a frame. Meanwhile its intensity is reduced: it
+  tends to nothing while the place is 45 degrees or more away.
 
-During the first `SETTLE_FRAMES` frames everything follows the estimate at once. The constants are plain values:
-at 33 probes in path-traced rooms the mean error of direction is 39.8 to 40.5 degrees for turning rates of 10 to 20
-degrees, 2 to 5 frames and ratios of 1.2 to 1.5.
+During the first `SETTLE_FRAMES` frames everything follows the estimate at once.
 """
 
 import math
@@ -22,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.light.main_light import MAX_LIGHTS, MainLight, TrackedLights, no_light
+from roomlight.light.main_light import MAX_LIGHTS, NO_SOURCE, MainLight, TrackedLights, no_light
 
 SAME_LIGHT_DEG: Final = 30.0
 """The outer radius of a light's lobe in `find_lights`: the same window is found within it."""
@@ -32,7 +30,6 @@ FOLLOW: Final = 0.5
 """Share of a change taken over at each frame, as for inferred radiance (`FILL_UPDATE` of the models)."""
 DROP_FRAMES: Final = 6
 """A light that was not found for so many frames has 1.6 % of its strength."""
-CHALLENGE_RATIO: Final = 1.3
 CHALLENGE_FRAMES: Final = 3
 SETTLE_FRAMES: Final = 5
 _ALIGNED_DEG: Final = (10.0, 45.0)  # the turning main light has all of its intensity up to the first angle
@@ -52,16 +49,15 @@ class LightTracker:
     frames: int = 0
     _tracks: dict[int, _Track] = field(default_factory=dict[int, _Track])  # by number
     _next_number: int = 0
-    _main: int | None = None  # number of the main light
     _challenged_frames: int = 0
 
-    def update(self, lights: tuple[MainLight, ...]) -> None:
+    def update(self, lights: TrackedLights) -> None:
         """Take the lights found after the next frame."""
         settled = self.frames >= SETTLE_FRAMES
-        self._match(lights, FOLLOW if settled else 1.0, MAX_TURN_DEG if settled else 180.0)
+        self._match(lights.sources, FOLLOW if settled else 1.0, MAX_TURN_DEG if settled else 180.0)
         ordered = sorted((track.light for track in self._tracks.values()), key=lambda light: -light.weight)
-        self._choose_main(ordered, settled=settled)
-        self.lights = TrackedLights(self._turned_main(settled=settled), tuple(ordered[:MAX_LIGHTS]))
+        main = self._numbered(self._followed_main(lights.main, settled=settled))
+        self.lights = TrackedLights(main, tuple(ordered[:MAX_LIGHTS]))
         self.frames += 1
 
     def to_json(self) -> dict[str, Any]:
@@ -72,7 +68,6 @@ class LightTracker:
             "sources": [light.to_json() for light in self.lights.sources],
             "tracks": [[number, track.missed, track.light.to_json()] for number, track in self._tracks.items()],
             "next_number": self._next_number,
-            "main": self._main,
             "challenged_frames": self._challenged_frames,
         }
 
@@ -85,7 +80,6 @@ class LightTracker:
             frames=values["frames"],
             _tracks={number: _Track(MainLight.from_json(light), missed) for number, missed, light in values["tracks"]},
             _next_number=values["next_number"],
-            _main=values["main"],
             _challenged_frames=values["challenged_frames"],
         )
 
@@ -105,27 +99,28 @@ class LightTracker:
             number, self._next_number = self._next_number, self._next_number + 1
             self._tracks[number] = _Track(replace(_faded(lights[index], follow), number=number))
 
-    def _choose_main(self, ordered: list[MainLight], *, settled: bool) -> None:
-        strongest = ordered[0].number if ordered else None
-        current = self._tracks.get(self._main) if self._main is not None else None
-        challenged = current is not None and ordered[0].weight > CHALLENGE_RATIO * current.light.weight
-        self._challenged_frames = self._challenged_frames + 1 if challenged else 0
-        if not settled or current is None or self._challenged_frames >= CHALLENGE_FRAMES:
-            self._main, self._challenged_frames = strongest, 0
-
-    def _turned_main(self, *, settled: bool) -> MainLight:
+    def _followed_main(self, found: MainLight, *, settled: bool) -> MainLight:
         last = self.lights.main
-        if self._main is None:
-            return _faded(last, 1 - FOLLOW)
-        light = self._tracks[self._main].light
         if not settled:
-            return light
-        angle_deg = _angle_deg(last.direction, light.direction)
-        direction = _turned(last.direction, light.direction, min(angle_deg, MAX_TURN_DEG))
+            return found
+        apart_deg = _angle_deg(last.direction, found.direction)
+        self._challenged_frames = self._challenged_frames + 1 if apart_deg > SAME_LIGHT_DEG else 0
+        if found.intensity.max() <= 0:
+            return _faded(last, 1 - FOLLOW)
+        if 0 < self._challenged_frames < CHALLENGE_FRAMES:
+            return last
+        share = FOLLOW if apart_deg <= SAME_LIGHT_DEG else 1.0
+        turn_deg = min(share * apart_deg, MAX_TURN_DEG)
         full_deg, none_deg = _ALIGNED_DEG
-        left_deg = angle_deg - min(angle_deg, MAX_TURN_DEG)
-        aligned = float(np.clip((none_deg - left_deg) / (none_deg - full_deg), 0, 1))
-        return replace(_mixed(last, _faded(light, aligned), FOLLOW), direction=direction, number=light.number)
+        aligned = float(np.clip((none_deg - (apart_deg - turn_deg)) / (none_deg - full_deg), 0, 1))
+        direction = _turned(last.direction, found.direction, turn_deg)
+        return replace(_mixed(last, _faded(found, aligned), FOLLOW), direction=direction)
+
+    def _numbered(self, main: MainLight) -> MainLight:
+        """Return the main light with the number of the tracked light that it is, or none."""
+        near = [(_angle_deg(track.light.direction, main.direction), number) for number, track in self._tracks.items()]
+        angle_deg, number = min(near, default=(180.0, NO_SOURCE))
+        return replace(main, number=number if angle_deg < SAME_LIGHT_DEG else NO_SOURCE)
 
 
 def _closest_pairs(tracked: dict[int, MainLight], lights: tuple[MainLight, ...]) -> dict[int, int]:

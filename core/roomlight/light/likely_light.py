@@ -1,0 +1,84 @@
+"""The main light of a panorama of which frames have shown only a part: where it most likely is.
+
+The brightest lobe of an estimate is often a bright wall: the lamp was never seen, and what is inferred of it is smooth
+and too dark, because it is the best guess of each single direction. The light that is expected of a direction is
+
+    seen:    luminance x how surely it is a lamp (`emitted_share`)
+    unseen:  `UNSEEN` x luminance, and less toward the ground
+
+and the main light is where most of its power of `POWER` lies, under a kernel of `KERNEL_DEG`. The strongest lobe stays
+the main light if it has `AS_GOOD` of that: a real lamp in its own place. The constants are plain values from a wide
+plateau: at 75 probes of 24 rooms, eight moments each, the mean error of direction is 36 to 39 degrees for powers of 1
+to 2, kernels of 18 to 40 degrees and 2 to 3 times the unseen light; that of the strongest lobe is 45.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.conventions import panorama_rays
+from roomlight.light.main_light import Surroundings, TrackedLights, emitted_share, no_light
+
+KERNEL_DEG: Final = 25.0
+POWER: Final = 1.5
+UNSEEN: Final = 3.0
+ABOVE: Final = 0.3
+"""Sine of the angle below the horizon from which on unseen light counts nothing; the weight rises up to 0.7."""
+AS_GOOD: Final = 0.9
+_TRIED_ROWS: Final = 12  # directions tried, 15 degrees apart; the best one then moves to the centre
+
+
+def likely_lights(panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarray, "h w"]) -> TrackedLights:
+    """Return the lights of a panorama, with the likeliest main light, which need not be among them.
+
+    Args:
+        panorama: linear RGB [H, 2H, 3].
+        observed: 1 = seen, 0 = inferred, [H, 2H].
+    """
+    around = Surroundings.of(panorama)
+    sources = around.lights()
+    main = next(iter(sources), no_light())
+    power = _expected_power(around, observed)
+    if not power.any():
+        return TrackedLights(main, sources)
+    rays = around.search.rays
+    tried = _Tried.of_rows(around.search.rows)
+    direction = tried.directions[np.argmax(np.einsum("ij,j->i", tried.kernel, power))]
+    for _ in range(2):
+        direction = np.einsum("i,ij->j", power * _kernel(rays, direction), rays)
+        direction = direction / np.linalg.norm(direction)
+    best, own = (float((power * _kernel(rays, toward)).sum()) for toward in (direction, main.direction))
+    if own < AS_GOOD * best:
+        main = around.light(direction.astype(np.float64))
+    return TrackedLights(main, sources)
+
+
+def _expected_power(around: Surroundings, observed: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
+    search, luminance = around.search, around.coarse
+    height, mean = search.rays[:, 1], float(np.einsum("i,i->", luminance, search.solid_angle)) / (4 * np.pi)
+    size = 2 * search.rows, search.rows
+    seen = cv2.resize(np.asarray(observed, np.float32), size, interpolation=cv2.INTER_AREA).reshape(-1)
+    lamps = luminance * emitted_share(luminance, height, mean)
+    unseen = np.clip(height + ABOVE, 0, 1) * (UNSEEN * luminance) ** POWER
+    return search.solid_angle * (seen * lamps**POWER + (1 - seen) * unseen)
+
+
+def _kernel(rays: Float[np.ndarray, "n 3"], toward: Float[np.ndarray, "3"]) -> Float[np.ndarray, " n"]:
+    return np.exp((np.einsum("ij,j->i", rays, toward.astype(np.float32)) - 1) / np.float32(np.radians(KERNEL_DEG) ** 2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    directions: Float[np.ndarray, "k 3"]
+    kernel: Float[np.ndarray, "k n"]
+
+    @staticmethod
+    @lru_cache(maxsize=4)
+    def of_rows(rows: int) -> "_Tried":
+        """Return the directions to try, and their kernels over a panorama of `rows` rows."""
+        directions = panorama_rays(min(rows, _TRIED_ROWS))
+        return _Tried(directions, np.stack([_kernel(panorama_rays(rows), toward) for toward in directions]))
