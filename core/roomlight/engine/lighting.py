@@ -27,8 +27,8 @@ from roomlight.engine.networks.graph import Graph
 from roomlight.engine.networks.graphs import SHIPPED, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.engine.panorama.blend import PanoramaState
+from roomlight.engine.panorama.likely_light import likely_lights
 from roomlight.engine.panorama.panels import BRIGHTEST, PANELS, changed_light, panel, panorama_panels
-from roomlight.light.likely_light import likely_lights
 from roomlight.light.main_light import TrackedLights, relit
 from roomlight.light.sources import LightPanorama, LightUse
 

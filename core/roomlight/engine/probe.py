@@ -12,12 +12,12 @@ from roomlight.engine.lighting import LightingModel, ProbeLightSource
 from roomlight.engine.models.interface import ProbeEstimator, Rendered
 from roomlight.engine.panorama.blend import AT_PROBE, UNSEEN_DEPTH, PanoramaState, accumulate, farthest_depth_m
 from roomlight.engine.panorama.light_tracking import LightTracker
+from roomlight.engine.panorama.likely_light import likely_lights
 from roomlight.engine.room import AnyRoom
 from roomlight.engine.state.snapshot import ProbeSnapshot
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.sglv import render_panorama
 from roomlight.light.light import Light
-from roomlight.light.likely_light import likely_lights
 from roomlight.threads import parallel_for, thread_count
 
 _VIEWS_AT_ONCE: Final = 8 * thread_count()

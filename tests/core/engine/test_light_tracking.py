@@ -1,7 +1,6 @@
 """The lights of a tracked probe from frame to frame."""
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,13 +8,12 @@ from light_rooms import lit, unit
 
 from roomlight.engine.panorama.light_tracking import (
     CHALLENGE_FRAMES,
-    CHALLENGE_RATIO,
     DROP_FRAMES,
     MAX_TURN_DEG,
     SETTLE_FRAMES,
     LightTracker,
 )
-from roomlight.light.main_light import MainLight, TrackedLights, find_lights
+from roomlight.light.main_light import NO_SOURCE, MainLight, TrackedLights, find_lights, no_light
 
 LEFT, RIGHT, BEHIND = unit(-1, 0.4, 0.2), unit(1, 0.4, 0.2), unit(0.1, 0.5, 1)
 
@@ -28,6 +26,11 @@ def lamp(direction, strength=1.0):
     return MainLight(np.asarray(direction, np.float64), strength * np.ones(3), 5.0, 0.5, 1.0)
 
 
+def given(*lights):
+    """The lights of a panorama, the strongest of them as its main light."""
+    return TrackedLights(max(lights, key=lambda light: light.weight, default=no_light()), lights)
+
+
 def found(**lamps):
     """Panorama with lamps at LEFT, RIGHT, BEHIND of the radiance given; what is found in it."""
     places = {"left": LEFT, "right": RIGHT, "behind": BEHIND}
@@ -37,7 +40,7 @@ def found(**lamps):
 def run(tracker, frames):
     lights = []
     for one in frames:
-        tracker.update(one)
+        tracker.update(given(*one))
         lights.append(tracker.lights)
     return lights
 
@@ -56,7 +59,7 @@ def test_first_frames_follow_the_estimate_at_once() -> None:
     tracker = LightTracker()
     for number in range(SETTLE_FRAMES):
         one = lamp(LEFT if number % 2 else RIGHT, 1.0 + number)
-        tracker.update((one,))
+        tracker.update(given(one))
         np.testing.assert_array_equal(tracker.lights.main.direction, one.direction)
         np.testing.assert_array_equal(tracker.lights.main.intensity, one.intensity)
         assert len(tracker.lights.sources) == 1
@@ -82,34 +85,15 @@ def test_two_equal_lamps_that_flicker_do_not_move_it() -> None:
     assert len({one.main.number for one in lights}) == 1
 
 
-@pytest.mark.parametrize("ratio", [1 / CHALLENGE_RATIO, 1.0, 0.98 * CHALLENGE_RATIO])
-def test_a_challenger_below_the_ratio_never_wins(ratio: float) -> None:
-    tracker = settled(lamp(LEFT), lamp(RIGHT, 0.5))
-    lights = run(tracker, [(lamp(LEFT), lamp(RIGHT, ratio))] * 30)
-    assert angle_deg(lights[-1].main.direction, LEFT) < 1e-6
-
-
 def test_a_stronger_challenger_wins_after_its_frames() -> None:
-    tracker = settled(lamp(LEFT), lamp(RIGHT, 0.99 * CHALLENGE_RATIO))
-    tracker = replace_main(tracker, LEFT)
-    frames = [(lamp(LEFT), lamp(RIGHT, 4.0))] * CHALLENGE_FRAMES
-    lights = run(tracker, frames)
+    tracker = settled(lamp(LEFT), lamp(RIGHT, 0.9))
+    lights = run(tracker, [(lamp(LEFT), lamp(RIGHT, 1.1))] * CHALLENGE_FRAMES)
     assert [angle_deg(one.main.direction, LEFT) > 1 for one in lights] == [False] * (CHALLENGE_FRAMES - 1) + [True]
-
-
-def replace_main(tracker, direction):
-    """Make the light at a direction the main light, as if it had been the strongest in the first frames."""
-    fresh = LightTracker()
-    strongest = (replace(lamp(direction, 9.0)),)
-    others = [one for one in tracker.lights.sources if angle_deg(one.direction, direction) > 1]
-    run(fresh, [(*strongest, *others)] * SETTLE_FRAMES)
-    run(fresh, [(lamp(direction), *others)] * 12)
-    assert angle_deg(fresh.lights.main.direction, direction) < 1e-6
-    return fresh
+    assert lights[0].main.intensity[0] == 1
 
 
 def test_an_interrupted_challenge_starts_anew() -> None:
-    tracker = settled(lamp(LEFT), lamp(RIGHT))
+    tracker = settled(lamp(LEFT), lamp(RIGHT, 0.9))
     strong, even = (lamp(LEFT), lamp(RIGHT, 1.9)), (lamp(LEFT), lamp(RIGHT, 0.6))
     lights = run(tracker, ([strong] * (CHALLENGE_FRAMES - 1) + [even] * 2) * 6)
     assert angle_deg(lights[-1].main.direction, LEFT) < 1e-6
@@ -120,7 +104,7 @@ def test_a_handover_turns_at_most_the_stated_rate() -> None:
     lights = run(tracker, [(lamp(LEFT, 0.2), lamp(RIGHT, 5.0))] * 40)
     steps = steps_deg(lights)
     assert max(steps) <= MAX_TURN_DEG + 1e-6
-    assert angle_deg(lights[-1].main.direction, RIGHT) < 1e-6
+    assert angle_deg(lights[-1].main.direction, RIGHT) < 1e-3
     np.testing.assert_allclose(lights[-1].main.intensity, 5.0, rtol=1e-3)
 
 
@@ -139,14 +123,15 @@ def test_a_turning_main_light_dims_between_two_lamps() -> None:
 
 @pytest.mark.parametrize("other", ["right", "behind"])
 def test_a_lamp_switched_off_hands_over_in_stated_frames(other: str) -> None:
-    """After the frames of a challenge, or of a drop, it turns; then it is at the other lamp, at 99 % of its light."""
+    """After the frames of a challenge it turns; then it is at the other lamp, at 99 % of its light."""
     both, one = found(left=30.0, **{other: 20.0}), found(**{other: 20.0})
     tracker = LightTracker()
     run(tracker, [both] * 10)
     assert angle_deg(tracker.lights.main.direction, LEFT) < 1
     turn_frames = int(np.ceil(angle_deg(LEFT, one[0].direction) / MAX_TURN_DEG))
     lights = run(tracker, [one] * (DROP_FRAMES + turn_frames + 8))
-    assert angle_deg(lights[DROP_FRAMES + turn_frames].main.direction, one[0].direction) < 1e-6
+    assert angle_deg(lights[CHALLENGE_FRAMES + turn_frames].main.direction, one[0].direction) < 5
+    assert angle_deg(lights[-1].main.direction, one[0].direction) < 0.1
     np.testing.assert_allclose(lights[-1].main.intensity, one[0].intensity, rtol=0.01)
     assert [len(state.sources) for state in lights[DROP_FRAMES:]] == [1] * (turn_frames + 8)
     assert max(steps_deg(lights)) <= MAX_TURN_DEG + 1e-6
@@ -173,9 +158,18 @@ def test_a_light_that_moves_is_followed_with_its_number() -> None:
     for degrees in range(0, 90, 3):
         swing = np.radians(degrees)
         direction = unit(np.cos(swing), 0.5, np.sin(swing))
-        tracker.update((lamp(direction),))
+        tracker.update(given(lamp(direction)))
         assert angle_deg(tracker.lights.main.direction, direction) < 4
         assert tracker.lights.main.number == 0
+
+
+def test_a_main_light_apart_from_all_lights_has_no_number() -> None:
+    tracker = settled(lamp(LEFT))
+    assert tracker.lights.main.number == 0
+    for _ in range(30):
+        tracker.update(TrackedLights(lamp(RIGHT), (lamp(LEFT),)))
+    np.testing.assert_allclose(tracker.lights.main.direction, RIGHT, atol=1e-3)
+    assert (tracker.lights.main.number, [one.number for one in tracker.lights.sources]) == (NO_SOURCE, [0])
 
 
 def test_darkness_leaves_the_direction_and_no_intensity() -> None:
@@ -201,7 +195,7 @@ def test_opposite_lamps_hand_over_through_the_zenith() -> None:
 
 def test_more_lights_than_three_are_cut_to_the_strongest() -> None:
     tracker = settled(lamp(LEFT), lamp(RIGHT, 0.9), lamp(BEHIND, 0.8))
-    tracker.update((lamp(unit(0, 0.2, -1), 8.0), lamp(LEFT), lamp(RIGHT, 0.9)))
+    tracker.update(given(lamp(unit(0, 0.2, -1), 8.0), lamp(LEFT), lamp(RIGHT, 0.9)))
     assert len(tracker.lights.sources) == 3
     weights = [one.weight for one in tracker.lights.sources]
     assert weights == sorted(weights, reverse=True)

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from part_models import write_part
 from roomlight.captures import open_capture
-from roomlight.conventions import LUMINANCE
+from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.engine.lighting import (
     LIGHTING_PANELS,
     LightingModel,
@@ -20,7 +20,6 @@ from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError
-from roomlight.light.main_light import main_light
 from roomlight.sample import sample_capture
 from roomlight_evaluation.objects.lit_objects import SPHERES, LitObjects
 from rooms import BoxRoom, camera_at
@@ -126,7 +125,7 @@ def test_light_is_that_of_its_frame_however_late_it_is_asked_for(room: BoxRoom) 
     assert waiting.digest() == asked.digest() != session.light(handle).digest()
 
 
-def test_the_main_light_is_as_strong_as_in_the_light_that_lights_things(room: BoxRoom) -> None:
+def test_main_light_and_ambient_shade_a_sphere_as_the_light_that_lights_things(room: BoxRoom) -> None:
     session = Session(SessionOptions(model="classical", height=32))
     handle = session.track(PLACE)
     session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=20.0), width=64, height=48))
@@ -134,10 +133,15 @@ def test_the_main_light_is_as_strong_as_in_the_light_that_lights_things(room: Bo
     own = light.used_for("reflection")
     assert own.main_light.intensity.max() > 0
     assert_array_equal(light.main_light.direction, own.main_light.direction)
-    free = main_light(light.panorama)
-    if np.degrees(np.arccos(free.direction @ light.main_light.direction)) < 5:
-        assert_allclose(light.main_light.intensity, free.intensity, rtol=0.15)
-    assert_allclose(light.main_light.intensity, light.lights[0].intensity, rtol=1e-6)
+    normals = panorama_rays(12).astype(np.float64)
+    cosines = np.maximum(normals @ panorama_rays(32).T.astype(np.float64), 0)
+    lit = (cosines * np.repeat(panorama_solid_angles(32)[:, 0], 64)) @ light.panorama.reshape(-1, 3)
+    facing = np.maximum(normals @ light.main_light.direction, 0)[:, None]
+    both = light.ambient.irradiance().evaluate(normals) + facing * light.main_light.intensity
+    assert np.abs(both - lit).mean() < 0.05 * lit.mean()
+    toward = lit[np.argmax(normals @ light.main_light.direction)]
+    share = (light.main_light.intensity / toward) @ LUMINANCE
+    assert share == pytest.approx(light.main_light.shadow_strength, rel=0.1)
 
 
 def test_the_network_comes_from_the_folder_of_the_options(room: BoxRoom, tmp_path: Path) -> None:

@@ -99,13 +99,13 @@ class LightTracker:
             number, self._next_number = self._next_number, self._next_number + 1
             self._tracks[number] = _Track(replace(_faded(lights[index], follow), number=number))
 
-    def _followed_main(self, found: MainLight, *, settled: bool) -> MainLight:
+    def _followed_main(self, likely: MainLight, *, settled: bool) -> MainLight:
         last = self.lights.main
         if not settled:
-            return found
-        apart_deg = _angle_deg(last.direction, found.direction)
+            return likely
+        apart_deg = _angle_deg(last.direction, likely.direction)
         self._challenged_frames = self._challenged_frames + 1 if apart_deg > SAME_LIGHT_DEG else 0
-        if found.intensity.max() <= 0:
+        if likely.intensity.max() <= 0:
             return _faded(last, 1 - FOLLOW)
         if 0 < self._challenged_frames < CHALLENGE_FRAMES:
             return last
@@ -113,8 +113,8 @@ class LightTracker:
         turn_deg = min(share * apart_deg, MAX_TURN_DEG)
         full_deg, none_deg = _ALIGNED_DEG
         aligned = float(np.clip((none_deg - (apart_deg - turn_deg)) / (none_deg - full_deg), 0, 1))
-        direction = _turned(last.direction, found.direction, turn_deg)
-        return replace(_mixed(last, _faded(found, aligned), FOLLOW), direction=direction)
+        direction = _turned(last.direction, likely.direction, turn_deg)
+        return replace(_mixed(last, _faded(likely, aligned), FOLLOW), direction=direction)
 
     def _numbered(self, main: MainLight) -> MainLight:
         """Return the main light with the number of the tracked light that it is, or none."""

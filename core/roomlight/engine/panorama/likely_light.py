@@ -8,7 +8,7 @@ and too dark, because it is the best guess of each single direction. The light t
 
 and the main light is where most of its power of `POWER` lies, under a kernel of `KERNEL_DEG`. The strongest lobe stays
 the main light if it has `AS_GOOD` of that: a real lamp in its own place. The constants are plain values from a wide
-plateau: at 75 probes of 24 rooms, eight moments each, the mean error of direction is 36 to 39 degrees for powers of 1
+plateau: at 75 probes of 25 rooms, eight moments each, the mean error of direction is 36 to 39 degrees for powers of 1
 to 2, kernels of 18 to 40 degrees and 2 to 3 times the unseen light; that of the strongest lobe is 45.
 """
 
