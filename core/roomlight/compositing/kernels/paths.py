@@ -266,7 +266,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
     rows, columns = world.light.cells.shape[1], world.light.cells.shape[2]
     guide = (np.empty((rows, columns)), np.empty(rows))
     guide_pixel, guide_material, guide_normal = -1, -1, (0.0, 0.0, 0.0)
-    live, shadows, escaped = 0, 0, 0
+    live, shadows, escaped = np.int64(0), np.int64(0), np.int64(0)  # literal zeros would compile what they go to twice
     dimension = 1 + settings.depth * _DIMENSIONS
     last = settings.depth >= settings.max_bounces
     for i in range(count):

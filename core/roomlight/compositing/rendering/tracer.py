@@ -164,11 +164,6 @@ class TracedObjects:
 
     @cached_property
     def _is_open(self) -> Bool[np.ndarray, " f"]:
-        open_faces = self._find_open()
-        open_faces.setflags(write=False)
-        return open_faces
-
-    def _find_open(self) -> Bool[np.ndarray, " f"]:
         vertices = np.unique(self.surfaces.corners.reshape(-1, 3), axis=0)
         open_faces = np.zeros(len(self.surfaces.corners), bool)
         extremes = vertices[np.unique(np.argmax(vertices @ _EVERYWHERE, axis=0))]
