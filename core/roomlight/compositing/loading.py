@@ -19,6 +19,7 @@ Faces of OBJ and PLY files without normals shade smoothly where they meet at les
 colours are grey and diffuse until `VirtualObject.with_material` gives them a material.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -27,8 +28,9 @@ from roomlight.compositing.objects.gltf.reader import read_gltf
 from roomlight.compositing.objects.limits import ObjectLimits, plain_text
 from roomlight.compositing.objects.obj import read_obj
 from roomlight.compositing.objects.ply import read_ply
-from roomlight.compositing.objects.virtual_object import VirtualObject
+from roomlight.compositing.objects.virtual_object import SIZE_ADVICE, VirtualObject
 from roomlight.errors import ObjectError
+from roomlight.notes import Note
 
 ObjectKind = Literal["glb", "gltf", "obj", "ply"]
 DEFAULT_LIMITS = ObjectLimits()
@@ -67,7 +69,17 @@ def load_object(
     else:
         read = read_obj if file_kind == "obj" else read_gltf
         parts, notes = read(data, label, limits, FilesBeside(folder, limits, len(data)))
-    return VirtualObject(name or "object", parts, notes)
+    return _with_size_note(VirtualObject(name or "object", parts, notes), label)
+
+
+def _with_size_note(loaded: VirtualObject, label: str) -> VirtualObject:
+    """Note a size that nothing in a room has: the file counts in another unit than metres."""
+    low, high = loaded.bounds()
+    extent = float((high - low).max())
+    if 0.005 <= extent <= 30:
+        return loaded
+    effect, advice = "its numbers are taken for metres", f"{SIZE_ADVICE} of its longest side in metres"
+    return replace(loaded, notes=(*loaded.notes, Note(f"{label}: its size of {extent:.3g} m", effect, advice)))
 
 
 def _read(path: Path, limits: ObjectLimits) -> bytes:

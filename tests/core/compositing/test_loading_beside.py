@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gltf_files import png, textured_quad
+from PIL import Image
 
+from colour_profiles import matrix_profile
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.textures import Texture
@@ -116,5 +118,38 @@ def test_odd_numbers_in_materials_keep_their_defaults(tmp_path: Path) -> None:
     path = obj_folder(tmp_path, "newmtl Dark wood\nKd nan 1 1\nNs -4\nTr 0,5\nKe 9\nPr 2\nnewmtl steel\nKd 0.2\n")
     (_, wood), (_, steel) = load_object(path).parts
     assert wood.base_colour == pytest.approx((0.604,) * 3, abs=1e-3)  # 0.8 in sRGB
-    assert (wood.roughness, wood.opacity, wood.emissive) == (1, 0.5, (1, 1, 1))
+    assert (wood.roughness, wood.opacity, wood.emissive) == (1, 0.5, (9, 9, 9))
     assert steel.base_colour == pytest.approx((0.0331,) * 3, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("Kd 128 0 0", "Kd of 128"),
+        ("Kd spectral metal.rfl", "Kd spectral"),
+        ("Pc 1", "clear coat"),
+        ("map_Kd -s 2 2 1 maps/wood red.png", "scale, offset"),
+        ("map_Kd -o 0 0.5 maps/wood red.png", "scale, offset"),
+        ("map_Kd -s 1 1.0 1 -o 0 0 0 maps/wood red.png", ""),
+        ('map_Kd "maps/wood red.png"', ""),
+        ("Kd 0.5 0 0\nd -halo 0.5", ""),
+    ],
+)
+def test_what_a_material_states_is_read_or_noted(tmp_path: Path, line: str, says: str) -> None:
+    chair = load_object(obj_folder(tmp_path, f"newmtl Dark wood\n{line}\nnewmtl steel\n"))
+    notes = [note.left_out for note in chair.notes]
+    assert [says in note for note in notes] == [True] * bool(says)
+    wood = chair.parts[0][1]
+    assert (wood.base_colour_texture is not None) == ("map_Kd" in line)
+    assert wood.opacity == (0.5 if "halo" in line else 1)
+    if "128" in line:
+        assert wood.base_colour == pytest.approx((0.2158605, 0, 0), abs=1e-5)
+
+
+def test_textures_of_an_obj_have_a_colour_profile(tmp_path: Path) -> None:
+    path = obj_folder(tmp_path)
+    profile = matrix_profile((0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329))
+    Image.fromarray(RED).save(tmp_path / "maps" / "wood red.png", icc_profile=profile)
+    texture = load_object(path).parts[0][1].base_colour_texture
+    assert texture is not None
+    assert texture.texels[0, 0, 0] > 1.15 * Texture.from_srgb8(RED).texels[0, 0, 0]  # P3's red is redder

@@ -95,6 +95,8 @@ def test_hidden_nodes_are_left_out() -> None:
     [
         lambda tree: tree["materials"][0].update(pbrMetallicRoughness={"baseColorFactor": [1, 0, 0]}),
         lambda tree: tree["asset"].update(version="2"),
+        lambda tree: tree["asset"].update(version=2.0),
+        lambda tree: (tree["nodes"].append({"mesh": 0, "scale": [0, 1, 1]}), tree["scenes"][0]["nodes"].append(1)),
         lambda tree: tree.pop("scene"),
         lambda tree: tree["materials"][0].update(alphaMode="opaque", alphaCutoff=None),
     ],
@@ -139,6 +141,7 @@ def test_obj_that_others_read(data: bytes) -> None:
     [
         ("uchar", (255, 0, 0), 1.0),
         ("uchar", (1, 0, 0), 1 / 255 / 12.92),
+        ("int", (128, 0, 0), 0.2158605),
         ("ushort", (32896, 0, 0), 0.2158605),
         ("float", (1, 0, 0), 1.0),
     ],

@@ -76,6 +76,14 @@ def test_gltf_without_normals_is_flat() -> None:
     assert bend_deg(load_object(coloured.glb())) < 0.01
 
 
+def test_normals_of_no_length_are_none() -> None:
+    file = cube_gltf()
+    count = file.tree["accessors"][file.tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]["count"]
+    normals = file.accessor(np.zeros((count, 3), np.float32), "VEC3", 5126)
+    file.tree["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = normals
+    assert bend_deg(load_object(file.glb())) == pytest.approx(0, abs=0.1)
+
+
 def obj_of(vertices: np.ndarray, faces: list[list[int]], before: str = "") -> bytes:
     lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [before]
     return "\n".join([*lines, *("f " + " ".join(str(i + 1) for i in face) for face in faces)]).encode()

@@ -4,12 +4,15 @@ Colours are sRGB, as viewers take them. Shininess becomes roughness as Blender w
 `Pr` and `Pm` (Wavefront's extension for physically based materials) count instead where they are stated.
 """
 
+import io
 import math
+import re
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from jaxtyping import UInt8
+from PIL import Image
 
 from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.limits import ObjectLimits, plain_text
@@ -18,6 +21,7 @@ from roomlight.compositing.objects.pictures import PictureReader
 from roomlight.compositing.objects.textures import Texture
 from roomlight.conventions import srgb_to_linear
 from roomlight.errors import ObjectError
+from roomlight.imaging.tags import profile_to_srgb8
 from roomlight.notes import Note
 
 _VALUES: Final = {"kd": 3, "ks": 3, "ke": 3, "ns": 1, "ni": 1, "d": 1, "tr": 1, "pr": 1, "pm": 1}
@@ -25,8 +29,13 @@ _PICTURES: Final = ("map_kd", "map_ke", "map_d")
 _LEFT_OUT: Final = {
     **dict.fromkeys(("map_bump", "bump", "norm", "disp", "map_disp"), "relief"),
     **dict.fromkeys(("map_ks", "map_ns", "map_pr", "map_pm", "refl"), "textures of gloss, metal and reflection"),
+    **dict.fromkeys(("pc", "pcr", "ps", "aniso", "anisor", "map_pc", "map_ps"), "clear coat, sheen and brushed metal"),
     "tf": "coloured glass",
 }
+_MOVED: Final = re.compile(
+    r"(?:^| )-(?:s(?: +1(?:\.0*)?)*(?= +-?[\d.])(?! +1(?:\.0*)?(?: |$))|o(?: +-?[0.]+)* +-?[0.]*[1-9]|clamp +on)"
+)
+"""Options of a texture that change something: a scale other than 1, an offset other than 0."""
 
 
 @dataclass
@@ -72,14 +81,28 @@ class MtlReader:
             if key == "newmtl":
                 current = materials.setdefault(rest, _Stated())
             elif key in _VALUES:
-                numbers = _finite(rest.split()[: _VALUES[key]])
+                numbers = _finite(rest.removeprefix("-halo").split()[: _VALUES[key]])
                 if numbers:
-                    current.values[key] = numbers if len(numbers) == _VALUES[key] else numbers[:1] * _VALUES[key]
+                    stated = numbers if len(numbers) == _VALUES[key] else numbers[:1] * _VALUES[key]
+                    current.values[key] = self._in_range(key, stated)
+                else:
+                    self._left_out.add(f"the line {raw.strip()[:60]!r}")
             elif key in _PICTURES:
-                current.pictures[key] = _file_name(rest)
+                current.pictures[key] = file_of_map(rest)
+                if _MOVED.search(rest):
+                    self._left_out.add("scale, offset and clamping of textures (-s, -o, -clamp)")
             elif key in _LEFT_OUT:
                 self._left_out.add(_LEFT_OUT[key])
         return materials
+
+    def _in_range(self, key: str, values: tuple[float, ...]) -> tuple[float, ...]:
+        """Return a colour from 0 to 1: larger ones are of 255, or too large; emission may be."""
+        if key not in ("kd", "ks") or max(values) <= 1:
+            return values
+        whole = 255.0 if max(values) > 2 else 1.0
+        left_out = f"{self._name}: {key.capitalize()} of {max(values):g} in its materials"
+        self.notes.append(Note(left_out, "it is read as of 255" if whole > 1 else "it is read as 1", "write 0 to 1"))
+        return tuple(min(value / whole, 1.0) for value in values)
 
     def _material(self, stated: _Stated, label: str) -> Material:
         def share(key: str, default: float) -> float:
@@ -104,7 +127,7 @@ class MtlReader:
             ior=ior if 1.05 < ior <= 3 else 1.5,
             opacity=share("d", 1 - share("tr", 0.0)),
             alpha_cutoff=0.5 if cut_out else None,
-            emissive=_linear(stated.values.get("ke", (1.0,) * 3 if glow is not None else (0.0,) * 3)),
+            emissive=_linear(stated.values.get("ke", (1.0,) * 3 if glow is not None else (0.0,) * 3), most=1e6),
             base_colour_texture=None if base is None else Texture.from_srgb8(base if cut_out else base[..., :3]),
             emissive_texture=None if glow is None else Texture.from_srgb8(glow[..., :3]),
         )
@@ -121,18 +144,29 @@ class MtlReader:
                 data = None
                 self.notes.append(Note(str(error), "its colour alone is used", "put it beside the object"))
             self._limits.check("images", len(self._pictures) + 1, self._name)
-            self._pictures[name] = None if data is None else self._reader.read(data, where)
+            self._pictures[name] = None if data is None else self._decoded(data, where)
         return self._pictures[name]
 
+    def _decoded(self, data: bytes, where: str) -> UInt8[np.ndarray, "h w c"]:
+        """Decode a picture to sRGB by its colour profile."""
+        pixels = self._reader.read(data, where)
+        with Image.open(io.BytesIO(data)) as image:
+            profile = image.info.get("icc_profile")
+        if profile:
+            converted, notes = profile_to_srgb8(np.ascontiguousarray(pixels[..., :3]), profile, where)
+            self.notes.extend(notes)
+            pixels = pixels if converted is None else np.concatenate([converted, pixels[..., 3:]], axis=-1)
+        return pixels
 
-def _file_name(rest: str) -> str:
+
+def file_of_map(rest: str) -> str:
     """Return the file of a map line: options such as `-s 1 1 1` may precede it, and it may hold spaces."""
     words = rest.split(" ")
     while len(words) > 1 and words[0].startswith("-"):
         words = words[1:]
         while len(words) > 1 and (words[0] in ("on", "off", "") or _finite(words[:1])):
             words = words[1:]
-    return " ".join(words)
+    return " ".join(words).strip('"')
 
 
 def _finite(words: list[str]) -> tuple[float, ...]:
@@ -143,6 +177,9 @@ def _finite(words: list[str]) -> tuple[float, ...]:
     return numbers if all(math.isfinite(number) for number in numbers) else ()
 
 
-def _linear(colour: tuple[float, ...]) -> Colour:
-    red, green, blue = srgb_to_linear(np.clip(np.array(colour, np.float64), 0, 1)).tolist()
+def _linear(colour: tuple[float, ...], most: float = 1.0) -> Colour:
+    """Decode sRGB; a colour whose largest value is above 1 is that many times as bright."""
+    values = np.clip(np.array(colour, np.float64), 0, most)
+    times = max(float(values.max()), 1.0)
+    red, green, blue = (times * srgb_to_linear(values / times)).tolist()
     return red, green, blue

@@ -27,6 +27,7 @@ _VALUES: Final = {b"v": 3, b"vt": 1, b"vn": 3}
 _LEFT_OUT: Final = {
     **dict.fromkeys((b"curv", b"curv2", b"surf", b"parm", b"cstype"), b"free-form curves and surfaces"),
     **dict.fromkeys((b"l", b"p"), b"lines and points"),
+    **dict.fromkeys((b"call", b"csh"), b"files that it calls"),
 }
 
 

@@ -339,8 +339,10 @@ def _corner_uvs(
 
 
 def _largest(values: np.ndarray) -> float:
-    """Return what stands for 1: the largest integer of a type, or 1 of floats."""
-    return float(np.iinfo(values.dtype.name).max) if values.dtype.kind in "ui" else 1.0
+    """Return what stands for 1: the largest integer of a type, 255 of 32 bits that hold no more, or 1 of floats."""
+    if values.dtype.kind not in "ui":
+        return 1.0
+    return 255.0 if values.dtype.itemsize == 4 and values.max() <= 255 else float(np.iinfo(values.dtype.name).max)
 
 
 def _corner_colours(

@@ -10,6 +10,7 @@ from roomlight.compositing.objects.materials import Material
 from roomlight.errors import ObjectError
 from roomlight.notes import Note
 
+SIZE_ADVICE: Final = "state size_m, the length"
 MAX_COORDINATE_M: Final = 1e5
 """Coordinates beyond this are refused: float32 resolves 8 mm there."""
 
@@ -165,7 +166,8 @@ class VirtualObject:
             raise ObjectError(f"size_m must be a positive number of metres, got {size_m}")
         if extent <= 0:
             raise ObjectError(f"object {self.name!r} has no extent and cannot be scaled")
-        return self.transformed(np.diag([size_m / extent] * 3 + [1.0]))
+        scaled = self.transformed(np.diag([size_m / extent] * 3 + [1.0]))
+        return replace(scaled, notes=tuple(note for note in self.notes if SIZE_ADVICE not in note.advice))
 
     def transformed(self, transform: Float[np.ndarray, "4 4"]) -> "VirtualObject":
         """Apply an affine 4 x 4 transform, such as a pose in the world.

@@ -92,6 +92,8 @@ def explained(error: ValidationError, what: str) -> str:
     rules = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below", "expected": "one of"}
     allowed = [f"{word} {bounds[key]}" for key, word in rules.items() if key in bounds]
     types = {"int": "a whole number", "float": "a number", "string": "a text", "list": "a list", "dict": "an object"}
+    if kind in ("too_short", "too_long", "tuple_type"):
+        allowed = [f"{bounds.get('max_length', bounds.get('min_length', 'several'))} numbers"]
     expected = allowed or [word for key, word in types.items() if kind.startswith(key)] or ["another value"]
     return f"{what} {where or 'JSON'} is {text}; it must be {' and '.join(expected)}"
 

@@ -88,7 +88,11 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
     materials = MaterialReader(Images(gltf, views, beside, name, limits), clamped)
     surfaces: dict[int, Surface] = {}
     parts: list[tuple[TriangleMesh, Material]] = []
-    for node in placed:
+    scaled = [node for node in placed if node.joints is not None or abs(np.linalg.det(node.transform)) > 1e-20]
+    if len(scaled) < len(placed):  # animations hide a node so
+        lost = f"{name}: {len(placed) - len(scaled)} meshes whose nodes have a scale of 0"
+        notes.append(Note(lost, "they are missing", "export the pose you want"))
+    for node in scaled or placed:
         for index in reader.drawn(node.mesh):
             label = f"{name}: mesh {node.mesh}, primitive {index}"
             primitive = gltf.meshes[node.mesh].primitives[index]
@@ -242,6 +246,7 @@ class _PrimitiveReader:
         normals, tangents = values("NORMAL", "VEC3"), values("TANGENT", "VEC4")
         if normals is not None and not np.isfinite(normals).all():
             raise ObjectError(f"{label}: a normal is not a finite number")
+        normals = normals if normals is None or normals.any() else None  # none are stated
         uvs = values(f"TEXCOORD_{surface.uv_set}", "VEC2")
         if uvs is not None:
             transform = np.array(surface.uv_transform)

@@ -239,7 +239,9 @@ class GltfImage(_Model):
 class Asset(_Model):
     """The version."""
 
-    version: str = "2.0"
+    version: Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)] = (
+        "2.0"
+    )
 
 
 class Gltf(_Model):

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
+from roomlight.compositing.objects.mtl import file_of_map
 from roomlight.compositing.objects.polygons import triangles_of
 from roomlight.errors import FurnitureError
 
@@ -116,7 +117,7 @@ def parse_mtl(data: bytes) -> dict[str, MtlMaterial]:
         if key == "newmtl":
             current = materials.setdefault(rest.strip(), {})
         elif key == "map_Kd" and words:
-            current["texture"] = _texture_name(rest)
+            current["texture"] = file_of_map(rest)
         elif key in ("Kd", "Ks", "Ns", "d", "Tr"):
             numbers = [_number(word) for word in words[:3]]
             if not numbers or None in numbers:
@@ -130,16 +131,6 @@ def parse_mtl(data: bytes) -> dict[str, MtlMaterial]:
             else:
                 current["opacity"] = values[0] if key == "d" else 1 - values[0]
     return {name: MtlMaterial(name, **values) for name, values in materials.items()}  # pyright: ignore[reportArgumentType]
-
-
-def _texture_name(rest: str) -> str:
-    """Return the file of a map statement: its name may contain spaces, and options (`-s 1 1 1`) may precede it."""
-    words = rest.strip().split(" ")
-    while words and words[0].startswith("-"):
-        words = words[1:]
-        while words and (_number(words[0]) is not None or words[0] in ("on", "off")):
-            words = words[1:]
-    return " ".join(words) or rest.strip()
 
 
 def _text(raw: bytes) -> str:
