@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ import zstandard
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
 from roomlight.errors import WireError
 from roomlight.wire.decoding import decode_frame
+from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import pack, parse
 
@@ -95,6 +97,21 @@ def test_transparent_pixels_of_a_png_are_not_seen():
     pixels[..., 3] = 0
     with pytest.raises(WireError, match="opaque"):
         decode_frame(message(("png", cv2.imencode(".png", pixels)[1].tobytes())), 0)
+
+
+@pytest.mark.parametrize("encoding", ["exact", "jpeg", "png"])
+def test_a_mask_is_sent_with_every_encoding(encoding):
+    seen = np.ones((HEIGHT, WIDTH), bool)
+    seen[: HEIGHT // 2] = False
+    clipped = np.zeros_like(seen)
+    clipped[:, : WIDTH // 2] = True
+    own = replace(decode_frame(message(), 0), seen=seen, clipped=clipped)
+    sent = decode_frame(parse(pack_frame(own, colour=encoding)), 0)
+    np.testing.assert_array_equal(sent.seen, seen)
+    if encoding == "exact":
+        np.testing.assert_array_equal(sent.clipped, clipped)
+        np.testing.assert_array_equal(sent.image, own.image)
+    assert decode_frame(parse(pack_frame(replace(own, seen=None), colour=encoding)), 0).seen is None
 
 
 def test_the_colour_space_of_heic_counts_on_the_wire_too():

@@ -35,7 +35,7 @@ export interface components {
          *     Attributes:
          *         encoding: jpeg, png, heic: an 8-bit sRGB file; heic requires a server with the decoder. rgb8: 8-bit sRGB, row by
          *             row, 3 bytes per pixel. linear_f32: float32 linear RGB [h, w, 3], then uint8 [h, w], 1 where the sensor
-         *             clipped; lossless, for replays.
+         *             clipped, 2 or 3 where the pixel shows nothing (masked); lossless, for replays.
          *         bytes: length of the part.
          */
         readonly ColourPart: {

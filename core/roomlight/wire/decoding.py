@@ -33,7 +33,7 @@ def decode_frame(
     if ratio != 1.0:  # keeps unscaled images bit-exact
         image = image / np.float32(ratio)
     depth_m = _depth(message, min_confidence)
-    if picture.seen is not None:
+    if picture.seen is not None and message.header.colour.encoding != "linear_f32":
         image, depth_m = hidden(image, depth_m, picture.seen)
         if not depth_m.any():
             raise _error("depth", "0 pixels", "at least one pixel that is opaque must have a known depth")
@@ -65,8 +65,9 @@ def _colour(message: FrameMessage) -> ColourImage:
     width, height = message.intrinsics.width, message.intrinsics.height
     if encoding == "linear_f32":
         image = np.frombuffer(data, "<f4", height * width * 3).reshape(height, width, 3).astype(np.float32)
-        clipped = np.frombuffer(data, np.uint8, offset=12 * height * width).reshape(height, width)
-        return ColourImage(image, clipped > 0)
+        marks = np.frombuffer(data, np.uint8, offset=12 * height * width).reshape(height, width)
+        seen = (marks != 2) & (marks != 3)
+        return ColourImage(image, (marks > 0) & (marks != 2), None if seen.all() else seen)
     if encoding == "rgb8":
         rgb = np.frombuffer(data, np.uint8).reshape(height, width, 3)
         return ColourImage(srgb8_to_linear(rgb), clipped_pixels(rgb))

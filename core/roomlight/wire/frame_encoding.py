@@ -32,7 +32,8 @@ FrameEncoding = Literal["exact", "jpeg", "png"]
 """Encoding of a `Frame`.
 
 exact: linear float32 at the engine's working size, 1.2 MB. The light equals the local engine's, bit for bit.
-jpeg, png: 8-bit sRGB of at most 640 x 480, as a phone sends it: 60 kB, 400 kB.
+jpeg, png: 8-bit sRGB of at most 640 x 480, as a phone sends it: 60 kB, 400 kB. Frames with a mask (`Frame.seen`) are
+sent as PNG with alpha, because JPEG has none.
 """
 
 EXACT_SIZE: Final = (320, 240)
@@ -94,8 +95,12 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
     small = frame.resized(*PHONE_SIZE)
     exposure = _exposure(small)
     srgb8 = linear_to_srgb8(small.image * np.float32(exposure))
-    suffix, options = (".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]) if colour == "jpeg" else (".png", list[int]())
-    ok, data = cv2.imencode(suffix, np.ascontiguousarray(srgb8[..., ::-1]), options)
+    pixels, suffix, options = srgb8[..., ::-1], ".png", list[int]()
+    if small.seen is not None:
+        pixels = np.dstack([pixels, small.seen.astype(np.uint8) * 255])
+    elif colour == "jpeg":
+        suffix, options = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    ok, data = cv2.imencode(suffix, np.ascontiguousarray(pixels), options)
     if not ok:
         raise WireError("bad-frame", field="colour", value=srgb8.shape, rule=f"must encode as {colour}")
     return pack_camera_frame(
@@ -114,7 +119,10 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
 def _pack_exact(frame: Frame) -> bytes:
     """Encode colour and depth as float32: the server decodes this frame at the working size, bit for bit."""
     small = frame.resized(*EXACT_SIZE)
-    colour = small.image.astype("<f4").tobytes() + small.clipped.astype(np.uint8).tobytes()
+    marks = small.clipped.astype(np.uint8)
+    if small.seen is not None:
+        marks[~small.seen] += 2
+    colour = small.image.astype("<f4").tobytes() + marks.tobytes()
     # Servers refuse depth without a known pixel. If resizing dropped all known pixels, send the full-size depth.
     depth_m = small.depth_m if small.depth_m.any() else frame.depth_m if frame.depth_m.any() else None
     camera = CameraFrame(

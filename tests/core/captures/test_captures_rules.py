@@ -465,6 +465,18 @@ def test_a_truncated_sens_keeps_its_whole_frames(tmp_path: Path) -> None:
     one_skipped(tmp_path / "lost.sens", 1, "lost tracking")
 
 
+def test_masks_of_a_colmap_model_are_read(tmp_path: Path) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    mask = np.full((24, 32), 255, np.uint8)
+    mask[:6] = 0
+    name = next((path / "images").iterdir()).name
+    formats.save(path / f"masks/{name}.png", formats.image(".png", mask))
+    masked = [frame for frame in open_capture(path) if frame.seen is not None]
+    assert [Path(frame.source).name for frame in masked] == [name]
+    assert masked[0].seen is not None
+    assert not masked[0].seen[:5].any()
+
+
 def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:
     path = formats.colmap_text(tmp_path / "capture", VIEWS)
     text = (path / "sparse/cameras.txt").read_text()

@@ -3,7 +3,7 @@
 COLMAP knows neither metres nor gravity: a capture must have been scaled to metres, unless camera_height_m is given, and
 its up direction is assumed to be -y, that of a camera held level; both are noted. Depth maps lie in `depth`, `depths`
 or `depth_maps`, named like the image, in the model's unit (integers: a thousandth of it); or COLMAP's own,
-`stereo/depth_maps/NAME.geometric.bin`.
+`stereo/depth_maps/NAME.geometric.bin`. Pixels that are 0 in `masks/NAME.png` are not seen.
 
 Conventions: world-to-camera quaternions (w, x, y, z), OpenCV camera. Principal points have pixel centres at half
 integers and are used unchanged. Lens models are those of `roomlight.captures.lenses`.
@@ -20,7 +20,7 @@ from jaxtyping import Float
 from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
-from roomlight.captures.decoding import read_rgbd
+from roomlight.captures.decoding import read_mask, read_rgbd, with_mask
 from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.lenses import Lens, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions
@@ -139,8 +139,12 @@ class ColmapReader(ListedReader):
             if isinstance(camera, str):
                 raise ValueError(camera)
         read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
-        depth_m = read.depth_m
-        picture, intrinsics = fitted(read.picture, camera.intrinsics, label)
+        picture, depth_m = read.picture, read.depth_m
+        for mask in (f"masks/{image.name}.png", f"masks/{stem}.png"):
+            if self._source.has(mask):
+                picture = with_mask(picture, read_mask(self._source, mask))
+                break
+        picture, intrinsics = fitted(picture, camera.intrinsics, label)
         with fields.naming(label, FrameError):
             if not camera.lens.straight and picture.image.shape[:2] == (intrinsics.height, intrinsics.width):
                 picture, depth_m, intrinsics = straightened(picture, depth_m, intrinsics, camera.lens)
