@@ -66,6 +66,10 @@ class ObjectScores:
         pairs = [(room.errors[method][look], room.errors[HARMONICS][look]) for room in self.rooms]
         return ratio_of_means(*zip(*pairs, strict=True))
 
+    def worst(self, method: str, look: str) -> float:
+        """Return the greatest of the rooms' errors relative to that of `HARMONICS`."""
+        return max(room.errors[method][look] / room.errors[HARMONICS][look] for room in self.rooms)
+
     def write(self, path: Path) -> None:
         """Write every room's errors as JSON."""
         write_atomic(path, json.dumps([asdict(room) for room in self.rooms], indent=1).encode())

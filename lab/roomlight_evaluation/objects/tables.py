@@ -16,12 +16,22 @@ def object_tables(scores: ObjectScores) -> list[Table]:
     return [
         figure_table(
             f"Lit objects, error relative to {HARMONICS}; {rooms}",
-            LOOKS,
-            ([method, *(mean_cell(scores.ratio(method, look), 2) for look in LOOKS)] for method in scores.methods),
-            caption="RMSE, ratio of means over rooms (95 % bootstrap interval)",
+            (*LOOKS, "diffuse,\nworst room"),
+            (
+                [
+                    method,
+                    *(mean_cell(scores.ratio(method, look), 2) for look in LOOKS),
+                    f"{scores.worst(method, 'diffuse'):.2f}",
+                ]
+                for method in scores.methods
+            ),
+            caption=(
+                "ratio of mean errors over rooms (95 % bootstrap interval); errors are RMSE, that of the brightness "
+                "is the absolute logarithm of the irradiance from above"
+            ),
         ),
         figure_table(
-            f"Lit objects, RMSE; {rooms}",
+            f"Lit objects, errors; {rooms}",
             LOOKS,
             ([method, *(mean_cell(scores.mean(method, look)) for look in LOOKS)] for method in scores.methods),
         ),

@@ -12,7 +12,7 @@ from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
 from roomlight_evaluation.objects.evaluation import COMPOSITED, evaluate_objects
-from roomlight_evaluation.objects.lit_objects import LOOKS, SHADOW, LitObjects
+from roomlight_evaluation.objects.lit_objects import BRIGHTNESS, LOOKS, SHADOW, SPHERES, LitObjects
 from roomlight_evaluation.objects.sphere_shadow import shadow_of_sphere
 from roomlight_evaluation.objects.tables import object_tables
 from rooms import BoxRoom, camera_at
@@ -57,8 +57,10 @@ def test_errors_are_none_under_the_truth_and_grow_with_the_error():
     objects = LitObjects(lamp((1, 2, 0), 20.0, ambient=0.1), AHEAD)
     assert set(objects.errors(lamp((1, 2, 0), 20.0, ambient=0.1)).values()) == {0.0}
     near, far = (objects.errors(lamp(toward, 20.0, ambient=0.1)) for toward in ((1, 2, 0.4), (-1, 2, 0)))
-    for look in LOOKS:
+    for look in (*SPHERES, SHADOW):
         assert 0 < near[look] < far[look], look
+    twice, half = (objects.errors(factor * lamp((1, 2, 0), 20.0, ambient=0.1)) for factor in (2.0, 0.5))
+    assert_allclose([twice[BRIGHTNESS], half[BRIGHTNESS]], np.log(2), rtol=1e-5)
 
 
 def test_a_place_without_a_shadow_has_no_error_of_it():
@@ -84,7 +86,7 @@ def scores(tmp_path_factory):
 def test_every_method_is_scored_in_every_room(scores):
     assert scores.methods == (MEAN_COLOUR, HARMONICS, WARPED, "classical", f"classical, {COMPOSITED}")
     assert [(room.room, room.probes) for room in scores.rooms] == [("a", 2), ("b", 2)]
-    assert scores.ratio(HARMONICS, "diffuse").mean == 1
+    assert scores.ratio(HARMONICS, "diffuse").mean == scores.worst(HARMONICS, "diffuse") == 1
     assert scores.ratio("classical", "mirror").mean < scores.ratio(MEAN_COLOUR, "mirror").mean
 
 
