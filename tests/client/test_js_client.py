@@ -4,19 +4,23 @@
 path in CHROMIUM).
 """
 
+import io
 import json
 import os
+import zipfile
 
+import cv2
 import numpy as np
 import pytest
 from js_package import PACKAGE, run
 from light_rooms import lit, room
 
-from http_servers import RunningServer
+from http_servers import SMALL, RunningServer, box_shot
 from roomlight.conventions import panorama_directions
+from roomlight.images import decode_colour
 from roomlight.light.light import Light
 from roomlight.wire.frame_header import FrameHeader
-from roomlight.wire.frame_message import pack
+from roomlight.wire.frame_message import column_major, pack
 
 pytestmark = pytest.mark.js
 
@@ -31,9 +35,43 @@ def built() -> None:
 
 
 @pytest.fixture(scope="module")
-def server():
+def server(tmp_path_factory):
     with RunningServer(tokens=(TOKEN,), allow_origins=("*",)) as running:
-        yield os.environ | {"ROOMLIGHT_SERVER": f"http://127.0.0.1:{running.port}", "ROOMLIGHT_TOKEN": TOKEN}
+        file = tmp_path_factory.mktemp("sphere") / "sphere.json"
+        file.write_text(json.dumps(composited_sphere(running)))
+        yield os.environ | {
+            "ROOMLIGHT_SERVER": f"http://127.0.0.1:{running.port}",
+            "ROOMLIGHT_TOKEN": TOKEN,
+            "ROOMLIGHT_SPHERE": str(file),
+        }
+
+
+def composited_sphere(server):
+    """Put a matte sphere into a frame: what a renderer needs to draw it, and the composite's pixels inside it."""
+    shot, name, place, size_m = box_shot(0), "sphere", [0.2, 1.4, -0.4], 0.5
+    server.open(name, SMALL | {"height": 60}, token=TOKEN)
+    assert server.push(0, name=name, token=TOKEN).status == 200
+    ball = {"shape": "sphere", "size_m": size_m, "position": place, "anchor": "centre"}
+    ball["material"] = {"kind": "diffuse", "base_colour": [0.5, 0.5, 0.5]}
+    request = {"objects": [ball], "format": "layers", "quality": "good"}
+    made = server.call("POST", f"/v1/sessions/{name}/composite", request, token=TOKEN)
+    assert made.status == 200, made
+    with zipfile.ZipFile(io.BytesIO(made.body)) as layers:
+        objects, _ = decode_colour(layers.read("objects.exr"), "objects")
+        alpha = cv2.imdecode(np.frombuffer(layers.read("alpha.png"), np.uint8), cv2.IMREAD_UNCHANGED)
+    inside = np.repeat(cv2.erode(alpha, np.ones((3, 3)))[::-1, :, None] == 65535, 3, axis=2).reshape(-1)
+    k = shot.intrinsics
+    view = {
+        "position": place,
+        "radius_m": size_m / 2,
+        "albedo": 0.5,
+        "camera_to_world": column_major(shot.camera_to_world),
+        "fov_degrees": float(np.degrees(2 * np.arctan(k.height / 2 / k.fy))),
+        "width": k.width,
+        "height": k.height,
+    }
+    radiance = objects[::-1].reshape(-1)[inside].tolist()
+    return {"session": name, "view": view, "inside": np.flatnonzero(inside).tolist(), "radiance": radiance}
 
 
 @pytest.mark.usefixtures("built")

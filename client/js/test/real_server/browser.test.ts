@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
 import { chromium, type Browser, type Page } from "playwright-core";
-import type { Vector } from "roomlight";
+import { RoomLight, type Vector } from "roomlight";
 import * as field from "../light_field.js";
 import { serve } from "../server.js";
 import { vectors } from "../vectors.js";
@@ -93,6 +93,18 @@ test("harmonics shade like the light, main light counted once", async () => {
     }),
     0.01,
   );
+});
+
+test("a sphere is lit as the server's composite lights it", async () => {
+  const { session, view, inside, radiance } = JSON.parse(readFileSync(process.env["ROOMLIGHT_SPHERE"]!, "utf8"));
+  const server = new RoomLight(process.env["ROOMLIGHT_SERVER"]!, { token: process.env["ROOMLIGHT_TOKEN"]! });
+  const light = await (await server.join(session)).lightAt(view.position, [{ format: "sh" }, { format: "main_light" }]);
+  const shown = await call("sphere", light, view);
+  const wanted = radiance as number[];
+  const seen = (inside as number[]).map((at) => shown[at]!);
+  const mean = (values: number[]) => values.reduce((sum, value) => sum + value, 0) / values.length;
+  const apart = mean(seen.map((value, at) => Math.abs(value - wanted[at]!))) / mean(wanted);
+  assert.ok(seen.length > 150 && apart < 0.05, `${apart} of the mean apart, at ${seen.length} values`);
 });
 
 test("a shader samples each level of the specular mips", async () => {

@@ -95,6 +95,38 @@ function diffuse(parts: readonly LightData[]): number[][] {
   });
 }
 
+/** A sphere in a frame's picture. */
+export interface SphereView {
+  position: Vector;
+  radius_m: number;
+  albedo: number;
+  camera_to_world: number[];
+  fov_degrees: number;
+  width: number;
+  height: number;
+}
+
+/** A matte sphere lit by harmonics and main light: RGB of all pixels, rows from the bottom. */
+function sphere(light: Light, view: SphereView): number[] {
+  const scene = new THREE.Scene();
+  applyToScene(scene, light);
+  const material = new THREE.MeshLambertMaterial();
+  material.color.setScalar(view.albedo);
+  const ball = new THREE.Mesh(new THREE.SphereGeometry(view.radius_m, 128, 64), material);
+  ball.position.set(...view.position);
+  scene.add(ball);
+  const camera = new THREE.PerspectiveCamera(view.fov_degrees, view.width / view.height, 0.01, 50);
+  camera.applyMatrix4(new THREE.Matrix4().fromArray(view.camera_to_world));
+  const target = new THREE.WebGLRenderTarget(view.width, view.height, { type: THREE.FloatType });
+  renderer.setRenderTarget(target);
+  renderer.render(scene, camera);
+  const pixels = new Float32Array(4 * view.width * view.height);
+  renderer.readRenderTargetPixels(target, 0, 0, view.width, view.height, pixels);
+  renderer.setRenderTarget(null);
+  target.dispose();
+  return [...pixels].filter((_, at) => at % 4 < 3);
+}
+
 /** A floor of ShadowMaterial under a box and beside it, lit by an environment. */
 function shadows(): number[][] {
   const scene = new THREE.Scene();
@@ -223,6 +255,9 @@ async function session(url: string, token: string, vector: readonly Frame[]) {
 
 const bytesOf = (data: unknown) => Uint8Array.from(data as number[]);
 
-const calls = { mirrored, panorama, diffuse, specular, shadows, quarters, session, harmonicsForm: field.harmonicsForm };
+const calls = {
+  ...{ mirrored, panorama, diffuse, sphere, specular, shadows, quarters, session },
+  harmonicsForm: field.harmonicsForm,
+};
 export type Calls = typeof calls;
 Object.assign(globalThis, { calls });
