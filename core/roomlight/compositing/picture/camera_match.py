@@ -1,8 +1,9 @@
 """The camera's noise and blur, estimated from a frame and given to virtual objects.
 
-Noise is measured in sRGB-encoded values, where viewers see it, as a function of brightness: the median absolute
-high-pass (Immerkaer 1996) of flat pixels. Cameras that demosaic and compress make noise that is correlated between
-pixels: the same measure at half the resolution tells how far. Blur is the width of strong edges, by the ratio of their
+Noise is measured in sRGB-encoded values, where viewers see it, as a function of brightness: the mean absolute
+high-pass (Immerkaer 1996) of flat pixels, without the largest tenth. Cameras that demosaic and compress make noise that
+is correlated between pixels and channels: the same measure at half the resolution and of differences of channels tells
+how far (what is drawn as if channels were independent is a coarse pattern of colours). Blur is the width of strong edges, by the ratio of their
 gradients before and after a known blur (Zhuo and Sim 2011). Nothing is added to a picture without noise.
 """
 
@@ -35,6 +36,8 @@ _REBLUR_PX: Final = 1.0
 _STRONG: Final = 0.05
 _WIDE_PX: Final = 3.0
 _STEP: Final = (0.5, 1.6)
+_OF_NORMAL: Final = 0.657
+"""Mean absolute value of normal numbers of deviation 1 without the largest tenth."""
 _QUANTISED: Final = 0.4 / 255
 """Noise below this is the rounding to 8 bits."""
 
@@ -47,11 +50,13 @@ class CameraModel:
         noise: [LEVELS, 3] standard deviation of the encoded value at each brightness, for red, green, blue.
         grain_px: blur of the noise itself; 0 is white.
         blur_px: standard deviation of the point spread, in pixels.
+        shared: part of the noise's variance that the channels have in common.
     """
 
     noise: Float32[np.ndarray, "levels 3"]
     grain_px: float
     blur_px: float
+    shared: float = 0.0
 
     @classmethod
     def perfect(cls) -> "CameraModel":
@@ -61,11 +66,8 @@ class CameraModel:
     def eased(self, newer: "CameraModel", share: float) -> "CameraModel":
         """Return the model moved toward a newer one, by a share of 0 to 1."""
         noise = (1 - share) * self.noise + share * newer.noise
-        grain, blur = ((1 - share) * a + share * b for a, b in zip(self._shape(), newer._shape(), strict=True))
-        return CameraModel(noise.astype(np.float32), grain, blur)
-
-    def _shape(self) -> tuple[float, float]:
-        return self.grain_px, self.blur_px
+        shapes = ((model.grain_px, model.blur_px, model.shared) for model in (self, newer))
+        return CameraModel(noise.astype(np.float32), *((1 - share) * a + share * b for a, b in zip(*shapes, strict=True)))
 
 
 def measure_camera(encoded: Float[np.ndarray, "h w 3"]) -> CameraModel:
@@ -76,16 +78,16 @@ def measure_camera(encoded: Float[np.ndarray, "h w 3"]) -> CameraModel:
     top, left = max(0, height - MEASURED[0]) // 2, max(0, width - MEASURED[1]) // 2
     image = np.ascontiguousarray(encoded[top : top + MEASURED[0], left : left + MEASURED[1]], np.float32)
     half = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    noise = measure_noise(image)
-    full, coarse = float(np.median(noise)), float(np.median(measure_noise(half)))
+    noise, shared = measure_noise(image)
+    full, coarse = float(np.median(noise)), float(np.median(measure_noise(half)[0]))
     grain = _grain(coarse / full) if full > _QUANTISED else 0.0
-    return CameraModel(noise, grain, measure_blur(image))
+    return CameraModel(noise, grain, measure_blur(image), shared)
 
 
-def measure_noise(encoded: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "levels 3"]:
-    """Return the standard deviation of the noise by brightness and channel; levels without pixels take their
-    neighbours'."""
-    high = np.abs(cv2.filter2D(encoded, -1, _HIGH_PASS, borderType=cv2.BORDER_REFLECT))
+def measure_noise(encoded: Float[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "levels 3"], float]:
+    """Return the standard deviation of the noise by brightness and channel, and the part of its variance that the
+    channels share; levels without pixels take their neighbours'."""
+    high = cv2.filter2D(encoded, -1, _HIGH_PASS, borderType=cv2.BORDER_REFLECT)
     smooth = cv2.GaussianBlur(encoded, (0, 0), 1.5)
     grey = smooth.mean(axis=-1)
     slope = np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0)) + np.abs(cv2.Sobel(grey, cv2.CV_32F, 0, 1))
@@ -100,12 +102,35 @@ def measure_noise(encoded: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "l
         for number in range(LEVELS):
             chosen = values[(level == number) & usable]
             if len(chosen) >= _FEWEST:
-                levels.append((float(number), 1.4826 * float(np.median(chosen))))
+                levels.append((float(number), _deviation(chosen)))
         if levels:
             numbers, sigmas = zip(*levels, strict=True)
             result[:, channel] = np.interp(np.arange(LEVELS), numbers, sigmas)
-    result[result < _QUANTISED] = 0
-    return result
+    result[result.mean(axis=1) < _QUANTISED] = 0
+    return result, _shared(high[flat & (smooth > 0.02).all(axis=-1) & (smooth < 0.97).all(axis=-1)])
+
+
+def _shared(high: Float[np.ndarray, "n 3"]) -> float:
+    """Return the mean correlation of two channels' high-pass, by the deviations of both and of their difference."""
+    if len(high) < _FEWEST:
+        return 0.0
+    red, green, blue = high.T
+    correlations = [
+        (one**2 + other**2 - _deviation(a - b) ** 2) / max(2 * one * other, 1e-12)
+        for a, b in ((red, green), (green, blue), (blue, red))
+        for one, other in [(_deviation(a), _deviation(b))]
+    ]
+    return float(np.clip(np.mean(correlations), 0, 1))
+
+
+def _deviation(values: Float[np.ndarray, " n"]) -> float:
+    """Return the standard deviation of noise by its mean absolute value without the largest tenth.
+
+    The median of 8-bit values would be a multiple of a quarter of a level, which is as much as many cameras have.
+    """
+    sizes = np.abs(values)
+    kept = np.partition(sizes, int(0.9 * len(sizes)))[: int(0.9 * len(sizes))]
+    return float(kept.mean()) / _OF_NORMAL
 
 
 def measure_blur(encoded: Float[np.ndarray, "h w 3"]) -> float:
@@ -158,16 +183,18 @@ def add_noise(
     shift = np.random.default_rng([frame_index & 0xFFFFFFFF, 5]).integers(0, _TILE, 2)
     corner = (at[0] + int(shift[0])) % _TILE, (at[1] + int(shift[1])) % _TILE
     out = np.ascontiguousarray(encoded, np.float32).copy()
-    pattern, sigma = _pattern(_nearest_grain(camera.grain_px)), camera.noise.astype(np.float32)
+    pattern = _pattern(_nearest_grain(camera.grain_px), round(camera.shared, 1))
+    sigma = camera.noise.astype(np.float32)
     arguments = (out, np.ascontiguousarray(alpha, np.float32), sigma, pattern, corner)
     parallel_for(lambda start, stop: add_pattern(*arguments, start, stop), len(out))
     return out
 
 
 @lru_cache(maxsize=8)
-def _pattern(grain_px: float) -> Float32[np.ndarray, "n n 3"]:
-    """Return periodic noise whose high-pass measure is 1."""
-    white = np.random.default_rng(11).standard_normal((_TILE, _TILE, 3)).astype(np.float32)
+def _pattern(grain_px: float, shared: float = 0.0) -> Float32[np.ndarray, "n n 3"]:
+    """Return periodic noise whose high-pass measure is 1, of which the channels share a part of the variance."""
+    own, common = (np.random.default_rng(seed).standard_normal((_TILE, _TILE, 3)) for seed in (11, 12))
+    white = (np.sqrt(1 - shared) * own + np.sqrt(shared) * common[..., :1]).astype(np.float32)
     if grain_px > 0:
         wide = np.pad(white, ((8, 8), (8, 8), (0, 0)), mode="wrap")
         white = cv2.GaussianBlur(wide, (0, 0), grain_px)[8:-8, 8:-8]
@@ -177,7 +204,7 @@ def _pattern(grain_px: float) -> Float32[np.ndarray, "n n 3"]:
 
 
 def _spread(noise: Float[np.ndarray, "h w 3"]) -> float:
-    return 1.4826 * float(np.median(np.abs(cv2.filter2D(noise, -1, _HIGH_PASS))))
+    return _deviation(cv2.filter2D(noise, -1, _HIGH_PASS).reshape(-1))
 
 
 @lru_cache(maxsize=1)
