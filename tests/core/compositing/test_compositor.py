@@ -208,6 +208,21 @@ def test_noise_and_blur_of_the_frame_are_measured_and_matched():
     assert CameraModel.perfect().blur_px == 0
 
 
+@pytest.mark.parametrize("shared", [0.0, 0.8])
+def test_noise_that_channels_share_is_measured_and_matched(shared: float):
+    """The pattern of cameras that compress has hardly any colours, and a carpet at one brightness is no noise."""
+    rng = np.random.default_rng(8)
+    image = np.clip(linear_to_srgb(view().image), 0, 1)
+    own, common = rng.normal(0, 0.01, image.shape), rng.normal(0, 0.01, (*image.shape[:2], 1))
+    noisy = np.clip(image + np.sqrt(1 - shared) * own + np.sqrt(shared) * common, 0, 1).astype(np.float32)
+    camera = measure_camera(noisy)
+    assert camera.shared == pytest.approx(shared, abs=0.1)
+    added = add_noise(np.full((64, 64, 3), 0.5, np.float32), np.ones((64, 64), np.float32), camera, frame_index=3)
+    assert np.corrcoef(added[..., 0].ravel(), added[..., 2].ravel())[0, 1] == pytest.approx(shared, abs=0.15)
+    striped = noisy + np.where(np.abs(image - 0.45) < 0.06, rng.normal(0, 0.1, image.shape), 0).astype(np.float32)
+    assert measure_camera(striped).noise.max() < 2.5 * camera.noise.max()
+
+
 @pytest.mark.parametrize("blur_px", [0.6, 1.0, 1.5])
 def test_blur_is_measured_at_the_sharpest_edges(blur_px):
     fine = np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((192, 192))).astype(np.float32) * 0.6 + 0.2

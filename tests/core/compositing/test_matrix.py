@@ -146,7 +146,7 @@ def test_files_are_lit_by_the_room_without_seams_and_stand_on_every_foot(session
         assert largest_step(picture.objects[..., 1], picture.object_id == number) < 0.15
         feet = [contact_of_foot(picture, np.array([x + aside, y, z + along])) for aside, along in LEGS]
         assert max(feet) < 0.7  # those at the far end of the room are 1.6 pixels wide
-        assert np.mean(feet) < 0.67
+        assert np.mean(feet) < (0.65 if quality == "preview" else 0.6)
 
 
 @pytest.mark.slow

@@ -3,8 +3,9 @@
 Noise is measured in sRGB-encoded values, where viewers see it, as a function of brightness: the mean absolute
 high-pass (Immerkaer 1996) of flat pixels, without the largest tenth. Cameras that demosaic and compress make noise that
 is correlated between pixels and channels: the same measure at half the resolution and of differences of channels tells
-how far (what is drawn as if channels were independent is a coarse pattern of colours). Blur is the width of strong edges, by the ratio of their
-gradients before and after a known blur (Zhuo and Sim 2011). Nothing is added to a picture without noise.
+how far: drawn with independent channels it would be a coarse pattern of colours. Blur is the width of strong edges, by
+the ratio of their gradients before and after a known blur (Zhuo and Sim 2011). Nothing is added to a picture without
+noise.
 """
 
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 
 from roomlight.kernels.encode import add_pattern
 from roomlight.threads import parallel_for
@@ -36,6 +37,10 @@ _REBLUR_PX: Final = 1.0
 _STRONG: Final = 0.05
 _WIDE_PX: Final = 3.0
 _STEP: Final = (0.5, 1.6)
+_DARKEST, _BRIGHTEST = 0.02, 0.97
+"""Clipped pixels have lost their noise: they say nothing."""
+_MOST_OF_ALL: Final = 1.5
+"""Noise at a brightness is at most this much of that of all flat pixels: a few carpets and wood grain are no noise."""
 _OF_NORMAL: Final = 0.657
 """Mean absolute value of normal numbers of deviation 1 without the largest tenth."""
 _QUANTISED: Final = 0.4 / 255
@@ -67,7 +72,9 @@ class CameraModel:
         """Return the model moved toward a newer one, by a share of 0 to 1."""
         noise = (1 - share) * self.noise + share * newer.noise
         shapes = ((model.grain_px, model.blur_px, model.shared) for model in (self, newer))
-        return CameraModel(noise.astype(np.float32), *((1 - share) * a + share * b for a, b in zip(*shapes, strict=True)))
+        return CameraModel(
+            noise.astype(np.float32), *((1 - share) * a + share * b for a, b in zip(*shapes, strict=True))
+        )
 
 
 def measure_camera(encoded: Float[np.ndarray, "h w 3"]) -> CameraModel:
@@ -77,37 +84,53 @@ def measure_camera(encoded: Float[np.ndarray, "h w 3"]) -> CameraModel:
     height, width = encoded.shape[:2]
     top, left = max(0, height - MEASURED[0]) // 2, max(0, width - MEASURED[1]) // 2
     image = np.ascontiguousarray(encoded[top : top + MEASURED[0], left : left + MEASURED[1]], np.float32)
-    half = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    noise, shared = measure_noise(image)
-    full, coarse = float(np.median(noise)), float(np.median(measure_noise(half)[0]))
-    grain = _grain(coarse / full) if full > _QUANTISED else 0.0
-    return CameraModel(noise, grain, measure_blur(image), shared)
+    smooth, flat = _flat(image)
+    high = cv2.filter2D(image, -1, _HIGH_PASS, borderType=cv2.BORDER_REFLECT)
+    noise = _by_brightness(high, smooth, flat)
+    grain = _grain_of(image, high, flat) if noise.any() else 0.0
+    inside = flat & (smooth > _DARKEST).all(axis=-1) & (smooth < _BRIGHTEST).all(axis=-1)
+    return CameraModel(noise, grain, measure_blur(image), _shared(high[inside]))
 
 
-def measure_noise(encoded: Float[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "levels 3"], float]:
-    """Return the standard deviation of the noise by brightness and channel, and the part of its variance that the
-    channels share; levels without pixels take their neighbours'."""
-    high = cv2.filter2D(encoded, -1, _HIGH_PASS, borderType=cv2.BORDER_REFLECT)
+def _flat(encoded: Float[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    """Return the smoothed image, and its flattest pixels."""
     smooth = cv2.GaussianBlur(encoded, (0, 0), 1.5)
     grey = smooth.mean(axis=-1)
     slope = np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0)) + np.abs(cv2.Sobel(grey, cv2.CV_32F, 0, 1))
-    flat = slope <= np.percentile(slope, FLAT_PERCENT)
+    return smooth, slope <= np.percentile(slope, FLAT_PERCENT)
+
+
+def _by_brightness(
+    high: Float[np.ndarray, "h w 3"], smooth: Float[np.ndarray, "h w 3"], flat: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "levels 3"]:
+    """Return the standard deviation of the noise by brightness and channel; levels without pixels take their
+    neighbours'."""
     result = np.zeros((LEVELS, 3), np.float32)
     for channel in range(3):
         values, at = high[..., channel][flat], smooth[..., channel][flat]
-        level = np.clip((at * LEVELS).astype(np.int64), 0, LEVELS - 1)
-        # clipped pixels have lost their noise: they say nothing
-        usable = (at > 0.02) & (at < 0.97)
-        levels: list[tuple[float, float]] = []
-        for number in range(LEVELS):
-            chosen = values[(level == number) & usable]
-            if len(chosen) >= _FEWEST:
-                levels.append((float(number), _deviation(chosen)))
-        if levels:
-            numbers, sigmas = zip(*levels, strict=True)
-            result[:, channel] = np.interp(np.arange(LEVELS), numbers, sigmas)
+        usable = (at > _DARKEST) & (at < _BRIGHTEST)
+        values, level = values[usable], (at[usable] * LEVELS).astype(np.int64)
+        if len(values) < _FEWEST:
+            continue
+        most = _MOST_OF_ALL * _deviation(values)
+        parts = [(number, values[level == number]) for number in range(LEVELS)]
+        known = [(number, min(_deviation(part), most)) for number, part in parts if len(part) >= _FEWEST]
+        numbers, sigmas = zip(*(known or [(0, most / _MOST_OF_ALL)]), strict=True)
+        result[:, channel] = np.interp(np.arange(LEVELS), numbers, sigmas)
     result[result.mean(axis=1) < _QUANTISED] = 0
-    return result, _shared(high[flat & (smooth > 0.02).all(axis=-1) & (smooth < 0.97).all(axis=-1)])
+    return result
+
+
+def _grain_of(
+    image: Float[np.ndarray, "h w 3"], high: Float[np.ndarray, "h w 3"], flat: Bool[np.ndarray, "h w"]
+) -> float:
+    """Return the blur of the noise, by the noise of the flat pixels and that of the same at half the resolution."""
+    half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    all_flat = cv2.resize(flat.astype(np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) > 0.99
+    if all_flat.sum() < _FEWEST:
+        return 0.0
+    coarse = cv2.filter2D(half, -1, _HIGH_PASS, borderType=cv2.BORDER_REFLECT)[all_flat]
+    return _grain(_deviation(coarse.reshape(-1)) / max(_deviation(high[flat].reshape(-1)), 1e-9))
 
 
 def _shared(high: Float[np.ndarray, "n 3"]) -> float:
@@ -116,9 +139,9 @@ def _shared(high: Float[np.ndarray, "n 3"]) -> float:
         return 0.0
     red, green, blue = high.T
     correlations = [
-        (one**2 + other**2 - _deviation(a - b) ** 2) / max(2 * one * other, 1e-12)
+        (of_a**2 + of_b**2 - _deviation(a - b) ** 2) / max(2 * of_a * of_b, 1e-12)
         for a, b in ((red, green), (green, blue), (blue, red))
-        for one, other in [(_deviation(a), _deviation(b))]
+        for of_a, of_b in [(_deviation(a), _deviation(b))]
     ]
     return float(np.clip(np.mean(correlations), 0, 1))
 
