@@ -21,7 +21,9 @@ SENSOR_MM: Final = 36.0
 FORWARD_TO_CENTRE: Final = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
 """Camera axes (columns: right, up, backward) of a panorama whose middle column looks along +x."""
 _LEAST_BOUNCES: Final = 12
-
+_LAMP_RADIUS_M: Final = 0.01
+_SUN_RAD: Final = 0.0093
+"""Least size of a lamp that is a point, and the sun's."""
 
 FINER: Final = 2
 """Panoramas are rendered at this many times their height and averaged by solid angle: Cycles spreads its paths evenly
@@ -44,6 +46,7 @@ class CyclesViews:
         self._data.clip_start, self._data.clip_end = 0.01 / room.unit_m, 1000 / room.unit_m
         self._data.sensor_fit, self._data.sensor_width = "HORIZONTAL", SENSOR_MM
         _set_up(scene)
+        _show_lamps(room, self._camera)
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
         """Render what a pinhole camera sees. Depth and kinds are those of the rays through the pixels' centres."""
@@ -117,6 +120,36 @@ class CyclesViews:
 def _z_depth(distance_m: Float[np.ndarray, " n"], along: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Convert distances along rays to z-depth, 0 where nothing is met."""
     return (np.where(np.isfinite(distance_m), distance_m, 0).reshape(along.shape) / along).astype(np.float32)
+
+
+def _show_lamps(room: BlenderRoom, camera: Any) -> None:
+    """Let the camera see light objects, which Cycles hides from a camera's rays but not from refracted ones.
+
+    The camera looks through a small box of refractive index 1 that nothing else sees. Lamps without size get one.
+    """
+    bpy, half = blender(), 0.02 / room.unit_m
+    for thing in room.scene.objects:
+        if thing.type == "LIGHT" and thing.data.type in ("POINT", "SPOT"):
+            thing.data.shadow_soft_size = max(thing.data.shadow_soft_size, _LAMP_RADIUS_M / room.unit_m)
+        elif thing.type == "LIGHT" and thing.data.type == "SUN":
+            thing.data.angle = max(thing.data.angle, _SUN_RAD)
+    through = bpy.data.materials.new("roomlight")
+    through.use_nodes = True
+    tree = through.node_tree
+    tree.nodes.clear()
+    refraction, out = tree.nodes.new("ShaderNodeBsdfRefraction"), tree.nodes.new("ShaderNodeOutputMaterial")
+    for socket, value in (("Color", (1, 1, 1, 1)), ("IOR", 1.0), ("Roughness", 0.0)):
+        refraction.inputs[socket].default_value = value
+    tree.links.new(refraction.outputs[0], out.inputs["Surface"])
+    mesh = bpy.data.meshes.new("roomlight")
+    corners = [(x * half, y * half, z * half) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    mesh.from_pydata(corners, [], [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    mesh.materials.append(through)
+    box = bpy.data.objects.new("roomlight box", mesh)
+    room.scene.collection.objects.link(box)
+    box.parent = camera
+    for kind in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+        setattr(box, f"visible_{kind}", False)
 
 
 def _set_up(scene: Any) -> None:

@@ -29,8 +29,13 @@ def material(name: str, *, albedo: float = 0.5, emission: float = 0.0) -> Any:
     return made
 
 
-def box_room(path: Path, *, albedo: float = 0.5, walls_emit: float = 0.0, lamps: tuple[Any, ...] = ()) -> Path:
-    """Save a closed box with its floor at z = 0, a camera inside, and emitting cubes (x, y, z, side, radiance)."""
+def box_room(
+    path: Path, *, albedo: float = 0.5, walls_emit: float = 0.0, lamps: tuple[Any, ...] = (), watts: Any = None
+) -> Path:
+    """Save a closed box with its floor at z = 0, a camera inside, and emitting cubes (x, y, z, side, radiance).
+
+    `watts` is a light object: type, place and power.
+    """
     bpy = blender()
     with quiet():
         bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -40,6 +45,11 @@ def box_room(path: Path, *, albedo: float = 0.5, walls_emit: float = 0.0, lamps:
         for x, y, z, side, radiance in lamps:
             bpy.ops.mesh.primitive_cube_add(size=side, location=(x, y, z))
             bpy.context.object.data.materials.append(material("lamp", albedo=0, emission=radiance))
+        if watts is not None:
+            kind, place, power = watts
+            bpy.ops.object.light_add(type=kind, location=place)  # an area shines down
+            bpy.context.object.data.energy = power
+            bpy.context.object.data.shadow_soft_size = 0.05
         bpy.ops.object.camera_add(location=(0, 0, 1.5))
         bpy.context.scene.camera = bpy.context.object
         bpy.ops.wm.save_as_mainfile(filepath=str(path))

@@ -103,6 +103,22 @@ def test_irradiance_of_a_small_lamp_is_radiance_times_solid_angle(tmp_path, plac
 
 
 @with_blender
+@pytest.mark.parametrize(("kind", "per_watt"), [("POINT", 1 / (4 * np.pi)), ("AREA", 1 / np.pi)])
+def test_light_objects_are_seen_with_their_power(tmp_path, kind, per_watt):
+    """A lamp that is no mesh, which Cycles hides from cameras, is in panoramas and frames; an area faces the eye."""
+    views = _views(box_room(tmp_path / "room.blend", albedo=0.0, watts=(kind, (0.5, 1.0, 2.7), 40.0)))
+    lamp, eye = np.array([0.5, 2.7, -1.0]), np.array([0.0, 0.3, -0.6])
+    panorama = views.panorama(eye, 120, seed=2)[..., 1]
+    flux = float((panorama * panorama_solid_angles(120)).sum())
+    away = np.linalg.norm(lamp - eye)
+    along = (lamp - eye)[1] / away if kind == "AREA" else 1.0
+    assert flux == pytest.approx(40.0 * per_watt * along / away**2, rel=0.06)
+    frame = views.frame(CAMERA, _pose(lamp - eye, eye), seed=1).radiance.mean(-1)
+    assert frame.max() > 1.0
+    assert (frame > 0.5 * frame.max()).mean() < 0.3
+
+
+@with_blender
 def test_a_scene_becomes_a_dataset_that_is_not_made_twice(tmp_path):
     """The command, in a process that has not imported `bpy`, as its users run it."""
     scene = box_room(tmp_path / "room.blend", lamps=((1.0, 1.0, 2.8, 0.3, 60.0), (-1.5, -1.0, 1.0, 0.2, 20.0)))
