@@ -2,9 +2,10 @@
 
 Rooms come from a seed (`benchmark_options`): one walk of 31 frames and three probes each, of the split that no network
 was trained on. Scored are mirror, matte silver and diffuse spheres (LeGendre et al. 2019), seen from the first camera:
-RMSE, scale-invariant RMSE and angular error of their pixels, linear radiance in units of the first frame's white, as
-LuxDiT and LiMo report them on data of their own. A room's figure is the mean over its probes; intervals are over rooms.
-Models give the mirror their reflection and the other spheres their lighting (`roomlight.light.sources.LightUse`).
+RMSE, scale-invariant RMSE and angular error of their pixels, in linear radiance (units of the first frame's white) and
+as StyleLight and DiffusionLight score them (`tone_mapped`), on data of their own. A room's figure is the mean over its
+probes; intervals are over rooms. Models give the mirror their reflection and the other spheres their lighting
+(`roomlight.light.sources.LightUse`).
 """
 
 import hashlib
@@ -28,14 +29,18 @@ from roomlight.errors import DatasetError, FrameError
 from roomlight.files import write_atomic
 from roomlight.imaging.tables import figure_table
 from roomlight.metrics import SPHERES, SphereScorer
-from roomlight.spheres import SphereRenderer, view_toward
+from roomlight.spheres import Material, SphereRenderer, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
 from roomlight_evaluation.tables import mean_cell
 from roomlight_evaluation.walks import Walks, walk_frames
 from roomlight_generator.generate import GenerateOptions
 
-ERRORS: Final = {"rmse": "RMSE", "si_rmse": "scale-invariant RMSE", "angular_deg": "angular error (deg)"}
+_ERRORS: Final = {"rmse": "RMSE", "si_rmse": "scale-invariant RMSE", "angular_deg": "angular error (deg)"}
+ERRORS: Final = _ERRORS | {f"toned_{key}": f"tone-mapped: {name}" for key, name in _ERRORS.items()}
+"""Kinds of error and their headings."""
+_GAMMA: Final = 2.4
+_MEDIAN: Final = 0.5
 SINGLE_IMAGE: Final = "one image"
 Panorama = Float[np.ndarray, "h w 3"]
 _Sessions = Sequence[tuple[SessionOptions, LightingGraphs | None]]
@@ -86,6 +91,17 @@ class BenchmarkScores:
 def benchmark_options(*, rooms: int, seed: int) -> GenerateOptions:
     """Return what is generated: test rooms of a seed, with a walk in each; fewer rooms are the first of more."""
     return GenerateOptions(sequences=rooms, seed=seed, split="test", shard_size=1, sequences_per_room=1)
+
+
+def tone_mapped(panorama: Panorama) -> Panorama:
+    """Return a panorama as the evaluation of StyleLight (ECCV 2022) and DiffusionLight (CVPR 2024) lights spheres.
+
+    The power 1 / 2.4 of radiance, scaled to a median of 0.5 over what is not black, not clipped: estimate and truth
+    each by a scale of their own.
+    """
+    powers = np.maximum(panorama, 0) ** (1 / _GAMMA)
+    lit = powers[powers > 0]
+    return powers * (_MEDIAN / np.median(lit)) if lit.size else powers
 
 
 def rooms_digest(folder: Path, rooms: int) -> str:
@@ -147,13 +163,13 @@ def _score(recording: Recording, sessions: _Sessions, depth: DepthKind) -> dict[
     for model in models:
         for position in positions:
             model.track(position)
-    judges: list[SphereScorer] = []
+    judges: list[_Judge] = []
     scored: dict[tuple[str, str], dict[str, float]] = {}
     count = len(recording.colour)
     for number, frame in enumerate(walk_frames(recording, depth), 1):
         if not judges:
             views = [SphereRenderer(view_toward(frame.camera_to_world, position)) for position in positions]
-            judges = [SphereScorer(truth, view) for truth, view in zip(recording.true_panoramas(), views, strict=True)]
+            judges = [_Judge(truth, view) for truth, view in zip(recording.true_panoramas(), views, strict=True)]
         for estimator in (*baselines, *models):
             estimator.push(frame)
         if number not in (1, count):
@@ -170,7 +186,20 @@ def _score(recording: Recording, sessions: _Sessions, depth: DepthKind) -> dict[
     return scored
 
 
-def _errors(judges: Sequence[SphereScorer], lit: Iterable[Panorama], mirrored: Iterable[Panorama]) -> dict[str, float]:
+class _Judge:
+    """Errors of a probe's spheres, in linear and in tone-mapped light."""
+
+    def __init__(self, truth: Panorama, view: SphereRenderer) -> None:
+        self._linear, self._toned = SphereScorer(truth, view), SphereScorer(tone_mapped(truth), view)
+
+    def errors(self, prediction: Panorama, sphere: Material) -> dict[str, float]:
+        errors, toned = self._linear.errors(prediction, sphere), self._toned.errors(tone_mapped(prediction), sphere)
+        # theirs sums squares over the channels and divides by the pixels
+        scale = {"rmse": np.sqrt(3.0), "si_rmse": np.sqrt(3.0), "angular_deg": 1.0}
+        return errors | {f"toned_{key}": value * scale[key] for key, value in toned.items()}
+
+
+def _errors(judges: Sequence[_Judge], lit: Iterable[Panorama], mirrored: Iterable[Panorama]) -> dict[str, float]:
     """Return the means over probes of spheres' errors."""
     of_probes = [
         {

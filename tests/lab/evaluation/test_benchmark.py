@@ -13,9 +13,11 @@ from roomlight.spheres import SphereRenderer, view_toward
 from roomlight_evaluation.benchmark import (
     ERRORS,
     SINGLE_IMAGE,
+    _Judge,
     benchmark_options,
     evaluate_benchmark,
     rooms_digest,
+    tone_mapped,
 )
 from roomlight_evaluation.walks import walk_frames
 
@@ -60,8 +62,29 @@ def test_the_mirror_shows_reflection_and_the_others_are_lit_by_lighting(scores):
         assert found == pytest.approx(np.mean(expected[sphere]), rel=1e-6)
 
 
+def test_tone_mapped_light_has_its_median_at_a_half_and_keeps_its_order():
+    light = np.random.default_rng(0).lognormal(size=(8, 16, 3)).astype(np.float32)
+    light[0, :3] = 0.0
+    light[1, 1] = -1.0
+    toned = tone_mapped(light)
+    assert np.median(toned[toned > 0]) == pytest.approx(0.5)
+    np.testing.assert_allclose(tone_mapped(7 * light), toned, rtol=1e-5)
+    bright, dim = light[2, 2, 0], light[3, 3, 0]
+    assert toned[2, 2, 0] / toned[3, 3, 0] == pytest.approx((bright / dim) ** (1 / 2.4), rel=1e-5)
+    assert not tone_mapped(np.zeros((4, 8, 3), np.float32)).any()
+
+
+def test_tone_mapped_errors_do_not_know_brightness_and_sum_over_channels():
+    judge = _Judge(np.full((16, 32, 3), 2.0, np.float32), SphereRenderer((0.0, 0.0, -1.0)))
+    same = judge.errors(np.full((16, 32, 3), 9.0, np.float32), "diffuse")
+    assert (same["toned_rmse"], same["toned_si_rmse"]) == pytest.approx((0, 0), abs=1e-5)
+    red = np.full((16, 32, 3), 1.0, np.float32)
+    red[..., 0] = 2.0**2.4
+    assert judge.errors(red, "diffuse")["toned_rmse"] == pytest.approx(0.5, rel=1e-3)  # 1, 0.5, 0.5 for 0.5 each
+
+
 def test_tables_and_json_hold_every_room(scores, tmp_path):
-    assert [table.row_count for table in scores.tables(title="boxes")] == [6, 6, 6]
+    assert [table.row_count for table in scores.tables(title="boxes")] == [6] * 6
     scores.write(tmp_path / "scores.json")
     written = json.loads((tmp_path / "scores.json").read_text())
     assert len(written["rooms"]) == 2
