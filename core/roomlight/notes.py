@@ -22,6 +22,15 @@ class Note:
         return f"{self.left_out}: {self.effect}; {self.advice}"
 
 
+def unread_keys(name: str, keys: set[str]) -> list[Note]:
+    """Make the note for keys of an index that are not read; none without keys."""
+    if not keys:
+        return []
+    listed = ", ".join(key[:40] for key in sorted(keys)[:8]) + (" and more" if len(keys) > 8 else "")
+    effect, advice = "they are not read", "undo them first if they change poses, lens, depth or exposure"
+    return [Note(f"{name}: the keys {listed}", effect, advice)]
+
+
 def distinct(notes: Iterable[Note]) -> tuple[Note, ...]:
     """Return the notes without repetitions, in order."""
     return tuple(dict.fromkeys(notes))

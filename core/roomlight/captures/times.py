@@ -61,13 +61,7 @@ def timeline(stored: list[float | None], name: str) -> Timeline:
         steps = np.diff(values)
         unit = _unit(steps)
         if unit != 1:
-            notes.append(
-                Note(
-                    f"{name}: timestamps a median of {np.median(steps):g} apart",
-                    f"read as {_UNITS[unit]}",
-                    "store seconds if that is wrong",
-                )
-            )
+            notes.append(_unit_note(name, float(np.median(steps)), unit))
         values, steps = values * unit, steps * unit
         forward = steps[steps > 0]
         usual = min(float(np.median(forward)), MAX_GAP_S) if forward.size else 0.0
@@ -89,6 +83,20 @@ def _gap_note(name: str, steps: np.ndarray, places: list[int]) -> Note:
         f"longer steps are played as {MAX_GAP_S:g} s, backward ones as the usual step",
         "correct the timestamps if the pace matters",
     )
+
+
+def in_seconds(times: Sequence[float], name: str, notes: list[Note]) -> tuple[float, ...]:
+    """Return increasing times in seconds, by the step between them, as `timeline`; another unit is noted."""
+    steps = np.diff(np.array(times, np.float64))
+    if (unit := _unit(steps)) == 1:
+        return tuple(times)
+    notes.append(_unit_note(name, float(np.median(steps)), unit))
+    return tuple(time * unit for time in times)
+
+
+def _unit_note(name: str, step: float, unit: float) -> Note:
+    text = f"{name}: timestamps a median of {step:g} apart"
+    return Note(text, f"read as {_UNITS[unit]}", "store seconds if that is wrong")
 
 
 def _unit(steps: np.ndarray) -> float:

@@ -4,6 +4,7 @@ import json
 import shutil
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import av
@@ -13,6 +14,7 @@ import pytest
 from capture_checks import edit, one_skipped
 
 from roomlight.captures import CaptureOptions, open_capture
+from roomlight.errors import CaptureError
 
 VIEWS = formats.scene()
 
@@ -53,6 +55,42 @@ def test_tum_lists_with_tabs(tmp_path: Path) -> None:
     for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
         (path / name).write_text((path / name).read_text().replace(" ", "\t"))
     assert len(list(open_capture(path))) == 4
+
+
+def test_tum_lists_in_nanoseconds(tmp_path: Path) -> None:
+    """ORB-SLAM3's trajectory of a EuRoC recording, beside lists in seconds."""
+    path = formats.tum(tmp_path / "tum", VIEWS)
+    lines = [line.split() for line in (path / "groundtruth.txt").read_text().splitlines() if line[0] != "#"]
+    stamped = [" ".join([str(round(1e9 * float(time))), *rest]) for time, *rest in lines]
+    (path / "groundtruth.txt").write_text("\n".join(stamped))
+    frames = list(capture := open_capture(path))
+    np.testing.assert_allclose([frame.camera_to_world for frame in frames], [view.pose for view in VIEWS], atol=1e-6)
+    (note,) = capture.notes
+    assert "read as nanoseconds" in note.effect
+
+
+@pytest.mark.parametrize("build", [formats.tum, formats.seven_scenes, formats.arkit_scenes])
+def test_depth_of_recordings_without_any_is_estimated(tmp_path: Path, build: Callable[..., Path]) -> None:
+    path = build(tmp_path / "capture", VIEWS[:2])
+    for file in sorted(path.rglob("*depth*")):
+        shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
+    frames = list(capture := open_capture(path))
+    assert len(frames) == 2
+    assert any("estimated" in str(note) for note in capture.notes)
+    with pytest.raises(CaptureError, match="has no depth"):
+        list(open_capture(path, CaptureOptions(depth="file")))
+
+
+def test_keys_of_roomlight_s_own_format_that_are_not_read_are_listed(native: Path) -> None:
+    def change(index: dict) -> None:
+        index["unit"] = "mm"
+        index["frames"][0].update(mask="m.png")
+        index["frames"][1]["intrinsics"].update(k1=0.1)
+
+    assert open_capture(native).notes == ()
+    edit(native / "capture.json", change)
+    (note,) = open_capture(native).notes
+    assert "k1, mask, unit" in note.left_out
 
 
 def test_a_scale_of_depth_under_another_name_is_noted(transforms: Path) -> None:

@@ -65,7 +65,7 @@ class ArkitScenesReader(ListedReader):
     def _read(self, index: int) -> RawFrame:
         colour_name, label = self._colour[index], self.name_of(index)
         file = Path(colour_name).name
-        depth_name = f"lowres_depth/{file}"
+        depth_name = f"lowres_depth/{file}" if self._source.has("lowres_depth") else None
         with fields.naming(label, FrameError):
             time_s = _time_of(colour_name)
             if time_s is None:
@@ -81,7 +81,7 @@ class ArkitScenesReader(ListedReader):
             name=label,
             picture=read.picture,
             depth_m=read.depth_m,
-            depth_name=self._source.label(depth_name),
+            depth_name=depth_name and self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
             confidence=self._confidence(f"confidence/{file}"),

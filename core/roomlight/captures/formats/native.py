@@ -42,12 +42,15 @@ from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError, OutputError
 from roomlight.files import FolderSource, write_atomic
 from roomlight.images import write_exr
-from roomlight.notes import Note
+from roomlight.notes import Note, unread_keys
 
 INDEX: Final = "capture.json"
 FORMAT: Final = "roomlight-capture"
 VERSION: Final = 1
 _INTRINSICS: Final = ("fx", "fy", "cx", "cy")
+_SIZE: Final = ("width", "height")
+_KEYS: Final = {"format", "version", "name", "frames", "probes"}
+_FRAME_KEYS: Final = {"colour", "depth", "confidence", "intrinsics", "camera_to_world", "timestamp_s", "exposure"}
 
 
 class NativeReader:
@@ -75,9 +78,15 @@ class NativeReader:
             self._frames = fields.objects(index.get("frames"), "frames")
             self.probes = [self._probe(entry) for entry in fields.objects(index.get("probes", []), "probes")]
         self.count = len(self._frames)
+        self.notes.extend(unread_keys(self._label, self._unread(index)))
         self._has_depth = any(entry.get("depth") is not None for entry in self._frames)
         if self.count > MAX_FRAMES:
             raise CaptureError(f"{self._label}: lists {self.count} frames; up to {MAX_FRAMES} are read")
+
+    def _unread(self, index: dict[str, Any]) -> set[str]:
+        lenses = [lens for frame in self._frames if isinstance(lens := frame.get("intrinsics"), dict)]
+        keys = {key for frame in self._frames for key in frame} - _FRAME_KEYS
+        return keys | (index.keys() - _KEYS) | ({key for lens in lenses for key in lens} - {*_INTRINSICS, *_SIZE})
 
     def name_of(self, index: int) -> str:
         """Return the colour file as the index names it."""

@@ -36,7 +36,7 @@ from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
 from roomlight.images import ColourImage
-from roomlight.notes import Note
+from roomlight.notes import Note, unread_keys
 
 INDEX: Final = "transforms.json"
 _DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
@@ -162,17 +162,11 @@ class NerfstudioReader:
         return with_mask(picture, ~read_mask(self._source, moving)) if self._source.has(moving) else picture
 
     def _unread_keys(self) -> list[Note]:
-        keys = {str(key)[:40] for entry in (self._shared, *self._frames) for key in entry} - _READ - _HARMLESS
-        keys = {key for key in keys if not key.startswith(("ftheta", "aabb")) and not _DEPTH_MAP.fullmatch(key)}
-        if not keys:
-            return []
-        listed = ", ".join(sorted(keys)[:8]) + (" and more" if len(keys) > 8 else "")
-        note = Note(
-            f"{self._label}: the keys {listed}",
-            "they are not read",
-            "undo them first if they change poses, lens, depth or exposure",
+        keys = {key for entry in (self._shared, *self._frames) for key in entry} - _READ - _HARMLESS
+        return unread_keys(
+            self._label,
+            {key for key in keys if not key.startswith(("ftheta", "aabb")) and not _DEPTH_MAP.fullmatch(key)},
         )
-        return [note]
 
     def _intrinsics(self, entry: dict[str, Any], image_width: int, image_height: int) -> Intrinsics:
         """Build intrinsics: per-frame values override global ones; a missing size is the image's."""

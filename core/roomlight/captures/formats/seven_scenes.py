@@ -45,6 +45,7 @@ class SevenScenesReader(ListedReader):
         matches = [match for match in map(_RECORD.fullmatch, source.names()) if match]
         self._stems = sorted({match[1] for match in matches}, key=lambda stem: int(stem[6:]))
         colour = {match[1]: match[0] for match in matches if match[2] == "color"}
+        self._has_depth = any(match[2] == "depth" for match in matches)
         names = [colour.get(stem, f"{stem}.color.png") for stem in self._stems]
         super().__init__(folder, options, names, expected="frame-XXXXXX.color.png, .depth.png and .pose.txt")
         self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_K
@@ -54,7 +55,7 @@ class SevenScenesReader(ListedReader):
 
     def _read(self, index: int) -> RawFrame:
         stem, label = self._stems[index], self.name_of(index)
-        depth_name, pose_name = f"{stem}.depth.png", f"{stem}.pose.txt"
+        depth_name, pose_name = f"{stem}.depth.png" if self._has_depth else None, f"{stem}.pose.txt"
         pose_label = self._source.label(pose_name)
         pose_data = self._source.read(pose_name, max_bytes=65536)
         with fields.naming(pose_label, FrameError):
@@ -65,7 +66,8 @@ class SevenScenesReader(ListedReader):
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=width, height=height)
-        return RawFrame(label, read.picture, read.depth_m, self._source.label(depth_name), intrinsics, pose)
+        depth_label = depth_name and self._source.label(depth_name)
+        return RawFrame(label, read.picture, read.depth_m, depth_label, intrinsics, pose)
 
     def _up(self) -> tuple[float, float, float]:
         if not self._source.has(GRAVITY):

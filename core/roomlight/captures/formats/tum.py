@@ -1,7 +1,8 @@
 """TUM RGB-D: `rgb.txt`, `depth.txt` (lines of `time file`) and `groundtruth.txt` (`time tx ty tz qx qy qz qw`).
 
 The three streams have clocks of their own: each colour image takes the depth and the pose nearest in time, at
-most 0.02 s away (the data set's own tool does the same); without them it is a bad frame.
+most 0.02 s away (the data set's own tool does the same); without them it is a bad frame. Times in nanoseconds, as
+ORB-SLAM3 writes them, are recognised by their steps. Without a `depth.txt` depth is estimated.
 
 Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
 `camera-intrinsics.txt` (3 x 3) if it exists, else the data set's default of 525, 525, 319.5, 239.5 for
@@ -21,9 +22,10 @@ from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.formats.seven_scenes import INTRINSICS, assumed_camera, read_matrix
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, read_index
-from roomlight.captures.times import nearest
+from roomlight.captures.times import in_seconds, nearest
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
+from roomlight.notes import Note
 
 MAX_GAP_S: Final = 0.02
 """Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
@@ -44,10 +46,12 @@ class TumReader(ListedReader):
             CaptureError: The index is missing or damaged, so that no frame can be read.
         """
         source = FolderSource(folder)
-        self._times = _stream(source, "rgb.txt")
-        self._depth = _stream(source, "depth.txt")
-        self._poses = _stream(source, "groundtruth.txt", most=50 * MAX_FRAMES)
+        notes: list[Note] = []
+        self._times = _stream(source, "rgb.txt", notes)
+        self._depth = _stream(source, "depth.txt", notes) if source.has("depth.txt") else None
+        self._poses = _stream(source, "groundtruth.txt", notes, most=50 * MAX_FRAMES)
         super().__init__(folder, options, [name for _, name in self._times], expected="rgb.txt")
+        self.notes.extend(notes)
         self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_K
         if self._matrix is _DEFAULT_K:
             self.notes.append(assumed_camera(folder, _DEFAULT_K))
@@ -58,7 +62,7 @@ class TumReader(ListedReader):
 
     def _read(self, index: int) -> RawFrame:
         (time_s, colour_name), label = self._times[index], self.name_of(index)
-        depth_name = _nearest(self._depth, time_s, f"{label}: depth (depth.txt)")
+        depth_name = None if self._depth is None else _nearest(self._depth, time_s, f"{label}: depth (depth.txt)")
         pose_line = _nearest(self._poses, time_s, f"{label}: pose (groundtruth.txt)")
         with fields.naming(f"{self._source.label('groundtruth.txt')}: near {time_s}", FrameError):
             values = fields.coordinates(fields.numbers_of_line(pose_line, 7, "the pose"), "the pose")
@@ -67,11 +71,12 @@ class TumReader(ListedReader):
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=width, height=height, shift=0.5)
-        return RawFrame(label, read.picture, read.depth_m, self._source.label(depth_name), intrinsics, pose)
+        depth_label = depth_name and self._source.label(depth_name)
+        return RawFrame(label, read.picture, read.depth_m, depth_label, intrinsics, pose)
 
 
-def _stream(source: FolderSource, name: str, *, most: int = MAX_FRAMES) -> list[tuple[float, str]]:
-    """Return (time, rest of the line) for each line that is not a comment, in order of time."""
+def _stream(source: FolderSource, name: str, notes: list[Note], *, most: int = MAX_FRAMES) -> list[tuple[float, str]]:
+    """Return (seconds, rest of the line) for each line that is not a comment, in order of time."""
     label = source.label(name)
     entries: list[tuple[float, str]] = []
     for row, line in enumerate(fields.parse_text(read_index(source, name), label), start=1):
@@ -88,7 +93,9 @@ def _stream(source: FolderSource, name: str, *, most: int = MAX_FRAMES) -> list[
         raise CaptureError(f"{label}: lists {len(entries)} entries; up to {most} are read")
     if not entries:
         raise CaptureError(f"{label}: lists nothing")
-    return sorted(entries)
+    entries.sort()
+    times = in_seconds([time for time, _ in entries], label, notes)
+    return list(zip(times, [rest for _, rest in entries], strict=True))
 
 
 def _nearest(entries: list[tuple[float, str]], time_s: float, what: str) -> str:
