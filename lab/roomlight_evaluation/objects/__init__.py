@@ -1,1 +1,1 @@
-"""The light of objects scored at ground-truth probes: spheres, and the shadow of one."""
+"""The light of objects scored at ground-truth probes: spheres, the shadow of one, and unseen directions in a mirror."""

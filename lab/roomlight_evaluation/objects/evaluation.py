@@ -24,14 +24,17 @@ from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import write_atomic
 from roomlight.frame import Frame
-from roomlight.spheres import view_toward
+from roomlight.spheres import resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
 from roomlight_evaluation.confidence import MeanWithInterval, evenly_spread, mean_with_interval, ratio_of_means
 from roomlight_evaluation.objects.lit_objects import LOOKS, SHADOW, LitObjects
+from roomlight_evaluation.objects.unseen_look import MEASURES, unseen_look
 
 COMPOSITED: Final = "as composited"
 """Appended to a model's name: in the light that the compositor gives to objects, mirrors and shadows."""
+
+TRUTH: Final = "truth"
 
 Panorama = Float[np.ndarray, "h w 3"]
 Truth = tuple[Position, Panorama]
@@ -39,11 +42,12 @@ Truth = tuple[Position, Panorama]
 
 @dataclass(frozen=True)
 class RoomObjects:
-    """One room's errors: by method and look, the mean over its probes."""
+    """One room's errors and its unseen directions, by method: means over its probes."""
 
     room: str
     probes: int
     errors: Mapping[str, Mapping[str, float]]
+    unseen: Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,10 @@ class ObjectScores:
         """Return the mean error relative to that of `HARMONICS`."""
         pairs = [(room.errors[method][look], room.errors[HARMONICS][look]) for room in self.rooms]
         return ratio_of_means(*zip(*pairs, strict=True))
+
+    def unseen(self, method: str, measure: str) -> MeanWithInterval:
+        """Return the mean of a measure of unseen directions over rooms; `method` may be `TRUTH`."""
+        return mean_with_interval(room.unseen[method][measure] for room in self.rooms)
 
     def worst(self, method: str, look: str) -> float:
         """Return the greatest of the rooms' errors relative to that of `HARMONICS`."""
@@ -164,9 +172,11 @@ def _score(
         for estimator in (mean, warped, *models):
             estimator.push(frame)
     errors: dict[str, list[dict[str, float]]] = {}
+    unseen: dict[str, list[dict[str, float]]] = {}
     for number, (position, truth) in enumerate(truths):
         objects = LitObjects(truth, view_toward(frames[-1].camera_to_world, position))
         fill = warped.light_at(position)
+        observed = models[0].light(handles[0][number]).observed
         lights = {
             MEAN_COLOUR: mean.light_at(position),
             HARMONICS: harmonics_and_directional(np.minimum(fill, 1)),
@@ -177,16 +187,18 @@ def _score(
             light = model.light(own[number])
             lit, mirrored = objects.errors(light.panorama), objects.errors(light.reflection)
             of_probe[model.model] = mirrored
+            lights[model.model] = light.reflection
             of_probe[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": mirrored["mirror"], SHADOW: mirrored[SHADOW]}
         for method, looks in of_probe.items():
             errors.setdefault(method, []).append(looks)
-    means = {
-        method: {look: _mean([looks[look] for looks in of_probes]) for look in LOOKS}
-        for method, of_probes in errors.items()
-    }
-    return RoomObjects(name, len(truths), means)
+        for method, panorama in {**lights, TRUTH: resize_panorama(truth, len(observed))}.items():
+            unseen.setdefault(method, []).append(unseen_look(panorama, observed))
+    return RoomObjects(name, len(truths), _means(errors, LOOKS), _means(unseen, MEASURES))
 
 
-def _mean(values: Sequence[float]) -> float:
-    known = [value for value in values if not np.isnan(value)]
-    return float(np.mean(known)) if known else float("nan")
+def _means(values: Mapping[str, Sequence[Mapping[str, float]]], names: Sequence[str]) -> dict[str, dict[str, float]]:
+    def mean(of_probes: Sequence[Mapping[str, float]], name: str) -> float:
+        known = [probe[name] for probe in of_probes if not np.isnan(probe[name])]
+        return float(np.mean(known)) if known else float("nan")
+
+    return {method: {name: mean(of_probes, name) for name in names} for method, of_probes in values.items()}

@@ -6,6 +6,7 @@ from roomlight.imaging.tables import figure_table
 from roomlight_evaluation.composites.methods import HARMONICS
 from roomlight_evaluation.objects.evaluation import ObjectScores
 from roomlight_evaluation.objects.lit_objects import LOOKS
+from roomlight_evaluation.objects.unseen_look import MEASURES
 from roomlight_evaluation.tables import mean_cell
 
 
@@ -34,5 +35,13 @@ def object_tables(scores: ObjectScores) -> list[Table]:
             f"Lit objects, errors; {rooms}",
             LOOKS,
             ([method, *(mean_cell(scores.mean(method, look)) for look in LOOKS)] for method in scores.methods),
+        ),
+        figure_table(
+            f"Unseen directions in a mirror; {rooms}",
+            MEASURES,
+            (
+                [method, *(mean_cell(scores.unseen(method, measure), 2) for measure in MEASURES)]
+                for method in scores.rooms[0].unseen
+            ),
         ),
     ]

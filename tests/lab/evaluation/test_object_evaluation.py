@@ -11,10 +11,11 @@ from roomlight.conventions import panorama_directions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
-from roomlight_evaluation.objects.evaluation import COMPOSITED, evaluate_objects
+from roomlight_evaluation.objects.evaluation import COMPOSITED, TRUTH, evaluate_objects
 from roomlight_evaluation.objects.lit_objects import BRIGHTNESS, LOOKS, SHADOW, SPHERES, LitObjects
 from roomlight_evaluation.objects.sphere_shadow import shadow_of_sphere
 from roomlight_evaluation.objects.tables import object_tables
+from roomlight_evaluation.objects.unseen_look import MEASURES, unseen_look
 from rooms import BoxRoom, camera_at
 from written_captures import write_capture
 
@@ -97,10 +98,27 @@ def test_walks_of_a_dataset_are_rooms_too():
 
 
 def test_tables_and_json_show_every_method(scores, tmp_path):
-    for table in object_tables(scores):
+    *errors, unseen = object_tables(scores)
+    for table in errors:
         assert list(table.columns[0].cells) == list(scores.methods)
+    assert list(unseen.columns[0].cells) == [MEAN_COLOUR, HARMONICS, WARPED, "classical", TRUTH]
     scores.write(tmp_path / "scores.json")
     assert json.loads((tmp_path / "scores.json").read_text())[0]["errors"][HARMONICS].keys() == set(LOOKS)
+
+
+def test_unseen_directions_are_as_coloured_and_uneven_as_they_are():
+    seen = np.zeros((ROWS, 2 * ROWS), np.float32)
+    seen[:, ROWS:] = 1
+    panorama = np.full((ROWS, 2 * ROWS, 3), 0.2, np.float32)
+    panorama[:, ROWS:] = np.random.default_rng(0).random((ROWS, ROWS, 3))  # what was seen does not count
+    assert unseen_look(panorama, seen) == pytest.approx(dict.fromkeys(MEASURES, 0.0), abs=1e-6)
+    panorama[:, : ROWS // 2] *= np.float32([2, 1, 1])
+    coloured = unseen_look(panorama, seen)
+    assert coloured[MEASURES[0]] == pytest.approx(0.25, rel=1e-3)
+    assert coloured[MEASURES[1]] > 0
+    panorama *= 100  # white cuts it
+    assert unseen_look(panorama, seen) == pytest.approx(dict.fromkeys(MEASURES, 0.0), abs=1e-6)
+    assert all(np.isnan(value) for value in unseen_look(panorama, np.ones_like(seen)).values())
 
 
 def test_a_capture_without_ground_truth_is_refused(tmp_path):
