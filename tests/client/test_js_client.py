@@ -59,6 +59,7 @@ def composited_sphere(server):
     with zipfile.ZipFile(io.BytesIO(made.body)) as layers:
         objects, _ = decode_colour(layers.read("objects.exr"), "objects")
         alpha = cv2.imdecode(np.frombuffer(layers.read("alpha.png"), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert alpha is not None
     inside = np.repeat(cv2.erode(alpha, np.ones((3, 3)))[::-1, :, None] == 65535, 3, axis=2).reshape(-1)
     k = shot.intrinsics
     view = {

@@ -93,6 +93,7 @@ def test_stated_conventions_that_fit_are_silent(tmp_path: Path) -> None:
 def test_intrinsics_that_hardly_a_camera_has_are_pointed_out(transforms: Path, keys: dict, says: str) -> None:
     for file in (*(transforms / "images").iterdir(), *(transforms / "depth").iterdir()):
         stored = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        assert stored is not None
         cv2.imwrite(str(file), cv2.resize(stored, (160, 120), interpolation=cv2.INTER_NEAREST))
     lens = {"fl_x": 140, "fl_y": 140, "cx": 80, "cy": 60, "w": 160, "h": 120}
     edit(transforms / "transforms.json", lambda index: [frame.update(lens | keys) for frame in index["frames"]])

@@ -112,7 +112,7 @@ def test_unseen_directions_are_as_coloured_and_uneven_as_they_are():
     panorama = np.full((ROWS, 2 * ROWS, 3), 0.2, np.float32)
     panorama[:, ROWS:] = np.random.default_rng(0).random((ROWS, ROWS, 3))  # what was seen does not count
     assert unseen_look(panorama, seen) == pytest.approx(dict.fromkeys(MEASURES, 0.0), abs=1e-6)
-    panorama[:, : ROWS // 2] *= np.float32([2, 1, 1])
+    panorama[:, : ROWS // 2, 0] *= 2
     coloured = unseen_look(panorama, seen)
     assert coloured[MEASURES[0]] == pytest.approx(0.25, rel=1e-3)
     assert coloured[MEASURES[1]] > 0
