@@ -21,6 +21,7 @@ from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.lenses import Lens, lens_of, undistorted
 from roomlight.captures.times import MAX_GAP_S, timeline
 from roomlight.errors import CaptureError, UnknownFormatError
+from roomlight.sample import sample_capture
 
 VIEWS = formats.scene()
 CAMERA = Intrinsics(80.0, 80.0, 48.0, 36.0, 96, 72)
@@ -487,3 +488,7 @@ def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:
     (path / "sparse/cameras.txt").write_text(text.replace("PINHOLE", "FOV").rstrip() + " 0.9\n")
     with pytest.raises(CaptureError, match="FOV"):
         list(open_capture(path))
+
+
+def test_nothing_of_the_sample_is_left_out() -> None:
+    assert not open_capture(sample_capture()).notes

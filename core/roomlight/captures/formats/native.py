@@ -51,6 +51,8 @@ _INTRINSICS: Final = ("fx", "fy", "cx", "cy")
 _SIZE: Final = ("width", "height")
 _KEYS: Final = {"format", "version", "name", "frames", "probes"}
 _FRAME_KEYS: Final = {"colour", "depth", "confidence", "intrinsics", "camera_to_world", "timestamp_s", "exposure"}
+_HARMLESS: Final = {"surface", "clipped"}
+"""Images beside generated frames, for training alone."""
 
 
 class NativeReader:
@@ -85,7 +87,7 @@ class NativeReader:
 
     def _unread(self, index: dict[str, Any]) -> set[str]:
         lenses = [lens for frame in self._frames if isinstance(lens := frame.get("intrinsics"), dict)]
-        keys = {key for frame in self._frames for key in frame} - _FRAME_KEYS
+        keys = {key for frame in self._frames for key in frame} - _FRAME_KEYS - _HARMLESS
         return keys | (index.keys() - _KEYS) | ({key for lens in lenses for key in lens} - {*_INTRINSICS, *_SIZE})
 
     def name_of(self, index: int) -> str:
