@@ -32,7 +32,7 @@ from roomlight.spheres import resize_panorama
 
 MAX_LIGHTS: Final = 3
 NO_SOURCE: Final = -1
-"""Number of a main light that is none of the lights: it is expected where frames have not looked."""
+"""Number of a main light that is not in the list of lights: mostly one whose place is inferred, not seen."""
 _SEARCH_ROWS: Final = 24  # 7.5 degrees a pixel, under a kernel of 12
 _KERNELS_DEG: Final = (12.0, 12.0, 12.0, 6.0, 6.0, 6.0, 6.0)
 """Widths (standard deviation) of the steps to the centre: from that of a lobe to one that separates lamps 15 degrees
@@ -61,7 +61,7 @@ class MainLight:
         emitted: 1 where the light is brighter than any surface that the room's light could explain (a lamp, a window),
             toward 0 where it may be a bright surface.
         number: identity of the light at a tracked probe, equal from frame to frame; elsewhere its rank, 0 the first;
-            -1 for a main light that is none of the lights.
+            -1 for a main light that is not in the list: mostly one whose place is inferred, not seen.
 
     Examples:
         >>> import numpy as np, roomlight as rl
