@@ -92,6 +92,37 @@ async def test_a_lower_order_comes_first_until_the_others_lose_patience(clock):
 
 
 @in_loop
+async def test_a_job_of_a_higher_order_runs_alone(clock):
+    jobs, gates = Jobs(FairShare(2, clock=clock), clock), [asyncio.Event() for _ in range(2)]
+    await jobs.add("frame0", 1.0, gate=gates[0])
+    await jobs.add("late", 1.0, order=1, owner="b")
+    await jobs.add("frame1", 1.0, gate=gates[1])
+    assert jobs.order == ["frame0", "frame1"]  # beside each other
+    gates[0].set()
+    await jobs.tasks[0]
+    await asyncio.sleep(0)
+    assert jobs.order == ["frame0", "frame1"]
+    gates[1].set()
+    await jobs.run()
+    assert jobs.order == ["frame0", "frame1", "late"]
+
+
+@in_loop
+async def test_a_running_job_of_a_higher_order_pauses_while_a_lower_one_runs():
+    share, steps, entered = FairShare(2), threading.Event(), threading.Event()
+    late = asyncio.create_task(paused_job(share, owner="a", steps=steps, entered=entered, order=1))
+    await asyncio.to_thread(entered.wait)
+    current_flow.set(Flow("b", "s"))
+    async with share.slot():
+        while share.waiting == 0:  # until it has paused
+            await asyncio.sleep(0)
+        steps.set()
+        assert not late.done()
+    await late
+    assert not share.busy
+
+
+@in_loop
 async def test_the_session_with_the_least_time_is_served(clock):
     jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
     await jobs.add("large0", 1.0, session="large", gate=gate)
@@ -186,10 +217,10 @@ async def test_a_slot_granted_to_a_cancelled_job_is_free_again(clock):
     assert jobs.order[-1] == "c"
 
 
-async def paused_job(share, *, owner, steps, entered):
+async def paused_job(share, *, owner, steps, entered, order=0):
     """Run a job on a thread that pauses until `steps` is set."""
     current_flow.set(Flow(owner, "s"))
-    async with share.slot() as turn:
+    async with share.slot(order) as turn:
 
         def work():
             entered.set()

@@ -20,7 +20,7 @@ def held(monkeypatch):
     """Yield a server whose engine waits in every push."""
     HeldSession.reset()
     monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
-    with RunningServer(frames_in_flight=3) as running:
+    with RunningServer(frames_in_flight=3, engine_threads=1) as running:
         running.open()
         yield running
         HeldSession.release(100)

@@ -99,7 +99,7 @@ def test_the_line_of_a_failed_frame_names_its_request(monkeypatch, lines):
 def test_metrics_show_queues_refusals_and_memory(monkeypatch):
     HeldSession.reset()
     monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
-    with RunningServer() as server:
+    with RunningServer(engine_threads=1) as server:
         server.open()
         server.open("other")
         pushes = [InThread(server.push, 0)]
@@ -131,7 +131,7 @@ def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
     """The server closed its socket first: a load balancer saw no /readyz, and streams lost their frames."""
     HeldSession.reset()
     monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
-    with RunningServer() as server:
+    with RunningServer(engine_threads=1) as server:
         server.open()
         server.open("streamed")
         push = InThread(server.push, 0)

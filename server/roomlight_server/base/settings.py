@@ -65,8 +65,8 @@ class ServerSettings(BaseSettings):
         max_body_bytes: Largest frame in bytes.
         max_colour_pixels: Largest colour image of a frame.
         max_depth_pixels: Largest depth map of a frame.
-        engine_threads: Sessions whose frames are processed at the same time. Each already uses `ROOMLIGHT_THREADS`
-            threads, so more than 1 trades latency per frame for less waiting.
+        engine_threads: Sessions whose frames are processed at the same time. Each uses `ROOMLIGHT_THREADS` threads,
+            but a part of its time only one: a second one makes 1.2 times the frames of 16 sessions on two cores.
         decode_threads: Images decoded at once. As many decoding processes are started. With several tokens, one
             thread is left for the others.
         encode_threads: Lights encoded at once. With several tokens, one thread is left for the others.
@@ -140,7 +140,7 @@ class ServerSettings(BaseSettings):
     max_body_bytes: Annotated[int, Field(ge=2**16, le=2**30)] = FrameLimits().max_body_bytes
     max_colour_pixels: Annotated[int, Field(ge=1)] = FrameLimits().max_colour_pixels
     max_depth_pixels: Annotated[int, Field(ge=1)] = FrameLimits().max_depth_pixels
-    engine_threads: Annotated[int, Field(ge=1, le=64)] = 1
+    engine_threads: Annotated[int, Field(ge=1, le=64)] = 2
     decode_threads: Annotated[int, Field(ge=1, le=64)] = 2
     encode_threads: Annotated[int, Field(ge=1, le=64)] = 2
     log_level: Literal["debug", "info", "warning", "error"] = "info"

@@ -122,7 +122,7 @@ class FairShare:
         self._free, self._per_owner, self._clock, self._waited = slots, slots_per_owner or slots, clock, waited
         self._owners = _UsedTime()
         self._sessions: dict[str, _UsedTime] = {}  # by owner
-        self._running: dict[str, int] = {}
+        self._running: list[Turn] = []
         self._waiting: list[Turn] = []
         self._count = self._paused = 0
         self._closed = False
@@ -142,7 +142,8 @@ class FairShare:
         """Wait for a slot and hold it inside the context; the time counts for the current flow.
 
         Args:
-            order: Jobs of a lower one come first, until the others have waited for `PATIENCE_S`.
+            order: Jobs of a lower one come first, until the others have waited for `PATIENCE_S`. One above 0 runs
+                alone.
             near: Called when the job waits as the next one: what it needs may be prepared.
         """
         self._count += 1
@@ -165,8 +166,10 @@ class FairShare:
 
     def pause(self, turn: Turn) -> None:
         """Give the slot to jobs that are ahead of this one and wait for it again; called on the thread of the job."""
-        slice_s = 0.0 if any(waiting.order < turn.order for waiting in tuple(self._waiting)) else SLICE_S
-        if self._waiting and not self._closed and self._clock() - turn.since_s >= slice_s:
+        others = (*self._waiting, *self._running)
+        before = any(other.order < turn.order for other in others)
+        due = before or (self._waiting and self._clock() - turn.since_s >= SLICE_S)
+        if due and not self._closed:
             loop = turn.granted.get_loop()
             asyncio.run_coroutine_threadsafe(self._pause(turn), loop).result()
 
@@ -181,7 +184,7 @@ class FairShare:
 
     async def _pause(self, turn: Turn) -> None:
         self._charge(turn)
-        overtaken = any(self._is_ahead(waiting, turn) for waiting in self._waiting)
+        overtaken = any(self._is_ahead(waiting, turn) for waiting in self._waiting) or not self._may_run(turn)
         if self._paused >= MAX_PAUSED or self._closed or not overtaken:
             return
         self._paused += 1
@@ -221,7 +224,7 @@ class FairShare:
 
     def _start(self, turn: Turn) -> None:
         self._free -= 1
-        self._running[turn.flow.owner] = self._running.get(turn.flow.owner, 0) + 1
+        self._running.append(turn)
         self._owners.serve(turn.flow.owner)
         self._sessions[turn.flow.owner].serve(turn.flow.session)
         turn.since_s = self._clock()
@@ -233,9 +236,7 @@ class FairShare:
 
     def _stop(self, turn: Turn) -> None:
         self._free += 1
-        self._running[turn.flow.owner] -= 1
-        if not self._running[turn.flow.owner]:
-            del self._running[turn.flow.owner]
+        self._running.remove(turn)
         self._assign()
 
     def _charge(self, turn: Turn) -> None:
@@ -249,9 +250,15 @@ class FairShare:
         return startable and self._key(other) < self._key(turn)
 
     def _may_start(self, turn: Turn) -> bool:
-        return self._running.get(turn.flow.owner, 0) < self._per_owner
+        same = sum(other.flow.owner == turn.flow.owner for other in self._running)
+        return same < self._per_owner and self._may_run(turn)
+
+    def _may_run(self, turn: Turn) -> bool:
+        return self._order(turn) == 0 or all(other is turn for other in self._running)
+
+    def _order(self, turn: Turn) -> int:
+        return turn.order if self._clock() - turn.asked_s < PATIENCE_S else 0
 
     def _key(self, turn: Turn) -> tuple[int, float, float, int]:
         owner, session = turn.flow
-        order = turn.order if self._clock() - turn.asked_s < PATIENCE_S else 0
-        return order, self._owners.used_s(owner), self._sessions[owner].used_s(session), turn.number
+        return self._order(turn), self._owners.used_s(owner), self._sessions[owner].used_s(session), turn.number
