@@ -1,5 +1,9 @@
 """Choose the reader of a capture: by the files in its folder, or by `CaptureOptions.format`."""
 
+import shutil
+import tempfile
+import weakref
+import zipfile
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -23,7 +27,7 @@ from roomlight.captures.formats.seven_scenes import SevenScenesReader
 from roomlight.captures.formats.stray_scanner import StrayScannerReader
 from roomlight.captures.formats.tum import TumReader
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.recognition import recognised
+from roomlight.captures.recognition import is_record3d_archive, recognised
 from roomlight.errors import CaptureError, OptionError, UnknownFormatError
 
 _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
@@ -59,8 +63,9 @@ _LISTED: Final = 1000
 def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Capture:
     """Open a capture for reading: its index is read and checked, no image is decoded.
 
-    `path` is the capture's folder, a folder that holds nothing but it, its file (`.r3d`, `.sens`, `.bag`, a video), or
-    its index (`transforms.json`, `capture.json`).
+    `path` is the capture's folder, a folder that holds nothing but it, its file (`.r3d`, `.sens`, `.bag`, a video), its
+    index (`transforms.json`, `capture.json`), or a `.zip` of the folder, which is unpacked for as long as the capture
+    is open.
 
     Raises:
         OptionError: `options.format` is not one of `FORMATS`.
@@ -76,6 +81,20 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     path = Path(path)
     if chosen.format is not None and chosen.format not in _READERS:
         raise OptionError(f"format is {chosen.format!r}; it must be one of {', '.join(FORMATS)}")
+    if path.suffix.lower() != ".zip" or not path.is_file() or is_record3d_archive(path):
+        return _opened(path, chosen)
+    unpacked = _unpacked(path)
+    try:
+        capture = _opened(_innermost(unpacked), chosen)
+    except BaseException:
+        shutil.rmtree(unpacked.parent, ignore_errors=True)
+        raise
+    capture.path = path
+    weakref.finalize(capture, shutil.rmtree, unpacked.parent, ignore_errors=True)
+    return capture
+
+
+def _opened(path: Path, chosen: CaptureOptions) -> Capture:
     try:
         if not path.exists():
             raise CaptureError(f"{path}: there is no such file or folder")
@@ -91,6 +110,29 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     if chosen.fov_deg is not None and name != "video":
         raise OptionError(f"fov_deg is for videos without poses; a recording of the {name} format states its lens")
     return Capture(path, _READERS[name](path, chosen), chosen)
+
+
+def _unpacked(archive: Path) -> Path:
+    """Unpack an archive into a temporary folder of its name, which is left when this process or the capture ends.
+
+    Raises:
+        CaptureError: It is damaged, encrypted, or larger than the disk's free space.
+    """
+    root = Path(tempfile.mkdtemp(prefix="roomlight-"))
+    try:
+        with zipfile.ZipFile(archive) as members:
+            size, free = sum(member.file_size for member in members.infolist()), shutil.disk_usage(root).free
+            if size > free:
+                raise ValueError(f"it holds {size} bytes, and {root.parent} has {free} free")
+            for member in members.infolist():
+                member.filename = member.filename.replace("\\", "/")  # as old programs of Windows write them
+                members.extract(member, root / archive.name)
+    except BaseException as error:
+        shutil.rmtree(root, ignore_errors=True)
+        if not isinstance(error, Exception):
+            raise
+        raise CaptureError(f"{archive}: does not unpack ({error}); unpack it by hand, or export it again") from error
+    return root / archive.name
 
 
 def _innermost(path: Path) -> Path:

@@ -66,8 +66,8 @@ def recognised(path: Path) -> str:
             return "scannet"
         if path.suffix.lower() in DEMUXERS:
             return "video"
-        if zipfile.is_zipfile(path):
-            return _of_zip(path)
+        if is_record3d_archive(path):
+            return "record3d"
     elif has(native.INDEX):
         return "roomlight"
     elif has(scannetpp.INDEX):
@@ -154,17 +154,12 @@ def _bare_images(path: Path) -> str:
     )
 
 
-def _of_zip(path: Path) -> str:
-    """Return "record3d" if the archive's listing is Record3D's. Raises UnknownFormatError with what it holds."""
-    source = ZipSource(path)
-    members = list(source.names())
-    for index, folder in record3d.LAYOUTS:
-        if index in members and any(name.startswith(f"{folder}/") for name in members):
-            return "record3d"
-    top = sorted({f"{name.split('/')[0]}/" if "/" in name else name for name in members})
-    top = [source.prefix] if source.prefix else top
-    contents = ", ".join(top[:6]) + (f" and {len(top) - 6} more" if len(top) > 6 else "")
-    raise UnknownFormatError(
-        f"{path}: this zip archive is not a Record3D capture (metadata with rgbd/, or metadata.json with rgb/); "
-        f"it holds {contents or 'nothing'}. Unpack a capture of another format first"
+def is_record3d_archive(path: Path) -> bool:
+    """Whether a file is a zip archive with Record3D's files, which are read in place."""
+    if not zipfile.is_zipfile(path):
+        return False
+    members = list(ZipSource(path).names())
+    return any(
+        index in members and any(name.startswith(f"{folder}/") for name in members)
+        for index, folder in record3d.LAYOUTS
     )

@@ -1,13 +1,17 @@
-"""Record3D archives: damaged or foreign ones are refused, and a damaged member skips its frame, by file and reason."""
+"""Archives of Record3D, and zipped folders: damaged or foreign ones are refused, and a damaged member skips its frame, by file and reason."""
 
+import shutil
 import struct
+import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import formats
 import lzfse
+import numpy as np
 import pytest
+from builders import BUILDERS, FORMAT_OF
 from capture_checks import one_skipped
 
 from roomlight.captures import open_capture
@@ -63,20 +67,49 @@ def test_archives_without_metadata_or_pictures(tmp_path: Path) -> None:
         open_capture(tmp_path / "c.r3d")
 
 
-def test_a_zip_is_record3d_only_by_its_listing(tmp_path: Path) -> None:
-    assert open_capture(repacked(tmp_path / "a.zip", lambda _: None)).format == "record3d"
-    nested = tmp_path / "b.zip"
-    with zipfile.ZipFile(nested, "w") as archive:
-        for name in ("holiday/transforms.json", "holiday/images/1.png", "notes.txt"):
-            archive.writestr(name, b"x")
-    with pytest.raises(UnknownFormatError, match=r"b\.zip: .*not a Record3D.*it holds holiday/, notes\.txt\. Unp"):
-        open_capture(nested)
-    with zipfile.ZipFile(tmp_path / "many.epub", "w") as archive:
-        for number in range(9):
-            archive.writestr(f"{number}.html", b"x")
-    with pytest.raises(UnknownFormatError, match=r"holds 0\.html, .*5\.html and 3 more"):
-        open_capture(tmp_path / "many.epub")
-    with zipfile.ZipFile(tmp_path / "empty.zip", "w"):
-        pass
-    with pytest.raises(UnknownFormatError, match="holds nothing"):
-        open_capture(tmp_path / "empty.zip")
+def zipped(archive: Path, members: Mapping[str, bytes]) -> Path:
+    with zipfile.ZipFile(archive, "w") as packed:
+        for name, data in members.items():
+            packed.writestr(name, data)
+    return archive
+
+
+@pytest.mark.parametrize("inner", ["", "My scan/", "__MACOSX/../Küche 1\\"])
+@pytest.mark.parametrize("kind", [kind for kind in BUILDERS if kind not in ("record3d", "scannet")])
+def test_a_zipped_folder_is_read_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, inner: str
+) -> None:
+    folder, temporary = BUILDERS[kind](tmp_path / "folder", VIEWS), tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    archive = tmp_path / "scan.ZIP"
+    zipped(archive, {f"{inner}{file.relative_to(folder)}": file.read_bytes() for file in files})
+    for _ in range(2):
+        capture = open_capture(archive)
+        assert (capture.format, capture.path) == (FORMAT_OF[kind], archive)
+        poses = [frame.camera_to_world for frame in capture]
+        assert np.allclose(poses, [view.pose for view in VIEWS], atol=1e-4)
+        assert all(file.is_relative_to(temporary) for file in temporary.rglob("*"))
+        del capture
+    assert not any(temporary.iterdir())
+
+
+def test_a_zip_of_something_else_is_refused_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    assert open_capture(repacked(tmp_path / "a.zip", lambda _: None)).format == "record3d"  # read in place
+    with pytest.raises(UnknownFormatError, match=r"b\.zip: no capture format recognised"):
+        open_capture(zipped(tmp_path / "b.zip", {"notes.txt": b"x", "../../out.txt": b"x", "/out.txt": b"x"}))
+    with pytest.raises(UnknownFormatError, match=r"many\.epub: no capture format recognised"):
+        open_capture(zipped(tmp_path / "many.epub", {"0.html": b"x"}))
+    (tmp_path / "c.zip").write_bytes(zipped(tmp_path / "d.zip", {"a": bytes(99)}).read_bytes()[:-9])
+    with pytest.raises(CaptureError, match=r"c\.zip: does not unpack .*export it again"):
+        open_capture(tmp_path / "c.zip")
+    free = shutil.disk_usage(tmp_path)._replace(free=98)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
+    with pytest.raises(CaptureError, match=r"d\.zip: .*holds 99 bytes, and .* has 98 free"):
+        open_capture(tmp_path / "d.zip")
+    assert not any(temporary.iterdir())
+    assert not (tmp_path / "out.txt").exists()

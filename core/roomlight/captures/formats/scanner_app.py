@@ -40,7 +40,7 @@ class ScannerAppReader(ListedReader):
         source = FolderSource(folder)
         colour = [name for name in files_of(source, "", (".jpg", ".jpeg", ".png")) if _COLOUR.fullmatch(name)]
         super().__init__(folder, options, colour, expected="frame_00000.jpg")
-        self._has_depth = any(name.startswith("depth_") for name in source.names())
+        self._has_depth = any(name.lower().startswith("depth_") for name in source.names())
 
     def timestamps(self) -> list[float | None]:
         """Return the times that the frames' JSON states."""
