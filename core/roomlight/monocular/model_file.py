@@ -1,13 +1,16 @@
 """Any ONNX file that estimates depth: what its inputs and outputs mean is told by their names, or by a sidecar.
 
-The picture is the graph's input of 4 or 5 axes with 3 channels. Conventions are recognised by the outputs' names:
+The picture is the graph's input of 3 to 5 axes, channels first or last; integers are 0 to 255. Conventions are
+recognised by the outputs' names:
 
 | Outputs | Model | Meaning |
 | --- | --- | --- |
 | `points` | MoGe | points, z up to a shift that the lens tells; with `metric_scale` metres, else up to scale |
 | `predicted_depth` and `predicted_normal` | Metric3D | metres for a focal length of 1,000 pixels; picture 0 to 255 |
-| `depth` and the input `K` or `intrinsics` | UniDepth | metres |
+| `pts_3d`; `depth` and `K` or `intrinsics`, given or answered | UniDepth | points in metres; metres |
+| `predicted_depth` and `focallength_px` | Depth Pro | metres |
 | `depth` and `sky` or `depth_conf` | Depth Anything 3 | depth up to scale |
+| the same, "metric" in the file's name | Depth Anything 3 metric | metres for a focal length of 300 pixels |
 | `metric_depth`; `predicted_depth` or `depth`, "metric" in the file's name | Depth Anything V2 metric | metres |
 | `predicted_depth`, `depth`, `disparity` | Depth Anything V2, MiDaS | 1 / depth up to scale and shift |
 
@@ -26,6 +29,7 @@ from jaxtyping import Float, Float32
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from roomlight.camera import Intrinsics
+from roomlight.depth import DEPTH_MEDIAN_M
 from roomlight.engine.networks.runtime import OnnxRuntimeGraph
 from roomlight.errors import ModelError
 from roomlight.monocular.estimate import DepthEstimate, DepthKind
@@ -36,9 +40,15 @@ Triple = tuple[float, float, float]
 _IMAGENET: Final = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 _PLAIN: Final = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 _LENS: Final = ("K", "intrinsics", "camera", "cam")
+_METRIC_POINTS: Final = "pts_3d"
+_MEANINGS: Final[dict[Meaning, str]] = {
+    "metric": "metres", "scale": "depth up to scale", "inverse": "1 / depth", "points": "points",
+}  # fmt: skip
 _MULTIPLE: Final = 14
 """Sides of a picture of free size are multiples of a vision transformer's patch."""
 _MOST_SIDE: Final = 2048
+_ASPECT: Final = 0.2
+"""Most that the aspect of an answer may differ from the picture's, as a log."""
 
 
 @dataclass(frozen=True)
@@ -96,18 +106,21 @@ class DepthModelFile:
         """
         if not path.is_file():
             raise ModelError(f"{path}: there is no such depth model; give an ONNX file")
-        self.path, self.name = path, path.name
+        self.path = path
         self._graph = OnnxRuntimeGraph.open(path)
         self._sidecar = Sidecar.read(path)
         self._inputs, self._outputs = dict(self._graph.inputs), dict(self._graph.outputs)
-        self._picture = self._picture_input()
+        self._picture, self._last = self._picture_input()
         self._output, self.meaning = self._chosen_output()
+        self.name = f"{path.name} (its {self._output} as {_MEANINGS[self.meaning]})"
         self.kind: DepthKind = "scale" if self.meaning == "points" else self.meaning
-        if self.meaning == "points" and "metric_scale" in self._outputs:
+        if self.meaning == "points" and ("metric_scale" in self._outputs or self._output == _METRIC_POINTS):
             self.kind = "metric"
-        for name in self._inputs:
+        for name, shape in self._inputs.items():
             if name not in (self._picture, "num_tokens", *_LENS):
                 raise ModelError(f"{path}: its input {name} is not known; a depth model takes a picture, K, num_tokens")
+            if name in _LENS and any(isinstance(size, int) and size != 3 for size in shape[-2:]):
+                raise ModelError(f"{path}: its input {name} is {list(shape)}; the lens is given as a 3 x 3 matrix")
 
     def estimate(
         self,
@@ -127,8 +140,13 @@ class DepthModelFile:
         resized = np.clip(cv2.resize(picture, (width, height), interpolation=method), 0, 1)
         outputs = self._graph.run(self._feed(resized, lens))
         planes, confidence = self._plane(outputs, self._output), self._confidence(outputs, (height, width))
+        if abs(np.log(planes.shape[1] / planes.shape[0] * height / width)) > _ASPECT:
+            raise ModelError(
+                f"{self.path}: its output {self._output} is {planes.shape[1]} x {planes.shape[0]} for a picture of "
+                f"{width} x {height}: another aspect"
+            )
         if self.meaning == "points":
-            depth = shifted_depth(planes, lens)
+            depth = planes[..., 2] if self._output == _METRIC_POINTS else shifted_depth(planes, lens)
             if "metric_scale" in outputs:
                 depth = depth * np.float32(np.asarray(outputs["metric_scale"]).ravel()[0])
         else:
@@ -137,25 +155,32 @@ class DepthModelFile:
         if focal is not None:
             depth = depth * np.float32(np.sqrt(lens.fx * lens.fy) / focal)
         if self.meaning != "inverse":
+            self._check_depth(depth)
             with np.errstate(divide="ignore"):
                 depth = np.where(depth > 1e-6, 1 / np.maximum(depth, 1e-6), 0)
         return DepthEstimate(depth.astype(np.float32), confidence, self.kind)
 
     # --- what the graph says
 
-    def _picture_input(self) -> str:
+    def _picture_input(self) -> tuple[str, bool]:
+        """Return the picture's name, and whether its channels come last."""
         for name, shape in self._inputs.items():
-            if len(shape) in (4, 5) and (shape[-3] == 3 or not isinstance(shape[-3], int)):
-                return name
+            last = len(shape) in (4, 5) and shape[-1] == 3 and shape[-3] != 3
+            if last or (len(shape) in (4, 5) and (shape[-3] == 3 or not isinstance(shape[-3], int))):
+                if any(isinstance(size, int) and size != 1 for size in shape[:-3]):
+                    raise ModelError(f"{self.path}: its picture is {list(shape)}; export it for one picture at a time")
+                return name, last
         listed = ", ".join(f"{name} {list(shape)}" for name, shape in self._inputs.items())
-        raise ModelError(f"{self.path}: no input is a picture [1, 3, h, w]; it has {listed or 'no input'}")
+        raise ModelError(
+            f"{self.path}: no input is a picture [1, 3, h, w] or [1, h, w, 3]; it has {listed or 'no input'}"
+        )
 
     def _chosen_output(self) -> tuple[str, Meaning]:
         """Return the output with depth and its meaning."""
         names, stated = list(self._outputs), self._sidecar
         if stated.output is not None and stated.output not in names:
             raise ModelError(f"{self.path}: has no output {stated.output}, only {', '.join(names)}; mend its sidecar")
-        known = ("points", "metric_depth", "predicted_depth", "depth", "disparity")
+        known = ("points", _METRIC_POINTS, "metric_depth", "predicted_depth", "depth", "disparity")
         only = names[0] if len(names) == 1 else None
         output = stated.output or next((name for name in known if name in names), only)
         if output is None:
@@ -165,13 +190,15 @@ class DepthModelFile:
             )
         if stated.kind is not None:
             return output, stated.kind
-        if output == "points":
+        if output in ("points", _METRIC_POINTS):
             return output, "points"
         says_metric = "metric" in self.path.stem.lower() or output == "metric_depth"
-        if says_metric or self._is_metric3d or (output == "depth" and any(name in self._inputs for name in _LENS)):
+        if says_metric or self._is_metric3d or "focallength_px" in names:
             return output, "metric"
-        if output == "depth" and any(name in names for name in ("sky", "depth_conf")):
+        if self._is_depth_anything_3:
             return output, "scale"
+        if output == "depth" and any(name in (*self._inputs, *names) for name in _LENS):
+            return output, "metric"
         if output in known:
             return output, "inverse"
         raise ModelError(
@@ -183,15 +210,22 @@ class DepthModelFile:
     def _is_metric3d(self) -> bool:
         return "predicted_normal" in self._outputs
 
+    @cached_property
+    def _is_depth_anything_3(self) -> bool:
+        return "depth" in self._outputs and any(name in self._outputs for name in ("sky", "depth_conf"))
+
     @property
     def _focal_px(self) -> float | None:
         if self._sidecar.focal_px is not None or self._sidecar.kind is not None:
             return self._sidecar.focal_px
+        if self._is_depth_anything_3 and self.kind == "metric" and "nested" not in self.path.stem.lower():
+            return 300.0
         return 1000.0 if self._is_metric3d else None
 
     def _size(self, width: int, height: int) -> tuple[int, int]:
         """Return the size at which the picture is given: the graph's own, or of the sidecar's longest side."""
-        rows, columns = self._inputs[self._picture][-2:]
+        shape = self._inputs[self._picture]
+        rows, columns = shape[-3:-1] if self._last else shape[-2:]
         scale = self._sidecar.size / max(width, height)
         free = [max(_MULTIPLE, round(side * scale / _MULTIPLE) * _MULTIPLE) for side in (width, height)]
         size = [own if isinstance(own, int) else side for own, side in zip((columns, rows), free, strict=True)]
@@ -201,15 +235,17 @@ class DepthModelFile:
 
     def _feed(self, picture: Float32[np.ndarray, "h w 3"], lens: Intrinsics) -> dict[str, np.ndarray]:
         stated = self._sidecar
-        raw = self._is_metric3d or self.meaning == "points"  # these normalise inside the graph
-        white = 255.0 if self._is_metric3d and stated.mean is None else stated.white
+        kind = self._graph.types[self._picture]
+        whole = kind is not None and issubclass(kind, np.integer)
+        raw = self._is_metric3d or whole or self.meaning == "points"  # these normalise inside the graph
+        white = 255.0 if (self._is_metric3d or whole) and stated.mean is None else stated.white
         mean, deviation = _PLAIN if raw else _IMAGENET
         mean, deviation = stated.mean or mean, stated.deviation or deviation
         values = (picture * np.float32(white) - np.array(mean, np.float32)) / np.array(deviation, np.float32)
-        shape = self._inputs[self._picture]
-        feed: dict[str, np.ndarray] = {
-            self._picture: np.moveaxis(values, -1, 0).reshape(*(1 for _ in shape[:-3]), 3, *picture.shape[:2])
-        }
+        values = np.rint(values) if whole else values
+        values = values if self._last else np.moveaxis(values, -1, 0)
+        extra = (1 for _ in self._inputs[self._picture][:-3])
+        feed: dict[str, np.ndarray] = {self._picture: values.reshape(*extra, *values.shape)}
         for name in self._inputs:
             if name in _LENS:
                 matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
@@ -226,6 +262,9 @@ class DepthModelFile:
         values = np.asarray(outputs[name], np.float32)
         shape = [size for size in values.shape if size != 1]
         if self.meaning == "points" and name == self._output:
+            if len(shape) == 3 and shape[0] == 3 != shape[-1]:
+                values = np.moveaxis(values.reshape(shape), 0, -1)
+                shape = [*shape[1:], 3]
             fits = len(shape) == 3 and shape[-1] == 3
         else:
             fits = len(shape) == 2
@@ -239,6 +278,16 @@ class DepthModelFile:
                 f"{self.path}: its output {name} is constant or not finite; check mean, deviation and white"
             )
         return np.where(finite, plane, 0)
+
+    def _check_depth(self, depth: Float[np.ndarray, "h w"]) -> None:
+        """Raise ModelError for values that are no depth, or not in metres."""
+        median, (low, high) = float(np.median(depth)), DEPTH_MEDIAN_M
+        if median <= 0 or (self.kind == "metric" and not low <= median <= high):
+            what = "metres" if self.kind == "metric" else "depth"
+            raise ModelError(
+                f"{self.path}: the median of its output {self._output} is {median:.3g}, which is no {what}; state its "
+                f"`kind` in {self.path.with_suffix('.json').name}: scale for another unit, inverse for 1 / depth"
+            )
 
     def _confidence(self, outputs: dict[str, np.ndarray], shape: tuple[int, int]) -> Float32[np.ndarray, "h w"]:
         name = self._sidecar.confidence or ("mask" if "mask" in outputs else None)

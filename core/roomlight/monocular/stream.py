@@ -162,7 +162,10 @@ class DepthStream:
         fit = fit_inverse(q, t, weight, kind=estimated.kind, prior=self.state.fit)
         if fit is None:
             raise FrameError(
-                f"the depth of {self.model.name} is known up to scale only, and no metric model is given: give one"
+                f"{self.model.name} contradicts the depth network inside the package, which would give its scale: "
+                "check `kind`, mean, deviation and white in its sidecar, or the picture shows too little"
+                if self._reference is not None
+                else f"{self.model.name} knows depth up to scale only, and no metric model is given: give one"
             )
         if estimated.kind != "metric":  # each of a metric model's words counts as much as its first
             self.state.fit = fit

@@ -1,4 +1,4 @@
-"""Archives of Record3D, and zipped folders: damaged or foreign ones are refused, and a damaged member skips its frame, by file and reason."""
+"""Archives of Record3D, and zipped folders: a damaged member skips its frame, what is foreign is refused by name."""
 
 import shutil
 import struct
@@ -74,7 +74,7 @@ def zipped(archive: Path, members: Mapping[str, bytes]) -> Path:
     return archive
 
 
-@pytest.mark.parametrize("inner", ["", "My scan/", "__MACOSX/../Küche 1\\"])
+@pytest.mark.parametrize("inner", ["", "My scan/", "Küche 1\\"])
 @pytest.mark.parametrize("kind", [kind for kind in BUILDERS if kind not in ("record3d", "scannet")])
 def test_a_zipped_folder_is_read_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, inner: str
@@ -85,6 +85,8 @@ def test_a_zipped_folder_is_read_and_leaves_nothing(
     files = [file for file in folder.rglob("*") if file.is_file()]
     archive = tmp_path / "scan.ZIP"
     zipped(archive, {f"{inner}{file.relative_to(folder)}": file.read_bytes() for file in files})
+    with zipfile.ZipFile(archive, "a") as packed:
+        packed.writestr("__MACOSX/._scan", b"x")
     for _ in range(2):
         capture = open_capture(archive)
         assert (capture.format, capture.path) == (FORMAT_OF[kind], archive)

@@ -11,7 +11,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from box_room import LENS, exact_depth, frame, pose
 from depth_models import SIZE, write_depth_model
-from roomlight.errors import ModelError
+from roomlight.errors import FrameError, ModelError
 from roomlight.monocular.estimate import srgb_picture
 from roomlight.monocular.model_file import DepthModelFile
 from roomlight.monocular.stream import DepthStream
@@ -47,10 +47,46 @@ def test_depth_anything_3_is_depth_up_to_scale_with_an_axis_of_views(tmp_path: P
     assert np.allclose(inverse, 1 / (3 * TRUTH), rtol=1e-4)
 
 
-def test_metric3d_is_for_its_own_focal_length(tmp_path: Path) -> None:
-    canonical = TRUTH * 1000 / (LENS.fx * np.sqrt(SIZE[1] / LENS.width * SIZE[0] / LENS.height))
-    outputs = {"predicted_depth": canonical[None], "predicted_normal": np.zeros((1, 3, *SIZE))}
-    model, inverse = run(write_depth_model(tmp_path / "vit_small.onnx", outputs))
+ZEROS, LENS_OF = np.zeros((1, 1, *SIZE)), np.eye(3)[None]
+
+
+@pytest.mark.parametrize(
+    ("name", "outputs", "kind"),
+    [
+        ("depth_pro", {"predicted_depth": TRUTH[None], "focallength_px": np.array([300.0])}, "metric"),
+        ("unidepth", {"depth": TRUTH[None, None], "confidence": ZEROS, "intrinsics": LENS_OF}, "metric"),
+        ("da3_large", {"depth": TRUTH[None, None], "sky": ZEROS, "intrinsics": LENS_OF}, "scale"),
+        ("da3_nested_metric", {"depth": TRUTH[None, None], "sky": ZEROS}, "metric"),
+    ],
+)
+def test_exports_are_told_by_their_other_outputs(
+    tmp_path: Path, name: str, outputs: dict[str, np.ndarray], kind: str
+) -> None:
+    model, inverse = run(write_depth_model(tmp_path / f"{name}.onnx", outputs))
+    assert model.kind == kind
+    assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
+
+
+def test_points_of_unidepth_are_metric_with_the_coordinates_first(tmp_path: Path) -> None:
+    points = LENS.resized(SIZE[1], SIZE[0]).rays() * np.array([1, -1, -1]) * TRUTH[..., None]
+    outputs = {"pts_3d": np.moveaxis(points, -1, 0)[None], "confidence": ZEROS, "intrinsics": LENS_OF}
+    model, inverse = run(write_depth_model(tmp_path / "u.onnx", outputs, picture="rgbs"))
+    assert model.kind == "metric"
+    assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "output", "focal_px", "beside"),
+    [
+        ("vit_small", "predicted_depth", 1000, {"predicted_normal": np.zeros((1, 3, *SIZE))}),
+        ("da3metric_large", "depth", 300, {"sky": ZEROS}),
+    ],
+)
+def test_metric3d_and_depth_anything_3_are_for_their_own_focal_length(
+    tmp_path: Path, name: str, output: str, focal_px: float, beside: dict[str, np.ndarray]
+) -> None:
+    canonical = TRUTH * focal_px / (LENS.fx * np.sqrt(SIZE[1] / LENS.width * SIZE[0] / LENS.height))
+    model, inverse = run(write_depth_model(tmp_path / f"{name}.onnx", {output: canonical[None], **beside}))
     assert model.kind == "metric"
     assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
 
@@ -91,12 +127,14 @@ def test_unidepth_takes_the_lens(tmp_path: Path) -> None:
 def _echo(path: Path, *, shape: tuple[int | str, ...], kind: int = TensorProto.FLOAT) -> Path:
     """Write a graph whose depth is the picture's first channel."""
     picture = helper.make_tensor_value_info("image", kind, list(shape))
-    axes = [numpy_helper.from_array(np.array([bound]), name) for name, bound in (("a", 0), ("b", 1), ("c", 1))]
+    channel = shape.index(3)
+    bounds = (("a", 0), ("b", 1), ("c", channel))
+    axes = [numpy_helper.from_array(np.array([bound]), name) for name, bound in bounds]
     nodes = [
         helper.make_node("Cast", ["image"], ["cast"], to=TensorProto.FLOAT),
         helper.make_node("Slice", ["cast", "a", "b", "c"], ["depth"]),
     ]
-    info = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, 1, shape[2], shape[3]])
+    info = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1 if size == 3 else size for size in shape])
     graph = helper.make_graph(nodes, "echo", [picture], [info], axes)
     onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
     return path
@@ -112,6 +150,26 @@ def test_the_sidecar_states_size_and_normalisation(tmp_path: Path) -> None:
     assert answer.shape == (70, 98)  # the longest side as stated, both multiples of 14
     assert answer[0, 0] == pytest.approx((0.25 * 255 - 10) / 2, rel=1e-2)
     assert answer[0, -1] == pytest.approx((0.5 * 255 - 10) / 2, rel=1e-2)
+
+
+@pytest.mark.parametrize("shape", [(1, 3, *SIZE), (1, *SIZE, 3), (1, "height", "width", 3)])
+@pytest.mark.parametrize("kind", [TensorProto.UINT8, TensorProto.INT32])
+def test_whole_numbers_and_channels_last_get_the_picture_from_0_to_255(
+    tmp_path: Path, shape: tuple[int | str, ...], kind: int
+) -> None:
+    path = _echo(tmp_path / "own.onnx", shape=shape, kind=kind)
+    path.with_suffix(".json").write_text(json.dumps({"kind": "inverse"}))
+    picture = np.full((240, 320, 3), (0.5, 0, 0), np.float32)
+    picture[:, :160, 0] = 0.25
+    answer = DepthModelFile(path).estimate(picture, LENS).inverse
+    assert (answer[0, 0], answer[0, -1]) == (64, 128)
+
+
+def test_depth_that_contradicts_the_metric_model_is_refused(tmp_path: Path) -> None:
+    metric = DepthModelFile(write_depth_model(tmp_path / "metric.onnx", {"depth": TRUTH[None]}))
+    far_is_large = DepthModelFile(write_depth_model(tmp_path / "relative.onnx", {"depth": TRUTH[None]}))
+    with pytest.raises(FrameError, match=r"relative\.onnx \(its depth as 1 / depth\) contradicts .* check `kind`"):
+        DepthStream(far_is_large, metric).complete(frame(0, pose(0.3)))
 
 
 def test_a_stream_scales_relative_depth_by_a_metric_model(tmp_path: Path) -> None:
@@ -134,6 +192,11 @@ Graph = dict[str, Any]
         ({"depth": TRUTH[None]}, {}, {"kind": "metres"}, "kind: .*metres"),
         ({"depth": TRUTH[None]}, {}, {"sise": 3}, "sise: .*known: kind, output"),
         ({"depth": TRUTH[None]}, {}, {"size": 3}, "size: .*got 3"),
+        ({"depth": TRUTH[None]}, {"shape": (1, 32, 3, *SIZE)}, None, r"picture is \[1, 32, .*one picture at a time"),
+        ({"depth": TRUTH.T[None]}, {}, None, "its output depth is 28 x 42 for a picture of 42 x 28: another aspect"),
+        ({"depth": 1000 * TRUTH[None]}, {}, {"kind": "metric"}, "no metres; state its `kind` in bad.json: scale"),
+        ({"depth": -TRUTH[None]}, {}, {"kind": "scale"}, "median of its output depth is -.*no depth"),
+        ({"depth": TRUTH[None]}, {"others": {"K": (TensorProto.FLOAT, (1, 4, 4))}}, None, "its input K is .*3 x 3"),
         ({"depth": TRUTH[None]}, {"others": {"text": (TensorProto.FLOAT, (1,))}}, None, "its input text is not known"),
         ({"depth": TRUTH[None]}, {"kind": TensorProto.DOUBLE}, None, "the type of its input pixel_values is none of"),
         ({"depth": np.ones((1, *SIZE))}, {}, None, "its output depth is constant or not finite"),

@@ -54,6 +54,7 @@ class OnnxRuntimeGraph:
         self._session, self._name = session, str(path or "the graph")
         self.inputs: Shapes = {node.name: tuple(node.shape) for node in session.get_inputs()}
         self.outputs: Shapes = {node.name: tuple(node.shape) for node in session.get_outputs()}
+        self.types = {node.name: _NUMPY.get(node.type) for node in session.get_inputs()}
 
     @classmethod
     def open(cls, path: Path) -> "OnnxRuntimeGraph":
@@ -93,11 +94,10 @@ class OnnxRuntimeGraph:
         Raises:
             ModelError: ONNX Runtime fails on them.
         """
-        types = {node.name: _NUMPY.get(node.type) for node in self._session.get_inputs()}
-        unknown = [name for name, kind in types.items() if kind is None]
+        unknown = [name for name, kind in self.types.items() if kind is None]
         if unknown:
             raise ModelError(f"{self._name}: the type of its input {unknown[0]} is none of {', '.join(_NUMPY)}")
-        feed = {name: np.ascontiguousarray(array, types[name]) for name, array in inputs.items()}
+        feed = {name: np.ascontiguousarray(array, self.types[name]) for name, array in inputs.items()}
         try:
             values = self._session.run(None, feed)
         except Exception as error:  # ONNX Runtime's exceptions share no base class
