@@ -9,6 +9,7 @@ from roomlight.engine.networks import providers
 from roomlight.engine.networks.graphs import load_graphs
 from roomlight.engine.networks.openvino_runtime import openvino_version
 from roomlight.engine.networks.providers import VARIABLE, open_graph
+from roomlight.engine.networks.runtime import CUDA, ort
 from roomlight.errors import ModelError
 
 RUNTIMES = ("cpu", pytest.param("openvino", marks=pytest.mark.skipif(not openvino_version(), reason="no OpenVINO")))
@@ -61,12 +62,29 @@ def test_without_openvino_onnx_runtime_runs_all(tiny_video, monkeypatch):
         load_graphs(tiny_video[1], provider="openvino")
 
 
+without_cuda = pytest.mark.skipif(CUDA in ort.get_available_providers(), reason="this ONNX Runtime has CUDA")
+
+
+@without_cuda
+def test_without_cuda_it_is_refused_with_what_to_install(tiny_video):
+    with pytest.raises(ModelError, match=r"has no CUDA .*onnxruntime-gpu"):
+        load_graphs(tiny_video[1], provider="cuda")
+
+
+@without_cuda
+@pytest.mark.filterwarnings("ignore:Specified provider")
+def test_an_onnx_runtime_that_falls_back_to_the_cpu_is_refused(tiny_video):
+    """It opens a graph with no more than a warning where the machine has no GPU."""
+    with pytest.raises(ModelError, match="found no GPU"):
+        open_graph(tiny_video[1] / "single_sg_encoder.onnx", "cuda")
+
+
 def test_the_variable_stands_for_auto_and_is_checked(tiny_video, monkeypatch):
     monkeypatch.setenv(VARIABLE, "cpu")
     assert load_graphs(tiny_video[1]).runtime == "cpu"
     monkeypatch.setenv(VARIABLE, "gpu")
     assert load_graphs(tiny_video[1], provider="cpu").runtime == "cpu"
-    with pytest.raises(ModelError, match="ROOMLIGHT_PROVIDER must be one of auto, cpu, openvino; got 'gpu'"):
+    with pytest.raises(ModelError, match="ROOMLIGHT_PROVIDER must be one of auto, cpu, openvino, cuda; got 'gpu'"):
         load_graphs(tiny_video[1])
 
 

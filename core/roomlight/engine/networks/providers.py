@@ -1,6 +1,6 @@
-"""Where graphs run: ONNX Runtime's CPU provider, or OpenVINO where it is installed and faster on this machine.
+"""Where graphs run: ONNX Runtime's CPU provider, OpenVINO where it is installed and faster, or a GPU if asked for.
 
-`auto` measures both once and keeps the answer in a file of the cache folder: `NUMBA_CACHE_DIR`, else
+`auto` measures the first two once and keeps the answer in a file of the cache folder: `NUMBA_CACHE_DIR`, else
 `~/.cache/roomlight`. Processes that start together take the answer that was written first, so that all sessions of a
 machine compute the same bits. `ROOMLIGHT_PROVIDER` decides instead.
 """
@@ -15,20 +15,21 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import repeat
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, cast, get_args
 
 from roomlight.engine.networks.graph import BoundGraph, Graph
 from roomlight.engine.networks.openvino_runtime import OpenVinoGraph, openvino_version
-from roomlight.engine.networks.runtime import RUNTIMES, OnnxRuntimeGraph, RuntimeName, ort
+from roomlight.engine.networks.runtime import CUDA, OnnxRuntimeGraph, RuntimeName, ort
 from roomlight.errors import ModelError
 from roomlight.threads import processor_name, thread_count
 
-Provider = Literal["auto", "cpu", "openvino"]
+Provider = Literal["auto", "cpu", "openvino", "cuda"]
 VARIABLE: Final = "ROOMLIGHT_PROVIDER"
 """Environment variable that stands for `auto`."""
 FASTER: Final = 0.9
 """OpenVINO is chosen if it takes at most this share of ONNX Runtime's time: 0.55 for the SGLV networks on an AMD EPYC
 with AVX-512, 0.8 for the clipping network. Noise must not decide, because results differ in their last bits."""
+_MEASURED: Final[tuple[RuntimeName, ...]] = ("cpu", "openvino")
 _RUNS: Final = 5
 
 
@@ -38,7 +39,8 @@ def open_graph(path: Path, runtime: RuntimeName) -> Graph:
     Raises:
         ModelError: the runtime refuses it, or a shape in it is dynamic.
     """
-    return Graph(OpenVinoGraph.open(path) if runtime == "openvino" else OnnxRuntimeGraph.open(path), path.stem)
+    loaded = OpenVinoGraph.open(path) if runtime == "openvino" else OnnxRuntimeGraph.open(path, runtime)
+    return Graph(loaded, path.stem)
 
 
 def open_graphs(paths: Sequence[Path], digest: str, provider: Provider) -> list[Graph]:
@@ -50,7 +52,7 @@ def open_graphs(paths: Sequence[Path], digest: str, provider: Provider) -> list[
         provider: `auto` chooses the runtime, see the module.
 
     Raises:
-        ModelError: OpenVINO is requested and not installed, or the runtime refuses a graph.
+        ModelError: OpenVINO or CUDA is requested and not installed, or the runtime refuses a graph.
     """
     runtime = _requested(provider)
     if runtime is None:
@@ -73,9 +75,14 @@ def _requested(provider: Provider) -> RuntimeName | None:
         raise ModelError(
             'provider="openvino": OpenVINO is not installed (pip install \'roomlight[openvino]\'); use provider="cpu"'
         )
+    if wanted == "cuda" and CUDA not in ort.get_available_providers():
+        raise ModelError(
+            'provider="cuda": this ONNX Runtime has no CUDA (pip uninstall onnxruntime; pip install onnxruntime-gpu); '
+            'use provider="cpu"'
+        )
     if wanted == "auto":
         return "cpu" if openvino_version() is None else None
-    return "openvino" if wanted == "openvino" else "cpu"
+    return cast("RuntimeName", wanted)
 
 
 def _open_fastest(paths: Sequence[Path], digest: str) -> list[Graph]:
@@ -83,7 +90,7 @@ def _open_fastest(paths: Sequence[Path], digest: str) -> list[Graph]:
     kept = _kept_choice(file)
     if kept is not None:
         return _opened(paths, kept)
-    loaded: dict[RuntimeName, list[Graph]] = {runtime: _opened(paths, runtime) for runtime in RUNTIMES}
+    loaded: dict[RuntimeName, list[Graph]] = {runtime: _opened(paths, runtime) for runtime in _MEASURED}
     least_ms = _least_ms(loaded)
     chosen: RuntimeName = "openvino" if least_ms["openvino"] <= FASTER * least_ms["cpu"] else "cpu"
     return loaded[_keep_choice(file, {"runtime": chosen, "least_ms": least_ms})]
@@ -121,7 +128,7 @@ def _kept_choice(file: Path) -> RuntimeName | None:
         runtime = json.loads(file.read_text(encoding="utf-8"))["runtime"]
     except (OSError, ValueError, LookupError, TypeError):
         return None
-    return runtime if runtime in RUNTIMES else None
+    return runtime if runtime in _MEASURED else None
 
 
 def _keep_choice(file: Path, choice: dict[str, Any]) -> RuntimeName:

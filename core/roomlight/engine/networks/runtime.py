@@ -22,9 +22,9 @@ import onnxruntime as ort
 
 Buffers = dict[str, Float32[np.ndarray, "..."]]
 """Arrays by the names of a graph's inputs or outputs; their ranks differ, `Graph.bind` checks the shapes."""
-RuntimeName = Literal["cpu", "openvino"]
-"""ONNX Runtime's CPU provider, or OpenVINO."""
-RUNTIMES: Final[tuple[RuntimeName, ...]] = ("cpu", "openvino")
+RuntimeName = Literal["cpu", "openvino", "cuda"]
+"""ONNX Runtime's CPU provider, OpenVINO, or ONNX Runtime's CUDA provider."""
+CUDA: Final = "CUDAExecutionProvider"
 Shapes = dict[str, tuple[int | str, ...]]
 """Shapes by the names of a graph's inputs or outputs; a dynamic size has a name."""
 
@@ -48,20 +48,19 @@ class LoadedGraph(Protocol):
 class OnnxRuntimeGraph:
     """A graph in ONNX Runtime."""
 
-    runtime: RuntimeName = "cpu"
-
     def __init__(self, session: ort.InferenceSession, path: Path | None = None) -> None:
         self._session, self._name = session, str(path or "the graph")
+        self.runtime: RuntimeName = "cuda" if CUDA in session.get_providers() else "cpu"
         self.inputs: Shapes = {node.name: tuple(node.shape) for node in session.get_inputs()}
         self.outputs: Shapes = {node.name: tuple(node.shape) for node in session.get_outputs()}
         self.types = {node.name: _NUMPY.get(node.type) for node in session.get_inputs()}
 
     @classmethod
-    def open(cls, path: Path) -> "OnnxRuntimeGraph":
+    def open(cls, path: Path, runtime: Literal["cpu", "cuda"] = "cpu") -> "OnnxRuntimeGraph":
         """Load a graph.
 
         Raises:
-            ModelError: ONNX Runtime refuses it.
+            ModelError: ONNX Runtime refuses it, or has no working CUDA.
         """
         options = ort.SessionOptions()
         options.intra_op_num_threads = thread_count()
@@ -73,11 +72,15 @@ class OnnxRuntimeGraph:
         # Opened in a separate thread: with denormals as zero, ONNX Runtime changes the floating-point mode of the
         # opening thread for good, and the caller's thread must keep its own.
         with ThreadPoolExecutor(1) as opener:
-            opening = opener.submit(ort.InferenceSession, str(path), options, providers=["CPUExecutionProvider"])
+            wanted = [CUDA] if runtime == "cuda" else ["CPUExecutionProvider"]
+            opening = opener.submit(ort.InferenceSession, str(path), options, providers=wanted)
         error = opening.exception()
         if error is not None:  # ONNX Runtime's exceptions share no base class
             raise ModelError(f"{path}: ONNX Runtime cannot load it ({str(error).splitlines()[0]})") from error
-        return cls(opening.result(), path)
+        graph = cls(opening.result(), path)
+        if graph.runtime != runtime:  # it falls back to the CPU with a warning
+            raise ModelError('provider="cuda": ONNX Runtime found no GPU, or not the CUDA libraries that it needs')
+        return graph
 
     def bind(self, inputs: Buffers, outputs: Buffers) -> Callable[[], object]:
         """Bind the buffers' addresses."""
@@ -113,4 +116,4 @@ _NUMPY: Final = {
     "tensor(int32)": np.int32,
 }
 
-__all__ = ["RUNTIMES", "Buffers", "LoadedGraph", "OnnxRuntimeGraph", "RuntimeName", "Shapes", "ort"]
+__all__ = ["CUDA", "Buffers", "LoadedGraph", "OnnxRuntimeGraph", "RuntimeName", "Shapes", "ort"]

@@ -1,4 +1,4 @@
-"""Graphs in OpenVINO: the numbers of ONNX Runtime, in the caller's buffers, without a word to anybody."""
+"""Graphs in OpenVINO, and on a GPU where there is one: ONNX Runtime's numbers, in the caller's buffers."""
 
 import subprocess
 import sys
@@ -8,12 +8,20 @@ import numpy as np
 import pytest
 
 from roomlight.engine.networks.graphs import SHIPPED, SINGLE_GRAPHS
-from roomlight.engine.networks.openvino_runtime import TOLERANCE
+from roomlight.engine.networks.openvino_runtime import TOLERANCE, openvino_version
 from roomlight.engine.networks.providers import open_graph
+from roomlight.engine.networks.runtime import CUDA, ort
 from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
 
-pytest.importorskip("openvino")
+_PRESENT = {"openvino": openvino_version() is not None, "cuda": CUDA in ort.get_available_providers()}
+on_each_other_runtime = pytest.mark.parametrize(
+    "runtime",
+    [
+        pytest.param(name, marks=pytest.mark.skipif(not present, reason=f"no {name}"))
+        for name, present in _PRESENT.items()
+    ],
+)
 SHIPPED_GRAPHS = [("single", name) for name in SINGLE_GRAPHS] + [("clipping", "clipping"), ("objects", "objects")]
 
 
@@ -24,19 +32,21 @@ def _bound(graph, seed):
     return graph.bind(inputs, outputs), inputs, outputs
 
 
+@on_each_other_runtime
 @pytest.mark.parametrize(("folder", "name"), SHIPPED_GRAPHS)
-def test_shipped_graphs_agree_with_onnx_runtime(folder, name):
+def test_shipped_graphs_agree_with_onnx_runtime(folder, name, runtime):
     results = []
-    for runtime in ("cpu", "openvino"):
-        bound, _, outputs = _bound(open_graph(SHIPPED / folder / f"{name}.onnx", runtime), 0)
+    for opened in ("cpu", runtime):
+        bound, _, outputs = _bound(open_graph(SHIPPED / folder / f"{name}.onnx", opened), 0)
         bound.run()
         results.append(outputs)
     for key, wanted in results[0].items():
         assert np.abs(results[1][key] - wanted).max() <= TOLERANCE * np.abs(wanted).max()
 
 
-def test_a_bound_graph_reads_and_writes_in_place(tiny_video):
-    graph = open_graph(tiny_video[1] / "single_sg_encoder.onnx", "openvino")
+@on_each_other_runtime
+def test_a_bound_graph_reads_and_writes_in_place(tiny_video, runtime):
+    graph = open_graph(tiny_video[1] / "single_sg_encoder.onnx", runtime)
     bound, inputs, outputs = _bound(graph, 0)
     bound.run()
     first = {name: array.copy() for name, array in outputs.items()}
@@ -45,8 +55,9 @@ def test_a_bound_graph_reads_and_writes_in_place(tiny_video):
     assert all((outputs[name] != first[name]).any() for name in outputs)
 
 
-def test_threads_run_one_graph_at_the_same_time_with_equal_bits(tiny_video):
-    graph = open_graph(tiny_video[1] / "single_sg_encoder.onnx", "openvino")
+@on_each_other_runtime
+def test_threads_run_one_graph_at_the_same_time_with_equal_bits(tiny_video, runtime):
+    graph = open_graph(tiny_video[1] / "single_sg_encoder.onnx", runtime)
     alone = []
     for seed in range(4):
         bound, _, outputs = _bound(graph, seed)
@@ -59,20 +70,20 @@ def test_threads_run_one_graph_at_the_same_time_with_equal_bits(tiny_video):
         assert all((outputs[name] == wanted[name]).all() for name in wanted)
 
 
+@on_each_other_runtime
 @pytest.mark.parametrize("form", ["single", "video"])
-def test_a_session_saved_in_one_runtime_goes_on_in_the_other(tiny_video, tmp_path, form):
+def test_a_session_saved_in_one_runtime_goes_on_in_the_other(tiny_video, tmp_path, form, runtime):
     room = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35), lamp_radiance=30.0)
     frames = [room.frame(camera_at((0, 1.4, 0), 9 * index), index=index, width=96, height=72) for index in range(5)]
     options = {
-        runtime: SessionOptions(model=form, weights=tiny_video[1], provider=runtime, height=32)
-        for runtime in ("cpu", "openvino")
+        name: SessionOptions(model=form, weights=tiny_video[1], provider=name, height=32) for name in ("cpu", runtime)
     }
     whole = Session(options["cpu"])
     whole.track((0.1, 1.2, -0.5))
     for frame in frames[:3]:
         whole.push(frame)
     whole.save(tmp_path / "room.state")
-    other = Session.load(tmp_path / "room.state", options["openvino"])
+    other = Session.load(tmp_path / "room.state", options[runtime])
     for frame in frames[3:]:
         whole.push(frame)
         other.push(frame)
@@ -81,11 +92,13 @@ def test_a_session_saved_in_one_runtime_goes_on_in_the_other(tiny_video, tmp_pat
     assert (got != wanted).any()  # it is another runtime
 
 
+@pytest.mark.skipif(not _PRESENT["openvino"], reason="no openvino")
 def test_openvinos_converter_which_reports_its_import_is_not_loaded(tiny_video):
     program = f"""
 import sys
 from pathlib import Path
 from roomlight.engine.networks.providers import open_graph
+from roomlight.engine.networks.runtime import CUDA, ort
 open_graph(Path({str(tiny_video[1])!r}) / "single_sg_encoder.onnx", "openvino")
 assert "openvino" in sys.modules
 assert not [name for name in sys.modules if "telemetry" in name or name.startswith("openvino.tools")]
