@@ -30,6 +30,8 @@ MOST_FRAMES: Final = 600
 """Two minutes."""
 DEFAULT_FOV_DEG: Final = 64.0
 """Field of view along the longer side without any better knowledge: of phones' main cameras, 60 to 68 degrees."""
+USUAL_FOV_DEG: Final = (42.0, 90.0)
+"""Along the longer side, of phones' main cameras and their videos, which may be cropped."""
 _FILM_WIDTH_MM: Final = 34.6
 """Width of a 4:3 picture of the diagonal of 36 x 24 mm film: videos have the photos' width."""
 _UNUSED: Final = ("camera_convention", "pose_direction", "depth_unit_m", "depth_key", "min_confidence")
@@ -161,12 +163,29 @@ class BareVideoReader:
             )
         )
         lens = motion.intrinsics
+        size = lens.width, lens.height
+        if (panorama := panorama_like(str(self._path), *size)) is not None:
+            self.notes.append(panorama)
+        if motion.misfits:
+            first, last = (self._times_s[self._numbers[at]] for at in (motion.misfits[0], motion.misfits[-1]))
+            self.notes.append(
+                Note(
+                    f"{self._path}: pictures from {first:.1f} to {last:.1f} s do not fit the others",
+                    "the rooms before and after may be turned against each other by tens of degrees",
+                    "cut the video there, move slowly in good light, or give poses in a transforms.json",
+                )
+            )
         if self._options.fov_deg is None and self._focal_35mm is None:
-            fov_deg = math.degrees(2 * math.atan(0.5 * lens.width / lens.fx))
+            fov_deg, longer = (math.degrees(2 * math.atan(0.5 * side / lens.fx)) for side in (lens.width, max(size)))
+            odd = (
+                ""
+                if USUAL_FOV_DEG[0] <= longer <= USUAL_FOV_DEG[1]
+                else ", which is hardly a phone's: poses are doubtful"
+            )
             self.notes.append(
                 Note(
                     f"{self._path}: its focal length is not stated",
-                    f"a horizontal field of view of {fov_deg:.0f} degrees fits the pictures best",
+                    f"a horizontal field of view of {fov_deg:.0f} degrees fits the pictures best{odd}",
                     "state fov_deg (--fov) if the camera's is known",
                 )
             )
@@ -186,6 +205,14 @@ class BareVideoReader:
                     "cut the video to one take, move slowly in good light, or give poses in a transforms.json",
                 )
             )
+
+
+def panorama_like(source: str, width: int, height: int) -> Note | None:
+    """Return the note for a picture of a panorama's shape; None for another shape."""
+    if width != 2 * height:
+        return None
+    shape = f"{source}: it is twice as wide as high, as panoramas of all directions are"
+    return Note(shape, "it is read as the picture of a pinhole camera", "cut views out of a panorama, or ignore this")
 
 
 def unsure_horizon(source: str) -> Note:

@@ -9,14 +9,14 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.captures.consistency import FRAMES, DepthCheck, PoseCheck
-from roomlight.captures.notes import lying_camera, odd_camera, scaled_poses, wrong_poses, wrong_scale
+from roomlight.captures.notes import lying_camera, odd_camera, scaled_poses, unlikely_depth, wrong_poses, wrong_scale
 from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
@@ -29,6 +29,9 @@ from roomlight.notes import Note
 
 if TYPE_CHECKING:
     from roomlight.monocular.stream import DepthStream
+
+_OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
+"""Formats whose depth comes from any tool; that of the others is a sensor's, or has one unit."""
 
 
 @dataclass(frozen=True)
@@ -281,13 +284,14 @@ class Capture:
                     and self._depth_stream is None
                     and self._options.depth_unit_m is None
                     and depths.add(frame)
-                    and (factor := depths.factor())
                 ):
-                    self._notes[wrong_scale(str(self.path), factor)] = None
+                    self._check_depth(depths)
                 if poses.add(frame):
                     self._check_poses(poses)
                 yield frame
         self._check_poses(poses)
+        if at.good < FRAMES:
+            self._check_depth(depths)
         if at.good == 0:
             first = skipped[0]
             reason = first.reason if first.reason.startswith(first.file) else f"{first.file}: {first.reason}"
@@ -404,6 +408,14 @@ class Capture:
                 self._notes[lying_camera(frame.source, self._camera_convention, upward)] = None
             if (odd := odd_camera(frame.source, frame.intrinsics)) is not None:
                 self._notes[odd] = None
+
+    def _check_depth(self, depths: DepthCheck) -> None:
+        """Note depth that contradicts the poses, or, where any tool may have written it, the pictures."""
+        note = None if (factor := depths.factor()) is None else wrong_scale(str(self.path), factor)
+        if note is None and self.format in _OF_ANY_TOOL:
+            note = unlikely_depth(str(self.path), depths.samples)
+        if note is not None:
+            self._notes[note] = None
 
     def _check_poses(self, poses: PoseCheck) -> None:
         """Note what contradicts the pictures in the assumed conventions; estimated poses fit them."""

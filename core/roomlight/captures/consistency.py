@@ -7,7 +7,7 @@ convention says.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import cv2
@@ -22,6 +22,7 @@ from roomlight.frame import Frame
 
 FRAMES: Final = 12
 """Frames that are compared."""
+_SAMPLED: Final = 4
 _COLUMNS: Final = 64
 _PAIRS: Final = 6
 _FACTORS: Final = tuple(float(2 ** (step / 2)) for step in range(-7, 8))
@@ -43,6 +44,8 @@ _LEAST_ERROR: Final = 0.012
 moves them by 0.04."""
 _SHARE: Final = 0.3
 """Distance that another convention may leave, of that of the assumed one."""
+_FALLING, _ODD_RATIO = -0.45, 4.0
+"""Correlation of depth and its estimate below which it is pointed out, and their ratio beyond which it is."""
 _LENGTHS: Final = (1e-3, 1e-2, 1e2, 1e3)
 
 
@@ -163,16 +166,48 @@ class PoseCheck:
         return axis if wrong and np.abs(seen[axis][:, 1]).mean() > 0.8 else None
 
 
+def odd_depth(frames: Sequence[Frame]) -> tuple[bool, float] | None:
+    """Compare depth with what the network inside the package estimates from each picture alone.
+
+    On eleven captures and eight panoramas their logarithms correlate by -0.41 to 0.89, and their ratio is 0.4 to 2.4.
+
+    Returns:
+        Whether depth falls where the estimate rises, as 1 / depth does, and how many times as large it is: medians over
+        the frames. None if it agrees, or nothing tells.
+    """
+    from roomlight.monocular.estimate import srgb_picture  # onnxruntime takes a while to import
+    from roomlight.monocular.network import shipped_depth
+
+    compared: list[tuple[float, float]] = []
+    for frame in frames:
+        small = replace(frame, depth_m=np.zeros(frame.image.shape[:2], np.float32)).resized(_WIDTH, _WIDTH)
+        estimated = shipped_depth().estimate(srgb_picture(small), small.intrinsics)
+        own = cv2.resize(frame.depth_m, estimated.inverse.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        known = own > 0
+        stated, seen = np.log(own[known]), -np.log(np.maximum(estimated.inverse[known], 1e-3))
+        if known.mean() > _MIN_SHARED:
+            tells = min(stated.std(), seen.std()) > 0.1
+            compared.append((np.corrcoef(stated, seen)[0, 1] if tells else 0.0, np.exp(np.median(stated - seen))))
+    if not compared:
+        return None
+    correlation, ratio = np.median(compared, axis=0).tolist()
+    falls = correlation < _FALLING
+    return (falls, ratio) if falls or not 1 / _ODD_RATIO < ratio < _ODD_RATIO else None
+
+
 class DepthCheck:
-    """Collects the first frames of a pass; `factor` compares them."""
+    """Collects the first frames of a pass; `factor` compares them, `samples` are some of them."""
 
     def __init__(self) -> None:
+        self.samples: list[Frame] = []
         self._maps: list[tuple[Float[np.ndarray, "h w"], Intrinsics, Float[np.ndarray, "4 4"]]] = []
 
     def add(self, frame: Frame) -> bool:
         """Take a frame; returns whether it completes the set."""
         if len(self._maps) >= FRAMES:
             return False
+        if len(self._maps) % _SAMPLED == 0:
+            self.samples.append(frame)
         height, width = frame.depth_m.shape
         size = _COLUMNS, max(2, round(_COLUMNS * height / width))
         small = cv2.resize(frame.depth_m, size, interpolation=cv2.INTER_NEAREST)
@@ -181,6 +216,8 @@ class DepthCheck:
 
     def factor(self) -> float | None:
         """Return the factor on depth that brings maps and poses together; None if 1 does, or none is clear."""
+        if len(self._maps) < FRAMES:
+            return None
         moves = sorted(
             ((self._move(first, second), first, second) for second in range(FRAMES) for first in range(second)),
             reverse=True,

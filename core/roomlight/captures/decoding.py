@@ -111,7 +111,7 @@ def decode_depth_map(
     default_m = 1.0 if dtype.kind == "f" else integer_m
     with np.errstate(over="ignore", invalid="ignore"):
         metres = (depth.astype(np.float64) * (default_m if unit_m is None else unit_m)).astype(np.float32)
-    if dtype == np.uint16:
+    if dtype.kind != "f":
         metres[depth == 65535] = 0.0
     return clean_depth(metres)
 

@@ -1,7 +1,10 @@
 """Notes of an open capture: what its poses, lens and depth leave open."""
 
+from collections.abc import Sequence
+
 from roomlight.camera import Intrinsics
-from roomlight.captures.consistency import Disagreement
+from roomlight.captures.consistency import Disagreement, odd_depth
+from roomlight.frame import Frame
 from roomlight.notes import Note
 
 
@@ -31,6 +34,21 @@ def wrong_scale(name: str, factor: float) -> Note:
         f"{name}: depth contradicts the poses; they agree with depth about {float(f'{factor:.2g}'):g} times as large",
         "the unit of depth, or of the poses, seems wrong",
         "state depth_unit_m, the metres for one stored unit of depth, or scale the poses to metres",
+    )
+
+
+def unlikely_depth(name: str, frames: Sequence[Frame]) -> Note | None:
+    """Make the note for depth that the picture contradicts; else None."""
+    if (odd := odd_depth(frames)) is None:
+        return None
+    falls, ratio = odd
+    instead = "or none (of a recording: --depth network): it is then estimated"
+    if falls:
+        text = f"{name}: depth is small where the picture shows what is far, as 1 / depth (disparity) is"
+        return Note(text, "it is read as depth", f"give depth in metres, {instead}")
+    text = f"{name}: depth is {ratio:.2g} times what the picture lets expect"
+    return Note(
+        text, "its unit seems wrong, or it is relative", f"state depth_unit_m, or give depth in metres, {instead}"
     )
 
 

@@ -15,8 +15,9 @@ from annotated_types import Interval
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
-from roomlight.captures.bare_video import DEFAULT_FOV_DEG, unsure_horizon
+from roomlight.captures.bare_video import DEFAULT_FOV_DEG, panorama_like, unsure_horizon
 from roomlight.captures.decoding import decode_depth_map
+from roomlight.captures.notes import unlikely_depth
 from roomlight.captures.options import up_vector
 from roomlight.conventions import rotation_to_y_up
 from roomlight.depth import without_unseen
@@ -115,7 +116,7 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     picture = decode_picture(data, str(image))
     colour, exif, own = picture.image, exif_camera(data, str(image)), picture.own_depth
     height, width = colour.shape[:2]
-    notes = picture.notes
+    notes = picture.notes if (shape := panorama_like(str(image), width, height)) is None else (*picture.notes, shape)
     estimated = depth is None and (own is None or options.depth_model is not None)
     if depth is not None:
         depth_m = decode_depth_map(read_bytes(depth), str(depth), unit_m=options.depth_unit_m)
@@ -166,6 +167,8 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
         frame = stream.complete(frame)
         frame = replace(frame, depth_m=without_unseen(frame.depth_m, frame.seen))
         notes = (*notes, stream.note(str(image)))
+    elif (odd := unlikely_depth(str(depth or image), [frame])) is not None:
+        notes = (*notes, odd)
     return Photo(frame, fov_deg, source, exif.focal_35mm, notes)
 
 

@@ -146,6 +146,9 @@ class VideoFrames:
             raise FrameError(f"{self._label}: frame {number} does not convert to RGB ({error})") from error
         clipped = clipped_pixels(rgb)
         notes = self._notes
+        if frame.interlaced_frame:
+            combed = f"{self._label}: its rows are of two moments in turn (interlaced)"
+            notes = (*notes, Note(combed, "edges that move are combs", "deinterlace it (ffmpeg -i IN -vf yadif OUT)"))
         if self._upright:
             rgb, clipped = (
                 np.ascontiguousarray(np.rot90(plane, round(frame.rotation / 90))) for plane in (rgb, clipped)
@@ -162,8 +165,10 @@ class VideoFrames:
 
 
 def _main_stream(container: Any, label: str) -> tuple[Any, tuple[Note, ...]]:
-    """Return the video stream that is no cover picture, and what is unusual about it. Raises IndexError for none."""
+    """Return the video stream that is no cover picture, and what is unusual about it. Raises ValueError for none."""
     streams = [stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic]
+    if not streams:
+        raise ValueError("it holds no pictures")
     stream, notes = streams[0], list[Note]()
     if len(streams) > 1:
         notes.append(Note(f"{label}: {len(streams)} video streams", "the first is read", "keep the one that is meant"))

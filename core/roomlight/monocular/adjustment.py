@@ -69,7 +69,7 @@ class Sightings:
     focal_prior: tuple[float, float]
 
 
-def adjusted(cameras: Cameras, sightings: Sightings, *, rounds: int = 20) -> Cameras:
+def adjusted(cameras: Cameras, sightings: Sightings, *, rounds: int = 40) -> Cameras:
     """Return the cameras and landmarks that fit the sightings best; the first camera stays."""
     damping, cost = 1e-4, _cost(cameras, sightings)
     for _ in range(rounds):

@@ -14,6 +14,7 @@ from roomlight.captures.video import VideoFrames
 from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import CaptureError, OptionError
 from roomlight.imaging.video_writer import VideoWriter
+from roomlight.monocular import motion
 from written_captures import write_capture
 
 POSES = [pose(0.02 * k, turn=0.03 * k) for k in range(6)]
@@ -92,6 +93,57 @@ def test_a_cut_loses_frames_and_says_so(tmp_path: Path, model: Path) -> None:
     assert "a cut" in capture.skipped[0].reason
     assert "at 1.2 s" in capture.skipped[0].file
     assert [note for note in capture.notes if "6 of 9 frames, from 0.0 to 1.0 s" in note.left_out]
+
+
+def said_of(path: Path, options: CaptureOptions) -> str:
+    capture = open_capture(path, options)
+    list(capture)
+    return " ".join(str(note) for note in capture.notes)
+
+
+def test_pictures_that_do_not_fit_the_others_are_pointed_out(
+    video: Path, model: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = CaptureOptions(depth_model=model, fov_deg=FOV_DEG)
+    assert "do not fit the others" not in said_of(video, known)
+    monkeypatch.setattr(motion, "MISFIT_PX", 1e-6)
+    assert "pictures from 0.2 to 1.0 s do not fit the others" in said_of(video, known)
+
+
+def test_a_lens_that_hardly_a_phone_has_is_pointed_out(
+    video: Path, model: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "hardly a phone's" not in said_of(video, CaptureOptions(depth_model=model))
+    monkeypatch.setattr(bare_video, "USUAL_FOV_DEG", (20.0, 30.0))
+    assert "fits the pictures best, which is hardly a phone's" in said_of(video, CaptureOptions(depth_model=model))
+
+
+def test_a_video_of_a_panorama_s_shape_is_pointed_out(tmp_path: Path, model: Path) -> None:
+    wide = [linear_to_srgb8(frame(k, at).image)[:160] for k, at in enumerate(POSES)]
+    assert "twice as wide as high" in said_of(written(tmp_path / "wide.mp4", wide), CaptureOptions(depth_model=model))
+
+
+def test_rows_of_two_moments_are_pointed_out(tmp_path: Path) -> None:
+    path = tmp_path / "tv.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"flags": "+ildct+ilme", "x264-params": "tff=1"})
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.full((64, 96, 3), 90, np.uint8), format="rgb24")))
+        container.mux(stream.encode())
+    with VideoFrames(path, "tv") as frames:
+        assert "interlaced" in str(frames.frame(0).notes[0])
+
+
+def test_sound_alone_is_no_video(tmp_path: Path) -> None:
+    path = tmp_path / "sound.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("aac", rate=48000)
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 4800), np.float32), format="fltp", layout="mono")
+        sound.sample_rate = 48000
+        container.mux(stream.encode(sound))
+        container.mux(stream.encode())
+    with pytest.raises(CaptureError, match=r"sound\.mp4: is not a readable video \(it holds no pictures\)"):
+        open_capture(path)
 
 
 def test_five_frames_a_second_are_used(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """What files leave open is compared with what they hold, and what is unusual in them is said."""
 
 import json
+import re
 import shutil
 import struct
 import zlib
@@ -14,7 +15,11 @@ import pytest
 from capture_checks import edit, one_skipped
 
 from roomlight.captures import CaptureOptions, open_capture
+from roomlight.captures.photo import PhotoOptions, read_photo
 from roomlight.errors import CaptureError
+from roomlight.frame import Frame
+from roomlight.images import write_png
+from roomlight.sample import sample_capture
 
 VIEWS = formats.scene()
 
@@ -189,3 +194,42 @@ def test_a_depth_map_inside_a_jpeg_is_noted(transforms: Path) -> None:
     (transforms / "images/frame_00001.png").write_bytes(marked)
     list(capture := open_capture(transforms))
     assert [note.left_out.rpartition(": ")[2] for note in capture.notes] == ["its depth map"]
+
+
+@pytest.fixture(scope="module")
+def seen_room() -> Frame:
+    """A frame of which the depth network makes something."""
+    return open_capture(sample_capture()).frame_at(12)
+
+
+@pytest.mark.parametrize(
+    ("depth_of", "said"),
+    [
+        (lambda depth: depth, ""),
+        (lambda depth: 3 / depth, r"as 1 / depth \(disparity\) is: .*--depth network"),
+        (lambda depth: depth / 8, r"depth is 0.1\d* times what the picture lets expect: .*state depth_unit_m"),
+        (lambda depth: 6 * depth, r"depth is \d[.\d]* times what the picture lets expect"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["photo", "capture"])
+def test_depth_that_the_picture_contradicts_is_pointed_out(
+    tmp_path: Path, seen_room: Frame, depth_of: Callable[[np.ndarray], np.ndarray], said: str, kind: str
+) -> None:
+    write_png(tmp_path / "image.png", np.clip(seen_room.image, 0, 1))
+    np.save(tmp_path / "depth.npy", depth_of(seen_room.depth_m).astype(np.float32))
+    if kind == "photo":
+        notes = read_photo(
+            tmp_path / "image.png", tmp_path / "depth.npy", PhotoOptions(fov_deg=60.0, world_up="y")
+        ).notes
+    else:
+        lens = seen_room.intrinsics
+        entry = {"file_path": "image.png", "depth_file_path": "depth.npy", "transform_matrix": np.eye(4).tolist()}
+        index = {"fl_x": lens.fx, "fl_y": lens.fy, "cx": lens.cx, "cy": lens.cy, "world_up": "y", "frames": [entry]}
+        (tmp_path / "transforms.json").write_text(json.dumps(index))
+        capture = open_capture(tmp_path)
+        list(capture)
+        notes = [note for note in capture.notes if "first pose is the identity" not in note.left_out]
+        stated = open_capture(tmp_path, CaptureOptions(depth_unit_m=1.0))
+        list(stated)
+        assert len([note for note in stated.notes if "lets expect" in note.left_out]) == 0
+    assert re.search(said, " ".join(map(str, notes))) if said else not notes

@@ -251,7 +251,9 @@ def test_transforms_depth_key_chooses_among_several(tmp_path: Path) -> None:
 
 def test_transforms_focal_length_from_the_angle_and_npy_depth(tmp_path: Path) -> None:
     path = formats.nerfstudio(tmp_path / "capture", VIEWS)
-    np.save(path / "depth.npy", formats.millimetres(VIEWS[0]))
+    millimetres = formats.millimetres(VIEWS[0]).astype(np.int32)
+    millimetres[0, 0] = 65535
+    np.save(path / "depth.npy", millimetres)
 
     def change(index: dict) -> None:
         for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
@@ -261,10 +263,11 @@ def test_transforms_focal_length_from_the_angle_and_npy_depth(tmp_path: Path) ->
 
     edit(path / "transforms.json", change)
     frame = next(iter(open_capture(path)))
+    assert frame.depth_m[0, 0] == 0
     assert frame.intrinsics.fx == pytest.approx(formats.FX)
     assert frame.intrinsics.fy == pytest.approx(formats.FX)
     assert (frame.intrinsics.cx, frame.intrinsics.cy) == (16, 12)
-    np.testing.assert_allclose(frame.depth_m, VIEWS[0].depth_m, atol=1e-6)
+    np.testing.assert_allclose(frame.depth_m[1:], VIEWS[0].depth_m[1:], atol=1e-6)
 
 
 @pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])

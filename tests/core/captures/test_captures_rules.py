@@ -441,6 +441,15 @@ def test_polycam_without_loops_and_in_its_other_layout(tmp_path: Path) -> None:
     np.testing.assert_allclose(next(iter(open_capture(path))).camera_to_world, VIEWS[0].pose, atol=1e-9)
 
 
+def test_names_of_the_scanner_app_in_capitals_keep_their_depth(tmp_path: Path) -> None:
+    path = formats.scanner_app(tmp_path / "capture", VIEWS)
+    for file in list(path.iterdir()):
+        file.rename(file.with_name(file.name.upper()))
+    capture = open_capture(path)
+    assert next(iter(capture)).depth_m.shape == VIEWS[0].depth_m.shape
+    assert capture.notes == ()
+
+
 def test_arkitscenes_without_a_pose_near_in_time(tmp_path: Path) -> None:
     path = formats.arkit_scenes(tmp_path / "capture", VIEWS)
     lines = (path / "lowres_wide.traj").read_text().splitlines()
