@@ -262,11 +262,18 @@ class Surroundings:
         pixels: what may belong to a light.
         coarse: luminance of the panorama of the search.
         search: its pixels.
+        total: sum of luminance x solid angle.
     """
 
     pixels: _Pixels
     coarse: Float[np.ndarray, " n"]
     search: "Search"
+    total: float
+
+    @property
+    def mean(self) -> float:
+        """Mean luminance of all directions."""
+        return self.total / (4 * np.pi)
 
     @staticmethod
     def of(panorama: Float[np.ndarray, "h w 3"]) -> "Surroundings":
@@ -275,15 +282,12 @@ class Surroundings:
         coarse = resize_panorama(panorama, min(len(panorama), _SEARCH_ROWS)) @ LUMINANCE
         search = Search.of_rows(len(coarse))
         coarse = coarse.reshape(-1)
-        mean = float(_dot(coarse, search.solid_angle)) / (4 * np.pi)
-        return Surroundings(
-            _Pixels.above(panorama, level=_median(coarse, search.solid_angle), mean=mean), coarse, search
-        )
+        total, level = float(_dot(coarse, search.solid_angle)), _median(coarse, search.solid_angle)
+        return Surroundings(_Pixels.above(panorama, level=level, mean=total / (4 * np.pi)), coarse, search, total)
 
     def lights(self) -> tuple[MainLight, ...]:
         """Return up to `MAX_LIGHTS` lights, the strongest first."""
         pixels, search = self.pixels, self.search
-        total = float(_dot(self.coarse, search.solid_angle))
         cell = pixels.cell_of(search.rows)
         left = np.ones(len(cell))  # share of each pixel's light that no lobe has yet
         chosen: list[MainLight] = []
@@ -292,7 +296,7 @@ class Surroundings:
             near = np.flatnonzero(_along(pixels.rays, peak) > np.cos(np.radians(_NEAR_DEG)))
             some = pixels.select(near)
             light, share = _light_toward(some, left[near], _centre(some, left[near], peak))
-            if light.intensity @ LUMINANCE <= _FAINTEST * total or (
+            if light.intensity @ LUMINANCE <= _FAINTEST * self.total or (
                 chosen and light.weight < _WEAKEST * chosen[0].weight
             ):
                 break

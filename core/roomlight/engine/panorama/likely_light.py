@@ -59,10 +59,10 @@ def likely_lights(panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarr
 
 def _expected_power(around: Surroundings, observed: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " n"]:
     search, luminance = around.search, around.coarse
-    height, mean = search.rays[:, 1], float(np.einsum("i,i->", luminance, search.solid_angle)) / (4 * np.pi)
+    height = search.rays[:, 1]
     size = 2 * search.rows, search.rows
     seen = cv2.resize(np.asarray(observed, np.float32), size, interpolation=cv2.INTER_AREA).reshape(-1)
-    lamps = luminance * emitted_share(luminance, height, mean)
+    lamps = luminance * emitted_share(luminance, height, around.mean)
     unseen = np.clip(height + ABOVE, 0, 1) * (UNSEEN * luminance) ** POWER
     return search.solid_angle * (seen * lamps**POWER + (1 - seen) * unseen)
 
