@@ -7,6 +7,7 @@ functions from their own source and takes no wrapper. And networks that are tiny
 import json
 import os
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,10 @@ os.environ.setdefault("ROOMLIGHT_PROVIDER", "cpu")
 os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 
 _ROOT = Path(__file__).parent.parent
+if sys.dont_write_bytecode:  # as in many containers: a worker would compile tests and shape checks anew, 12 s of CPU time
+    sys.dont_write_bytecode, sys.pycache_prefix = False, str(_ROOT / ".pytest_cache" / "bytecode")
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+    del os.environ["PYTHONDONTWRITEBYTECODE"]
 _SOURCES = [_ROOT / folder for folder in ("core", "model", "export", "server", "client", "lab", "cli")]
 
 
