@@ -28,10 +28,11 @@ os.environ.setdefault("ROOMLIGHT_PROVIDER", "cpu")
 os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 
 _ROOT = Path(__file__).parent.parent
-if sys.dont_write_bytecode:  # as in many containers: a worker would compile tests and shape checks anew, 12 s of CPU time
+# Containers often write no bytecode: each worker would compile tests and shape checks anew, 12 s of CPU time.
+if sys.dont_write_bytecode:
     sys.dont_write_bytecode, sys.pycache_prefix = False, str(_ROOT / ".pytest_cache" / "bytecode")
     os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
-    del os.environ["PYTHONDONTWRITEBYTECODE"]
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 _SOURCES = [_ROOT / folder for folder in ("core", "model", "export", "server", "client", "lab", "cli")]
 
 

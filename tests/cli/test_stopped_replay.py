@@ -104,6 +104,7 @@ def assert_same(out: Path, whole: Path) -> None:
         assert different.max() < 40
 
 
+@pytest.mark.slow
 def test_a_killed_process_goes_on_with_the_same_bits(tmp_path):
     command = (
         *("replay", sample_capture(), "--model", "classical", "--height", "16", "--every", "1"),
@@ -124,7 +125,7 @@ def test_a_killed_process_goes_on_with_the_same_bits(tmp_path):
 
 
 @pytest.mark.usefixtures("small_pictures")
-@pytest.mark.parametrize("options", [SMALL, DENSE], ids=["every", "interpolated"])
+@pytest.mark.parametrize("options", [pytest.param(SMALL, marks=pytest.mark.slow), DENSE], ids=["every", "interpolated"])
 def test_a_stopped_replay_goes_on_with_the_same_bits(capture, tmp_path, options):
     """Frame 3 is damaged, so that frames and panoramas are counted apart; it is stopped twice."""
     out, seen = tmp_path / "out", []

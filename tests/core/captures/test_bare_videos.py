@@ -21,15 +21,20 @@ POSES = [pose(0.02 * k, turn=0.03 * k) for k in range(6)]
 FOV_DEG = float(np.degrees(2 * np.arctan(160 / LENS.fx)))
 
 
-@pytest.fixture
-def model(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     truth = exact_depth(POSES[2], LENS.resized(SIZE[1], SIZE[0]))
-    return write_depth_model(tmp_path / "metric.onnx", {"depth": truth[None]})
+    return write_depth_model(tmp_path_factory.mktemp("model") / "metric.onnx", {"depth": truth[None]})
 
 
-@pytest.fixture
-def video(tmp_path: Path) -> Path:
-    return written(tmp_path / "walk.mp4", [linear_to_srgb8(frame(k, at).image) for k, at in enumerate(POSES)])
+@pytest.fixture(scope="module")
+def pictures() -> list[np.ndarray]:
+    return [linear_to_srgb8(frame(k, at).image) for k, at in enumerate(POSES)]
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory, pictures: list[np.ndarray]) -> Path:
+    return written(tmp_path_factory.mktemp("video") / "walk.mp4", pictures)
 
 
 def written(path: Path, pictures: list[np.ndarray], rate: float = 5.0) -> Path:
@@ -62,15 +67,6 @@ def test_a_video_alone_has_poses_depth_and_a_lens(video: Path, model: Path) -> N
     assert "focal length" not in said
 
 
-def test_an_unstated_focal_length_is_noted(video: Path, model: Path) -> None:
-    capture = open_capture(video, CaptureOptions(depth_model=model))
-    first = next(iter(capture))
-    (note,) = [note for note in capture.notes if "focal length is not stated" in note.left_out]
-    fov_deg = np.degrees(2 * np.arctan(160 / first.intrinsics.fx))
-    assert f"{fov_deg:.0f} degrees" in note.effect
-    assert "--fov" in note.advice
-
-
 def test_up_can_be_stated(video: Path, model: Path) -> None:
     capture = open_capture(video, CaptureOptions(depth_model=model, world_up=(0.0, 1.0, 0.2)))
     first = next(iter(capture))
@@ -84,15 +80,19 @@ def test_a_dark_video_is_refused_with_the_reason(tmp_path: Path, model: Path) ->
         list(open_capture(path, CaptureOptions(depth_model=model)))
 
 
-def test_a_cut_loses_frames_and_says_so(tmp_path: Path, model: Path) -> None:
-    kept = [linear_to_srgb8(frame(k, at).image) for k, at in enumerate(POSES)]
-    path = written(tmp_path / "cut.mp4", [*kept, *(picture[:, ::-1].copy() for picture in kept[:3])])
+def test_a_cut_loses_frames_and_says_so(tmp_path: Path, model: Path, pictures: list[np.ndarray]) -> None:
+    path = written(tmp_path / "cut.mp4", [*pictures, *(picture[:, ::-1].copy() for picture in pictures[:3])])
     capture = open_capture(path, CaptureOptions(depth_model=model))
-    assert len(list(capture)) == 6
+    frames = list(capture)
+    assert len(frames) == 6
     assert [skipped.index for skipped in capture.skipped] == [6, 7, 8]
     assert "a cut" in capture.skipped[0].reason
     assert "at 1.2 s" in capture.skipped[0].file
     assert [note for note in capture.notes if "6 of 9 frames, from 0.0 to 1.0 s" in note.left_out]
+    (note,) = [note for note in capture.notes if "focal length is not stated" in note.left_out]
+    fov_deg = np.degrees(2 * np.arctan(160 / frames[0].intrinsics.fx))
+    assert f"{fov_deg:.0f} degrees" in note.effect
+    assert "--fov" in note.advice
 
 
 def said_of(path: Path, options: CaptureOptions) -> str:
