@@ -64,7 +64,7 @@ def test_a_lamp_is_where_its_direction_and_depth_say(tmp_path):
     panorama = views.panorama(eye, 64, seed=1).mean(-1) * panorama_solid_angles(64)
     direction = panorama.reshape(-1) @ panorama_rays(64)
     towards = (lamp - eye) / np.linalg.norm(lamp - eye)
-    assert np.degrees(np.arccos(direction / np.linalg.norm(direction) @ towards)) < 1.5
+    assert direction / np.linalg.norm(direction) @ towards > np.cos(np.radians(1.5))
 
 
 @with_blender
@@ -116,6 +116,23 @@ def test_light_objects_are_seen_with_their_power(tmp_path, kind, per_watt):
     frame = views.frame(CAMERA, _pose(lamp - eye, eye), seed=1).radiance.mean(-1)
     assert frame.max() > 1.0
     assert (frame > 0.5 * frame.max()).mean() < 0.3
+
+
+@with_blender
+def test_reflected_light_is_smooth_after_few_samples_and_a_lamp_sharp(tmp_path):
+    """A small lamp between grey walls, of whose light few paths find the way."""
+    scene = box_room(tmp_path / "room.blend", albedo=0.5, lamps=((1.5, 1.0, 2.5, 0.2, 100.0),))
+    eye = np.array([0.0, 1.0, 0.0])
+    room = open_scene(scene)
+    few, many = (
+        CyclesViews(room, find_floor(room)[0], samples=samples).panorama(eye, 32, seed=samples)[..., 1]
+        for samples in (4, 64)
+    )
+    lamp, weight = many > 20, panorama_solid_angles(32)
+    assert 0 < lamp.sum() < 10
+    assert (few * weight)[~lamp].sum() == pytest.approx((many * weight)[~lamp].sum(), rel=0.03)
+    assert (few * weight)[lamp].sum() == pytest.approx((many * weight)[lamp].sum(), rel=0.2)  # 16 paths in 4 pixels
+    assert np.median(np.abs(np.log(few[~lamp] / many[~lamp]))) < 0.07
 
 
 @with_blender
