@@ -170,7 +170,8 @@ class BareVideoReader:
             first, last = (self._times_s[self._numbers[at]] for at in (motion.misfits[0], motion.misfits[-1]))
             self.notes.append(
                 Note(
-                    f"{self._path}: pictures from {first:.1f} to {last:.1f} s do not fit the others",
+                    f"{self._path}: {len(motion.misfits)} of {len(motion.poses)} pictures, from {first:.1f} to "
+                    f"{last:.1f} s, do not fit the others",
                     "the rooms before and after may be turned against each other by tens of degrees",
                     "cut the video there, move slowly in good light, or give poses in a transforms.json",
                 )

@@ -213,9 +213,12 @@ class CameraMotion:
             matches = [match for still in piece for match in self._matches.get(still.number, ())]
             matches += self._loops(piece)
             self._focal = self._adjust(piece, matches)
+            before = np.inf
             for number in range(_AGAIN):
-                if (self._known or number) and max(still.error_px for still in piece) < MISFIT_PX:
+                worst = max(still.error_px for still in piece)
+                if (self._known or number) and not MISFIT_PX <= worst < 0.9 * before:
                     break
+                before = worst
                 self._place_again(piece)  # a wrong lens or a turn of a flat wall may have misled the first cameras
                 self._focal = self._adjust(piece, matches)
             tied = [still for still in piece if still.sightings >= _LEAST_SIGHTINGS]
