@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from roomlight.camera import Intrinsics, rigid_inverse
+from roomlight.camera import Intrinsics, pose_from_quaternion, rigid_inverse
 from roomlight.captures.decoding import registered
 from roomlight.captures.options import UP_AXES
 from roomlight.conventions import OPENCV_TO_OPENGL
@@ -66,6 +66,7 @@ class Disagreement:
         inverse: The poses map the other way.
         other_axes: The camera has the axes of the other convention.
         length: Factor on positions that brings them together with depth.
+        w_first: Quaternions were written w first and read as x, y, z, w.
         known: Whether one of these explains it.
         axis: Axis of the stored world about which the cameras are level, if it is not the assumed up.
     """
@@ -73,6 +74,7 @@ class Disagreement:
     inverse: bool = False
     other_axes: bool = False
     length: float = 1.0
+    w_first: bool = False
     known: bool = True
     axis: str | None = None
 
@@ -119,6 +121,7 @@ class PoseCheck:
         axes = OPENCV_TO_OPENGL if self._opencv else np.eye(4)
         stored = [rigid_inverse(self._to_y_up) @ pose @ axes for pose in stated]
         choices = {Disagreement(length=length): error(stated, length) for length in _LENGTHS}
+        choices[Disagreement(w_first=True)] = error([_reordered(pose) @ axes for pose in stored])
         for inverse in (False, True):
             poses = [rigid_inverse(pose) for pose in stored] if inverse else stored
             for other in (False, True):
@@ -164,6 +167,14 @@ class PoseCheck:
         assumed, other = (np.linalg.norm(way - way.mean(axis=0), axis=1).mean() for way in (up, seen[axis]))
         wrong = assumed > 0.1 and other < 0.5 * assumed and np.abs(up[:, 1]).mean() < 0.5
         return axis if wrong and np.abs(seen[axis][:, 1]).mean() > 0.8 else None
+
+
+def _reordered(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """Return a pose whose quaternion was stored as w, x, y, z and read as x, y, z, w."""
+    turn = cv2.Rodrigues(pose[:3, :3])[0][:, 0].astype(np.float64)
+    half = float(np.linalg.norm(turn)) / 2
+    x, y, z = turn * 0.5 * np.sinc(half / np.pi)
+    return pose_from_quaternion(np.array([y, z, np.cos(half), x]), pose[:3, 3])
 
 
 def odd_depth(frames: Sequence[Frame]) -> tuple[bool, float] | None:

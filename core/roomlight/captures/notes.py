@@ -62,6 +62,9 @@ def wrong_poses(name: str, wrong: Disagreement, convention: str, direction: str)
         )
     if wrong.length != 1:
         return wrong_scale(name, 1 / wrong.length)
+    if wrong.w_first:
+        text = f"{name}: features of the pictures move as quaternions would that have w first"
+        return Note(text, "light comes from wrong directions", "write them as qx qy qz qw")
     if not wrong.known:
         return Note(
             f"{name}: features of the pictures move otherwise than poses and depth say",

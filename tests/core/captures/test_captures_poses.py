@@ -5,12 +5,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import formats
 import numpy as np
 import pytest
 from capture_checks import edit
 
 import box_room
-from roomlight.camera import Intrinsics
+from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import OPENCV_TO_OPENGL, linear_to_srgb8
 
@@ -49,6 +50,12 @@ def in_millimetres(pose: np.ndarray) -> np.ndarray:
     return moved
 
 
+def with_w_first(pose: np.ndarray) -> np.ndarray:
+    """A pose whose quaternion w, x, y, z a tool took for x, y, z, w."""
+    x, y, z, w = formats.quaternion_of_any(pose[:3, :3])
+    return pose_from_quaternion(np.array([w, x, y, z]), pose[:3, 3])
+
+
 @pytest.mark.parametrize(
     ("stored", "keys", "says"),
     [
@@ -60,11 +67,12 @@ def in_millimetres(pose: np.ndarray) -> np.ndarray:
             {},
             "--camera-convention opencv) and pose_direction (--pose-direction world-to-camera",
         ),
+        (with_w_first, {}, "write them as qx qy qz qw"),
         (in_millimetres, {}, "about 1000 times as large"),
         (lambda pose: pose, {"world_up": "z"}, "--world-up y"),
         (lambda pose: pose @ np.diag([-1.0, -1, 1, 1]), {}, "move otherwise than poses and depth say"),
     ],
-    ids=["right", "opencv", "world-to-camera", "both", "millimetres", "z-up", "upside down"],
+    ids=["right", "opencv", "world-to-camera", "both", "w-first", "millimetres", "z-up", "upside down"],
 )
 def test_conventions_that_contradict_the_pictures_are_pointed_out(
     tmp_path: Path, stored: Callable[[np.ndarray], np.ndarray], keys: dict, says: str | None
