@@ -136,6 +136,10 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     if fov_deg is None:
         half = math.tan(math.radians(DEFAULT_FOV_DEG) / 2) * width / max(width, height)
         fov_deg, source = math.degrees(2 * math.atan(half)), "default"
+    aspect = max(width, height) / min(width, height)
+    if source == "exif" and exif.aspect is not None and abs(exif.aspect / aspect - 1) > ASPECT_TOLERANCE:
+        text = f"{image}: it is cropped, by its EXIF from an aspect of {exif.aspect:.3g} to {aspect:.3g}"
+        notes = (*notes, Note(text, f"its field of view of {fov_deg:.0f} degrees is a guess", "state fov_deg (--fov)"))
     if picture.seen is not None:
         colour, depth_m = hidden(colour, depth_m, picture.seen)
     focal = 0.5 * width / math.tan(math.radians(fov_deg) / 2)

@@ -24,12 +24,14 @@ class ExifCamera:
             by 90 degrees clockwise for 6 and counter-clockwise for 8; 2, 4, 5 and 7 are mirrored.
         adobe_rgb: Whether the pixels are Adobe RGB, by the camera industry's DCF.
         uncalibrated: Whether they are of another space than sRGB, which a profile should state.
+        aspect: Longer side of the picture that the camera took, by the shorter; None if not stated.
     """
 
     focal_35mm: float | None = None
     orientation: int = 1
     adobe_rgb: bool = False
     uncalibrated: bool = False
+    aspect: float | None = None
 
     def fov_deg(self, width: int, height: int) -> float | None:
         """Return the horizontal field of view in degrees of an image of this size in pixels; None if not stated.
@@ -58,6 +60,8 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         details = exif.get_ifd(ExifTags.IFD.Exif)
         focal = details.get(ExifTags.Base.FocalLengthIn35mmFilm)
         interoperability = exif.get_ifd(ExifTags.IFD.Interop).get(_INTEROPERABILITY_INDEX)
+        sides = sorted(details.get(tag) or 0 for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight))
+        aspect = float(sides[1] / sides[0]) if sides[0] > 0 else None
         adobe = details.get(ExifTags.Base.ColorSpace) == 2 or interoperability in ("R03", b"R03\0", "R03\0")
     except Exception:  # as above
         return ExifCamera()
@@ -66,6 +70,7 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         orientation=orientation if isinstance(orientation, int) and 1 <= orientation <= 8 else 1,
         adobe_rgb=adobe,
         uncalibrated=not adobe and details.get(ExifTags.Base.ColorSpace) == 65535,
+        aspect=aspect,
     )
 
 

@@ -199,3 +199,16 @@ def test_damaged_and_endless_pictures_of_other_formats_are_refused(tmp_path: Pat
     frames[0].save(tmp_path / "film.webp", save_all=True, append_images=frames[1:])
     with pytest.raises(ImageError, match="the WebP holds 2 pictures"):
         as_png((tmp_path / "film.webp").read_bytes(), "a picture", max_pixels=1000)
+
+
+@pytest.mark.parametrize(("size", "cropped"), [((128, 96), False), ((96, 128), False), ((80, 96), True)])
+def test_a_crop_whose_exif_states_the_whole_picture_is_pointed_out(
+    tmp_path: Path, size: tuple[int, int], cropped: bool
+) -> None:
+    exif, tags = Image.Exif(), ExifTags.Base
+    exif[ExifTags.IFD.Exif] = {tags.FocalLengthIn35mmFilm: 26, tags.ExifImageWidth: 4032, tags.ExifImageHeight: 3024}
+    Image.fromarray(np.random.default_rng(1).integers(0, 255, (*size[::-1], 3), np.uint8)).save(
+        tmp_path / "photo.jpg", exif=exif
+    )
+    notes = read_photo(tmp_path / "photo.jpg", options=PhotoOptions(world_up="y")).notes
+    assert any("cropped, by its EXIF from an aspect of 1.33 to 1.2" in note.left_out for note in notes) == cropped
