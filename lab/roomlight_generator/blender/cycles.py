@@ -28,6 +28,8 @@ _SUN_RAD: Final = 0.0093
 FINER: Final = 2
 """Panoramas are rendered at this many times their height and averaged by solid angle: Cycles spreads its paths evenly
 over a pixel's azimuth and elevation, and too many of them lie near a pole."""
+_BRIGHT: Final = 30.0
+"""Medians of a probe's radiance above which reflected light is not denoised."""
 
 
 class CyclesViews:
@@ -45,7 +47,7 @@ class CyclesViews:
         self._data.clip_start, self._data.clip_end = 0.01 / room.unit_m, 1000 / room.unit_m
         self._data.sensor_fit, self._data.sensor_width = "HORIZONTAL", SENSOR_MM
         _set_up(scene)
-        _denoise_what_surfaces_reflect(scene)
+        self._bright = _denoise_what_surfaces_reflect(scene)
         _show_lamps(room, self._camera)
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
@@ -72,8 +74,10 @@ class CyclesViews:
     ) -> Float32[np.ndarray, "{height} 2*{height} 3"]:
         """Render the radiance that arrives at a point from all sides, the mean over each pixel.
 
-        Reflected light is denoised, lamps and sky are not: that would change the light of a lamp of a few pixels by a
-        tenth. In rooms of a thousand materials the error of log radiance is a tenth of that of as many raw samples.
+        Reflected light is denoised. Lamps and sky are not: that would change the light of a lamp of a few pixels by a
+        tenth. Nor is light above `_BRIGHT` medians, once they are known (`set_median`): a denoiser takes a third of the
+        light of a lamp behind a shade or glass away. In rooms of a thousand materials the error of log radiance is a
+        tenth of that of as many raw samples.
         """
         return self._panorama(position, height, self._samples, seed)
 
@@ -82,6 +86,7 @@ class CyclesViews:
         self.kcd_m2 = 1.0
         brightness = np.median(self._panorama(position, 24, 32, 0).mean(axis=-1))
         self.kcd_m2 = kcd_m2 / max(float(brightness), 1e-9)
+        self._bright.default_value = _BRIGHT * float(brightness)
 
     def _panorama(
         self, position: Float[np.ndarray, "3"], height: int, samples: int, seed: int
@@ -158,10 +163,13 @@ def _show_lamps(room: BlenderRoom, camera: Any) -> None:
         setattr(box, f"visible_{kind}", False)
 
 
-def _denoise_what_surfaces_reflect(scene: Any) -> None:
-    """Make the compositor's graph: emission and sky as they are seen, and all other light denoised.
+def _denoise_what_surfaces_reflect(scene: Any) -> Any:
+    """Make the compositor's graph: emission, sky and very bright light as they are, and all other light denoised.
 
     Cycles' albedo for denoisers has the emission of the first surface in it, or the sky: albedo alone is at most 1.
+
+    Returns:
+        The socket with the radiance, in Cycles' units, above which light is very bright; at first none is.
     """
     blender().context.view_layer.cycles.denoising_store_passes = True
     scene.use_nodes = True
@@ -184,14 +192,22 @@ def _denoise_what_surfaces_reflect(scene: Any) -> None:
 
     layer = node("RLayers").outputs
     albedo = layer["Denoising Albedo"]
-    channels = node("SeparateColor", albedo).outputs
-    most = node("Math", channels[0], channels[1], operation="MAXIMUM").outputs[0]
-    most = node("Math", most, channels[2], operation="MAXIMUM").outputs[0]
-    emits = node("Math", most, 1.001, operation="GREATER_THAN").outputs[0]
-    lamps = mixed("MULTIPLY", albedo, emits)
+
+    def part(picture: Any, measure: Any, limit: float) -> tuple[Any, Any]:
+        """Return the pixels of `picture` where a channel of `measure` is above a limit, and the limit's socket."""
+        channels = node("SeparateColor", measure).outputs
+        most = node("Math", channels[0], channels[1], operation="MAXIMUM").outputs[0]
+        most = node("Math", most, channels[2], operation="MAXIMUM").outputs[0]
+        above = node("Math", most, limit, operation="GREATER_THAN")
+        return mixed("MULTIPLY", picture, above.outputs[0]), above.inputs[1]
+
+    lamps, _ = part(albedo, albedo, 1.001)
     reflected = mixed("SUBTRACT", layer["Image"], lamps)
-    smooth = node("Denoise", reflected, layer["Denoising Normal"], albedo, use_hdr=True).outputs[0]
-    node("Composite", mixed("ADD", smooth, lamps))
+    bright, limit = part(reflected, reflected, 1e9)
+    dim = mixed("SUBTRACT", reflected, bright)
+    smooth = node("Denoise", dim, layer["Denoising Normal"], albedo, use_hdr=True).outputs[0]
+    node("Composite", mixed("ADD", smooth, mixed("ADD", bright, lamps)))
+    return limit
 
 
 def _set_up(scene: Any) -> None:

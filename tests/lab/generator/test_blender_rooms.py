@@ -136,6 +136,20 @@ def test_reflected_light_is_smooth_after_few_samples_and_a_lamp_sharp(tmp_path):
 
 
 @with_blender
+def test_very_bright_reflected_light_is_not_denoised(tmp_path):
+    """The wall beside a lamp is brighter than 30 medians: its noise stays, once the median is known."""
+    room = open_scene(box_room(tmp_path / "room.blend", lamps=((2.4, 0.0, 1.5, 0.1, 3000.0),)))
+    views, eye = CyclesViews(room, find_floor(room)[0], samples=1), np.array([-1.0, 1.0, 0.5])
+    smooth = views.panorama(eye, seed=1)
+    views.set_median(eye, 0.1)
+    noisy = views.panorama(eye, seed=1) / views.kcd_m2
+    wall = (smooth.max(-1) > 40 * np.median(smooth)) & (smooth.max(-1) < 1000)
+    assert 0 < wall.sum() < 200
+    changed = np.abs(np.log(noisy / smooth)).max(-1)
+    assert np.median(changed[wall]) > 2 * np.median(changed[~wall])
+
+
+@with_blender
 def test_a_scene_becomes_a_dataset_that_is_not_made_twice(tmp_path):
     """The command, in a process that has not imported `bpy`, as its users run it."""
     scene = box_room(tmp_path / "room.blend", lamps=((1.0, 1.0, 2.8, 0.3, 60.0), (-1.5, -1.0, 1.0, 0.2, 20.0)))
