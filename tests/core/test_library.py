@@ -50,7 +50,7 @@ def test_import_loads_no_heavy_library():
 
 def test_an_unknown_name_in_an_option_is_an_option_error():
     """In a process of its own, without the test run's type checks."""
-    options = {"model": "'large'", "provider": "'cuda'", "unknown_depth": "'near'"}
+    options = {"model": "'large'", "provider": "'gpu'", "unknown_depth": "'near'"}
     code = "import roomlight as rl\n" + "".join(
         f"try: rl.SessionOptions({name}={value})\nexcept rl.OptionError as error: print(error)\n"
         for name, value in options.items()
