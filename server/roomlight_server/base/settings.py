@@ -66,7 +66,7 @@ class ServerSettings(BaseSettings):
         max_colour_pixels: Largest colour image of a frame.
         max_depth_pixels: Largest depth map of a frame.
         engine_threads: Sessions whose frames are processed at the same time. Each uses `ROOMLIGHT_THREADS` threads,
-            but a part of its time only one: a second one makes 1.2 times the frames of 16 sessions on two cores.
+            but a part of its time only one: a second one makes 1.1 times the frames of 16 sessions on two cores.
         decode_threads: Images decoded at once. As many decoding processes are started. With several tokens, one
             thread is left for the others.
         encode_threads: Lights encoded at once. With several tokens, one thread is left for the others.
