@@ -19,7 +19,7 @@ from roomlight_bench.stages.bench_stage import BenchStage
 from roomlight_bench.timing import Implementation
 from roomlight_model.config import ModelConfig
 
-_RUNTIME_TITLES: dict[RuntimeName, str] = {"cpu": "ONNX Runtime fp32", "openvino": "OpenVINO fp32", "cuda": "CUDA fp32"}
+_RUNTIME_TITLES: dict[RuntimeName, str] = {"cpu": "ONNX Runtime fp32", "openvino": "OpenVINO fp32"}
 
 
 @dataclass(frozen=True)
