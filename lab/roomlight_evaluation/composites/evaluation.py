@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import linear_to_srgb8
+from roomlight.compositing.picture.camera_match import add_noise, measure_camera
+from roomlight.conventions import linear_to_srgb, linear_to_srgb8
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import OutputError, SceneError
@@ -121,9 +122,16 @@ def score_scene(number: int, scene: CompositeScene, images: dict[str, Picture]) 
 
 
 def write_scene_picture(path: Path, scene: CompositeScene, images: dict[str, Picture]) -> None:
-    """Write truth, ours, the true panorama's and SH + directional side by side, twice enlarged."""
-    columns: Sequence[Picture] = [scene.truth, images[OURS], images[TRUE_LIGHT], images[HARMONICS]]
-    row = np.concatenate([linear_to_srgb8(np.clip(image, 0, 1)) for image in columns], axis=1)
+    """Write truth, ours, the true panorama's and SH + directional side by side, twice enlarged, with the frame's grain
+    on all objects, as `Composite.image` has it: without, the true one would be told by it."""
+    camera = measure_camera(linear_to_srgb(scene.frame.image).astype(np.float32))
+    alpha, index = scene.covered.astype(np.float32), scene.frame.index
+    made: Sequence[Picture] = [
+        add_noise(linear_to_srgb(images[method]), alpha, camera, frame_index=index)
+        for method in (OURS, TRUE_LIGHT, HARMONICS)
+    ]
+    columns = [linear_to_srgb8(np.clip(scene.truth, 0, 1)), *(np.rint(255 * image).astype(np.uint8) for image in made)]
+    row = np.concatenate(columns, axis=1)
     large = cv2.resize(row, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     _, encoded = cv2.imencode(".png", large[..., ::-1])
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,13 @@
 """Composites against the truth: regions, errors, lights that are compared, results that continue."""
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 
 from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject
-from roomlight.conventions import panorama_rays, panorama_solid_angles
+from roomlight.conventions import linear_to_srgb8, panorama_rays, panorama_solid_angles
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import OutputError
 from roomlight_evaluation.composites import evaluation as composite_evaluation
@@ -149,17 +152,32 @@ def test_ratios_are_of_means_over_the_same_scenes():
     assert "diffuse" in list(composite_tables(scores)[3].columns[0].cells)
 
 
-def test_a_kept_scene_is_rendered_once_and_the_same_when_it_is_read(tmp_path, monkeypatch):
+def drawn_scene():
     picture, covered = drawn()
     frames = tuple(
         BoxRoom().frame(camera_at((0.2, 1.4, 1.2), 10.0 * number, -30.0), index=number, width=80, height=60)
         for number in range(3)
     )
     objects = Scene((SceneObject(NAME, virtual_object("vase", "glossy"), AtPixel(30.5, 40.0)),))
-    scene = CompositeScene(
+    return CompositeScene(
         "room", "vase", "glossy", frames[1], objects, (0.1, 0.2, -0.3), picture, (picture, FLOOR), covered,
         dict.fromkeys(REGIONS, covered), FLOOR, frames, 0.004,
     )  # fmt: skip
+
+
+def test_pictures_of_scenes_give_objects_the_grain_of_the_frame(tmp_path):
+    scene, path = drawn_scene(), tmp_path / "scene.png"
+    noisy = FLOOR + np.random.default_rng(1).normal(0, 0.02, FLOOR.shape).astype(np.float32)
+    scene = replace(scene, frame=replace(scene.frame, image=noisy))
+    composite_evaluation.write_scene_picture(path, scene, dict.fromkeys(METHODS, FLOOR))
+    _, own, _, _ = np.split(cv2.imread(str(path)).astype(np.float32), 4, axis=1)
+    encoded = cv2.resize(linear_to_srgb8(noisy).astype(np.float32), None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    assert own[44:76, 64:96].std() == pytest.approx(encoded.std(), rel=0.3)
+    assert own[:30].std() == 0  # the frame's own pixels get none
+
+
+def test_a_kept_scene_is_rendered_once_and_the_same_when_it_is_read(tmp_path, monkeypatch):
+    scene = drawn_scene()
     rendered = []
 
     def render(number, *, seed):
