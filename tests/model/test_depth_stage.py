@@ -16,7 +16,7 @@ from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording
 from roomlight.errors import ModelError
 from roomlight.monocular.network import DEPTH_CHANNELS, DEPTH_SIDE, ray_planes
-from roomlight_model.depth.network import DepthNetwork, log_focal
+from roomlight_model.depth.network import DepthNetwork, Depthwise, log_focal
 from roomlight_model.depth.stage import DepthFrames, DepthOptions, DepthStage, depth_batch
 
 
@@ -172,3 +172,19 @@ def test_a_step_trains_all_but_the_early_layers() -> None:
     scores = stage.scores(network)
     assert set(scores) == {"loss", "within_25", "scaled", "constant"}
     assert all(np.isfinite(value) for value in scores.values())
+
+
+@pytest.mark.parametrize(("kernel", "stride"), [(3, 1), (5, 1), (3, 2), (5, 2)])
+def test_gradients_of_depthwise_convolutions_are_those_of_pytorch(kernel: int, stride: int) -> None:
+    generator = torch.Generator().manual_seed(kernel + stride)
+    x, weight, bias = (
+        torch.randn(shape, generator=generator, dtype=torch.float64, requires_grad=True)
+        for shape in ((2, 6, 4 * stride + kernel, 2 * stride + kernel), (6, 1, kernel, kernel), (6,))
+    )
+    ours = Depthwise.apply(x, weight, bias, stride)
+    theirs = torch.nn.functional.conv2d(x, weight, bias, stride, groups=6)
+    assert torch.equal(ours, theirs)
+    factor = torch.randn(ours.shape, generator=generator, dtype=torch.float64)
+    wanted = torch.autograd.grad((theirs * factor).sum(), (x, weight, bias))
+    for got, want in zip(torch.autograd.grad((ours * factor).sum(), (x, weight, bias)), wanted, strict=True):
+        assert torch.allclose(got, want)

@@ -25,6 +25,7 @@ from roomlight_model.training.objects import (
     ObjectsOptions,
     ObjectsStage,
     ProbePanels,
+    brightness_errors,
     object_light,
     panels_batch,
     picture_errors,
@@ -92,6 +93,13 @@ def test_light_beyond_white_is_no_error_and_still_has_a_gradient():
     picture_errors(bright, torch.full_like(truth, 0.3)).sum().backward()
     assert bright.grad is not None
     assert (bright.grad > 0).all()
+
+
+def test_half_and_twice_as_bright_cost_the_same():
+    truth = torch.full((2, 3, HEIGHT, 2 * HEIGHT), 3.0)
+    darker, brighter = brightness_errors(truth * 0.5, truth), brightness_errors(truth * 2, truth)
+    assert darker.tolist() == pytest.approx([np.log(2)] * 2, rel=0.01)
+    assert brighter.tolist() == pytest.approx(darker.tolist(), rel=0.01)
 
 
 def test_augmented_panoramas_stay_consistent():

@@ -83,7 +83,7 @@ class DepthFrames:
         depth_mm: Millimetres, 0 = unknown.
         lenses: Their intrinsics.
         ups: The world's up in the camera's axes.
-        heights_m: Of the camera over the floor; 0 in rooms with furniture, which tells their size.
+        heights_m: Of the camera over the floor; 0 in rooms of true size: with furniture, which tells it, or of Blender.
     """
 
     colour: list[UInt8[np.ndarray, "h w 3"]]
@@ -112,6 +112,7 @@ class DepthFrames:
         frames, low = cls([], [], [], [], []), 0
         for done, (dataset, index) in enumerate(sequences, 1):
             recording = dataset.read(index, probes=False)
+            of_true_size = bool(recording.facts.get("furniture")) or recording.facts.get("room_type") == "blender"
             for k, pose in enumerate(recording.camera_to_world):
                 height_m = float(pose[1, 3])
                 low += height_m < _LOW_M
@@ -121,7 +122,7 @@ class DepthFrames:
                 frames.depth_mm.append(recording.depth_mm[k])
                 frames.lenses.append(recording.intrinsics)
                 frames.ups.append(pose[1, :3].astype(np.float64))
-                frames.heights_m.append(0.0 if recording.facts.get("furniture") else height_m)
+                frames.heights_m.append(0.0 if of_true_size else height_m)
             if progress:
                 progress(done, len(sequences))
         if not len(frames):
@@ -168,11 +169,12 @@ class DepthStage(SmallStage[DepthOptions, DepthFrames]):
             network.start_encoder(_published(self.options.encoder))
         if self.before is not None or self.options.encoder is not None:
             network.keep_early_layers()
-        return network
+        return network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
     def losses(self, network: DepthNetwork, batch: DepthBatch, _: torch.Generator) -> Losses:
         """Return the loss: likelihood of the log error under its own scale, its shape, its gradients."""
-        predicted = network(batch.planes)
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            predicted = network(batch.planes).float()
         error, scale, known = predicted[:, :1] - batch.log_depth, predicted[:, 1:], batch.known
         size = error.abs().clamp(max=2)
         likelihood = _mean(size * torch.exp(-scale) + scale, known)

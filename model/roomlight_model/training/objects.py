@@ -1,7 +1,8 @@
 """The stage `objects`: the light that lights things, from what random streams have shown a probe.
 
 The loss is what one sees: errors of pictures of matte, glossy and metal spheres under the estimated light, cut at white
-as a camera cuts them. A weak log-L2 of the panoramas keeps light plausible that these pictures do not show.
+as a camera cuts them. The logarithm of what matte surfaces receive joins them, so that half as bright and twice as
+bright cost the same. A weak log-L2 of the panoramas keeps light plausible that these pictures do not show.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,6 +38,7 @@ MATERIALS: Final = ("diffuse", "glossy", "metal")
 USUAL_ERRORS: Final = (0.16, 0.2, 0.2)
 """Usual errors of `MATERIALS`, by which the loss divides them."""
 LOG_WEIGHT: Final = 0.3
+BRIGHTNESS_WEIGHT: Final = 0.5
 MODELS: Final[tuple[ModelName, ...]] = ("classical", "single")
 """Models of the streams, in turn: the network changes the light of both."""
 _STREAMS: Final = 2
@@ -50,6 +52,8 @@ _GLOSS: Final = 0.058
 """Share of light that the glossy sphere of `roomlight.spheres` reflects in its lobe, in the mean over its picture."""
 _GLOSS_POWER: Final = 200
 _METAL_POWER: Final = 24
+_DARK: Final = 0.01
+"""Radiance that is added before a logarithm of brightness."""
 _BEYOND_WHITE: Final = 0.1
 """Slope of what is beyond white in a picture, so that too bright light has a gradient."""
 
@@ -155,12 +159,14 @@ class ObjectsStage(SmallStage[ObjectsOptions, ProbePanels]):
         return panels_batch(self.training.take(numbers), self.options.rng(step))
 
     def losses(self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator) -> Losses:
-        """Return the errors of pictures, divided by their usual errors, and the log-L2 of the panorama."""
+        """Return the errors of pictures, divided by their usual errors, of brightness, and the panorama's log-L2."""
         lighting = object_light(network, batch.panels)
         errors = picture_errors(lighting, batch.truth) / torch.tensor(USUAL_ERRORS)
         pictures = errors.sum(dim=1).mean()
         logs = (torch.log1p(lighting) - torch.log1p(batch.truth)).square().mean()
-        return {"loss": pictures + LOG_WEIGHT * logs, "pictures": pictures, "log_l2": logs}
+        brightness = brightness_errors(lighting, batch.truth).mean()
+        loss = pictures + LOG_WEIGHT * logs + BRIGHTNESS_WEIGHT * brightness
+        return {"loss": loss, "pictures": pictures, "log_l2": logs, "brightness": brightness}
 
     def scores(self, network: ObjectLightNetwork) -> Mapping[str, float]:
         """Score held-out examples: errors relative to those in the light that the session has, and their mean."""
@@ -208,6 +214,12 @@ def picture_errors(lighting: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3
         for ours, theirs in zip(_spheres(lighting), _spheres(truth), strict=True)
     ]
     return torch.sqrt(torch.stack(spheres, dim=1) + 1e-5)
+
+
+def brightness_errors(lighting: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]) -> Float[Tensor, " b"]:
+    """Return the mean absolute error of the logarithm of the luminance that matte surfaces receive."""
+    ours, theirs = (_luminance(light).flatten(1) @ _reflection_lobe(1) for light in (lighting, truth))
+    return (torch.log(ours + _DARK) - torch.log(theirs + _DARK)).abs().mean(dim=1)
 
 
 def _spheres(light: Float[Tensor, "b 3 h w"]) -> list[Float[Tensor, "b 3 k"]]:
