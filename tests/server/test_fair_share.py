@@ -123,6 +123,31 @@ async def test_a_running_job_of_a_higher_order_pauses_while_a_lower_one_runs():
 
 
 @in_loop
+async def test_a_job_that_has_lost_patience_asks_to_pause_only_after_a_slice(clock, monkeypatch):
+    share, asked = FairShare(3, clock=clock), []
+
+    async def ask(turn):
+        asked.append(turn.order)
+
+    monkeypatch.setattr(share, "_pause", ask)
+    async with share.slot(1) as late:
+        clock.advance(fair_share.PATIENCE_S)  # from now on it counts as one of order 0
+        late.since_s = clock()
+        async with share.slot():
+            await asyncio.to_thread(late.pause)
+            assert asked == []
+        jobs, gate = Jobs(share, clock), asyncio.Event()
+        await jobs.add("later", 1.0, order=1, gate=gate)  # waits, as it may only run alone
+        await asyncio.to_thread(late.pause)
+        assert asked == []
+        clock.advance(2 * fair_share.SLICE_S)
+        await asyncio.to_thread(late.pause)
+        assert asked == [1]
+    gate.set()
+    await jobs.run()
+
+
+@in_loop
 async def test_the_session_with_the_least_time_is_served(clock):
     jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
     await jobs.add("large0", 1.0, session="large", gate=gate)

@@ -167,7 +167,7 @@ class FairShare:
     def pause(self, turn: Turn) -> None:
         """Give the slot to jobs that are ahead of this one and wait for it again; called on the thread of the job."""
         others = (*self._waiting, *self._running)
-        before = any(other.order < turn.order for other in others)
+        before = any(self._order(other) < self._order(turn) for other in others)
         due = before or (self._waiting and self._clock() - turn.since_s >= SLICE_S)
         if due and not self._closed:
             loop = turn.granted.get_loop()
