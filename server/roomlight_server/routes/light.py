@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Body, Query, Request, Response
+from fastapi import APIRouter, Body, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import ValidationError
 
@@ -78,13 +78,28 @@ _BATCH: Final[dict[str, Any]] = {
     }
 }
 _Metres = Annotated[float, Query(ge=-1000, le=1000, allow_inf_nan=False, description="World coordinate in metres.")]
-_Format = Annotated[LightFormat, Query()]
-_Size = Annotated[int | None, Query(ge=8, le=512, description="Panorama height, or width of a cube face.")]
-_Use = Annotated[
-    LightUse | None,
-    Query(description="Lights a thing, or is seen in a mirror; default: reflection for png, else lighting."),
-]
-_Ev = Annotated[float, Query(ge=-16, le=16, allow_inf_nan=False, description="png: radiance 2^-ev is white.")]
+
+
+async def _form(
+    format: Annotated[LightFormat, Query()] = "exr",
+    size: Annotated[int | None, Query(ge=8, le=512, description="Panorama height, or width of a cube face.")] = None,
+    kind: HarmonicsKind = "total",
+    basis: HarmonicsBasis = "arcore",
+    exposure_ev: Annotated[
+        float, Query(ge=-16, le=16, allow_inf_nan=False, description="png: radiance 2^-ev is white.")
+    ] = 0.0,
+    use: Annotated[
+        LightUse | None,
+        Query(description="Lights a thing, or is seen in a mirror; default: reflection for png, else lighting."),
+    ] = None,
+) -> LightForm:
+    try:
+        return LightForm(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev, use=use)
+    except ValidationError as error:
+        raise ProblemError.from_wire(to_wire_error(error, kind="invalid")) from error
+
+
+_FormDep = Annotated[LightForm, Depends(_form)]
 
 
 @router.get(
@@ -101,18 +116,12 @@ async def probe(
     x: _Metres,
     y: _Metres,
     z: _Metres,
-    format: _Format = "exr",
-    size: _Size = None,
-    kind: HarmonicsKind = "total",
-    basis: HarmonicsBasis = "arcore",
-    exposure_ev: _Ev = 0.0,
-    use: _Use = None,
+    form: _FormDep,
 ) -> Response:
     """Return the light at any position, computed from the keyframes of the session.
 
     Before the first frame this is the default light: grey, brighter from above, coverage 0, frame -1.
     """
-    form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev, use=use)
     reservation.add(memory_of(live, 1, max_bytes(form, live.request.height)))
     answer = _answer_probe(live, context.workers, request, ProbeQuery(position=[x, y, z]), form)
     return await until_gone(request, answer)
@@ -130,15 +139,9 @@ async def named_probe(
     reservation: ReservationDep,
     name: ProbeName,
     request: Request,
-    format: _Format = "exr",
-    size: _Size = None,
-    kind: HarmonicsKind = "total",
-    basis: HarmonicsBasis = "arcore",
-    exposure_ev: _Ev = 0.0,
-    use: _Use = None,
+    form: _FormDep,
 ) -> Response:
     """Return the light at a named probe. It is updated with every frame, so this is the best light, without delay."""
-    form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev, use=use)
     reservation.add(memory_of(live, 1, max_bytes(form, live.request.height)))
     return await until_gone(request, _answer_probe(live, context.workers, request, ProbeQuery(name=name), form))
 
@@ -280,13 +283,6 @@ def etag_matches(if_none_match: str, etag: str) -> bool:
     """Return whether the header `If-None-Match` names an ETag."""
     known = [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]
     return etag in known or "*" in known
-
-
-def _form(**values: Any) -> LightForm:
-    try:
-        return LightForm(**values)
-    except ValidationError as error:
-        raise ProblemError.from_wire(to_wire_error(error, kind="invalid")) from error
 
 
 def _to_json(response: LightResponse, parts: list[bytes]) -> str:
