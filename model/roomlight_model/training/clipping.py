@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal
 import cv2
 import numpy as np
 import torch
-from annotated_types import Ge, Interval
+from annotated_types import Ge
 from jaxtyping import Float, Float16, Float32
 from torch import Tensor
 
@@ -22,8 +22,7 @@ from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
-from roomlight_model.training.run_folder import RunOptions
-from roomlight_model.training.small_stage import SmallStage
+from roomlight_model.training.small_stage import SmallOptions, SmallStage
 
 CLIPPED: Final = 0.956
 """Radiance from which an 8-bit sRGB value counts as clipped (`roomlight.frame.CLIPPED_SRGB8`)."""
@@ -40,8 +39,8 @@ ProgressCallback = Callable[[int, int], object]
 
 
 @dataclass(frozen=True)
-class ClippingOptions(RunOptions):
-    """Options of the stage `clipping`: those of every run.
+class ClippingOptions(SmallOptions):
+    """Options of the stage `clipping`: those of every small network.
 
     Raises:
         OptionError: A value is out of range.
@@ -49,11 +48,6 @@ class ClippingOptions(RunOptions):
 
     stage: Literal["clipping"] = "clipping"
     steps: Annotated[int, Ge(1)] = 3000
-    batch: Annotated[int, Ge(1)] = 16
-    warm_up: Annotated[int, Ge(0)] = 100
-    weight_decay: Annotated[float, Ge(0)] = 0.02
-    ema: Annotated[float, Interval(ge=0, le=1)] = 0.998
-    validate_steps: Annotated[int, Ge(1)] = 250
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Annotated, Final, Literal
 import cv2
 import numpy as np
 import torch
-from annotated_types import Ge, Interval
+from annotated_types import Ge
 from jaxtyping import Float, Float16, Float32
 from torch import Tensor
 
@@ -30,8 +30,7 @@ from roomlight_model.object_light_network import ObjectLightNetwork
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
-from roomlight_model.training.run_folder import RunOptions
-from roomlight_model.training.small_stage import SmallStage
+from roomlight_model.training.small_stage import SmallOptions, SmallStage
 
 MATERIALS: Final = ("diffuse", "glossy", "metal")
 """Pictures whose errors are the loss: spheres of these materials."""
@@ -61,8 +60,8 @@ ProgressCallback = Callable[[int, int], object]
 
 
 @dataclass(frozen=True)
-class ObjectsOptions(RunOptions):
-    """Options of the stage `objects`: those of every run.
+class ObjectsOptions(SmallOptions):
+    """Options of the stage `objects`: those of every small network.
 
     Raises:
         OptionError: A value is out of range.
@@ -70,11 +69,6 @@ class ObjectsOptions(RunOptions):
 
     stage: Literal["objects"] = "objects"
     steps: Annotated[int, Ge(1)] = 6000
-    batch: Annotated[int, Ge(1)] = 16
-    warm_up: Annotated[int, Ge(0)] = 100
-    weight_decay: Annotated[float, Ge(0)] = 0.02
-    ema: Annotated[float, Interval(ge=0, le=1)] = 0.998
-    validate_steps: Annotated[int, Ge(1)] = 250
 
 
 @dataclass(frozen=True, eq=False)

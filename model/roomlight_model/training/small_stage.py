@@ -4,10 +4,12 @@ A stage adds its batches, its losses and its scores: `clipping`, `objects`, `dep
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Annotated, Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import torch
+from annotated_types import Ge, Interval
 
 from roomlight.errors import ModelError
 from roomlight_model.checkpoint import Checkpoint, build_network
@@ -26,6 +28,17 @@ class SmallExamples(Protocol):
     def take(self, numbers: Sequence[int]) -> Any:
         """Return the examples with these numbers."""
         ...
+
+
+@dataclass(frozen=True)
+class SmallOptions(RunOptions):
+    """Options whose defaults suit a network of a few hundred thousand weights."""
+
+    batch: Annotated[int, Ge(1)] = 16
+    warm_up: Annotated[int, Ge(0)] = 100
+    weight_decay: Annotated[float, Ge(0)] = 0.02
+    ema: Annotated[float, Interval(ge=0, le=1)] = 0.998
+    validate_steps: Annotated[int, Ge(1)] = 250
 
 
 OptionsT = TypeVar("OptionsT", bound=RunOptions)

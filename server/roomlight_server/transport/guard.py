@@ -205,3 +205,21 @@ class WriteWatch:
             return
         self._guard.record("slow-reader", self._address)
         self._transport.abort()
+
+
+class WatchedWriting(asyncio.BaseProtocol):
+    """A protocol that watches a client that does not read, once it has its `WriteWatch`."""
+
+    _watch: WriteWatch | None = None
+
+    def pause_writing(self) -> None:
+        """Start to watch."""
+        super().pause_writing()
+        if self._watch is not None:
+            self._watch.start()
+
+    def resume_writing(self) -> None:
+        """Stop to watch."""
+        super().resume_writing()
+        if self._watch is not None:
+            self._watch.stop()

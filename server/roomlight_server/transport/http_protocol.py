@@ -15,7 +15,7 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from roomlight_server.base.problems import MEDIA_TYPE, ProblemError
-from roomlight_server.transport.guard import LINGER_S, TRANSPORT, ConnectionGuard, Transport, WriteWatch
+from roomlight_server.transport.guard import LINGER_S, TRANSPORT, ConnectionGuard, Transport, WatchedWriting, WriteWatch
 
 DISCARDED_BYTES: Final = 16 * 2**20
 """Bytes of a refused request that are read and discarded: a client that sends a whole frame first reads its answer."""
@@ -43,7 +43,7 @@ class _Flow(FlowControl):
             super().resume_reading()
 
 
-class HttpProtocol(HttpToolsProtocol):
+class HttpProtocol(WatchedWriting, HttpToolsProtocol):
     """uvicorn's HTTP protocol with the limits of `ConnectionGuard` and `ServerSettings`."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -53,7 +53,6 @@ class HttpProtocol(HttpToolsProtocol):
         self._address = ""
         self.handshake: Transport | None = None
         """The TLS handshake that counted as this connection."""
-        self._watch: WriteWatch | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._header_bytes = 0  # of the current request: URL, headers, trailers
         self._reported_bytes = 0  # by the parser, of the data that it was last given
@@ -192,18 +191,6 @@ class HttpProtocol(HttpToolsProtocol):
             self._stop_timer()
             self._upgraded = True
             super().handle_websocket_upgrade()
-
-    def pause_writing(self) -> None:
-        """Start to watch a client that does not read."""
-        super().pause_writing()
-        if self._watch is not None:
-            self._watch.start()
-
-    def resume_writing(self) -> None:
-        """Stop to watch it."""
-        super().resume_writing()
-        if self._watch is not None:
-            self._watch.stop()
 
     def _count_unparsed(self, size: int) -> None:
         if self._reading_headers and not self._follows_another:

@@ -9,7 +9,7 @@ from typing import Any, Final
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame
 
-from roomlight_server.transport.guard import LINGER_S, TRANSPORT, Allowance, ConnectionGuard, WriteWatch
+from roomlight_server.transport.guard import LINGER_S, TRANSPORT, Allowance, ConnectionGuard, WatchedWriting, WriteWatch
 
 SLICE_BYTES: Final = 8192
 """Bytes that the parser is given at once; between slices the limits are checked."""
@@ -24,14 +24,13 @@ SPARE_MESSAGES: Final = 500
 """Messages at once, before the server waits between them; a phone sends 30 frames a second and a few calls."""
 
 
-class StreamProtocol(WebSocketsSansIOProtocol):
+class StreamProtocol(WatchedWriting, WebSocketsSansIOProtocol):
     """uvicorn's WebSocket protocol within limits; it ends the connection after a bad handshake or a bad text."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         app: Any = self.config.app
         self._guard: ConnectionGuard = app.state.context.guard
-        self._watch: WriteWatch | None = None
         self._unparsed = bytearray()  # what arrived behind a message that the application has not taken
         self._fragments = self._fragment_bytes = 0  # of the current message
         self._control_frames = Allowance(CONTROL_FRAMES_PER_S, SPARE_CONTROL_FRAMES)
@@ -153,15 +152,3 @@ class StreamProtocol(WebSocketsSansIOProtocol):
                 self.handle_parser_exception()
                 return
         super().send_receive_event_to_app()
-
-    def pause_writing(self) -> None:
-        """Start to watch a client that does not read."""
-        super().pause_writing()
-        if self._watch is not None:
-            self._watch.start()
-
-    def resume_writing(self) -> None:
-        """Stop to watch it."""
-        super().resume_writing()
-        if self._watch is not None:
-            self._watch.stop()

@@ -29,8 +29,8 @@ def _look(yaw, index=0, room=ROOM):
     return room.frame(camera_at((0.3, 1.4, 0.2), yaw, -5), index=index)
 
 
-FRAMES = [_look(9 * i, i) for i in range(24)]
-_PHASE = np.arange(24)[:, None] / 3
+FRAMES = [_look(9 * i, i) for i in range(16)]
+_PHASE = np.arange(16)[:, None] / 3
 GAINS = np.exp(-0.6 * np.sin(_PHASE) + 0.12 * (np.sin(_PHASE * [1.0, 1.3, 1.7] + [0, 2, 4]) - np.sin([0, 2, 4])))
 """Over 1.6 stops, and 10 % between colours; the first is 1."""
 
