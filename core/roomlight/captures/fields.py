@@ -11,13 +11,17 @@ import json
 import math
 import re
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
 from roomlight.errors import CaptureError, FrameError, RoomLightError
+
+_DECIMAL_COMMA: Final = re.compile(r"(?=.*,)[-+]?\d*(,\d+)?(e[-+]?\d+)?(\s++[-+]?\d*(,\d+)?(e[-+]?\d+)?)+", re.I)
+"""A line of numbers between blanks. Linear in its length."""
 
 
 @contextmanager
@@ -94,6 +98,22 @@ def number(value: object, what: str) -> float:
     if not math.isfinite(result):
         raise ValueError(f"{what} is {result}, not a finite number")
     return result
+
+
+def time(value: object) -> float | None:
+    """Return a stated time in the file's unit: a number, also as text, or seconds of an ISO 8601 date; NaN for other
+    values, None for none.
+    """
+    if isinstance(value, str):
+        with suppress(ValueError):
+            value = float(value)
+    try:
+        if isinstance(value, str):
+            date = datetime.fromisoformat(value)
+            value = (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+        return None if value is None else number(value, "the time")
+    except ValueError:
+        return math.nan
 
 
 def positive(value: object, what: str) -> float:
@@ -189,8 +209,12 @@ def first_of(entry: Mapping[str, Any], shared: Mapping[str, Any], *keys: str) ->
 
 
 def numbers_of_line(line: str, count: int, what: str) -> list[float]:
-    """Parse the first `count` numbers of a line, separated by blanks or commas; NaN and infinity pass."""
-    parts = (line.replace(",", ".").replace(";", " ") if ";" in line else line.replace(",", " ")).split()
+    """Parse the first `count` numbers of a line, separated by blanks or commas; NaN and infinity pass.
+
+    A comma is a decimal point beside semicolons, and inside numbers that blanks separate.
+    """
+    is_point = ";" in line or _DECIMAL_COMMA.fullmatch(line.strip())
+    parts = (line.replace(",", ".").replace(";", " ") if is_point else line.replace(",", " ")).split()
     if len(parts) < count:
         raise ValueError(f"{what} has {len(parts)} values where {count} are needed: {_short(line)}")
     try:

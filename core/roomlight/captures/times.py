@@ -57,6 +57,9 @@ def timeline(stored: list[float | None], name: str) -> Timeline:
     values = np.array([stored[index] for index in places], np.float64)
     times: list[float | None] = [None] * len(stored)
     notes: list[Note] = []
+    if wrong := sum(time is not None for time in stored) - len(places):
+        text = f"{name}: {wrong} timestamps are no numbers"
+        notes.append(Note(text, "these frames have no time", "store seconds"))
     if len(values) > 1:
         steps = np.diff(values)
         unit = _unit(steps)

@@ -7,6 +7,7 @@ import unicodedata
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -17,7 +18,7 @@ import pytest
 from capture_checks import edit, one_skipped
 
 from roomlight.camera import Intrinsics
-from roomlight.captures import CaptureOptions, open_capture
+from roomlight.captures import CaptureOptions, fields, open_capture
 from roomlight.captures.lenses import Lens, lens_of, undistorted
 from roomlight.captures.times import MAX_GAP_S, timeline
 from roomlight.errors import CaptureError, UnknownFormatError
@@ -248,6 +249,45 @@ def test_text_of_tum_and_json_with_marks(tmp_path: Path) -> None:
     path = formats.nerfstudio(tmp_path / "nerf", VIEWS)
     (path / "transforms.json").write_bytes(codecs.BOM_UTF8 + (path / "transforms.json").read_bytes())
     assert len(list(open_capture(path))) == 4
+
+
+def test_numbers_between_blanks_may_have_decimal_commas(tmp_path: Path) -> None:
+    path = formats.tum(tmp_path / "tum", VIEWS)
+    lines = (path / "rgb.txt").read_text().splitlines()
+    (path / "rgb.txt").write_text("\n".join(line.replace(".", ",", 1) for line in lines))
+    for name in ("groundtruth.txt", "camera-intrinsics.txt"):
+        (path / name).write_text((path / name).read_text().replace(".", ","))
+    frames = list(open_capture(path))
+    assert len(frames) == 4
+    for frame, view in zip(frames, VIEWS, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+        assert frame.intrinsics.fx == pytest.approx(28.0)
+
+
+@pytest.mark.parametrize("line", ["1,2,3,4", "1, 2, 3, 4", "1 2 3 4", "1;2;3;4", "1.0,2.0 3.0,4.0"])
+def test_commas_separate_where_they_are_no_points(line: str) -> None:
+    assert fields.numbers_of_line(line, 4, "the row") == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("written", [str, lambda time: f"2024-05-01T12:00:0{time:.3f}Z"])
+def test_times_written_as_text_are_read(transforms: Path, written: Callable[[float], str]) -> None:
+    def stamped(index: dict[str, Any]) -> None:
+        for number, frame in enumerate(reversed(index["frames"])):  # the last listed is the first
+            frame["timestamp"] = written(0.2 * number)
+
+    edit(transforms / "transforms.json", stamped)
+    capture = open_capture(transforms)
+    frames = list(capture)
+    np.testing.assert_allclose(np.diff([frame.timestamp_s or 0 for frame in frames]), 0.2, atol=1e-3)
+    np.testing.assert_allclose(frames[0].camera_to_world, VIEWS[3].pose, atol=1e-6)
+    assert not any("timestamp" in str(note) for note in capture.notes)
+
+
+def test_times_that_are_no_numbers_are_noted(transforms: Path) -> None:
+    edit(transforms / "transforms.json", lambda index: index["frames"][1].update(timestamp="00:01:02;05"))
+    capture = open_capture(transforms)
+    assert [frame.timestamp_s for frame in capture] == [None] * 4
+    assert any("1 timestamps are no numbers" in str(note) for note in capture.notes)
 
 
 # Masks

@@ -97,7 +97,7 @@ class NativeReader:
 
     def timestamps(self) -> list[float | None]:
         """Return the frames' times."""
-        return [_time(frame) for frame in self._frames]
+        return [fields.time(frame.get("timestamp_s")) for frame in self._frames]
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
@@ -276,13 +276,6 @@ class CaptureWriter:
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written ({error.strerror or error})") from error
         self._closed = True
-
-
-def _time(entry: dict[str, Any]) -> float | None:
-    try:
-        return fields.number(entry.get("timestamp_s"), "timestamp_s")
-    except ValueError:
-        return None
 
 
 def depth_to_png(depth_m: Float[np.ndarray, "h w"], *, name: str) -> bytes:

@@ -108,7 +108,7 @@ class NerfstudioReader:
 
     def timestamps(self) -> list[float | None]:
         """Return the frames' timestamps."""
-        return [_time(frame) for frame in self._frames]
+        return [fields.time(frame.get("timestamp")) for frame in self._frames]
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
@@ -255,13 +255,6 @@ class NerfstudioReader:
             raise CaptureError(f"{self._label}: a probe's panorama: {error}") from error
 
 
-def _time(frame: dict[str, Any]) -> float | None:
-    try:
-        return fields.number(frame.get("timestamp"), "timestamp")
-    except ValueError:
-        return None
-
-
 def _angle(value: object, what: str = "camera_angle_x") -> float:
     angle = fields.positive(value, what)
     if angle >= math.pi:
@@ -270,8 +263,9 @@ def _angle(value: object, what: str = "camera_angle_x") -> float:
 
 
 def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    if all(_time(frame) is not None for frame in frames):
-        return sorted(frames, key=lambda frame: frame["timestamp"])
+    times = [math.nan if (time := fields.time(frame.get("timestamp"))) is None else time for frame in frames]
+    if all(map(math.isfinite, times)):
+        return [frames[at] for at in sorted(range(len(frames)), key=times.__getitem__)]
     if all(isinstance(frame.get("file_path"), str) for frame in frames):
         return sorted(frames, key=lambda frame: fields.natural_key(frame["file_path"]))
     return frames

@@ -167,12 +167,7 @@ class Record3DReader:
         return (256, 192) if self._height > self._width else (192, 256)
 
     def _time_of(self, number: int) -> float | None:
-        if number >= len(self._times):
-            return None
-        try:
-            return fields.number(self._times[number], "the timestamp")
-        except ValueError:
-            return None
+        return fields.time(self._times[number]) if number < len(self._times) else None
 
 
 def _list(metadata: dict[str, Any], key: str, *, needed: bool = True) -> list[Any]:

@@ -47,8 +47,8 @@ class ScannerAppReader(ListedReader):
         times: list[float | None] = []
         for name in self._colour:
             try:
-                times.append(fields.number(self._json(Path(name).stem + ".json").get("time"), "time"))
-            except (FrameError, CaptureError, ValueError):
+                times.append(fields.time(self._json(Path(name).stem + ".json").get("time")))
+            except (FrameError, CaptureError):
                 times.append(None)
         return times
 

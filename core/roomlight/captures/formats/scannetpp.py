@@ -76,7 +76,7 @@ class ScanNetPPReader(ListedReader):
         times: list[float | None] = []
         for stem in self._stems:
             try:
-                times.append(fields.number(self._entry(stem).get("timestamp"), "timestamp"))
+                times.append(fields.time(self._entry(stem).get("timestamp")))
             except (FrameError, ValueError):
                 times.append(None)
         return times

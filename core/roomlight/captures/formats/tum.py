@@ -9,6 +9,7 @@ Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth 
 640 x 480. K has pixel centres at whole numbers, so that half a pixel is added here.
 """
 
+import re
 from pathlib import Path
 from typing import Final
 
@@ -83,7 +84,8 @@ def _stream(source: FolderSource, name: str, notes: list[Note], *, most: int = M
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         with fields.naming(f"{label}: line {row}", CaptureError):
-            first, rest = [*line.replace(",", " ").split(maxsplit=1), ""][:2]
+            line = re.sub(r"^(\s*\d+),(\d+\s)", r"\1.\2", line)  # a decimal comma
+            first, rest = [*re.split(r"[\s,]+", line.strip(), maxsplit=1), ""][:2]
             try:
                 time_s = float(first)
             except ValueError:
