@@ -1,9 +1,10 @@
 """What readers of formats with one file of each kind a frame share: a list of names, read one by one."""
 
+import re
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -15,8 +16,11 @@ from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES
 from roomlight.errors import CaptureError
 from roomlight.files import FolderSource
-from roomlight.notes import Note
+from roomlight.notes import Note, unread_keys
 
+_LENS_KEYS: Final = re.compile(
+    r"k[1-6]|p[12]|.*distort.*|.*(camera|lens)_?(model|type).*|.*units?|.*scale", re.IGNORECASE
+)
 ARKIT = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
 
 
@@ -37,6 +41,7 @@ class ListedReader:
         self._colour = colour
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []
+        self._unread = set[str]()
         self.count = len(colour)
         if self.count == 0:
             raise CaptureError(f"{folder}: has no {expected}")
@@ -60,8 +65,12 @@ class ListedReader:
         raise NotImplementedError
 
     def _json(self, name: str) -> dict[str, Any]:
-        """Read a JSON object of one frame. Raises FrameError and CaptureError."""
-        return fields.parse_json(self._source.read(name, max_bytes=1 << 20), self._source.label(name))
+        """Read a JSON object of one frame; keys of a lens are noted once. Raises FrameError and CaptureError."""
+        stated = fields.parse_json(self._source.read(name, max_bytes=1 << 20), self._source.label(name))
+        unread = {key for key in stated if _LENS_KEYS.fullmatch(key)} - self._unread
+        self._unread |= unread
+        self.notes += unread_keys(self._source.label(name), unread)
+        return stated
 
     def _confidence(self, name: str) -> UInt8[np.ndarray, "h w"] | None:
         """Read confidence if the file exists."""
