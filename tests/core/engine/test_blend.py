@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.kernels.reference import accumulate_reference
+from roomlight.engine.kernels.blend import find_extremes
+from roomlight.engine.kernels.reference import accumulate_reference, extremes_around
 from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.panorama.blend import (
     DARK,
@@ -79,6 +80,22 @@ def test_the_kernel_equals_its_readable_reference(seed, binary):
         first, second = getattr(fast, field.name), getattr(slow, field.name)
         differs = abs(first - second) > 1e-5 * (1 + abs(second))
         assert differs.reshape(*SHAPE, -1).any(axis=-1).sum() <= 1, field.name
+
+
+@pytest.mark.parametrize("box", [np.s_[:0, :0], np.s_[:, :], np.s_[3:9, 5:12], np.s_[0:1, 31:], np.s_[15:, 0:1]])
+def test_extremes_around_what_a_frame_shows(box):
+    views = _views(5)
+    mask = np.zeros(SHAPE, bool)
+    mask[box] = True
+    planes = [views[name] * (mask if views[name].ndim == 2 else mask[..., None]) for name in views if name != "camera"]
+    _, detail, _, weight, clipped, guessed = planes
+    around = np.empty((3, *SHAPE), np.float32)
+    rows = find_extremes(detail, clipped, guessed, weight, 1, around)
+    seen = weight > 0
+    expected = extremes_around(detail, clipped, guessed, weight=weight)
+    np.testing.assert_allclose(around[:, seen], np.stack(expected)[:, seen], rtol=1e-6, atol=2e-7)
+    shown = np.flatnonzero(seen.any(axis=1))
+    assert rows == ((shown[0], shown[-1] + 1) if len(shown) else (0, 0))
 
 
 def test_without_inferred_light_pixels_without_weight_stay_as_they_are():

@@ -23,6 +23,8 @@ CHANGED_FRAMES: Final = np.float32(2)
 SAME_VIEW: Final = np.float32(np.cos(np.radians(5)))
 """Cosine of the angle, seen from the surface, up to which two cameras see the same of it. A hand-held camera that walks
 turns by 1 to 3 degrees about a surface from frame to frame."""
+UNBOUNDED: Final = np.float32(1e30)
+"""Luminance of a clipped pixel, at most."""
 APART, AGREES, DIFFERS, BEGINS = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
 """How a pixel of a frame compares with the accumulated panorama.
 
@@ -51,7 +53,7 @@ class DetailArrays(NamedTuple):
     Attributes:
         weight: Of the frame, 0 where its mesh is not visible.
         lowest, highest, brightest: Around each pixel, the least lower bound, the greatest possible luminance and the
-            greatest lower bound (`roomlight.engine.panorama.blend.extremes_around`).
+            greatest lower bound (`find_extremes`).
         camera: Its position in metres from the probe, world axes.
     """
 
@@ -86,6 +88,71 @@ def luminance(red, green, blue):
     return np.float32(0.2126) * red + np.float32(0.7152) * green + np.float32(0.0722) * blue
 
 
+@njit(nogil=True, cache=True, error_model="numpy")
+def find_extremes(radiance, clipped, guessed, weight, reach, around):
+    """Write what `reference.extremes_around` returns of each seen pixel into `around` [3, h, w]; others are undefined.
+
+    The square of 2 `reach` + 1 pixels is searched along rows, then along columns, in loops without branches.
+
+    Returns:
+        The first seen row and the row after the last; 0, 0 if nothing is seen.
+    """
+    rows, columns = weight.shape
+    top, bottom, left, right = rows, 0, columns, 0
+    for row in range(rows):
+        any_seen = 0
+        for column in range(columns):
+            any_seen |= np.int32(weight[row, column] > 0)
+        if any_seen:
+            top, bottom = min(top, row), row + 1
+            first, last = 0, columns
+            while first < left and weight[row, first] <= 0:
+                first += 1
+            while last > right and weight[row, last - 1] <= 0:
+                last -= 1
+            left, right = min(left, first), max(right, last)
+    if bottom == 0:
+        return 0, 0
+    stride, zero = right - left + 2 * reach, np.float32(0)  # with a margin around what is seen
+    least = np.full((bottom - top + 2 * reach) * stride, UNBOUNDED, np.float32)
+    most, bright = np.zeros_like(least), np.zeros_like(least)
+    for row in range(top, bottom):
+        for column in range(left, right):
+            if weight[row, column] > zero:
+                red, green, blue = radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2]
+                shown, at = luminance(red, green, blue), (row - top + reach) * stride + column - left + reach
+                least[at] = bright[at] = shown - guessed[row, column]
+                most[at] = UNBOUNDED if clipped[row, column] > zero else shown
+    for step in (1, stride):
+        least, most, bright = (
+            _widened(least, step, reach, True),
+            _widened(most, step, reach, False),
+            _widened(bright, step, reach, False),
+        )
+    for row in range(top, bottom):
+        start = (row - top) * stride
+        for column in range(right - left):
+            around[0, row, left + column] = least[start + column]
+            around[1, row, left + column] = most[start + column]
+            around[2, row, left + column] = bright[start + column]
+    return top, bottom
+
+
+@njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
+def _widened(values, step, reach, lower):
+    """Return the least, or the greatest, of each value and the 2 `reach` that follow it, `step` apart."""
+    out = values.copy()
+    for ahead in range(step, (2 * reach + 1) * step, step):
+        others = values[ahead:]
+        if lower:
+            for i in range(len(others)):
+                out[i] = min(out[i], others[i])
+        else:
+            for i in range(len(others)):
+                out[i] = max(out[i], others[i])
+    return out
+
+
 @njit(nogil=True, cache=True)
 def same_view(before, now, ray, distance):
     """Return whether two cameras, relative to the probe, see the point at `distance` along `ray` from one direction."""
@@ -118,8 +185,9 @@ def compare_rows(state, detail, rays, closer_m, comparison, start, stop):
         for column in range(columns):
             # 1. the surface
             comparison[row, column] = APART
-            away = state.depth[row, column] - detail.depth[row, column]
-            if abs(away) >= closer_m or detail.weight[row, column] <= zero or state.observed[row, column] <= zero:
+            if detail.weight[row, column] <= zero or state.observed[row, column] <= zero:
+                continue
+            if abs(state.depth[row, column] - detail.depth[row, column]) >= closer_m:
                 continue
             # 2. its light
             shown = luminance(radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2])

@@ -3,14 +3,24 @@
 They have the signatures of the functions that call the kernels, and are slow.
 """
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
 from roomlight.camera import rigid_inverse
 from roomlight.conventions import LUMINANCE, panorama_directions
-from roomlight.engine.kernels.blend import AGREES, APART, BEGINS, CHANGED, DIFFERS, LEAST_CHANGE, SAME_VIEW
+from roomlight.engine.kernels.blend import (
+    AGREES,
+    APART,
+    BEGINS,
+    CHANGED,
+    DIFFERS,
+    LEAST_CHANGE,
+    SAME_VIEW,
+    UNBOUNDED,
+)
 from roomlight.engine.observations import CLOSER_M, better_share
-from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, extremes_around, replaced_by_change
+from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, neighbourhood, replaced_by_change
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import LOBE_CHANNELS, MAX_SAMPLES, Far, Sglv, check_position
 from roomlight.frame import Frame
@@ -133,6 +143,34 @@ def accumulate_reference(
     for accumulated, new in ((state.depth_m, detail_depth_m), (state.clipped, clipped), (state.guessed, guessed)):
         accumulated[:] = blend * new + (1 - blend) * accumulated
     state.observed[:] = np.minimum(state.observed + blend, 1)
+
+
+def extremes_around(
+    detail: Float[np.ndarray, "h w 3"],
+    clipped: Float[np.ndarray, "h w"],
+    guessed: Float[np.ndarray, "h w"],
+    *,
+    weight: Float[np.ndarray, "h w"],
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Return least lower bound, greatest possible luminance and greatest lower bound around each seen pixel.
+
+    Unseen pixels are left out, and have no values; a clipped one has no upper bound. Panoramas wrap around; pixels at
+    the two edge columns see fewer neighbours.
+    """
+    lowest, highest, brightest = (np.zeros_like(weight) for _ in range(3))
+    seen, around = weight > 0, neighbourhood(len(weight))
+    rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
+    if len(rows):
+        reach = len(around) // 2
+        top, left = max(rows[0] - reach, 0), max(columns[0] - reach, 0)
+        box = np.s_[top : rows[-1] + 1 + reach, left : columns[-1] + 1 + reach]
+        luminance, seen, zero = np.asarray(detail[box] @ LUMINANCE, np.float32), seen[box], np.float32(0)
+        bound = luminance - guessed[box]
+        lowest[box] = cv2.erode(np.where(seen, bound, UNBOUNDED), around)
+        limit = np.where(clipped[box] > 0, UNBOUNDED, luminance)
+        highest[box] = cv2.dilate(np.where(seen, limit, zero), around)
+        brightest[box] = cv2.dilate(np.where(seen, bound, zero), around)
+    return lowest, highest, brightest
 
 
 def _bilinear(image: Float[np.ndarray, "h w 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:

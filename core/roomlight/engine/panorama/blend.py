@@ -34,6 +34,7 @@ from roomlight.engine.kernels.blend import (
     StateArrays,
     accumulate_rows,
     compare_rows,
+    find_extremes,
 )
 from roomlight.engine.kernels.fill import mix_beyond
 from roomlight.engine.observations import CLOSER_M
@@ -48,7 +49,6 @@ DARK: Final = 1e-3
 AROUND_DEG: Final = 3.0
 """Neighbourhood of a pixel in which a change must show: an edge that moves across it moves by twice as much between two
 frames that agree with the old and with the new light, more than a camera at the same place makes it."""
-_UNBOUNDED: Final = np.float32(1e30)
 AT_PROBE: Final = np.zeros(3, np.float32)
 """A camera at the probe."""
 UNSEEN_DEPTH: Final = 4.0
@@ -153,15 +153,18 @@ def accumulate(
     assert clipped is not None
     assert guessed is not None
     accumulated = StateArrays(*(getattr(state, plane.name) for plane in fields(state)))
-    around = extremes_around(detail, clipped, guessed, weight=weight)
+    around = np.empty((3, *weight.shape), np.float32)
+    height, closer_m = len(weight), np.float32(CLOSER_M)
+    rows = find_extremes(detail, clipped, guessed, weight, len(neighbourhood(height)) // 2, around)
     place = np.asarray(camera, np.float32)
-    frame = DetailArrays(detail, detail_depth_m, clipped, guessed, weight, *around, place)
-    height, closer_m = state.observed.shape[0], np.float32(CLOSER_M)
-    comparison = np.empty(state.observed.shape, np.uint8)
+    seen = detail, detail_depth_m, clipped, guessed, weight
+    frame = DetailArrays(*seen, around[0], around[1], around[2], place)
+    comparison = np.zeros(weight.shape, np.uint8)
     # One thread: both 0.1 ms for 120 x 240, more on a pool.
-    compare_rows(accumulated, frame, panorama_rays(height), closer_m, comparison, 0, height)
+    compare_rows(accumulated, frame, panorama_rays(height), closer_m, comparison, *rows)
     replaced, behind = replaced_by_change(state, comparison), state.radiance if hdr is None else hdr
-    accumulate_rows(accumulated, behind, frame, replaced, closer_m, hdr is None, 0, height)
+    start, stop = rows if hdr is None else (0, height)
+    accumulate_rows(accumulated, behind, frame, replaced, closer_m, hdr is None, start, stop)
 
 
 def replaced_by_change(state: PanoramaState, comparison: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
@@ -169,7 +172,7 @@ def replaced_by_change(state: PanoramaState, comparison: UInt8[np.ndarray, "h w"
     differs = comparison >= DIFFERS
     if not differs.any():
         return differs
-    begins = cv2.dilate((comparison == BEGINS).astype(np.uint8), _neighbourhood(len(comparison))) > 0
+    begins = cv2.dilate((comparison == BEGINS).astype(np.uint8), neighbourhood(len(comparison))) > 0
     counts = differs & (begins | (state.changed > 0))
     state.changed[differs] = np.where(counts, state.changed + 1, 0)[differs]
     taken = counts & (state.changed >= CHANGED_FRAMES)
@@ -177,38 +180,10 @@ def replaced_by_change(state: PanoramaState, comparison: UInt8[np.ndarray, "h w"
     return taken
 
 
-def _neighbourhood(height: int) -> UInt8[np.ndarray, "k k"]:
+def neighbourhood(height: int) -> UInt8[np.ndarray, "k k"]:
     """Return the pixels within `AROUND_DEG`, and at least those beside a pixel, as a mask."""
     radius = max(1, round(AROUND_DEG * height / 180))
     return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-
-
-def extremes_around(
-    detail: Float[np.ndarray, "h w 3"],
-    clipped: Float[np.ndarray, "h w"],
-    guessed: Float[np.ndarray, "h w"],
-    *,
-    weight: Float[np.ndarray, "h w"],
-) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """Return least lower bound, greatest possible luminance and greatest lower bound around each seen pixel.
-
-    Unseen pixels are left out, and have no values; a clipped one has no upper bound. Panoramas wrap around; pixels at
-    the two edge columns see fewer neighbours.
-    """
-    lowest, highest, brightest = (np.zeros_like(weight) for _ in range(3))
-    seen, around = weight > 0, _neighbourhood(len(weight))
-    rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
-    if len(rows):
-        reach = len(around) // 2
-        top, left = max(rows[0] - reach, 0), max(columns[0] - reach, 0)
-        box = np.s_[top : rows[-1] + 1 + reach, left : columns[-1] + 1 + reach]
-        luminance, seen, zero = np.asarray(detail[box] @ LUMINANCE, np.float32), seen[box], np.float32(0)
-        bound = luminance - guessed[box]
-        lowest[box] = cv2.erode(np.where(seen, bound, _UNBOUNDED), around)
-        limit = np.where(clipped[box] > 0, _UNBOUNDED, luminance)
-        highest[box] = cv2.dilate(np.where(seen, limit, zero), around)
-        brightest[box] = cv2.dilate(np.where(seen, bound, zero), around)
-    return lowest, highest, brightest
 
 
 def latest_detail(
