@@ -324,6 +324,7 @@ def test_a_replay_is_stopped(tmp_path, short_sample):
         ({"notes.txt": b"nothing"}, "no capture format recognised"),
         ({"capture.json": b"{"}, "capture.json"),
         ({"room.r3d": b"not a zip"}, "is not a readable zip archive"),
+        ({"room.ZIP": b"PK"}, "unpack it, and send its files"),
     ],
 )
 def test_what_is_no_recording_fails_with_a_reason(server, files, reason):

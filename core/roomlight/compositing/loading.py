@@ -101,4 +101,5 @@ def _kind(data: bytes, ending: str, label: str) -> str:
         return "gltf"
     if ending in get_args(ObjectKind):
         return ending
-    raise ObjectError(f"{label}: neither GLB, glTF nor PLY by its content; give kind='obj' if it is an OBJ file")
+    advice = f"export the .{ending} as GLB" if ending else "give kind='obj' if it is an OBJ file"
+    raise ObjectError(f"{label}: neither GLB, glTF nor PLY by its content; {advice}")

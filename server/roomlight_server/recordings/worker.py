@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
-from roomlight.errors import ProbeError, RoomLightError
+from roomlight.captures.recognition import is_record3d_archive
+from roomlight.errors import CaptureError, ProbeError, RoomLightError
 from roomlight.placement import point_in_view
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight_server.recordings.jobs import RECORD
@@ -41,11 +42,17 @@ def write(output: BinaryIO, text: dict[str, Any], body: bytes = b"") -> None:
 
 
 def capture_path(folder: Path) -> Path:
-    """Return the recording in an upload's folder: a single file or folder inside it, or the folder itself."""
+    """Return the recording in an upload's folder: a single file or folder inside it, or the folder itself.
+
+    Raises:
+        CaptureError: It is a packed folder, whose files would count to nobody's share of the disk.
+    """
     entries = list(folder.iterdir())
     while len(entries) == 1:
         folder = entries[0]
         entries = list(folder.iterdir()) if folder.is_dir() else []
+    if folder.suffix.lower() == ".zip" and folder.is_file() and not is_record3d_archive(folder):
+        raise CaptureError(f"{folder}: is not unpacked here; unpack it, and send its files")
     return folder
 
 

@@ -167,6 +167,9 @@ def test_unreadable_paths_are_refused(tmp_path: Path) -> None:
         load_object(tmp_path / "missing.glb")
     with pytest.raises(ObjectError, match="neither GLB, glTF nor PLY"):
         load_object(b"hello")
+    (tmp_path / "chair.stl").write_text("solid chair")
+    with pytest.raises(ObjectError, match=r"nor PLY by its content; export the \.stl as GLB"):
+        load_object(tmp_path / "chair.stl")
 
 
 @pytest.mark.parametrize(
