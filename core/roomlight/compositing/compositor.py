@@ -42,6 +42,7 @@ from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject
 from roomlight.compositing.rendering import shadows
 from roomlight.compositing.rendering.renderer import RenderedObjects, render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects, is_rigid
+from roomlight.compositing.rendering.unseen_lamps import ShadowLights
 from roomlight.depth import complete_depth
 from roomlight.engine.session import Session
 from roomlight.errors import OptionError, SceneError
@@ -115,6 +116,7 @@ class Compositor:
         self._background_glass, self._max_paths = background_glass, max_paths
         self._placed: list[PlacedObject] = []
         self._probes = ObjectProbes(session, light)
+        self._shadow_lights = ShadowLights()
         self._depth, self._shadow = DepthFilter(), ShadowHistory()
         self._objects: TracedObjects | None = None
         self._matrices: list[bytes] = []
@@ -327,13 +329,21 @@ class Compositor:
         """Return objects that cast their shadows together, under the light of the first, which is the largest."""
         assert self._objects is not None
         x, y, z = posed.spheres[members[0]][:3].tolist()
+        support = next((plane for member in members if (plane := posed.supports[member]) is not None), None)
+        shadow_light = self._probes.reflection_at((x, y, z))
+        if support is not None and self.quality != "preview" and not self._probes.given:
+
+            def observed() -> Float[np.ndarray, "ph pw"]:
+                return self._probes.observed_at((x, y, z))
+
+            shadow_light = self._shadow_lights.light(shadow_light, observed, support, self.geometry, self._session)
         return shadows.Caster(
             scene=self._objects,
             spheres=np.stack([posed.spheres[member] for member in members]).astype(np.float32),
             object_ids=np.array(members, np.int32),
             light=self._probes.at((x, y, z)),
-            reflection=self._probes.reflection_at((x, y, z)),
-            support=next((plane for member in members if (plane := posed.supports[member]) is not None), None),
+            reflection=shadow_light,
+            support=support,
             room=self.geometry,
         )
 

@@ -62,6 +62,7 @@ class ObjectProbes:
         """Begin without probes; `light` replaces the session's, does not change over time and is used as it is."""
         self._session, self._light = session, light
         self._handles: list[int] = []
+        self._positions: list[Position] = []
         self._lighting = _EasedLights()
         self._reflection = self._lighting if light is not None else _EasedLights()
         self._joined: tuple[ProbeSet, ProbeSet, ProbeSet] | None = None
@@ -77,6 +78,7 @@ class ObjectProbes:
             x, y, z = position.tolist()
             handle = self._session.track((x, y, z))
             self._handles.append(handle)
+            self._positions.append((x, y, z))
             if self._light is not None:
                 self._lighting.add((x, y, z), self._light((x, y, z)))
             else:
@@ -123,11 +125,22 @@ class ObjectProbes:
         """Return the light that casts the shadows of objects at a position."""
         return self._reflection.at(position)
 
+    @property
+    def given(self) -> bool:
+        """Whether the caller gave the light."""
+        return self._light is not None
+
+    def observed_at(self, position: Position) -> Float[np.ndarray, "h w"]:
+        """Return how far the session's frames have shown each direction from the nearest probe."""
+        distances = np.linalg.norm(np.array(self._positions) - np.array(position), axis=1)
+        return self._session.light(self._handles[int(distances.argmin())]).observed
+
     def close(self) -> None:
         """Stop tracking."""
         for handle in self._handles:
             self._session.untrack(handle)
         self._handles.clear()
+        self._positions.clear()
         self._lighting.clear()
         self._reflection.clear()
 
