@@ -3,7 +3,7 @@
 import io
 from typing import Final
 
-from PIL import ExifTags, Image
+from PIL import ExifTags, Image, UnidentifiedImageError
 
 from roomlight.errors import ImageError
 
@@ -56,7 +56,8 @@ def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
         raise
     except Exception as error:  # Pillow raises whatever the damaged bytes lead to
         hint = "; TIFF is read with 8 bits" if kind == "TIFF" else ""
-        raise ImageError(f"{name}: the {kind} does not decode ({error}){hint}; save it as PNG or EXR") from error
+        why = "of an unknown layout" if isinstance(error, UnidentifiedImageError) else error
+        raise ImageError(f"{name}: the {kind} does not decode ({why}){hint}; save it as PNG or EXR") from error
 
 
 def _photo_tags(stated: Image.Exif) -> Image.Exif:

@@ -4,6 +4,7 @@ import random
 from pathlib import Path
 from typing import Any
 
+import cv2
 import formats
 import heic_files
 import numpy as np
@@ -179,6 +180,14 @@ def test_captures_hold_webp_pictures(tmp_path: Path) -> None:
 def test_other_pictures_are_refused_by_name(tmp_path: Path, ending: str, pixels: np.ndarray, message: str) -> None:
     with pytest.raises(ImageError, match=message):
         read_photo(other_file(tmp_path / f"a.{ending}", pixels))
+
+
+def test_a_tiff_of_floats_in_three_channels_is_refused_by_what_it_is(tmp_path: Path) -> None:
+    assert cv2.imwrite(str(tmp_path / "a.tiff"), np.ones((4, 4, 3), np.float32))
+    with pytest.raises(
+        ImageError, match=r"the TIFF does not decode \(of an unknown layout\); TIFF is read with 8 bits"
+    ):
+        read_photo(tmp_path / "a.tiff")
 
 
 def test_damaged_and_endless_pictures_of_other_formats_are_refused(tmp_path: Path) -> None:
