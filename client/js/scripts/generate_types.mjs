@@ -29,4 +29,8 @@ const types = await openapiTS(JSON.parse(await text(process.stdin)), {
     rootTypesNoSchemaPrefix: true,
     transform,
 });
-process.stdout.write(HEADER + astToString(types.filter(({ name }) => !EMPTY.includes(name?.text))));
+const compact = astToString(types.filter(({ name }) => !EMPTY.includes(name?.text)))
+    .replace(/^ *(\/\*\* @enum \{string\} \*\/|\* @enum \{string\})\n/gm, "") // the union says so
+    .replace(/\/\*\*\n *\* (.*)\n *\*\//g, "/** $1 */")
+    .replace(/\[\n *number,\n *number,\n *number\n *\]/g, "[number, number, number]");
+process.stdout.write(HEADER + compact);

@@ -39,7 +39,6 @@ export interface components {
          *         bytes: length of the part.
          */
         readonly ColourPart: {
-            /** @enum {string} */
             readonly encoding: "jpeg" | "png" | "heic" | "rgb8" | "linear_f32";
             /** @description 1 to 2,147,483,648 */
             readonly bytes: number;
@@ -52,13 +51,8 @@ export interface components {
          *         roughness: 0 to 1, of glossy (0.2) and metal (0.5).
          */
         readonly CompositeMaterial: {
-            /** @enum {string} */
             readonly kind: "diffuse" | "glossy" | "metal" | "mirror" | "glass";
-            readonly base_colour?: readonly [
-                number,
-                number,
-                number
-            ] | null;
+            readonly base_colour?: readonly [number, number, number] | null;
             /** @description 0 to 1 */
             readonly roughness?: number | null;
         };
@@ -82,10 +76,7 @@ export interface components {
             /** @description ^[0-9a-f]{64}$ */
             readonly object?: string | null;
             readonly shape?: ("sphere" | "cube" | "plane" | "vase" | "chair" | "teapot") | null;
-            /**
-             * @default y
-             * @enum {string}
-             */
+            /** @default y */
             readonly up?: "y" | "z";
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
             readonly name?: string | null;
@@ -111,15 +102,9 @@ export interface components {
         readonly CompositeRequest: {
             /** @description 1 to 16 items */
             readonly objects: readonly components["schemas"]["CompositeObject"][];
-            /**
-             * @default preview
-             * @enum {string}
-             */
+            /** @default preview */
             readonly quality?: "preview" | "good" | "final";
-            /**
-             * @default png
-             * @enum {string}
-             */
+            /** @default png */
             readonly format?: "png" | "jpeg" | "exr" | "layers";
         };
         /**
@@ -138,10 +123,7 @@ export interface components {
              * @constant
              */
             readonly format?: "uint8";
-            /**
-             * @default raw
-             * @enum {string}
-             */
+            /** @default raw */
             readonly encoding?: "raw" | "png" | "zstd";
             /** @description 1 to 16,384 */
             readonly width: number;
@@ -162,12 +144,8 @@ export interface components {
          *         bytes: length of the part.
          */
         readonly DepthPart: {
-            /** @enum {string} */
             readonly format: "uint16_mm" | "float16_m" | "float32_m";
-            /**
-             * @default raw
-             * @enum {string}
-             */
+            /** @default raw */
             readonly encoding?: "raw" | "png" | "zstd";
             /** @description 1 to 16,384 */
             readonly width: number;
@@ -186,7 +164,6 @@ export interface components {
          *         use: lighting or reflection; null: that of the format, see `LightForm`.
          */
         readonly EncodedLight: {
-            /** @enum {string} */
             readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence" | "equirect" | "usdz" | "glb";
             readonly media_type: string;
             readonly use?: ("lighting" | "reflection") | null;
@@ -206,7 +183,6 @@ export interface components {
          *         bytes: of the finished file.
          */
         readonly Film: {
-            /** @enum {string} */
             readonly status: "reading" | "making" | "ready" | "failed";
             readonly frame: number;
             readonly frames: number;
@@ -225,10 +201,7 @@ export interface components {
         readonly FilmRequest: {
             /** @description 1 to 16 items */
             readonly objects: readonly components["schemas"]["CompositeObject"][];
-            /**
-             * @default preview
-             * @enum {string}
-             */
+            /** @default preview */
             readonly quality?: "preview" | "good" | "final";
             /** @default 0 */
             readonly first?: number;
@@ -260,7 +233,6 @@ export interface components {
         /** @description WebSocket, to the client: the outcome of a frame. */
         readonly FrameEvent: {
             readonly index: number;
-            /** @enum {string} */
             readonly status: "processed" | "queued" | "superseded" | "skipped";
             /** @default false */
             readonly replay: boolean;
@@ -331,10 +303,7 @@ export interface components {
             readonly exposure?: number;
             /** @default null */
             readonly auto_exposed?: boolean | null;
-            /**
-             * @default normal
-             * @enum {string}
-             */
+            /** @default normal */
             readonly tracking_state?: "normal" | "limited" | "not_available";
         };
         /**
@@ -354,7 +323,6 @@ export interface components {
          */
         readonly FrameResult: {
             readonly index: number;
-            /** @enum {string} */
             readonly status: "processed" | "queued" | "superseded" | "skipped";
             /** @default false */
             readonly replay: boolean;
@@ -463,19 +431,12 @@ export interface components {
          *             reflection for png, lighting for all others.
          */
         readonly LightForm: {
-            /** @enum {string} */
             readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence" | "equirect" | "usdz" | "glb";
             /** @description 8 to 512 */
             readonly size?: number | null;
-            /**
-             * @default total
-             * @enum {string}
-             */
+            /** @default total */
             readonly kind?: "total" | "ambient";
-            /**
-             * @default arcore
-             * @enum {string}
-             */
+            /** @default arcore */
             readonly basis?: "arcore" | "arkit" | "threejs";
             /**
              * @description -16 to 16
@@ -531,11 +492,7 @@ export interface components {
             /** @description ^[0-9a-f]{64}$ */
             readonly id: string;
             readonly triangles: number;
-            readonly size_m: readonly [
-                number,
-                number,
-                number
-            ];
+            readonly size_m: readonly [number, number, number];
             readonly bytes: number;
             /** @default [] */
             readonly notes: readonly string[];
@@ -585,11 +542,7 @@ export interface components {
             readonly expires_in_s: number;
         };
         /** @description World metres: x, y (up), z. */
-        readonly Position: readonly [
-            number,
-            number,
-            number
-        ];
+        readonly Position: readonly [number, number, number];
         /** @description Position of a named probe, in world metres. */
         readonly ProbeBody: {
             readonly position: components["schemas"]["Position"];
@@ -681,7 +634,6 @@ export interface components {
             readonly received: number;
             readonly files: number;
             readonly files_received: number;
-            /** @enum {string} */
             readonly status: "uploading" | "ready" | "playing" | "finished" | "failed";
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
             readonly session: string | null;
@@ -726,10 +678,7 @@ export interface components {
          *         probes: named probes; null: the probes of the recording, and `view` in front of the first camera.
          */
         readonly ReplayRequest: {
-            /**
-             * @default auto
-             * @enum {string}
-             */
+            /** @default auto */
             readonly model?: "auto" | "classical" | "single" | "video";
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
             readonly session: string;
@@ -766,10 +715,7 @@ export interface components {
          *             far boundary of the volume (`far`), or are not used (`drop`).
          */
         readonly SessionRequest: {
-            /**
-             * @default auto
-             * @enum {string}
-             */
+            /** @default auto */
             readonly model?: "auto" | "classical" | "single" | "video";
             /**
              * @description 16 to 512
@@ -785,10 +731,7 @@ export interface components {
              * @default 1
              */
             readonly min_confidence?: number;
-            /**
-             * @default rim
-             * @enum {string}
-             */
+            /** @default rim */
             readonly unknown_depth?: "rim" | "far" | "drop";
         };
         /**
@@ -811,9 +754,7 @@ export interface components {
         readonly SessionState: {
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
             readonly id: string;
-            /** @enum {string} */
             readonly status: "open" | "failed";
-            /** @enum {string} */
             readonly model: "classical" | "single" | "video";
             readonly options: components["schemas"]["SessionRequest"];
             readonly frames: components["schemas"]["FrameCounts"];
@@ -843,9 +784,7 @@ export interface components {
             readonly id: string;
             /** @default  */
             readonly title: string;
-            /** @enum {string} */
             readonly status: "open" | "failed" | "saved";
-            /** @enum {string} */
             readonly model: "classical" | "single" | "video";
             readonly frames: components["schemas"]["FrameCounts"];
             readonly probes: readonly string[];
