@@ -6,7 +6,7 @@ pixel has its own fixed low-discrepancy points, so equal inputs give equal bytes
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -27,7 +27,6 @@ from roomlight.errors import OptionError
 from roomlight.rays import RayHits
 from roomlight.threads import parallel_for
 
-Quality = Literal["preview", "good", "final"]
 Background = Callable[[Float32[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
 """Maps unit world directions to the radiance that the camera sees behind glass; rows of NaN: the probes' light."""
 
@@ -193,15 +192,10 @@ def render_objects(
     pixels = _pixels_around(scene, camera, pose)
     film = _film(camera.width * camera.height, extra=settings.denoised or settings.smoothed)
     if len(pixels):
-        world = _World(
-            scene.surfaces,
-            scene.materials,
-            scene.textures,
-            lights.environment if settings.samples else lights.panoramas,
-            lobe_table(),
-            supports or no_supports(),
-            scene.is_open() if settings.samples else np.zeros(0, bool),
-        )
+        light = lights.environment if settings.samples else lights.panoramas
+        is_open = scene.is_open() if settings.samples else np.zeros(0, bool)
+        stage = scene.surfaces, scene.materials, scene.textures
+        world = _World(*stage, light, lobe_table(), supports or no_supports(), is_open)
         row, column = np.divmod(pixels, camera.width)
         key = _mixed_keys(pixels, seed)
         view = _View(pose, camera.fx, camera.fy, camera.cx, camera.cy, column, row, key, jitter=True)
@@ -210,8 +204,7 @@ def render_objects(
         else:
             settings = _sampled(scene, world, view, film, camera, settings, background, max_paths)
     shape = camera.height, camera.width
-    radiance = film.radiance.reshape(*shape, 3)
-    alpha = film.alpha.reshape(shape)
+    radiance, alpha = film.radiance.reshape(*shape, 3), film.alpha.reshape(shape)
     if settings.denoised and len(pixels):
         radiance = denoise(radiance, alpha, film.albedo.reshape(*shape, 3), film.normal.reshape(*shape, 3))
     if settings.smoothed and len(pixels):
@@ -268,43 +261,26 @@ def _mixed_keys(pixels: Int64[np.ndarray, " p"], seed: int) -> UInt64[np.ndarray
 
 def _film(count: int, *, extra: bool = True) -> _Film:
     """Make an empty film; `extra`: with albedo and normals."""
-    flat, colours, more = (count,), (count, 3), (count if extra else 0, 3)
-    return _Film(
-        np.zeros(colours, np.float32),
-        np.zeros(flat, np.float32),
-        np.zeros(flat, np.float32),
-        np.full(flat, -1, np.int32),
-        np.zeros(more, np.float32),
-        np.zeros(more, np.float32),
-        np.zeros(flat, np.float32),
-    )
+    radiance, albedo, normal = (np.zeros((rows, 3), np.float32) for rows in (count, count * extra, count * extra))
+    alpha, depth_m, doubt = np.zeros((3, count), np.float32)
+    return _Film(radiance, alpha, depth_m, np.full(count, -1, np.int32), albedo, normal, doubt)
 
 
 def _paths(count: int) -> _Paths:
-    return _Paths(
-        origin=np.empty((count, 3), np.float32),
-        direction=np.empty((count, 3), np.float32),
-        throughput=np.empty((count, 3), np.float32),
-        share=np.empty(count, np.float32),
-        flags=np.empty(count, np.uint8),
-        slot=np.empty(count, np.int32),
-    )
+    origin, direction, throughput = np.empty((3, count, 3), np.float32)
+    share, flags, slot = np.empty(count, np.float32), np.empty(count, np.uint8), np.empty(count, np.int32)
+    return _Paths(origin, direction, throughput, share, flags, slot)
 
 
 def _queue(count: int) -> _Queue:
-    return _Queue(
-        origin=np.empty((count, 3), np.float32),
-        direction=np.empty((count, 3), np.float32),
-        light=np.empty((count, 3), np.float32),
-        slot=np.empty(count, np.int32),
-    )
+    return _Queue(*np.empty((3, count, 3), np.float32), slot=np.empty(count, np.int32))
 
 
 def _camera_hits(scene: TracedObjects, view: _View, samples: int) -> tuple[_Paths, RayHits]:
     """Trace camera rays, `samples` a pixel."""
     count = len(view.column) * samples
     paths = _paths(count)
-    hits = RayHits(np.empty(count, np.int32), *(np.empty(count, np.float32) for _ in range(3)))
+    hits = RayHits(np.empty(count, np.int32), *np.empty((3, count), np.float32))
 
     def work(start: int, stop: int) -> None:
         rays = slice(start * samples, stop * samples)
@@ -377,8 +353,6 @@ def _sampled(
         settings = replace(settings, samples=settings.samples // 2)
     per_pass = min(settings.samples, _BLOCK_RAYS)
     per_block = max(1, _BLOCK_RAYS // per_pass)
-    blocks = -(-len(pixels) // per_block)
-
     sparing = 0 < settings.least < settings.samples == per_pass
 
     def work(start: int, stop: int) -> None:
@@ -388,13 +362,12 @@ def _sampled(
             if sparing:
                 total = _spared(scene, world, part, settings, background)
             else:
-                passes = settings.samples // per_pass
-                for number in range(passes):
-                    samples_film = _traced(scene, world, part, settings, (number * per_pass, per_pass), background)
-                    _accumulate(total, _reduced(samples_film, per_pass), 1 / passes)
+                for first in range(0, settings.samples, per_pass):
+                    traced = _traced(scene, world, part, settings, (first, per_pass), background)
+                    _accumulate(total, _reduced(traced, per_pass), per_pass / settings.samples)
             _store(film, pixels[own], total)
 
-    parallel_for(work, blocks, pieces_per_thread=16)
+    parallel_for(work, -(-len(pixels) // per_block), pieces_per_thread=16)
     return settings
 
 
