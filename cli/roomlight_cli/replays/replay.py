@@ -157,7 +157,7 @@ def replay(
         if run is None:
             raise CaptureError(f"{path}: no frame can start a session; the first: {state.unusable[0].reason}")
         if progress:
-            progress("drawing the summary of", capture.frame_count, capture.frame_count)
+            progress("drawing the summary after frame", capture.frame_count, capture.frame_count)
         run.close(waiting)
     except BaseException as error:
         if run is not None:
