@@ -180,6 +180,9 @@ def _decode_encoded(data: bytes, name: str, *, as_stored: bool) -> ColourImage:
         seen = None if seen is None else oriented(seen, turn)
     elif tags.exif.orientation != 1:
         notes = (*notes, _unturned(tags, name))
+    if tags.exif.no_orientation is not None:
+        stated = f"{name}: EXIF orientation {tags.exif.no_orientation}, which does not exist (1 to 8)"
+        notes = (*notes, Note(stated, "pixels are read as stored", "rotate the picture if it is not upright"))
     return ColourImage(image, clipped, _unless_all(seen), notes)
 
 

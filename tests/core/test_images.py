@@ -16,6 +16,7 @@ from roomlight.images import (
     ExifCamera,
     decode_colour,
     decode_depth,
+    decode_picture,
     exif_camera,
     peek_size,
     read_bytes,
@@ -234,7 +235,10 @@ def test_missing_exif_gives_the_defaults(tmp_path):
     write_exr(tmp_path / "p.exr", LINEAR)
     for data in (_encoded("jpg"), _encoded("png"), _encoded("hdr", LINEAR), (tmp_path / "p.exr").read_bytes()):
         assert exif_camera(data, "x") == ExifCamera()
-    assert exif_camera(_photo(orientation=9, focal_35mm=0), "x") == ExifCamera()
+    assert exif_camera(_photo(orientation=9, focal_35mm=0), "x") == ExifCamera(no_orientation=9)
+    (note,) = decode_picture(_photo(orientation=9), "x").notes
+    assert note.left_out == "x: EXIF orientation 9, which does not exist (1 to 8)"
+    assert not decode_picture(_photo(orientation=0), "x").notes
 
 
 def test_damaged_exif_never_raises():

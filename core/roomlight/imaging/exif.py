@@ -22,6 +22,7 @@ class ExifCamera:
         focal_35mm: Focal length in millimetres, equivalent on 36 x 24 mm film; None if not stated.
         orientation: EXIF's orientation tag, 1 to 8. 1 is upright, 3 upside down; the stored pixels must be rotated
             by 90 degrees clockwise for 6 and counter-clockwise for 8; 2, 4, 5 and 7 are mirrored.
+        no_orientation: What is stated as orientation and is none; 0, EXIF's "unknown", is left out.
         adobe_rgb: Whether the pixels are Adobe RGB, by the camera industry's DCF.
         uncalibrated: Whether they are of another space than sRGB, which a profile should state.
         aspect: Longer side of the picture that the camera took, by the shorter; None if not stated.
@@ -29,6 +30,7 @@ class ExifCamera:
 
     focal_35mm: float | None = None
     orientation: int = 1
+    no_orientation: int | None = None
     adobe_rgb: bool = False
     uncalibrated: bool = False
     aspect: float | None = None
@@ -65,9 +67,11 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         adobe = details.get(ExifTags.Base.ColorSpace) == 2 or interoperability in ("R03", b"R03\0", "R03\0")
     except Exception:  # as above
         return ExifCamera()
+    known = isinstance(orientation, int) and 1 <= orientation <= 8
     return ExifCamera(
         focal_35mm=float(focal) if isinstance(focal, int) and focal > 0 else None,  # 0 is EXIF's "unknown"
-        orientation=orientation if isinstance(orientation, int) and 1 <= orientation <= 8 else 1,
+        orientation=orientation if known else 1,
+        no_orientation=orientation if isinstance(orientation, int) and orientation and not known else None,
         adobe_rgb=adobe,
         uncalibrated=not adobe and details.get(ExifTags.Base.ColorSpace) == 65535,
         aspect=aspect,
