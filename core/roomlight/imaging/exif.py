@@ -67,11 +67,12 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         adobe = details.get(ExifTags.Base.ColorSpace) == 2 or interoperability in ("R03", b"R03\0", "R03\0")
     except Exception:  # as above
         return ExifCamera()
-    known = isinstance(orientation, int) and 1 <= orientation <= 8
+    stated = orientation if isinstance(orientation, int) else 0
+    known = 1 <= stated <= 8
     return ExifCamera(
         focal_35mm=float(focal) if isinstance(focal, int) and focal > 0 else None,  # 0 is EXIF's "unknown"
-        orientation=orientation if known else 1,
-        no_orientation=orientation if isinstance(orientation, int) and orientation and not known else None,
+        orientation=stated if known else 1,
+        no_orientation=stated if stated and not known else None,
         adobe_rgb=adobe,
         uncalibrated=not adobe and details.get(ExifTags.Base.ColorSpace) == 65535,
         aspect=aspect,
