@@ -170,7 +170,9 @@ def test_pictures_of_scenes_give_objects_the_grain_of_the_frame(tmp_path):
     noisy = FLOOR + np.random.default_rng(1).normal(0, 0.02, FLOOR.shape).astype(np.float32)
     scene = replace(scene, frame=replace(scene.frame, image=noisy))
     composite_evaluation.write_scene_picture(path, scene, dict.fromkeys(METHODS, FLOOR))
-    _, own, _, _ = np.split(cv2.imread(str(path)).astype(np.float32), 4, axis=1)
+    sheet = cv2.imread(str(path))
+    assert sheet is not None
+    _, own, _, _ = np.split(sheet.astype(np.float32), 4, axis=1)
     encoded = cv2.resize(linear_to_srgb8(noisy).astype(np.float32), None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     assert own[44:76, 64:96].std() == pytest.approx(encoded.std(), rel=0.3)
     assert own[:30].std() == 0  # the frame's own pixels get none
