@@ -1,11 +1,16 @@
 """Import layers, what a process loads when it imports each package, sizes of folders, and the map of CONTRIBUTING."""
 
+import ast
 import re
 import subprocess
 import sys
+import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parent.parent
 SOURCES = {
@@ -31,6 +36,10 @@ def modules_of(*folders: str) -> list[str]:
     return names
 
 
+def files_of(folder: str) -> list[Path]:
+    return [path for path in sorted((ROOT / folder).rglob("*.py")) if "node_modules" not in path.parts]
+
+
 def loaded_after(imports: list[str]) -> set[str]:
     """Top-level modules of a fresh interpreter after these imports."""
     code = f"import sys, {', '.join(imports)}; print(*sorted({{n.partition('.')[0] for n in sys.modules}}))"
@@ -50,6 +59,24 @@ def test_base_install_needs_no_training_extra(folders: tuple[str, ...]):
     loaded = loaded_after(modules_of(*folders))
     assert {"roomlight", "numpy"} <= loaded
     assert not loaded & TRAINING_EXTRA
+
+
+def test_what_is_imported_at_once_is_of_the_base_install():
+    """An import of another distribution belongs into the function that needs its extra."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    base = {canonicalize_name(Requirement(text).name) for text in project["dependencies"]}
+    base |= {"llvmlite", "pydantic-core"}  # Numba and Pydantic require theirs
+    ours = {name for names in SOURCES.values() for name in names}
+    distributions = packages_distributions()
+    others = dict[str, str]()
+    for path in [*files_of("core"), *files_of("server"), *files_of("client/roomlight_client")]:
+        for statement in ast.parse(path.read_text()).body:
+            names = [alias.name for alias in statement.names] if isinstance(statement, ast.Import) else []
+            names += [statement.module] if isinstance(statement, ast.ImportFrom) and statement.module else []
+            for name in {name.partition(".")[0] for name in names} - ours - sys.stdlib_module_names:
+                if not base & {canonicalize_name(of) for of in distributions.get(name, [name])}:
+                    others[path.relative_to(ROOT).as_posix()] = name
+    assert others == {}
 
 
 def test_a_server_answers_before_it_imports_what_only_composites_and_recordings_need():

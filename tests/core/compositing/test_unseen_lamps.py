@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
 from roomlight.compositing.compositor import Compositor
 from roomlight.compositing.light.lighting import LightSampler
@@ -14,7 +15,7 @@ from roomlight.compositing.placement.places import Plane
 from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.compositing.placement.scene import AtPosition, SceneObject
 from roomlight.compositing.rendering import unseen_lamps as module
-from roomlight.compositing.rendering.unseen_lamps import ShadowLights, unseen_lamps
+from roomlight.compositing.rendering.unseen_lamps import ShadowLights, non_negative_factors, unseen_lamps
 from roomlight.conventions import panorama_directions
 from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
@@ -134,3 +135,15 @@ def test_an_object_has_the_shadow_of_a_lamp_that_no_frame_has_shown(lit, quality
     inverse = np.linalg.inv(view.camera_to_world)
     ((column, row),), _ = view.intrinsics.project((inverse[:3, :3] @ behind + inverse[:3, 3])[None])
     assert bool(picture.shadow[int(row), int(column)].mean() < 0.7) is deep
+
+
+def test_factors_are_those_of_scipy():
+    rng = np.random.default_rng(4)
+    for rows, columns in ((40, 8), (300, 90), (30, 60)):
+        matrix = np.abs(rng.normal(size=(rows, columns)))
+        matrix[:, 1] = 0
+        wanted = matrix @ np.maximum(rng.normal(size=columns), 0) + rng.normal(0, 0.3, rows)
+        damped = np.concatenate([matrix, 0.1 * np.eye(columns)])
+        theirs, _ = nnls(damped, np.concatenate([wanted, np.zeros(columns)]))
+        ours = non_negative_factors(damped, np.concatenate([wanted, np.zeros(columns)]))
+        assert ours == pytest.approx(theirs, abs=1e-6)
