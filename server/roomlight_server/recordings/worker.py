@@ -45,7 +45,7 @@ def capture_path(folder: Path) -> Path:
     """Return the recording in an upload's folder: a single file or folder inside it, or the folder itself.
 
     Raises:
-        CaptureError: It is a packed folder, whose files would count to nobody's share of the disk.
+        CaptureError: It is a zip file: what it unpacks to would not count in its owner's disk quota.
     """
     entries = list(folder.iterdir())
     while len(entries) == 1:
