@@ -139,20 +139,17 @@ def composite_recording(
         SceneError: A place is refused.
         OutputError: A file cannot be written.
     """
-    capture, online = open_capture(path, reading), options.online
-    frames = _Watched(capture)
-    made = composite_capture(frames, scene, quality=options.quality, online=online, options=light)
-    count, times = 0, 1 if online else 2
+    capture, count = open_capture(path, reading), 0
+    passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
     with ExitStack() as stack:
-        progress = stack.enter_context(Progress("compositing" if online else "reading the room"))
+        progress = stack.enter_context(Progress(passes[0]))
+        frames = _Watched(capture, passes, progress.count_of)
+        made = composite_capture(frames, scene, quality=options.quality, online=options.online, options=light)
         capture.prepare(progress.count_of)
-        progress.count_of("compositing" if online else "reading the room", 0, times * capture.frame_count)
-        frames.watch = progress.advance
         film = None
         if options.is_film:
             film = stack.enter_context(VideoWriter(options.out, frames_per_second=options.rate(capture)))
         for picture in made:
-            progress.say("compositing")
             if film is not None:
                 height, width = (side - side % 2 for side in picture.image.shape[:2])
                 film.write(picture.image[:height, :width])
@@ -166,16 +163,17 @@ def composite_recording(
 
 
 class _Watched:
-    """A capture that reports each frame it yields, in every iteration."""
+    """A capture that reports each frame it yields, by the name of the iteration."""
 
-    def __init__(self, capture: Capture) -> None:
-        self._capture = capture
-        self.watch: Callable[[], object] = lambda: None
+    def __init__(self, capture: Capture, passes: list[str], report: Callable[[str, int, int], None]) -> None:
+        self._capture, self._passes, self._report = capture, iter(passes), report
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame in self._capture:
+        name, total = next(self._passes), self._capture.frame_count
+        self._report(name, 0, total)
+        for number, frame in enumerate(self._capture, 1):
             yield frame
-            self.watch()
+            self._report(name, number, total)
 
 
 def _write_pictures(picture: Composite, options: CompositeOptions) -> None:

@@ -64,10 +64,6 @@ class Progress:
         """Set what is being done, how much of it is done, and of how much."""
         self._show(name, done, total)
 
-    def advance(self) -> None:
-        """Count one more."""
-        self._show(self._text, self._done + 1, self._total)
-
     def line(self) -> str:
         """Return the state as a line: what, how much, for how long, and how long it will take at this pace."""
         now_s = time.monotonic()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from present import present
+from roomlight_cli.progress import Progress
 from rooms import BoxRoom, camera_at
 from written_captures import write_capture
 
@@ -55,6 +56,14 @@ def test_a_film_shows_the_moving_object(roomlight, capture, tmp_path):
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
     assert len(frames) == 3
     assert frames[0].shape == (48, 64, 3)
+
+
+def test_progress_counts_the_frames_of_each_pass(roomlight, capture, tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr(Progress, "count_of", lambda _, *state: shown.append(state))
+    assert roomlight("composite", capture, *BALL, *FAST, "--out", tmp_path / "out").code == 0
+    passes = ("reading the room (pass 1 of 2)", "compositing (pass 2 of 2)")
+    assert shown == [(name, done, 3) for name in passes for done in range(4)]
 
 
 @pytest.mark.parametrize(
