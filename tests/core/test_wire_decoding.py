@@ -201,6 +201,19 @@ def test_unusable_depth_is_rejected(depth, rule):
     assert caught.value.field == "depth"
 
 
+@pytest.mark.parametrize(("far", "accepted"), [(49, True), (50, False), (51, False)])
+def test_depth_is_checked_by_its_median(far, accepted):
+    depth = DEPTH_M.reshape(-1).copy()
+    depth[100:] = 0  # unknown ones do not count
+    depth[:far] = 900.0
+    given = ("float32_m", "raw", depth.tobytes())
+    if accepted:
+        assert decode_frame(message(depth=given), 0).depth_m.max() == 900
+    else:
+        with pytest.raises(WireError, match="unit is that of float32_m"):
+            decode_frame(message(depth=given), 0)
+
+
 @pytest.mark.parametrize("orientation", [2, 3, 6])
 def test_an_exif_orientation_is_ignored(orientation):
     pixels = np.random.default_rng(3).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
