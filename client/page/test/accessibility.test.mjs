@@ -16,6 +16,7 @@ const VIEWS = [
   { width: 1024, height: 768, colorScheme: "dark" },
   { width: 390, height: 844, colorScheme: "light" },
   { width: 390, height: 844, colorScheme: "dark" },
+  { width: 844, height: 390, colorScheme: "light" },
 ];
 
 test("the page without a session", async () => {
@@ -38,6 +39,8 @@ test("the panels of a session", async () => {
     assert.deepEqual(await violations(page), [], JSON.stringify(view));
     const overflow = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
     assert.ok(overflow <= 0, `${overflow} px are cut off at ${view.width} px`);
+    const { height } = await page.locator("#room-canvas").boundingBox();
+    assert.ok(height < 0.8 * view.height, `a room of ${height} px leaves nothing to scroll by at ${view.height} px`);
     await page.close();
   }
 });

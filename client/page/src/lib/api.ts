@@ -60,7 +60,8 @@ export class Api {
 
   /** Our client for this server. */
   client(retries = 1): RoomLight {
-    return new RoomLight(this.base, { retries, timeout_s: 60, ...(this.tokenValue ? { token: this.tokenValue } : {}) });
+    // longer than the server's own limits, whose answers say more: the first composite of a server compiles its kernels
+    return new RoomLight(this.base, { retries, timeout_s: 150, ...(this.tokenValue ? { token: this.tokenValue } : {}) });
   }
 
   sessions(): Promise<SessionList> {

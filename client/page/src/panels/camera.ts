@@ -24,6 +24,8 @@ const USUAL: Readonly<Record<Shape, { readonly size_cm: number | null; readonly 
   vase: { size_cm: 30, material: "own" },
   file: { size_cm: null, material: "own" },
 };
+const SLOW = "Rendering: the first picture of a server takes up to a minute";
+const SLOW_MS = 6000;
 const CROSS_STEP = 0.02; // of the picture, for an arrow key; with Shift five times as much
 
 export function cameraPanel(api: Api, state: State, objects: PlacedObjects): void {
@@ -121,7 +123,14 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
   });
   state.shownEntry.watch(show);
   objects.composite.watch(show);
-  objects.busy.watch((busy) => (byId("picture-busy").hidden = !busy));
+  let slow = 0;
+  objects.busy.watch((busy) => {
+    const badge = byId("picture-busy");
+    badge.hidden = !busy;
+    badge.textContent = "Rendering";
+    clearTimeout(slow);
+    slow = busy ? window.setTimeout(() => (badge.textContent = SLOW), SLOW_MS) : 0;
+  });
   objectTools(objects);
   byId<HTMLSelectElement>("object-quality").addEventListener("change", ({ target }) => {
     objects.quality = (target as HTMLSelectElement).value as Quality;
