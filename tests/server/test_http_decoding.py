@@ -91,6 +91,21 @@ def test_a_frame_whose_decoder_is_killed_is_decoded_by_another(one_decoder, capl
     assert server.push(2, colour_frame("jpeg", jpeg())).json["status"] == "processed"
 
 
+def test_a_decoder_that_answers_more_than_it_states_is_replaced(one_decoder, monkeypatch, caplog):
+    server, pid = one_decoder
+    read, longer = os.read, [b"x"]
+
+    def read_more(descriptor, size):
+        return read(descriptor, size) + (longer.pop() if longer else b"")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(processes.os, "read", read_more)
+        answer = server.push(1, colour_frame("jpeg", jpeg()))
+    assert answer.json["status"] == "processed"
+    assert [vars(r)["reason"] for r in caplog.records if "reason" in vars(r)] == ["the decoder crashed"]
+    assert server.app.state.context.workers.decode_processes.pids != [pid]
+
+
 def is_reading(pid):
     """Whether something waits in the pipe of a process's standard input."""
     with Path(f"/proc/{pid}/fd/0").open("rb", buffering=0) as pipe:
@@ -157,6 +172,8 @@ def test_a_process_cannot_cut_the_memory_that_the_server_reads():
         os.ftruncate(other.descriptor, 0)
     other.close()
     assert block.read(2) == b"ab"
+    with block.view(5) as view:
+        assert (bytes(view), view.readonly) == (b"abcde", True)
     block.close()
 
 

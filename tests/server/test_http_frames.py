@@ -53,6 +53,16 @@ def test_equal_bytes_are_a_replay_and_others_a_conflict(server):
     assert (counts["processed"], counts["replayed"], counts["refused"], counts["last_index"]) == (1, 1, 2, 5)
 
 
+def test_a_frame_is_parsed_and_decoded_in_one_job():
+    """And one that is not new is decoded in none."""
+    with RunningServer() as server:
+        server.open()
+        assert [server.push(index).status for index in (0, 1, 1, 0, 2)] == [200, 200, 200, 409, 200]
+        read = server.app.state.context.metrics.registry.get_sample_value
+        assert read("roomlight_queue_seconds_count", {"pool": "decode"}) == 5
+        assert read("roomlight_decode_seconds_count") == 3
+
+
 def test_gaps_are_allowed_and_counted(server):
     server.open("gaps")
     for index in (3, 4, 9, 10, 20):

@@ -44,10 +44,11 @@ _PROBE_BYTES: Final = 2048
 """Memory of a probe's numbers in an entry."""
 
 
-@dataclass
+@dataclass(eq=False)
 class _Moment:
     entry: HistoryEntry
     pose: CameraPose
+    kept: bool = True
     pictures: asyncio.Task[None] | None = None
     colour: bytes = b""
     panoramas: dict[str, bytes] = field(default_factory=dict[str, bytes])
@@ -70,15 +71,12 @@ class History:
         """Create an empty history of at most `limit_bytes`; 0 records nothing."""
         self._limit_bytes, self._workers, self._clock = limit_bytes, workers, clock
         self._moments: list[_Moment] = []
+        self.size = 0
+        """Memory of all entries in bytes."""
         self._stride, self._frames, self._start_s = 1, 0, 0.0
         self._drawing = 0
         self.key = secrets.token_hex(4)
         """Differs between sessions of the same id, for ETags."""
-
-    @property
-    def size(self) -> int:
-        """Memory of all entries in bytes."""
-        return sum(moment.size for moment in self._moments)
 
     def next_handles(self, handles: dict[str, int]) -> dict[str, int] | None:
         """Return the handles of probes whose lights `add` wants of the next frame; None: it will not record it."""
@@ -108,21 +106,32 @@ class History:
             self._drawing += 1
             moment.pictures = asyncio.create_task(self._draw(moment, frame, lights))
         self._moments.append(moment)
+        self.size += moment.size
         self._thin()
 
     async def _draw(self, moment: _Moment, frame: Frame, lights: dict[str, Light]) -> None:
+        bare = moment.size
         try:
             moment.colour, moment.panoramas = await self._workers.run_in_encode_pool(_pictures, frame.image, lights)
         except Exception:
             _log.exception("history has no pictures of a frame", extra={"frame": frame.index})
         finally:
             self._drawing -= 1
-        self._thin()
+        if moment.kept:
+            self.size += moment.size - bare
+            self._thin()
 
     def _thin(self) -> None:
         while self._moments and self.size > self._limit_bytes:
             self._stride *= 2
-            self._moments = self._moments[::2] if len(self._moments) > 1 else []
+            self._keep(self._moments[::2] if len(self._moments) > 1 else [])
+
+    def _keep(self, moments: list[_Moment]) -> None:
+        for moment in self._moments:
+            moment.kept = False
+        for moment in moments:
+            moment.kept = True
+        self._moments, self.size = moments, sum(moment.size for moment in moments)
 
     def listed(self, after: int) -> HistoryList:
         """Return the entries of frames with an index above `after`, in order."""
@@ -166,7 +175,7 @@ class History:
 
     def clear(self) -> None:
         """Forget all entries."""
-        self._moments = []
+        self._keep([])
 
 
 def lights_for_history(engine: Session, handles: dict[str, int] | None) -> NamedLights:

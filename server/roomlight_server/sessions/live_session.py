@@ -142,19 +142,28 @@ class LiveSession:
         return entry
 
     async def _accept_in_order(self, body: bytes, index: int | None) -> Entry:
-        message, digest = await self._workers.run_in_decode_pool(parse_frame, body, self._limits.frame)
-        index = index_of(message, index)
+        last, alone = self._queue.last_index, self._queue.waiting is None
+        usable = {"normal"} | ({"limited"} if self.request.use_limited_tracking else set[str]())
+
+        def receive() -> tuple[FrameMessage, bytes, int, Frame | None]:  # one job: each costs two hand-overs
+            message, digest = parse_frame(body, self._limits.frame)
+            stated = index_of(message, index)
+            wanted = alone and message.header.tracking_state in usable and (last is None or stated > last)
+            return message, digest, stated, self._decode(message, stated) if wanted else None
+
+        message, digest, index, frame = await self._workers.run_in_decode_pool(receive)
         self.check_open()
         if self.lease is not None:
             await self.lease.check_frame(index, self._queue.last_index)
         repeated = self._queue.replay_of(index, digest)
         if repeated is not None:
             return Entry(index, digest, outcome=replayed(repeated.outcome))
-        usable = {"normal"} | ({"limited"} if self.request.use_limited_tracking else set[str]())
         entry = Entry(index, digest)
         if message.header.tracking_state in usable:
-            entry.message = message
-            if self._queue.waiting is None:
+            entry.message, entry.frame = message, frame
+            if frame is not None:
+                self._take_reference(message)
+            elif self._queue.waiting is None:  # the engine has taken the frame that waited
                 entry.frame = await self._decoded(message, index)
         self.check_open()
         self._queue.accept(entry)
@@ -162,17 +171,22 @@ class LiveSession:
         return entry
 
     async def _decoded(self, message: FrameMessage, index: int) -> Frame:
-        reference = self._reference or message.header.exposure
-        least = self.request.min_confidence
-        processes = self._workers.decode_processes
-
-        def decode() -> Frame:
-            with self._metrics.decode_seconds.time():
-                return decode_to_size(message, index, reference, least, processes)
-
-        frame = await self._workers.run_in_decode_pool(decode)
-        self._reference = reference
+        frame = await self._workers.run_in_decode_pool(self._decode, message, index)
+        self._take_reference(message)
         return frame
+
+    def _decode(self, message: FrameMessage, index: int) -> Frame:
+        """Decode a frame; on a decoding thread."""
+        least, processes = self.request.min_confidence, self._workers.decode_processes
+        with self._metrics.decode_seconds.time():
+            return decode_to_size(message, index, self._reference_for(message), least, processes)
+
+    def _reference_for(self, message: FrameMessage) -> float:
+        return self._reference or message.header.exposure
+
+    def _take_reference(self, message: FrameMessage) -> None:
+        """Keep the exposure of the first frame that was decoded as the session's, unless it was given."""
+        self._reference = self._reference_for(message)
 
     async def _run(self) -> None:
         """Process waiting frames until the queue is empty; each is taken when an engine thread is free."""
@@ -297,7 +311,7 @@ class LiveSession:
 
     async def decode_latest(self, latest: LatestFrame, box: tuple[int, int]) -> Frame:
         """Decode the frame to fit into a box of (width, height) pixels. Raises ProblemError if that fails."""
-        reference = self._reference or latest.message.header.exposure
+        reference = self._reference_for(latest.message)
         least, processes = self.request.min_confidence, self._workers.decode_processes
         try:
             frame = await self._workers.run_in_decode_pool(
@@ -341,7 +355,7 @@ class LiveSession:
 
     def exposure_of(self, frame: LatestFrame) -> float:
         """Return the exposure of a frame, of which 1 is the reference exposure of the session."""
-        return frame.message.header.exposure / (self._reference or frame.message.header.exposure)
+        return frame.message.header.exposure / self._reference_for(frame.message)
 
     async def read(self, work: Callable[[Session], _R]) -> _R:
         """Run work that reads the engine on a decoding thread. Raises ProblemError if the session has ended."""

@@ -103,7 +103,9 @@ class SessionLighting:
             late = [number for number, light in enumerate(lights) if light is None]
             positions = [self._position(queries[number]) for number in late]
             made = await convert_probe_errors(self._workers.read_in_engine_pool(view.lights_at, positions))
-            kept = {number: await self._kept(light, None, frame) for number, light in zip(late, made, strict=True)}
+            etags = await self._workers.run_in_decode_pool(lambda: [light.digest() for light in made])
+            identified = zip(late, made, etags, strict=True)
+            kept = {number: self._kept(light, None, frame, etag) for number, light, etag in identified}
             return [light or kept[number] for number, light in enumerate(lights)]
 
     async def _at_hand(self, queries: Sequence[ProbeQuery]) -> list[Light | None]:
@@ -118,11 +120,10 @@ class SessionLighting:
         cached = self._cache.get(name, self._position(query), self.frame)
         if cached is not None or name is None:
             return cached
-        light = await self._workers.run_in_decode_pool(engine.light, self._named[name].handle)
-        return await self._kept(light, name, self.frame)
+        light, etag = await self._workers.run_in_decode_pool(_identified, engine, self._named[name].handle)
+        return self._kept(light, name, self.frame, etag)
 
-    async def _kept(self, light: Light, name: str | None, frame: int) -> Light:
-        etag = await self._workers.run_in_decode_pool(light.digest)
+    def _kept(self, light: Light, name: str | None, frame: int, etag: str) -> Light:
         labelled = light.labelled(name=name, frame=frame, etag=etag)
         self._cache.put(labelled)
         return labelled
@@ -192,3 +193,9 @@ class SessionLighting:
         """Continue with saved probes, after a frame."""
         self._named = {name: NamedProbe(**saved.model_dump()) for name, saved in probes.items()}
         self.frame = frame
+
+
+def _identified(engine: Session, handle: int) -> tuple[Light, str]:
+    """Return the light of a probe, and its identity."""
+    light = engine.light(handle)
+    return light, light.digest()

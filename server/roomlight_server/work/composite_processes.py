@@ -1,7 +1,7 @@
 """Processes that make composites of the qualities `good` and `final`: limited, killed at a deadline or when in vain."""
 
 import pickle
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.state.snapshot import SessionSnapshot
@@ -58,12 +58,15 @@ class CompositeProcesses(Processes):
         """
         body = pickle.dumps(tuple(job), protocol=pickle.HIGHEST_PROTOCOL)
         try:
-            text, data = self._request({"work": "composite"}, body, timeout_s, retry=False, cancel=cancel)
+            return self._request({"work": "composite"}, body, timeout_s, _composited, retry=False, cancel=cancel)
         except KilledError as error:
             # A library in C++ that gets no memory may end its process: the log says which of the two it was.
             raise (TimeoutError if error.reason == "late" else CompositeMemoryError)(str(error)) from error
-        if "refused" in text:
-            raise SceneError(text["refused"])
-        if "failed" in text:
-            raise RuntimeError(text["failed"])
-        return Composited(text["poses"], text["visible"], data)
+
+
+def _composited(text: dict[str, Any], data: memoryview) -> Composited:
+    if "refused" in text:
+        raise SceneError(text["refused"])
+    if "failed" in text:
+        raise RuntimeError(text["failed"])
+    return Composited(text["poses"], text["visible"], bytes(data))

@@ -1,6 +1,8 @@
 """Processes that decode images and objects."""
 
 from dataclasses import asdict
+from functools import partial
+from typing import Any
 
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.virtual_object import VirtualObject
@@ -33,11 +35,11 @@ class DecodeProcesses(Processes):
         assert isinstance(body, bytes)
         arguments = {"work": "frame", "index": index, "reference": reference, "min_confidence": min_confidence}
         try:
-            text, data = self._request(arguments | {"box": box}, body, self._timeout_s)
+            unpack = partial(unpack_frame, message=message, index=index)
+            return self._request(arguments | {"box": box}, body, self._timeout_s, unpack)
         except KilledError as error:
             value = f"{len(body)} bytes, {message.header.colour.encoding}"
             raise WireError("bad-frame", field="colour", value=value, rule=str(error)) from error
-        return unpack_frame(text, data, message, index)
 
     def decode_object(self, body: bytes, kind: str | None) -> VirtualObject:
         """Decode the file of an object.
@@ -49,11 +51,14 @@ class DecodeProcesses(Processes):
         value = f"{len(body)} bytes"
         arguments = {"work": "object", "kind": kind, "limits": asdict(self._object_limits)}
         try:
-            text, data = self._request(arguments, body, self._object_timeout_s)
-            if "rejected" in text:
-                raise WireError(**text["rejected"])
-            if "failed" in text:
-                raise RuntimeError(text["failed"])
-            return unpack_object(text, data)
+            return self._request(arguments, body, self._object_timeout_s, _decoded_object)
         except (KilledError, ObjectError) as error:
             raise WireError("bad-object", field="body", value=value, rule=str(error)) from error
+
+
+def _decoded_object(text: dict[str, Any], data: memoryview) -> VirtualObject:
+    if "rejected" in text:
+        raise WireError(**text["rejected"])
+    if "failed" in text:
+        raise RuntimeError(text["failed"])
+    return unpack_object(text, data)

@@ -72,7 +72,7 @@ def pack_frame(frame: Frame) -> Result:
     return text, tuple(np.ascontiguousarray(part).reshape(-1).data.cast("B") for part in parts)
 
 
-def unpack_frame(text: dict[str, Any], data: bytes, message: FrameMessage, index: int) -> Frame:
+def unpack_frame(text: dict[str, Any], data: bytes | memoryview, message: FrameMessage, index: int) -> Frame:
     """Return the frame of a result of `pack_frame`, with arrays of its own: a kept image keeps no depth in memory.
 
     Raises:

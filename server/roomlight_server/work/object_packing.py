@@ -43,8 +43,8 @@ def pack_object(body: bytes, kind: str | None, limits: dict[str, int]) -> tuple[
     return {"parts": parts, "textures": sizes, "notes": notes}, b"".join(array.tobytes() for array in arrays)
 
 
-def unpack_object(text: dict[str, Any], data: bytes) -> VirtualObject:
-    """Return the object of `pack_object`; indices and coordinates are checked again.
+def unpack_object(text: dict[str, Any], data: bytes | memoryview) -> VirtualObject:
+    """Return the object of `pack_object` with arrays of its own; indices and coordinates are checked again.
 
     Raises:
         ObjectError: A mesh is damaged.

@@ -8,13 +8,18 @@ import subprocess
 import sys
 import threading
 import time
-from typing import IO, Any, Final, Literal
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import IO, Any, Final, Literal, TypeVar
 
 from roomlight_server.work.decode_worker import READY, REQUEST, RESULT
 from roomlight_server.work.shared_block import BLOCK_BYTES, SharedBlock
 
 _log = logging.getLogger("roomlight.server")
+_R = TypeVar("_R")
 _START_S: Final = 60.0
+_READ_BYTES: Final = 2**16
+"""Read at once: a result's head and its JSON, without the arrays."""
 
 
 class _DeadlineError(Exception):
@@ -88,10 +93,13 @@ class WorkerProcess:
         poll.register(self._pipe(self._process.stdout).fileno(), select.POLLIN)
         return bool(poll.poll(0))
 
-    def request(self, head: bytes, body: bytes, timeout_s: float) -> tuple[dict[str, Any], bytes]:
-        """Return JSON and arrays of the result. Raises _DeadlineError, or OSError if the process has ended."""
+    def request(self, head: bytes, body: bytes, timeout_s: float) -> tuple[dict[str, Any], int]:
+        """Return the result's JSON and the bytes of its arrays, which `arrays` reads.
+
+        Raises: _DeadlineError, or OSError if the process has ended or answers otherwise than it may.
+        """
         if not self._ready:
-            self._read(len(READY), time.monotonic() + _START_S)
+            self._read(len(READY), time.monotonic() + _START_S, len(READY))
             self._ready = True
         deadline = time.monotonic() + timeout_s
         if len(body) <= BLOCK_BYTES:
@@ -100,12 +108,30 @@ class WorkerProcess:
         else:
             for part in (head, body):
                 self._write(part, deadline)
-        text_bytes, data_bytes = RESULT.unpack(self._read(RESULT.size, deadline))
+        answer = self._read(RESULT.size, deadline)
+        text_bytes, data_bytes = RESULT.unpack_from(answer)
         if text_bytes + data_bytes > BLOCK_BYTES:
             raise OSError("the result is too large")
-        text, data = json.loads(self._read(text_bytes, deadline)), self._block.read(data_bytes)
-        self._block.release(max(len(body), data_bytes))
-        return text, data
+        rest = RESULT.size + text_bytes - len(answer)
+        answer += self._read(rest, deadline) if rest > 0 else b""
+        if len(answer) != RESULT.size + text_bytes:
+            raise OSError("the result is longer than stated")
+        return json.loads(memoryview(answer)[RESULT.size :].tobytes()), data_bytes
+
+    @contextmanager
+    def arrays(self, size: int, sent: int) -> Generator[memoryview]:
+        """Yield the arrays of the last result in the shared memory: the process can change them until they are copied.
+
+        Args:
+            size: Bytes of the arrays.
+            sent: Bytes of the request's body.
+        """
+        view = self._block.view(size)
+        try:
+            yield view
+        finally:
+            view.release()
+            self._block.release(max(sent, size))
 
     def kill(self) -> None:
         """End the process at once. The thread that uses it, if any, calls `close`."""
@@ -130,17 +156,17 @@ class WorkerProcess:
             _wait(descriptor, select.POLLOUT, deadline)
             view = view[os.write(descriptor, view) :]
 
-    def _read(self, size: int, deadline: float) -> bytearray:
+    def _read(self, least: int, deadline: float, most: int = _READ_BYTES) -> bytearray:
+        """Read what has arrived, at least and, in one piece, at most so many bytes."""
         descriptor = self._pipe(self._process.stdout).fileno()
-        parts: list[bytes] = []
-        while size:
+        data = bytearray()
+        while len(data) < least:
             _wait(descriptor, select.POLLIN, deadline)
-            part = os.read(descriptor, size)
+            part = os.read(descriptor, most)
             if not part:
                 raise OSError("the process has ended")
-            parts.append(part)
-            size -= len(part)
-        return bytearray().join(parts)
+            data += part
+        return data
 
 
 def _wait(descriptor: int, event: int, deadline: float) -> None:
@@ -206,23 +232,26 @@ class Processes:
         arguments: dict[str, Any],
         body: bytes,
         timeout_s: float,
+        unpack: Callable[[dict[str, Any], memoryview], _R],
         *,
         retry: bool = True,
         cancel: Cancellation | None = None,
-    ) -> tuple[dict[str, Any], bytes]:
-        """Return the result of one request.
+    ) -> _R:
+        """Return what `unpack` makes of the JSON and the arrays of one request's result, and raise what it raises.
+
+        `unpack` copies the arrays before it looks at them; they are not there any more when it has returned.
 
         Raises:
             KilledError: The process took too long, has ended, or used up its memory.
         """
-        text = json.dumps(arguments).encode()
-        head = REQUEST.pack(len(text), len(body), int(timeout_s) + 10) + text
+        wanted = json.dumps(arguments).encode()
+        head = REQUEST.pack(len(wanted), len(body), int(timeout_s) + 10) + wanted
         for last in (False, True) if retry else (True,):  # it may have been killed for another reason: try again
             process = self._acquire()
             try:
                 if cancel is not None:
                     cancel.watch(process)
-                result = process.request(head, body, timeout_s)
+                text, size = process.request(head, body, timeout_s)
             except (_DeadlineError, OSError) as error:
                 late = isinstance(error, _DeadlineError)
                 rule = f"must decode within {timeout_s:g} s" if late else "the decoder crashed"
@@ -236,10 +265,13 @@ class Processes:
             else:
                 if cancel is not None:
                     cancel.watch(None)
-                self._release(process)
-                if "memory" in result[0]:
-                    raise KilledError("must decode within the memory of a decoding process", "memory")
-                return result
+                try:
+                    if "memory" in text:
+                        raise KilledError("must decode within the memory of a decoding process", "memory")
+                    with process.arrays(size, len(body)) as arrays:
+                        return unpack(text, arrays)
+                finally:
+                    self._release(process)
         raise AssertionError("unreachable")
 
     def _acquire(self) -> WorkerProcess:

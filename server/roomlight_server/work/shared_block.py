@@ -37,6 +37,10 @@ class SharedBlock:
         """Return a copy of the first bytes."""
         return self._map[:size]
 
+    def view(self, size: int) -> memoryview:
+        """Return the first bytes themselves, to be released before the block is closed."""
+        return memoryview(self._map)[:size].toreadonly()
+
     def release(self, used: int) -> None:
         """Return the pages of a large request or result to the system."""
         if used > _KEPT_BYTES and hasattr(mmap, "MADV_REMOVE"):
