@@ -1,14 +1,15 @@
 """Frames without depth in, frames with depth out: estimated from each picture, consistent over the stream.
 
 A network sees each picture alone: its scale is wrong by tens of percent in a whole room, and breathes from frame to
-frame. The poses are metric. Four steps mend a frame:
+frame. The poses are metric. Five steps mend a frame:
 
 1. Keyframes' depth, carried into the frame, gives the scale of the frame (for inverse depth the shift too) in the
    stream's own unit. Without keyframes the network's word counts.
 2. Features that moved between frames are triangulated; those of the last frames together give the metres of the unit.
    When these change, the depth of all keyframes changes with them, so that a wrong start is forgotten at once.
 3. What features and keyframes say beyond that corrects the depth smoothly over the picture.
-4. Without parallax, the unit stays what it was; before any, the metres are midway between the network's and those that
+4. Where earlier frames show the same from elsewhere, a plane sweep corrects it pixel by pixel.
+5. Without parallax, the unit stays what it was; before any, the metres are midway between the network's and those that
    put the floor in view a phone's height below the camera.
 """
 
@@ -28,6 +29,7 @@ from roomlight.monocular.floor import CAMERA_HEIGHT_M, camera_height, floor_scal
 from roomlight.monocular.model_file import DepthModelFile
 from roomlight.monocular.network import shipped_depth
 from roomlight.monocular.stream_state import StreamState
+from roomlight.monocular.sweep import refined
 from roomlight.monocular.tracks import (
     Samples,
     View,
@@ -133,13 +135,14 @@ class DepthStream:
             inverse = _applied(self._fitted(estimated, samples, small, picture), estimated)
         if len(samples.inverse):
             inverse = corrected(inverse, samples)
+        if len(moved.inverse) >= LEAST_SAMPLES:
+            inverse = self._refined(view, inverse, picture)
         sure = estimated.confidence >= min(LEAST_CONFIDENCE, float(np.median(estimated.confidence)))
         self.state.last = replace(view, inverse=grid_of(np.where(sure, inverse, 0)).copy())
         if not self.state.views or far_apart(self.state.last, self.state.views[-1]):
             self.state.views = [*self.state.views, self.state.last][-_KEPT:]
         self._level(np.where(sure, 1 / inverse, 0), small)
-        depth_m = 1 / np.clip(self.state.per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M)
-        return np.where(sure, depth_m, 0).astype(np.float32)
+        return np.where(sure, 1 / self._metric(inverse), 0).astype(np.float32)
 
     def _estimated(self, model: DepthModel, picture: Float32[np.ndarray, "h w 3"], frame: Frame) -> DepthEstimate:
         """Return a model's estimate at the picture's size."""
@@ -173,15 +176,29 @@ class DepthStream:
 
     def _moved(self, view: View, inverse: Float32[np.ndarray, "h w"]) -> Samples:
         """Return the features of a view that moved since earlier ones, per metre."""
-        guess = np.clip(self.state.per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M)
-        earlier = self.state.views if self.state.last is None else [*self.state.views, self.state.last]
+        guess = self._metric(inverse)
         all_samples: list[Samples] = []
-        for other in partners(view, earlier, 1 / float(np.median(guess)), _FOLLOWED):
+        for other in self._partners(view, guess):
             samples = triangulated(view, other, guess)
             all_samples.append(samples)
             if len(samples.inverse) >= LEAST_SAMPLES:  # views farther away need a better guess
                 guess = np.clip(corrected(guess, samples), 1 / FARTHEST_M, 1 / NEAREST_M)
         return Samples.joined(all_samples)
+
+    def _refined(
+        self, view: View, inverse: Float32[np.ndarray, "h w"], picture: Float32[np.ndarray, "h w 3"]
+    ) -> Float32[np.ndarray, "h w"]:
+        """Return 1 / depth in the stream's unit, mended by what views from elsewhere show."""
+        guess = self._metric(inverse)
+        return refined(view, self._partners(view, guess), guess, picture) / np.float32(self.state.per_metre)
+
+    def _metric(self, inverse: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+        return np.clip(self.state.per_metre * inverse, 1 / FARTHEST_M, 1 / NEAREST_M).astype(np.float32)
+
+    def _partners(self, view: View, guess: Float32[np.ndarray, "h w"]) -> list[View]:
+        """Return the earlier views that tell most of a view's depth."""
+        earlier = self.state.views if self.state.last is None else [*self.state.views, self.state.last]
+        return partners(view, earlier, 1 / float(np.median(guess)), _FOLLOWED)
 
     def _level(self, depth: Float[np.ndarray, "h w"], frame: Frame) -> None:
         """Move the metres of the unit toward those that the floor gives, as long as no features tell them."""

@@ -1,0 +1,1 @@
+"""Compiled kernels of estimated depth. `reference` has a readable twin of each, and tests compare them."""
