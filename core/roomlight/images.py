@@ -34,7 +34,7 @@ from roomlight.imaging.heic import heic_exif, heic_size, is_heic, read_heic
 from roomlight.imaging.limits import MAX_JPEG_SEGMENTS, check_jpeg, check_png
 from roomlight.imaging.radiance import read_header, standard_size
 from roomlight.imaging.tags import ImageTags, profile_to_srgb8, read_tags
-from roomlight.notes import Note
+from roomlight.notes import Note, oblong_pixels
 
 MAX_PIXELS: Final = 64_000_000
 """Largest image decoded (8192 x 7812). Phones take up to 48 megapixels; a larger header is a decompression bomb."""
@@ -133,7 +133,7 @@ def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> Colour
         header = read_header(data, name)
         encoded = _decode_with_opencv(standard_size(data), name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
         image = _finite(header.picture(encoded[..., ::-1].astype(np.float32)), name)
-        return ColourImage(image, np.zeros(image.shape[:2], bool))
+        return ColourImage(image, np.zeros(image.shape[:2], bool), notes=tuple(oblong_pixels(name, header.aspect)))
     return _decode_encoded(data, name, as_stored=as_stored)
 
 

@@ -31,6 +31,14 @@ def unread_keys(name: str, keys: set[str]) -> list[Note]:
     return [Note(f"{name}: the keys {listed}", effect, advice)]
 
 
+def oblong_pixels(name: str, aspect: float) -> list[Note]:
+    """Make the note for pixels that are `aspect` times as wide as high; none for squares."""
+    if abs(aspect - 1) <= 0.01:
+        return []
+    effect = "pixels are read as squares, as intrinsics count them"
+    return [Note(f"{name}: its pixels are {aspect:.3g} times as wide as high", effect, "resample it")]
+
+
 def distinct(notes: Iterable[Note]) -> tuple[Note, ...]:
     """Return the notes without repetitions, in order."""
     return tuple(dict.fromkeys(notes))

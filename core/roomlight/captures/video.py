@@ -16,7 +16,7 @@ from roomlight.errors import FrameError
 from roomlight.frame import clipped_pixels
 from roomlight.images import MAX_PIXELS, ColourImage
 from roomlight.imaging.colour_spaces import ColourSpace
-from roomlight.notes import Note
+from roomlight.notes import Note, oblong_pixels
 
 _UNSPECIFIED: Final = 2
 """H.273's code of what is not stated; a matrix that is not stated is read as BT.709's, which phones write."""
@@ -173,12 +173,7 @@ def _main_stream(container: Any, label: str) -> tuple[Any, tuple[Note, ...]]:
     if len(streams) > 1:
         notes.append(Note(f"{label}: {len(streams)} video streams", "the first is read", "keep the one that is meant"))
     shape = getattr(stream, "sample_aspect_ratio", None)
-    if shape and abs(float(shape) - 1) > 0.01:
-        text = "pixels are read as squares, as intrinsics count them"
-        notes.append(
-            Note(f"{label}: its pixels are {float(shape):.3g} times as wide as high", text, "resample the video")
-        )
-    return stream, tuple(notes)
+    return stream, (*notes, *oblong_pixels(label, float(shape or 1)))
 
 
 def _stated_focal(metadata: Mapping[str, str]) -> float | None:

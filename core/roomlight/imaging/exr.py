@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from roomlight.errors import ImageError
 from roomlight.imaging.colour_spaces import REC709, to_rec709
-from roomlight.notes import Note
+from roomlight.notes import Note, oblong_pixels
 
 _COMBINED: Final = ("combined", "rgba", "rgb", "beauty", "color", "colour", "image", "composite", "main")
 _PASSES: Final = re.compile(
@@ -236,10 +236,7 @@ def _joined(parts: list[tuple[dict[str, Any], dict[str, np.ndarray]]], name: str
 
 def _notes(header: dict[str, Any], name: str) -> Iterator[Note]:
     """Yield what the header says of pixels that no pinhole camera has."""
-    shape = float(header.get("pixelAspectRatio", 1.0))
-    if abs(shape - 1) > 0.01:
-        effect = "pixels are read as squares, as intrinsics count them"
-        yield Note(f"{name}: its pixels are {shape:.3g} times as wide as high", effect, "resample it")
+    yield from oblong_pixels(name, float(header.get("pixelAspectRatio", 1.0)))
     if "envmap" in header:
         yield Note(
             f"{name}: it is an environment map", "it is read as the picture of a pinhole", "cut a view out of it"

@@ -6,11 +6,18 @@ from typing import Final
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from roomlight.errors import ImageError
+from roomlight.imaging.tags import check_pinhole, profile_to_srgb8
 
 _STARTS: Final = {b"RIFF": "WebP", b"II*\0": "TIFF", b"MM\0*": "TIFF", b"BM": "BMP"}
+_NOT_READ: Final = {
+    **{b"\xff\x0a": "JPEG XL", b"\0\0\0\x0cJXL ": "JPEG XL", b"\0\0\0\x0cjP  ": "JPEG 2000", b"GIF8": "GIF"},
+    **{b"8BPS": "a Photoshop file", b"II+\0": "BigTIFF", b"MM\0+": "BigTIFF", b"\0\0\0\x18ftypcrx ": "a raw photo"},
+}
 _MODES: Final = {"1": "L", "P": "RGBA", "PA": "RGBA", "CMYK": "RGB", "YCbCr": "RGB", "RGBX": "RGB"}
 _KEPT: Final = ("L", "LA", "RGB", "RGBA", "I;16")
 
+_DNG, _SUBFILE = 50706, 254
+"""TIFF's tags of a DNG's version, and of what a picture is: 1 of a smaller copy."""
 _BACK: Final = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
     3: Image.Transpose.ROTATE_180,
@@ -30,6 +37,9 @@ def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
         ImageError: It does not decode, has more than `max_pixels`, several pictures, or values of another kind.
     """
     kind = next((kind for start, kind in _STARTS.items() if data.startswith(start)), None)
+    for start, what in _NOT_READ.items():
+        if data.startswith(start):
+            raise ImageError(f"{name}: is {what}, which is not read; save it as JPEG, PNG or EXR")
     if data[4:12] in (b"ftypavif", b"ftypavis"):
         raise ImageError(f"{name}: AVIF is not read, because its HDR would be lost; save it as HEIC, JPEG or PNG")
     if kind is None or (kind == "WebP" and data[8:12] != b"WEBP"):
@@ -43,12 +53,19 @@ def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
                 raise ImageError(f"{name}: the {kind} holds {pictures} pictures; save one of them")
             if mode not in _KEPT and mode not in _MODES:
                 raise ImageError(f"{name}: the {kind} has values of the kind {mode}; save it as EXR, or with 8 bits")
-            tags = _photo_tags(image.getexif())
+            if kind == "TIFF" and (
+                _DNG in image.getexif() or image.getexif().get(_SUBFILE, 0) & 1 or data[8:10] == b"CR"
+            ):
+                raise ImageError(f"{name}: is a raw photo, of which only a preview is here; develop it to TIFF or PNG")
+            check_pinhole(data, name)
+            tags, profile = _photo_tags(image.getexif()), image.info.get("icc_profile")
             picture = image.convert(mode if mode in _KEPT else _MODES[mode])
+            if mode == "CMYK" and profile:
+                converted, _ = profile_to_srgb8(image, profile, name)
+                picture, profile = picture if converted is None else Image.fromarray(converted), None
             if kind == "TIFF" and (back := _BACK.get(tags[ExifTags.Base.Orientation])) is not None:
                 picture = picture.transpose(back)  # Pillow turns a TIFF while it decodes it
             out = io.BytesIO()
-            profile = image.info.get("icc_profile")
             kept = {"icc_profile": profile} if profile else {}
             picture.save(out, "PNG", compress_level=1, exif=tags, **kept)
             return out.getvalue()

@@ -24,12 +24,14 @@ class RadianceHeader:
         from_bottom: Whether the last row comes first.
         from_right: Whether the last column comes first.
         matrix: From the stored values to linear Rec. 709.
+        aspect: Width of a pixel by its height.
     """
 
     size: tuple[int, int]
     from_bottom: bool
     from_right: bool
     matrix: Float[np.ndarray, "3 3"]
+    aspect: float
 
     def picture(self, stored: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
         """Return stored RGB upright, in linear Rec. 709."""
@@ -44,25 +46,31 @@ def read_header(data: bytes, name: str) -> RadianceHeader:
     match = _SIZE.search(head)
     if match is None:
         raise ImageError(f"{name}: the HDR has no size as rows of pixels (-Y HEIGHT +X WIDTH); save it upright")
-    matrix, primaries = np.eye(3), REC709
+    matrix, primaries, aspect = np.eye(3), REC709, 1.0
     for line in head[: match.start()].split(b"\n"):
         key, _, value = line.partition(b"=")
         if key.strip() == b"FORMAT" and value.strip() != b"32-bit_rle_rgbe":
             raise ImageError(f"{name}: the HDR holds {value[:20].decode('latin-1')}; RGB (32-bit_rle_rgbe) is read")
-        if key.strip() not in (b"EXPOSURE", b"COLORCORR", b"PRIMARIES", b"GAMMA"):
+        if key.strip() not in (b"EXPOSURE", b"COLORCORR", b"PRIMARIES", b"GAMMA", b"PIXASPECT"):
             continue
         try:
             numbers = np.array(value.split(), np.float64)
             if key.strip() == b"PRIMARIES":
                 primaries = numbers
+            elif key.strip() == b"PIXASPECT":  # a pixel's height by its width
+                aspect /= float(numbers[0])
             elif key.strip() == b"GAMMA" and numbers[0] != 1:
                 raise ImageError(f"{name}: the HDR states a gamma of {numbers[0]:g}; linear values are read")
             elif key.strip() != b"GAMMA":  # what the values were multiplied by; several lines multiply
                 matrix = matrix / np.broadcast_to(numbers, 3)[None]
-        except (ValueError, IndexError) as error:
+        except (ValueError, IndexError, ZeroDivisionError) as error:
             raise ImageError(f"{name}: the HDR's {line[:60].decode('latin-1')!r} is damaged") from error
     return RadianceHeader(
-        (int(match[4]), int(match[2])), match[1] == b"+", match[3] == b"-", _of_primaries(primaries, name) @ matrix
+        (int(match[4]), int(match[2])),
+        match[1] == b"+",
+        match[3] == b"-",
+        _of_primaries(primaries, name) @ matrix,
+        aspect,
     )
 
 

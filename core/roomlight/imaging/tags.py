@@ -7,6 +7,7 @@ without any is sRGB. ICC profiles are applied by LittleCMS (Pillow).
 import io
 import re
 import struct
+import warnings
 import zlib
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,9 +17,10 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageCms
 
+from roomlight.errors import ImageError
 from roomlight.imaging.colour_spaces import ADOBE_RGB, REC709, Chromaticities, ColourSpace
 from roomlight.imaging.exif import ExifCamera, read_exif
-from roomlight.notes import Note
+from roomlight.notes import Note, oblong_pixels
 
 PNG: Final = b"\x89PNG\r\n\x1a\n"
 _MAX_PROFILE_BYTES: Final = 4_000_000
@@ -32,6 +34,7 @@ _INSIDE: Final = (
     (_DEPTH_MAPS, "depth map", "it is not read", "extract it, and give it as the depth"),
 )
 _PANORAMA: Final = re.compile(rb"GPano:ProjectionType\W{1,12}(?:equirectangular|cylindrical)", re.IGNORECASE)
+_MP_ENTRIES: Final = 0xB002
 _SRGB: Final = ColourSpace()
 _NO_EXIF: Final = ExifCamera()
 
@@ -75,8 +78,10 @@ def _jpeg_tags(data: bytes, name: str) -> ImageTags:
             pieces[body[12]] = body[14:]
         elif marker == 0xE1 and body.startswith(b"Exif\0\0"):
             exif = read_exif(data)
-        if marker == 0xE1 and _PANORAMA.search(body):
-            raise ValueError("is a panorama (GPano), not the picture of a pinhole camera; cut a view out of it")
+        elif marker == 0xE2 and body.startswith(b"MPF\0"):
+            notes += _other_pictures(data, name)
+        if marker == 0xE1:
+            check_pinhole(body, name)
         kept = {note.left_out for note in notes} if marker in (0xE1, 0xE2) else set[str]()
         for marks, what, effect, advice in _INSIDE if marker in (0xE1, 0xE2) else ():
             if any(mark in body for mark in marks) and f"{name}: its {what}" not in kept:
@@ -97,6 +102,8 @@ def _png_tags(data: bytes, name: str) -> ImageTags:
         length, kind = struct.unpack_from(">I4s", data, offset)
         if kind == b"IEND":
             break
+        if kind == b"iTXt":
+            check_pinhole(data[offset + 8 : offset + 8 + length], name)
         if kind in (b"IHDR", b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM", b"tRNS", b"eXIf", b"acTL", b"pHYs"):
             chunks.setdefault(kind, data[offset + 8 : offset + 8 + length])
         offset += 12 + length
@@ -107,11 +114,8 @@ def _png_tags(data: bytes, name: str) -> ImageTags:
         notes.append(Note(f"{name}: the frames of an animated PNG", "the first is read", "give one file a frame"))
     if len(chunks.get(b"pHYs", b"")) == 9:
         across, down, _ = struct.unpack(">IIB", chunks[b"pHYs"])
-        if min(across, down) > 0 and abs(across / down - 1) > 0.01:
-            effect = "pixels are read as squares, as intrinsics count them"
-            notes.append(
-                Note(f"{name}: its pixels are {down / across:.3g} times as wide as high", effect, "resample it")
-            )
+        if min(across, down) > 0:
+            notes += oblong_pixels(name, down / across)
     space, profile = ColourSpace(), None
     if len(chunks.get(b"cICP", b"")) == 4:
         if chunks[b"cICP"][3] != 1:
@@ -122,6 +126,25 @@ def _png_tags(data: bytes, name: str) -> ImageTags:
     elif b"sRGB" not in chunks and (len(chunks.get(b"gAMA", b"")) == 4 or b"cHRM" in chunks):
         space = _measured(chunks.get(b"gAMA", struct.pack(">I", 45455)), chunks.get(b"cHRM", b""))
     return ImageTags(space, profile, exif, alpha, tuple(notes))
+
+
+def check_pinhole(data: bytes, name: str) -> None:
+    """Raise ImageError where XMP says that the picture is a panorama."""
+    if _PANORAMA.search(data):
+        raise ImageError(f"{name}: is a panorama (GPano), not the picture of a pinhole camera; cut a view out of it")
+
+
+def _other_pictures(data: bytes, name: str) -> list[Note]:
+    """Note the other pictures of a multi-picture JPEG; thumbnails show the same."""
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=("MPO",)) as image:
+            listed: Any = getattr(image, "mpinfo", {}).get(_MP_ENTRIES, [])
+            kinds = [str(entry["Attribute"]["MPType"]) for entry in listed[1:]]
+    except Exception:  # Pillow raises whatever the damaged bytes lead to
+        kinds = ["Undefined"]
+    others = sum("Thumbnail" not in kind for kind in kinds)
+    effect = "the first picture alone is read"
+    return [Note(f"{name}: {others} more pictures (MPF)", effect, "save them apart if one is depth")] if others else []
 
 
 def _inflated(data: bytes) -> bytes | None:

@@ -182,6 +182,24 @@ def test_other_pictures_are_refused_by_name(tmp_path: Path, ending: str, pixels:
         read_photo(other_file(tmp_path / f"a.{ending}", pixels))
 
 
+PANORAMA = b'<x GPano:ProjectionType="equirectangular"/>'
+
+
+@pytest.mark.parametrize(
+    ("ending", "stated", "message"),
+    [
+        ("tif", {"tiffinfo": {254: 1}}, "a raw photo, of which only a preview"),
+        ("tif", {"tiffinfo": {50706: b"\1\4\0\0"}}, "a raw photo, of which only a preview"),
+        ("webp", {"xmp": PANORAMA}, r"panorama \(GPano\)"),
+        ("gif", {}, "is GIF, which is not read"),
+        ("jp2", {}, "is JPEG 2000, which is not read"),
+    ],
+)
+def test_what_is_no_photo_is_refused_by_name(tmp_path: Path, ending: str, stated: dict, message: str) -> None:
+    with pytest.raises(ImageError, match=message):
+        read_photo(other_file(tmp_path / f"a.{ending}", np.zeros((24, 32, 3), np.uint8), **stated))
+
+
 def test_a_tiff_of_floats_in_three_channels_is_refused_by_what_it_is(tmp_path: Path) -> None:
     assert cv2.imwrite(str(tmp_path / "a.tiff"), np.ones((4, 4, 3), np.float32))
     with pytest.raises(

@@ -153,6 +153,12 @@ def test_what_is_not_read_of_radiance_is_refused_by_name(old: bytes, new: bytes,
         decode_picture(RADIANCE.tobytes().replace(old, new, 1), "x.hdr")
 
 
+def test_oblong_pixels_of_radiance_are_said() -> None:
+    data = RADIANCE.tobytes().replace(b"FORMAT", b"PIXASPECT=2\nFORMAT", 1)
+    (note,) = decode_picture(data, "x.hdr").notes
+    assert "0.5 times as wide as high" in note.left_out
+
+
 def test_cmyk_jpegs_are_read() -> None:
     stream = io.BytesIO()
     Image.fromarray(RED).convert("CMYK").save(stream, "JPEG", quality=98)
@@ -165,6 +171,20 @@ def test_a_gain_map_is_said() -> None:
     data = data[:2] + b"\xff\xe1" + struct.pack(">H", len(xmp) + 2) + xmp + data[2:]
     (note,) = decode_picture(data, "x").notes
     assert "gain map" in note.left_out
+
+
+def test_a_panorama_is_refused_as_png_too() -> None:
+    xmp = b'XML:com.adobe.xmp\0\0\0\0\0<x GPano:ProjectionType="equirectangular"/>'
+    with pytest.raises(ImageError, match=r"^x: is a panorama \(GPano\)"):
+        decode_picture(png(RED, chunk(b"iTXt", xmp)), "x")
+
+
+@pytest.mark.parametrize(("kind", "noted"), [("MPO", True), ("JPEG", False)])
+def test_other_pictures_in_a_jpeg_are_said(kind: str, noted: bool) -> None:
+    more = {"save_all": True, "append_images": [Image.fromarray(255 - RED)]} if kind == "MPO" else {}
+    picture = decode_picture(saved(kind, **more), "x")
+    np.testing.assert_array_equal(picture.image, decode_picture(saved("JPEG"), "x").image)
+    assert ["1 more pictures (MPF)" in str(note) for note in picture.notes] == [True] * noted
 
 
 def test_alpha_in_every_way_of_png() -> None:
