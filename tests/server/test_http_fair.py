@@ -1,6 +1,7 @@
 """Fairness over real sockets: what one client does, or leaves behind, does not stop the others."""
 
 import json
+import logging
 import os
 import resource
 import signal
@@ -266,11 +267,14 @@ def test_previews_and_frames_do_not_wait_for_a_final_composite():
         assert (answer.status, answer.headers["roomlight-frame"]) == (200, "0")
 
 
-def test_a_final_composite_is_killed_when_its_client_is_gone(server):
+def test_a_final_composite_is_killed_when_its_client_is_gone(server, caplog):
+    caplog.set_level(logging.INFO, "roomlight.server")
     connection = post(server, {"objects": [BALL], "quality": "final"}, COMPOSITE)
     pid = stopped_composite(server)
     connection.close()
-    wait_until(server, lambda: has_ended(pid))
+    wait_until(server, lambda: has_ended(pid) and "composite process killed" in caplog.messages)
+    killed = caplog.records[caplog.messages.index("composite process killed")]
+    assert (killed.levelname, vars(killed)["reason"]) == ("INFO", "its client has left")  # it has not crashed
     assert server.call("POST", COMPOSITE, {"objects": [BALL], "quality": "final"}).status == 200  # another process
 
 

@@ -53,6 +53,11 @@ class Cancellation:
             if self._process is not None:
                 self._process.kill()
 
+    @property
+    def asked(self) -> bool:
+        """Whether nobody waits any more."""
+        return self._asked
+
     def watch(self, process: "WorkerProcess | None") -> None:
         """Take the process that works now; None: it has ended."""
         with self._lock:
@@ -255,11 +260,14 @@ class Processes:
             except (_DeadlineError, OSError) as error:
                 late = isinstance(error, _DeadlineError)
                 rule = f"must decode within {timeout_s:g} s" if late else "the decoder crashed"
+                level = logging.WARNING
                 if cancel is not None:
                     cancel.watch(None)
+                    if cancel.asked:
+                        rule, level = "its client has left", logging.INFO
                 self._replace(process)
                 fields = {"work": arguments["work"], "bytes": len(body), "reason": rule}
-                _log.warning(f"{self._name} process killed", extra=fields)
+                _log.log(level, f"{self._name} process killed", extra=fields)
                 if late or last or self._stopped:
                     raise KilledError(rule, "late" if late else "crashed") from error
             else:
