@@ -98,6 +98,15 @@ def test_the_plane_under_an_object_never_hides_it():
     assert not on_carrier(real, camera, pose, [floor, None], np.full(depth.shape, -1)).any()
 
 
+def test_what_stands_on_the_same_plane_before_an_object_hides_it_down_to_its_foot():
+    """Seen along a table, the foot of a box is as near to the table's plane as noise is."""
+    real = RealDepth(np.full((20, 20), 2.0, np.float32), np.ones((20, 20), bool), 1.0)
+    guide, carrier = np.zeros((20, 20, 3), np.float32), np.ones((20, 20), bool)
+    for behind_m, expected in ((0.15, 1.0), (0.3, 0.0)):
+        seen = visibility(np.full((20, 20), 2.0 + behind_m, np.float32), real, guide, carrier)
+        assert (seen == expected).all()
+
+
 def test_a_grazing_floor_has_no_depth_edges():
     rows = np.arange(60, dtype=np.float32)[:, None] + 3
     floor = np.broadcast_to(80 / rows, (60, 80)).astype(np.float32)

@@ -31,7 +31,11 @@ CONTRAST: Final = 3.0
 0.84 (depth pixels of 2.5 image pixels), and half as many pixels are half seen."""
 CARRIER_M: Final = 0.03
 CARRIER_SHARE: Final = 0.015
-"""Real points this close to the plane that an object stands on belong to the plane and never hide the object."""
+"""Real points this close to the plane that an object stands on belong to the plane and do not hide the object."""
+BEFORE_M: Final = 0.1
+BEFORE_SHARE: Final = 0.05
+"""Unless they are nearer than the object by this: seen along a table, the foot of a box before an object is close to the
+plane too."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ def visibility(
     tolerance = TOLERANCE_M + TOLERANCE_SHARE * depth
     visible = np.clip((real.depth_m - depth) / tolerance + 1.5, 0, 1).astype(np.float32)
     if on_carrier is not None:
-        visible[on_carrier] = 1
+        visible[on_carrier & (depth - real.depth_m < BEFORE_M + BEFORE_SHARE * depth)] = 1
     known = real.depth_m > 0
     visible[~known] = 1
     certain = real.certain & known
