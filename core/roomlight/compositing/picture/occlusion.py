@@ -34,8 +34,8 @@ CARRIER_SHARE: Final = 0.015
 """Real points this close to the plane that an object stands on belong to the plane and do not hide the object."""
 BEFORE_M: Final = 0.1
 BEFORE_SHARE: Final = 0.05
-"""Unless they are nearer than the object by this: seen along a table, the foot of a box before an object is close to the
-plane too."""
+"""Unless they are nearer than the object by this: seen along a table, the foot of a box before an object is close to
+the plane too."""
 
 
 @dataclass(frozen=True)
