@@ -1,7 +1,16 @@
 """Notes on what a file states and RoomLight leaves out, guesses or changes."""
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
+
+_OF_USE: Final = re.compile(
+    r"k[1-6]|p[12]|is_?bad|.*distort.*|.*(lens|camera)_?model.*|lens_?type|.*units?|.*scale"
+    r"|.*(orientation|rotation|rotated?|mirror(ed)?|flip(ped)?|crop(ped)?)",
+    re.IGNORECASE,
+)
+"""Keys of a lens, a unit, or of what was done to a picture."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +29,11 @@ class Note:
 
     def __str__(self) -> str:
         return f"{self.left_out}: {self.effect}; {self.advice}"
+
+
+def keys_of_use(stated: Iterable[str]) -> set[str]:
+    """Return the keys, of those that a reader does not know, that bear on geometry or light."""
+    return {key for key in stated if _OF_USE.fullmatch(key)}
 
 
 def unread_keys(name: str, keys: set[str]) -> list[Note]:

@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.captures.consistency import FRAMES, DepthCheck, PoseCheck
+from roomlight.captures.lenses import fitted
 from roomlight.captures.notes import lying_camera, odd_camera, scaled_poses, unlikely_depth, wrong_poses, wrong_scale
 from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
@@ -349,7 +350,7 @@ class Capture:
             measured = raw.depth_name is not None and self._options.depth != "network"
             if not measured and self._options.depth == "file":
                 raise FrameError(f"{raw.name}: has no depth; depth=auto estimates it")
-            picture = raw.picture
+            picture, intrinsics = fitted(raw.picture, raw.intrinsics, raw.name)
             depth_m = self._checked_depth(raw) if measured else np.zeros(picture.image.shape[:2], np.float32)
             image = picture.image
             if picture.seen is not None:
@@ -362,14 +363,14 @@ class Capture:
                 image=image,
                 clipped=picture.clipped,
                 depth_m=depth_m,
-                intrinsics=raw.intrinsics,
+                intrinsics=intrinsics,
                 camera_to_world=self._to_conventions(pose),
                 timestamp_s=self._timeline.times_s[index],
                 source=raw.name,
                 seen=picture.seen,
                 auto_exposed=raw.auto_exposed,
             )
-            self._take_notes(raw, pose, frame)
+            self._take_notes(replace(raw, picture=picture), pose, frame)
             if stored:
                 return frame
             frame = frame if self._metres in (None, 1.0) else frame.scaled(self._metres)

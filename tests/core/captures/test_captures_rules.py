@@ -15,6 +15,7 @@ import formats
 import lzfse
 import numpy as np
 import pytest
+import tool_formats
 from capture_checks import edit, one_skipped
 
 from roomlight.camera import Intrinsics
@@ -515,6 +516,31 @@ def test_a_truncated_sens_keeps_its_whole_frames(tmp_path: Path) -> None:
     one_skipped(tmp_path / "lost.sens", 1, "lost tracking")
 
 
+@pytest.mark.parametrize("file", ["extrinsic_depth", "extrinsic_color", "intrinsic_depth"])
+def test_depth_of_another_camera_is_projected_into_the_colour_image(tmp_path: Path, file: str) -> None:
+    path = tool_formats.scannet_frames(tmp_path / "capture", VIEWS)
+    near, far = (np.where(np.arange(formats.WIDTH) < 16, *pair) for pair in ((1000, 3000), (1.0, 3.0)))
+    for name in (path / "depth").iterdir():
+        rows = np.broadcast_to(near, (formats.HEIGHT, formats.WIDTH)).astype(np.uint16)
+        name.write_bytes(formats.image(".png", rows))
+    matrix = np.eye(4)
+    matrix[0, 3] = -0.2 if file == "extrinsic_color" else 0.2
+    if file == "intrinsic_depth":
+        matrix = np.diag([2 * formats.FX, 2 * formats.FY, 1, 1])
+        matrix[:2, 2] = formats.CX - 0.5, formats.CY - 0.5
+    formats.save(path / f"intrinsic/{file}.txt", "\n".join(" ".join(map(str, row)) for row in matrix).encode())
+    frame = next(iter(open_capture(path)))
+    height, width = frame.depth_m.shape
+    row = frame.depth_m[height // 2]
+    camera = frame.intrinsics.resized(width, height)
+    x = (np.flatnonzero(row) + 0.5 - camera.cx) / camera.fx * row[row > 0]
+    shift = 0.0 if file == "intrinsic_depth" else 0.2
+    scale = 2 if file == "intrinsic_depth" else 1
+    seen = (np.arange(formats.WIDTH) + 0.5 - formats.CX) / (scale * formats.FX) * far + shift
+    assert x.min() == pytest.approx(max(seen.min(), ((0.5 - camera.cx) / camera.fx)), abs=0.06)
+    assert set(row[row > 0].round(3)) <= {np.float32(1.0), np.float32(3.0)}
+
+
 def test_masks_of_a_colmap_model_are_read(tmp_path: Path) -> None:
     path = formats.colmap(tmp_path / "capture", VIEWS)
     mask = np.full((24, 32), 255, np.uint8)
@@ -525,6 +551,53 @@ def test_masks_of_a_colmap_model_are_read(tmp_path: Path) -> None:
     assert [Path(frame.source).name for frame in masked] == [name]
     assert masked[0].seen is not None
     assert not masked[0].seen[:5].any()
+
+
+def test_pixels_outside_the_circle_of_a_fisheye_are_not_seen(transforms: Path) -> None:
+    edit(transforms / "transforms.json", lambda index: index.update(fisheye_crop_radius=10.0))
+    frame = next(iter(open_capture(transforms)))
+    rows, columns = np.mgrid[:24, :32] + 0.5
+    inside = np.hypot(rows - 12, columns - 16) <= 10
+    np.testing.assert_array_equal(frame.seen, inside)
+    assert not frame.depth_m[~inside].any()
+
+
+@pytest.mark.parametrize("build", [formats.polycam, formats.record3d_export, formats.arkit_scenes, formats.roomlight])
+def test_pictures_that_were_resampled_keep_their_view(tmp_path: Path, build: Callable) -> None:
+    path = build(tmp_path / "capture", VIEWS)
+    for file in path.rglob("*"):
+        if file.suffix == ".jpg" or (file.suffix == ".png" and file.parent.name == "lowres_wide"):
+            cv2.imwrite(str(file), cv2.resize(np.asarray(cv2.imread(str(file))), (64, 48)))
+    capture = open_capture(path)
+    frame = next(iter(capture))
+    assert (frame.intrinsics.fx, frame.intrinsics.cx) == (2 * formats.FX, 2 * formats.CX)
+    assert "the camera is scaled to the picture" in str(capture.notes)
+
+
+@pytest.mark.parametrize("build", [formats.polycam, formats.record3d_export, formats.scanner_app])
+@pytest.mark.parametrize("key", ["k1", "depthScale", "imageOrientation", "is_bad", "lens_model"])
+def test_keys_of_apps_that_bear_on_geometry_are_noted(tmp_path: Path, build: Callable, key: str) -> None:
+    path = build(tmp_path / "capture", VIEWS)
+    for file in path.rglob("*.json"):
+        edit(file, lambda stated: stated.update({key: 1}))
+    capture = open_capture(path)
+    assert len(list(capture)) == 4
+    assert any(f"the keys {key}: they are not read" in str(note) for note in capture.notes)
+
+
+@pytest.mark.parametrize("build", [formats.record3d, formats.record3d_export])
+def test_record3d_without_depth_is_estimated(tmp_path: Path, build: Callable) -> None:
+    path = build(tmp_path / "capture", VIEWS[:2])
+    if path.is_dir():
+        shutil.rmtree(path / "depth")
+    else:
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, data in formats.record3d_members(VIEWS[:2]).items():
+                if not name.endswith((".depth", ".conf")):
+                    archive.writestr(name, data)
+    capture = open_capture(path)
+    assert all((frame.depth_m > 0).all() for frame in capture)
+    assert "its depth is estimated" in str(capture.notes)
 
 
 def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:

@@ -1,10 +1,9 @@
 """What readers of formats with one file of each kind a frame share: a list of names, read one by one."""
 
-import re
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -16,11 +15,8 @@ from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES
 from roomlight.errors import CaptureError
 from roomlight.files import FolderSource
-from roomlight.notes import Note, unread_keys
+from roomlight.notes import Note, keys_of_use, unread_keys
 
-_LENS_KEYS: Final = re.compile(
-    r"k[1-6]|p[12]|.*distort.*|.*(camera|lens)_?(model|type).*|.*units?|.*scale", re.IGNORECASE
-)
 ARKIT = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
 
 
@@ -65,9 +61,9 @@ class ListedReader:
         raise NotImplementedError
 
     def _json(self, name: str) -> dict[str, Any]:
-        """Read a JSON object of one frame; keys of a lens are noted once. Raises FrameError and CaptureError."""
+        """Read a JSON object of one frame; keys that bear on it are noted once. Raises FrameError and CaptureError."""
         stated = fields.parse_json(self._source.read(name, max_bytes=1 << 20), self._source.label(name))
-        unread = {key for key in stated if _LENS_KEYS.fullmatch(key)} - self._unread
+        unread = keys_of_use(stated) - self._unread
         self._unread |= unread
         self.notes += unread_keys(self._source.label(name), unread)
         return stated

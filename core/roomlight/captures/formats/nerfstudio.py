@@ -2,7 +2,8 @@
 
 Schema: `frames: [{file_path, depth_file_path | depth_path, transform_matrix, timestamp?, intrinsics?, mask_path?,
 is_bad?}]`; intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x`. Colour names may lack their suffix.
-Pixels of a mask that are 0 are not seen; instant-ngp's `dynamic_mask_NAME.png` beside an image is the other way round.
+Pixels of a mask that are 0 are not seen; instant-ngp's `dynamic_mask_NAME.png` beside an image is the other way round;
+nor are pixels farther than `fisheye_crop_radius` from the centre of the image.
 Frames that are marked `is_bad` are skipped.
 
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up`
@@ -25,6 +26,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
+
+import numpy as np
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
@@ -58,7 +61,7 @@ _READ: Final = frozenset(
             "depth_unit_scale_factor",
             "applied_scale",
         ),
-        *("mask_path", "is_bad", *_NERFCAPTURE_SCALES, *MODEL_KEYS),
+        *("mask_path", "is_bad", "fisheye_crop_radius", *_NERFCAPTURE_SCALES, *MODEL_KEYS),
     }
 )
 _HARMLESS: Final = frozenset(  # what trainers of radiance fields need, and names
@@ -157,6 +160,16 @@ class NerfstudioReader:
             with fields.naming(where, FrameError):
                 name = self._source.with_suffix(fields.text(stated, "mask_path"), _SUFFIXES)
             picture = with_mask(picture, read_mask(self._source, name))
+        radius = fields.first_of(entry, self._shared, "fisheye_crop_radius")
+        if radius is not None:
+            with fields.naming(where, FrameError):
+                stated_width = fields.first_of(entry, self._shared, "w")
+                height, width = picture.image.shape[:2]
+                share = width / (width if stated_width is None else fields.pixels(stated_width, "w"))
+                inside = fields.positive(radius, "fisheye_crop_radius") * share
+            rows, columns = np.ogrid[:height, :width]
+            off_centre = np.hypot(rows + 0.5 - height / 2, columns + 0.5 - width / 2)
+            picture = with_mask(picture, off_centre <= inside)
         path = PurePosixPath(str(entry["file_path"]).replace("\\", "/"))
         moving = str(path.with_name(f"dynamic_mask_{path.stem}.png"))
         return with_mask(picture, ~read_mask(self._source, moving)) if self._source.has(moving) else picture

@@ -37,7 +37,7 @@ from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
 from roomlight.images import MAX_PIXELS
-from roomlight.notes import Note
+from roomlight.notes import Note, keys_of_use, unread_keys
 
 LAYOUTS: Final = (("metadata", "rgbd"), ("metadata.json", "rgb"))
 """Index and folder of colour images, of a `.r3d` and of an export."""
@@ -65,6 +65,9 @@ class Record3DReader:
         index_name, folder = LAYOUTS[0 if self._packed else 1]
         self._label = self._source.label(index_name)
         self._metadata = fields.parse_json(read_index(self._source, index_name), self._label)
+        self.notes += unread_keys(self._label, keys_of_use(self._metadata))
+        depth = ("rgbd", ".depth") if self._packed else ("depth", ".exr")
+        self._has_depth = any(name.lower().endswith(depth[1]) for name in self._source.names(depth[0]))
         colour = {int(match[1]): match[0] for match in map(_COLOUR.fullmatch, self._source.names(folder)) if match}
         self._numbers = sorted(colour)
         self._colour = [colour[number] for number in self._numbers]
@@ -119,8 +122,8 @@ class Record3DReader:
         return RawFrame(
             name=self.name_of(index),
             picture=picture,
-            depth_m=self._depth(depth_name),
-            depth_name=self._source.label(depth_name),
+            depth_m=self._depth(depth_name) if self._has_depth else np.zeros(picture.image.shape[:2], np.float32),
+            depth_name=self._source.label(depth_name) if self._has_depth else None,
             intrinsics=intrinsics,
             pose=pose,
             confidence=self._confidence(f"rgbd/{number}.conf"),

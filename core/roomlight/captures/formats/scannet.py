@@ -5,8 +5,8 @@ Frames are `color/0.jpg`, `depth/0.png`, `pose/0.txt` (4 x 4) and `intrinsic/int
 
 Conventions: camera-to-world, OpenCV camera, world z-up; lost poses are -inf. K of the colour camera has pixel centres
 at whole numbers, so that half a pixel is added. Depth is uint16 times 1 / depthShift metres (frames: millimetres);
-where the depth camera of a `.sens` is not the colour camera at another size, depth is projected into the colour
-image. Times are microseconds; a file without them has zeros.
+where the depth camera, by its K and the extrinsics, is not the colour camera at another size, depth is projected into
+the colour image. Times are microseconds; a file without them has zeros.
 """
 
 import struct
@@ -106,9 +106,7 @@ class ScanNetReader:
         file.read(name_bytes)
         matrices = np.frombuffer(file.read(256), "<f4").reshape(4, 4, 4).astype(np.float64)
         self._k, self._depth_k = matrices[0], matrices[2]
-        self._depth_to_colour = np.eye(4)
-        if all(np.isfinite(pose).all() and abs(np.linalg.det(pose)) > 0.5 for pose in matrices[1::2]):
-            self._depth_to_colour = np.linalg.inv(matrices[1]) @ matrices[3]
+        self._depth_to_colour = _between(matrices[1], matrices[3])
         values = struct.unpack("<2i4IfQ", file.read(36))
         self._colour_kind, self._depth_kind = values[:2]
         self._colour_size, self._depth_size = values[2:4], values[4:6]
@@ -123,16 +121,6 @@ class ScanNetReader:
                 if not 0 < width * height <= MAX_PIXELS:
                     raise ValueError(f"declares images of {width} x {height} pixels")
             self._intrinsics = _camera(self._k, self._colour_size)
-
-    def _in_colour(self, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "dh dw"]:
-        """Project depth into the colour image unless its camera is the colour camera, to 1 % of a focal length."""
-        if not np.isfinite(self._depth_k).all() or self._depth_k[0, 0] <= 0:
-            return depth_m
-        near, same = _camera(self._depth_k, self._depth_size), self._intrinsics.resized(*self._depth_size)
-        off = max(abs(getattr(near, key) - getattr(same, key)) for key in ("fx", "fy", "cx", "cy"))
-        if off < 0.01 * same.fx and np.abs(self._depth_to_colour - np.eye(4)).max() < 0.005:
-            return depth_m
-        return registered(depth_m, near, self._intrinsics, check_rigid(self._depth_to_colour))
 
     def _listed(self, file: BinaryIO, size: int) -> list[_Entry]:
         entries: list[_Entry] = []
@@ -160,7 +148,7 @@ class ScanNetReader:
         return RawFrame(
             name=label,
             picture=decode_picture(colour, label, as_stored=True),
-            depth_m=self._in_colour(self._depth(depth, label)),
+            depth_m=_in_colour(self._depth(depth, label), self._depth_k, self._intrinsics, self._depth_to_colour),
             depth_name=label,
             intrinsics=self._intrinsics,
             pose=pose,
@@ -185,8 +173,31 @@ class ScanNetReader:
         return clean_depth(metres)
 
 
-def _camera(k: Float[np.ndarray, "4 4"], size: tuple[int, int]) -> Intrinsics:
+def _camera(k: Float[np.ndarray, "n n"], size: tuple[int, int]) -> Intrinsics:
     return Intrinsics(float(k[0, 0]), float(k[1, 1]), float(k[0, 2]) + 0.5, float(k[1, 2]) + 0.5, *size)
+
+
+def _between(colour: Float[np.ndarray, "4 4"], depth: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """Return what takes points of the depth camera to the colour camera; the identity where a pose is none."""
+    known = all(np.isfinite(pose).all() and abs(np.linalg.det(pose)) > 0.5 for pose in (colour, depth))
+    return np.linalg.inv(colour) @ depth if known else np.eye(4)
+
+
+def _in_colour(
+    depth_m: Float[np.ndarray, "h w"],
+    depth_k: Float[np.ndarray, "n n"],
+    colour: Intrinsics,
+    depth_to_colour: Float[np.ndarray, "4 4"],
+) -> Float[np.ndarray, "dh dw"]:
+    """Project depth into the colour image unless its camera is the colour camera, to 1 % of a focal length."""
+    if not np.isfinite(depth_k).all() or depth_k[0, 0] <= 0:
+        return depth_m
+    size = depth_m.shape[1], depth_m.shape[0]
+    near, same = _camera(depth_k, size), colour.resized(*size)
+    off = max(abs(getattr(near, key) - getattr(same, key)) for key in ("fx", "fy", "cx", "cy"))
+    if off < 0.01 * same.fx and np.abs(depth_to_colour - np.eye(4)).max() < 0.005:
+        return depth_m
+    return registered(depth_m, near, colour, check_rigid(depth_to_colour))
 
 
 def intrinsics_file(source: FolderSource) -> str | None:
@@ -213,7 +224,19 @@ class ScanNetFramesReader(ListedReader):
         label = source.label(name)
         with fields.naming(label, CaptureError):
             self._matrix = fields.matrix_of_text(read_index(source, name), 3, label)
+        depth_name, extrinsic = (name.replace(*pair) for pair in (("color", "depth"), ("intrinsic_", "extrinsic_")))
+        self._depth_k = self._stated(source, depth_name, 3)
+        poses = [self._stated(source, one, 4) for one in (extrinsic, extrinsic.replace("color", "depth"))]
+        self._depth_to_colour = _between(*(np.eye(4) if pose is None else pose for pose in poses))
         super().__init__(folder, options, files_of(source, "color", (".jpg", ".png")), expected="color/0.jpg")
+
+    @staticmethod
+    def _stated(source: FolderSource, name: str, size: int) -> Float[np.ndarray, "{size} {size}"] | None:
+        """Read a matrix if its file exists. Raises CaptureError."""
+        if not source.has(name):
+            return None
+        with fields.naming(source.label(name), CaptureError):
+            return fields.matrix_of_text(read_index(source, name), size, source.label(name))
 
     def _read(self, index: int) -> RawFrame:
         stem, label = Path(self._colour[index]).stem, self.name_of(index)
@@ -226,4 +249,7 @@ class ScanNetFramesReader(ListedReader):
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=width, height=height, shift=0.5)
         depth_label = depth_name and self._source.label(depth_name)
-        return RawFrame(label, read.picture, read.depth_m, depth_label, intrinsics, pose)
+        depth_m = read.depth_m
+        if depth_name is not None and self._depth_k is not None:
+            depth_m = _in_colour(depth_m, self._depth_k, intrinsics, self._depth_to_colour)
+        return RawFrame(label, read.picture, depth_m, depth_label, intrinsics, pose)
