@@ -14,7 +14,7 @@ A mirror, matte or diffuse sphere in a constant panorama has exactly that consta
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final, Literal
 
 import cv2
@@ -273,10 +273,19 @@ def resize_panorama(panorama: Float[np.ndarray, "h w 3"], rows: int) -> Float[np
     if rows > height:
         directions = panorama_directions(rows).reshape(-1, 3)
         return _Lookup.of(directions, height)(panorama.astype(np.float32)).reshape(rows, 2 * rows, 3)
-    solid_angle = np.broadcast_to(panorama_solid_angles(height), (height, 2 * height))
-    target = (2 * rows, rows)
-    energy = cv2.resize(panorama * solid_angle[..., None], target, interpolation=cv2.INTER_AREA)
-    return energy / cv2.resize(solid_angle, target, interpolation=cv2.INTER_AREA)[..., None]
+    solid_angle, mean = _solid_angles(height, rows)
+    return cv2.resize(panorama * solid_angle, (2 * rows, rows), interpolation=cv2.INTER_AREA) / mean
+
+
+@lru_cache(maxsize=16)
+def _solid_angles(
+    height: int, rows: int
+) -> tuple[Float[np.ndarray, "{height} 1 1"], Float[np.ndarray, "{rows} 2*{rows} 1"]]:
+    """Return the solid angle of a panorama's pixels by row, and its mean over the pixels of a smaller panorama."""
+    solid_angle = panorama_solid_angles(height)
+    whole = np.broadcast_to(solid_angle, (height, 2 * height))
+    mean = cv2.resize(whole, (2 * rows, rows), interpolation=cv2.INTER_AREA)
+    return solid_angle[..., None], mean[..., None]
 
 
 def _ggx(n_h: Float[np.ndarray, "*shape"], alpha: float) -> Float[np.ndarray, "*shape"]:
