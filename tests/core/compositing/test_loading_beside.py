@@ -132,6 +132,12 @@ def test_odd_numbers_in_materials_keep_their_defaults(tmp_path: Path) -> None:
         ("map_Kd -o 0 0.5 maps/wood red.png", "scale, offset"),
         ("map_Kd -s 1 1.0 1 -o 0 0 0 maps/wood red.png", ""),
         ('map_Kd "maps/wood red.png"', ""),
+        ("map_Kd -mm 0 0.5 maps/wood red.png", "-mm"),
+        ("map_Kd -mm 0 1 maps/wood red.png", ""),
+        ("map_Ka maps/wood red.png\nmap_Kd maps/wood red.png", ""),
+        ("map_Ka maps/wood red.png", "map_ka"),
+        ("map_ORM maps/wood red.png", "map_orm"),
+        ("illum 0", "illum 0"),
         ("Kd 0.5 0 0\nd -halo 0.5", ""),
     ],
 )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed
+from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, textured_quad
 
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.virtual_object import VirtualObject
@@ -241,6 +241,37 @@ end_header
 def test_colours_of_faces_count_where_vertices_have_one_colour(vertex: str, colour: tuple[float, ...]) -> None:
     ((_, material),) = load_object(PLY.format(vertex=vertex, header="").encode(), "ply").parts
     assert material.base_colour == pytest.approx(colour)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("red", "ambient_red", "vertex.ambient_red"),
+        ("blue", "f_dc_0", "vertex.f_dc_0"),
+        ("element face", "element material 0\nelement face", ""),
+        ("element face", "element vertex_group 1\nproperty uchar a\nelement face", "element vertex_group"),
+        ("format", "comment texture_file a.png\nformat", "texture a.png"),
+        ("red", "Red", ""),
+    ],
+)
+def test_looks_of_a_ply_under_other_names_are_noted(old: str, new: str, says: str) -> None:
+    text = PLY.format(vertex="255 0 0", header="").replace(old, new, 1)
+    if "vertex_group" in new:
+        head, _, body = text.partition("end_header\n")
+        rows = body.splitlines()
+        count = int(head.split("element vertex ")[1].split()[0])
+        text = head + "end_header\n" + "\n".join([*rows[:count], "1", *rows[count:]]) + "\n"
+    notes = [note.left_out for note in load_object(text.encode(), "ply").notes]
+    assert [says in note for note in notes] == [True] * bool(says)
+
+
+def test_points_and_lines_beside_triangles_are_noted() -> None:
+    file = textured_quad()
+    primitives = file.tree["meshes"][0]["primitives"]
+    primitives += [{**primitives[0], "mode": mode} for mode in (0, 1)]
+    one = load_object(file.glb())
+    assert len(one.parts) == 1
+    assert any("2 primitives of points or lines" in note.left_out for note in one.notes)
 
 
 def test_an_unknown_line_of_a_ply_is_noted() -> None:

@@ -37,6 +37,8 @@ _MOVED: Final = re.compile(
 )
 """Options of a texture that change something: a scale other than 1, an offset other than 0."""
 
+_GAIN: Final = re.compile(r"(?:^| )-mm +(?!0(?:\.0*)? +1(?:\.0*)?(?: |$))")
+
 
 @dataclass
 class _Stated:
@@ -91,8 +93,16 @@ class MtlReader:
                 current.pictures[key] = file_of_map(rest)
                 if _MOVED.search(rest):
                     self._left_out.add("scale, offset and clamping of textures (-s, -o, -clamp)")
+                if _GAIN.search(rest):
+                    self._left_out.add("brightness and contrast of textures (-mm)")
             elif key in _LEFT_OUT:
                 self._left_out.add(_LEFT_OUT[key])
+            elif key == "map_ka":
+                current.pictures[key] = rest
+            elif (key.startswith("map_") and key != "map_aat") or key == "decal":
+                self._left_out.add(f"the texture {key[:40]}")
+            elif key == "illum" and rest == "0":
+                self._left_out.add("light that does not shade it (illum 0)")
         return materials
 
     def _in_range(self, key: str, values: tuple[float, ...]) -> tuple[float, ...]:
@@ -113,6 +123,8 @@ class MtlReader:
         colour = _linear(stated.values.get("kd", (1.0,) * 3 if base is not None else (0.8,) * 3))
         if base is not None and max(colour) == 0:
             colour = (1.0, 1.0, 1.0)  # exporters write black beside a texture
+        if "map_ka" in stated.pictures and base is None:  # beside the other it is the same
+            self._left_out.add("the texture map_ka")
         cut_out = "map_d" in stated.pictures
         if cut_out and stated.pictures["map_d"] != stated.pictures.get("map_kd"):
             self._left_out.add("a texture of opacity")

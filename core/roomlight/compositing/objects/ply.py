@@ -28,6 +28,9 @@ _INDICES: Final = ("vertex_indices", "vertex_index")
 _UVS: Final = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _COLOURS: Final = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _MAX_CORNERS: Final = 4096
+_LOOKS: Final = re.compile(r"red|green|blue|colou?r|gr[ae]y|intensity|f_dc|^tex|^[uvst]\d$|opacity|metal|rough")
+_READ: Final = frozenset(name for names in (*_UVS, *_COLOURS) for name in names) | {"texcoord"}
+_ELEMENTS: Final = ("vertex", "face", "edge", "camera")
 
 
 @dataclass(frozen=True)
@@ -73,10 +76,23 @@ def read_ply(
         alpha = rows["vertex"].scalars.get("alpha") if "vertex" in rows else None
         if alpha is not None and len(alpha) and alpha.min() < _largest(alpha):
             notes = (*notes, Note(f"{name}: its alpha", "the surface is opaque", "export as GLB"))
-        return _object(rows, name, limits), notes
+        return _object(rows, name, limits), (*notes, *_unread(elements, name))
     except ObjectError as error:
         message = str(error)
         raise ObjectError(message if message.startswith(name) else f"{name}: {message}") from error
+
+
+def _unread(elements: list[_Element], name: str) -> list[Note]:
+    """Note values that bear on looks under names that are not read, and elements beside vertices and faces."""
+    unread = {
+        f"{element.name}.{p.name}"
+        for element in elements
+        for p in (element.properties if element.name in ("vertex", "face") else ())
+        if _LOOKS.search(p.name) and p.name not in _READ
+    }
+    unread |= {f"element {one.name}" for one in elements if one.count and one.name not in _ELEMENTS}
+    listed = ", ".join(sorted(unread)[:8])[:200]
+    return [Note(f"{name}: {listed}", "they are not read", "export as GLB if they matter")] if unread else []
 
 
 def _header(text: str, name: str) -> tuple[str, list[_Element], tuple[Note, ...]]:
@@ -84,10 +100,10 @@ def _header(text: str, name: str) -> tuple[str, list[_Element], tuple[Note, ...]
     order, elements, notes = "", list[_Element](), list[Note]()
     for line in re.split(r"\r\n|\n|\r", text):
         words = line.split()
-        if not words or words[0] in ("ply", "obj_info"):
+        if not words or words[0] == "ply":
             continue
-        if words[0] == "comment":
-            if len(words) > 2 and words[1] == "TextureFile":
+        if words[0] in ("comment", "obj_info"):
+            if len(words) > 2 and words[1].lower().replace("_", "") in ("texturefile", "texture"):
                 picture = " ".join(words[2:])[:60]
                 notes.append(Note(f"{name}: its texture {picture}", "it is not read", "export as GLB"))
         elif words[0] == "format" and len(words) > 1:
@@ -116,7 +132,7 @@ def _property(words: list[str], line: str, element: str, name: str) -> _Property
         raise ObjectError(f"{name}: the PLY header has a property that is not understood: {line[:60]!r}")
     if listed and (element == "vertex" or _TYPES[types[0]][0] == "f"):
         raise ObjectError(f"{name}: a PLY with lists in its vertices is not read")
-    return _Property(words[-1], _TYPES[types[-1]], _TYPES[types[0]] if listed else None)
+    return _Property(words[-1].lower(), _TYPES[types[-1]], _TYPES[types[0]] if listed else None)
 
 
 def _rows(body: bytes, order: str, elements: list[_Element], name: str) -> dict[str, _Rows]:

@@ -113,6 +113,11 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
                 raise ObjectError(message if message.startswith(name) else f"{label}: {message}") from error
             parts.append((mesh, material))
             notes.extend(more)
+    lines = sum(
+        part.mode < _TRIANGLES for mesh in {node.mesh for node in placed} for part in gltf.meshes[mesh].primitives
+    )
+    if lines:
+        notes.append(Note(f"{name}: {lines} primitives of points or lines", "they are missing", "export surfaces"))
     for surface in surfaces.values():
         notes.extend(surface.notes)
     if clamped:
