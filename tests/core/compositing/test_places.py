@@ -68,6 +68,15 @@ def test_object_stands_upright_on_what_is_nearly_level_and_leans_on_a_slope(tilt
     assert placed.object_to_world[:3, 1] == pytest.approx(up, abs=0.002)
 
 
+def test_object_does_not_lean_on_the_rim_of_a_table_in_coarse_depth():
+    frame = ROOM.frame(camera_at(EYE, pitch_degrees=-35), width=320, height=240, depth_size=(64, 48))
+    geometry = RoomGeometry()
+    geometry.add(0, FrameMesh(frame))
+    for x in np.linspace(-0.5, 0.4, 19):  # 8 of them leaned
+        placed = place_at_pixel(geometry, frame, *pixel_of(frame, (x, 0.68, -1.0)), BOX)
+        assert placed.object_to_world[:3, 1] == pytest.approx([0, 1, 0], abs=1e-6)
+
+
 @pytest.mark.parametrize("noise_m", [0.0, 0.004])
 def test_object_hangs_flush_on_a_wall(noise_m):
     frame, geometry = view(0, noise_m)

@@ -183,9 +183,12 @@ def surface_at_pixel(
     hit = origin + distance_m * direction
     low, high = FIT_RADIUS_M
     points = _patch(geometry, frame, hit, float(np.clip(radius_m, low, high)))
-    plane = fit_plane(points, hit, toward=-direction, tolerance_m=0.006 + 0.003 * distance_m**2)
+    tolerance_m = 0.006 + 0.003 * distance_m**2
+    plane = fit_plane(points, hit, toward=-direction, tolerance_m=tolerance_m)
     if plane is None or abs(plane.normal @ direction) < 0.02:
         plane = Plane(hit, -direction)
+    if _classified(plane.normal)[1] is plane.normal and direction[1] < 0:
+        plane = _level_instead(plane, points, hit, tolerance_m)
     kind, normal = _classified(plane.normal)
     through = float((plane.point - origin) @ normal) / float(direction @ normal)
     if not 0.5 * distance_m < through < 2 * distance_m:  # a plane nearly along the ray
@@ -258,6 +261,21 @@ def fit_plane(
         normal = axes[2]
         best = np.abs((local - centre) @ normal)
     return Plane(hit + centre, normal if normal @ toward >= 0 else -normal)
+
+
+def _level_instead(
+    leaning: Plane, points: Float[np.ndarray, "n 3"], hit: Float[np.ndarray, "3"], tolerance_m: float
+) -> Plane:
+    """Return the level plane at the height of `hit` if it has more of the points: the rim of a table is no slope."""
+    heights = np.sort(points[np.abs(points[:, 1] - hit[1]) < 3 * tolerance_m, 1])
+    if not len(heights):
+        return leaning
+    counts = np.searchsorted(heights, heights + 2 * tolerance_m, side="right") - np.arange(len(heights))
+    first = int(counts.argmax())
+    if counts[first] <= (np.abs(leaning.height_of(points)) < tolerance_m).sum():
+        return leaning
+    height = float(heights[first : first + counts[first]].mean())
+    return Plane(np.array([hit[0], height, hit[2]], np.float64), np.array([0.0, 1, 0]))
 
 
 def _classified(normal: Float[np.ndarray, "3"]) -> tuple[SurfaceKind, Float[np.ndarray, "3"]]:
