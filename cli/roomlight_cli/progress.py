@@ -74,7 +74,7 @@ class Progress:
         return f"{self._text}{count}, {duration(now_s - self._began_s)}{left}"
 
     def _show(self, text: str, done: int, total: int | None) -> None:
-        if text != self._first[0]:
+        if text != self._first[0] or not self._total:
             self._first = text, done, time.monotonic()
             if self._bars and total:  # what was done before is not of the pace
                 self._bars.reset(self._task, completed=done, total=total)

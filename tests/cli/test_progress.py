@@ -22,7 +22,8 @@ def test_a_line_says_what_how_much_and_for_how_long() -> None:
 def test_a_line_says_the_time_left_at_the_pace_since_the_first_count(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 100.0
     monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s)
-    shown = Progress("replaying", Console(file=io.StringIO(), width=100))
+    shown = Progress("compiling", Console(file=io.StringIO(), width=100))
+    shown.say("replaying")
     now_s += 30  # until the first frame: not of the pace
     shown.count(2, 10)
     assert shown.line() == "replaying 2 of 10, 0:30"
