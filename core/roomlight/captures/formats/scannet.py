@@ -226,7 +226,7 @@ class ScanNetFramesReader(ListedReader):
             self._matrix = fields.matrix_of_text(read_index(source, name), 3, label)
         depth_name, extrinsic = (name.replace(*pair) for pair in (("color", "depth"), ("intrinsic_", "extrinsic_")))
         self._depth_k = self._stated(source, depth_name, 3)
-        poses = [self._stated(source, one, 4) for one in (extrinsic, extrinsic.replace("color", "depth"))]
+        poses = [self._stated(source, file, 4) for file in (extrinsic, extrinsic.replace("color", "depth"))]
         self._depth_to_colour = _between(*(np.eye(4) if pose is None else pose for pose in poses))
         super().__init__(folder, options, files_of(source, "color", (".jpg", ".png")), expected="color/0.jpg")
 

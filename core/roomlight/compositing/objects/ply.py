@@ -90,7 +90,7 @@ def _unread(elements: list[_Element], name: str) -> list[Note]:
         for p in (element.properties if element.name in ("vertex", "face") else ())
         if _LOOKS.search(p.name) and p.name not in _READ
     }
-    unread |= {f"element {one.name}" for one in elements if one.count and one.name not in _ELEMENTS}
+    unread |= {f"element {entry.name}" for entry in elements if entry.count and entry.name not in _ELEMENTS}
     listed = ", ".join(sorted(unread)[:8])[:200]
     return [Note(f"{name}: {listed}", "they are not read", "export as GLB if they matter")] if unread else []
 
