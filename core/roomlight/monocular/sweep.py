@@ -32,7 +32,7 @@ _PRIOR: Final = 0.05
 _NEIGHBOUR, _JUMP, _EDGE = 0.1, 0.8, 10.0
 """Cost of the next depth beside a pixel, of any other, and the grey levels that halve the second."""
 _PATHS: Final = ((0, 1), (0, -1), (1, 0), (-1, 0))
-"""Directions (rows, columns) in which costs are carried: with the diagonals depth is as good."""
+"""Directions (rows, columns) in which costs are carried; diagonals beside them make depth no better."""
 _HEAT: Final = 0.2
 """Summed cost that makes a depth e times less likely."""
 _LEAST_CONTRAST: Final = 0.12

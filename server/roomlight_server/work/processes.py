@@ -55,7 +55,7 @@ class Cancellation:
 
     @property
     def asked(self) -> bool:
-        """Whether nobody waits any more."""
+        """Whether the work is to be ended, because nobody waits for its result."""
         return self._asked
 
     def watch(self, process: "WorkerProcess | None") -> None:
