@@ -45,7 +45,9 @@ def main() -> None:
     for number in files:
         user.frame_offset = number - 1
         user.keyframe_insert("frame_offset", frame=number)
-    for curve in tree.animation_data.action.fcurves:
+    action = tree.animation_data.action
+    before_5 = hasattr(action, "fcurves")  # Blender 5 keeps curves by layers
+    for curve in action.fcurves if before_5 else action.layers[0].strips[0].channelbags[0].fcurves:
         for point in curve.keyframe_points:
             point.interpolation = "CONSTANT"
     args.out.parent.mkdir(parents=True, exist_ok=True)

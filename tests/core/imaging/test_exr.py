@@ -7,7 +7,7 @@ import OpenEXR
 import pytest
 
 from roomlight.errors import ImageError
-from roomlight.images import decode_depth, decode_picture
+from roomlight.images import decode_depth, decode_picture, write_exr
 from roomlight.imaging.colour_spaces import DISPLAY_P3, to_rec709
 from roomlight.imaging.exr import sequence_metadata
 
@@ -154,6 +154,20 @@ def test_timecode_of_a_sequence(tmp_path, index, rate, wanted):
     code = header["timeCode"]
     assert (code.hours, code.minutes, code.seconds, code.frame, code.fieldPhase) == wanted
     assert float(header["framesPerSecond"]) == pytest.approx(rate, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("index", "rate", "wanted"), [(61, 24.0, "00:00:02:13"), (29, 29.97, "00:00:00:29"), (36630, 10.0, "01:01:03:00")]
+)
+def test_openimageio_reads_a_frame_of_a_sequence(tmp_path: Path, index: int, rate: float, wanted: str) -> None:
+    oiio = pytest.importorskip("OpenImageIO")
+    shade = np.random.default_rng(index).random((6, 12, 3)).astype(np.float16).astype(np.float32)
+    write_exr(tmp_path / f"light.{index:06d}.exr", shade, metadata=sequence_metadata(index, rate))
+    frame = oiio.ImageBuf(str(tmp_path / f"light.{index:06d}.exr"))
+    np.testing.assert_array_equal(frame.get_pixels(), shade)
+    assert frame.spec().get_string_attribute("smpte:TimeCode") == wanted
+    numerator, denominator = frame.spec().getattribute("framesPerSecond")
+    assert numerator / denominator == pytest.approx(rate, rel=1e-6)
 
 
 @pytest.mark.parametrize("rate", [0.2, 120.0])
