@@ -106,7 +106,7 @@ class BareVideoReader:
                     motion = CameraMotion(model, lens, focal_is_known=known)
                 motion.add(index, linear_to_srgb(np.minimum(image, 1)).astype(np.float32))
         if motion is None:
-            raise CaptureError(f"{self._path}: none of its frames decodes; the first: {unread[0]}")
+            raise CaptureError(f"{self._path}: none of its frames can be read; the first: {unread[0]}")
         self._motion = motion.path(level=self._options.world_up is None)
         self._motion.lost.update(unread)
         self._note(self._motion)

@@ -1,5 +1,6 @@
 """Frames of a video by number, decoded in order with one in memory at a time (PyAV, which contains FFmpeg)."""
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -8,6 +9,7 @@ from typing import Any, Final
 import av
 import numpy as np
 from av.error import FFmpegError
+from av.sidedata.sidedata import Type as SideData
 from av.stream import Disposition
 from av.video.frame import VideoFrame
 
@@ -26,6 +28,9 @@ DEMUXERS: Final = {".mp4": "mp4", ".mov": "mp4", ".m4v": "mp4", ".mkv": "matrosk
 """FFmpeg's reader by the end of a file's name."""
 _FOCAL_35MM: Final = "focal_length.35mm_equivalent"
 """End of the name of QuickTime's entry that new iPhones write."""
+_RECTILINEAR: Final = 4
+_TWO_VIEWS: Final = {1: "side by side", 2: "one above the other", 4: "in turn", 5: "in turn", 6: "in turn", 7: "in turn"}
+"""FFmpeg's AVSphericalProjection of a pinhole camera; its AVStereo3DType of pictures that share a frame."""
 
 
 class VideoFrames:
@@ -131,6 +136,7 @@ class VideoFrames:
         if frame.is_corrupt or frame.width * frame.height > MAX_PIXELS:
             raise FrameError(f"{self._label}: frame {number} is damaged")
         try:
+            _check_pinhole(frame)
             space = _colour_space(frame)
         except ValueError as error:
             raise FrameError(f"{self._label}: {error}") from error
@@ -186,6 +192,16 @@ def _stated_focal(metadata: Mapping[str, str]) -> float | None:
                 return None
             return focal if 5 <= focal <= 500 else None
     return None
+
+
+def _check_pinhole(frame: VideoFrame) -> None:
+    """Raise ValueError where the file's spherical or stereo metadata says that the frame is no pinhole picture."""
+    for stated in frame.side_data:
+        kind = int.from_bytes(bytes(stated)[:4], sys.byteorder)
+        if stated.type == SideData.SPHERICAL and kind != _RECTILINEAR:
+            raise ValueError("is a 360-degree video, not the pictures of a pinhole camera; cut a view out of it")
+        if stated.type == SideData.STEREO3D and kind in _TWO_VIEWS:
+            raise ValueError(f"shows two cameras' pictures {_TWO_VIEWS[kind]} in each frame; keep one of them")
 
 
 def _colour_space(frame: VideoFrame) -> ColourSpace:

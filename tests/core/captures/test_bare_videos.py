@@ -1,8 +1,10 @@
 """Videos without poses, depth and lens: frames with all three, what was estimated is said, options that do not fit."""
 
+import struct
 from pathlib import Path
 
 import av
+import formats
 import numpy as np
 import pytest
 
@@ -121,6 +123,56 @@ def test_a_lens_that_hardly_a_phone_has_is_pointed_out(
 def test_a_video_of_a_panorama_s_shape_is_pointed_out(tmp_path: Path, model: Path) -> None:
     wide = [linear_to_srgb8(frame(k, at).image)[:160] for k, at in enumerate(POSES)]
     assert "twice as wide as high" in said_of(written(tmp_path / "wide.mp4", wide), CaptureOptions(depth_model=model))
+
+
+def boxed(kind: str, body: bytes) -> bytes:
+    return struct.pack(">I4s", 8 + len(body), kind.encode()) + body
+
+
+def with_box(data: bytes, path: str, box: bytes) -> bytes:
+    """Append a box to the one at a path of kinds; the video's data lies before them, and stays where it is."""
+    kind, _, rest = path.partition("/")
+    at = 8 if data[4:8] == b"\0\0\0\1" else 0  # stsd's version and number of entries
+    while data[at + 4 : at + 8] != kind.encode():
+        at += int.from_bytes(data[at : at + 4])
+    end = at + int.from_bytes(data[at : at + 4])
+    inner = with_box(data[at + 8 : end], rest, box) if rest else data[at + 8 : end] + box
+    return data[:at] + boxed(kind, inner) + data[end:]
+
+
+FULL = bytes(4)  # version and flags
+EQUIRECTANGULAR = boxed("proj", boxed("prhd", bytes(16)) + boxed("equi", bytes(20)))
+SPHERE_V2 = boxed("sv3d", boxed("svhd", FULL + b"a camera\0") + EQUIRECTANGULAR)
+SPHERE_V1 = boxed(
+    "uuid",
+    bytes.fromhex("ffcc8263f8554a938814587a02521fdd")
+    + b'<rdf:SphericalVideo xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:GSpherical='
+    b'"http://ns.google.com/videos/1.0/spherical/"><GSpherical:Spherical>true</GSpherical:Spherical>'
+    b"<GSpherical:Stitched>true</GSpherical:Stitched><GSpherical:StitchingSoftware>-</GSpherical:StitchingSoftware>"
+    b"<GSpherical:ProjectionType>equirectangular</GSpherical:ProjectionType></rdf:SphericalVideo>",
+)
+
+
+@pytest.mark.parametrize(
+    ("path", "box", "says"),
+    [
+        ("moov/trak/mdia/minf/stbl/stsd/avc1", SPHERE_V2, "is a 360-degree video"),
+        ("moov/trak", SPHERE_V1, "is a 360-degree video"),
+        ("moov/trak/mdia/minf/stbl/stsd/avc1", boxed("st3d", FULL + b"\2"), "shows two cameras' pictures side by side"),
+        ("moov/trak/mdia/minf/stbl/stsd/avc1", boxed("st3d", FULL + b"\1"), "shows two cameras' pictures one above"),
+    ],
+    ids=["V2", "V1", "side by side", "one above the other"],
+)
+def test_what_the_metadata_calls_no_pinhole_is_refused(tmp_path: Path, path: str, box: bytes, says: str) -> None:
+    video = tmp_path / "walk.mp4"
+    formats.video(video, [view.srgb8 for view in formats.scene(2)])
+    data = video.read_bytes()
+    video.write_bytes(with_box(data, path, box))
+    with pytest.raises(CaptureError, match=rf"walk\.mp4: {says}"):
+        list(open_capture(video))
+    video.write_bytes(with_box(data, "moov/trak/mdia/minf/stbl/stsd/avc1", boxed("st3d", FULL + b"\0")))
+    with VideoFrames(video, "walk") as frames:  # of one camera
+        assert frames.frame(0).image.shape == (24, 32, 3)
 
 
 def test_rows_of_two_moments_are_pointed_out(tmp_path: Path) -> None:
