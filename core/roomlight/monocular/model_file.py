@@ -7,11 +7,12 @@ recognised by the outputs' names:
 | --- | --- | --- |
 | `points` | MoGe | points, z up to a shift that the lens tells; with `metric_scale` metres, else up to scale |
 | `predicted_depth` and `predicted_normal` | Metric3D | metres for a focal length of 1,000 pixels; picture 0 to 255 |
-| `pts_3d`; `depth` and `K` or `intrinsics`, given or answered | UniDepth | points in metres; metres |
-| `predicted_depth` and `focallength_px` | Depth Pro | metres |
+| `pred_depth`, "metric3d" in the file's name | Metric3D | the same |
+| `pts_3d`; `depth` and `K`, `out_K` or `intrinsics`, given or answered | UniDepth | points in metres; metres |
+| `predicted_depth` and `focallength_px` | Depth Pro | metres; picture -1 to 1 |
 | `depth` and `sky` or `depth_conf` | Depth Anything 3 | depth up to scale |
 | the same, "metric" in the file's name | Depth Anything 3 metric | metres for a focal length of 300 pixels |
-| `metric_depth`; `predicted_depth` or `depth`, "metric" in the file's name | Depth Anything V2 metric | metres |
+| `metric_depth`; `predicted_depth` or `depth` of a file with `_METRIC_NAMES` in its name | V2 metric | metres |
 | `predicted_depth`, `depth`, `disparity` | Depth Anything V2, MiDaS | 1 / depth up to scale and shift |
 
 A sidecar `NAME.json` beside `NAME.onnx` (`Sidecar`) states what is otherwise. Depth is along the optical axis.
@@ -39,7 +40,10 @@ Positive = Annotated[float, Gt(0)]
 Triple = tuple[float, float, float]
 _IMAGENET: Final = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 _PLAIN: Final = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+_PLUS_MINUS: Final = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
 _LENS: Final = ("K", "intrinsics", "camera", "cam")
+_ANSWERED_LENS: Final = (*_LENS, "out_K")
+_METRIC_NAMES: Final = ("metric", "indoor", "outdoor")
 _METRIC_POINTS: Final = "pts_3d"
 _MEANINGS: Final[dict[Meaning, str]] = {
     "metric": "metres", "scale": "depth up to scale", "inverse": "1 / depth", "points": "points",
@@ -192,12 +196,13 @@ class DepthModelFile:
             return output, stated.kind
         if output in ("points", _METRIC_POINTS):
             return output, "points"
-        says_metric = "metric" in self.path.stem.lower() or output == "metric_depth"
+        stem = self.path.stem.lower()
+        says_metric = any(name in stem for name in _METRIC_NAMES) or output == "metric_depth"
         if says_metric or self._is_metric3d or "focallength_px" in names:
             return output, "metric"
         if self._is_depth_anything_3:
             return output, "scale"
-        if output == "depth" and any(name in (*self._inputs, *names) for name in _LENS):
+        if output == "depth" and any(name in (*self._inputs, *names) for name in _ANSWERED_LENS):
             return output, "metric"
         if output in known:
             return output, "inverse"
@@ -208,7 +213,9 @@ class DepthModelFile:
 
     @cached_property
     def _is_metric3d(self) -> bool:
-        return "predicted_normal" in self._outputs
+        return "predicted_normal" in self._outputs or (
+            "pred_depth" in self._outputs and "metric3d" in self.path.stem.lower()
+        )
 
     @cached_property
     def _is_depth_anything_3(self) -> bool:
@@ -237,9 +244,10 @@ class DepthModelFile:
         stated = self._sidecar
         kind = self._graph.types[self._picture]
         whole = kind is not None and issubclass(kind, np.integer)
-        raw = self._is_metric3d or whole or self.meaning == "points"  # these normalise inside the graph
+        points = self.meaning == "points" and self._output != _METRIC_POINTS
+        raw = self._is_metric3d or whole or points  # these normalise inside the graph
         white = 255.0 if (self._is_metric3d or whole) and stated.mean is None else stated.white
-        mean, deviation = _PLAIN if raw else _IMAGENET
+        mean, deviation = _PLAIN if raw else _PLUS_MINUS if "focallength_px" in self._outputs else _IMAGENET
         mean, deviation = stated.mean or mean, stated.deviation or deviation
         values = (picture * np.float32(white) - np.array(mean, np.float32)) / np.array(deviation, np.float32)
         values = np.rint(values) if whole else values

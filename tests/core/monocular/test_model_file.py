@@ -55,6 +55,8 @@ ZEROS, LENS_OF = np.zeros((1, 1, *SIZE)), np.eye(3)[None]
     [
         ("depth_pro", {"predicted_depth": TRUTH[None], "focallength_px": np.array([300.0])}, "metric"),
         ("unidepth", {"depth": TRUTH[None, None], "confidence": ZEROS, "intrinsics": LENS_OF}, "metric"),
+        ("u", {"out_K": LENS_OF, "depth": TRUTH[None, None], "depth_ssi": ZEROS, "confidence": ZEROS}, "metric"),
+        ("depth_anything_v2_vits_indoor_dynamic", {"depth": TRUTH[None]}, "metric"),
         ("da3_large", {"depth": TRUTH[None, None], "sky": ZEROS, "intrinsics": LENS_OF}, "scale"),
         ("da3_nested_metric", {"depth": TRUTH[None, None], "sky": ZEROS}, "metric"),
     ],
@@ -79,6 +81,7 @@ def test_points_of_unidepth_are_metric_with_the_coordinates_first(tmp_path: Path
     ("name", "output", "focal_px", "beside"),
     [
         ("vit_small", "predicted_depth", 1000, {"predicted_normal": np.zeros((1, 3, *SIZE))}),
+        ("metric3d_vit_small", "pred_depth", 1000, {}),
         ("da3metric_large", "depth", 300, {"sky": ZEROS}),
     ],
 )
@@ -124,18 +127,62 @@ def test_unidepth_takes_the_lens(tmp_path: Path) -> None:
     assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
 
 
-def _echo(path: Path, *, shape: tuple[int | str, ...], kind: int = TensorProto.FLOAT) -> Path:
-    """Write a graph whose depth is the picture's first channel."""
+@pytest.mark.parametrize(
+    ("name", "others", "wanted"),
+    [
+        ("v2_indoor", {}, (0.5 - 0.485) / 0.229),
+        ("depth_pro", {"focallength_px": np.array([300.0])}, 0.0),
+        ("unidepth", {"out_K": LENS_OF}, (0.5 - 0.485) / 0.229),
+        ("metric3d", {"predicted_normal": np.zeros((1, 3, *SIZE))}, 127.5),
+    ],
+)
+def test_pictures_are_normalised_as_the_exports_take_them(
+    tmp_path: Path, name: str, others: dict[str, np.ndarray], wanted: float
+) -> None:
+    """The graph answers with the red that it was given, and 5 more, so that this is a depth."""
+    path = _echo(tmp_path / f"{name}.onnx", shape=(1, 3, *SIZE), others=others, more=5.0)
+    picture = np.full((240, 320, 3), 0.5, np.float32)
+    picture[:, :160] = 0.4
+    model = DepthModelFile(path)
+    focal = np.sqrt(LENS.fx * SIZE[1] / LENS.width * LENS.fy * SIZE[0] / LENS.height)
+    scale = focal / 1000 if name == "metric3d" else 1.0
+    assert 1 / model.estimate(picture, LENS).inverse[0, -1] == pytest.approx((wanted + 5) * scale, rel=1e-4)
+
+
+def test_points_of_unidepth_are_of_a_normalised_picture(tmp_path: Path) -> None:
+    path = _echo(tmp_path / "u.onnx", shape=(1, 3, *SIZE), name="pts_3d", more=5.0)
+    picture = np.full((240, 320, 3), 0.5, np.float32)
+    picture[:, :160] = 0.4
+    answer = DepthModelFile(path).estimate(picture, LENS).inverse
+    assert 1 / answer[0, -1] == pytest.approx((0.5 - 0.406) / 0.225 + 5, rel=1e-4)
+
+
+def _echo(
+    path: Path,
+    *,
+    shape: tuple[int | str, ...],
+    kind: int = TensorProto.FLOAT,
+    others: dict[str, np.ndarray] | None = None,
+    name: str = "depth",
+    more: float = 0.0,
+) -> Path:
+    """Write a graph whose depth is the picture's first channel, and `more`; whose points are all three."""
     picture = helper.make_tensor_value_info("image", kind, list(shape))
     channel = shape.index(3)
     bounds = (("a", 0), ("b", 1), ("c", channel))
     axes = [numpy_helper.from_array(np.array([bound]), name) for name, bound in bounds]
+    axes += [numpy_helper.from_array(np.array(more, np.float32), "more")]
+    axes += [numpy_helper.from_array(value.astype(np.float32), f"{key}_value") for key, value in (others or {}).items()]
     nodes = [
         helper.make_node("Cast", ["image"], ["cast"], to=TensorProto.FLOAT),
-        helper.make_node("Slice", ["cast", "a", "b", "c"], ["depth"]),
+        helper.make_node("Slice", ["cast", "a", "b", "c"], ["red"]),
+        helper.make_node("Add", ["red" if name == "depth" else "cast", "more"], [name]),
+        *(helper.make_node("Identity", [f"{key}_value"], [key]) for key in others or {}),
     ]
-    info = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1 if size == 3 else size for size in shape])
-    graph = helper.make_graph(nodes, "echo", [picture], [info], axes)
+    size = [1 if size == 3 and name == "depth" else size for size in shape]
+    infos = [helper.make_tensor_value_info(name, TensorProto.FLOAT, size)]
+    infos += [helper.make_tensor_value_info(k, TensorProto.FLOAT, list(v.shape)) for k, v in (others or {}).items()]
+    graph = helper.make_graph(nodes, "echo", [picture], infos, axes)
     onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
     return path
 
