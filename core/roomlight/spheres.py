@@ -38,6 +38,8 @@ _GLOSSY_SAMPLES: Final = 64  # rms 0.5 % of the mean against dense integration, 
 _MIRROR_STRATA: Final = 4  # 4 x 4 rays a pixel: a pixel of a 64-px sphere spans 3.6 degrees of a 1.5-degree panorama
 _MATTE_ROWS: Final = 32  # 5.6 degrees a pixel under a lobe 28 degrees wide: rms 1.2 %, same room
 _DIFFUSE_ROWS: Final = 16  # 11 degrees a pixel under a cosine: rms 0.4 %, same room
+_SMOOTH_SIZE: Final = 96
+"""Pixels across of pictures of glossy and matte spheres at most; larger ones are enlarged."""
 _LOOKUP_COLUMNS: Final = 4096  # cv2.remap takes maps of fewer than 32768 rows and columns
 
 
@@ -100,10 +102,20 @@ class SphereRenderer:
         self, panorama: Float[np.ndarray, "h w 3"], material: Material
     ) -> Float[np.ndarray, "{self.size} {self.size} 3"]:
         """Return the sphere's picture, linear; the rim's colours continue outside the mask (blend by `coverage`)."""
+        if material != "mirror" and self.size > _SMOOTH_SIZE:
+            return cv2.resize(self._small.render(panorama, material), (self.size, self.size))
         image = np.zeros((self.size, self.size, 3), np.float32)
         image[self.mask] = self.pixels(panorama, material)
-        rim = cv2.dilate(image, np.ones((3, 3), np.uint8))
-        return np.where(self.mask[..., None], image, rim)
+        known = self.mask.astype(np.uint8)
+        for _ in range(2):
+            image = np.where(known[..., None], image, cv2.dilate(image, np.ones((3, 3), np.uint8)))
+            known = cv2.dilate(known, np.ones((3, 3), np.uint8))
+        return image
+
+    @cached_property
+    def _small(self) -> "SphereRenderer":
+        x, y, z = (-self._to_viewer).tolist()
+        return SphereRenderer((x, y, z), size=_SMOOTH_SIZE)
 
     def pixels(self, panorama: Float[np.ndarray, "h w 3"], material: Material) -> Float[np.ndarray, "n 3"]:
         """Return the linear radiance [n, 3] of the mask's pixels, in row order; metrics compare these.

@@ -7,13 +7,15 @@ threads enter a parallel region at once, as in a server.
 import os
 import platform
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar, cast
 
+_Item = TypeVar("_Item")
 _pauses = threading.local()
 
 
@@ -87,6 +89,16 @@ def parallel_for(
     while loop.run_piece():
         pass
     loop.finish()
+
+
+def read_ahead(items: Iterator[_Item]) -> Generator[_Item]:
+    """Yield items while a thread makes the next."""
+    end = object()
+    with ThreadPoolExecutor(1, thread_name_prefix="roomlight-ahead") as worker:
+        coming = worker.submit(next, items, end)
+        while (item := coming.result()) is not end:
+            coming = worker.submit(next, items, end)
+            yield cast(_Item, item)
 
 
 class _Loop:

@@ -1,6 +1,7 @@
 """`parallel_for` covers the range once, raises errors, and takes the number of threads from the environment."""
 
 import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomlight import threads
-from roomlight.threads import parallel_for, thread_count
+from roomlight.threads import parallel_for, read_ahead, thread_count
 
 
 @given(st.integers(0, 500), st.integers(1, 9))
@@ -145,3 +146,31 @@ def test_pieces_hold_at_most_as_many_items_as_asked(monkeypatch, threads):
     pieces.clear()
     parallel_for(lambda start, stop: pieces.append((start, stop)), 3, most=2)
     assert sorted(item for start, stop in pieces for item in range(start, stop)) == [0, 1, 2]
+
+
+def test_items_are_made_ahead_in_order_and_on_another_thread() -> None:
+    made: list[int] = []
+
+    def items() -> Iterator[tuple[int, str]]:
+        for number in range(4):
+            made.append(number)
+            yield number, threading.current_thread().name
+
+    ahead = read_ahead(items())
+    first = next(ahead)
+    second = next(ahead)
+    assert (first[0], second[0]) == (0, 1)
+    assert "ahead" in first[1]
+    assert [number for number, _ in ahead] == [2, 3]
+    assert made == [0, 1, 2, 3]
+
+
+def test_an_error_of_the_next_item_comes_after_the_items_before() -> None:
+    def items() -> Iterator[int]:
+        yield 1
+        raise ValueError("of the second")
+
+    ahead = read_ahead(items())
+    assert next(ahead) == 1
+    with pytest.raises(ValueError, match="of the second"):
+        next(ahead)

@@ -32,6 +32,7 @@ from roomlight.light.light import ENDINGS, Light
 from roomlight.light.sources import LightUse
 from roomlight.light.usd import sequence_stage
 from roomlight.placement import point_at_pixel, point_in_view
+from roomlight.threads import read_ahead
 from roomlight_cli.replays.pictures import PicturesState, ReplayPictures, Titles
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
 from roomlight_cli.replays.replay_options import ReplayOptions
@@ -125,7 +126,7 @@ def replay(
             run = _Run(out, capture, session, options, state, step=read.every * stride)
             if progress:
                 progress("replaying", min(run.done, capture.frame_count), capture.frame_count)
-        for frame in capture.frames(state.passed):
+        for frame, passed in read_ahead((frame, capture.passed()) for frame in capture.frames(state.passed)):
             if run is not None and frame.index // read.every % options.every:
                 waiting.append(frame)
                 continue
@@ -147,7 +148,7 @@ def replay(
                 run = _Run(out, capture, session, options, state, step=read.every * stride)
             run.add(waiting, frame, report)
             waiting.clear()
-            if is_due(len(state.reports)) and (passed := capture.passed()) is not None:
+            if is_due(len(state.reports)) and passed is not None:
                 state.passed, state.wall_s = passed, time.perf_counter() - began
                 state.pictures = run.pictures.end_part()
                 if isinstance(session, Session):

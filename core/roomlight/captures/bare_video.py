@@ -8,7 +8,7 @@ World: that of the first camera, turned so that y is up; with `world_up`, its ax
 """
 
 import math
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -21,8 +21,9 @@ from roomlight.captures.options import CaptureOptions
 from roomlight.captures.video import VideoFrames
 from roomlight.conventions import linear_to_srgb
 from roomlight.errors import CaptureError, FrameError, OptionError
-from roomlight.monocular.motion import SIDE, CameraMotion, CameraPath
+from roomlight.monocular.motion import SIDE, CameraMotion, CameraPath, Lost, Still
 from roomlight.notes import Note
+from roomlight.threads import read_ahead
 
 RATE: Final = 5.0
 """Frames a second that are used: the share of the view that two of them have in common is what placing needs."""
@@ -90,27 +91,33 @@ class BareVideoReader:
         """
         if self._motion is not None:
             return
-        from roomlight.monocular.stream import metric_model  # onnxruntime takes a while to import
-
-        model, motion, unread = metric_model(self._options.depth_model), None, dict[int, str]()
+        motion, unread = None, dict[int, str]()
         with self._opened() as video:
-            for index, number in enumerate(self._numbers):
-                watch(index, self.count)
-                try:
-                    image = video.frame(number, longest=SIDE).image
-                except FrameError as error:
-                    unread[index] = str(error)
-                    continue
-                if motion is None:
-                    lens, known = self._lens(image.shape[1], image.shape[0])
-                    motion = CameraMotion(model, lens, focal_is_known=known)
-                motion.add(index, linear_to_srgb(np.minimum(image, 1)).astype(np.float32))
+            for motion, still in read_ahead(self._described(video, unread)):
+                watch(still.number, self.count)
+                motion.place(still)
         if motion is None:
             raise CaptureError(f"{self._path}: none of its frames can be read; the first: {unread[0]}")
         self._motion = motion.path(level=self._options.world_up is None)
         self._motion.lost.update(unread)
         self._note(self._motion)
         watch(self.count, self.count)
+
+    def _described(self, video: VideoFrames, unread: dict[int, str]) -> Iterator[tuple[CameraMotion, Still | Lost]]:
+        """Yield what the pictures show, and what places them; `unread` takes those that do not decode, and why."""
+        from roomlight.monocular.stream import metric_model  # onnxruntime takes a while to import
+
+        model, motion = metric_model(self._options.depth_model), None
+        for index, number in enumerate(self._numbers):
+            try:
+                image = video.frame(number, longest=SIDE).image
+            except FrameError as error:
+                unread[index] = str(error)
+                continue
+            if motion is None:
+                lens, known = self._lens(image.shape[1], image.shape[0])
+                motion = CameraMotion(model, lens, focal_is_known=known)
+            yield motion, motion.described(index, linear_to_srgb(np.minimum(image, 1)).astype(np.float32))
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:

@@ -299,11 +299,11 @@ class Capture:
             raise CaptureError(f"{self.path}: none of its {self.frame_count} frames can be used; the first is {reason}")
 
     def passed(self) -> PassState | None:
-        """Return where the latest pass is; None among its first frames, which are compared with each other."""
+        """Return where the latest pass is now; None among its first frames, which are compared with each other."""
         if self._at.good < FRAMES:
             return None
-        depth = None if self._depth_stream is None else self._depth_stream.state
-        return PassState(self._at.last, self._at.good, self.skipped, list(self.notes), sorted(self._noted), depth)
+        depth = None if self._depth_stream is None else replace(self._depth_stream.state)
+        return PassState(self._at.last, self._at.good, list(self.skipped), list(self.notes), sorted(self._noted), depth)
 
     def frame_at(self, index: int) -> Frame:
         """Read one frame by its `Frame.index`. A video is decoded up to it; other formats read this frame only.

@@ -2,18 +2,20 @@
 
 A landmark is a feature of its host picture at an inverse depth, which the depth network states within some percent;
 other pictures see it. So a camera that only turns stays where it is, and the network's metres give the scale.
-Landmarks are eliminated (Schur complement), a host at a time; Levenberg-Marquardt with robust weights (Triggs et al.
+Landmarks are eliminated (Schur complement); Levenberg-Marquardt with robust weights (Triggs et al.
 2000).
 
 Cameras: OpenCV axes (x right, y down, z forward), camera to world.
 """
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
+
+from roomlight.monocular.kernels.adjustment import add_reduced
 
 _CUT_PX: Final = 1.5
 """Reprojection error, in pixels of a 640-pixel picture, from which a feature's weight falls (Cauchy)."""
@@ -73,19 +75,20 @@ def adjusted(cameras: Cameras, sightings: Sightings, *, rounds: int = 40) -> Cam
     """Return the cameras and landmarks that fit the sightings best; the first camera stays."""
     damping, cost = 1e-4, _cost(cameras, sightings)
     for _ in range(rounds):
-        system, right, eliminated = _normal_equations(cameras, sightings)
+        system, right, landmarks = _normal_equations(cameras, sightings)
+        easing = 3.0  # Levenberg and Marquardt's factor for less damping; none after steps that failed
         while damping < 1e4:
             step = np.zeros(len(right))
             damped = system + np.diag(damping * np.diag(system) + 1e-9)
             step[6:] = np.linalg.solve(damped[6:, 6:], right[6:])  # the first camera is the world
-            trial = _moved(cameras, step, eliminated)
+            trial = _moved(cameras, step, _eased(landmarks, sightings.landmark, step))
             new = _cost(trial, sightings)
             if new < cost:
                 break
-            damping *= 10
+            damping, easing = damping * 10, 1.0
         else:
             return cameras
-        cameras, damping, fallen, cost = trial, damping / 10, 1 - new / cost, new
+        cameras, damping, fallen, cost = trial, damping / easing, 1 - new / cost, new
         if fallen < _CLOSE:
             break
     return cameras
@@ -125,75 +128,53 @@ def _cost(cameras: Cameras, sightings: Sightings) -> float:
     return float(np.log1p(pixels**2).sum() * _CUT_PX**2 + 4 * np.log1p(depth**2 / 4).sum() + priors)
 
 
-@dataclass(frozen=True, eq=False)
-class _Host:
-    """The landmarks of a picture as they were eliminated: `curvature` step = `right` - `coupling` step of `columns`."""
+class _Landmarks(NamedTuple):
+    """What follows for the landmarks: `curvature` step = `pull` - sum of `coupling` steps of `columns`."""
 
-    landmarks: slice
-    columns: Int[np.ndarray, " c"]
-    coupling: Float[np.ndarray, "h c"]
-    curvature: Float[np.ndarray, " h"]
-    right: Float[np.ndarray, " h"]
+    columns: Int[np.ndarray, "m c"]
+    coupling: Float[np.ndarray, "m c"]
+    curvature: Float[np.ndarray, " k"]
+    pull: Float[np.ndarray, " k"]
 
 
 def _normal_equations(
     cameras: Cameras, sightings: Sightings
-) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, " p"], list[_Host]]:
+) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, " p"], _Landmarks]:
     """Return the system of the cameras' steps: 6 numbers a camera (turn, centre), then scales, then the focal."""
-    count = len(cameras.turns)
-    size = 7 * count + 1
-    system, right, hosts = np.zeros((size, size)), np.zeros(size), list[_Host]()
+    count, (mark, picture) = len(cameras.turns), (sightings.landmark, sightings.picture)
+    host, marks, last = sightings.host[mark], len(sightings.host), 7 * count
     jacobian, to_inverse, error = _jacobians(cameras, sightings)
     root = 1 / (sightings.unit * np.sqrt(1 + (np.linalg.norm(error, axis=1) / sightings.unit / _CUT_PX) ** 2))
     jacobian *= root[:, None, None]
     to_inverse, error = to_inverse * root[:, None], error * root[:, None]
+    # the network's statement of a landmark's depth is a row of its own
     depth = _depth_errors(cameras, sightings)
-    depth_root = 1 / (_DEPTH_ERROR * np.sqrt(1 + depth**2 / 4))
-    edges = np.searchsorted(sightings.host, np.arange(count + 1))
-    rows = np.searchsorted(sightings.landmark, edges)
-    for host in range(count):
-        marks, own = slice(edges[host], edges[host + 1]), slice(rows[host], rows[host + 1])
-        number = edges[host + 1] - edges[host]
-        if number == 0:
-            continue
-        others, place = np.unique(sightings.picture[own], return_inverse=True)
-        blocks = np.concatenate([[host], others])
-        columns = np.concatenate([(6 * blocks[:, None] + np.arange(6)).ravel(), [6 * count + host, size - 1]])
-        seen = rows[host + 1] - rows[host]
-        local = np.zeros((seen, 2, len(columns)))
-        local[:, :, :6], local[:, :, -1] = jacobian[own, :, :6], jacobian[own, :, 12]
-        at = 6 + 6 * place[:, None] + np.arange(6)
-        np.put_along_axis(local, np.repeat(at[:, None], 2, axis=1), jacobian[own, :, 6:12], axis=2)
-        mark = sightings.landmark[own] - edges[host]
-        # the network's statement is a row of its own for each landmark
-        weight = depth_root[marks]
-        residual = depth[marks] * _DEPTH_ERROR * weight
-        coupling, curvature, pull = np.zeros((number, len(columns))), weight**2, -weight * residual
-        coupling[:, -2] = weight**2
-        np.add.at(coupling, mark, np.einsum("rpc,rp->rc", local, to_inverse[own]))
-        np.add.at(curvature, mark, (to_inverse[own] ** 2).sum(axis=1))
-        np.add.at(pull, mark, -(to_inverse[own] * error[own]).sum(axis=1))
-        flat = local.reshape(2 * seen, -1)
-        block = flat.T @ flat - (coupling / curvature[:, None]).T @ coupling
-        side = -flat.T @ error[own].ravel() - coupling.T @ (pull / curvature)
-        block[-2, -2] += float(weight @ weight)
-        side[-2] -= float(weight @ residual)
-        system[np.ix_(columns, columns)] += block
-        right[columns] += side
-        hosts.append(_Host(marks, columns, coupling, curvature, pull))
-    scales = np.arange(6 * count, 7 * count)
-    system[scales, scales] += 1 / _SCALE_ERROR**2
-    right[scales] -= cameras.log_scale / _SCALE_ERROR**2
+    stated = 1 / (_DEPTH_ERROR**2 * (1 + depth**2 / 4))
+    residual = depth * _DEPTH_ERROR * stated
+    curvature = stated + np.bincount(mark, (to_inverse**2).sum(axis=1), marks)
+    pull = -residual - np.bincount(mark, (to_inverse * error).sum(axis=1), marks)
+    first = np.searchsorted(mark, np.arange(marks + 1))
+    seen = first[1:] > first[:-1]
+    coupling = np.einsum("mrc,mr->mc", jacobian, to_inverse)
+    coupling[first[:-1][seen], 12] = stated[seen]
+    blocks = [6 * host[:, None] + np.arange(6), 6 * picture[:, None] + np.arange(6), 6 * count + host[:, None]]
+    columns = np.concatenate([*blocks, np.full((len(mark), 1), last)], axis=1)
+
+    system, right = np.zeros((last + 1, last + 1)), np.zeros(last + 1)
+    add_reduced(first, columns, jacobian, coupling, curvature, error, pull, system, right)
+    scales = np.arange(6 * count, last)
+    system[scales, scales] += np.bincount(sightings.host[seen], stated[seen], count) + 1 / _SCALE_ERROR**2
+    right[scales] -= np.bincount(sightings.host[seen], residual[seen], count) + cameras.log_scale / _SCALE_ERROR**2
     prior, width = sightings.focal_prior
     system[-1, -1] += 1 / width**2
     right[-1] -= np.log(cameras.focal / prior) / width**2
-    return system, right, hosts
+    return system, right, _Landmarks(columns, coupling, curvature, pull)
 
 
 def _jacobians(
     cameras: Cameras, sightings: Sightings
-) -> tuple[Float[np.ndarray, "m 2 13"], Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"]]:
-    """Return derivatives of pixels by host (turn, centre), picture and log focal; by log inverse depth; and errors."""
+) -> tuple[Float[np.ndarray, "m 2 14"], Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2"]]:
+    """Return derivatives of pixels by host (turn, centre), picture, scale and focal; by log inverse depth; errors."""
     k, j = sightings.landmark, sightings.picture
     i = sightings.host[k]
     pixels, ahead, local = _projected(cameras, sightings)
@@ -204,32 +185,36 @@ def _jacobians(
     project[:, :, 2] = -pixels / local[:, 2:]
     to_world = project @ back  # by the point in the world
     apart = cameras.centres[i] - cameras.centres[j]
-    result = np.empty((len(k), 2, 13))
+    result = np.zeros((len(k), 2, 14))
     result[:, :, :3] = -to_world @ _cross(ahead)
     result[:, :, 3:6] = inverse * to_world
     result[:, :, 6:9] = to_world @ _cross(ahead + inverse[:, :, 0] * apart)
     result[:, :, 9:12] = -inverse * to_world
     rays = np.concatenate([-sightings.pixel[k] / cameras.focal, np.zeros((len(k), 1))], axis=1)
-    result[:, :, 12] = pixels + np.einsum("mab,mbc,mc->ma", to_world, cameras.turns[i], rays)
+    result[:, :, 13] = pixels + np.einsum("mab,mbc,mc->ma", to_world, cameras.turns[i], rays)
     to_inverse = inverse[:, :, 0] * np.einsum("mab,mb->ma", to_world, apart)
     return result, to_inverse, pixels - sightings.seen
 
 
-def _moved(cameras: Cameras, step: Float[np.ndarray, " p"], hosts: list[_Host]) -> Cameras:
-    """Return the cameras after a step, and the landmarks that follow from it."""
+def _eased(
+    landmarks: _Landmarks, mark: Int[np.ndarray, " m"], step: Float[np.ndarray, " p"]
+) -> Float[np.ndarray, " k"]:
+    """Return the steps of the landmarks that follow from the cameras'; `mark` is each sighting's landmark."""
+    explained = (landmarks.coupling * step[landmarks.columns]).sum(axis=1)
+    return (landmarks.pull - np.bincount(mark, explained, len(landmarks.pull))) / landmarks.curvature
+
+
+def _moved(cameras: Cameras, step: Float[np.ndarray, " p"], nearer: Float[np.ndarray, " k"]) -> Cameras:
+    """Return the cameras and landmarks after their steps."""
     count = len(cameras.turns)
     moves = step[: 6 * count].reshape(count, 6)
     turns = np.stack([cv2.Rodrigues(move[:3])[0] @ turn for move, turn in zip(moves, cameras.turns, strict=True)])
-    log_inverse = cameras.log_inverse.copy()
-    for host in hosts:
-        change = (host.right - host.coupling @ step[host.columns]) / host.curvature
-        log_inverse[host.landmarks] += np.clip(change, -1, 1)
     return replace(
         cameras,
         turns=turns,
         centres=cameras.centres + moves[:, 3:],
         log_scale=cameras.log_scale + step[6 * count : 7 * count],
-        log_inverse=np.clip(log_inverse, -4, 3),
+        log_inverse=np.clip(cameras.log_inverse + np.clip(nearer, -1, 1), -4, 3),
         focal=cameras.focal * float(np.exp(np.clip(step[-1], -0.2, 0.2))),
     )
 

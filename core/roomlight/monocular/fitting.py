@@ -9,7 +9,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int
 
 from roomlight.monocular.estimate import DepthKind
 
@@ -136,13 +136,16 @@ def error_field(
         np.clip(pixels[:, 1] / height * _NODES[1] - 0.5, 0, _NODES[1] - 1),
         tone[rows, columns],
     )
-    across, down, near = (_hats(place, count) for place, count in zip(places, _NODES, strict=True))
-    design = np.einsum("nz,ny,nx->nzyx", near, down, across).reshape(len(pixels), len(_FIELD_PRIOR))
-    values = np.zeros(design.shape[1])
+    shares, nodes = _hats(places)
+    pairs = (nodes[:, :, None] * len(_FIELD_PRIOR) + nodes[:, None]).ravel()
+    products = shares[:, :, None] * shares[:, None]
+    values = np.zeros(len(_FIELD_PRIOR))
     for _ in range(_FIELD_ROUNDS):
-        robust = weight * np.maximum(1 - ((design @ values - log_ratio) / _FIELD_CUT) ** 2, 0) ** 2
-        weighted = design * robust[:, None]
-        values = np.linalg.solve(design.T @ weighted + _FIELD_PRIOR, weighted.T @ log_ratio)
+        error = (shares * values[nodes]).sum(axis=1) - log_ratio
+        robust = weight * np.maximum(1 - (error / _FIELD_CUT) ** 2, 0) ** 2
+        system = np.bincount(pairs, (products * robust[:, None, None]).ravel(), _FIELD_PRIOR.size)
+        right = np.bincount(nodes.ravel(), (shares * (robust * log_ratio)[:, None]).ravel(), len(values))
+        values = np.linalg.solve(system.reshape(_FIELD_PRIOR.shape) + _FIELD_PRIOR, right)
     field = np.zeros(inverse.shape, np.float32)
     for layer, nodes in enumerate(values.reshape(_NODES[::-1]).astype(np.float32)):
         share = np.maximum(1 - np.abs(tone - layer), 0).astype(np.float32)
@@ -150,9 +153,17 @@ def error_field(
     return field
 
 
-def _hats(place: Float[np.ndarray, " n"], count: int) -> Float[np.ndarray, "n {count}"]:
-    """Return the shares of the nodes 0 to count - 1 in linear interpolation."""
-    return np.maximum(1 - np.abs(place[:, None] - np.arange(count)), 0)
+def _hats(
+    places: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+) -> tuple[Float[np.ndarray, "n 8"], Int[np.ndarray, "n 8"]]:
+    """Return the shares of the eight nodes around each place in linear interpolation, and their numbers."""
+    shares, nodes = np.ones((len(places[0]), 1)), np.zeros((len(places[0]), 1), np.int64)
+    for place, count in zip(reversed(places), reversed(_NODES), strict=True):
+        low = np.minimum(place.astype(int), count - 2)[:, None]
+        high = place[:, None] - low
+        shares = np.concatenate([shares * (1 - high), shares * high], axis=1)
+        nodes = np.concatenate([nodes * count + low, nodes * count + low + 1], axis=1)
+    return shares, nodes
 
 
 def _field_prior() -> Float[np.ndarray, "k k"]:

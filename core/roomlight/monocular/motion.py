@@ -72,7 +72,7 @@ class CameraPath:
 
 
 @dataclass(eq=False)
-class _Still:
+class Still:
     """A picture's features; camera to world in OpenCV axes, once it is placed."""
 
     number: int
@@ -84,6 +84,13 @@ class _Still:
     centre: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     sightings: int = 0  # that agree with its adjusted camera
     error_px: float = 0.0  # their median, of a 640-pixel picture
+
+
+class Lost(NamedTuple):
+    """A picture that cannot be placed, and why."""
+
+    number: int
+    reason: str
 
 
 class _Match(NamedTuple):
@@ -114,7 +121,7 @@ class CameraMotion:
         self._focal = intrinsics.fx
         self._unit = max(intrinsics.width, intrinsics.height) / SIDE
         self._tracker = FeatureTracker()
-        self._pieces: list[list[_Still]] = []
+        self._pieces: list[list[Still]] = []
         self._matches: dict[int, list[_Match]] = {}
         self._lost: dict[int, str] = {}
 
@@ -129,43 +136,55 @@ class CameraMotion:
         Raises:
             ModelError: The depth model fails.
         """
+        self.place(self.described(number, picture))
+
+    def described(self, number: int, picture: Float32[np.ndarray, "h w 3"]) -> Still | Lost:
+        """Return what the next picture shows; `place` takes it, in order, also while the next one is described.
+
+        Raises:
+            ModelError: The depth model fails.
+        """
         grey = grey_picture(picture)
         if np.percentile(grey, 99) < _DARK:
-            self._lost[number] = "is too dark to see the room"
-            return
+            return Lost(number, "is too dark to see the room")
         features = self._tracker.features(grey)
         corners = features.pixels
         if len(corners) < _LEAST_FEATURES:
-            self._lost[number] = "shows too little detail to follow: it is blurred, or shows a bare wall"
-            return
+            return Lost(number, "shows too little detail to follow: it is blurred, or shows a bare wall")
         estimated = self._model.estimate(picture, self._intrinsics).resized(grey.shape[1], grey.shape[0])
         columns, rows = np.floor(corners).astype(int).T
         inverse = estimated.inverse[rows.clip(0, grey.shape[0] - 1), columns.clip(0, grey.shape[1] - 1)]
-        still = _Still(
+        return Still(
             number,
             features,
             corners - np.array([self._intrinsics.cx, self._intrinsics.cy], np.float32),
             1 / np.clip(inverse, 0.02, 20).astype(np.float64),
             lines_of(grey, self._intrinsics),
         )
+
+    def place(self, still: Still | Lost) -> None:
+        """Place the camera of a picture."""
+        if isinstance(still, Lost):
+            self._lost[still.number] = still.reason
+            return
         for piece in sorted(self._pieces, key=lambda piece: -piece[-1].number):
             if self._continues(piece, still):
                 piece.append(still)
                 return
         self._pieces.append([still])
 
-    def _continues(self, piece: list[_Still], still: _Still) -> bool:
+    def _continues(self, piece: list[Still], still: Still) -> bool:
         """Place a picture by the pictures of a piece, the last ones or else any; keep the matches."""
         last = [piece[-back] for back in _BEFORE if back <= len(piece)]
         spread = [piece[at] for at in np.linspace(0, len(piece) - 1, min(_RETRIED, len(piece))).astype(int)]
         for others in (last, spread):
             matches = [match for other in others if (match := self._match(other, still)) is not None]
-            if matches and self._place(still, {other.number: other for other in others}, matches):
+            if matches and self._place_by(still, {other.number: other for other in others}, matches):
                 self._matches.setdefault(still.number, []).extend(matches)
                 return True
         return False
 
-    def _match(self, first: _Still, second: _Still) -> _Match | None:
+    def _match(self, first: Still, second: Still) -> _Match | None:
         """Match features, and keep those of a common epipolar geometry; None for too few."""
         pairs = matched(first.features, second.features)
         if len(pairs) < _LEAST_MATCHES:
@@ -176,7 +195,7 @@ class CameraMotion:
             return None
         return _Match(first.number, second.number, pairs[fits[:, 0] > 0])
 
-    def _place(self, still: _Still, others: dict[int, _Still], matches: Sequence[_Match]) -> bool:
+    def _place_by(self, still: Still, others: dict[int, Still], matches: Sequence[_Match]) -> bool:
         """Place a picture by the depth of features that placed pictures see too."""
         points, pixels = [], []
         for match in matches:
@@ -237,14 +256,14 @@ class CameraMotion:
         misfits = tuple(still.number for still in piece if still.error_px >= MISFIT_PX)
         return CameraPath(placed, replace(self._intrinsics, fx=focal, fy=focal), lost, up, misfits)
 
-    def _place_again(self, piece: list[_Still]) -> None:
+    def _place_again(self, piece: list[Still]) -> None:
         """Place a piece's pictures one after the other with the present focal length; one that fails stays."""
         placed = {still.number: still for still in piece}
         piece[0].turn, piece[0].centre = np.eye(3), np.zeros(3)
         for still in piece[1:]:
-            self._place(still, placed, self._matches[still.number])
+            self._place_by(still, placed, self._matches[still.number])
 
-    def _loops(self, piece: list[_Still]) -> list[_Match]:
+    def _loops(self, piece: list[Still]) -> list[_Match]:
         """Match pictures that look the same way at different times."""
         turns, matches = np.stack([still.turn for still in piece]), list[_Match]()
         for later in range(_LOOP_GAP, len(piece)):
@@ -255,7 +274,7 @@ class CameraMotion:
                     matches.append(match)
         return matches
 
-    def _adjust(self, piece: list[_Still], matches: Sequence[_Match]) -> float:
+    def _adjust(self, piece: list[Still], matches: Sequence[_Match]) -> float:
         """Adjust all cameras of a piece to its matches; returns the focal length."""
         index = {still.number: at for at, still in enumerate(piece)}
         rows = np.concatenate([
@@ -301,7 +320,7 @@ class CameraMotion:
         return cameras.focal
 
 
-def _opengl(still: _Still) -> Float[np.ndarray, "4 4"]:
+def _opengl(still: Still) -> Float[np.ndarray, "4 4"]:
     """Return a picture's pose, OpenGL axes, in the world of the first camera's OpenGL axes."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = still.turn, still.centre

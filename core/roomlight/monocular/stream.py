@@ -204,9 +204,8 @@ class DepthStream:
         """Move the metres of the unit toward those that the floor gives, as long as no features tell them."""
         if not self._gravity or not self.state.unmoved:
             return
-        self.state.floors.append(
-            camera_height(depth, frame.intrinsics, frame.camera_to_world[1, :3].astype(np.float64))
-        )
+        up = frame.camera_to_world[1, :3].astype(np.float64)
+        self.state.floors = [*self.state.floors, camera_height(depth, frame.intrinsics, up)]
         metres = floor_scale(self.state.floors, self._height_m)
         if metres is not None:
             self.state.per_metre = float(np.clip(metres, 1 / _MOST_BY_FLOOR, _MOST_BY_FLOOR)) ** -_FLOOR_SHARE

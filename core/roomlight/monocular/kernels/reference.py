@@ -1,7 +1,9 @@
 """Readable references of the kernels in NumPy: tests compare the fast ones with them. Arguments as theirs."""
 
+from itertools import pairwise
+
 import numpy as np
-from jaxtyping import Float, Float32, UInt8, UInt32
+from jaxtyping import Float, Float32, Int, UInt8, UInt32
 
 from roomlight.monocular.kernels.sweep import MOST, REACH, UNSEEN
 
@@ -89,3 +91,24 @@ def decide_reference(
     mean = (shares * tones).sum(axis=-1)
     spread = np.sqrt(np.maximum((shares * tones**2).sum(axis=-1) - mean**2, 0))
     return (near * tones).sum(axis=-1) / near.sum(axis=-1), spread
+
+
+def reduced_reference(
+    first: Int[np.ndarray, " k+1"],
+    columns: Int[np.ndarray, "m c"],
+    jacobian: Float[np.ndarray, "m 2 c"],
+    coupling: Float[np.ndarray, "m c"],
+    curvature: Float[np.ndarray, " k"],
+    error: Float[np.ndarray, "m 2"],
+    pull: Float[np.ndarray, " k"],
+    size: int,
+) -> tuple[Float[np.ndarray, "{size} {size}"], Float[np.ndarray, " {size}"]]:
+    """Compute what `add_reduced` adds to a system of `size` unknowns."""
+    wide, couplings = np.zeros((*error.shape, size)), np.zeros((len(curvature), size))
+    for mark, (start, stop) in enumerate(pairwise(first)):
+        for own in range(start, stop):
+            np.add.at(couplings[mark], columns[own], coupling[own])
+            for axis in range(2):
+                np.add.at(wide[own, axis], columns[own], jacobian[own, axis])
+    system = np.einsum("mai,maj->ij", wide, wide) - np.einsum("ki,kj,k->ij", couplings, couplings, 1 / curvature)
+    return system, -np.einsum("mai,ma->i", wide, error) - couplings.T @ (pull / curvature)
