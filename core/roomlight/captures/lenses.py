@@ -94,7 +94,7 @@ def lens_of(entry: Mapping[str, Any], shared: Mapping[str, Any]) -> Lens:
         ValueError: The model is not read, or a coefficient is out of range; names the model.
     """
     stated = fields.first_of(entry, shared, *_MODEL_KEYS)
-    model = str(stated or "").upper().replace("-", "_").replace(" ", "_")
+    model = str(stated or "").strip().upper().replace("-", "_").replace(" ", "_")
     fisheye = fields.flag(fields.first_of(entry, shared, "is_fisheye")) or model in _FISHEYE
     if model and not fisheye and model not in _PERSPECTIVE:
         raise ValueError(f"camera_model {stated!r} is not read; undistort the images to a pinhole camera first")

@@ -131,6 +131,8 @@ def _known_otherwise(path: Path) -> str:
             f"{models[0]} is a model, not a recording; Scaniverse exports models only. Record the room with Record3D, "
             "Stray Scanner, NeRFCapture, Polycam (export raw data) or 3D Scanner App (export all data)"
         )
+    if parts := sorted(file.name for file in files if file.name.startswith("transforms_") and file.suffix == ".json"):
+        return f"holds {', '.join(parts[:4])}, and no transforms.json; rename one of them, or put their frames into it"
     if any(file.suffix.lower() == ".db" for file in files) and ends <= {".db"}:
         return "is RTAB-Map's database; export it: rtabmap-export --images --poses_camera FILE.db"
     if path.is_file() and path.suffix.lower() in _VIDEOS:

@@ -20,6 +20,8 @@ _REGULAR: Final = 0.5
 """Interquartile range of the steps, relative to their median, up to which they are those of a camera."""
 _UNITS: Final = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}
 _CAMERA_STEP_S: Final = 1 / 30
+_LEAST_STEP_S: Final = 1e-3
+"""Of what records rooms; numbers of frames, taken for microseconds, are closer."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,9 @@ def timeline(stored: list[float | None], name: str) -> Timeline:
             notes.append(_unit_note(name, float(np.median(steps)), unit))
         values, steps = values * unit, steps * unit
         forward = steps[steps > 0]
+        if forward.size and np.median(forward) < _LEAST_STEP_S:
+            text = f"{name}: timestamps a median of {np.median(forward):.2g} s apart, which no camera is"
+            return Timeline((None,) * len(stored), (*notes, Note(text, "frames have no time", "store seconds")))
         usual = min(float(np.median(forward)), MAX_GAP_S) if forward.size else 0.0
         long, back = steps > MAX_GAP_S, steps < 0
         if long.any() or back.any():

@@ -1,6 +1,5 @@
 """Frames of a video by number, decoded in order with one in memory at a time (PyAV, which contains FFmpeg)."""
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -9,15 +8,15 @@ from typing import Any, Final
 import av
 import numpy as np
 from av.error import FFmpegError
-from av.sidedata.sidedata import Type as SideData
 from av.stream import Disposition
 from av.video.frame import VideoFrame
 
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import FrameError
 from roomlight.frame import clipped_pixels
-from roomlight.images import MAX_PIXELS, ColourImage
+from roomlight.images import MAX_PIXELS, MIN_ALPHA, ColourImage
 from roomlight.imaging.colour_spaces import ColourSpace
+from roomlight.imaging.exif import oriented
 from roomlight.notes import Note, oblong_pixels
 
 _UNSPECIFIED: Final = 2
@@ -28,8 +27,21 @@ DEMUXERS: Final = {".mp4": "mp4", ".mov": "mp4", ".m4v": "mp4", ".mkv": "matrosk
 """FFmpeg's reader by the end of a file's name."""
 _FOCAL_35MM: Final = "focal_length.35mm_equivalent"
 """End of the name of QuickTime's entry that new iPhones write."""
+_ORIENTATIONS: Final = {
+    **{(False, False, False): 1, (False, True, False): 2, (False, True, True): 3, (False, False, True): 4},
+    **{(True, False, False): 5, (True, False, True): 6, (True, True, True): 7, (True, True, False): 8},
+}
+"""EXIF's orientation by whether a display matrix (a, b; c, d) swaps the axes, and whether a (b) and d (c) are below 0."""
+_MIRRORED: Final = (2, 4, 5, 7)
 _RECTILINEAR: Final = 4
-_TWO_VIEWS: Final = {1: "side by side", 2: "one above the other", 4: "in turn", 5: "in turn", 6: "in turn", 7: "in turn"}
+_TWO_VIEWS: Final = {
+    1: "side by side",
+    2: "one above the other",
+    4: "in turn",
+    5: "in turn",
+    6: "in turn",
+    7: "in turn",
+}
 """FFmpeg's AVSphericalProjection of a pinhole camera; its AVStereo3DType of pictures that share a frame."""
 
 
@@ -141,33 +153,38 @@ class VideoFrames:
         except ValueError as error:
             raise FrameError(f"{self._label}: {error}") from error
         # HLG and PQ have 10 bits, which 8 would band in the shadows.
-        layout = "rgb24" if space.is_srgb else "rgb48le"
+        alpha = any(component.is_alpha for component in frame.format.components)
+        layout = ("rgba" if alpha else "rgb24") if space.is_srgb else ("rgba64le" if alpha else "rgb48le")
         try:
             source = "ITU709" if frame.colorspace == _UNSPECIFIED else None
             share = min(1.0, (longest or MAX_PIXELS) / max(frame.width, frame.height))
             width, height = round(share * frame.width), round(share * frame.height)
             small = frame.reformat(width, height, layout, src_colorspace=source, interpolation="AREA")
-            rgb = np.ascontiguousarray(small.to_ndarray(format=layout))
+            pixels = small.to_ndarray(format=layout)
         except (FFmpegError, ValueError, MemoryError) as error:
             raise FrameError(f"{self._label}: frame {number} does not convert to RGB ({error})") from error
+        rgb = np.ascontiguousarray(pixels[..., :3])
         clipped = clipped_pixels(rgb)
-        notes = self._notes
+        shown = pixels[..., 3] >= MIN_ALPHA * (256**pixels.itemsize - 1) if alpha else None
+        seen = None if shown is None or shown.all() else shown
+        notes = (*self._notes, *_unstated_curve(frame, self._label))
         if frame.interlaced_frame:
             combed = f"{self._label}: its rows are of two moments in turn (interlaced)"
             notes = (*notes, Note(combed, "edges that move are combs", "deinterlace it (ffmpeg -i IN -vf yadif OUT)"))
+        turn = _orientation(frame)
         if self._upright:
-            rgb, clipped = (
-                np.ascontiguousarray(np.rot90(plane, round(frame.rotation / 90))) for plane in (rgb, clipped)
-            )
-        elif frame.rotation:
+            rgb, clipped = oriented(rgb, turn), oriented(clipped, turn)
+            seen = None if seen is None else oriented(seen, turn)
+        elif turn != 1:
+            what = "that it is shown mirrored" if turn in _MIRRORED else f"its rotation of {frame.rotation} degrees"
             rotation = Note(
-                f"{self._label}: its rotation of {frame.rotation} degrees",
+                f"{self._label}: {what}",
                 "frames are read as stored, which is what intrinsics and poses refer to",
                 "rotate the video, and its intrinsics and poses, if they are for upright frames",
             )
             notes = (*notes, rotation)
         image = srgb8_to_linear(rgb) if space.is_srgb else space.to_linear(rgb)
-        return ColourImage(image, clipped, notes=notes)
+        return ColourImage(image, clipped, seen, notes=notes)
 
 
 def _main_stream(container: Any, label: str) -> tuple[Any, tuple[Note, ...]]:
@@ -194,14 +211,39 @@ def _stated_focal(metadata: Mapping[str, str]) -> float | None:
     return None
 
 
+def _side_data(frame: VideoFrame, kind: str) -> list[int]:
+    """Return the numbers of a frame's side data, as FFmpeg's structures begin with; none without it."""
+    data: Any = frame.side_data.get(kind)
+    return [] if data is None else np.frombuffer(bytes(data)[:20], np.int32).tolist()
+
+
 def _check_pinhole(frame: VideoFrame) -> None:
     """Raise ValueError where the file's spherical or stereo metadata says that the frame is no pinhole picture."""
-    for stated in frame.side_data:
-        kind = int.from_bytes(bytes(stated)[:4], sys.byteorder)
-        if stated.type == SideData.SPHERICAL and kind != _RECTILINEAR:
-            raise ValueError("is a 360-degree video, not the pictures of a pinhole camera; cut a view out of it")
-        if stated.type == SideData.STEREO3D and kind in _TWO_VIEWS:
-            raise ValueError(f"shows two cameras' pictures {_TWO_VIEWS[kind]} in each frame; keep one of them")
+    projection, packing = _side_data(frame, "SPHERICAL"), _side_data(frame, "STEREO3D")
+    if projection and projection[0] != _RECTILINEAR:
+        raise ValueError("is a 360-degree video, not the pictures of a pinhole camera; cut a view out of it")
+    if packing and packing[0] in _TWO_VIEWS:
+        raise ValueError(f"shows two cameras' pictures {_TWO_VIEWS[packing[0]]} in each frame; keep one of them")
+
+
+def _orientation(frame: VideoFrame) -> int:
+    """Return what the display matrix does to the frame, as EXIF's orientation: 1 is upright, as without a matrix."""
+    matrix = _side_data(frame, "DISPLAYMATRIX")
+    if not matrix:
+        return 1
+    a, b, _, c, d = map(float, matrix)
+    turned = abs(b) + abs(c) > abs(a) + abs(d)
+    return _ORIENTATIONS[turned, (b if turned else a) < 0, (c if turned else d) < 0]
+
+
+def _unstated_curve(frame: VideoFrame, label: str) -> list[Note]:
+    """Note wide colours without a transfer curve, as cameras tag logarithmic pictures (Apple Log)."""
+    if int(frame.color_primaries) != _BT2020 or int(frame.color_trc) != _UNSPECIFIED:
+        return []
+    text = f"{label}: its colours are BT.2020's, and its transfer curve is not stated"
+    return [
+        Note(text, "it is read as an ordinary video's, which a logarithmic one is not", "convert it to BT.709 or HLG")
+    ]
 
 
 def _colour_space(frame: VideoFrame) -> ColourSpace:

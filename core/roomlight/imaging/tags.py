@@ -34,6 +34,9 @@ _INSIDE: Final = (
     (_DEPTH_MAPS, "depth map", "it is not read", "extract it, and give it as the depth"),
 )
 _PANORAMA: Final = re.compile(rb"GPano:ProjectionType\W{1,12}(?:equirectangular|cylindrical)", re.IGNORECASE)
+_TURNED: Final = b"tiff:Orientation"
+"""XMP's orientation, which Pillow takes where EXIF states none."""
+_EXIF_AS_TEXT: Final = b"Raw profile type exif"
 _MP_ENTRIES: Final = 0xB002
 _SRGB: Final = ColourSpace()
 _NO_EXIF: Final = ExifCamera()
@@ -70,18 +73,19 @@ def read_tags(data: bytes, name: str) -> ImageTags:
 def _jpeg_tags(data: bytes, name: str) -> ImageTags:
     pieces: dict[int, bytes] = {}
     exif, notes = ExifCamera(), list[Note]()
-    offset = 2
+    offset, is_cmyk = 2, False
     while offset + 4 <= len(data) and data[offset] == 0xFF and data[offset + 1] not in (0xDA, 0xD9):
         marker, (length,) = data[offset + 1], struct.unpack_from(">H", data, offset + 2)
         body = data[offset + 4 : offset + 2 + length]
         if marker == 0xE2 and body.startswith(_ICC_SEGMENT) and len(body) > 14:
             pieces[body[12]] = body[14:]
-        elif marker == 0xE1 and body.startswith(b"Exif\0\0"):
+        elif marker == 0xE1 and (body.startswith(b"Exif\0\0") or _TURNED in body):
             exif = read_exif(data)
         elif marker == 0xE2 and body.startswith(b"MPF\0"):
             notes += _other_pictures(data, name)
         if marker == 0xE1:
             check_pinhole(body, name)
+        is_cmyk |= marker in (0xC0, 0xC1, 0xC2) and body[5:6] == b"\4"
         kept = {note.left_out for note in notes} if marker in (0xE1, 0xE2) else set[str]()
         for marks, what, effect, advice in _INSIDE if marker in (0xE1, 0xE2) else ():
             if any(mark in body for mark in marks) and f"{name}: its {what}" not in kept:
@@ -89,6 +93,9 @@ def _jpeg_tags(data: bytes, name: str) -> ImageTags:
         offset += 2 + length if marker != 0xFF else 1
     profile = b"".join(pieces[key] for key in sorted(pieces)) or None
     space = ColourSpace(ADOBE_RGB, gamma=563 / 256) if exif.adobe_rgb and profile is None else ColourSpace()
+    if is_cmyk and profile is None:
+        stated = f"{name}: its pixels are CMYK, and no profile says what ink they are of"
+        notes.append(Note(stated, "they are converted by a plain formula", "save it as sRGB, or with its profile"))
     if exif.uncalibrated and profile is None:
         stated = f"{name}: its EXIF says that its colours are not sRGB, and no profile says what they are"
         notes.append(Note(stated, "they are read as sRGB", "save it as sRGB, or with its profile"))
@@ -97,18 +104,20 @@ def _jpeg_tags(data: bytes, name: str) -> ImageTags:
 
 def _png_tags(data: bytes, name: str) -> ImageTags:
     chunks: dict[bytes, bytes] = {}
-    offset = 8
+    offset, has_exif = 8, False
     while offset + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, offset)
         if kind == b"IEND":
             break
-        if kind == b"iTXt":
-            check_pinhole(data[offset + 8 : offset + 8 + length], name)
+        if kind in (b"iTXt", b"zTXt", b"tEXt"):
+            text = data[offset + 8 : offset + 8 + length]
+            check_pinhole(text, name)
+            has_exif |= _TURNED in text or text.startswith(_EXIF_AS_TEXT)
         if kind in (b"IHDR", b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM", b"tRNS", b"eXIf", b"acTL", b"pHYs"):
             chunks.setdefault(kind, data[offset + 8 : offset + 8 + length])
         offset += 12 + length
     alpha = b"tRNS" in chunks or (len(chunks.get(b"IHDR", b"")) >= 10 and chunks[b"IHDR"][9] in (4, 6))
-    exif = read_exif(data) if b"eXIf" in chunks else ExifCamera()
+    exif = read_exif(data) if has_exif or b"eXIf" in chunks else ExifCamera()
     notes: list[Note] = []
     if b"acTL" in chunks:
         notes.append(Note(f"{name}: the frames of an animated PNG", "the first is read", "give one file a frame"))
@@ -181,8 +190,10 @@ def profile_to_srgb8(
         return None, ()
     picture = Image.fromarray(image) if isinstance(image, np.ndarray) else image
     modes = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-    if space == "CMYK" and picture.mode != "CMYK":
-        return None, ()
+    coloured = space == "GRAY" and np.ptp(np.asarray(picture.convert("RGB")), axis=-1).any()
+    if coloured or (space == "CMYK" and picture.mode != "CMYK"):
+        stated = f"{name}: its colour profile is for {space}, which its pixels are not"
+        return None, (Note(stated, "sRGB is assumed", "save it as sRGB"),)
     converted = ImageCms.applyTransform(picture.convert(modes[space]), transform)
     return (None, ()) if converted is None else (np.asarray(converted), ())
 

@@ -1,6 +1,7 @@
 """Videos without poses, depth and lens: frames with all three, what was estimated is said, options that do not fit."""
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import av
@@ -13,7 +14,7 @@ from depth_models import SIZE, write_depth_model
 from roomlight.camera import rigid_inverse
 from roomlight.captures import CaptureOptions, bare_video, open_capture
 from roomlight.captures.video import VideoFrames
-from roomlight.conventions import linear_to_srgb8
+from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
 from roomlight.errors import CaptureError, OptionError
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.monocular import motion
@@ -173,6 +174,55 @@ def test_what_the_metadata_calls_no_pinhole_is_refused(tmp_path: Path, path: str
     video.write_bytes(with_box(data, "moov/trak/mdia/minf/stbl/stsd/avc1", boxed("st3d", FULL + b"\0")))
     with VideoFrames(video, "walk") as frames:  # of one camera
         assert frames.frame(0).image.shape == (24, 32, 3)
+
+
+def stated_matrix(data: bytes, a: int, b: int, c: int, d: int) -> bytes:
+    """The video with a display matrix, by which x becomes a x + c y and y becomes b x + d y."""
+    at = data.index(b"tkhd") + 44
+    return data[:at] + struct.pack(">9i", a << 16, b << 16, 0, c << 16, d << 16, 0, 0, 0, 1 << 30) + data[at + 36 :]
+
+
+@pytest.mark.parametrize(
+    ("matrix", "shown"),
+    [
+        ((1, 0, 0, 1), lambda stored: stored),
+        ((-1, 0, 0, 1), np.fliplr),
+        ((-1, 0, 0, -1), lambda stored: stored[::-1, ::-1]),
+        ((1, 0, 0, -1), np.flipud),
+        ((0, 1, 1, 0), lambda stored: stored.swapaxes(0, 1)),
+        ((0, 1, -1, 0), lambda stored: np.rot90(stored, -1)),  # phones held upright
+        ((0, -1, -1, 0), lambda stored: np.rot90(stored, 2).swapaxes(0, 1)),
+        ((0, -1, 1, 0), np.rot90),
+    ],
+)
+def test_a_video_is_turned_and_mirrored_as_players_show_it(
+    tmp_path: Path, matrix: tuple[int, int, int, int], shown: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    path = tmp_path / "walk.mp4"
+    formats.video(path, [view.srgb8 for view in formats.scene(1)])
+    path.write_bytes(stated_matrix(path.read_bytes(), *matrix))
+    with VideoFrames(path, "walk") as frames:
+        stored = frames.frame(0)
+    with VideoFrames(path, "walk", upright=True) as frames:
+        np.testing.assert_array_equal(frames.frame(0).image, shown(stored.image))
+    mirrored = matrix[0] * matrix[3] - matrix[1] * matrix[2] < 0
+    assert ("it is shown mirrored" in str(stored.notes)) == mirrored
+    assert bool(stored.notes) == (matrix != (1, 0, 0, 1))
+
+
+def test_transparent_pixels_of_a_video_are_not_seen(tmp_path: Path) -> None:
+    rgba = np.dstack([formats.scene(1)[0].srgb8, np.full((24, 32), 255, np.uint8)])
+    rgba[:, :8, 3] = 0
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 32, 24, "bgra"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(rgba, format="rgba").reformat(format="bgra")))
+        container.mux(stream.encode())
+    with VideoFrames(tmp_path / "a.mkv", "a") as frames:
+        picture = frames.frame(0)
+    assert picture.seen is not None
+    np.testing.assert_array_equal(picture.seen, rgba[..., 3] > 0)
+    np.testing.assert_allclose(picture.image, srgb8_to_linear(rgba[..., :3]), atol=1e-6)
 
 
 def test_rows_of_two_moments_are_pointed_out(tmp_path: Path) -> None:

@@ -12,11 +12,12 @@ import av
 import formats
 import numpy as np
 import pytest
+import tool_formats
 from capture_checks import edit, one_skipped
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.photo import PhotoOptions, read_photo
-from roomlight.errors import CaptureError
+from roomlight.errors import CaptureError, UnknownFormatError
 from roomlight.frame import Frame
 from roomlight.images import write_png
 from roomlight.sample import sample_capture
@@ -53,6 +54,22 @@ def test_several_colmap_models_are_noted(tmp_path: Path) -> None:
     path = formats.colmap(tmp_path / "capture", VIEWS)
     shutil.copytree(path / "sparse/0", path / "sparse/1")
     assert any("sparse/1" in note.left_out for note in open_capture(path).notes)
+
+
+def test_a_fisheye_of_rtabmap_is_noted_also_without_coefficients(tmp_path: Path) -> None:
+    path = tool_formats.rtabmap(tmp_path / "capture", VIEWS)
+    for file in (path / "room_calib").iterdir():
+        file.write_text(file.read_text() + "distortion_model: equidistant\n")
+    capture = open_capture(path)
+    list(capture)
+    (note,) = capture.notes
+    assert "the lens distortion: images are taken for rectified" in str(note)
+
+
+def test_parts_of_a_data_set_without_the_whole_are_named(transforms: Path) -> None:
+    (transforms / "transforms.json").rename(transforms / "transforms_train.json")
+    with pytest.raises(UnknownFormatError, match=r"holds transforms_train\.json, and no transforms\.json; rename"):
+        open_capture(transforms)
 
 
 def test_tum_lists_with_tabs(tmp_path: Path) -> None:

@@ -75,6 +75,7 @@ def test_pixels_look_where_the_lens_model_says(bent: Lens, radius: Callable[[np.
         {"is_fisheye": "true"},
         {"lens_mode": "OpenCVFisheye"},
         {"distortion_model": "kannala_brandt"},
+        {"camera_model": " OPENCV_FISHEYE "},
     ],
 )
 def test_a_fisheye_is_one_by_every_name(transforms: Path, keys: dict) -> None:
@@ -131,6 +132,17 @@ def test_the_unit_of_time_is_recognised(unit: float, rate: int) -> None:
     found = timeline(stamps, "x")
     assert found.step_s == pytest.approx(1 / rate, rel=0.06)
     assert bool(found.notes) == (unit != 1)
+
+
+def test_numbers_of_frames_are_no_times(tmp_path: Path) -> None:
+    path = formats.polycam(tmp_path / "capture", VIEWS)
+    for folder in (path / "keyframes").iterdir():
+        for number, file in enumerate(sorted(folder.iterdir())):
+            file.rename(file.with_name(f"{number}{file.suffix}"))  # Polycam's own names are microseconds
+    capture = open_capture(path)
+    assert [frame.timestamp_s for frame in capture] == [None] * 4
+    assert "timestamps a median of 1e-06 s apart, which no camera is" in str(capture.notes)
+    assert timeline([0.0, 0.001, 0.002], "x").times_s == (0.0, 0.001, 0.002)
 
 
 def test_gaps_and_steps_back_are_bounded_and_said() -> None:
@@ -364,6 +376,15 @@ def test_hlg_video_is_scene_light(tmp_path: Path) -> None:
     hlg_video(path / "rgb.mp4", 200)
     frame = next(iter(open_capture(path)))
     np.testing.assert_allclose(frame.image, 0.32, atol=0.02)  # BT.2100: (exp((0.784 - c) / a) + b) / 12
+
+
+def test_wide_colours_without_a_stated_curve_are_noted(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    hlg_video(path / "rgb.mp4", 100, curve=2)
+    capture = open_capture(path)
+    list(capture)
+    (note,) = capture.notes
+    assert "its transfer curve is not stated" in str(note)
 
 
 def test_a_curve_that_no_camera_writes_is_refused(tmp_path: Path) -> None:
@@ -609,6 +630,9 @@ def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:
     assert "scale and up direction" in capture.notes[0].left_out
     (path / "sparse/cameras.txt").write_text(text.replace("PINHOLE", "FOV").rstrip() + " 0.9\n")
     with pytest.raises(CaptureError, match="FOV"):
+        list(open_capture(path))
+    (path / "sparse/cameras.txt").write_text(text.replace("PINHOLE", "EUCM").rstrip() + " 0.5 1\n")
+    with pytest.raises(CaptureError, match="EUCM cannot be used: it is not read; undistort"):
         list(open_capture(path))
 
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image, ImageCms
+from PIL.PngImagePlugin import PngInfo
 
 from colour_profiles import matrix_profile
 from roomlight.errors import ImageError
@@ -162,7 +163,49 @@ def test_oblong_pixels_of_radiance_are_said() -> None:
 def test_cmyk_jpegs_are_read() -> None:
     stream = io.BytesIO()
     Image.fromarray(RED).convert("CMYK").save(stream, "JPEG", quality=98)
-    assert linear_of(stream.getvalue())[0] > 0.4
+    picture = decode_picture(stream.getvalue(), "x")
+    assert picture.image[4, 4, 0] > 0.4
+    (note,) = picture.notes
+    assert "x: its pixels are CMYK, and no profile" in str(note)
+
+
+def test_a_profile_for_other_pixels_is_said_and_not_applied() -> None:
+    """A profile of grey would take the colour out of the picture; a grey picture has it applied."""
+    grey = bytearray(matrix_profile(DISPLAY_P3))
+    grey[16:20] = b"GRAY"
+    grey[grey.index(b"rTRC") : grey.index(b"rTRC") + 4] = b"kTRC"
+    picture = decode_picture(saved("JPEG", icc_profile=bytes(grey), quality=98), "x")
+    np.testing.assert_allclose(picture.image[4, 4], [0.5776, 0.0212, 0.0212], atol=0.02)
+    (note,) = picture.notes
+    assert "its colour profile is for GRAY, which its pixels are not" in str(note)
+    level = np.full((8, 8, 3), 128, np.uint8)
+    assert decode_picture(saved("PNG", level, icc_profile=bytes(grey)), "x").notes == ()
+
+
+TURNED: bytes = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description tiff:Orientation="6"/></x:xmpmeta>'
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "text"])
+def test_orientation_is_applied_wherever_the_file_states_it(kind: str) -> None:
+    """In EXIF, as XMP, or as EXIF in a PNG's text (ImageMagick); half of the picture is red."""
+    half = RED.copy()
+    half[:, 4:] = 40
+    if kind == "text":
+        exif = Image.Exif()
+        exif[ExifTags.Base.Orientation] = 6
+        raw = b"Exif\0\0" + exif.tobytes().removeprefix(b"Exif\0\0")
+        info = PngInfo()
+        info.add_text("Raw profile type exif", f"\nexif\n{len(raw):8}\n{raw.hex()}\n", zip=True)
+        data = saved("PNG", half, pnginfo=info)
+    elif kind == "PNG":
+        data = png(half, chunk(b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0" + TURNED))
+    else:
+        data = saved("JPEG", half, xmp=TURNED, quality=98)
+    picture = decode_picture(data, "x").image
+    assert picture[0, 0, 0] > 0.4
+    assert picture[0, 7, 0] > 0.4
+    assert picture[7, 0, 0] < 0.1
+    assert "EXIF orientation 6" in str(decode_picture(data, "x", as_stored=True).notes)
 
 
 def test_a_gain_map_is_said() -> None:

@@ -162,8 +162,10 @@ def _camera(model: str, width: int, height: int, parameters: list[float]) -> _Ca
     """Return a camera, or why it cannot be used."""
     try:
         names = _MODELS.get(model)
-        if names is None or len(names) != len(parameters):
-            raise ValueError(f"has {len(parameters)} parameters")
+        if names is None:
+            raise ValueError("it is not read; undistort the images to a pinhole camera first")
+        if len(names) != len(parameters):
+            raise ValueError(f"has {len(parameters)} parameters where {len(names)} are needed")
         values = dict(zip(names, parameters, strict=True))
         fx, fy = values.get("fx", values.get("f", 0.0)), values.get("fy", values.get("f", 0.0))
         distortion = {key: value for key, value in values.items() if key[0] in "kp"}
@@ -213,7 +215,7 @@ def _cameras_of_bytes(data: bytes) -> dict[int, _Camera | str]:
     for _ in range(min(count, MAX_FRAMES)):
         number, kind, width, height = struct.unpack_from("<iiQQ", data, at)
         if not 0 <= kind < len(_NAMES):
-            raise ValueError(f"has a camera model of number {kind}, which is not read")
+            raise ValueError(f"has a camera model of number {kind}, which is not read; undistort the images first")
         names = _MODELS[_NAMES[kind]]
         parameters = list(struct.unpack_from(f"<{len(names)}d", data, at + 24))
         size = fields.pixels(width, "width"), fields.pixels(height, "height")

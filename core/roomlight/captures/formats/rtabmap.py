@@ -29,6 +29,7 @@ from roomlight.files import FolderSource
 from roomlight.notes import Note
 
 _SAME_TIME_S: Final = 0.001
+_FISHEYE: Final = re.compile(r'^distortion_model:\s*"?(equidistant|fisheye)', re.MULTILINE)
 _CAMERA_POSES, _ROBOT_POSES = "camera_poses.txt", "poses.txt"
 
 
@@ -118,10 +119,10 @@ class RtabmapReader(ListedReader):
         with fields.naming(calib_label, FrameError):
             intrinsics = _intrinsics(text)
             pose = node[1] @ _local_transform(text) if self._robot else node[1]
-        distorted = any(_matrix(text, "distortion_coefficients") or [])
+        distorted = any(_matrix(text, "distortion_coefficients") or []) or _FISHEYE.search(text)
         if distorted and not self.notes:
             effect = "images are taken for rectified, as RTAB-Map stores them"
-            self.notes.append(Note(f"{calib_label}: distortion coefficients", effect, "undistort raw images first"))
+            self.notes.append(Note(f"{calib_label}: the lens distortion", effect, "undistort raw images first"))
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         depth_label = depth_name and self._source.label(depth_name)
         return RawFrame(label, read.picture, read.depth_m, depth_label, intrinsics, pose)
