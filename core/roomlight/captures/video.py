@@ -31,7 +31,7 @@ _ORIENTATIONS: Final = {
     **{(False, False, False): 1, (False, True, False): 2, (False, True, True): 3, (False, False, True): 4},
     **{(True, False, False): 5, (True, False, True): 6, (True, True, True): 7, (True, True, False): 8},
 }
-"""EXIF's orientation by whether a display matrix (a, b; c, d) swaps the axes, and whether a (b) and d (c) are below 0."""
+"""EXIF's orientation by whether a display matrix (a, b; c, d) swaps the axes, and a (b) and d (c) are below 0."""
 _MIRRORED: Final = (2, 4, 5, 7)
 _RECTILINEAR: Final = 4
 _TWO_VIEWS: Final = {
