@@ -137,13 +137,21 @@ class FolderSource:
             return False
 
     def with_suffix(self, name: str, suffixes: tuple[str, ...]) -> str:
-        """Add the existing file's suffix to a name without one (`images/0`: NeRFCapture, nerf-synthetic)."""
+        """Add the existing file's suffix to a name without one (`images/0`: NeRFCapture, nerf-synthetic).
+
+        Raises:
+            FrameError: Several files fit.
+        """
         try:
             if (self.root / self.actual(name)).is_file() or PurePosixPath(name).suffix.lower() in suffixes:
                 return name
         except (OSError, ValueError):  # a name too long, a NUL byte; reading it says so
             return name
-        return next((name + suffix for suffix in suffixes if self.has(name + suffix)), name)
+        fitting = [name + suffix for suffix in suffixes if self.has(name + suffix)]
+        if len(fitting) > 1:
+            listed = " and ".join(PurePosixPath(one).name for one in fitting)
+            raise FrameError(f"{self.label(name)}: is there as {listed}; name one of them, or remove the others")
+        return fitting[0] if fitting else name
 
     def actual(self, name: str) -> str:
         """Return the name as the folder spells it; `name` with forward slashes if there is nothing like it.

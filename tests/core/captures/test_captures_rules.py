@@ -228,6 +228,18 @@ def test_two_files_of_another_case_are_ambiguous(transforms: Path) -> None:
     assert "A.png and a.png" in capture.skipped[0].reason
 
 
+def test_two_files_for_a_name_without_a_suffix_are_an_error(transforms: Path) -> None:
+    formats.save(transforms / "images/frame_00001.jpg", formats.image(".jpg", 255 - VIEWS[0].srgb8))
+    edit(transforms / "transforms.json", lambda index: index["frames"][0].update(file_path="images/frame_00001"))
+    one_skipped(transforms, 0, "is there as frame_00001.png and frame_00001.jpg; name one of them")
+
+
+def test_two_depth_maps_of_an_image_are_an_error(tmp_path: Path) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    np.save(path / "depth/frame_00001.npy", VIEWS[0].depth_m)  # beside a picture of it
+    one_skipped(path, 0, "is there as frame_00001.png and frame_00001.npy")
+
+
 def rewritten(text: str, kind: str) -> bytes:
     if kind == "bom":
         return codecs.BOM_UTF8 + text.encode()
@@ -560,6 +572,18 @@ def test_depth_of_another_camera_is_projected_into_the_colour_image(tmp_path: Pa
     seen = (np.arange(formats.WIDTH) + 0.5 - formats.CX) / (scale * formats.FX) * far + shift
     assert x.min() == pytest.approx(max(seen.min(), ((0.5 - camera.cx) / camera.fx)), abs=0.06)
     assert set(row[row > 0].round(3)) <= {np.float32(1.0), np.float32(3.0)}
+
+
+@pytest.mark.parametrize("points", [None, "", "1.0 2.0 -1", "1.0 2.0 -1 3.5 4e0 7 8.5 9.5 -1 2.0 1.0 5"])
+def test_every_image_of_a_colmap_text_is_read(tmp_path: Path, points: str | None) -> None:
+    """Converters leave out the lines of points, which a model may leave empty."""
+    path = formats.colmap_text(tmp_path / "capture", VIEWS)
+    lines = (path / "sparse/images.txt").read_text().splitlines()
+    kept = [points if line == "1.0 2.0 -1" else line for line in lines]
+    (path / "sparse/images.txt").write_text("\n".join(line for line in kept if line is not None))
+    frames = list(open_capture(path))
+    for frame, view in zip(frames, VIEWS, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
 
 
 def test_masks_of_a_colmap_model_are_read(tmp_path: Path) -> None:

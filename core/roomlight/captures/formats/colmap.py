@@ -9,6 +9,7 @@ Conventions: world-to-camera quaternions (w, x, y, z), OpenCV camera. Principal 
 integers and are used unchanged. Lens models are those of `roomlight.captures.lenses`.
 """
 
+import re
 import struct
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -126,8 +127,8 @@ class ColmapReader(ListedReader):
         stem = str(PurePosixPath(image.name).with_suffix(""))
         depth_name = None
         if self._depth is not None and self._depth.endswith("stereo/depth_maps"):
-            ends = (".geometric.bin", ".photometric.bin")
-            depth_name = self._source.with_suffix(f"{self._depth}/{image.name}", ends)
+            maps = [f"{self._depth}/{image.name}.{kind}.bin" for kind in ("geometric", "photometric")]
+            depth_name = next(filter(self._source.has, maps), maps[0])
         elif self._depth is not None:
             depth_name = self._source.with_suffix(f"{self._depth}/{stem}", (".png", ".exr", ".npy"))
         with fields.naming(label, FrameError):
@@ -195,10 +196,17 @@ def _cameras_of_text(data: bytes, label: str) -> dict[int, _Camera | str]:
     return cameras
 
 
+def _is_image(line: str) -> bool:
+    """Whether a line ends in a file's name; those of points hold numbers alone."""
+    words = line.split(maxsplit=9)
+    return len(words) == 10 and not all(re.fullmatch(r"[-+.\deE]+", word) for word in words[9].split())
+
+
 def _images_of_text(data: bytes, label: str) -> list[_Image]:
     lines = [line for line in fields.parse_text(data, label) if not line.startswith("#")]
     images: list[_Image] = []
-    for line in lines[::2]:  # each image has a second line of points
+    without_points = any(map(_is_image, lines[1::2]))  # each image should have a second line of points
+    for line in filter(_is_image, lines) if without_points else lines[::2]:
         words = line.split(maxsplit=9)
         if not words:
             continue
