@@ -25,6 +25,8 @@ _BT2020_MATRICES: Final = (9, 10)
 _BT2020: Final = 9
 DEMUXERS: Final = {".mp4": "mp4", ".mov": "mp4", ".m4v": "mp4", ".mkv": "matroska", ".webm": "matroska"}
 """FFmpeg's reader by the end of a file's name."""
+_MATROSKA: Final = b"\x1a\x45\xdf\xa3"
+_MP4_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 _FOCAL_35MM: Final = "focal_length.35mm_equivalent"
 """End of the name of QuickTime's entry that new iPhones write."""
 _ORIENTATIONS: Final = {
@@ -64,8 +66,8 @@ class VideoFrames:
             FrameError: The file is not a readable video.
         """
         self._label, self._path, self._upright = label, path, upright
-        self._kind = DEMUXERS.get(path.suffix.lower(), "mp4")
         try:
+            self._kind = _demuxer(path)
             with av.open(str(path), format=self._kind) as container:
                 stream, self._notes = _main_stream(container, label)
                 times = sorted({packet.pts for packet in container.demux(stream) if packet.pts is not None})
@@ -185,6 +187,15 @@ class VideoFrames:
             notes = (*notes, rotation)
         image = srgb8_to_linear(rgb) if space.is_srgb else space.to_linear(rgb)
         return ColourImage(image, clipped, seen, notes=notes)
+
+
+def _demuxer(path: Path) -> str:
+    """Return FFmpeg's reader by the file's first bytes: recorders of browsers write WebM under any name."""
+    with path.open("rb") as file:
+        start = file.read(8)
+    if start[:4] == _MATROSKA:
+        return "matroska"
+    return "mp4" if start[4:] in _MP4_BOXES else DEMUXERS.get(path.suffix.lower(), "mp4")
 
 
 def _main_stream(container: Any, label: str) -> tuple[Any, tuple[Note, ...]]:

@@ -210,6 +210,18 @@ def test_a_video_is_turned_and_mirrored_as_players_show_it(
     assert bool(stored.notes) == (matrix != (1, 0, 0, 1))
 
 
+@pytest.mark.parametrize(("container", "name"), [("matroska", "walk.mp4"), ("mp4", "walk.webm"), ("mp4", "walk.mkv")])
+def test_a_video_is_told_by_its_first_bytes(tmp_path: Path, container: str, name: str) -> None:
+    with av.open(str(tmp_path / name), "w", format=container) as file:
+        stream = file.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 32, 24, "yuv420p"
+        picture = av.VideoFrame.from_ndarray(np.full((24, 32, 3), 128, np.uint8), format="rgb24")
+        file.mux(stream.encode(picture.reformat(format="yuv420p")))
+        file.mux(stream.encode())
+    with VideoFrames(tmp_path / name, name) as frames:
+        assert frames.frame(0).image.shape == (24, 32, 3)
+
+
 def test_transparent_pixels_of_a_video_are_not_seen(tmp_path: Path) -> None:
     rgba = np.dstack([formats.scene(1)[0].srgb8, np.full((24, 32), 255, np.uint8)])
     rgba[:, :8, 3] = 0

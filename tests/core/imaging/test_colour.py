@@ -104,6 +104,13 @@ def test_a_linear_png_of_16_bits_keeps_its_values() -> None:
     np.testing.assert_allclose(found, pixels[0, 0] / 65535, atol=1e-5)
 
 
+@pytest.mark.parametrize(("bits", "noted"), [(10, True), (12, True), (14, False), (16, False)])
+@pytest.mark.parametrize("chunks", [(), (chunk(b"gAMA", struct.pack(">I", 100_000)),)])
+def test_a_png_that_uses_few_of_its_bits_is_noted(bits: int, noted: bool, chunks: tuple[bytes, ...]) -> None:
+    picture = decode_picture(png(np.full((4, 4, 3), 2**bits - 1, np.uint16), *chunks), "x")
+    assert ("its values use at most 12 of its 16 bits" in str(picture.notes)) == noted
+
+
 def test_adobe_rgb_by_exif() -> None:
     exif = Image.Exif()
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.ColorSpace] = 2
