@@ -168,7 +168,7 @@ def _decode_encoded(data: bytes, name: str, *, as_stored: bool) -> ColourImage:
     rgb = np.asarray(cv2.cvtColor(encoded, cv2.COLOR_BGR2RGB))
     clipped = clipped_pixels(rgb)
     notes = tags.notes
-    if data[:8] == _PNG and data[24] == 16 and rgb.max() <= np.iinfo(rgb.dtype).max // 16:
+    if data[:8] == _PNG and data[24] == 16 and rgb.max() < 256**rgb.itemsize // 16:
         stated = f"{name}: its values use at most 12 of its 16 bits"
         notes = (*notes, Note(stated, "it is read as nearly black", "scale them to 16 bits, unless it was dark"))
     if tags.profile is not None:
