@@ -23,8 +23,9 @@ from js_package import PACKAGE, run
 
 import roomlight as rl
 from http_servers import RunningServer
-from roomlight.conventions import srgb8_to_linear
+from roomlight.conventions import panorama_directions, srgb8_to_linear
 from roomlight.images import read_colour, read_panorama, write_exr
+from roomlight.light.light import Light
 from roomlight_client import Client
 
 ROOT = Path(__file__).parents[2]
@@ -188,11 +189,15 @@ def test_mitsuba_render(tmp_path: Path) -> None:
     assert_background(out / "render.png", panorama, forward, fov_deg=50, pixels=((50, 3), (55, 5)))
 
 
+with_blender = pytest.mark.skipif(
+    shutil.which("blender") is None and importlib.util.find_spec("bpy") is None,
+    reason="neither Blender nor its module bpy is installed",
+)
+
+
 def run_in_blender(script: Path, *arguments: object, cwd: Path) -> None:
-    """Run a script in Blender, or in its module `bpy`; skip the test where there is neither."""
+    """Run a script in Blender, or in its module `bpy`."""
     blender = shutil.which("blender")
-    if blender is None and importlib.util.find_spec("bpy") is None:
-        pytest.skip("neither Blender nor bpy is installed")
     command = [blender, "--background", "--python-exit-code", "1", "--python"] if blender else [sys.executable]
     command += [str(script), "--"]
     subprocess.run([*command, *map(str, arguments)], cwd=cwd, check=True, timeout=280)
@@ -215,6 +220,7 @@ for frame in (3, 5, 7, 9):
 """
 
 
+@with_blender
 @pytest.mark.slow
 def test_blender_replay(tmp_path: Path) -> None:
     colours = {0: (1.0, 2.0, 0.5), 3: (4.0, 0.5, 0.25), 7: (0.25, 8.0, 1.0)}
@@ -228,6 +234,41 @@ def test_blender_replay(tmp_path: Path) -> None:
         np.testing.assert_allclose(shown.mean(axis=(0, 1)), colours[wanted], rtol=0.02)
 
 
+RENDER_USD = """
+import json, sys
+import bpy, mathutils
+package, directions = sys.argv[sys.argv.index("--") + 1 :]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+scene.world = bpy.data.worlds.new("room")  # takes the dome's place
+bpy.ops.wm.usd_import(filepath=package)
+bpy.ops.object.camera_add()
+scene.camera = camera = bpy.context.object
+camera.data.angle, camera.rotation_mode = 0.05, "QUATERNION"
+scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
+scene.render.resolution_x = scene.render.resolution_y = 4
+scene.render.image_settings.file_format = "OPEN_EXR"
+for number, (x, y, z) in enumerate(json.loads(directions)):
+    camera.rotation_quaternion = mathutils.Vector((x, -z, y)).to_track_quat("-Z", "Y")  # its world has z up
+    scene.render.filepath = f"{package}.{number}.exr"
+    bpy.ops.render.render(write_still=True)
+"""
+
+
+@with_blender
+@pytest.mark.slow
+def test_blender_shows_the_dome_of_a_usdz_where_it_is(tmp_path: Path) -> None:
+    """The panorama's colours are its directions, and so are those of Blender's world after the import."""
+    Light((0.0, 0.0, 0.0), (panorama_directions(64) + 1).astype(np.float32)).save(tmp_path / "light.usdz")
+    (tmp_path / "render.py").write_text(RENDER_USD)
+    directions = [(1, 0, 0), (-1, 0, 0), (0, 0, 1), (0, 0, -1), (0.6, 0.3, 0.742), (-0.36, -0.48, -0.8)]
+    run_in_blender(tmp_path / "render.py", tmp_path / "light.usdz", json.dumps(directions), cwd=tmp_path)
+    for number, direction in enumerate(directions):
+        shown = read_colour(tmp_path / f"light.usdz.{number}.exr")[0].mean(axis=(0, 1)) - 1
+        np.testing.assert_allclose(shown, direction, atol=0.02)
+
+
+@with_blender
 @pytest.mark.slow
 def test_blender_render(tmp_path: Path) -> None:
     run_example("light_one_photo", cwd=tmp_path)
