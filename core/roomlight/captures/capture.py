@@ -17,7 +17,15 @@ from jaxtyping import Float, UInt8
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.captures.consistency import FRAMES, DepthCheck, PoseCheck
 from roomlight.captures.lenses import fitted
-from roomlight.captures.notes import lying_camera, odd_camera, scaled_poses, unlikely_depth, wrong_poses, wrong_scale
+from roomlight.captures.notes import (
+    lying_camera,
+    odd_camera,
+    scaled_poses,
+    unlikely_depth,
+    unread_depth,
+    wrong_poses,
+    wrong_scale,
+)
 from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
@@ -387,6 +395,8 @@ class Capture:
         if self._depth_stream is None:
             self._depth_stream = self._opened_stream()
             self._notes[self._depth_stream.note(str(self.path))] = None
+            if self._options.depth == "auto" and (note := unread_depth(self.path)) is not None:
+                self._notes[note] = None
         estimated = self._depth_stream.complete(frame)
         return replace(estimated, depth_m=without_unseen(estimated.depth_m, frame.seen))
 

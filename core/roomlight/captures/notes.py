@@ -1,6 +1,7 @@
 """Notes of an open capture: what its poses, lens and depth leave open."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from roomlight.camera import Intrinsics
 from roomlight.captures.consistency import Disagreement, odd_depth
@@ -25,6 +26,18 @@ def scaled_poses(name: str, metres: float, height_m: float) -> Note:
         f"{name}: the scale of its poses, found by the floor in view",
         f"a unit of its poses is taken for {metres:.3g} m, the camera for {height_m:g} m above the floor in the mean",
         "scale the poses to metres for exact sizes, and leave out camera_height_m",
+    )
+
+
+def unread_depth(path: Path) -> Note | None:
+    """Make the note for files or folders of depth in a recording whose format or index leads to none; else None."""
+    names = sorted(entry.name for entry in path.iterdir() if "depth" in entry.name.lower()) if path.is_dir() else []
+    if not names:
+        return None
+    listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    effect = "no frame's depth is read from there"
+    return Note(
+        f"{path}: {listed}", effect, "name it in the index, or as the format does, if it is these frames' depth"
     )
 
 

@@ -91,6 +91,25 @@ def test_tum_lists_in_nanoseconds(tmp_path: Path) -> None:
     assert "read as nanoseconds" in note.effect
 
 
+@pytest.mark.parametrize(
+    ("build", "stored", "renamed"),
+    [(formats.arkit_scenes, "lowres_depth", "highres_depth"), (formats.nerfstudio, "depth", "Depths")],
+)
+def test_depth_that_no_frame_leads_to_is_noted(
+    tmp_path: Path, build: Callable[..., Path], stored: str, renamed: str
+) -> None:
+    path = build(tmp_path / "capture", VIEWS[:2])
+    (path / stored).rename(path / renamed)
+    if (path / "transforms.json").exists():
+        edit(path / "transforms.json", lambda index: [frame.pop("depth_file_path") for frame in index["frames"]])
+    capture = open_capture(path)
+    assert len(list(capture)) == 2
+    assert f"{renamed}: no frame's depth is read from there" in " ".join(map(str, capture.notes))
+    meant = open_capture(path, CaptureOptions(depth="network"))
+    assert len(list(meant)) == 2
+    assert renamed not in " ".join(map(str, meant.notes))
+
+
 @pytest.mark.parametrize("build", [formats.tum, formats.seven_scenes, formats.arkit_scenes])
 def test_depth_of_recordings_without_any_is_estimated(tmp_path: Path, build: Callable[..., Path]) -> None:
     path = build(tmp_path / "capture", VIEWS[:2])
