@@ -210,7 +210,8 @@ class Capture:
         selected = range(0, reader.count, options.every)
         self._indices = selected if options.max_frames is None else selected[: options.max_frames]
         stored = reader.timestamps()
-        self._timeline = timeline(stored or [None] * reader.count, str(path))
+        known = isinstance(reader, Preparing)  # a video, whose container states the unit
+        self._timeline = timeline(stored or [None] * reader.count, str(path), seconds=known)
         self._depth_stream: DepthStream | None = None
         self._at = _Place()
         self._notes = dict.fromkeys(self._timeline.notes)

@@ -45,12 +45,13 @@ def nearest(times: Sequence[float], time_s: float) -> int:
     return min(range(max(0, at - 1), min(len(times), at + 1)), key=lambda index: abs(times[index] - time_s))
 
 
-def timeline(stored: list[float | None], name: str) -> Timeline:
+def timeline(stored: list[float | None], name: str, *, seconds: bool = False) -> Timeline:
     """Make the times of records in order from what the file states.
 
     Args:
         stored: A time of each record; None or not finite where there is none.
         name: The capture in messages.
+        seconds: Whether their unit is known to be the second, as that of a video's is.
 
     Returns:
         Times in seconds that never go backwards and have no gap above `MAX_GAP_S`.
@@ -64,7 +65,7 @@ def timeline(stored: list[float | None], name: str) -> Timeline:
         notes.append(Note(text, "these frames have no time", "store seconds"))
     if len(values) > 1:
         steps = np.diff(values)
-        unit = _unit(steps)
+        unit = 1.0 if seconds else _unit(steps)
         if unit != 1:
             notes.append(_unit_note(name, float(np.median(steps)), unit))
         values, steps = values * unit, steps * unit

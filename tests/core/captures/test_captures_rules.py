@@ -134,6 +134,14 @@ def test_the_unit_of_time_is_recognised(unit: float, rate: int) -> None:
     assert bool(found.notes) == (unit != 1)
 
 
+def test_slides_a_minute_apart_are_no_milliseconds() -> None:
+    slides: list[float | None] = [0.0, 60.0, 120.0, 180.0]
+    assert timeline(slides, "x").times_s == (0.0, 0.06, 0.12, 0.18)
+    known = timeline(slides, "x", seconds=True)
+    assert known.times_s == (0.0, MAX_GAP_S, 2 * MAX_GAP_S, 3 * MAX_GAP_S)
+    assert "3 steps of time, the first of 60 s" in str(known.notes[0])
+
+
 def test_numbers_of_frames_are_no_times(tmp_path: Path) -> None:
     path = formats.polycam(tmp_path / "capture", VIEWS)
     for folder in (path / "keyframes").iterdir():
