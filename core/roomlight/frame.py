@@ -52,9 +52,9 @@ class Frame:
             estimated.
         seen: bool [h, w]: pixels that show something; None: all do. The others (transparent or masked) count for
             nothing: `hidden` gives them no depth and the colour around them.
-
         auto_exposed: the camera chose exposure and white balance of this image, and nothing states them: the image is
             in a unit of its own, and a session fits it to what it has seen (`roomlight.engine.surface.drift`).
+        depth_estimated: the depth is a network's (`roomlight.monocular`): surfaces may lean by tens of degrees.
 
     Raises:
         FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid.
@@ -77,6 +77,7 @@ class Frame:
     guessed: Float[np.ndarray, "h w"] | None = None
     seen: Bool[np.ndarray, "h w"] | None = None
     auto_exposed: bool = False
+    depth_estimated: bool = False
 
     def __post_init__(self) -> None:
         name = self.source or f"frame {self.index}"

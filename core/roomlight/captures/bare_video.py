@@ -227,6 +227,6 @@ def unsure_horizon(source: str) -> Note:
     """Return the note for pictures whose lines do not tell which way is up."""
     return Note(
         f"{source}: no straight lines show which way is up",
-        "the camera is taken as level on average",
+        "it is guessed, as people hold a camera: hardly rolled, looking ahead or down",
         "state world_up (--world-up X,Y,Z in the first camera's axes: x right, y up, z backward; y if it was level)",
     )

@@ -39,6 +39,8 @@ from roomlight.notes import Note
 if TYPE_CHECKING:
     from roomlight.monocular.stream import DepthStream
 
+_AHEAD: Final = 12
+"""Records after the first without depth, every other of which shows it from elsewhere."""
 _OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
 """Formats whose depth comes from any tool; that of the others is a sensor's, or has one unit."""
 
@@ -398,8 +400,18 @@ class Capture:
             self._notes[self._depth_stream.note(str(self.path))] = None
             if self._options.depth == "auto" and (note := unread_depth(self.path)) is not None:
                 self._notes[note] = None
+            self._look_ahead(self._depth_stream, frame.index)
         estimated = self._depth_stream.complete(frame)
         return replace(estimated, depth_m=without_unseen(estimated.depth_m, frame.seen))
+
+    def _look_ahead(self, stream: "DepthStream", index: int) -> None:
+        """Show a new stream what follows a frame, so that its depth has parallax too. Raises ModelError."""
+        later = [other for other in self._indices if other > index][:_AHEAD:2]
+        with self._reader.records() as read:
+            for other in later:
+                with suppress(FrameError):  # a bad record is told when its turn comes
+                    frame = self._frame(other, read, stored=True)
+                    stream.complete(frame if self._metres in (None, 1.0) else frame.scaled(self._metres))
 
     def _opened_stream(self) -> "DepthStream":
         from roomlight.monocular.stream import open_depth_stream  # onnxruntime takes a while to import

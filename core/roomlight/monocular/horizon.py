@@ -2,7 +2,8 @@
 
 A line of a picture spans a plane with the camera's centre. The planes of vertical lines hold the up direction; those of
 horizontal lines cut the horizontal plane along the room's axes, two directions that are 90 degrees apart (Coughlan and
-Yuille 1999, "Manhattan World"). A camera in a hand is about level, which counts as much as a few lines.
+Yuille 1999, "Manhattan World"). A camera in a hand is hardly rolled, and looks ahead or down: that counts as much as a few
+lines.
 
 Cameras: x right, y up, z backward. Angles in radians where no unit is stated.
 """
@@ -25,11 +26,14 @@ _LEAST_LENGTH: Final = 0.04
 _MOST_LINES: Final = 2000
 _STRENGTH: Final = 60.0
 """Score of all lines, if all agree, against the logarithm of how cameras are held."""
-_PITCH_DEG, _ROLL_DEG = 8.0, 3.0
-"""Standard deviations of how cameras are held."""
-_REACH_DEG: Final = (20.0, 10.0)
-"""Largest pitch and roll that are looked at. An estimate at this edge is not sure."""
-_SHARPNESS: Final = (0.02, 0.004)
+_PITCH_DEG: Final = (-10.0, 12.0, 20.0)
+"""How cameras are held: the likeliest pitch, and standard deviations above and below it."""
+_ROLL_DEG: Final = 3.0
+"""Standard deviation of the roll."""
+_PITCHES, _ROLLS = (-60.0, 36.0), (-12.0, 12.0)
+"""What is looked at. An estimate at this edge is not sure."""
+_STEP_DEG: Final = 2.0
+_SHARPNESS: Final = (0.03, 0.004)
 """How near a line's plane must come to the up direction, in the coarse search and in the fine one."""
 _BINS: Final = 60
 SURE_DEG: Final = 3.0
@@ -59,7 +63,7 @@ class Upright:
     """An estimated up direction.
 
     Attributes:
-        up: Unit vector in the world of the cameras; that of cameras level on average if the lines do not tell.
+        up: Unit vector in the world of the cameras; the likeliest for cameras in hands if the lines do not tell.
         spread_deg: Standard deviation of the estimate's direction.
     """
 
@@ -101,25 +105,31 @@ def upright(pictures: Sequence[Lines], turns: Sequence[Float[np.ndarray, "3 3"]]
     lengths = np.concatenate([lines.lengths for lines in pictures])
     kept = np.argsort(-lengths)[:_MOST_LINES]
     normals, lengths = normals[kept].astype(np.float32), np.minimum(lengths[kept], 0.4).astype(np.float32)
-    pitch, roll = np.meshgrid(
-        np.arange(-_REACH_DEG[0], _REACH_DEG[0] + 1), np.arange(-_REACH_DEG[1], _REACH_DEG[1] + 1)
-    )
-    score = _score(pitch.ravel(), roll.ravel(), normals, lengths, _SHARPNESS[0])
+    pitch, roll = _grid(*(np.arange(low, high + _STEP_DEG, _STEP_DEG) for low, high in (_PITCHES, _ROLLS)))
+    score = _score(pitch, roll, normals, lengths, _SHARPNESS[0])
     best = int(np.argmax(score))
     chance = np.exp(score - score[best])
-    directions = _directions(pitch.ravel(), roll.ravel())
-    apart = np.degrees(np.arccos(np.clip(directions @ directions[best], -1, 1)))
-    spread = float(np.sqrt((chance * apart**2).sum() / chance.sum()))
-    if abs(pitch.ravel()[best]) >= _REACH_DEG[0] or abs(roll.ravel()[best]) >= _REACH_DEG[1]:
+    directions = _directions(pitch, roll)
+    apart = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
+    spread = float(np.sqrt((chance * apart[best] ** 2).sum() / chance.sum()))
+    if pitch[best] in _PITCHES or roll[best] in _ROLLS:
         spread = math.inf
     if spread > SURE_DEG:
-        x, y, z = middle.tolist()
+        x, y, z = (frame @ directions[np.argmin(apart @ chance)]).tolist()  # the least error on average
         return Upright((x, y, z), spread)
-    near = np.arange(-1, 1.01, 0.2)
-    pitch, roll = (grid.ravel() for grid in np.meshgrid(pitch.ravel()[best] + near, roll.ravel()[best] + near))
+    near = np.arange(-1, 1.01, 0.2) * _STEP_DEG
+    pitch, roll = _grid(pitch[best] + near, roll[best] + near)
     fine = int(np.argmax(_score(pitch, roll, normals, lengths, _SHARPNESS[1])))
     x, y, z = (frame @ _directions(pitch[fine : fine + 1], roll[fine : fine + 1])[0]).tolist()
     return Upright((x, y, z), spread)
+
+
+def _grid(
+    pitches: Float[np.ndarray, " p"], rolls: Float[np.ndarray, " r"]
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
+    """Return all pairs of pitch and roll."""
+    pitch, roll = np.meshgrid(pitches, rolls)
+    return pitch.ravel(), roll.ravel()
 
 
 def _score(
@@ -130,13 +140,13 @@ def _score(
     sharpness: float,
 ) -> Float[np.ndarray, " c"]:
     """Return the log-probability of up directions, up to a constant."""
-    prior = -0.5 * (pitch / _PITCH_DEG) ** 2 - 0.5 * (roll / _ROLL_DEG) ** 2
+    middle, above, below = _PITCH_DEG
+    prior = -0.5 * ((pitch - middle) / np.where(pitch > middle, above, below)) ** 2 - 0.5 * (roll / _ROLL_DEG) ** 2
     if len(lengths) == 0:
         return prior
     up = _directions(pitch, roll).astype(np.float32)  # [c, 3]
     off = up @ normals.T  # [c, n]: sine of the angle between up and the line's plane
-    steep = np.abs(normals[:, 1]) < 0.75  # other lines cannot be vertical
-    vertical = np.exp(-0.5 * (off / np.float32(sharpness)) ** 2) * steep
+    vertical = np.exp(-0.5 * (off / np.float32(sharpness)) ** 2)
     # where the planes cut the horizontal plane of each candidate, modulo 90 degrees
     across = np.cross(up, np.array([0, 0, 1], np.float32))
     across /= np.linalg.norm(across, axis=1, keepdims=True)

@@ -117,7 +117,9 @@ class DepthStream:
             FrameError: The model knows depth only up to scale, and nothing in the stream has fixed the scale yet.
             ModelError: The model's answer is no depth.
         """
-        return frame if frame.depth_m.any() else replace(frame, depth_m=self.estimate(frame))
+        if frame.depth_m.any():
+            return frame
+        return replace(frame, depth_m=self.estimate(frame), depth_estimated=True)
 
     def estimate(self, frame: Frame) -> Float32[np.ndarray, "h w"]:
         """Return the depth of the stream's next frame in metres, 0 where the model is not sure; `complete` uses it."""

@@ -23,6 +23,8 @@ SurfaceKind = Literal["floor", "wall", "ceiling", "slope"]
 SNAP_DEGREES: Final = 10.0
 """A surface this close to horizontal or vertical counts as exactly so: an object that leans is seen at once. In eight
 captures a tenth of the small places on level surfaces was tilted by more than 5 degrees, and 4 % by more than 10."""
+SNAP_ESTIMATED_DEGREES: Final = 40.0
+"""The same where depth is estimated: whole floors come out tilted by 30 degrees."""
 UP_FACING: Final = 0.5
 """World y of the normal above which a surface carries objects, and below whose negative it is a ceiling."""
 FIT_RADIUS_M: Final = (0.06, 0.25)
@@ -156,7 +158,8 @@ def surface_at_pixel(
 ) -> tuple[Plane, SurfaceKind]:
     """Return the plane behind a pixel, fitted within `radius_m` of it; its point lies on the pixel's ray.
 
-    A plane within `SNAP_DEGREES` of horizontal or vertical is made exactly so.
+    A plane within `SNAP_DEGREES` of horizontal or vertical (`SNAP_ESTIMATED_DEGREES` where depth is estimated) is made
+    exactly so.
 
     Raises:
         SceneError: the pixel is outside the image, or no surface is known behind it.
@@ -187,9 +190,10 @@ def surface_at_pixel(
     plane = fit_plane(points, hit, toward=-direction, tolerance_m=tolerance_m)
     if plane is None or abs(plane.normal @ direction) < 0.02:
         plane = Plane(hit, -direction)
-    if _classified(plane.normal)[1] is plane.normal and direction[1] < 0:
+    snap_degrees = SNAP_ESTIMATED_DEGREES if frame.depth_estimated else SNAP_DEGREES
+    if _classified(plane.normal, snap_degrees)[1] is plane.normal and direction[1] < 0:
         plane = _level_instead(plane, points, hit, tolerance_m)
-    kind, normal = _classified(plane.normal)
+    kind, normal = _classified(plane.normal, snap_degrees)
     through = float((plane.point - origin) @ normal) / float(direction @ normal)
     if not 0.5 * distance_m < through < 2 * distance_m:  # a plane nearly along the ray
         through = distance_m
@@ -278,9 +282,11 @@ def _level_instead(
     return Plane(np.array([hit[0], height, hit[2]], np.float64), np.array([0.0, 1, 0]))
 
 
-def _classified(normal: Float[np.ndarray, "3"]) -> tuple[SurfaceKind, Float[np.ndarray, "3"]]:
+def _classified(
+    normal: Float[np.ndarray, "3"], snap_degrees: float
+) -> tuple[SurfaceKind, Float[np.ndarray, "3"]]:
     """Return the kind of surface, and its normal made exactly vertical or horizontal if it nearly is."""
-    level, near = float(normal[1]), np.radians(SNAP_DEGREES)
+    level, near = float(normal[1]), np.radians(snap_degrees)
     if abs(level) > np.cos(near):
         return ("floor" if level > 0 else "ceiling"), np.array([0.0, np.sign(level), 0.0])
     if abs(level) < np.sin(near):
