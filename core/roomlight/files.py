@@ -149,7 +149,7 @@ class FolderSource:
             return name
         fitting = [name + suffix for suffix in suffixes if self.has(name + suffix)]
         if len(fitting) > 1:
-            listed = " and ".join(PurePosixPath(one).name for one in fitting)
+            listed = " and ".join(PurePosixPath(entry).name for entry in fitting)
             raise FrameError(f"{self.label(name)}: is there as {listed}; name one of them, or remove the others")
         return fitting[0] if fitting else name
 

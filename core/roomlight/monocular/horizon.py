@@ -2,8 +2,8 @@
 
 A line of a picture spans a plane with the camera's centre. The planes of vertical lines hold the up direction; those of
 horizontal lines cut the horizontal plane along the room's axes, two directions that are 90 degrees apart (Coughlan and
-Yuille 1999, "Manhattan World"). A camera in a hand is hardly rolled, and looks ahead or down: that counts as much as a few
-lines.
+Yuille 1999, "Manhattan World"). A camera in a hand is hardly rolled, and looks ahead or down: that counts as much as a
+few lines.
 
 Cameras: x right, y up, z backward. Angles in radians where no unit is stated.
 """

@@ -53,13 +53,15 @@ def test_object_rests_on_the_plane_behind_the_pixel(pitch, target, axis, height,
     assert placed.support.point[[0, 2]] == pytest.approx(np.array(target)[[0, 2]], abs=0.02)
 
 
-@pytest.mark.parametrize(("tilt_degrees", "kind"), [(8, "floor"), (12, "slope")])
-def test_object_stands_upright_on_what_is_nearly_level_and_leans_on_a_slope(tilt_degrees, kind):
+@pytest.mark.parametrize(
+    ("tilt_degrees", "estimated", "kind"), [(8, False, "floor"), (12, False, "slope"), (30, True, "floor")]
+)
+def test_object_stands_upright_on_what_is_nearly_level_and_leans_on_a_slope(tilt_degrees, estimated, kind):
     frame, _ = view(-35)
     tilt = np.eye(4)
     cos, sin = np.cos(np.radians(tilt_degrees)), np.sin(np.radians(tilt_degrees))
     tilt[:2, :2] = [[cos, -sin], [sin, cos]]
-    tilted = replace(frame, camera_to_world=tilt @ frame.camera_to_world)
+    tilted = replace(frame, camera_to_world=tilt @ frame.camera_to_world, depth_estimated=estimated)
     geometry = RoomGeometry()
     geometry.add(0, FrameMesh(tilted))
     placed = place_at_pixel(geometry, tilted, *pixel_of(frame, (0.9, 0, -0.8)), BOX)

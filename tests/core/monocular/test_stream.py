@@ -43,6 +43,7 @@ def _errors(model: WrongDepth) -> list[float]:
     errors: list[float] = []
     for k, at in enumerate(POSES):
         completed = stream.complete(frame(k, at))
+        assert completed.depth_estimated
         errors.append(float(np.median(np.abs(completed.depth_m / exact_depth(at) - 1))))
     return errors
 

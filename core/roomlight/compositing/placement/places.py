@@ -282,9 +282,7 @@ def _level_instead(
     return Plane(np.array([hit[0], height, hit[2]], np.float64), np.array([0.0, 1, 0]))
 
 
-def _classified(
-    normal: Float[np.ndarray, "3"], snap_degrees: float
-) -> tuple[SurfaceKind, Float[np.ndarray, "3"]]:
+def _classified(normal: Float[np.ndarray, "3"], snap_degrees: float) -> tuple[SurfaceKind, Float[np.ndarray, "3"]]:
     """Return the kind of surface, and its normal made exactly vertical or horizontal if it nearly is."""
     level, near = float(normal[1]), np.radians(snap_degrees)
     if abs(level) > np.cos(near):
