@@ -11,7 +11,7 @@ Cameras: x right, y up, z backward. Angles in radians where no unit is stated.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -26,18 +26,47 @@ _LEAST_LENGTH: Final = 0.04
 _MOST_LINES: Final = 2000
 _STRENGTH: Final = 60.0
 """Score of all lines, if all agree, against the logarithm of how cameras are held."""
-_PITCH_DEG: Final = (-10.0, 12.0, 20.0)
-"""How cameras are held: the likeliest pitch, and standard deviations above and below it."""
 _ROLL_DEG: Final = 3.0
 """Standard deviation of the roll."""
-_PITCHES, _ROLLS = (-60.0, 36.0), (-12.0, 12.0)
-"""What is looked at. An estimate at this edge is not sure."""
-_STEP_DEG: Final = 2.0
-_SHARPNESS: Final = (0.03, 0.004)
-"""How near a line's plane must come to the up direction, in the coarse search and in the fine one."""
+_FINE: Final = 0.004
+"""How near a line's plane must come to the up direction, in the last search (a sine)."""
+_DOUBTED: Final = 0.5
+"""What lines count where they do not agree, beside how cameras are held."""
 _BINS: Final = 60
 SURE_DEG: Final = 3.0
 """Spread of the estimate up to which it is used."""
+
+
+class _Hold(NamedTuple):
+    """A way in which cameras are held, in degrees, and how it is looked for.
+
+    Attributes:
+        pitch: The likeliest, and standard deviations above and below it.
+        pitches: What is looked at. An estimate at the edge does not count.
+        rolls: The same.
+        step: Of the search.
+        sharpness: How near a line's plane must come to the up direction (a sine).
+    """
+
+    pitch: tuple[float, float, float]
+    pitches: tuple[float, float]
+    rolls: tuple[float, float]
+    step: float
+    sharpness: float
+
+    def grid(self) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
+        """Return all pitches and rolls."""
+        return _grid(*(np.arange(low, high + self.step, self.step) for low, high in (self.pitches, self.rolls)))
+
+    def prior(self, pitch: Float[np.ndarray, " c"], roll: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
+        """Return the log-probability of pitches and rolls, up to a constant."""
+        middle, above, below = self.pitch
+        spread = np.where(pitch > middle, above, below)
+        return -0.5 * ((pitch - middle) / spread) ** 2 - 0.5 * (roll / _ROLL_DEG) ** 2
+
+
+_LEVEL: Final = _Hold((0.0, 8.0, 8.0), (-16.0, 16.0), (-10.0, 10.0), 1.0, 0.02)
+_TILTED: Final = _Hold((-10.0, 12.0, 20.0), (-60.0, 36.0), (-12.0, 12.0), 2.0, 0.03)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,23 +134,35 @@ def upright(pictures: Sequence[Lines], turns: Sequence[Float[np.ndarray, "3 3"]]
     lengths = np.concatenate([lines.lengths for lines in pictures])
     kept = np.argsort(-lengths)[:_MOST_LINES]
     normals, lengths = normals[kept].astype(np.float32), np.minimum(lengths[kept], 0.4).astype(np.float32)
-    pitch, roll = _grid(*(np.arange(low, high + _STEP_DEG, _STEP_DEG) for low, high in (_PITCHES, _ROLLS)))
-    score = _score(pitch, roll, normals, lengths, _SHARPNESS[0])
+    spread = math.inf
+    for hold in (_LEVEL, _TILTED):
+        pitch, roll = hold.grid()
+        score = hold.prior(pitch, roll) + _score(pitch, roll, normals, lengths, hold.sharpness)
+        best = int(np.argmax(score))
+        spread = _spread_deg(_directions(pitch, roll), score)
+        if pitch[best] in hold.pitches or roll[best] in hold.rolls:
+            spread = math.inf
+        if spread <= SURE_DEG:
+            near = np.arange(-1, 1.01, 0.2) * hold.step
+            pitch, roll = _grid(pitch[best] + near, roll[best] + near)
+            score = hold.prior(pitch, roll) + _score(pitch, roll, normals, lengths, _FINE)
+            fine = int(np.argmax(score))
+            x, y, z = (frame @ _directions(pitch[fine : fine + 1], roll[fine : fine + 1])[0]).tolist()
+            return Upright((x, y, z), spread)
+    pitch, roll = _TILTED.grid()
+    score = _TILTED.prior(pitch, roll) + _DOUBTED * _score(pitch, roll, normals, lengths, _TILTED.sharpness)
+    directions, chance = _directions(pitch, roll), np.exp(score - score.max())
+    errors = np.arccos(np.clip(directions @ directions.T, -1, 1)) @ chance
+    x, y, z = (frame @ directions[np.argmin(errors)]).tolist()  # the least error on average
+    return Upright((x, y, z), spread)
+
+
+def _spread_deg(directions: Float[np.ndarray, "c 3"], score: Float[np.ndarray, " c"]) -> float:
+    """Return the standard deviation of directions from the likeliest, by their log-probabilities."""
     best = int(np.argmax(score))
     chance = np.exp(score - score[best])
-    directions = _directions(pitch, roll)
-    apart = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
-    spread = float(np.sqrt((chance * apart[best] ** 2).sum() / chance.sum()))
-    if pitch[best] in _PITCHES or roll[best] in _ROLLS:
-        spread = math.inf
-    if spread > SURE_DEG:
-        x, y, z = (frame @ directions[np.argmin(apart @ chance)]).tolist()  # the least error on average
-        return Upright((x, y, z), spread)
-    near = np.arange(-1, 1.01, 0.2) * _STEP_DEG
-    pitch, roll = _grid(pitch[best] + near, roll[best] + near)
-    fine = int(np.argmax(_score(pitch, roll, normals, lengths, _SHARPNESS[1])))
-    x, y, z = (frame @ _directions(pitch[fine : fine + 1], roll[fine : fine + 1])[0]).tolist()
-    return Upright((x, y, z), spread)
+    apart = np.degrees(np.arccos(np.clip(directions @ directions[best], -1, 1)))
+    return float(np.sqrt((chance * apart**2).sum() / chance.sum()))
 
 
 def _grid(
@@ -139,11 +180,9 @@ def _score(
     lengths: Float32[np.ndarray, " n"],
     sharpness: float,
 ) -> Float[np.ndarray, " c"]:
-    """Return the log-probability of up directions, up to a constant."""
-    middle, above, below = _PITCH_DEG
-    prior = -0.5 * ((pitch - middle) / np.where(pitch > middle, above, below)) ** 2 - 0.5 * (roll / _ROLL_DEG) ** 2
+    """Return what the lines add to the log-probability of up directions."""
     if len(lengths) == 0:
-        return prior
+        return np.zeros(len(pitch))
     up = _directions(pitch, roll).astype(np.float32)  # [c, 3]
     off = up @ normals.T  # [c, n]: sine of the angle between up and the line's plane
     vertical = np.exp(-0.5 * (off / np.float32(sharpness)) ** 2)
@@ -158,7 +197,7 @@ def _score(
     counts = np.bincount(places, weight.ravel(), _BINS * len(up)).reshape(-1, _BINS)
     peak = (counts + 0.5 * np.roll(counts, 1, axis=1) + 0.5 * np.roll(counts, -1, axis=1)).max(axis=1)
     total = float(lengths.sum()) + 0.5
-    return prior + _STRENGTH * ((lengths * vertical).sum(axis=1) + 0.7 * peak) / total
+    return _STRENGTH * ((lengths * vertical).sum(axis=1) + 0.7 * peak) / total
 
 
 def _directions(pitch_deg: Float[np.ndarray, " c"], roll_deg: Float[np.ndarray, " c"]) -> Float[np.ndarray, "c 3"]:
