@@ -92,7 +92,7 @@ def parallel_for(
 
 
 def read_ahead(items: Iterator[_Item]) -> Generator[_Item]:
-    """Yield items while a thread makes the next."""
+    """Yield items while a thread makes the next; closing it waits for that thread."""
     end = object()
     with ThreadPoolExecutor(1, thread_name_prefix="roomlight-ahead") as worker:
         coming = worker.submit(next, items, end)

@@ -174,3 +174,19 @@ def test_an_error_of_the_next_item_comes_after_the_items_before() -> None:
     assert next(ahead) == 1
     with pytest.raises(ValueError, match="of the second"):
         next(ahead)
+
+
+def test_closing_waits_for_the_item_that_is_made() -> None:
+    go_on, ended = threading.Event(), threading.Event()
+
+    def items() -> Iterator[int]:
+        yield 0
+        go_on.wait(30)
+        ended.set()
+        yield 1
+
+    ahead = read_ahead(items())
+    assert next(ahead) == 0
+    threading.Timer(0.05, go_on.set).start()
+    ahead.close()
+    assert ended.is_set()

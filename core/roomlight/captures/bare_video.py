@@ -9,7 +9,7 @@ World: that of the first camera, turned so that y is up; with `world_up`, its ax
 
 import math
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -92,8 +92,8 @@ class BareVideoReader:
         if self._motion is not None:
             return
         motion, unread = None, dict[int, str]()
-        with self._opened() as video:
-            for motion, still in read_ahead(self._described(video, unread)):
+        with self._opened() as video, closing(read_ahead(self._described(video, unread))) as described:
+            for motion, still in described:
                 watch(still.number, self.count)
                 motion.place(still)
         if motion is None:
