@@ -384,7 +384,7 @@ class Capture:
             self._take_notes(replace(raw, picture=picture), pose, frame)
             if stored:
                 return frame
-            frame = frame if self._metres in (None, 1.0) else frame.scaled(self._metres)
+            frame = self._in_metres(frame)
             return frame if measured else self._with_depth(frame)
         except (FrameError, ModelError):
             raise
@@ -392,6 +392,10 @@ class Capture:
             raise FrameError(str(error)) from error
         except (ValueError, OverflowError) as error:
             raise FrameError(f"{name}: {error}") from error
+
+    def _in_metres(self, frame: Frame) -> Frame:
+        """Return a frame that is in the stored unit in metres."""
+        return frame if self._metres in (None, 1.0) else frame.scaled(self._metres)
 
     def _with_depth(self, frame: Frame) -> Frame:
         """Estimate the depth of the next frame of this pass. Raises ModelError and FrameError."""
@@ -410,8 +414,7 @@ class Capture:
         with self._reader.records() as read:
             for other in later:
                 with suppress(FrameError):  # a bad record is told when its turn comes
-                    frame = self._frame(other, read, stored=True)
-                    stream.complete(frame if self._metres in (None, 1.0) else frame.scaled(self._metres))
+                    stream.complete(self._in_metres(self._frame(other, read, stored=True)))
 
     def _opened_stream(self) -> "DepthStream":
         from roomlight.monocular.stream import open_depth_stream  # onnxruntime takes a while to import

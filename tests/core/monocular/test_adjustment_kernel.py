@@ -7,7 +7,7 @@ from roomlight.monocular.kernels.reference import reduced_reference
 def test_the_kernel_agrees_with_its_reference() -> None:
     draw = np.random.default_rng(0)
     unknowns = 30
-    first = np.array([0, 3, 3, 4, 9, 11])  # a landmark that nobody sees, too
+    first = np.array([0, 3, 3, 4, 9, 11])  # the second landmark has no sighting
     columns = np.stack([draw.permutation(unknowns)[:7] for _ in range(first[-1])])
     jacobian = draw.normal(size=(*columns.shape[:1], 2, 7))
     arguments = (
