@@ -14,5 +14,6 @@ let package = Package(
         .target(name: "RoomLightWire"),
         .target(name: "RoomLightARKit", dependencies: ["RoomLightWire"]),
         .testTarget(name: "RoomLightWireTests", dependencies: ["RoomLightWire"]),
+        .testTarget(name: "RoomLightARKitTests", dependencies: ["RoomLightARKit"]),
     ]
 )

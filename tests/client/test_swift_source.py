@@ -91,6 +91,8 @@ def swift_text(value):
         return "[" + ",".join(map(swift_text, value)) + "]"
     if isinstance(value, str):
         return f'"{value}"'
+    if isinstance(value, bool):
+        return str(value).lower()
     return str(int(value)) if float(value).is_integer() else repr(value)  # Swift's description of a Double is Python's
 
 

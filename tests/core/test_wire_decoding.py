@@ -114,6 +114,14 @@ def test_a_mask_is_sent_with_every_encoding(encoding):
     assert decode_frame(parse(pack_frame(replace(own, seen=None), colour=encoding)), 0).seen is None
 
 
+@pytest.mark.parametrize("encoding", ["exact", "jpeg"])
+def test_the_wire_says_that_depth_was_estimated(encoding):
+    measured = decode_frame(message(), 0)
+    for estimated in (False, True):
+        sent = parse(pack_frame(replace(measured, depth_estimated=estimated), colour=encoding))
+        assert decode_frame(sent, 0).depth_estimated is estimated
+
+
 def test_the_colour_space_of_heic_counts_on_the_wire_too():
     stream = io.BytesIO()
     red = np.broadcast_to(np.array([200, 40, 40], np.uint8), (HEIGHT, WIDTH, 3)).tobytes()

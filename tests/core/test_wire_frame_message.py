@@ -74,13 +74,14 @@ def error_of(body, limits=None):
 
 
 def vectors():
-    """Yield the messages that every client must pack identically: with all fields, and with the fewest."""
+    """Yield the messages that every client must pack identically: all fields, few fields, no depth."""
     full = header_dict(
         index=7,
         exposure=0.5,
         tracking_state="limited",
         confidence={"format": "uint8", "encoding": "raw", "width": 4, "height": 3, "bytes": 12},
     )
+    full["depth"]["estimated"] = True
     few = header_dict()
     del few["timestamp_s"]
     few["depth"] |= {"format": "float16_m", "encoding": "zstd"}
@@ -88,6 +89,9 @@ def vectors():
     few["depth"]["bytes"] = len(packed)
     yield "every field", full, parts_of(full)
     yield "few fields", few, [parts_of(few)[0], packed]
+    bare = header_dict()
+    del bare["depth"]
+    yield "no depth", bare, [parts_of(bare)[0]]
 
 
 def write_vector():

@@ -59,6 +59,7 @@ export async function packFrame(frame: Frame): Promise<Uint8Array<ArrayBuffer>> 
             width: depth.width,
             height: depth.height,
             bytes: depthBytes!,
+            ...(depth.estimated == null ? {} : { estimated: depth.estimated }),
           },
         }
       : {}),

@@ -142,6 +142,7 @@ export interface components {
          *         width: pixels; the aspect is that of the image within 3 %.
          *         height: pixels.
          *         bytes: length of the part.
+         *         estimated: whether a network made it, whose surfaces may lean.
          */
         readonly DepthPart: {
             readonly format: "uint16_mm" | "float16_m" | "float32_m";
@@ -153,6 +154,8 @@ export interface components {
             readonly height: number;
             /** @description 1 to 2,147,483,648 */
             readonly bytes: number;
+            /** @default null */
+            readonly estimated?: boolean | null;
         };
         /**
          * @description The light of one probe in one form.

@@ -39,6 +39,7 @@ export function vectors(): Vector[] {
               width: depth.width,
               height: depth.height,
               data: data("depth"),
+              estimated: depth.estimated,
             },
           }
         : {}),

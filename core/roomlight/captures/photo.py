@@ -6,6 +6,7 @@ far it looks up or down is told by the room's straight lines.
 """
 
 import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -37,6 +38,8 @@ DepthOrientation = Literal["auto", "upright", "stored"]
 """Whether the depth map is upright as viewers show the photo, or has the photo's stored rows and columns."""
 FovSource = Literal["option", "exif", "depth", "default"]
 
+_BENDING: Final = re.compile(r"fish.?eye|gopro|insta360|theta", re.IGNORECASE)
+"""Names of lenses that see so much that no pinhole stands for them."""
 _FARTHEST_M: Final = 1000.0
 """A median depth past this is in another unit."""
 
@@ -140,6 +143,13 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     if source == "exif" and exif.aspect is not None and abs(exif.aspect / aspect - 1) > ASPECT_TOLERANCE:
         text = f"{image}: it is cropped, by its EXIF from an aspect of {exif.aspect:.3g} to {aspect:.3g}"
         notes = (*notes, Note(text, f"its field of view of {fov_deg:.0f} degrees is a guess", "state fov_deg (--fov)"))
+    if source == "exif" and exif.zoom > 1:
+        text = f"{image}: a digital zoom of {exif.zoom:.3g}"
+        effect = f"its field of view of {fov_deg:.0f} degrees is taken to include it"
+        notes = (*notes, Note(text, effect, "state fov_deg (--fov) if it is too wide"))
+    if _BENDING.search(exif.lens):
+        text = f"{image}: its camera is {exif.lens}, whose lens bends lines"
+        notes = (*notes, Note(text, "it is read as the picture of a pinhole camera", "undistort it, and state fov_deg"))
     if picture.seen is not None:
         colour, depth_m = hidden(colour, depth_m, picture.seen)
     focal = 0.5 * width / math.tan(math.radians(fov_deg) / 2)

@@ -26,6 +26,8 @@ class ExifCamera:
         adobe_rgb: Whether the pixels are Adobe RGB, by the camera industry's DCF.
         uncalibrated: Whether they are of another space than sRGB, which a profile should state.
         aspect: Longer side of the picture that the camera took, by the shorter; None if not stated.
+        zoom: Of its digital zoom; 1 without.
+        lens: Names of the camera and its lens.
     """
 
     focal_35mm: float | None = None
@@ -34,6 +36,8 @@ class ExifCamera:
     adobe_rgb: bool = False
     uncalibrated: bool = False
     aspect: float | None = None
+    zoom: float = 1.0
+    lens: str = ""
 
     def fov_deg(self, width: int, height: int) -> float | None:
         """Return the horizontal field of view in degrees of an image of this size in pixels; None if not stated.
@@ -64,6 +68,9 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         interoperability = exif.get_ifd(ExifTags.IFD.Interop).get(_INTEROPERABILITY_INDEX)
         sides = sorted(details.get(tag) or 0 for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight))
         aspect = float(sides[1] / sides[0]) if sides[0] > 0 else None
+        zoom = float(details.get(ExifTags.Base.DigitalZoomRatio) or 1)
+        names = (exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model), details.get(ExifTags.Base.LensModel))
+        lens = " ".join(str(name).strip("\0 ") for name in names if name)
         adobe = details.get(ExifTags.Base.ColorSpace) == 2 or interoperability in ("R03", b"R03\0", "R03\0")
     except Exception:  # as above
         return ExifCamera()
@@ -76,6 +83,8 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         adobe_rgb=adobe,
         uncalibrated=not adobe and details.get(ExifTags.Base.ColorSpace) == 65535,
         aspect=aspect,
+        zoom=zoom if math.isfinite(zoom) and zoom > 1 else 1.0,
+        lens=lens[:80],
     )
 
 

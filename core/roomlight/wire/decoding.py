@@ -49,6 +49,7 @@ def decode_frame(
             timestamp_s=message.header.timestamp_s,
             source=f"frame {index}",
             auto_exposed=is_auto_exposed(message.header),
+            depth_estimated=message.depth_estimated,
         )
     except RoomLightError as error:
         raise WireError("bad-frame", field="colour", value=message.header.colour.encoding, rule=str(error)) from error

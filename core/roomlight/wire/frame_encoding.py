@@ -61,6 +61,7 @@ class CameraFrame:
         exposure: Light taken, relative to the session's reference exposure (e.g. shutter seconds x ISO / 100).
         auto_exposed: Whether nothing states how the camera changes its exposure; None: if `exposure` is 1.
         tracking_state: The server counts and skips frames whose state is not `normal`.
+        depth_estimated: Whether `depth` is a network's.
     """
 
     colour: bytes | UInt8[np.ndarray, "h w 3"]
@@ -72,6 +73,7 @@ class CameraFrame:
     exposure: float = 1.0
     auto_exposed: bool | None = None
     tracking_state: TrackingState = "normal"
+    depth_estimated: bool = False
 
 
 def pack_camera_frame(frame: CameraFrame) -> bytes:
@@ -112,6 +114,7 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
             timestamp_s=small.timestamp_s,
             exposure=exposure,
             auto_exposed=None if frame.auto_exposed == (exposure == 1.0) else frame.auto_exposed,
+            depth_estimated=frame.depth_estimated,
         )
     )
 
@@ -132,6 +135,7 @@ def _pack_exact(frame: Frame) -> bytes:
         small.camera_to_world,
         timestamp_s=small.timestamp_s,
         auto_exposed=frame.auto_exposed or None,
+        depth_estimated=frame.depth_estimated,
     )
     return _message(camera, "linear_f32", colour)
 
@@ -143,6 +147,8 @@ def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes) -> byt
         depth_format, depth = _depth(frame.depth)
         width, height = _size(frame.depth, "depth")
         depth_part = {"format": depth_format, "encoding": "zstd", "bytes": len(depth), "width": width, "height": height}
+        if frame.depth_estimated:
+            depth_part["estimated"] = True
     confidence = None if frame.confidence is None else _compressed(frame.confidence)
     k = frame.intrinsics
     try:

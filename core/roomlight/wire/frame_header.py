@@ -65,6 +65,7 @@ class DepthPart(WireModel):
         width: pixels; the aspect is that of the image within 3 %.
         height: pixels.
         bytes: length of the part.
+        estimated: whether a network made it, whose surfaces may lean.
     """
 
     format: DepthFormat
@@ -72,6 +73,7 @@ class DepthPart(WireModel):
     width: Pixels
     height: Pixels
     bytes: ByteCount
+    estimated: bool | None = None
 
 
 class ConfidencePart(WireModel):

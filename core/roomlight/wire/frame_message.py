@@ -56,6 +56,11 @@ class FrameMessage:
     depth: memoryview | None = None
     confidence: memoryview | None = None
 
+    @property
+    def depth_estimated(self) -> bool:
+        """Whether the message has depth that a network made."""
+        return bool(self.header.depth and self.header.depth.estimated)
+
 
 def pack(header: FrameHeader, colour: bytes, depth: bytes | None = None, confidence: bytes | None = None) -> bytes:
     """Build the bytes of a message.

@@ -320,7 +320,7 @@ class LiveSession:
         except WireError as error:
             raise ProblemError.from_wire(error) from error
         if latest.depth_m is not None:
-            return replace(frame, depth_m=latest.depth_m)
+            return replace(frame, depth_m=latest.depth_m, depth_estimated=True)
         if latest.message.depth is None:  # after a restart
             return await self._workers.run_in_decode_pool(self._workers.new_depth_stream().complete, frame)
         return frame

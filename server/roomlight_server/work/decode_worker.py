@@ -96,6 +96,7 @@ def unpack_frame(text: dict[str, Any], data: bytes | memoryview, message: FrameM
         timestamp_s=message.header.timestamp_s,
         source=f"frame {index}",
         auto_exposed=is_auto_exposed(message.header),
+        depth_estimated=message.depth_estimated,
     )
 
 

@@ -228,6 +228,39 @@ def test_damaged_and_endless_pictures_of_other_formats_are_refused(tmp_path: Pat
         as_png((tmp_path / "film.webp").read_bytes(), "a picture", max_pixels=1000)
 
 
+@pytest.mark.parametrize(
+    ("camera", "details", "says"),
+    [
+        ({}, {ExifTags.Base.DigitalZoomRatio: 2.0}, "a digital zoom of 2"),
+        (
+            {ExifTags.Base.Make: "GoPro", ExifTags.Base.Model: "HERO9 Black"},
+            {},
+            "its camera is GoPro HERO9 Black, whose",
+        ),
+        (
+            {},
+            {ExifTags.Base.LensModel: "EF8-15mm f/4L FISHEYE USM"},
+            "EF8-15mm f/4L FISHEYE USM, whose lens bends lines",
+        ),
+        ({ExifTags.Base.Make: "Apple"}, {ExifTags.Base.DigitalZoomRatio: 1.0}, None),
+    ],
+)
+def test_a_zoom_and_a_lens_that_exif_names_are_pointed_out(
+    tmp_path: Path, camera: dict[int, Any], details: dict[int, Any], says: str | None
+) -> None:
+    exif = Image.Exif()
+    exif.update(camera)
+    exif.get_ifd(ExifTags.IFD.Exif).update({ExifTags.Base.FocalLengthIn35mmFilm: 26, **details})
+    Image.fromarray(scene()[0]).save(tmp_path / "a.jpg", exif=exif)
+    np.save(tmp_path / "d.npy", np.full((96, 128), 2.0, np.float32))
+    notes = read_photo(tmp_path / "a.jpg", tmp_path / "d.npy", PhotoOptions(world_up="y")).notes
+    if says is None:
+        assert "lens" not in str(notes)
+        assert "zoom" not in str(notes)
+    else:
+        assert says in " ".join(map(str, notes))
+
+
 @pytest.mark.parametrize(("size", "cropped"), [((128, 96), False), ((96, 128), False), ((80, 96), True)])
 def test_a_crop_whose_exif_states_the_whole_picture_is_pointed_out(
     tmp_path: Path, size: tuple[int, int], cropped: bool

@@ -10,16 +10,15 @@
         /// Shared by all frames, because it is slow to create.
         static let imageContext = CIContext(options: [.cacheIntermediates: false])
 
-        /// Copies what it needs from an ARFrame. The configuration must have the `frameSemantics` `.sceneDepth` or
-        /// `.smoothedSceneDepth`, and a video format of 4:3, the aspect of the depth map.
+        /// Copies what it needs from an ARFrame. On a device with LiDAR the configuration should have the
+        /// `frameSemantics` `.sceneDepth` or `.smoothedSceneDepth`, and a video format of 4:3, the aspect of the depth
+        /// map. Without them the frame has no depth, and the server estimates it.
         ///
         /// ARKit gives image, depth and `camera.transform` in the orientation of the sensor (landscape), however the
         /// phone is held. They match each other and are not rotated. `longest`: longest side of the image in pixels;
         /// larger images are scaled down. The server works at 320 x 240, and 640 keeps lamps sharp.
         public init(_ frame: ARFrame, index: Int? = nil, longest: Int = 640, quality: Double = 0.85) throws {
-            guard let sceneDepth = frame.smoothedSceneDepth ?? frame.sceneDepth else {
-                throw RoomLightRefusal(field: "depth", rule: "frameSemantics must include .sceneDepth, on a device with LiDAR")
-            }
+            let sceneDepth = frame.smoothedSceneDepth ?? frame.sceneDepth
             let (image, width, height) = try RoomLightFrame.jpeg(frame.capturedImage, longest: longest, quality: quality)
             let resolution = frame.camera.imageResolution
             let (scaleX, scaleY) = (Double(width) / Double(resolution.width), Double(height) / Double(resolution.height))
@@ -29,9 +28,11 @@
                 cx: Double(k.columns.2.x) * scaleX, cy: Double(k.columns.2.y) * scaleY, width: width, height: height)
             let pose = frame.camera.transform
             let columns = [pose.columns.0, pose.columns.1, pose.columns.2, pose.columns.3]
-            let depth = try RoomLightFrame.plane(sceneDepth.depthMap, type: kCVPixelFormatType_DepthFloat32, pixelBytes: 4)
+            let depth = try (sceneDepth?.depthMap).map {
+                try RoomLightFrame.plane($0, type: kCVPixelFormatType_DepthFloat32, pixelBytes: 4)
+            }
             var confidence: Plane?
-            if let map = sceneDepth.confidenceMap {
+            if let map = sceneDepth?.confidenceMap {
                 // ARConfidenceLevel: low 0, medium 1, high 2, as on the wire
                 confidence = try RoomLightFrame.plane(map, type: kCVPixelFormatType_OneComponent8, pixelBytes: 1)
             }

@@ -82,8 +82,11 @@ public struct RoomLightFrame {
     public var index: Int?
     public var colour: Data
     public var colourEncoding: ColourEncoding
-    public var depth: Plane
+    /// nil: the camera measures none, and the server estimates it.
+    public var depth: Plane?
     public var depthFormat: DepthFormat
+    /// Whether a network made the depth; nil: no.
+    public var depthEstimated: Bool?
     /// One byte per depth pixel: 0 low, 1 medium, 2 high.
     public var confidence: Plane?
     public var intrinsics: Intrinsics
@@ -98,7 +101,7 @@ public struct RoomLightFrame {
     public var trackingState = TrackingState.normal
 
     public init(
-        index: Int?, colour: Data, colourEncoding: ColourEncoding, depth: Plane, depthFormat: DepthFormat,
+        index: Int?, colour: Data, colourEncoding: ColourEncoding, depth: Plane?, depthFormat: DepthFormat,
         confidence: Plane?, intrinsics: Intrinsics, cameraToWorld: [Double]
     ) {
         self.index = index
@@ -124,7 +127,9 @@ public struct RoomLightFrame {
         withUnsafeBytes(of: UInt32(text.count).littleEndian) { message.append(contentsOf: $0) }
         message.append(text)
         message.append(colour)
-        message.append(depth.data)
+        if let depth = depth {
+            message.append(depth.data)
+        }
         if let confidence = confidence {
             message.append(confidence.data)
         }
@@ -136,13 +141,18 @@ public struct RoomLightFrame {
             "encoding": .word(colourEncoding.rawValue),
             "bytes": .whole(colour.count),
         ]
-        let depthPart: [String: WireJSON?] = [
-            "format": .word(depthFormat.rawValue),
-            "encoding": .word(depth.encoding.rawValue),
-            "width": .whole(depth.width),
-            "height": .whole(depth.height),
-            "bytes": .whole(depth.data.count),
-        ]
+        var measuredPart: WireJSON?
+        if let depth = depth {
+            let depthPart: [String: WireJSON?] = [
+                "format": .word(depthFormat.rawValue),
+                "encoding": .word(depth.encoding.rawValue),
+                "width": .whole(depth.width),
+                "height": .whole(depth.height),
+                "bytes": .whole(depth.data.count),
+                "estimated": depthEstimated.map { WireJSON.truth($0) },
+            ]
+            measuredPart = .object(depthPart)
+        }
         var confidencePart: WireJSON?
         if let confidence = confidence {
             let part: [String: WireJSON?] = [
@@ -166,7 +176,7 @@ public struct RoomLightFrame {
             "version": .whole(RoomLightFrame.version),
             "index": index.map { WireJSON.whole($0) },
             "colour": .object(colourPart),
-            "depth": .object(depthPart),
+            "depth": measuredPart,
             "confidence": confidencePart,
             "intrinsics": .object(intrinsicsPart),
             "camera_to_world": .list(cameraToWorld.map { WireJSON.number($0) }),

@@ -40,19 +40,20 @@ final class WireVectorTests: XCTestCase {
         let header = try XCTUnwrap(vector["header"] as? [String: Any])
         let parts = try XCTUnwrap(vector["parts"] as? [String: String])
         let colour = try XCTUnwrap(header["colour"] as? [String: Any])
-        let depth = try XCTUnwrap(header["depth"] as? [String: Any])
+        let depth = header["depth"] as? [String: Any]
         let k = try XCTUnwrap(header["intrinsics"] as? [String: Any])
         let pose = try XCTUnwrap(header["camera_to_world"] as? [Any])
         let encoding = RoomLightFrame.ColourEncoding(rawValue: colour["encoding"] as? String ?? "")
-        let format = RoomLightFrame.DepthFormat(rawValue: depth["format"] as? String ?? "")
+        let format = RoomLightFrame.DepthFormat(rawValue: depth?["format"] as? String ?? "float32_m")
         let camera = RoomLightFrame.Intrinsics(
             fx: try number(k["fx"]), fy: try number(k["fy"]), cx: try number(k["cx"]), cy: try number(k["cy"]),
             width: Int(try number(k["width"])), height: Int(try number(k["height"])))
         var frame = RoomLightFrame(
             index: try header["index"].map { Int(try number($0)) }, colour: bytes(parts["colour"]),
-            colourEncoding: try XCTUnwrap(encoding), depth: try XCTUnwrap(try plane("depth", header, parts)),
+            colourEncoding: try XCTUnwrap(encoding), depth: try plane("depth", header, parts),
             depthFormat: try XCTUnwrap(format), confidence: try plane("confidence", header, parts),
             intrinsics: camera, cameraToWorld: try pose.map { try number($0) })
+        frame.depthEstimated = depth?["estimated"] as? Bool
         frame.timestampSeconds = try header["timestamp_s"].map { try number($0) }
         frame.exposure = try header["exposure"].map { try number($0) } ?? 1
         frame.autoExposed = header["auto_exposed"] as? Bool
