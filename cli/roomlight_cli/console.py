@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-from roomlight.errors import OptionError, RoomLightError
+from roomlight.errors import OptionError, RoomLightError, SceneError
 from roomlight.files import write_json
 from roomlight.notes import Note
 
@@ -64,9 +64,12 @@ def with_flags(error: RoomLightError, flags: Mapping[str, str]) -> str:
     """Return the error's message with a command's flags in place of the names of Python's options.
 
     Names with an underscore, in backticks, or before "=" are replaced everywhere ("depth_unit_m=0.001" becomes
-    "--depth-unit 0.001"). A name that is the first word of an OptionError is replaced too.
+    "--depth-unit 0.001"). A name that is the first word of an OptionError is replaced too. A SceneError names the
+    fields of a scene's file, which stay.
     """
     message = str(error)
+    if isinstance(error, SceneError):
+        return message
     if isinstance(error, OptionError):
         first, space, rest = message.partition(" ")
         message = flags.get(first, first) + space + rest

@@ -93,3 +93,13 @@ def test_a_wrong_call_writes_nothing(roomlight, capture, tmp_path, arguments, me
     assert done.code != 0
     assert message in " ".join(done.err.replace("\u2502", " ").split())
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_scene_that_is_wrong_is_told_by_the_names_of_its_fields(roomlight, capture, tmp_path):
+    scene = tmp_path / "scene.json"
+    scene.write_text(
+        '{"objects": [{"name": "a", "shape": "sphere", "pose": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], '
+        '"yaw_degrees": 3}]}'
+    )
+    done = roomlight("composite", capture, "--scene", scene, "--out", tmp_path / "new")
+    assert "objects[0]: yaw_degrees has no effect on a pose" in " ".join(done.err.split())

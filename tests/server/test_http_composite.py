@@ -134,7 +134,6 @@ def test_a_bad_place_is_refused_and_the_session_stays(server, changes, rule):
     "wrong",
     [
         {"shape": None},
-        {"size_m": None},
         {"size_m": -1},
         {"pixel": [3, 3]},
         {"position": None},

@@ -61,10 +61,10 @@ export interface components {
          *
          *     Attributes:
          *         object: id of an uploaded object.
-         *         shape: instead of an uploaded object; with size_m.
+         *         shape: instead of an uploaded object.
          *         up: axis of an uploaded object that points up; z is turned to y.
          *         name: of the object in the answer; default object-0, object-1, ...
-         *         size_m: longest side; default: the file's own metres.
+         *         size_m: longest side; default: the file's own metres, 0.2 for a sphere, 0.85 for a chair.
          *         material: default: the file's own.
          *         position: world metres of the anchor, upright; with yaw_degrees.
          *         pose: rigid, object axes to world, 16 numbers column by column.

@@ -7,18 +7,15 @@ for picture in composite_capture("my-capture", scene):
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from roomlight.captures import open_capture
 from roomlight.compositing.compositor import Compositor
 from roomlight.compositing.picture.layers import Composite
-from roomlight.compositing.placement.scene import Scene, SceneObject, load_scene, parse_scene
+from roomlight.compositing.placement.scene import SHAPE_SIZE_M, Scene, SceneObject, load_scene, parse_scene
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, OptionError, SceneError
 from roomlight.frame import Frame
-
-SHAPE_SIZE_M: Final = {"sphere": 0.2, "cube": 0.2, "plane": 0.5, "vase": 0.3, "chair": 0.85, "teapot": 0.3}
-"""The shapes, and the longest side of each where no size is given."""
 
 
 def scene_of_object(
@@ -54,7 +51,6 @@ def scene_of_object(
     shape = str(source) if str(source) in SHAPE_SIZE_M else None
     spec: dict[str, Any] = {"name": Path(source).stem, "pixel": list(pixel), "yaw_degrees": yaw_degrees, "up": up}
     spec |= {"file": str(source)} if shape is None else {"shape": shape}
-    size_m = SHAPE_SIZE_M[shape] if size_m is None and shape is not None else size_m
     spec |= {} if size_m is None else {"size_m": size_m}
     spec |= {} if material is None else {"material": {"kind": material}}
     if shape is None and not Path(source).exists():

@@ -67,10 +67,10 @@ class CompositeObject(WireModel):
 
     Attributes:
         object: id of an uploaded object.
-        shape: instead of an uploaded object; with size_m.
+        shape: instead of an uploaded object.
         up: axis of an uploaded object that points up; z is turned to y.
         name: of the object in the answer; default object-0, object-1, ...
-        size_m: longest side; default: the file's own metres.
+        size_m: longest side; default: the file's own metres, 0.2 for a sphere, 0.85 for a chair.
         material: default: the file's own.
         position: world metres of the anchor, upright; with yaw_degrees.
         pose: rigid, object axes to world, 16 numbers column by column.
@@ -95,8 +95,6 @@ class CompositeObject(WireModel):
     def _check_one_of_each(self) -> "CompositeObject":
         if (self.object is None) == (self.shape is None):
             raise ValueError("must have either object or shape")
-        if self.shape is not None and self.size_m is None:
-            raise ValueError("a shape must have size_m")
         if sum(place is not None for place in (self.position, self.pose, self.pixel)) != 1:
             raise ValueError("must have exactly one of position, pose and pixel")
         return self

@@ -6,8 +6,7 @@ import pytest
 import roomlight as rl
 from roomlight.compositing.objects.primitives import sphere
 from roomlight.compositing.picture.layer_files import encode_picture
-from roomlight.compositing.placement.scene import AtPixel, SceneObject
-from roomlight.compositing.recordings import SHAPE_SIZE_M
+from roomlight.compositing.placement.scene import SHAPE_SIZE_M, AtPixel, SceneObject
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, ObjectError, OptionError, SceneError
 from roomlight.images import decode_colour

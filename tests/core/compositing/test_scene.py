@@ -46,7 +46,6 @@ def test_an_object_with_z_up_is_turned_upright():
     [
         ({"size_m": -1}, r"objects\[0\]\.size_m: .*greater than 0; got -1"),
         ({"size_m": float("nan")}, r"objects\[0\]\.size_m"),
-        ({"size_m": None}, r"objects\[0\]: size_m is required"),
         ({"name": ""}, r"objects\[0\]\.name"),
         ({"up": "x"}, r"objects\[0\]\.up"),
         ({"up": "z"}, "up belongs to a file"),

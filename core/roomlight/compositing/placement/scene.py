@@ -30,6 +30,8 @@ from roomlight.errors import ObjectError, SceneError
 
 Z_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Turns an object whose z axis points up: z becomes y, x stays."""
+SHAPE_SIZE_M: Final = {"sphere": 0.2, "cube": 0.2, "plane": 0.5, "vase": 0.3, "chair": 0.85, "teapot": 0.3}
+"""The shapes, and the longest side of each where no size is given."""
 MAX_OBJECTS: Final = 64
 MAX_KEYS: Final = 10_000
 MAX_SIZE_M: Final = 100.0
@@ -148,7 +150,7 @@ class ObjectSpec(_Model):
         file: glTF, GLB, OBJ or PLY, relative to the scene's file.
         shape: sphere, cube, plane, vase, chair or teapot, instead of a file.
         up: axis of the file that points up; z is turned to y, x stays.
-        size_m: longest side of the bounding box; required for shapes, else the file's own metres.
+        size_m: longest side of the bounding box; default: `SHAPE_SIZE_M` for a shape, else the file's own metres.
         material: replaces the file's materials.
         position: world metres of the anchor; or
         pose: 4 x 4 rigid matrix, object axes to world; or
@@ -179,8 +181,6 @@ class ObjectSpec(_Model):
             raise ValueError("give either file or shape")
         if self.shape is not None and self.up != "y":
             raise ValueError("up belongs to a file; shapes have y up")
-        if self.shape is not None and self.size_m is None:
-            raise ValueError("size_m is required for a shape")
         if sum(value is not None for value in (self.position, self.pose, self.pixel)) != 1:
             raise ValueError("give exactly one of position, pose and pixel")
         if self.frame is not None and self.pixel is None:
@@ -333,8 +333,9 @@ def _built(spec: ObjectSpec, number: int, load: LoadObject) -> SceneObject:
             geometry = geometry.transformed(Z_UP)
         if spec.material is not None:
             geometry = geometry.with_material(spec.material.build())
-        if spec.size_m is not None:
-            geometry = geometry.scaled_to(spec.size_m)
+        size_m = spec.size_m or SHAPE_SIZE_M.get(spec.shape or "")
+        if size_m is not None:
+            geometry = geometry.scaled_to(size_m)
     except ObjectError as error:
         raise ObjectError(f"objects[{number}] ({spec.name}): {error}") from error
     return SceneObject(spec.name, geometry, _place(spec), spec.motion)
