@@ -19,10 +19,12 @@ from roomlight.monocular.kernels.adjustment import add_reduced
 
 _CUT_PX: Final = 1.5
 """Reprojection error, in pixels of a 640-pixel picture, from which a feature's weight falls (Cauchy)."""
-_DEPTH_ERROR: Final = 0.25
-"""Relative error of the network's depth from place to place in a picture."""
 _SCALE_ERROR: Final = 0.12
 """Relative error of the depth's scale from picture to picture."""
+_PARALLAX: Final = 4.0
+"""Squared pixels by which a landmark moves when its depth changes e-fold, from which its depth is known."""
+_LEAST: Final = 20
+"""Landmarks with parallax that tell the scale."""
 _CLOSE: Final = 1e-3
 """Relative fall of the cost below which the adjustment ends."""
 
@@ -59,6 +61,7 @@ class Sightings:
         seen: Pixel of each sighting.
         unit: Pixels that are one pixel of a 640-pixel picture.
         focal_prior: (focal length in pixels, its relative error).
+        depth_error: Relative error of the network's depth from place to place in a picture.
     """
 
     host: Int[np.ndarray, " k"]
@@ -69,6 +72,7 @@ class Sightings:
     seen: Float[np.ndarray, "m 2"]
     unit: float
     focal_prior: tuple[float, float]
+    depth_error: float
 
 
 def adjusted(cameras: Cameras, sightings: Sightings, *, rounds: int = 40) -> Cameras:
@@ -94,6 +98,22 @@ def adjusted(cameras: Cameras, sightings: Sightings, *, rounds: int = 40) -> Cam
     return cameras
 
 
+def in_metres(cameras: Cameras, sightings: Sightings) -> Cameras:
+    """Scale the world until landmarks whose depth follows from parallax have the network's depth, in the median.
+
+    The scale is the direction in which the cost hardly changes, so that the adjustment ends early in it.
+    """
+    _, to_inverse, _ = _jacobians(cameras, sightings)
+    known = np.bincount(sightings.landmark, (to_inverse**2).sum(axis=1), len(sightings.host)) / sightings.unit**2
+    by_parallax = known > _PARALLAX
+    if by_parallax.sum() < _LEAST:
+        return cameras
+    apart = cameras.log_inverse - sightings.log_stated
+    change = float(np.median(apart[by_parallax]))
+    inverse = np.where(by_parallax, cameras.log_inverse - change, cameras.log_inverse)
+    return replace(cameras, centres=cameras.centres * np.exp(change), log_inverse=inverse)
+
+
 def reprojection_errors(cameras: Cameras, sightings: Sightings) -> Float[np.ndarray, " m"]:
     """Return the distance of each sighting from where it should be, in pixels of a 640-pixel picture."""
     error = _projected(cameras, sightings)[0] - sightings.seen
@@ -116,7 +136,7 @@ def _projected(
 
 
 def _depth_errors(cameras: Cameras, sightings: Sightings) -> Float[np.ndarray, " k"]:
-    return (cameras.log_inverse + cameras.log_scale[sightings.host] - sightings.log_stated) / _DEPTH_ERROR
+    return (cameras.log_inverse + cameras.log_scale[sightings.host] - sightings.log_stated) / sightings.depth_error
 
 
 def _cost(cameras: Cameras, sightings: Sightings) -> float:
@@ -149,8 +169,8 @@ def _normal_equations(
     to_inverse, error = to_inverse * root[:, None], error * root[:, None]
     # the network's statement of a landmark's depth is a row of its own
     depth = _depth_errors(cameras, sightings)
-    stated = 1 / (_DEPTH_ERROR**2 * (1 + depth**2 / 4))
-    residual = depth * _DEPTH_ERROR * stated
+    stated = 1 / (sightings.depth_error**2 * (1 + depth**2 / 4))
+    residual = depth * sightings.depth_error * stated
     curvature = stated + np.bincount(mark, (to_inverse**2).sum(axis=1), marks)
     pull = -residual - np.bincount(mark, (to_inverse * error).sum(axis=1), marks)
     first = np.searchsorted(mark, np.arange(marks + 1))

@@ -18,7 +18,7 @@ from jaxtyping import Float, Float32, Int
 
 from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
-from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, reprojection_errors
+from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, in_metres, reprojection_errors
 from roomlight.monocular.estimate import DepthModel
 from roomlight.monocular.features import SIDE, Features, FeatureTracker, matched
 from roomlight.monocular.horizon import Lines, Upright, lines_of, upright
@@ -45,6 +45,10 @@ MISFIT_PX: Final = 0.8
 picture had 0.3 to 0.7; in those turned wrong by 5 to 37 degrees 0.9 to 1.6."""
 _AGAIN: Final = 3
 """Most times that cameras are placed and adjusted once more."""
+_DEPTH_ERROR_FIRST: Final = 0.25
+_DEPTH_ERROR: Final = 2.0
+"""Relative error of the network's depth from place to place in a picture: as it is, where the adjustment begins; and
+where it ends, because the errors of neighbours are alike, and so many of them would outweigh parallax."""
 _DARK: Final = 24
 """Grey level of a picture's brightest percent below which it is called dark."""
 _OUTLIER_PX: Final = 5.0
@@ -294,6 +298,7 @@ class CameraMotion:
             seen=np.array([piece[picture].pixels[feature] for picture, feature in rows[:, 2:]], np.float64),
             unit=self._unit,
             focal_prior=(self._intrinsics.fx, _KNOWN_FOCAL if self._known else _GUESSED_FOCAL),
+            depth_error=_DEPTH_ERROR_FIRST,
         )
         cameras = Cameras(
             np.stack([still.turn for still in piece]),
@@ -307,8 +312,9 @@ class CameraMotion:
         sightings = replace(
             sightings,
             landmark=sightings.landmark[good], picture=sightings.picture[good], seen=sightings.seen[good],
+            depth_error=_DEPTH_ERROR,
         )  # fmt: skip
-        cameras = adjusted(cameras, sightings)
+        cameras = adjusted(in_metres(adjusted(cameras, sightings), sightings), sightings)
         errors = reprojection_errors(cameras, sightings)
         good = errors < _OUTLIER_PX
         pictures = np.concatenate([sightings.host[sightings.landmark[good]], sightings.picture[good]])

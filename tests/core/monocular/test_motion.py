@@ -9,7 +9,7 @@ import box_room
 from box_room import LENS, exact_depth, frame, pose
 from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.monocular import adjustment
-from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, reprojection_errors
+from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, in_metres, reprojection_errors
 from roomlight.monocular.estimate import DepthEstimate, DepthKind, srgb_picture
 from roomlight.monocular.features import FeatureTracker, matched
 from roomlight.monocular.motion import CameraMotion, CameraPath
@@ -121,7 +121,7 @@ def test_the_focal_length_follows_from_the_motion() -> None:
     poses = [pose(0, turn=0.12 * k) for k in range(10)]
     path = _path(poses, lens=replace(LENS, fx=0.88 * LENS.fx, fy=0.88 * LENS.fy), known=False)
     assert path.intrinsics.fx == pytest.approx(LENS.fx, rel=0.02)
-    assert _errors(path, poses)[0] < 1
+    assert _errors(path, poses)[0] < 1.5  # of 62
 
 
 def test_what_is_lost_says_why() -> None:
@@ -164,7 +164,7 @@ def problem() -> tuple[Cameras, Sightings]:
     centres[0] = 0
     stated = np.log(1 / rng.uniform(1, 4, 60))
     cameras = Cameras(turns, centres, np.zeros(4), stated, 280.0)
-    blank = Sightings(host, pixel, stated, landmark, picture, np.zeros((120, 2)), 0.5, (280.0, 0.1))
+    blank = Sightings(host, pixel, stated, landmark, picture, np.zeros((120, 2)), 0.5, (280.0, 0.1), 0.25)
     seen = adjustment._projected(cameras, blank)[0]
     return cameras, replace(blank, seen=seen)
 
@@ -209,6 +209,28 @@ def test_the_adjustment_finds_cameras_that_are_off(problem: tuple[Cameras, Sight
     assert reprojection_errors(fitted, sightings).max() < 0.05
     np.testing.assert_allclose(fitted.centres, cameras.centres, atol=2e-3)
     assert fitted.focal == pytest.approx(cameras.focal, rel=2e-3)
+
+
+def test_parallax_outweighs_depth_whose_errors_are_alike(problem: tuple[Cameras, Sightings]) -> None:
+    """The network takes the left of each picture for nearer than it is and the right for farther, by up to a third."""
+    cameras, sightings = problem
+    slanted = sightings.log_stated - 0.3 * sightings.pixel[:, 0] / 140
+    wrong = replace(sightings, log_stated=slanted)
+    tight, loose = (
+        adjusted(replace(cameras, log_inverse=slanted), replace(wrong, depth_error=error)) for error in (0.25, 2.0)
+    )
+    bent = [np.abs(fitted.turns - cameras.turns).max() for fitted in (tight, loose)]
+    assert bent[1] < 0.2 * bent[0]
+
+
+def test_the_scale_is_the_network_s_where_parallax_tells_depth(problem: tuple[Cameras, Sightings]) -> None:
+    cameras, sightings = problem
+    half = replace(cameras, centres=cameras.centres / 2, log_inverse=cameras.log_inverse + np.log(2))
+    assert reprojection_errors(half, sightings).max() < 1e-6
+    scaled = in_metres(half, sightings)
+    np.testing.assert_allclose(scaled.centres, cameras.centres, rtol=1e-6)
+    turned = replace(half, centres=np.zeros((4, 3)))  # nothing tells depth
+    assert in_metres(turned, sightings) is turned
 
 
 def test_a_wrong_sighting_weighs_little(problem: tuple[Cameras, Sightings]) -> None:
