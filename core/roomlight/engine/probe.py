@@ -1,6 +1,6 @@
 """A tracked position: its panorama, the model's state of it, its lights."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -16,12 +16,15 @@ from roomlight.engine.panorama.likely_light import likely_lights
 from roomlight.engine.room import AnyRoom
 from roomlight.engine.state.snapshot import ProbeSnapshot
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
-from roomlight.engine.volume.sglv import render_panorama
+from roomlight.engine.surface.views import MeshesView, distinct
+from roomlight.engine.volume.sglv import render_coarse_panorama, render_panorama
 from roomlight.light.light import Light
 from roomlight.threads import parallel_for, thread_count
 
-_VIEWS_AT_ONCE: Final = 8 * thread_count()
-"""Views of meshes by probes between two pauses of long work; 0.8 MB each at 120 rows if one probe has them all."""
+_PIXELS_AT_ONCE: Final = 8 * 2 * 120**2
+"""Most pixels of panoramas that late points have at once, about 250 bytes each."""
+_GROUPS: Final = 4
+"""Parts of the meshes, by time, that a late point's threads divide; light does not depend on the number of threads."""
 
 
 @dataclass(frozen=True)
@@ -49,62 +52,53 @@ class Probe:
         return cls(position, room, panorama, room.new_probe(), LightTracker())
 
     @classmethod
-    def of_keyframes(cls, positions: Sequence[Position], room: AnyRoom, *, height: int) -> "list[Probe]":
-        """Return probes that know what the keyframes and the last frame show.
+    def of_keyframes(cls, positions: Sequence[Position], room: AnyRoom, *, height: int) -> "Iterator[Probe]":
+        """Yield probes that know what the keyframes and the last frame show.
 
-        Their views are blended in order of time, each with its full weight, into what is seen of the place. The model
-        then estimates the light once, as if one frame had shown all of it. The SGLVs of those moments are gone; the
-        present one has observed more. Several probes share the meshes, and are computed on all cores.
+        Each direction shows the first frame that sees it, or a later one whose surface is closer. The model then
+        estimates the light once, as if one frame had shown all of it. The SGLVs of those moments are gone; the
+        present one has observed more. All probes share what `distinct` leaves of the meshes; some at a time are
+        computed on all cores.
         """
-        probes = [cls.fresh(position, room, height=height) for position in positions]
-        shown = [PanoramaState.fresh(height, room.grid.depth_max_m) for _ in probes]
-        meshes, at_once = [mesh for _, mesh in room.meshes], max(1, _VIEWS_AT_ONCE // len(probes))
-        for start in range(0, len(meshes), at_once):
-            # of copies: the triangles of all keyframes would take 40 MB
-            cls._show([mesh.passing() for mesh in meshes[start : start + at_once]], probes, shown)
+        meshes = distinct([mesh for _, mesh in room.meshes])
+        groups = [meshes[n * len(meshes) // _GROUPS : (n + 1) * len(meshes) // _GROUPS] for n in range(_GROUPS)]
+        cameras = np.array([mesh.camera_to_world[:3, 3] for _, mesh in room.meshes])
+        at_once = max(1, min(2 * thread_count(), _PIXELS_AT_ONCE // (2 * height**2)))
+        for start in range(0, len(positions), at_once):
+            probes = [cls.fresh(position, room, height=height) for position in positions[start : start + at_once]]
+            cls._show(probes, groups, cameras)
+            yield from probes
 
-        def finish(first: int, last: int) -> None:
-            for probe, seen in zip(probes[first:last], shown[first:last], strict=True):
-                probe._begin(seen)
+    @staticmethod
+    def _show(
+        probes: "Sequence[Probe]", groups: Sequence[Sequence[tuple[int, FrameMesh]]], cameras: Float[np.ndarray, "n 3"]
+    ) -> None:
+        """Show fresh probes groups of meshes, those of earlier frames first."""
+        height = probes[0].panorama.observed.shape[0]
+        views = [[MeshesView(np.asarray(probe.position), height) for _ in groups] for probe in probes]
 
-        parallel_for(finish, len(probes), most=1)
-        return probes
+        def show(first: int, last: int) -> None:
+            for number in range(first, last):
+                views[number // _GROUPS][number % _GROUPS].add(groups[number % _GROUPS])
 
-    def _begin(self, shown: PanoramaState) -> None:
+        def begin(first: int, last: int) -> None:
+            for probe, (earliest, *others) in zip(probes[first:last], views[first:last], strict=True):
+                for other in others:
+                    earliest.add_view(other)
+                probe._begin(earliest, cameras)
+
+        parallel_for(show, len(probes) * _GROUPS, most=1)
+        parallel_for(begin, len(probes), most=1)
+
+    def _begin(self, shown: MeshesView, cameras: Float[np.ndarray, "n 3"]) -> None:
         """Take over what is seen of the place, and let the model infer the rest."""
-        seen = PartialPanorama(
-            shown.radiance, shown.observed > 0, shown.depth_m * (shown.observed > 0), shown.clipped, shown.guessed
-        )
-        rendered = self.render()
-        assert rendered is not None
+        seen = shown.partial().within(farthest_depth_m(self.room.grid.depth_max_m))
+        far, rows = self.room.far, self.panorama.observed.shape[0]
+        rendered = Rendered(*render_coarse_panorama(self.room.sglv, self.position, height=rows, far=far))
         estimate = self.estimator.estimate(self.panorama, rendered, seen, depth_max_m=self.room.grid.depth_max_m)
         for _ in range(2):  # surfaces are in several frames: each adds a share of what the ones before left out
             self._accumulate(self.panorama, seen, None, hdr=estimate.hdr, weight=estimate.weight)
-        self.panorama.changed[:], self.panorama.viewed_from[:] = shown.changed, shown.viewed_from
-
-    @staticmethod
-    def _show(meshes: Sequence[FrameMesh], probes: "Sequence[Probe]", shown: Sequence[PanoramaState]) -> None:
-        """Blend views of meshes, in their order, into what probes are shown.
-
-        A probe alone divides the meshes among the cores; several share each mesh.
-        """
-        views: dict[int, PartialPanorama] = {}
-        alone = probes[0] if len(probes) == 1 else None
-
-        def prepare(first: int, last: int) -> None:
-            for number in range(first, last):
-                meshes[number].prepare()
-                if alone is not None:
-                    views[number] = alone.view(meshes[number])
-
-        def blend(first: int, last: int) -> None:
-            for probe, state in zip(probes[first:last], shown[first:last], strict=True):
-                for number, mesh in enumerate(meshes):
-                    partial = views[number] if alone is not None else probe.view(mesh)
-                    probe._accumulate(state, partial, mesh, hdr=None, weight=partial.mask.astype(np.float32))
-
-        parallel_for(prepare, len(meshes), most=1)
-        parallel_for(blend, len(probes), most=1)
+        self.panorama.viewed_from[:] = shown.viewed_from(cameras)
 
     @classmethod
     def of_snapshot(cls, saved: ProbeSnapshot, room: AnyRoom) -> "Probe":

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 from roomlight.conventions import Position
 from roomlight.engine.lighting import LightingModel
@@ -10,9 +9,6 @@ from roomlight.engine.probe import Probe
 from roomlight.engine.room import AnyRoom, room_at
 from roomlight.engine.volume.sglv import check_position
 from roomlight.light.light import Light
-
-_PIXELS_AT_ONCE: Final = 8 * 2 * 120**2
-"""Pixels of panoramas that are made at once, about 150 bytes each."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +55,8 @@ class SessionView:
             room = room_at((x, y, z), self.rooms)
             places.append((x, y, z))
             inside.setdefault(next(n for n, other in enumerate(self.rooms) if other is room), []).append(number)
-        probes: dict[int, Probe] = {}
-        at_once = max(1, _PIXELS_AT_ONCE // (2 * self.height**2))
+        lights: dict[int, Light] = {}
         for room, numbers in inside.items():
-            for start in range(0, len(numbers), at_once):
-                some = numbers[start : start + at_once]
-                made = Probe.of_keyframes([places[n] for n in some], self.rooms[room], height=self.height)
-                probes |= zip(some, made, strict=True)
-        return [probes[number].light(self.frame, self.load) for number in range(len(positions))]
+            probes = Probe.of_keyframes([places[n] for n in numbers], self.rooms[room], height=self.height)
+            lights |= {n: probe.light(self.frame, self.load) for n, probe in zip(numbers, probes, strict=True)}
+        return [lights[number] for number in range(len(positions))]

@@ -7,7 +7,7 @@ from embreex.rtcore_scene import EmbreeScene
 
 from roomlight.conventions import panorama_rays
 from roomlight.engine.kernels.rasterise import MARGIN, Raster, place_vertices, rasterise
-from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.surface.mesh import FrameMesh, empty_raster
 from rooms import BoxRoom, camera_at
 
 HEIGHT = 60
@@ -78,16 +78,21 @@ def test_vertices_are_placed_where_their_directions_are(height):
 def test_quads_between_pixel_centres_are_left_out_and_no_other(position, height):
     mesh = FrameMesh(ROOM.frame(camera_at((0.3, 1.5, 1.2), 8, -6)))
     every = rasterised(mesh.vertices, mesh.faces, position, height)
-    for seen, wanted in zip(mesh._rasterise(np.array(position), height), every, strict=True):
-        hit = every.triangle >= 0
+    raster, hit = empty_raster(2 * height * height), every.triangle >= 0
+    first, after = mesh.rasterise(np.array(position), height, raster)
+    for seen, wanted in zip(raster, every, strict=True):
         np.testing.assert_array_equal(seen[hit], wanted[hit])
-    np.testing.assert_array_equal(mesh._rasterise(np.array(position), height).triangle, every.triangle)
+    np.testing.assert_array_equal(raster.triangle, every.triangle)
+    rows = np.flatnonzero(hit.reshape(height, -1).any(axis=1))
+    assert first <= rows[0]
+    assert rows[-1] < after <= height
 
 
 def test_quads_at_the_position_are_tested():
     mesh = FrameMesh(ROOM.frame(camera_at((0.3, 1.5, 1.2), 8, -6)))
     vertex = mesh.vertices[len(mesh.vertices) // 2].astype(float)
-    seen, every = mesh._rasterise(vertex, 60), rasterised(mesh.vertices, mesh.faces, vertex, 60)
+    seen, every = empty_raster(2 * 60 * 60), rasterised(mesh.vertices, mesh.faces, vertex, 60)
+    mesh.rasterise(vertex, 60, seen)
     np.testing.assert_array_equal(seen.triangle, every.triangle)
 
 

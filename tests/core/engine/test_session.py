@@ -7,8 +7,8 @@ import pytest
 
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
+from roomlight.engine import probe as probe_module
 from roomlight.engine import session as session_module
-from roomlight.engine import session_view
 from roomlight.engine.kernels.blend import accumulate_rows
 from roomlight.engine.kernels.bracket import take_radiance
 from roomlight.engine.kernels.march import march_rays
@@ -135,14 +135,15 @@ def test_many_late_points_are_made_a_few_at_a_time(pan_frames, monkeypatch):
     session, _ = _run(pan_frames[:2])
     points = [(0.1 * number, 1.0, 0.2) for number in range(7)]
     alone = [session.light_at(point).digest() for point in points]
-    monkeypatch.setattr(session_view, "_PIXELS_AT_ONCE", 3 * 2 * session.options.height**2)
-    made, of_keyframes = [], session_view.Probe.of_keyframes
+    monkeypatch.setattr(probe_module, "_PIXELS_AT_ONCE", 3 * 2 * session.options.height**2)
+    monkeypatch.setattr(probe_module, "thread_count", lambda: 8)
+    made, show = [], probe_module.Probe._show
 
-    def noted(positions, room, *, height):
-        made.append(len(positions))
-        return of_keyframes(positions, room, height=height)
+    def noted(probes, groups, cameras):
+        made.append(len(probes))
+        show(probes, groups, cameras)
 
-    monkeypatch.setattr(session_view.Probe, "of_keyframes", noted)
+    monkeypatch.setattr(probe_module.Probe, "_show", noted)
     assert [light.digest() for light in session.lights_at(points)] == alone
     assert made == [3, 3, 1]
 

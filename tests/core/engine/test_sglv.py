@@ -12,6 +12,7 @@ from roomlight.engine.kernels.reference import render_rays_reference
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import (
     Sglv,
+    render_coarse_panorama,
     render_panorama,
     render_rays,
 )
@@ -145,3 +146,22 @@ def test_turning_camera_and_world_together_turns_the_panorama():
     after, _ = render_panorama(rotated, tuple((quarter @ [*CENTRE, 1])[:3].tolist()), height=24)
     # +90 degrees about y take +Z to +X: u falls by a quarter, 12 of 48 columns
     assert np.quantile(abs(np.roll(before, -12, axis=1) - after), 0.99) < 1e-2
+
+
+def test_a_coarse_panorama_is_interpolated_around_the_circle():
+    sglv, height = _random(7), 24
+    half = np.dstack(render_panorama(sglv, CENTRE, height=height // 2))
+    above, below = half[np.r_[0, : len(half) - 1]], half[np.r_[1 : len(half), -1]]
+    rows = np.stack([0.75 * half + 0.25 * above, 0.75 * half + 0.25 * below], axis=1).reshape(height, height, 4)
+    left, right = np.roll(rows, 1, axis=1), np.roll(rows, -1, axis=1)
+    wanted = np.stack([0.75 * rows + 0.25 * left, 0.75 * rows + 0.25 * right], axis=2).reshape(height, -1, 4)
+    radiance, transmittance = render_coarse_panorama(sglv, CENTRE, height=height)
+    np.testing.assert_allclose(np.dstack([radiance, transmittance]), wanted, rtol=1e-4, atol=1e-5)
+
+
+def test_a_coarse_panorama_of_odd_height_has_every_ray():
+    sglv = _random(7)
+    for coarse, fine in zip(
+        render_coarse_panorama(sglv, CENTRE, height=9), render_panorama(sglv, CENTRE, height=9), strict=True
+    ):
+        np.testing.assert_array_equal(coarse, fine)

@@ -91,6 +91,36 @@ def raise_vertices(depth, uv, camera, camera_to_world, vertices):
             vertices[i, axis] = turned + camera_to_world[axis, 3]
 
 
+@njit(nogil=True, cache=True, error_model="numpy")
+def leave_out_shown(vertices, wanted, other, relative, least_m):
+    """Clear `wanted` [v] for those of the vertices [v, 3] whose surface another depth grid shows too.
+
+    Args:
+        vertices: world metres.
+        wanted: updated.
+        other: its world_to_camera, lens and depth (`roomlight.engine.surface.mesh.DepthView`).
+        relative: share of the depth that one of the four samples around, or what lies between them, may be away;
+            and `least_m` metres more.
+    """
+    m, lens, depth, half = other.world_to_camera, other.lens, other.depth, np.float32(0.5)
+    rows, columns = depth.shape
+    for i in range(len(vertices)):
+        if not wanted[i]:
+            continue
+        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        away = -(m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3])
+        column = lens[2] - half + lens[0] * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / away
+        row = lens[3] - half - lens[1] * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / away
+        if not (away > 0 and 0 <= column < columns - 1 and 0 <= row < rows - 1):
+            continue
+        left, top = int(column), int(row)
+        a, b, c, d = depth[top, left], depth[top, left + 1], depth[top + 1, left], depth[top + 1, left + 1]
+        across, down = column - np.float32(left), row - np.float32(top)
+        between = a + across * (b - a) + down * (c - a + across * (a - b - c + d))
+        beside = min(min(abs(a - away), abs(b - away)), min(abs(c - away), abs(d - away)))
+        wanted[i] = min(abs(between - away), beside) > np.float32(relative) * away + np.float32(least_m)
+
+
 @njit(nogil=True, cache=True, error_model="numpy", fastmath={"nsz", "contract"})
 def place_vertices(vertices, position, height, offsets, places):
     """Write the offsets of vertices [n, 3] from `position` [3, n], and their columns and rows in the panorama [2, n].
@@ -168,9 +198,13 @@ def rasterise(faces, numbers, offsets, places, rays, height, raster):
     """Rasterise triangles of `faces` [n, 3], those of these ascending numbers, into `raster`.
 
     `rays` [p, 3] are the pixels' directions.
+
+    Returns:
+        The first row that may have changed, and the row after the last.
     """
     width = 2 * height
     rows = np.float32(height)
+    first_changed, after_changed = height, 0
     for signed in numbers:
         number = np.uint64(signed)  # numba wraps signed indices: a select for each look-up
         i, j, k = np.uint64(faces[number, 0]), np.uint64(faces[number, 1]), np.uint64(faces[number, 2])
@@ -197,6 +231,7 @@ def rasterise(faces, numbers, offsets, places, rays, height, raster):
         volume, area = nx * ax + ny * ay + nz * az, nx * nx + ny * ny + nz * nz
         if volume == 0:
             continue
+        first_changed, after_changed = min(first_changed, first_row), max(after_changed, last_row + 1)
         sign = np.float32(1) if volume > 0 else np.float32(-1)
         # 3. Pixel centres inside, and the nearest triangle of each
         for row in range(first_row, last_row + 1):
@@ -222,6 +257,7 @@ def rasterise(faces, numbers, offsets, places, rays, height, raster):
                     raster.weights[pixel, 0] = (mx * nx + my * ny + mz * nz) / area
                     mx, my, mz = ey * hz - ez * hy, ez * hx - ex * hz, ex * hy - ey * hx
                     raster.weights[pixel, 1] = (mx * nx + my * ny + mz * nz) / area
+    return min(first_changed, after_changed), after_changed
 
 
 @njit(nogil=True, cache=True)
@@ -306,27 +342,71 @@ def locate(raster, surface, per_pixel, seen, maps, levels, distance):
         levels: output [p]: k for a box of 2^k pixels, of each that is seen.
         distance: output [p], of all pixels: metres along the ray, 0 where it is not seen.
     """
-    one, half_step = np.float32(1), np.float32(math.sqrt(2.0))
-    unit = np.float32(math.sqrt(3.0))  # a tent twice as wide as a box of 2^k has the variance of a box of sqrt(3) 2^k
     count = 0
     for pixel in range(len(distance)):
-        number = raster.triangle[pixel]
-        if number < 0 or raster.front[pixel] == 0:
+        if raster.triangle[pixel] < 0 or raster.front[pixel] == 0:
             distance[pixel] = 0
             continue
-        i, j, k = surface.faces[number, 0], surface.faces[number, 1], surface.faces[number, 2]
-        v, w = raster.weights[pixel, 0], raster.weights[pixel, 1]
-        u = one - v - w
-        for axis in range(2):
-            maps[count, axis] = u * surface.pixels[i, axis] + v * surface.pixels[j, axis] + w * surface.pixels[k, axis]
         distance[pixel] = raster.distance[pixel]
-        span = per_pixel * raster.distance[pixel] / surface.depth_m[i]
-        level, limit = 0, unit * half_step
-        while span > limit and level < 15:
-            level += 1
-            limit *= np.float32(2)
-        seen[count], levels[count] = pixel, level
+        seen[count], levels[count] = pixel, _place_in_image(raster, surface, pixel, per_pixel, maps[count])
         count += 1
+    return count
+
+
+@njit(nogil=True, cache=True)
+def _place_in_image(raster, surface, pixel, per_pixel, place):
+    """Write the (column, row) in the image that a pixel sees; return its pyramid level."""
+    one, number = np.float32(1), raster.triangle[pixel]
+    i, j, k = surface.faces[number, 0], surface.faces[number, 1], surface.faces[number, 2]
+    v, w = raster.weights[pixel, 0], raster.weights[pixel, 1]
+    u = one - v - w
+    for axis in range(2):
+        place[axis] = u * surface.pixels[i, axis] + v * surface.pixels[j, axis] + w * surface.pixels[k, axis]
+    # a tent twice as wide as a box of 2^k has the variance of a box of sqrt(3) 2^k
+    span, limit = per_pixel * raster.distance[pixel] / surface.depth_m[i], np.float32(math.sqrt(3.0) * math.sqrt(2.0))
+    level = 0
+    while span > limit and level < 15:
+        level += 1
+        limit *= np.float32(2)
+    return level
+
+
+class Nearest(NamedTuple):
+    """The surfaces that a point sees of several meshes, by pixel of its panorama.
+
+    Attributes:
+        distance: metres along the ray, infinite where nothing is seen.
+        limit: the distance at which another mesh's surface replaces it.
+        mesh: its mesh's number, -1 where nothing is seen.
+    """
+
+    distance: Float32[np.ndarray, " p"]
+    limit: Float32[np.ndarray, " p"]
+    mesh: Int32[np.ndarray, " p"]
+
+
+@njit(nogil=True, cache=True)
+def take_nearer(raster, start, stop, surface, per_pixel, number, closer_m, nearest, seen, maps, levels):
+    """Take the pixels start..stop of a mesh that are nearer by `closer_m`, and clear the raster there.
+
+    Args:
+        raster, surface, per_pixel, seen, maps, levels: as in `locate`.
+        number: of the mesh.
+        nearest: updated (`Nearest`).
+
+    Returns:
+        How many pixels it took.
+    """
+    count = 0
+    for pixel in range(start, stop):
+        if raster.triangle[pixel] >= 0:
+            distance = raster.distance[pixel]
+            if raster.front[pixel] and distance <= nearest.limit[pixel]:
+                nearest.distance[pixel], nearest.limit[pixel] = distance, distance - closer_m
+                nearest.mesh[pixel] = number
+                seen[count], levels[count] = pixel, _place_in_image(raster, surface, pixel, per_pixel, maps[count])
+                count += 1
+            raster.triangle[pixel], raster.distance[pixel] = -1, np.float32(np.inf)
     return count
 
 

@@ -5,20 +5,23 @@ rasterised (`roomlight.engine.kernels.rasterise`) and textured with the frame's 
 (`roomlight.engine.surface.texture`): what rays through its pixel centres meet, without a tree.
 """
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from roomlight.camera import Intrinsics
+from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.conventions import panorama_rays
 from roomlight.engine.kernels.rasterise import (
     Raster,
     Surface,
     join_quads,
+    leave_out_shown,
     locate,
     near_centres,
     place_vertices,
@@ -31,6 +34,10 @@ from roomlight.frame import Frame
 EDGE_RATIO = 1.08
 """Neighbouring vertices whose depths differ by more than this ratio belong to two surfaces. With a vertex every 0.36
 degrees, a plane exceeds it only under 5 degrees of grazing angle; sofa edges against walls are at 1.2 and more."""
+_EVERY: Final = 2
+_SAME_RATIO: Final = 0.02
+_SAME_M: Final = 0.03
+"""Two meshes show one surface if they are less than 3 cm and 2 % of the depth apart."""
 MAX_VERTICES = 160 * 120
 """Most vertices of a mesh. Against the 153,000 triangles of all pixels the mask of a 120 x 240 panorama is wrong in
 2.4 % of its pixels; a mesh of 107 x 80 would be wrong in 4.7 %."""
@@ -87,6 +94,20 @@ class MeshGrid:
     def uv(self) -> Float[np.ndarray, "gh gw 2"]:
         """Return (u, v) of each vertex in the image, 0 to 1; float32, read-only."""
         return _uv(self.depth_shape, self.depth_m.size)
+
+
+class DepthView(NamedTuple):
+    """A depth grid and its camera.
+
+    Attributes:
+        world_to_camera: [4, 4].
+        lens: fx, fy, cx, cy, in samples of the grid.
+        depth: [gh, gw] z-depth.
+    """
+
+    world_to_camera: Float[np.ndarray, "4 4"]
+    lens: Float[np.ndarray, "4"]
+    depth: Float[np.ndarray, "gh gw"]
 
 
 class _Triangles(NamedTuple):
@@ -160,7 +181,7 @@ class FrameMesh:
 
     def prepare(self) -> None:
         """Make what views need now, so that several threads may ask for views."""
-        self._made, self._pyramid = self._triangles, self._levels
+        self._made, self._pyramid = self._triangles, self.levels
 
     def forget(self) -> None:
         """Release what can be made again."""
@@ -203,18 +224,59 @@ class FrameMesh:
         return made
 
     @property
-    def _levels(self) -> Pyramid:
+    def levels(self) -> Pyramid:
+        """The texture's pyramid."""
         pyramid = self._pyramid
         if pyramid is None:
             pyramid = self._pyramid = self.texture.pyramid()
         return pyramid
 
     def _triangulated(self) -> _Triangles:
-        k, depth, uv = self.image_camera, self.grid_depth_m, self.grid.uv()
+        return self._triangles_of(self.grid_depth_m, np.s_[:, :])
+
+    def _triangles_of(self, depth: Float[np.ndarray, "gh gw"], window: tuple[slice, slice]) -> _Triangles:
+        """Return the triangles of depth samples in a window of the grid."""
+        k, shape = self.image_camera, self.grid_depth_m.shape
+        pixels = _pixels(self._depth_shape, self.grid_depth_m.size, (k.width, k.height)).reshape(*shape, 2)[window]
+        return _Triangles(self._raised(depth, window), *_joined(depth), np.ascontiguousarray(pixels).reshape(-1, 2))
+
+    def _raised(self, depth: Float[np.ndarray, "gh gw"], window: tuple[slice, slice]) -> Float[np.ndarray, "v 3"]:
+        """Return the vertices of depth samples in a window of the grid, in world metres."""
+        k, uv = self.image_camera, np.ascontiguousarray(self.grid.uv()[window]).reshape(-1, 2)
         vertices = np.empty((depth.size, 3), np.float32)
         camera = np.array([k.width, k.height, k.fx, k.fy, k.cx, k.cy], np.float32)
-        raise_vertices(depth.reshape(-1), uv.reshape(-1, 2), camera, self.camera_to_world.astype(np.float32), vertices)
-        return _Triangles(vertices, *_joined(depth), _pixels(self._depth_shape, depth.size, (k.width, k.height)))
+        raise_vertices(depth.reshape(-1), uv, camera, self.camera_to_world.astype(np.float32), vertices)
+        return vertices
+
+    @property
+    def depth_view(self) -> DepthView:
+        """The grid with its camera."""
+        k, to_camera = self.grid_camera, rigid_inverse(self.camera_to_world).astype(np.float32)
+        return DepthView(to_camera, np.array([k.fx, k.fy, k.cx, k.cy], np.float32), self.grid_depth_m)
+
+    def without(self, others: Sequence[DepthView]) -> "FrameMesh | None":
+        """Return a copy for views, without surfaces that the others show too; None if nothing is left.
+
+        Every second vertex is looked up; what is around one that no other shows stays.
+        """
+        depth, every = self.grid_depth_m, np.s_[::_EVERY, ::_EVERY]
+        corners = np.ascontiguousarray(depth[every])
+        vertices, wanted = self._raised(corners, every), corners.reshape(-1) > 0
+        for other in others:
+            leave_out_shown(vertices, wanted, other, _SAME_RATIO, _SAME_M)
+        size = 2 * _EVERY + 1  # its neighbours on both sides
+        stays = np.zeros(depth.shape, np.uint8)
+        stays[every] = wanted.reshape(corners.shape)
+        stays = cv2.dilate(stays, np.ones((size, size), np.uint8))
+        depth = np.where(stays > 0, depth, np.float32(0))
+        rows, columns = (np.flatnonzero(depth.any(axis=axis)) for axis in (1, 0))
+        if not len(rows):
+            return None
+        window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        rest = self.passing()
+        rest.grid_depth_m = np.ascontiguousarray(depth[window])
+        rest._made = self._triangles_of(rest.grid_depth_m, window)
+        return rest
 
     @property
     def grid(self) -> MeshGrid:
@@ -237,14 +299,12 @@ class FrameMesh:
         The back of a surface hides what is behind it and is not seen itself: the camera saw its other side.
         """
         pixels, shape = 2 * height * height, (height, 2 * height)
-        raster = self._rasterise(position_world, height)
+        raster = empty_raster(pixels)
+        self.rasterise(position_world, height, raster)
         seen, distance = np.empty(pixels, np.int32), np.empty(pixels, np.float32)
         maps, levels = np.empty((pixels, 2), np.float32), np.empty(pixels, np.int8)
-        made, k = self._triangles, self.image_camera
-        surface = Surface(made.faces, made.pixels, self.grid_depth_m.reshape(-1))
-        per_pixel = np.float32((k.fx + k.fy) / 2 * np.pi / height)
-        count = locate(raster, surface, per_pixel, seen, maps, levels, distance)
-        radiance, clipping = self._levels.sample(pixels, seen[:count], maps[:count], levels[:count])
+        count = locate(raster, self.surface, self.per_pixel(height), seen, maps, levels, distance)
+        radiance, clipping = self.levels.sample(pixels, seen[:count], maps[:count], levels[:count])
         clipped, guessed = (None, None) if clipping is None else (clipping[:, 0], clipping[:, 1])
         return PartialPanorama(
             radiance.reshape(*shape, 3),
@@ -254,21 +314,38 @@ class FrameMesh:
             None if guessed is None else np.ascontiguousarray(guessed).reshape(shape),
         )
 
-    def _rasterise(self, position_world: Float[np.ndarray, "3"], height: int) -> Raster:
+    @property
+    def surface(self) -> Surface:
+        """What triangles know of the image."""
+        made = self._triangles
+        return Surface(made.faces, made.pixels, self.grid_depth_m.reshape(-1))
+
+    def per_pixel(self, height: int) -> np.float32:
+        """Return the image pixels that a panorama pixel spans at a distance equal to the z-depth."""
+        return np.float32((self.image_camera.fx + self.image_camera.fy) / 2 * np.pi / height)
+
+    def rasterise(self, position_world: Float[np.ndarray, "3"], height: int, raster: Raster) -> tuple[int, int]:
+        """Add the nearest triangles that a world position (metres) sees to a raster of an H x 2H panorama.
+
+        Returns:
+            The first row that may have changed, and the row after the last.
+        """
         vertices, faces, numbers, _ = self._triangles
-        count, pixels = len(vertices), 2 * height * height
-        raster = Raster(
-            np.full(pixels, np.inf, np.float32),
-            np.full(pixels, -1, np.int32),
-            np.empty((pixels, 2), np.float32),
-            np.zeros(pixels, np.int32),
-        )
-        offsets, places = np.empty((3, count), np.float32), np.empty((2, count), np.float32)
+        offsets, places = np.empty((3, len(vertices)), np.float32), np.empty((2, len(vertices)), np.float32)
         place_vertices(vertices, np.asarray(position_world, np.float64), height, offsets, places)
         flags, chosen = np.empty(numbers.shape[1], np.bool_), np.empty(len(faces), np.int32)
-        some = near_centres(places, self.grid_depth_m.shape, numbers, flags, chosen)
-        rasterise(faces, chosen[:some], offsets, places, panorama_rays(height), height, raster)
-        return raster
+        chosen = chosen[: near_centres(places, self.grid_depth_m.shape, numbers, flags, chosen)]
+        return rasterise(faces, chosen, offsets, places, panorama_rays(height), height, raster)
+
+
+def empty_raster(pixels: int) -> Raster:
+    """Return a raster of so many pixels without triangles."""
+    return Raster(
+        np.full(pixels, np.inf, np.float32),
+        np.full(pixels, -1, np.int32),
+        np.empty((pixels, 2), np.float32),
+        np.zeros(pixels, np.int32),
+    )
 
 
 def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:

@@ -37,6 +37,21 @@ class Pyramid(NamedTuple):
     image: list[Float[np.ndarray, "_ _ 3"]]
     clipping: list[Float[np.ndarray, "_ _ 2"]] | None
 
+    def sample_into(
+        self,
+        radiance: Float[np.ndarray, "pixels 3"],
+        clipping: Float[np.ndarray, "pixels 2"],
+        seen: Int[np.ndarray, " n"],
+        maps: Float[np.ndarray, "n 2"],
+        levels: Int[np.ndarray, " n"],
+    ) -> None:
+        """Write what `sample` returns of the pixels that are `seen`; others are not touched."""
+        _sample_into(radiance, self.image, seen, maps, levels)
+        if self.clipping is None:
+            clipping[seen] = 0
+        else:
+            _sample_into(clipping, self.clipping, seen, maps, levels)
+
     def sample(
         self,
         pixels: int,
@@ -131,10 +146,20 @@ def _sample(
     levels: Int[np.ndarray, " n"],
 ) -> Float[np.ndarray, "pixels c"]:
     out = np.zeros((pixels, pyramid[0].shape[2]), np.float32)
+    _sample_into(out, pyramid, seen, maps, levels)
+    return out
+
+
+def _sample_into(
+    out: Float[np.ndarray, "pixels c"],
+    pyramid: list[Float[np.ndarray, "_ _ c"]],
+    seen: Int[np.ndarray, " n"],
+    maps: Float[np.ndarray, "n 2"],
+    levels: Int[np.ndarray, " n"],
+) -> None:
     for number, image in enumerate(pyramid):
         last = number == len(pyramid) - 1
         sample_level(image, pyramid[0].shape[:2], seen, maps, levels, number, last, out)
-    return out
 
 
 def _pyramid(image: Float[np.ndarray, "h w c"]) -> list[Float[np.ndarray, "_ _ c"]]:
