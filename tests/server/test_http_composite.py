@@ -311,7 +311,10 @@ def test_an_object_beyond_the_time_limit_is_refused():
 
 
 def test_a_packed_object_is_the_same_object():
-    body = textured_quad().glb()
+    file = textured_quad()
+    file.tree["samplers"] = [{"wrapT": 33071}]
+    file.tree["textures"][0]["sampler"] = 0
+    body = file.glb()
     text, data = pack_object(body, None, {})
     held, direct = unpack_object(json.loads(json.dumps(text)), data), load_object(body)
     assert object_bytes(held) == object_bytes(direct) == len(data)
@@ -323,3 +326,4 @@ def test_a_packed_object_is_the_same_object():
         assert texture is not None
         assert own_texture is not None
         assert (texture.texels == own_texture.texels).all()
+        assert texture.clamped == own_texture.clamped == (False, True)

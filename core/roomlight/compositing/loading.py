@@ -10,13 +10,14 @@ folder and inside that are read; an object that comes as bytes has none.
 rest; normals, else flat; vertex colours; metallic-roughness and specular-glossiness materials with textures, texture \
 transforms and normal maps; KHR_materials_emissive_strength, _ior, _specular, _transmission and _unlit; quantised, \
 sparse, meshopt-packed and (extra `draco`) Draco-packed meshes; PNG, JPEG, WebP, AVIF | animations, lamps, occlusion \
-textures, KTX2, clearcoat, sheen, volume and other layers |
+textures, KTX2, clearcoat, sheen and other layers |
 | OBJ | polygons, normals or smoothing groups, texture coordinates, vertex colours, materials with textures | relief, \
 textures of gloss, curves |
 | PLY | polygons, normals, texture coordinates, colours; text and binary | texture files |
 
-Faces of OBJ and PLY files without normals shade smoothly where they meet at less than 40 degrees. Objects without
-colours are grey and diffuse until `VirtualObject.with_material` gives them a material.
+Surfaces show from both sides, whatever glTF's `doubleSided` says. Volumes tint glass by their stated thickness. Faces
+of OBJ and PLY files without normals shade smoothly where they meet at less than 40 degrees. Objects without colours are
+grey and diffuse until `VirtualObject.with_material` gives them a material.
 """
 
 from dataclasses import replace

@@ -1,12 +1,15 @@
 """Materials: energy, the lobe's table, and what is refused. The BRDFs' twin is `shading_reference`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shading_reference import exact_plane_radiance, lobe_share, plane_radiance
 
+from roomlight.compositing.kernels.surfaces import read_texture
 from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glass, glossy, lobe_table, mirror, rough_metal
-from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
+from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture, texture_arrays
 from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
 from roomlight.errors import ObjectError
 
@@ -121,6 +124,21 @@ def test_emission_is_added_to_reflection() -> None:
         Material(base_colour=(0.0, 0.0, 0.0), specular=0.0, emissive=(2.0, 1.0, 0.5)), WHITE, 20.0, samples=1
     )
     np.testing.assert_allclose(lit[0], [2, 1, 0.5], rtol=1e-5)
+
+
+def test_bent_normals_throw_no_light_into_the_surface() -> None:
+    steep = Texture.from_linear(np.array([[[0.5 + np.sqrt(0.75) / 2, 0.5, 0.75]]], np.float32))  # 60 degrees
+    for material in (mirror(), rough_metal(0.1)):
+        values = plane_radiance(replace(material, normal_texture=steep), WHITE, 0.0, samples=64)
+        assert values.mean() == pytest.approx(1, abs=0.02)
+
+
+def test_clamped_textures_go_on_with_their_edges() -> None:
+    image = np.array([[[0.0] * 3, [1.0] * 3]], np.float32)
+    plain = Texture.from_linear(image)
+    arrays = texture_arrays([plain, replace(plain, clamped=(True, False))])
+    assert [read_texture(arrays, 0, u, 0.5)[0] for u in (1.25, 1.75)] == [0, 1]
+    assert [read_texture(arrays, 1, u, 0.5)[0] for u in (-0.3, 0.25, 0.5, 0.75, 1.25)] == [0, 0, 0.5, 1, 1]
 
 
 def test_textures_colour_the_surface_by_its_uvs() -> None:

@@ -29,7 +29,7 @@ from roomlight.compositing.kernels.environment import (
 from roomlight.compositing.kernels.ground import arriving, arriving_at
 from roomlight.compositing.kernels.guiding import fill_guide, guided_density, guided_sample
 from roomlight.compositing.kernels.scattering import Scatter, draw, evaluate, scatter_of
-from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
+from roomlight.compositing.kernels.surfaces import NORMAL, colours, geometric_normal, points, shading_normal
 from roomlight.kernels.common import JIT, KERNEL, point, tangents
 from roomlight.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 
@@ -171,7 +171,7 @@ def _add_known(world, paths, i, scatter, film, normal, weights):
 @njit(**JIT)
 def _light_ray(world, paths, i, hit, film, shadow, count, guiding, points2):
     """Draw a direction of the light: add its light, or store a shadow ray at `count`; returns their number."""
-    scatter, frame, local_view, flat, is_open = hit
+    scatter, frame, local_view, flat, is_open, _ = hit
     normal, a, b, origin = frame
     weights, guide, guided = guiding
     if guided:
@@ -208,7 +208,7 @@ def _light_ray(world, paths, i, hit, film, shadow, count, guiding, points2):
 @njit(**JIT)
 def _opaque(world, paths, i, live, hit, film, guiding, choice, points2):
     """Draw the next ray of an opaque surface; returns 1 if there is one, 0 if it ends or meets the light."""
-    scatter, frame, local_view, flat, is_open = hit
+    scatter, frame, local_view, flat, is_open, is_bent = hit
     normal, a, b, origin = frame
     weights, guide, guided = guiding
     light, weight, pdf = draw(scatter, local_view, choice, points2[0], points2[1])
@@ -219,6 +219,9 @@ def _opaque(world, paths, i, live, hit, film, guiding, choice, points2):
         a[1] * light[0] + b[1] * light[1] + normal[1] * light[2],
         a[2] * light[0] + b[2] * light[1] + normal[2] * light[2],
     )
+    above = flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2]
+    if is_bent and above < 0:  # a bent normal throws rays into its own surface, which would be dark: turned back
+        d = (d[0] - 2 * above * flat[0], d[1] - 2 * above * flat[1], d[2] - 2 * above * flat[2])
     place = place_of(d[0], d[1], d[2])
     share = 1.0
     if pdf > 0:
@@ -345,7 +348,8 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
             if lobe[0] + lobe[1] + lobe[2] + base_left[0] + base_left[1] + base_left[2] <= 0:
                 continue
         # 8. A direction of the light, with a shadow ray unless the face is open.
-        hit = (scatter, frame, local_view, flat, is_open)
+        is_bent = world.materials.texture[material, NORMAL] >= 0
+        hit = (scatter, frame, local_view, flat, is_open, is_bent)
         if scatter.lobe_probability < 1 or roughness >= MIRROR_ROUGHNESS:
             if guided:
                 film.doubt[slot] = 1

@@ -14,15 +14,23 @@ _LEAST_COSINE = 0.01
 
 
 @njit(**JIT)
+def _texels_at(coordinate, size, is_clamped):
+    """Return the two texels around a coordinate and the share of the second."""
+    whole = 0.0 if is_clamped else math.floor(coordinate)
+    x = min(max(coordinate - whole, 0.0), 1.0) * size - 0.5
+    first = math.floor(x)
+    share, first = x - first, int(first)
+    if is_clamped:
+        return max(first, 0), min(first + 1, size - 1), share
+    return first % size, (first + 1) % size, share
+
+
+@njit(**JIT)
 def read_texture(textures, index, u, v):
-    """Read a texture bilinearly, repeated; returns linear RGBA."""
+    """Read a texture bilinearly, repeated or clamped; returns linear RGBA."""
     first, width, height = textures.first[index], textures.width[index], textures.height[index]
-    x, y = u - math.floor(u), v - math.floor(v)
-    x, y = x * width - 0.5, y * height - 0.5
-    left, top = math.floor(x), math.floor(y)
-    p, q = x - left, y - top
-    left, top = int(left) % width, int(top) % height
-    right, bottom = (left + 1) % width, (top + 1) % height
+    left, right, p = _texels_at(u, width, textures.clamped[index, 0])
+    top, bottom, q = _texels_at(v, height, textures.clamped[index, 1])
     texels = textures.texels
     i, j = first + top * width, first + bottom * width
     a, b, c, d = (1 - p) * (1 - q), p * (1 - q), (1 - p) * q, p * q

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int32, Int64, UInt8, UInt16
+from jaxtyping import Bool, Float, Int32, Int64, UInt8, UInt16
 
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import ObjectError
@@ -19,13 +19,18 @@ _ROWS: Final = 128
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """An image on a surface: linear RGBA times 65535 in 16 bits.
+    """An image on a surface.
+
+    Attributes:
+        texels: Linear RGBA times 65535 in 16 bits.
+        clamped: Whether its edges go on outside [0, 1], across and down; else it repeats.
 
     Raises:
         ObjectError: The texture has no texel.
     """
 
     texels: UInt16[np.ndarray, "h w 4"]
+    clamped: tuple[bool, bool] = (False, False)
 
     def __post_init__(self) -> None:
         if self.texels.size == 0:
@@ -61,10 +66,12 @@ class TextureArrays(NamedTuple):
     first: Int64[np.ndarray, " t"]
     width: Int32[np.ndarray, " t"]
     height: Int32[np.ndarray, " t"]
+    clamped: Bool[np.ndarray, "t 2"]
 
 
 def texture_arrays(textures: Sequence[Texture]) -> TextureArrays:
     """Concatenate textures; without any, one white texel stands in, because kernels take no empty array."""
+    ends = [texture.clamped for texture in textures] or [(False, False)]
     images = [texture.texels for texture in textures] or [np.full((1, 1, 4), 65535, np.uint16)]
     sizes = np.array([image.shape[0] * image.shape[1] for image in images], np.int64)
     return TextureArrays(
@@ -72,6 +79,7 @@ def texture_arrays(textures: Sequence[Texture]) -> TextureArrays:
         np.cumsum(sizes) - sizes,
         np.array([image.shape[1] for image in images], np.int32),
         np.array([image.shape[0] for image in images], np.int32),
+        np.array(ends, bool),
     )
 
 

@@ -41,11 +41,13 @@ def decode_draco(
         arrays = {"faces": np.asarray(mesh.faces).reshape(-1, 3)}
         for key, number in attributes.items():
             values = np.asarray(mesh.get_attribute_by_unique_id(number)["data"])
-            if values.dtype.kind in "ui":
+            names_joints = str(key).startswith("JOINTS_")
+            if values.dtype.kind in "ui" and not names_joints:
                 values = values / np.iinfo(values.dtype).max
-            arrays[str(key)] = values.reshape(len(values), -1).astype(np.float32)
+            arrays[str(key)] = values.reshape(len(values), -1).astype(np.int64 if names_joints else np.float32)
     except Exception as error:  # the binding raises whatever damaged bytes lead to
         raise ObjectError(f"{label}: its Draco data is damaged ({str(error)[:80]})") from error
-    if any(len(values) != count for key, values in arrays.items() if key != "faces") or "POSITION" not in arrays:
+    points, lengths = arrays.get("POSITION"), {len(values) for key, values in arrays.items() if key != "faces"}
+    if points is None or points.shape[1] != 3 or lengths != {count}:
         raise ObjectError(f"{label}: its Draco data does not have the {count} vertices that are declared")
     return arrays

@@ -19,6 +19,7 @@ from roomlight.compositing.objects.gltf.schema import (
     TextureInfo,
     TextureTransform,
     Transmission,
+    Volume,
 )
 from roomlight.compositing.objects.materials import MAX_IOR, Colour, Material
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
@@ -37,8 +38,8 @@ class Surface:
         material: The material.
         uv_set: Number of the set of texture coordinates.
         uv_transform: What its textures do to these coordinates, 2 x 3.
-        repeats: Whether all its textures repeat outside [0, 1].
         opaque: Whether alpha counts for nothing.
+        double_sided: Whether the file says that it shows from behind.
         unlit: Whether the surface shows its base colour as it is (`unlit_of`, after vertex colours).
         notes: What was left out.
     """
@@ -46,9 +47,9 @@ class Surface:
     material: Material
     uv_set: int = 0
     uv_transform: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    repeats: bool = True
     opaque: bool = True
     unlit: bool = False
+    double_sided: bool = False
     notes: tuple[Note, ...] = ()
 
 
@@ -60,7 +61,7 @@ class _Slot:
     pixels: UInt8[np.ndarray, "h w c"]
     uv_set: int
     transform: Float[np.ndarray, "3 3"]
-    repeats: bool
+    clamped: tuple[bool, bool]
 
 
 class MaterialReader:
@@ -69,6 +70,7 @@ class MaterialReader:
     def __init__(self, images: Images, clamped: list[str]) -> None:
         self._images, self._clamped = images, clamped
         self._textures: dict[tuple[int, str], tuple[np.ndarray, Texture]] = {}
+        self._edged: dict[tuple[Texture, tuple[bool, bool]], Texture] = {}
 
     def surface(self, stated: GltfMaterial, label: str) -> Surface:
         """Convert a material. Raises ObjectError."""
@@ -97,19 +99,21 @@ class MaterialReader:
             material = self._from_glossy(material, glossy, pixels, means)
         else:
             material = self._from_metallic(material, stated, pixels, means)
-        material = self._rest(material, stated, pixels, means)
+        if material.transmission > 0:
+            material = self._tinted_by_depth(material, stated, label)
+        material = self._with_edges(self._rest(material, stated, pixels, means), slots)
         if stated.occlusionTexture is not None:
-            notes.append(
-                Note(f"{label}.occlusionTexture", "the object shades itself by ray tracing instead", "nothing to do")
-            )
+            file = label.rpartition(":")[0]  # one note for all its materials
+            effect = "objects shade themselves by ray tracing instead"
+            notes.append(Note(f"{file}: occlusion textures", effect, "nothing to do"))
         rows = transform[:2].tolist()
         return Surface(
             material,
             uv_set,
             ((rows[0][0], rows[0][1], rows[0][2]), (rows[1][0], rows[1][1], rows[1][2])),
-            all(slot is None or slot.repeats for slot in slots.values()),
             stated.alphaMode == "OPAQUE",
             "KHR_materials_unlit" in stated.extensions,
+            stated.doubleSided,
             tuple(notes),
         )
 
@@ -128,7 +132,7 @@ class MaterialReader:
             if wrap == MIRRORED:  # the texture beside its mirror image repeats
                 pixels = np.concatenate([pixels, np.flip(pixels, axis)], axis=axis)
                 transform[1 - axis] /= 2
-        return _Slot(key, pixels, uv_set, transform, CLAMPED not in wraps)
+        return _Slot(key, pixels, uv_set, transform, (wraps[0] == CLAMPED, wraps[1] == CLAMPED))
 
     def _mean(self, info: TextureInfo | None, label: str, notes: list[Note]) -> Float[np.ndarray, "4"]:
         """Return the mean of a texture that is read as a factor; linear RGB, and alpha."""
@@ -182,6 +186,18 @@ class MaterialReader:
             base_colour_texture=self._texture(pixels["base"], "opaque" if stated.alphaMode == "OPAQUE" else "colour"),
             metallic_roughness_texture=self._texture(pixels["rough"], "values"),
         )
+
+    def _tinted_by_depth(self, material: Material, stated: GltfMaterial, label: str) -> Material:
+        """Tint glass by its stated thickness: half of it at each of the two surfaces that light passes."""
+        volume = extension(Volume, stated, "KHR_materials_volume", label, self._clamped)
+        if volume is None or volume.attenuationDistance == 0:
+            return material
+        texture = volume.thicknessTexture
+        pixels = None if texture is None else self._images.pixels(texture.index, f"{label}.thicknessTexture")
+        thickness = volume.thicknessFactor * (1.0 if pixels is None else float(pixels[..., 1].mean()) / 255)
+        share = np.array(volume.attenuationColor) ** (thickness / volume.attenuationDistance / 2)
+        red, green, blue = (np.array(material.base_colour) * share).tolist()
+        return replace(material, base_colour=(red, green, blue))
 
     def _from_glossy(
         self,
@@ -238,6 +254,16 @@ class MaterialReader:
             normal_texture=self._texture(pixels["normal"], "values"),
             normal_scale=1.0 if stated.normalTexture is None else stated.normalTexture.scale,
         )
+
+    def _with_edges(self, material: Material, slots: dict[str, _Slot | None]) -> Material:
+        """Let textures end in their edges where their samplers say so; equal ones are one object."""
+        changed: dict[str, Texture] = {}
+        for key, name in zip(slots, ("base_colour", "metallic_roughness", "normal", "emissive"), strict=True):
+            slot, texture = slots[key], getattr(material, f"{name}_texture")
+            if slot is not None and texture is not None and any(slot.clamped):
+                edged = replace(texture, clamped=slot.clamped)
+                changed[f"{name}_texture"] = self._edged.setdefault((texture, slot.clamped), edged)
+        return replace(material, **changed)
 
     def _texture(self, pixels: UInt8[np.ndarray, "h w c"] | None, use: str) -> Texture | None:
         """Make a texture of colour, of colour that ignores alpha, or of values; equal ones are one object."""
@@ -339,7 +365,7 @@ def _brought(
         return None, np.ones(4)
     if slot.uv_set == uv_set and np.allclose(slot.transform, transform, atol=1e-6):
         return slot.pixels, np.ones(4)
-    if slot.uv_set == uv_set and abs(np.linalg.det(transform)) > 1e-9:
+    if slot.uv_set == uv_set and not any(slot.clamped) and abs(np.linalg.det(transform)) > 1e-9:
         relative = slot.transform @ np.linalg.inv(transform)
         if np.abs(relative[:2, :2] - np.rint(relative[:2, :2])).max() < 1e-3:  # both repeat with the unit square
             return _resampled(slot.pixels, relative), np.ones(4)

@@ -47,8 +47,8 @@ _LOOKS: Final = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_textur
 _HARMLESS: Final = ("KHR_xmp", "KHR_animation", "EXT_structural", "EXT_mesh_features", "KHR_audio", "KHR_interactivity")
 _EFFECTS: Final = {
     "KHR_materials_clearcoat": "the coat's highlights are missing",
-    "KHR_materials_sheen": "cloth has no soft rim",
-    "KHR_materials_volume": "glass is tinted at its surfaces, not by its depth",
+    "KHR_materials_sheen": "cloth lacks its sheen, which may be most of its colour",
+    "KHR_materials_volume": "glass is tinted as by its stated thickness everywhere",
     "KHR_materials_iridescence": "there are no colours of thin films",
     "KHR_materials_anisotropy": "highlights are round",
     "KHR_materials_dispersion": "glass does not split colours",
@@ -58,6 +58,8 @@ _EFFECTS: Final = {
     "KHR_lights_punctual": "its lamps give no light",
 }
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_CLOSED: Final = 0.02
+"""Of all area that single-sided surfaces may leave open without a note."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,7 @@ class _Arrays:
     tangents: Float32[np.ndarray, "n 4"] | None
     uvs: Float32[np.ndarray, "n 2"] | None
     colours: Float32[np.ndarray, "n 4"] | None
+    packed: dict[str, np.ndarray]
 
 
 def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside) -> tuple[Parts, tuple[Note, ...]]:
@@ -88,6 +91,7 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
     materials = MaterialReader(Images(gltf, views, beside, name, limits), clamped)
     surfaces: dict[int, Surface] = {}
     parts: list[tuple[TriangleMesh, Material]] = []
+    drawn: list[tuple[TriangleMesh, Surface]] = []
     scaled = [node for node in placed if node.joints is not None or abs(np.linalg.det(node.transform)) > 1e-20]
     if len(scaled) < len(placed):  # animations hide a node so
         lost = f"{name}: {len(placed) - len(scaled)} meshes whose nodes have a scale of 0"
@@ -112,6 +116,7 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
                 message = str(error)
                 raise ObjectError(message if message.startswith(name) else f"{label}: {message}") from error
             parts.append((mesh, material))
+            drawn.append((mesh, surface))
             notes.extend(more)
     lines = sum(
         part.mode < _TRIANGLES for mesh in {node.mesh for node in placed} for part in gltf.meshes[mesh].primitives
@@ -120,9 +125,23 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
         notes.append(Note(f"{name}: {lines} primitives of points or lines", "they are missing", "export surfaces"))
     for surface in surfaces.values():
         notes.extend(surface.notes)
+    single_sided = [mesh for mesh, surface in drawn if not surface.double_sided]
+    if any(material.doubleSided for material in gltf.materials) and _are_open(single_sided):
+        lost = f"{name}: single-sided surfaces that enclose nothing"
+        notes.append(Note(lost, "they show from behind as well", "nothing to do if it looks right"))
     if clamped:
         notes.append(Note(f"{name}: {', '.join(clamped[:4])}", "clamped to 0 to 1", "nothing to do if it looks right"))
     return tuple(parts), distinct(notes)
+
+
+def _are_open(meshes: list[TriangleMesh]) -> bool:
+    """Return whether the faces' areas do not cancel as vectors, as those of closed surfaces do."""
+    whole, total = np.zeros(3), 0.0
+    for mesh in meshes:
+        a, b, c = (mesh.vertices[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
+        areas = np.cross(b - a, c - a)
+        whole, total = whole + areas.sum(axis=0), total + float(np.linalg.norm(areas, axis=1).sum())
+    return float(np.linalg.norm(whole)) > _CLOSED * total
 
 
 def _extension_notes(gltf: Gltf, name: str) -> list[Note]:
@@ -197,13 +216,11 @@ class _PrimitiveReader:
         points, normals = self._morphed(arrays, primitive, placed.weights, label)
         transform, notes = placed.transform, list[Note]()
         if placed.joints is not None:
-            blended = self._blended(primitive, placed.joints, len(points), label)
+            blended = self._blended(primitive, placed.joints, arrays, label)
             points = np.einsum("nij,nj->ni", blended[:, :3, :3], points) + blended[:, :3, 3]
             normals = None if normals is None else _skinned_normals(blended, normals)
             transform = np.eye(4)
         uvs = arrays.uvs
-        if uvs is not None and not surface.repeats and (uvs.min() < -0.01 or uvs.max() > 1.01):
-            notes.append(Note(f"{label}: a texture that is clamped outside 0 to 1", "it repeats", "keep uv in 0 to 1"))
         textures = (getattr(surface.material, f"{key}_texture") for key in TEXTURES)
         if uvs is None and any(texture is not None for texture in textures):
             effect = "its textures show the one texel at (0, 0)"
@@ -263,7 +280,7 @@ class _PrimitiveReader:
         faces = packed["faces"].astype(np.int64) if packed is not None else self._faces(primitive, count, label)
         if len(faces) and int(faces.max()) >= count:
             raise ObjectError(f"{label}: an index points at vertex {int(faces.max())} of {count}")
-        self._decoded[key] = _Arrays(points, faces, normals, tangents, uvs, colours)
+        self._decoded[key] = _Arrays(points, faces, normals, tangents, uvs, colours, packed or {})
         return self._decoded[key]
 
     def _faces(self, primitive: Primitive, count: int, label: str) -> Int64[np.ndarray, "f 3"]:
@@ -297,19 +314,23 @@ class _PrimitiveReader:
         return points, normals
 
     def _blended(
-        self, primitive: Primitive, joints: Float[np.ndarray, "j 4 4"], count: int, label: str
+        self, primitive: Primitive, joints: Float[np.ndarray, "j 4 4"], arrays: _Arrays, label: str
     ) -> Float[np.ndarray, "n 4 4"]:
         """Return what the joints do to each vertex."""
+        count, packed = len(arrays.points), arrays.packed
         total, share = np.zeros((count, 4, 4)), np.zeros(count)
         for index in range(8):
             if f"JOINTS_{index}" not in primitive.attributes or f"WEIGHTS_{index}" not in primitive.attributes:
                 break
-            which = self._accessors.integers(primitive.attributes[f"JOINTS_{index}"], "VEC4", f"{label}: joints")
-            stated_weights = primitive.attributes[f"WEIGHTS_{index}"]
-            weights = self._accessors.floats(stated_weights, "VEC4", count, f"{label}: weights")
+            if {f"JOINTS_{index}", f"WEIGHTS_{index}"} <= packed.keys():
+                which, weights = packed[f"JOINTS_{index}"], packed[f"WEIGHTS_{index}"]
+            else:
+                which = self._accessors.integers(primitive.attributes[f"JOINTS_{index}"], "VEC4", f"{label}: joints")
+                stated_weights = primitive.attributes[f"WEIGHTS_{index}"]
+                weights = self._accessors.floats(stated_weights, "VEC4", count, f"{label}: weights")
             if which.shape != weights.shape or int(which.max(initial=0)) >= len(joints):
                 raise ObjectError(f"{label}: a vertex names joint {int(which.max(initial=0))} of {len(joints)}")
-            for corner in range(4):
+            for corner in range(which.shape[1]):
                 total += weights[:, corner, None, None] * joints[which[:, corner].astype(np.int64)]
                 share += weights[:, corner]
         if not np.isfinite(total).all() or not (share > 0).all():

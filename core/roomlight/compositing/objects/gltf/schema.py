@@ -182,6 +182,15 @@ class Transmission(_Model):
     transmissionTexture: TextureInfo | None = None  # noqa: N815
 
 
+class Volume(_Model):
+    """KHR_materials_volume; no distance attenuates nothing."""
+
+    thicknessFactor: Positive = 0.0  # noqa: N815
+    thicknessTexture: TextureInfo | None = None  # noqa: N815
+    attenuationDistance: Positive = 0.0  # noqa: N815
+    attenuationColor: tuple[Share, Share, Share] = (1.0, 1.0, 1.0)  # noqa: N815
+
+
 class Ior(_Model):
     """KHR_materials_ior; 0 reflects everything."""
 
@@ -213,6 +222,7 @@ class GltfMaterial(_Model):
     emissiveFactor: tuple[Positive, Positive, Positive] = (0.0, 0.0, 0.0)  # noqa: N815
     alphaMode: Annotated[Literal["OPAQUE", "MASK", "BLEND"], BeforeValidator(_upper)] = "OPAQUE"  # noqa: N815
     alphaCutoff: Positive = 0.5  # noqa: N815
+    doubleSided: bool = False  # noqa: N815
 
 
 class Sampler(_Model):
