@@ -1,5 +1,7 @@
 """Rendered objects: geometry of the picture, light between objects, glass, previews, determinism."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -253,6 +255,19 @@ def test_cut_out_shows_what_is_behind() -> None:
     np.testing.assert_allclose(covered.alpha, alone.alpha, atol=0.05)
     # shadow rays take the wall for solid
     assert covered.depth_m[24, 32] == pytest.approx(alone.depth_m[24, 32], rel=1e-3)
+
+
+@pytest.mark.parametrize("quality", ["good", RenderSettings(256, 8, denoised=False)])
+def test_a_cut_out_of_which_nothing_is_left_takes_no_light(quality) -> None:
+    grey = diffuse((0.8, 0.8, 0.8))
+    wall, light = moved(cube(1.0, grey), 0, 0, -0.5), ProbeSet.single(panorama())
+    gone = moved(cube(0.6, replace(grey, opacity=0.0, alpha_cutoff=0.5)), 0, 0, 0.35)
+    bare, behind = (
+        render_objects(TracedObjects(objects), CAMERA, POSE, light, quality=quality).radiance[18:30, 26:38]
+        for objects in ([wall], [wall, gone])
+    )
+    np.testing.assert_allclose(behind.mean((0, 1)), bare.mean((0, 1)), rtol=0.02)
+    assert behind.std() < 1.5 * bare.std() + 0.02  # as smooth
 
 
 def test_half_opacity_covers_half() -> None:

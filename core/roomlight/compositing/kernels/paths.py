@@ -296,7 +296,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         side = 1.0 if flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] < 0 else -1.0
         flat = (flat[0] * side, flat[1] * side, flat[2] * side)
         place = points(world.surfaces, face, b, c, side)
-        # 3. A cut-out lets the ray pass.
+        # 3. A cut-out lets the ray pass; as it stops shadow rays, the path brings all of the light behind it.
         if chance >= shares[2]:
             through = (
                 place[0][0] - settings.offset_m * flat[0],
@@ -304,7 +304,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
                 place[0][2] - settings.offset_m * flat[2],
             )
             if not last:
-                _continue(paths, i, live, through, d, (1.0, 1.0, 1.0), paths.share[i], paths.flags[i])
+                _continue(paths, i, live, through, d, (1.0, 1.0, 1.0), 1.0, paths.flags[i])
                 live += 1
             continue
         # 4. The first surface of a camera ray is recorded; every surface adds the light that it emits.
@@ -340,7 +340,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         scatter = scatter_of(world, material, base, shares[0], roughness, local_view[2])
         probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
         # 7. An open face's base gets the light of the panoramas that is known without samples.
-        guided = settings.depth == 0
+        guided = (paths.flags[i] & PRIMARY) != 0  # also behind cut-outs
         is_open = side > 0 and world.is_open[face]
         if is_open:
             scatter = _add_known(world, paths, i, scatter, film, normal, weights)
