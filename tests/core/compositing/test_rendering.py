@@ -225,6 +225,14 @@ def test_glass_shows_the_background_behind_it() -> None:
     np.testing.assert_allclose(picture.radiance[:, :24], 0.25, rtol=1e-4)
 
 
+def test_more_glass_than_paths_can_cross_is_not_black() -> None:
+    nested = [cube(0.2 + 0.15 * k, glass()) for k in range(4)]  # eight surfaces, of which paths cross four
+    light = ProbeSet.single(np.ones((32, 64, 3), np.float32))
+    picture = render_objects(TracedObjects(nested), CAMERA, POSE, light, quality=FEW)
+    covered = picture.radiance[picture.alpha == 1]
+    assert covered.mean() == pytest.approx(1, rel=0.02)  # nothing absorbs the even light
+
+
 def test_glass_sphere_turns_the_light_upside_down() -> None:
     light = np.zeros((32, 64, 3), np.float32)
     light[:16] = (0, 0, 1)  # blue above

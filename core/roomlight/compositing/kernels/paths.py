@@ -82,13 +82,18 @@ def _continue(paths, i, live, origin, direction, weight, share, flags):
 
 
 @njit(**JIT)
-def _escape(world, paths, i, film, settings, weights):
-    """Add the light that a ray meets which leaves the objects; returns whether the background is to give it."""
+def _escape(world, paths, i, film, settings, weights, escape, escaped):
+    """Add the light that a ray meets which leaves the objects, or queue it for the background: returns 0 or 1."""
     slot = paths.slot[i]
     if paths.flags[i] & PRIMARY:
-        return False
+        return 0
     if settings.background and paths.flags[i] & CLEAR:
-        return True
+        for axis in range(3):
+            escape.direction[escaped, axis] = paths.direction[i, axis]
+            escape.origin[escaped, axis] = paths.origin[i, axis]
+            escape.light[escaped, axis] = paths.throughput[i, axis]
+        escape.slot[escaped] = slot
+        return 1
     d = (paths.direction[i, 0] * 1.0, paths.direction[i, 1] * 1.0, paths.direction[i, 2] * 1.0)
     origin = (paths.origin[i, 0] * 1.0, paths.origin[i, 1] * 1.0, paths.origin[i, 2] * 1.0)
     probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
@@ -98,7 +103,7 @@ def _escape(world, paths, i, film, settings, weights):
     if scale >= 1 and paths.flags[i] & BLURRED:
         scale = settings.brightest / max(r, g, b, settings.brightest)
     _add(film.radiance, slot, paths, i, r * scale, g * scale, b * scale)
-    return False
+    return 0
 
 
 @njit(**JIT)
@@ -277,13 +282,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         slot = paths.slot[i]
         # 1. A ray that leaves the objects brings the light there, or waits for the background behind glass.
         if face < 0:
-            if _escape(world, paths, i, film, settings, weights):
-                for axis in range(3):
-                    escape.direction[escaped, axis] = paths.direction[i, axis]
-                    escape.origin[escaped, axis] = paths.origin[i, axis]
-                    escape.light[escaped, axis] = paths.throughput[i, axis]
-                escape.slot[escaped] = slot
-                escaped += 1
+            escaped += _escape(world, paths, i, film, settings, weights, escape, escaped)
             continue
         # 2. What the ray meets: colours, side and place.
         b, c = hits.u[i], hits.v[i]
@@ -303,7 +302,9 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
                 place[0][1] - settings.offset_m * flat[1],
                 place[0][2] - settings.offset_m * flat[2],
             )
-            if not last:
+            if last:
+                escaped += _escape(world, paths, i, film, settings, weights, escape, escaped)
+            else:
                 _continue(paths, i, live, through, d, (1.0, 1.0, 1.0), 1.0, paths.flags[i])
                 live += 1
             continue
@@ -312,12 +313,15 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         if paths.flags[i] & PRIMARY:
             _record(film, slot, world, (face, place[0], normal, base), view)
         _add(film.radiance, slot, paths, i, emitted[0], emitted[1], emitted[2])
-        if last:
-            continue
-        # 5. Glass reflects or refracts the ray.
+        # 5. Glass reflects or refracts the ray; the last one goes straight on to the light.
         material = world.surfaces.material[face]
         clear = world.materials.transmission[material]
-        if clear > 0 and chance < clear * shares[2]:
+        is_glass = clear > 0 and chance < clear * shares[2]
+        if last:
+            if is_glass:
+                escaped += _escape(world, paths, i, film, settings, weights, escape, escaped)
+            continue
+        if is_glass:
             ratio = world.materials.ior[material] if side > 0 else 1 / world.materials.ior[material]
             _glass(paths, i, live, place, normal, flat, ratio, base, choice, settings.offset_m)
             live += 1
