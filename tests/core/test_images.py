@@ -218,9 +218,9 @@ def _photo(orientation=None, focal_35mm=None, kind="JPEG"):
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG"])
 def test_exif_states_focal_length_and_orientation(kind):
-    assert exif_camera(_photo(6, 26, kind), "x") == ExifCamera(focal_35mm=26.0, orientation=6)
-    assert exif_camera(_photo(None, 50, kind), "x") == ExifCamera(focal_35mm=50.0)
-    assert exif_camera(_photo(3, None, kind), "x") == ExifCamera(orientation=3)
+    assert exif_camera(_photo(6, 26, kind), "x") == ExifCamera(focal_35mm=26.0, orientation=6, lens="Test")
+    assert exif_camera(_photo(None, 50, kind), "x") == ExifCamera(focal_35mm=50.0, lens="Test")
+    assert exif_camera(_photo(3, None, kind), "x") == ExifCamera(orientation=3, lens="Test")
 
 
 def test_field_of_view_follows_the_film_equivalent():
@@ -235,7 +235,7 @@ def test_missing_exif_gives_the_defaults(tmp_path):
     write_exr(tmp_path / "p.exr", LINEAR)
     for data in (_encoded("jpg"), _encoded("png"), _encoded("hdr", LINEAR), (tmp_path / "p.exr").read_bytes()):
         assert exif_camera(data, "x") == ExifCamera()
-    assert exif_camera(_photo(orientation=9, focal_35mm=0), "x") == ExifCamera(no_orientation=9)
+    assert exif_camera(_photo(orientation=9, focal_35mm=0), "x") == ExifCamera(no_orientation=9, lens="Test")
     (note,) = decode_picture(_photo(orientation=9), "x").notes
     assert note.left_out == "x: EXIF orientation 9, which does not exist (1 to 8)"
     assert not decode_picture(_photo(orientation=0), "x").notes
