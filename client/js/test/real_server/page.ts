@@ -217,7 +217,7 @@ async function session(url: string, token: string, vector: readonly Frame[]) {
     const withBytes = {
       ...frame,
       colour: { ...frame.colour, data: bytesOf(frame.colour.data) },
-      depth: { ...frame.depth!, data: bytesOf(frame.depth!.data) },
+      depth: frame.depth ? { ...frame.depth, data: bytesOf(frame.depth.data) } : null,
     };
     const { confidence } = frame;
     statuses.push(

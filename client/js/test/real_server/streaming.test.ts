@@ -92,10 +92,10 @@ test("the shared vector is accepted over HTTP and WebSocket", async () => {
     assert.equal((await session.push(frame)).status, "processed");
     assert.equal((await stream.push(frame)).status, "processed");
   }
-  const { frame } = vectors()[1]!;
-  assert.equal((await session.push({ ...frame, index: 8 })).replay, true);
+  const { frame } = vectors()[2]!;
+  assert.equal((await session.push({ ...frame, index: 9 })).replay, true);
   const { frames } = await session.state();
-  assert.deepEqual([frames.processed, frames.last_index, frames.replayed], [2, 8, 1]);
+  assert.deepEqual([frames.processed, frames.last_index, frames.replayed], [3, 9, 1]);
   stream.close();
   await session.delete();
   await assert.rejects(session.state(), (error) => error instanceof RoomLightError && error.status === 404);
