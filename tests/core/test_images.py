@@ -25,6 +25,7 @@ from roomlight.images import (
     write_exr,
     write_png,
 )
+from roomlight.imaging.exif import exif_camera_of
 
 RNG = np.random.default_rng(5)
 SRGB = RNG.integers(0, 256, (12, 16, 3), dtype=np.uint8)
@@ -221,6 +222,14 @@ def test_exif_states_focal_length_and_orientation(kind):
     assert exif_camera(_photo(6, 26, kind), "x") == ExifCamera(focal_35mm=26.0, orientation=6, lens="Test")
     assert exif_camera(_photo(None, 50, kind), "x") == ExifCamera(focal_35mm=50.0, lens="Test")
     assert exif_camera(_photo(3, None, kind), "x") == ExifCamera(orientation=3, lens="Test")
+
+
+def test_a_tag_that_is_damaged_leaves_the_others():
+    exif = Image.Exif()
+    details = exif.get_ifd(ExifTags.IFD.Exif)
+    details.update({ExifTags.Base.FocalLengthIn35mmFilm: 26, ExifTags.Base.DigitalZoomRatio: "wide"})
+    details[ExifTags.Base.ExifImageWidth] = "4032 px"
+    assert exif_camera_of(exif) == ExifCamera(focal_35mm=26.0)
 
 
 def test_field_of_view_follows_the_film_equivalent():

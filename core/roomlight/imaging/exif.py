@@ -64,11 +64,16 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
     try:
         orientation = 1 if upright else exif.get(ExifTags.Base.Orientation)
         details = exif.get_ifd(ExifTags.IFD.Exif)
-        focal = details.get(ExifTags.Base.FocalLengthIn35mmFilm)
         interoperability = exif.get_ifd(ExifTags.IFD.Interop).get(_INTEROPERABILITY_INDEX)
-        sides = sorted(details.get(tag) or 0 for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight))
-        aspect = float(sides[1] / sides[0]) if sides[0] > 0 else None
-        zoom = float(details.get(ExifTags.Base.DigitalZoomRatio) or 1)
+        width, height, zoom, focal = (
+            _positive(details.get(tag))
+            for tag in (
+                ExifTags.Base.ExifImageWidth,
+                ExifTags.Base.ExifImageHeight,
+                ExifTags.Base.DigitalZoomRatio,
+                ExifTags.Base.FocalLengthIn35mmFilm,
+            )
+        )
         names = (exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model), details.get(ExifTags.Base.LensModel))
         lens = " ".join(str(name).strip("\0 ") for name in names if name)
         adobe = details.get(ExifTags.Base.ColorSpace) == 2 or interoperability in ("R03", b"R03\0", "R03\0")
@@ -77,15 +82,24 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
     stated = orientation if isinstance(orientation, int) else 0
     known = 1 <= stated <= 8
     return ExifCamera(
-        focal_35mm=float(focal) if isinstance(focal, int) and focal > 0 else None,  # 0 is EXIF's "unknown"
+        focal_35mm=focal,
         orientation=stated if known else 1,
         no_orientation=stated if stated and not known else None,
         adobe_rgb=adobe,
         uncalibrated=not adobe and details.get(ExifTags.Base.ColorSpace) == 65535,
-        aspect=aspect,
-        zoom=zoom if math.isfinite(zoom) and zoom > 1 else 1.0,
+        aspect=max(width, height) / min(width, height) if width and height else None,
+        zoom=max(zoom or 1.0, 1.0),
         lens=lens[:80],
     )
+
+
+def _positive(stated: object) -> float | None:
+    """Return a number above 0; None for 0, which is EXIF's "unknown", and for what is no number."""
+    try:
+        value = float(stated)  # type: ignore[arg-type]  # whatever the file holds
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return value if 0 < value < math.inf else None
 
 
 def oriented(pixels: Shaped[np.ndarray, "h w *c"], orientation: int) -> Shaped[np.ndarray, "uh uw *c"]:

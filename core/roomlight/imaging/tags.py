@@ -92,14 +92,21 @@ def _jpeg_tags(data: bytes, name: str) -> ImageTags:
                 notes.append(Note(f"{name}: its {what}", effect, advice))
         offset += 2 + length if marker != 0xFF else 1
     profile = b"".join(pieces[key] for key in sorted(pieces)) or None
-    space = ColourSpace(ADOBE_RGB, gamma=563 / 256) if exif.adobe_rgb and profile is None else ColourSpace()
+    space, colours = _colours_of(exif, name) if profile is None else (ColourSpace(), [])
+    notes += colours
     if is_cmyk and profile is None:
         stated = f"{name}: its pixels are CMYK, and no profile says what ink they are of"
         notes.append(Note(stated, "they are converted by a plain formula", "save it as sRGB, or with its profile"))
-    if exif.uncalibrated and profile is None:
-        stated = f"{name}: its EXIF says that its colours are not sRGB, and no profile says what they are"
-        notes.append(Note(stated, "they are read as sRGB", "save it as sRGB, or with its profile"))
     return ImageTags(space, profile, exif, notes=tuple(notes))
+
+
+def _colours_of(exif: ExifCamera, name: str) -> tuple[ColourSpace, list[Note]]:
+    """Return the colour space by EXIF, of a picture in which nothing else states one."""
+    if exif.adobe_rgb:
+        return ColourSpace(ADOBE_RGB, gamma=563 / 256), []
+    stated = f"{name}: its EXIF says that its colours are not sRGB, and no profile says what they are"
+    note = Note(stated, "they are read as sRGB", "save it as sRGB, or with its profile")
+    return ColourSpace(), [note] if exif.uncalibrated else []
 
 
 def _png_tags(data: bytes, name: str) -> ImageTags:
@@ -134,6 +141,9 @@ def _png_tags(data: bytes, name: str) -> ImageTags:
         profile = _inflated(chunks[b"iCCP"].partition(b"\0")[2][1:])
     elif b"sRGB" not in chunks and (len(chunks.get(b"gAMA", b"")) == 4 or b"cHRM" in chunks):
         space = _measured(chunks.get(b"gAMA", struct.pack(">I", 45455)), chunks.get(b"cHRM", b""))
+    elif b"sRGB" not in chunks:
+        space, colours = _colours_of(exif, name)
+        notes += colours
     return ImageTags(space, profile, exif, alpha, tuple(notes))
 
 

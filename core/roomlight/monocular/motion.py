@@ -314,7 +314,9 @@ class CameraMotion:
             landmark=sightings.landmark[good], picture=sightings.picture[good], seen=sightings.seen[good],
             depth_error=_DEPTH_ERROR,
         )  # fmt: skip
-        cameras = adjusted(in_metres(adjusted(cameras, sightings), sightings), sightings)
+        cameras = adjusted(cameras, sightings)
+        if (scaled := in_metres(cameras, sightings)) is not cameras:
+            cameras = adjusted(scaled, sightings)
         errors = reprojection_errors(cameras, sightings)
         good = errors < _OUTLIER_PX
         pictures = np.concatenate([sightings.host[sightings.landmark[good]], sightings.picture[good]])

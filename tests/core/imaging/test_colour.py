@@ -15,6 +15,7 @@ from colour_profiles import matrix_profile
 from roomlight.errors import ImageError
 from roomlight.images import decode_picture
 from roomlight.imaging.colour_spaces import DISPLAY_P3, REC709, ColourSpace, to_rec709
+from roomlight.imaging.other_formats import as_png
 
 RED = np.full((8, 8, 3), (200, 40, 40), np.uint8)
 # Linear sRGB of the Display P3 colour (200, 40, 40): the curve is sRGB's, the matrix that of SMPTE EG 432-1.
@@ -111,14 +112,17 @@ def test_a_png_that_uses_few_of_its_bits_is_noted(bits: int, noted: bool, chunks
     assert ("its values use at most 12 of its 16 bits" in str(picture.notes)) == noted
 
 
-def test_adobe_rgb_by_exif() -> None:
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF", "WEBP"])
+def test_adobe_rgb_by_exif(kind: str) -> None:
     exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 1
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.ColorSpace] = 2
-    red = linear_of(saved("JPEG", exif=exif, quality=100))
+    quality = {"JPEG": {"quality": 100}, "WEBP": {"lossless": True}}.get(kind, {})
+    red = linear_of(as_png(saved(kind, exif=exif.tobytes(), **quality), "x", max_pixels=64))
     expected = to_rec709((0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.329)) @ (RED[0, 0] / 255.0) ** (563 / 256)
     np.testing.assert_allclose(red, np.maximum(expected, 0), atol=0.01)
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.ColorSpace] = 65535
-    (note,) = decode_picture(saved("JPEG", exif=exif), "x").notes
+    (note,) = decode_picture(as_png(saved(kind, exif=exif.tobytes()), "x", max_pixels=64), "x").notes
     assert "not sRGB" in note.left_out
 
 
@@ -167,13 +171,17 @@ def test_oblong_pixels_of_radiance_are_said() -> None:
     assert "0.5 times as wide as high" in note.left_out
 
 
-def test_cmyk_jpegs_are_read() -> None:
+def test_cmyk_is_read_and_said() -> None:
     stream = io.BytesIO()
     Image.fromarray(RED).convert("CMYK").save(stream, "JPEG", quality=98)
     picture = decode_picture(stream.getvalue(), "x")
     assert picture.image[4, 4, 0] > 0.4
     (note,) = picture.notes
     assert "x: its pixels are CMYK, and no profile" in str(note)
+    stream = io.BytesIO()
+    Image.fromarray(RED).convert("CMYK").save(stream, "TIFF")
+    (note,) = decode_picture(as_png(stream.getvalue(), "x", max_pixels=64), "x").notes
+    assert "colours are not sRGB" in str(note)
 
 
 def test_a_profile_for_other_pixels_is_said_and_not_applied() -> None:
