@@ -4,16 +4,19 @@ Installed before any import of the project. Packages called `kernels` are left o
 functions from their own source and takes no wrapper. And networks that are tiny.
 """
 
+import gc
 import json
 import os
 import shutil
 import sys
+from collections.abc import Generator
 from pathlib import Path
 
+import jaxtyping
 import pytest
 from hypothesis import settings
-from jaxtyping import install_import_hook
 
+import shape_checks
 from kept_exports import kept_export
 
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
@@ -46,7 +49,19 @@ def _modules() -> list[str]:
     return names
 
 
-install_import_hook(_modules(), "shape_checks.checked_when_called")
+jaxtyping.jaxtyped = lambda *, typechecker: shape_checks.checked  # what the hook decorates with  # noqa: ARG005
+jaxtyping.install_import_hook(_modules(), "shape_checks.checked")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Import without looking for garbage again and again among objects that stay: a seventh of a worker's start."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session")
