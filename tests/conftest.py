@@ -20,7 +20,7 @@ import shape_checks
 from kept_exports import kept_export
 
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
-settings.register_profile("default", deadline=None)
+settings.register_profile("default", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 # The test networks are too small to share between threads, which wait for each other: 10 times the CPU time under load.

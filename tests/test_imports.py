@@ -54,9 +54,8 @@ def test_import_layers_of_pyproject_are_kept():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("folders", [("core", "server"), ("client", "lab/roomlight_evaluation")])
-def test_base_install_needs_no_training_extra(folders: tuple[str, ...]):
-    loaded = loaded_after(modules_of(*folders))
+def test_base_install_needs_no_training_extra():
+    loaded = loaded_after(modules_of("core", "server", "client", "lab/roomlight_evaluation"))
     assert {"roomlight", "numpy"} <= loaded
     assert not loaded & TRAINING_EXTRA
 

@@ -227,13 +227,13 @@ def test_a_finished_replay_is_not_run_again(capture, tmp_path, monkeypatch, room
     first = roomlight(*command)
     assert first.code == 0, first.err
     calls = []
-    monkeypatch.setattr(replay_run, "replay", lambda *arguments, **_: calls.append(arguments))
-    again = roomlight(*command)
+    with monkeypatch.context() as patch:
+        patch.setattr(replay_run, "replay", lambda *arguments, **_: calls.append(arguments))
+        again = roomlight(*command)
     assert again.code == 0, again.err
     assert not calls
     assert "already holds this replay, finished" in again.out
     assert "1 frame, 1 probe, model classical" in again.out
-    monkeypatch.undo()
     other = roomlight(*command, "--every", "2")
     assert other.code == 1
     assert "holds another replay" in other.err

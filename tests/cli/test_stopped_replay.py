@@ -215,16 +215,16 @@ def test_a_long_replay_is_saved_at_each_hundredth(monkeypatch: pytest.MonkeyPatc
 
 def test_a_pass_over_a_capture_without_depth_goes_on():
     """Scale and keyframes of estimated depth are saved too."""
-    capture = open_capture(sample_capture(), CaptureOptions(depth="network", max_frames=16))
+    capture = open_capture(sample_capture(), CaptureOptions(depth="network", max_frames=14))
     whole, records = list[Frame](), b""
     for frame in capture:
         whole.append(frame)
         if len(whole) == 13:
             records = pack_records(records_of_values(capture.passed(), "PASS"))
     read = values_of_records(PassState, unpack_records(records, "state"), "PASS", "state")
-    again = open_capture(sample_capture(), CaptureOptions(depth="network", max_frames=16))
+    again = open_capture(sample_capture(), CaptureOptions(depth="network", max_frames=14))
     rest = list(again.frames(read))
-    assert [frame.index for frame in rest] == [13, 14, 15]
+    assert [frame.index for frame in rest] == [13]
     for before, after in zip(whole[13:], rest, strict=True):
         assert (before.depth_m == after.depth_m).all()
     assert again.notes == capture.notes

@@ -74,8 +74,13 @@ def zipped(archive: Path, members: Mapping[str, bytes]) -> Path:
     return archive
 
 
-@pytest.mark.parametrize("inner", ["", "My scan/", "Küche 1\\"])
-@pytest.mark.parametrize("kind", [kind for kind in BUILDERS if kind not in ("record3d", "scannet")])
+@pytest.mark.parametrize(
+    ("kind", "inner"),
+    [
+        ("polycam", ""), ("polycam", "Küche 1\\"),
+        *((kind, "My scan/") for kind in BUILDERS if kind not in ("record3d", "scannet")),
+    ],
+)  # fmt: skip
 def test_a_zipped_folder_is_read_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, inner: str
 ) -> None:

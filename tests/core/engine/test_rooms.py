@@ -59,7 +59,7 @@ def _walk(shares, start=0):
     return frames
 
 
-WALK = _walk(np.linspace(0, 1, 48))
+WALK = _walk(np.linspace(0, 1, 24))
 ENTERS = next(frame.index for frame in WALK if frame.camera_to_world[2, 3] < -DEEP_M / 2)
 
 
@@ -100,7 +100,7 @@ def test_the_second_room_is_as_for_a_session_begun_there(walked):
 
 def test_the_first_room_is_remembered(walked):
     whole, _ = walked
-    there, _ = _first(WALK[:14])
+    there, _ = _first(WALK[:7])
     late = [log_l2(whole.light_at(probe).reflection, there.light_at(probe).reflection) for probe in FIRST]
     assert max(late) < 0.02
     assert len(whole.snapshot().left[0].frames) <= LEFT_KEYFRAMES
@@ -170,7 +170,7 @@ def test_a_frame_without_depth_begins_no_room():
 def test_a_saved_walk_goes_on_with_the_same_bits(model, tiny_video):
     weights = tiny_video[1] if model != "classical" else None
     options = SessionOptions(model=model, provider="cpu", height=24, weights=weights)
-    walk = WALK[::4]
+    walk = WALK[::2]
     whole = Session(options)
     for probe in (FIRST[0], SECOND[0]):
         whole.track(probe)

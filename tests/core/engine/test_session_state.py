@@ -35,7 +35,7 @@ def _shot(index):
     return dataclasses.replace(frame, image=np.minimum(frame.image, white), clipped=clipped, depth_m=depth_m)
 
 
-FRAMES = [_shot(index) for index in range(14)]
+FRAMES = [_shot(index) for index in range(11)]
 
 
 def _options(model, tiny_video):
