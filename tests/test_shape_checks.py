@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from jaxtyping import TypeCheckError
+from jaxtyping import Float, TypeCheckError
 
 from roomlight.conventions import direction_to_uv
 from roomlight_bench.stages.peak import MatrixProduct
 from roomlight_evaluation.baselines import MeanColour
+from shape_checks import checked
 
 
 def test_a_wrong_shape_is_an_error_in_every_layer():
@@ -16,3 +17,26 @@ def test_a_wrong_shape_is_an_error_in_every_layer():
         MeanColour().light_at("somewhere")  # type: ignore[arg-type]
     with pytest.raises(TypeCheckError):
         MatrixProduct(edge="large")  # type: ignore[arg-type]
+
+
+def pairs(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, " n"], rows: int = 2) -> Float[np.ndarray, "n 2"]:
+    assert rows >= 0
+    return a[:, :rows] + b[:, None]
+
+
+def grid(rows: int) -> Float[np.ndarray, "{rows} 2*{rows}"]:
+    return np.zeros((rows, 4))
+
+
+def test_sizes_are_the_same_in_all_arguments_and_the_result():
+    three, two = np.zeros((5, 3)), checked(grid)(2)
+    assert checked(pairs)(three, np.zeros(5)).shape == (5, 2)
+    for work in (
+        lambda: checked(pairs)(three, np.zeros(4)),
+        lambda: checked(pairs)(three, np.zeros(5, int)),
+        lambda: checked(pairs)(three, np.zeros(5), rows=1),
+        lambda: checked(pairs)(three, np.zeros(5), rows=two),
+        lambda: checked(grid)(3),
+    ):
+        with pytest.raises(TypeCheckError):
+            work()

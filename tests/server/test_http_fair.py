@@ -278,6 +278,7 @@ def test_a_final_composite_is_killed_when_its_client_is_gone(server, caplog):
     assert server.call("POST", COMPOSITE, {"objects": [BALL], "quality": "final"}).status == 200  # another process
 
 
+@pytest.mark.slow
 def test_a_composite_beyond_the_memory_of_its_process_is_refused(server):
     """It ran on a thread of the server, where only an estimate bounded its memory."""
     good = {"objects": [BALL | {"material": {"kind": "glass"}}], "quality": "good"}

@@ -47,7 +47,9 @@ def session() -> Session:
     return room
 
 
-@pytest.fixture(scope="module", params=[*QUALITIES[:-1], pytest.param(QUALITIES[-1], marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module", params=[QUALITIES[0], *(pytest.param(quality, marks=pytest.mark.slow) for quality in QUALITIES[1:])]
+)
 def compositor(request: pytest.FixtureRequest, session: Session) -> Iterator[Compositor]:
     made = Compositor(session, OBJECTS, quality=request.param)
     yield made
@@ -132,7 +134,9 @@ def table(kind: str) -> VirtualObject:
     return load_object(file.glb())
 
 
-@pytest.mark.parametrize("quality", [*QUALITIES[:-1], pytest.param(QUALITIES[-1], marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "quality", [QUALITIES[0], *(pytest.param(quality, marks=pytest.mark.slow) for quality in QUALITIES[1:])]
+)
 def test_files_are_lit_by_the_room_without_seams_and_stand_on_every_foot(session: Session, quality: str) -> None:
     scene = [SceneObject(kind, table(kind), AtPosition(place)) for kind, place in TABLES.items()]
     made = Compositor(session, scene, quality=quality)

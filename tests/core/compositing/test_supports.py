@@ -102,8 +102,9 @@ def test_a_table_ends_beside_the_objects_on_it(quality: str | RenderSettings) ->
         assert (np.abs(beside.radiance - plain.radiance).max() < 1e-5) == ends
 
 
-@pytest.mark.parametrize("quality", ["preview", RenderSettings(256, 2, denoised=False)])
-@pytest.mark.parametrize("crosses", [True, False])
+@pytest.mark.parametrize(
+    ("quality", "crosses"), [("preview", True), ("preview", False), (RenderSettings(256, 2, denoised=False), True)]
+)
 def test_light_has_no_step_where_the_table_of_another_object_ends(quality: str | RenderSettings, crosses: bool) -> None:
     """A mirror stands on the floor through the height of a table, or hangs over it; a ball lies on the table."""
     table, floor = (Plane(np.array([0, y, 0]), np.array([0.0, 1, 0])) for y in (0.5, 0.0))

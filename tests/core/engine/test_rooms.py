@@ -59,8 +59,9 @@ def _walk(shares, start=0):
     return frames
 
 
-WALK = _walk(np.linspace(0, 1, 24))
-ENTERS = next(frame.index for frame in WALK if frame.camera_to_world[2, 3] < -DEEP_M / 2)
+@pytest.fixture(scope="module")
+def walk():
+    return _walk(np.linspace(0, 1, 24))
 
 
 def _error(session, handles, probes):
@@ -74,18 +75,19 @@ def _bits(session):
 
 
 @pytest.fixture(scope="module")
-def walked():
+def walked(walk):
     """A session at the end of the walk, its errors in the second room, and those of a session begun there."""
     whole, begun = Session(OPTIONS), Session(OPTIONS)
     for probe in FIRST:
         whole.track(probe)
+    enters = next(frame.index for frame in walk if frame.camera_to_world[2, 3] < -DEEP_M / 2)
     handles, begun_handles, errors = list[int](), list[int](), []
-    for frame in WALK:
+    for frame in walk:
         whole.push(frame)
-        if frame.index == ENTERS:
+        if frame.index == enters:
             handles = [whole.track(probe) for probe in SECOND]
             begun_handles = [begun.track(probe) for probe in SECOND]
-        if frame.index >= ENTERS:
+        if frame.index >= enters:
             begun.push(frame)
             errors.append((_error(whole, handles, SECOND), _error(begun, begun_handles, SECOND)))
     return whole, np.array(errors)
@@ -98,9 +100,9 @@ def test_the_second_room_is_as_for_a_session_begun_there(walked):
     assert errors[-1, 0] <= 1.1 * errors[-1, 1]
 
 
-def test_the_first_room_is_remembered(walked):
+def test_the_first_room_is_remembered(walked, walk):
     whole, _ = walked
-    there, _ = _first(WALK[:7])
+    there, _ = _first(walk[:7])
     late = [log_l2(whole.light_at(probe).reflection, there.light_at(probe).reflection) for probe in FIRST]
     assert max(late) < 0.02
     assert len(whole.snapshot().left[0].frames) <= LEFT_KEYFRAMES
@@ -166,11 +168,11 @@ def test_a_frame_without_depth_begins_no_room():
     assert session.rooms_left == 0
 
 
-@pytest.mark.parametrize("model", ["classical", "single", "video"])
-def test_a_saved_walk_goes_on_with_the_same_bits(model, tiny_video):
+@pytest.mark.parametrize("model", ["classical", pytest.param("single", marks=pytest.mark.slow), "video"])
+def test_a_saved_walk_goes_on_with_the_same_bits(model, tiny_video, walk):
     weights = tiny_video[1] if model != "classical" else None
     options = SessionOptions(model=model, provider="cpu", height=24, weights=weights)
-    walk = WALK[::2]
+    walk = walk[::2]
     whole = Session(options)
     for probe in (FIRST[0], SECOND[0]):
         whole.track(probe)

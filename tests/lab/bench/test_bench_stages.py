@@ -67,6 +67,7 @@ def test_ours_the_reference_and_pytorch_agree(report: StagesReport):
     assert by_name["partial-mesh panorama"].differences["reference"] < 1e-4
 
 
+@pytest.mark.slow
 def test_without_pytorch_all_stages_are_measured(monkeypatch: pytest.MonkeyPatch, tiny_video: tuple[Path, Path]):
     monkeypatch.setattr(plain_torch, "torch_installed", lambda: False)
     report = stages.run_stages(repeats=1, size=SIZE, model=tiny_video[1])
