@@ -148,7 +148,7 @@ def test_a_websocket_is_counted_until_it_closes():
 
 def test_a_connection_without_a_request_is_closed(caplog):
     """Connections without a request never closed."""
-    with RunningServer(header_timeout_s=0.1) as server, dial(server) as connection:
+    with RunningServer(header_timeout_s=0.3) as server, dial(server) as connection:
         assert is_closed(connection)
         assert len(refusals(caplog, "no-request")) == 1
 
@@ -156,7 +156,7 @@ def test_a_connection_without_a_request_is_closed(caplog):
 @pytest.mark.parametrize("before", [b"", GET + b"\r\n"])
 def test_headers_that_stop_arriving_are_answered(before, caplog):
     """A first byte of the next request ended the limit of an idle connection."""
-    with RunningServer(header_timeout_s=0.1) as server, dial(server) as connection:
+    with RunningServer(header_timeout_s=0.3) as server, dial(server) as connection:
         connection.sendall(before + GET)
         with connection.makefile("rb") as answers:  # both answers may arrive together
             text = answers.read().decode()
@@ -167,17 +167,17 @@ def test_headers_that_stop_arriving_are_answered(before, caplog):
 
 
 def test_a_websocket_stays_open_beyond_the_limit_of_headers():
-    with RunningServer(header_timeout_s=0.05) as server:
+    with RunningServer(header_timeout_s=0.2) as server:
         server.open()
         with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
             with pytest.raises(TimeoutError):
-                stream.recv(timeout=0.5)
+                stream.recv(timeout=0.6)
             stream.send('{"type": "track", "name": "table", "position": [0, 0, -1]}')
             assert json.loads(stream.recv(timeout=60))["type"] == "probes"
 
 
 def test_blank_lines_do_not_keep_a_connection():
-    with RunningServer(header_timeout_s=0.1) as server, dial(server) as connection:
+    with RunningServer(header_timeout_s=0.3) as server, dial(server) as connection:
         connection.sendall(GET + b"\r\n")
         assert answer_of(connection)[0] == 200
         connection.sendall(b"\r\n")

@@ -21,7 +21,7 @@ LIMIT = 2**18
 
 @pytest.fixture(scope="module")
 def server():
-    with RunningServer(max_body_bytes=LIMIT, max_colour_pixels=10**6, body_timeout_s=0.3) as running:
+    with RunningServer(max_body_bytes=LIMIT, max_colour_pixels=10**6, body_timeout_s=1.0) as running:
         running.open()
         running.push(0)
         probe_tag(running)

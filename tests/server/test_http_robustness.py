@@ -20,7 +20,7 @@ TOKEN = "a-token-of-sixteen-or-more"
 
 @pytest.fixture(scope="module")
 def server():
-    with RunningServer(body_timeout_s=0.3) as running:
+    with RunningServer(body_timeout_s=1.0) as running:
         running.open()
         yield running
 
