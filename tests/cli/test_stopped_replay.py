@@ -185,6 +185,7 @@ def test_what_differs_is_named_and_overwrite_begins_again(capture, tmp_path):
     assert seen[0] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures", "no_pictures")
 @pytest.mark.parametrize(
     ("at", "more", "said"),
@@ -213,6 +214,7 @@ def test_a_long_replay_is_saved_at_each_hundredth(monkeypatch: pytest.MonkeyPatc
     assert len(due) < 300
 
 
+@pytest.mark.slow
 def test_a_pass_over_a_capture_without_depth_goes_on():
     """Scale and keyframes of estimated depth are saved too."""
     capture = open_capture(sample_capture(), CaptureOptions(depth="network", max_frames=14))

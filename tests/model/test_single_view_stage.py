@@ -26,6 +26,7 @@ def losses_of(stage, model, batch):
     return stage.losses(model, batch, torch.Generator().manual_seed(1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_stage_changes_only_its_own_networks(tmp_path, stage):
     run = Run(view_stage(replace(VIEWS, stage=stage, steps=1, batch=1)), tmp_path / "run")

@@ -26,6 +26,7 @@ def noise(height):
 SIZES = [pytest.param(size, marks=[pytest.mark.slow] * (size > 64)) for size in FACE_SIZES]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [16, 120])
 @pytest.mark.parametrize("size", [None, *SIZES])
 @pytest.mark.parametrize("name", MEDIA_TYPES)

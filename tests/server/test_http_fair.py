@@ -250,6 +250,7 @@ def has_ended(pid):
     return False
 
 
+@pytest.mark.slow
 def test_previews_and_frames_do_not_wait_for_a_final_composite():
     """Finals of one token took a neighbour's preview 26 s and its frames 26 s."""
     with RunningServer(tokens=(A, B)) as server:
@@ -267,6 +268,7 @@ def test_previews_and_frames_do_not_wait_for_a_final_composite():
         assert (answer.status, answer.headers["roomlight-frame"]) == (200, "0")
 
 
+@pytest.mark.slow
 def test_a_final_composite_is_killed_when_its_client_is_gone(server, caplog):
     caplog.set_level(logging.INFO, "roomlight.server")
     connection = post(server, {"objects": [BALL], "quality": "final"}, COMPOSITE)

@@ -82,6 +82,7 @@ def lamps(session, room, surface=FLOOR):
     return unseen_lamps(surface, CENTRE, room, [mesh for _, mesh in session.meshes], EVEN, OBSERVED)
 
 
+@pytest.mark.slow
 def test_a_lamp_is_found_by_the_shadow_of_a_block(lit):
     made = lamps(*lit)
     assert made is not None

@@ -87,6 +87,7 @@ def everything_in(thing, met):
     return 0
 
 
+@pytest.mark.slow
 def test_twenty_keyframes_take_what_is_counted():
     """60 MB with networks: each keyframe held 3.6 MB, of which it can make 2.1 again."""
     session = Session(SessionOptions(model="classical"))

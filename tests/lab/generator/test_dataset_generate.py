@@ -139,6 +139,7 @@ def test_a_killed_run_continues_to_the_same_bytes(gate, undisturbed, tmp_path, s
     assert bytes_of(out) == bytes_of(undisturbed)
 
 
+@pytest.mark.slow
 def test_a_failed_room_is_retried_the_same_way_each_time(tmp_path, steer):
     steer(fails={"1": 1})
     reports = []
@@ -166,6 +167,7 @@ def test_a_room_that_always_fails_is_an_error(tmp_path, steer):
     assert Dataset(tmp_path / "out").names == ["train-000000", "train-000001"]
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_replaced(undisturbed, tmp_path, steer):
     steer(dies={"2": 2, "4": 1})
     reports = []
@@ -177,6 +179,7 @@ def test_a_worker_that_dies_is_replaced(undisturbed, tmp_path, steer):
     assert all("a worker died (signal 9)" in note for note in notes)
 
 
+@pytest.mark.slow
 def test_workers_that_keep_dying_are_an_error(tmp_path, steer):
     steer(dies={"2": 3})
     with pytest.raises(DatasetError, match=r"train-00001\.tar: 3 workers in a row died .* signal 9.* fewer `workers`"):

@@ -175,6 +175,7 @@ def small_views(monkeypatch):
     monkeypatch.setattr(sequences, "phone_intrinsics", lambda rng: phone_intrinsics(rng, 64, 48))
 
 
+@pytest.mark.slow
 def test_a_dataset_of_panorama_rooms_is_like_any_other(dataset, folder):
     manifest = read_manifest(dataset)
     assert manifest.settings.renderer == "roomlight_generator.panoramas.render:render_room"

@@ -90,6 +90,7 @@ def through_openings(shell: Shell, origins: np.ndarray, directions: np.ndarray) 
     return through
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "seed"), CASES)
 def test_light_leaves_through_openings_only(name: str, seed: int) -> None:
     shell = shell_of(name, seed)
