@@ -14,7 +14,8 @@ from pathlib import Path
 
 import jaxtyping
 import pytest
-from hypothesis import settings
+from hypothesis import given, settings
+from hypothesis.strategies import none
 
 import shape_checks
 from kept_exports import kept_export
@@ -57,10 +58,17 @@ jaxtyping.install_import_hook(_modules(), "shape_checks.checked")
 def pytest_collection() -> Generator[None, object, object]:
     """Import without looking for garbage again and again among objects that stay: a seventh of a worker's start."""
     gc.disable()
+    _nothing()
     try:
         return (yield)
     finally:
+        gc.freeze()
         gc.enable()
+
+
+@given(none())
+def _nothing(_: None) -> None:
+    """Let Hypothesis register its random numbers, whose holders it does not find once they are frozen."""
 
 
 @pytest.fixture(scope="session")

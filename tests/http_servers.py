@@ -5,6 +5,7 @@ import http.client
 import json
 import socket
 import threading
+import time
 from dataclasses import dataclass
 from functools import cache, wraps
 from typing import ClassVar
@@ -124,6 +125,16 @@ class RunningServer:
 
     def state(self, name="room", **more):
         return self.call("GET", f"/v1/sessions/{name}", **more).json
+
+    def wait_until(self, condition):
+        """Wait on the event loop, one request after the other; a busy machine may take two minutes."""
+        end = time.monotonic() + 120
+        while not condition():
+            assert time.monotonic() < end, "the condition did not become true"
+            assert self.call("GET", "/healthz").status == 200
+
+    def wait_until_ready(self):
+        self.wait_until(lambda: self.call("GET", "/readyz").status == 200)
 
 
 def metric(server, name):

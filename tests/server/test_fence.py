@@ -139,20 +139,15 @@ def filled(server, count=3):
 
 
 def wait_until_saved(server, index):
-    for _ in range(TRIES):
-        if server.state()["frames"]["durable_index"] == index:
-            return
-    raise AssertionError(server.state())
+    server.wait_until(lambda: server.state()["frames"]["durable_index"] == index)
 
 
 def wait_until_quiet(server):
     """Ask until nothing is to be saved now."""
     states = server.app.state.context.states
-    for _ in range(TRIES):
-        server.state()
-        if not states._saving and not any(live.journal.is_due(3600.0) for _, live in server.registry.items()):
-            return
-    raise AssertionError(states.failing)
+    server.wait_until(
+        lambda: not states._saving and not any(live.journal.is_due(3600.0) for _, live in server.registry.items())
+    )
 
 
 def moved(answer):

@@ -28,12 +28,10 @@ def server_on(folder, **settings):
 
 def wait_until_saved(server, index, name="room", **more):
     """Ask until the frame is on disk; returns the state."""
-    state = None
-    for _ in range(TRIES):
-        state = server.state(name, **more)
-        if state["frames"]["durable_index"] == index and _unsaved_s(server) == 0:
-            return state
-    raise AssertionError(state)
+    server.wait_until(
+        lambda: server.state(name, **more)["frames"]["durable_index"] == index and _unsaved_s(server) == 0
+    )
+    return server.state(name, **more)
 
 
 def _unsaved_s(server):

@@ -42,15 +42,6 @@ def late(count, *, form="sh", **form_options) -> dict[str, Any]:
     }
 
 
-def wait_until(server, condition):
-    """Wait on the server's event loop, one request after the other."""
-    for _ in range(100_000):
-        if condition():
-            return
-        assert server.call("GET", "/healthz").status == 200
-    raise AssertionError("the condition did not become true")
-
-
 class HeldLight:
     """Replaces a function: calls of it wait for `gate`, and are counted."""
 
@@ -109,9 +100,9 @@ def test_the_rest_of_a_hung_up_post_is_not_computed(server, held_light, monkeypa
     connection = post(server, late(64))
     held_light.wait_entered()
     connection.close()
-    wait_until(server, lambda: abandoned(server) == 1)
+    server.wait_until(lambda: abandoned(server) == 1)
     held_light.gate.release(64)
-    wait_until(server, lambda: idle(server))
+    server.wait_until(lambda: idle(server))
     assert (held_light.calls, computed) == (1, [])
     assert server.push(1, frame(1)).json["status"] == "processed"
 
@@ -120,9 +111,9 @@ def test_a_waiting_post_leaves_the_queue_when_it_hangs_up(server, held_light):
     first, second = post(server, late(1)), None
     held_light.wait_entered()
     second = post(server, late(64))
-    wait_until(server, lambda: late_points(server) == 65)
+    server.wait_until(lambda: late_points(server) == 65)
     second.close()
-    wait_until(server, lambda: late_points(server) == 1)  # at once, without the engine
+    server.wait_until(lambda: late_points(server) == 1)  # at once, without the engine
     held_light.gate.release(1)
     assert first.recv(12) == b"HTTP/1.1 200"
     first.close()
@@ -135,9 +126,9 @@ def test_a_closed_stream_cancels_its_light(server, held_light):
         held_light.wait_entered()
         stream.socket.shutdown(socket.SHUT_RDWR)
         streams = server.app.state.context.guard
-        wait_until(server, lambda: streams.connections == 1)  # the connection of this request
+        server.wait_until(lambda: streams.connections == 1)  # the connection of this request
     held_light.gate.release(64)
-    wait_until(server, lambda: idle(server))
+    server.wait_until(lambda: idle(server))
     assert held_light.calls == 1
 
 
@@ -148,7 +139,7 @@ def test_late_probes_of_an_owner_are_bounded(held_light):
         server.push(0)
         waiting = [post(server, late(64)) for _ in range(2)]
         held_light.wait_entered()
-        wait_until(server, lambda: late_points(server) == 128)
+        server.wait_until(lambda: late_points(server) == 128)
         for _ in range(18):
             refused = server.call("POST", LATE, late(64))
             assert (refused.status, refused.kind, refused.headers["retry-after"]) == (429, "owner-quota", "1")
@@ -156,7 +147,7 @@ def test_late_probes_of_an_owner_are_bounded(held_light):
         for connection in waiting:
             connection.close()
         held_light.gate.release(128)
-        wait_until(server, lambda: idle(server))
+        server.wait_until(lambda: idle(server))
         assert server.call("POST", LATE, late(64)).status == 200
 
 
@@ -226,7 +217,7 @@ def test_a_composite_ends_when_its_client_is_gone(server, monkeypatch):
     connection = post(server, {"objects": [BALL]}, "/v1/sessions/room/composite")
     assert running.wait(60)
     connection.close()
-    wait_until(server, lambda: abandoned(server) == 1)
+    server.wait_until(lambda: abandoned(server) == 1)
     assert server.push(1, frame(1)).json["status"] == "processed"  # it waited for the composite
 
 
@@ -236,7 +227,7 @@ COMPOSITE = "/v1/sessions/room/composite"
 def stopped_composite(server):
     """Wait for the process of a composite, and stop it; return its id."""
     processes = server.app.state.context.workers.composite_processes
-    wait_until(server, lambda: processes.pids)
+    server.wait_until(lambda: processes.pids)
     (pid,) = processes.pids
     os.kill(pid, signal.SIGSTOP)
     return pid
@@ -274,7 +265,7 @@ def test_a_final_composite_is_killed_when_its_client_is_gone(server, caplog):
     connection = post(server, {"objects": [BALL], "quality": "final"}, COMPOSITE)
     pid = stopped_composite(server)
     connection.close()
-    wait_until(server, lambda: has_ended(pid) and "composite process killed" in caplog.messages)
+    server.wait_until(lambda: has_ended(pid) and "composite process killed" in caplog.messages)
     killed = caplog.records[caplog.messages.index("composite process killed")]
     assert (killed.levelname, vars(killed)["reason"]) == ("INFO", "its client has left")  # it has not crashed
     assert server.call("POST", COMPOSITE, {"objects": [BALL], "quality": "final"}).status == 200  # another process
@@ -476,7 +467,7 @@ def test_unread_messages_stop_the_reading_of_a_stream():
             sent = threading.Thread(target=_send_all, args=(stream, message, 15_000), daemon=True)
             sent.start()
             guard = server.app.state.context.guard
-            wait_until(server, lambda: guard.unsent_bytes() > 0)
+            server.wait_until(lambda: guard.unsent_bytes() > 0)
             for index in range(3):
                 assert server.push(index, frame(index), token=B).json["status"] == "processed"
             assert server.app.state.context.budget.used < 2**24

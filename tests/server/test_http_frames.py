@@ -101,10 +101,7 @@ def test_the_newest_frame_supersedes_a_waiting_one(held):
 
 def wait_for_queue(server, last):
     """Wait until the frame is accepted, by requests to the event loop."""
-    for _ in range(10_000):
-        if server.state()["frames"]["last_index"] == last:
-            return
-    raise AssertionError(f"frame {last} was not accepted")
+    server.wait_until(lambda: server.state()["frames"]["last_index"] == last)
 
 
 def test_too_many_frames_in_flight_are_answered_with_429(held):
@@ -113,9 +110,7 @@ def test_too_many_frames_in_flight_are_answered_with_429(held):
     waiting.append(InThread(held.push, 1, frame(1)))
     wait_for_queue(held, last=1)
     waiting.append(InThread(held.push, 1, frame(1)))  # a retry takes a slot too
-    for _ in range(10_000):
-        if held.state()["frames"]["replayed"]:
-            break
+    held.wait_until(lambda: held.state()["frames"]["replayed"])
     full = held.push(2)
     assert (full.status, full.kind, full.headers["retry-after"]) == (429, "session-full", "1")
     assert held.state()["frames"]["last_index"] == 1
@@ -127,9 +122,7 @@ def test_too_many_frames_in_flight_are_answered_with_429(held):
 
 
 def test_health_is_answered_during_a_frame(held):
-    for _ in range(10_000):
-        if held.call("GET", "/readyz").status == 200:
-            break
+    held.wait_until_ready()
     queued(held, 0)
     HeldSession.wait_entered()
     for path in ("/healthz", "/readyz", "/metrics", "/v1/sessions/room"):
@@ -307,9 +300,7 @@ def test_the_frame_of_the_next_session_is_decoded_while_the_engine_works(held, m
     for _ in range(3):
         assert done.acquire(timeout=60)
     newest = InThread(held.push, 2, frame(2), name="third")
-    for _ in range(10_000):
-        if held.state("third")["frames"]["last_index"] == 2:
-            break
+    held.wait_until(lambda: held.state("third")["frames"]["last_index"] == 2)
     assert [index for index, _ in decoded] == [0, 0, 0]
     HeldSession.release()
     HeldSession.wait_entered()  # of the second session: the third is next
