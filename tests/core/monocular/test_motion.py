@@ -233,6 +233,16 @@ def test_the_scale_is_the_network_s_where_parallax_tells_depth(problem: tuple[Ca
     assert in_metres(turned, sightings) is turned
 
 
+def test_the_scale_of_a_picture_s_depth_is_found(problem: tuple[Cameras, Sightings]) -> None:
+    """The network takes everything in the second host for a tenth nearer than in the first."""
+    cameras, sightings = problem
+    nearer = sightings.log_stated + 0.1 * (sightings.host == 1)
+    fitted = adjusted(cameras, replace(sightings, log_stated=nearer))
+    apart = fitted.log_scale[1] - fitted.log_scale[0]
+    assert 0.05 < apart < 0.11
+    assert reprojection_errors(fitted, sightings).max() < 0.3
+
+
 def test_a_wrong_sighting_weighs_little(problem: tuple[Cameras, Sightings]) -> None:
     cameras, sightings = problem
     seen = sightings.seen.copy()
