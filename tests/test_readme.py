@@ -1,7 +1,8 @@
 """The README and the documentation: short, true, no dead links."""
 
 import re
-from collections.abc import Callable
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -43,25 +44,21 @@ def test_relative_links_lead_to_files(page: Path):
             assert (page.parent / target).exists(), target
 
 
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[str], str]:
-    """Runs lines in a folder with a capture, and returns what they print."""
-    monkeypatch.chdir(tmp_path)
+def run(code: str, folder: Path) -> str:
+    """Run lines as a user does, in a process of their own, and return what they print."""
+    script = folder / "readme.py"
+    script.write_text(code)
+    return subprocess.run([sys.executable, script], cwd=folder, capture_output=True, text=True, check=True).stdout
+
+
+def test_python_lines_of_the_readme_run(tmp_path: Path):
     (tmp_path / "my-capture").symlink_to(rl.sample_capture())
-
-    def execute(code: str) -> str:
-        exec(compile(code, "readme.py", "exec"), {"__name__": "__main__"})
-        return capsys.readouterr().out
-
-    return execute
-
-
-def test_python_lines_of_the_readme_run(run: Callable[[str], str], tmp_path: Path):
-    assert "MainLight" in run(python_blocks(README)[0])
+    assert "MainLight" in run(python_blocks(README)[0], tmp_path)
     assert (tmp_path / "light.exr").stat().st_size > 1000
 
 
-def test_server_lines_of_the_readme_run(run: Callable[[str], str]):
+def test_server_lines_of_the_readme_run(tmp_path: Path):
+    (tmp_path / "my-capture").symlink_to(rl.sample_capture())
     with RunningServer(model="classical") as server:
         code = python_blocks(README)[1].replace("http://127.0.0.1:8090", f"http://127.0.0.1:{server.port}")
-        assert "MainLight" in run(code)
+        assert "MainLight" in run(code, tmp_path)

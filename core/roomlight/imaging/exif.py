@@ -13,6 +13,9 @@ from PIL import ExifTags, Image
 _FILM_DIAGONAL_MM: Final = math.hypot(36, 24)
 _INTEROPERABILITY_INDEX: Final = 1
 
+ADOBE_RGB, UNCALIBRATED = 2, 65535
+"""Values of EXIF's ColorSpace."""
+
 
 @dataclass(frozen=True)
 class ExifCamera:
@@ -76,7 +79,7 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         )
         names = (exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model), details.get(ExifTags.Base.LensModel))
         lens = " ".join(str(name).strip("\0 ") for name in names if name)
-        adobe = details.get(ExifTags.Base.ColorSpace) == 2 or interoperability in ("R03", b"R03\0", "R03\0")
+        adobe = details.get(ExifTags.Base.ColorSpace) == ADOBE_RGB or interoperability in ("R03", b"R03\0", "R03\0")
     except Exception:  # as above
         return ExifCamera()
     stated = orientation if isinstance(orientation, int) else 0
@@ -86,7 +89,7 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         orientation=stated if known else 1,
         no_orientation=stated if stated and not known else None,
         adobe_rgb=adobe,
-        uncalibrated=not adobe and details.get(ExifTags.Base.ColorSpace) == 65535,
+        uncalibrated=not adobe and details.get(ExifTags.Base.ColorSpace) == UNCALIBRATED,
         aspect=max(width, height) / min(width, height) if width and height else None,
         zoom=max(zoom or 1.0, 1.0),
         lens=lens[:80],

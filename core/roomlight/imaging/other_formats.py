@@ -6,7 +6,7 @@ from typing import Final
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from roomlight.errors import ImageError
-from roomlight.imaging.exif import exif_camera_of
+from roomlight.imaging.exif import ADOBE_RGB, UNCALIBRATED, exif_camera_of
 from roomlight.imaging.tags import check_pinhole, profile_to_srgb8
 
 _STARTS: Final = {b"RIFF": "WebP", b"II*\0": "TIFF", b"MM\0*": "TIFF", b"BM": "BMP"}
@@ -65,7 +65,7 @@ def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
                 converted = profile_to_srgb8(image, profile, name)[0] if profile else None
                 picture, profile = picture if converted is None else Image.fromarray(converted), None
                 if converted is None:  # by a plain formula
-                    tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.ColorSpace] = 65535
+                    tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.ColorSpace] = UNCALIBRATED
             if kind == "TIFF" and (back := _BACK.get(tags[ExifTags.Base.Orientation])) is not None:
                 picture = picture.transpose(back)  # Pillow turns a TIFF while it decodes it
             out = io.BytesIO()
@@ -87,5 +87,5 @@ def _photo_tags(stated: Image.Exif) -> Image.Exif:
     details = exif.get_ifd(ExifTags.IFD.Exif)
     details.update(stated.get_ifd(ExifTags.IFD.Exif))
     if exif_camera_of(stated).adobe_rgb:  # by the interoperability index, which PNG's writer leaves out
-        details[ExifTags.Base.ColorSpace] = 2
+        details[ExifTags.Base.ColorSpace] = ADOBE_RGB
     return exif
