@@ -4,6 +4,7 @@ The readable twin is `ray_marching_reference.render_rays`; it also computes on G
 volume's own, metres.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,10 @@ from torch import Tensor
 from roomlight.engine.volume.sglv import MAX_SAMPLES, Far
 from roomlight.threads import parallel_for
 from roomlight_model.kernels.ray_marching import (
+    CHANNELS,
     SAMPLES,
     RayArrays,
     VolumeArrays,
-    VolumeGradient,
     march_forward_backward,
 )
 from roomlight_model.ray_marching_reference import render_rays
@@ -70,45 +71,42 @@ class _March(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> Tensor:
         """Return radiance [b, n, 3]; only the inputs are kept for the backward pass."""
-        alpha, lobes, lower_m, voxel_m, origins, directions, samples, boundary = inputs
-        ctx.save_for_backward(alpha, lobes, lower_m, voxel_m, origins, directions)
+        alpha, lobes, *rest, samples, boundary = inputs
+        channels = torch.cat([lobes, alpha[..., None], torch.zeros_like(alpha)[..., None]], dim=-1).contiguous()
+        ctx.save_for_backward(channels, *rest)
         ctx.samples, ctx.boundary = samples, boundary
-        radiance = torch.empty_like(directions)
-        _run(inputs, torch.zeros_like(directions), radiance=radiance, gradients=None)
+        radiance = torch.empty_like(rest[-1])
+        _run((channels, *rest), samples, boundary, radiance)
         return radiance
 
     @staticmethod
     def backward(ctx: Any, *outputs: Any) -> Any:
         """Return the gradients of alpha and lobes."""
-        inputs = (*ctx.saved_tensors, ctx.samples, ctx.boundary)
-        gradients = torch.zeros_like(inputs[0]), torch.zeros_like(inputs[1])
-        _run(inputs, outputs[0].contiguous(), radiance=None, gradients=gradients)
-        return (*gradients, *[None] * 6)
+        gradient = torch.zeros_like(ctx.saved_tensors[0])
+        _run(ctx.saved_tensors, ctx.samples, ctx.boundary, outputs[0].contiguous(), gradient)
+        return (gradient[..., 10], gradient[..., :10], *[None] * 6)
 
 
 def _run(
-    inputs: tuple[Any, ...], g_radiance: Tensor, *, radiance: Tensor | None, gradients: tuple[Tensor, Tensor] | None
+    tensors: Sequence[Tensor], samples: int, boundary: bool, radiance: Tensor, gradient: Tensor | None = None
 ) -> None:
-    alpha, lobes, lower_m, voxel_m, origins, directions = (
-        np.ascontiguousarray(tensor.detach().numpy(), np.float32) for tensor in inputs[:6]
+    """Fill `radiance` [b, n, 3]; or, where it is an outer gradient, the gradient [b, z, y, x, 12] of the volumes."""
+    channels, lower_m, voxel_m, origins, directions = (
+        np.ascontiguousarray(tensor.detach().numpy(), np.float32) for tensor in tensors
     )
-    samples, boundary = inputs[6:]
-    outer = g_radiance.detach().numpy()
-    shown = np.empty((1, 1, 3), np.float32) if radiance is None else radiance.numpy()
-    spare = np.empty((1, 1, 1, 1), np.float32), np.empty((1, 1, 1, 1, 10), np.float32)
-    g_alpha, g_lobes = spare if gradients is None else (gradients[0].numpy(), gradients[1].numpy())
+    of_rays = radiance.detach().numpy()
+    of_volumes = np.zeros((len(channels), 1, 1, 1, CHANNELS), np.float32) if gradient is None else gradient.numpy()
 
     def volumes(start: int, stop: int) -> None:
         for b in range(start, stop):
             march_forward_backward(
-                VolumeArrays(alpha[b], lobes[b], lower_m[b], voxel_m[b]),
+                VolumeArrays(channels[b], lower_m[b], voxel_m[b]),
                 RayArrays(origins[b], directions[b]),
                 samples,
                 boundary,
-                outer[b],
-                shown[min(b, len(shown) - 1)],
-                VolumeGradient(g_alpha[min(b, len(g_alpha) - 1)], g_lobes[min(b, len(g_lobes) - 1)]),
-                gradients is not None,
+                of_rays[b],
+                of_volumes[b],
+                gradient is not None,
             )
 
-    parallel_for(volumes, len(alpha))
+    parallel_for(volumes, len(channels))
