@@ -48,6 +48,13 @@ SMALL = {"model": "classical", "height": 16, "reference_exposure": 1.0}
 """Options of a fast session."""
 
 
+def wait_until(condition):
+    """Ask again and again until a condition holds; a busy machine may take two minutes."""
+    end = time.monotonic() + 120
+    while not condition():
+        assert time.monotonic() < end, "the condition did not become true"
+
+
 class RunningServer:
     """A server in its own thread on a free port, of the classical model unless another is given, in a `with`."""
 
@@ -127,11 +134,9 @@ class RunningServer:
         return self.call("GET", f"/v1/sessions/{name}", **more).json
 
     def wait_until(self, condition):
-        """Wait on the event loop, one request after the other; a busy machine may take two minutes."""
-        end = time.monotonic() + 120
-        while not condition():
-            assert time.monotonic() < end, "the condition did not become true"
-            assert self.call("GET", "/healthz").status == 200
+        """Wait on the event loop, one request after the other."""
+        wait_until(lambda: condition() or self.call("GET", "/healthz").status != 200)
+        assert self.call("GET", "/healthz").status == 200
 
     def wait_until_ready(self):
         self.wait_until(lambda: self.call("GET", "/readyz").status == 200)

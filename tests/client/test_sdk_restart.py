@@ -9,7 +9,7 @@ from either_client import client_of
 from server_process import ServerProcess
 
 import roomlight_client as sdk
-from http_servers import InThread
+from http_servers import InThread, wait_until
 from roomlight.engine.session import Session, SessionOptions
 from roomlight_client import Client, Retry
 from rooms import BoxRoom, pan
@@ -147,10 +147,7 @@ def test_light_after_a_kill_is_that_without_one(tmp_path, uninterrupted, way):
 
 def until_saved(session, index):
     """Ask until the frame is on disk."""
-    for _ in range(20_000):
-        if session.state().frames.durable_index == index:
-            return
-    raise AssertionError(session.state())
+    wait_until(lambda: session.state().frames.durable_index == index)
 
 
 def count_open(statuses: Waiting) -> int:

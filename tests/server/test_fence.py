@@ -8,7 +8,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from http_servers import SMALL, HeldSession, InThread, RunningServer, frame
+from http_servers import SMALL, HeldSession, InThread, RunningServer, frame, wait_until
 from roomlight.errors import ServerError
 from roomlight_server.app import create_app
 from roomlight_server.base.settings import ServerSettings
@@ -20,8 +20,6 @@ KEY = "0f3a9c"
 YAWS = (0, 12, 24, 36, 48)
 PROBE = {"position": [0.2, 1.2, -0.5]}
 LIGHT = "/v1/sessions/room/probes/table?format=npy"
-TRIES = 20_000
-"""Requests until a condition holds: the machine is busy with other tests."""
 
 
 @pytest.fixture
@@ -172,11 +170,13 @@ def test_lost_frames_are_asked_for_and_light_is_the_same(tmp_path):
         light = whole.call("GET", LIGHT).body
     with server_on(tmp_path, state_interval_s=3600) as first, server_on(tmp_path) as second:
         filled(first, 1)
-        for _ in range(TRIES):  # a probe is urgent: it is saved, with the frames before it
+
+        def saved_by_a_probe():  # which is urgent: it is saved, with the frames before it
             first.call("PUT", "/v1/sessions/room/probes/other", {"position": [0.1, 1.0, -0.4]})
             first.call("DELETE", "/v1/sessions/room/probes/other")
-            if first.state()["frames"]["durable_index"] == 0:
-                break
+            return first.state()["frames"]["durable_index"] == 0
+
+        wait_until(saved_by_a_probe)
         wait_until_quiet(first)  # from now on nothing is saved for an hour
         for index in (1, 2, 3):
             assert first.push(index, frame(YAWS[index])).status == 200
@@ -248,17 +248,15 @@ def test_a_moved_session_leaves_memory_without_requests(tmp_path, monkeypatch):
     now_s = [1000.0]
     with server_on(tmp_path, clock=lambda: now_s[0]) as first, server_on(tmp_path) as second:
         filled(first)
-        for _ in range(TRIES):
+
+        def saved_later():
             now_s[0] += 0.1
-            if first.state()["frames"]["durable_index"] == 2:
-                break
+            return first.state()["frames"]["durable_index"] == 2
+
+        wait_until(saved_later)
         second.state()
         now_s[0] += 500
-        for _ in range(TRIES):
-            if first.registry.items() == []:
-                break
-            first.call("GET", "/healthz")
-        assert first.registry.items() == []
+        first.wait_until(lambda: first.registry.items() == [])
 
 
 def test_a_stream_of_a_moved_session_is_closed(pair):

@@ -4,33 +4,20 @@ import resource
 
 import pytest
 
-from http_servers import SMALL, RunningServer, frame
+from http_servers import SMALL, RunningServer, frame, wait_until
 from server_processes import Process
 
 SESSION = "/v1/sessions/room"
-TRIES = 20_000
-"""Requests until a condition holds: the machine is busy with other tests."""
 LIMIT_BYTES = 10_000
 """Largest file that the process may write; the state of a session is larger."""
 
 
 def wait_for_state(server, expected):
-    answer = None
-    for _ in range(TRIES):
-        status, answer = server.call("GET", "/readyz")
-        assert status == 200
-        if answer["state"] == expected:
-            return
-    raise AssertionError(answer)
+    wait_until(lambda: server.call("GET", "/readyz")[1]["state"] == expected)
 
 
 def wait_until_durable(server, index):
-    answer = None
-    for _ in range(TRIES):
-        answer = server.call("GET", SESSION)[1]
-        if answer["frames"]["durable_index"] == index:
-            return
-    raise AssertionError(answer)
+    wait_until(lambda: server.call("GET", SESSION)[1]["frames"]["durable_index"] == index)
 
 
 @pytest.mark.slow

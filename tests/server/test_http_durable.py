@@ -7,7 +7,7 @@ import stat
 
 import pytest
 
-from http_servers import SMALL, HeldSession, InThread, RunningServer, frame
+from http_servers import SMALL, HeldSession, InThread, RunningServer, frame, wait_until
 from roomlight.engine.state.records import FORMAT
 from roomlight.errors import ServerError
 from roomlight_server.app import create_app
@@ -17,8 +17,6 @@ from roomlight_server.state.ages import SavedAges
 
 YAWS = (0, 12, 24, 36, 48, 60)
 PROBE = {"position": [0.2, 1.2, -0.5]}
-TRIES = 20_000
-"""Requests until a condition holds: the machine is busy with other tests."""
 LIGHTS = ("/probes/table?format=npy", "/probe?x=0.1&y=1.1&z=-0.2&format=npy")
 
 
@@ -282,9 +280,7 @@ def test_an_unexpected_error_does_not_end_the_saving(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "write_session", write)
     with server_on(tmp_path / "state") as server:
         server.open()
-        for _ in range(TRIES):
-            if server.call("GET", "/readyz").json["state"] == "not saved: MemoryError":
-                break
+        server.wait_until(lambda: server.call("GET", "/readyz").json["state"] == "not saved: MemoryError")
         broken.clear()
         assert server.push(0).status == 200
         wait_until_saved(server, 0)
@@ -322,10 +318,12 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
         server.open()
         now_s[0] += 10
         server.push(0, frame(YAWS[0]))
-        for _ in range(TRIES):
+
+        def saved_later():
             now_s[0] += 0.1
-            if server.state()["frames"]["durable_index"] == 0:
-                break
+            return server.state()["frames"]["durable_index"] == 0
+
+        wait_until(saved_later)
         assert server.state()["idle_expiry_s"] == 86_400.0
         light = server.call("GET", f"/v1/sessions/room{LIGHTS[1]}").body
         now_s[0] += 201
@@ -374,12 +372,12 @@ def test_saved_sessions_expire(saved, tmp_path):
     (folder / "another file").write_text("not ours")
     (folder / "sessions" / "link").symlink_to(tmp_path)
     with server_on(folder, clock=lambda: now_s[0], state_expiry_s=60.0) as server:
-        for _ in range(TRIES):
-            if (folder / "ages.json").exists():
-                now_s[0] += 0.1
-            if not state.parent.exists():
-                break
-            assert server.call("GET", "/healthz").status == 200
+
+        def expired_later():
+            now_s[0] += 0.1 * (folder / "ages.json").exists()
+            return not state.parent.exists()
+
+        server.wait_until(expired_later)
         assert now_s[0] > 1060.0
         assert server.call("GET", "/v1/sessions/room").status == 404
     assert (folder / "another file").exists()
@@ -447,10 +445,7 @@ def test_a_waiting_frame_is_left_to_the_client(tmp_path, monkeypatch):
 
 
 def _wait_for_last_index(server, index):
-    for _ in range(TRIES):
-        if server.state()["frames"]["last_index"] == index:
-            return
-    raise AssertionError(server.state())
+    wait_until(lambda: server.state()["frames"]["last_index"] == index)
 
 
 def test_without_a_directory_nothing_is_durable():
