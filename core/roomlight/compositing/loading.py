@@ -9,8 +9,8 @@ folder and inside that are read; an object that comes as bytes has none.
 | GLB, glTF | triangles, strips and fans; node transforms and instances; skins and morph targets in their pose at \
 rest; normals, else flat; vertex colours; metallic-roughness and specular-glossiness materials with textures, texture \
 transforms and normal maps; KHR_materials_emissive_strength, _ior, _specular, _transmission and _unlit; quantised, \
-sparse, meshopt-packed and (extra `draco`) Draco-packed meshes; PNG, JPEG, WebP, AVIF | animations, lamps, occlusion \
-textures, KTX2, clearcoat, sheen and other layers |
+sparse, meshopt-packed and (extra `draco`) Draco-packed meshes; PNG, JPEG, WebP, AVIF and (extra `ktx2`) KTX2 of \
+Basis Universal | animations, lamps, occlusion textures, clearcoat, sheen and other layers |
 | OBJ | polygons, normals or smoothing groups, texture coordinates, vertex colours, materials with textures | relief, \
 textures of gloss, curves |
 | PLY | polygons, normals, texture coordinates, colours; text and binary | texture files |

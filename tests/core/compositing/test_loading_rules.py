@@ -8,10 +8,13 @@ import cv2
 import numpy as np
 import pytest
 from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, textured_quad
+from jaxtyping import UInt8
 from PIL import Image
 
 from roomlight.compositing.loading import load_object
+from roomlight.compositing.objects.gltf import ktx2
 from roomlight.compositing.objects.gltf.materials import metal_of
+from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.polygons import ear_clipped
 from roomlight.compositing.objects.textures import Texture
@@ -356,7 +359,7 @@ def test_textures_of_other_coordinates_are_resampled_or_replaced_by_their_mean()
             assert "emissive texture" in one.notes[0].left_out
 
 
-def test_webp_is_read_and_ktx2_is_noted() -> None:
+def test_webp_is_read() -> None:
     file = textured_quad()
     stream = io.BytesIO()
     Image.fromarray(np.full((8, 8, 3), 200, np.uint8)).save(stream, "WEBP", lossless=True)
@@ -365,10 +368,68 @@ def test_webp_is_read_and_ktx2_is_noted() -> None:
     texture = load_object(file.glb()).parts[0][1].base_colour_texture
     assert texture is not None
     assert texture.texels[0, 0, 0] == Texture.from_srgb8(np.full((1, 1, 3), 200, np.uint8)).texels[0, 0, 0]
-    file.tree["textures"][0] = {"extensions": {"KHR_texture_basisu": {"source": 0}}}
-    one = load_object(file.glb())
+
+
+def basis_ktx2(colours: UInt8[np.ndarray, "h w 4"]) -> bytes:
+    """A KTX2 file of UASTC blocks (4 x 4 pixels) of one colour each: mode 8 of Basis Universal's specification."""
+    rows, columns = colours.shape[:2]
+    blocks = b"".join(
+        (0x17 | int.from_bytes(bytes(colour), "little") << 5).to_bytes(16, "little")
+        for colour in colours.reshape(-1, 4)
+    )
+    sample = struct.pack("<IIII", 127 << 16 | 3 << 24, 0, 0, 0xFFFFFFFF)
+    basic = struct.pack("<II", 0, 2 | 40 << 16) + bytes([166, 1, 2, 0, 3, 3, 0, 0, 16, *[0] * 7]) + sample
+    described = struct.pack("<I", 4 + len(basic)) + basic
+    sizes = struct.pack("<9I", 0, 1, 4 * columns, 4 * rows, 0, 0, 1, 1, 0)
+    at = -(-(104 + len(described)) // 16) * 16
+    index = struct.pack("<4I2Q3Q", 104, len(described), 0, 0, 0, 0, at, len(blocks), len(blocks))
+    return (b"\xabKTX 20\xbb\r\n\x1a\n" + sizes + index + described).ljust(at, b"\0") + blocks
+
+
+def quad_of_ktx2(data: bytes) -> bytes:
+    file = textured_quad()
+    file.tree["images"].append({"bufferView": file.view(data), "mimeType": "image/ktx2"})
+    file.tree["textures"][0] = {"extensions": {"KHR_texture_basisu": {"source": len(file.tree["images"]) - 1}}}
+    file.tree["extensionsRequired"] = file.tree["extensionsUsed"] = ["KHR_texture_basisu"]
+    return file.glb()
+
+
+COLOURS = np.array([[[200, 40, 30, 255], [20, 90, 220, 255]]], np.uint8)
+
+
+def test_ktx2_of_basis_universal_is_read() -> None:
+    pytest.importorskip("opengl_basisu")
+    one = load_object(quad_of_ktx2(basis_ktx2(COLOURS)))
+    texture = one.parts[0][1].base_colour_texture
+    assert texture is not None
+    wanted = Texture.from_srgb8(np.repeat(np.repeat(COLOURS, 4, axis=0), 4, axis=1))
+    assert np.array_equal(texture.texels, wanted.texels)
+    assert one.notes == ()
+
+
+def test_damaged_and_large_ktx2_is_refused() -> None:
+    pytest.importorskip("opengl_basisu")
+    data = basis_ktx2(COLOURS)
+    for damaged in (data[:-3], data[:100], data[:40] + b"\xff" * 8 + data[48:]):
+        with pytest.raises(ObjectError, match=r"images\.4: its KTX2 data is damaged"):
+            load_object(quad_of_ktx2(damaged))
+    with pytest.raises(ObjectError, match=r"images\.4.*limited to 20"):
+        load_object(quad_of_ktx2(data), limits=ObjectLimits(image_pixels=20))
+
+
+def test_without_the_extra_and_of_other_data_ktx2_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
+    noted = quad_of_ktx2(basis_ktx2(COLOURS))
+    if ktx2.ktx2_available():
+        plain = bytearray(basis_ktx2(COLOURS))
+        plain[12:16] = struct.pack("<I", 37)  # VK_FORMAT_R8G8B8A8_UNORM
+        (note,) = load_object(quad_of_ktx2(bytes(plain))).notes
+        assert "KTX2" in note.left_out
+        assert note.advice == "export it as PNG, JPEG or WebP"
+    monkeypatch.setattr(ktx2, "_MODULE", "no_such_package")
+    one = load_object(noted)
     assert one.parts[0][1].base_colour_texture is None
-    assert any("KTX2" in note.left_out for note in one.notes)
+    assert "KTX2" in one.notes[0].left_out
+    assert one.notes[0].advice == "pip install 'roomlight[ktx2]', or export it as PNG, JPEG or WebP"
 
 
 # Pose

@@ -31,12 +31,16 @@ class PictureReader:
             )
         except ImageError as error:
             raise ObjectError(str(error)) from error
+        self.count(width, height, label)
+        return _decode(data, label, (height, width))
+
+    def count(self, width: int, height: int, label: str) -> None:
+        """Count a picture's pixels before it is decoded. Raises ObjectError beyond the limits."""
         if width < 1 or height < 1:
             raise ObjectError(f"{label} has no pixels")
         self._limits.check("image_pixels", width * height, label)
         self._pixels += width * height
         self._limits.check("total_pixels", self._pixels, label)
-        return _decode(data, label, (height, width))
 
 
 def _other_size(data: bytes, label: str) -> tuple[int, int]:

@@ -2,19 +2,21 @@
 defines what its textures hold."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from jaxtyping import UInt8
 
 from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.gltf.container import resource
+from roomlight.compositing.objects.gltf.ktx2 import KTX2, decode_ktx2
 from roomlight.compositing.objects.gltf.schema import Gltf
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.pictures import PictureReader
 from roomlight.errors import ObjectError
 
-_KTX2 = b"\xabKTX 20\xbb"
 _SOURCES = ("EXT_texture_webp", "EXT_texture_avif")
+_BASIS = "KHR_texture_basisu"
 REPEAT, MIRRORED, CLAMPED = 10497, 33648, 33071
 
 
@@ -31,7 +33,7 @@ class Images:
         self._pictures = PictureReader(limits)
 
     def pixels(self, texture: int, label: str) -> UInt8[np.ndarray, "h w c"] | None:
-        """Return a texture's 8-bit RGB or RGBA; None if it is stored in a form that is not read (KTX2).
+        """Return a texture's 8-bit RGB or RGBA; None if it is KTX2 that is not read (`gltf.ktx2`).
 
         Raises:
             ObjectError: There is no such texture, it does not decode, or it passes a limit.
@@ -41,9 +43,10 @@ class Images:
         stated = self._gltf.textures[texture]
         extensions = [stated.extensions[key] for key in _SOURCES if isinstance(stated.extensions.get(key), dict)]
         sources = (*(extension.get("source") for extension in extensions), stated.source)
+        basis = stated.extensions.get(_BASIS)
+        if isinstance(basis, dict):
+            sources = (*sources, basis.get("source"))
         source = next((index for index in sources if isinstance(index, int)), None)
-        if source is None and "KHR_texture_basisu" in stated.extensions:
-            return None
         if source is None or not 0 <= source < len(self._gltf.images):
             raise ObjectError(f"{label}: texture {texture} has no image")
         if source not in self._decoded:
@@ -64,7 +67,9 @@ class Images:
     def _image(self, index: int) -> UInt8[np.ndarray, "h w c"] | None:
         label = f"{self._name}: images.{index}"
         data = self._bytes(index, label)
-        return None if data[:8] == _KTX2 else self._pictures.read(data, label)
+        if data[:8] == KTX2:
+            return decode_ktx2(data, label, partial(self._pictures.count, label=label))
+        return self._pictures.read(data, label)
 
     def _bytes(self, index: int, label: str) -> bytes:
         image = self._gltf.images[index]

@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt8
 
 from roomlight.compositing.objects.gltf.container import extension
 from roomlight.compositing.objects.gltf.images import CLAMPED, MIRRORED, Images
+from roomlight.compositing.objects.gltf.ktx2 import ktx2_available
 from roomlight.compositing.objects.gltf.schema import (
     EmissiveStrength,
     GltfMaterial,
@@ -123,7 +124,9 @@ class MaterialReader:
         where = f"{label}, {key} texture"
         pixels = self._images.pixels(info.index, where)
         if pixels is None:
-            notes.append(Note(f"{where}: its KTX2 image", "the factor alone is used", "export it as PNG, JPEG or WebP"))
+            extra = "" if ktx2_available() else "pip install 'roomlight[ktx2]', or "
+            remedy = f"{extra}export it as PNG, JPEG or WebP"
+            notes.append(Note(f"{where}: its KTX2 image", "the factor alone is used", remedy))
             return None
         moved = extension(TextureTransform, info, "KHR_texture_transform", where, self._clamped) or TextureTransform()
         uv_set = info.texCoord if moved.texCoord is None else moved.texCoord

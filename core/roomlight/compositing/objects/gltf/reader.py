@@ -39,6 +39,7 @@ SUPPORTED_EXTENSIONS: Final = frozenset(
             "KHR_node_visibility",
             "EXT_texture_webp",
             "EXT_texture_avif",
+            "KHR_texture_basisu",
             DRACO,
         ),
     }
@@ -54,7 +55,6 @@ _EFFECTS: Final = {
     "KHR_materials_dispersion": "glass does not split colours",
     "KHR_materials_diffuse_transmission": "thin surfaces let no light through",
     "KHR_materials_variants": "the first variant is shown",
-    "KHR_texture_basisu": "textures without a PNG or JPEG are missing",
     "KHR_lights_punctual": "its lamps give no light",
 }
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
