@@ -22,9 +22,10 @@ DEPTH_SIDE: Final = 224
 """Side of the network's square input."""
 DEPTH_CHANNELS: Final = 7
 """sRGB (3), rays (2), their rise (2)."""
-_LEAST_RISE: Final = 0.1
+LEAST_RISE: Final = 0.1
 """Rays within 6 degrees of the horizon meet no floor of a room."""
-_MOST_RISE: Final = 2.0
+MOST_RISE: Final = 2.0
+"""Steeper rays are as this one."""
 _LOG_RIGHT: Final = float(np.log(1.25))
 _LOG_RANGE: Final = (-3.0, 4.0)
 """Of log depth: 5 cm to 55 m."""
@@ -83,6 +84,6 @@ def ray_planes(intrinsics: Intrinsics, up: Float[np.ndarray, "3"] | None = None)
     across, down = np.meshgrid(columns, rows)
     if up is None:
         return np.stack([across, down, np.zeros_like(down), np.zeros_like(down)]).astype(np.float32)
-    rise = np.clip(up[0] * across - up[1] * down - up[2], -_MOST_RISE, _MOST_RISE)
+    rise = np.clip(up[0] * across - up[1] * down - up[2], -MOST_RISE, MOST_RISE)
     focal = np.sqrt(intrinsics.fx * intrinsics.fy / (intrinsics.width * intrinsics.height))
-    return np.stack([across, down, rise, -np.log(np.maximum(np.abs(rise), _LEAST_RISE) * focal)]).astype(np.float32)
+    return np.stack([across, down, rise, -np.log(np.maximum(np.abs(rise), LEAST_RISE) * focal)]).astype(np.float32)

@@ -43,8 +43,6 @@ _COARSE: Final = (40, 112, 320)
 _WIDTHS: Final = (24, 40, 64, 96, 128)
 _MEAN, _DEVIATION = 127 / 255, 128 / 255
 """Of the input, as the published encoder was trained."""
-_KEPT_STAGES: Final = 3
-"""Stages that keep published weights."""
 _EPSILON: Final = 1e-3
 """Of its batch normalisation."""
 
@@ -52,7 +50,7 @@ _EPSILON: Final = 1e-3
 class Depthwise(torch.autograd.Function):
     """A convolution of each channel by itself, without padding, whose gradients are sums of shifted products.
 
-    The input must end where the last kernel ends. In bfloat16 on a CPU, PyTorch takes up to 20 times as long for them.
+    For CPUs, where PyTorch takes up to 20 times as long in bfloat16. The input must end where the last kernel ends.
     """
 
     @staticmethod
@@ -98,7 +96,7 @@ class _Conv(nn.Module):
         """Pad, convolve, clip."""
         if any(self.pad):
             x = functional.pad(x, (*self.pad, *self.pad))
-        if self.conv.groups > 1 and self.conv.weight.requires_grad and torch.is_grad_enabled():
+        if self.conv.groups > 1 and x.device.type == "cpu" and torch.is_grad_enabled():
             assert self.conv.bias is not None
             x = Depthwise.apply(x, self.conv.weight, self.conv.bias, self.conv.stride[0])
         else:
@@ -224,14 +222,6 @@ class DepthNetwork(nn.Module):
             with torch.no_grad():
                 layer.weight.copy_(weight * scale[:, None, None, None])
                 layer.bias.copy_(bias - mean * scale)
-
-    def keep_early_layers(self) -> None:
-        """Exclude the encoder's layers at high resolution from training.
-
-        Edges and textures need no other weights than the published ones, and half of a step's time would go there.
-        """
-        for part in (self.encoder.stem, *list(self.encoder.stages)[:_KEPT_STAGES]):
-            part.requires_grad_(False)
 
 
 def log_focal(rays: Float[Tensor, "b 2 h w"]) -> Float[Tensor, "b 1 1 1"]:

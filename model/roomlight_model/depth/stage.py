@@ -7,7 +7,7 @@ the camera is at that height.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Annotated, Final, Literal
@@ -16,14 +16,14 @@ import cv2
 import numpy as np
 import torch
 from annotated_types import Ge, Interval
-from jaxtyping import Float, Float32, UInt8, UInt16
+from jaxtyping import Float, Float16, Float32, UInt8, UInt16
 from torch import Tensor
+from torch.nn import functional
 
 from roomlight.camera import Intrinsics
-from roomlight.conventions import linear_to_srgb, srgb8_to_linear
 from roomlight.dataset.loader import Dataset
 from roomlight.errors import DatasetError, ModelError
-from roomlight.monocular.network import DEPTH_CHANNELS, DEPTH_SIDE, ray_planes
+from roomlight.monocular.network import DEPTH_SIDE, LEAST_RISE, MOST_RISE
 from roomlight_model.depth.network import DepthNetwork
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.losses import Losses
@@ -35,6 +35,8 @@ GRADIENT_WEIGHT: Final = 0.5
 SHAPE_WEIGHT: Final = 0.5
 """Weight of the error without each picture's mean, which a stream's poses correct (Eigen et al. 2014)."""
 _HALF: Final = DEPTH_SIDE // 2
+_FRAME_SIDE: Final = 256
+"""Side of the squares that frames are kept as."""
 _CUT: Final = (0.45, 1.0)
 """Range of the cut's sides, of the frame's."""
 _GAIN: Final = (0.5, 2.2)
@@ -65,41 +67,60 @@ class DepthOptions(RunOptions):
     """
 
     stage: Literal["depth"] = "depth"
-    steps: Annotated[int, Ge(1)] = 2000
-    batch: Annotated[int, Ge(1)] = 8
+    steps: Annotated[int, Ge(1)] = 8000
+    batch: Annotated[int, Ge(1)] = 96
     learning_rate: Annotated[float, Interval(gt=0, le=1)] = 5e-4
-    warm_up: Annotated[int, Ge(0)] = 50
-    ema: Annotated[float, Interval(ge=0, le=1)] = 0.995
-    validate_steps: Annotated[int, Ge(1)] = 200
+    warm_up: Annotated[int, Ge(0)] = 300
+    ema: Annotated[float, Interval(ge=0, le=1)] = 0.9985
+    validate_steps: Annotated[int, Ge(1)] = 1000
     encoder: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class DepthFrames:
-    """Frames with exact depth.
+class DepthFrames(Tensors):
+    """Frames with exact depth, stretched to squares; `lenses` knows how.
 
     Attributes:
         colour: 8-bit sRGB.
-        depth_mm: Millimetres, 0 = unknown.
-        lenses: Their intrinsics.
+        depth_m: z-depth, 0 = unknown.
+        lenses: Focal lengths and principal point in units of the frame's sides: fx, fy, cx, cy.
         ups: The world's up in the camera's axes.
         heights_m: Of the camera over the floor; 0 in rooms of true size: with furniture, which tells it, or of Blender.
     """
 
-    colour: list[UInt8[np.ndarray, "h w 3"]]
-    depth_mm: list[UInt16[np.ndarray, "h w"]]
-    lenses: list[Intrinsics]
-    ups: list[Float[np.ndarray, "3"]]
-    heights_m: list[float]
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self.colour)
+    colour: UInt8[Tensor, "n 3 f f"]
+    depth_m: Float16[Tensor, "n f f"]
+    lenses: Float32[Tensor, "n 4"]
+    ups: Float32[Tensor, "n 3"]
+    heights_m: Float32[Tensor, " n"]
 
     def take(self, numbers: Sequence[int]) -> "DepthFrames":
         """Return the frames with these numbers."""
-        parts = (self.colour, self.depth_mm, self.lenses, self.ups, self.heights_m)
-        return DepthFrames(*([part[number] for number in numbers] for part in parts))  # pyright: ignore[reportArgumentType]
+        chosen = torch.tensor(list(numbers), device=self.colour.device)
+        return replace(self, **{name: value[chosen] for name, value in vars(self).items()})
+
+    @classmethod
+    def of(
+        cls,
+        pictures: Sequence[UInt8[np.ndarray, "h w 3"]],
+        depths_mm: Sequence[UInt16[np.ndarray, "h w"]],
+        lenses: Sequence[Intrinsics],
+        ups: Sequence[Float[np.ndarray, "3"]],
+        heights_m: Sequence[float],
+    ) -> "DepthFrames":
+        """Stretch pictures and their depth (millimetres, 0 = unknown) to squares."""
+        side = (_FRAME_SIDE, _FRAME_SIDE)
+        colour = [cv2.resize(picture, side, interpolation=cv2.INTER_AREA) for picture in pictures]
+        depth = [cv2.resize(depth, side, interpolation=cv2.INTER_NEAREST_EXACT) for depth in depths_mm]
+        units = [[lens.fx / lens.width, lens.fy / lens.height, lens.cx / lens.width, lens.cy / lens.height]
+                 for lens in lenses]  # fmt: skip
+        return cls(
+            torch.from_numpy(np.moveaxis(np.stack(colour), -1, 1).copy()),
+            torch.from_numpy((np.stack(depth) / np.float32(1000)).astype(np.float16)),
+            torch.tensor(units, dtype=torch.float32),
+            torch.from_numpy(np.stack(ups).astype(np.float32)),
+            torch.tensor(heights_m, dtype=torch.float32),
+        )
 
     @classmethod
     def read(cls, datasets: Sequence[Dataset], *, progress: ProgressCallback | None = None) -> "DepthFrames":
@@ -109,25 +130,30 @@ class DepthFrames:
             DatasetError: There is no sequence.
         """
         sequences = [(dataset, index) for dataset in datasets for index in range(len(dataset))]
-        frames, low = cls([], [], [], [], []), 0
+        parts, low = list[DepthFrames](), 0
         for done, (dataset, index) in enumerate(sequences, 1):
             recording = dataset.read(index, probes=False)
             of_true_size = bool(recording.facts.get("furniture")) or recording.facts.get("room_type") == "blender"
-            for k, pose in enumerate(recording.camera_to_world):
-                height_m = float(pose[1, 3])
+            heights, kept = recording.camera_to_world[:, 1, 3], list[int]()
+            for k, height_m in enumerate(heights):
                 low += height_m < _LOW_M
-                if height_m < _LOW_M and low % _LOW_EVERY:
-                    continue
-                frames.colour.append(recording.colour[k])
-                frames.depth_mm.append(recording.depth_mm[k])
-                frames.lenses.append(recording.intrinsics)
-                frames.ups.append(pose[1, :3].astype(np.float64))
-                frames.heights_m.append(0.0 if of_true_size else height_m)
+                if height_m >= _LOW_M or low % _LOW_EVERY == 0:
+                    kept.append(k)
+            if kept:
+                parts.append(
+                    cls.of(
+                        [recording.colour[k] for k in kept],
+                        [recording.depth_mm[k] for k in kept],
+                        [recording.intrinsics] * len(kept),
+                        [recording.camera_to_world[k, 1, :3] for k in kept],
+                        [0.0 if of_true_size else float(heights[k]) for k in kept],
+                    )
+                )
             if progress:
                 progress(done, len(sequences))
-        if not len(frames):
+        if not parts:
             raise DatasetError("the datasets hold no sequence to learn depth from; generate one with --any-view")
-        return frames
+        return cls(*(torch.cat([vars(part)[name] for part in parts]) for name in vars(parts[0])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +181,8 @@ class DepthStage(SmallStage[DepthOptions, DepthFrames]):
 
     def batch(self, step: int) -> DepthBatch:
         """Cut and vary the frames of a step anew."""
-        drawn = list(self.options.draw_examples(len(self), step))
-        return depth_batch(self.training.take([number for number, _ in drawn]), [rng for _, rng in drawn])
+        numbers = [number for number, _ in self.options.draw_examples(len(self), step)]
+        return depth_batch(self.training.take(numbers).to(self.device), self.options.rng(step, self.options.batch))
 
     def network(self) -> DepthNetwork:
         """Build the network.
@@ -167,13 +193,11 @@ class DepthStage(SmallStage[DepthOptions, DepthFrames]):
         network: DepthNetwork = super().network()
         if self.before is None and self.options.encoder is not None:
             network.start_encoder(_published(self.options.encoder))
-        if self.before is not None or self.options.encoder is not None:
-            network.keep_early_layers()
-        return network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        return network.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
     def losses(self, network: DepthNetwork, batch: DepthBatch, _: torch.Generator) -> Losses:
         """Return the loss: likelihood of the log error under its own scale, its shape, its gradients."""
-        with torch.autocast("cpu", dtype=torch.bfloat16):
+        with torch.autocast(self.device.type, dtype=torch.bfloat16):
             predicted = network(batch.planes).float()
         error, scale, known = predicted[:, :1] - batch.log_depth, predicted[:, 1:], batch.known
         size = error.abs().clamp(max=2)
@@ -188,10 +212,10 @@ class DepthStage(SmallStage[DepthOptions, DepthFrames]):
         """Score held-out frames: mean relative error, share within 25 %, and the same of the constant 2.5 m."""
         relative, within, constant, scaled = list[float](), list[float](), list[float](), list[float]()
         with torch.no_grad():
-            for frames in self.held_out_parts(16):
-                batch = depth_batch(frames)
-                error = (network(batch.planes)[:, :1] - batch.log_depth).clamp(-3, 3)
-                for log_error, truth, known in zip(error, batch.log_depth, batch.known > 0, strict=True):
+            for frames in self.held_out_parts(32):
+                batch = depth_batch(frames.to(self.device))
+                error = (network(batch.planes)[:, :1] - batch.log_depth).clamp(-3, 3).cpu()
+                for log_error, truth, known in zip(error, batch.log_depth.cpu(), batch.known.cpu() > 0, strict=True):
                     own = log_error[known]
                     if len(own):
                         relative.append(float((own.exp() - 1).abs().mean()))
@@ -202,75 +226,105 @@ class DepthStage(SmallStage[DepthOptions, DepthFrames]):
         return dict(zip(("loss", "within_25", "scaled", "constant"), means, strict=True))
 
 
-def depth_batch(frames: DepthFrames, rngs: Sequence[np.random.Generator] | None = None) -> DepthBatch:
-    """Stack inputs and truth; with random streams each frame is cut and varied, without it is whole."""
-    planes = np.empty((len(frames), DEPTH_CHANNELS, DEPTH_SIDE, DEPTH_SIDE), np.float32)
-    depth = np.empty((len(frames), 1, _HALF, _HALF), np.float32)
-    for k in range(len(frames)):
-        rng = None if rngs is None else rngs[k]
-        planes[k], depth[k, 0] = _example(frames.colour[k], frames.depth_mm[k], frames.lenses[k], frames.ups[k], rng)
-        if frames.heights_m[k]:
-            depth[k] *= _resizing(frames.heights_m[k], rng)
-    known = depth > 0.05
-    log_depth = np.log(np.where(known, depth, 1)).astype(np.float32)
-    return DepthBatch(torch.from_numpy(planes), torch.from_numpy(log_depth), torch.from_numpy(known.astype(np.float32)))
-
-
-def _example(
-    colour: UInt8[np.ndarray, "h w 3"],
-    depth_mm: UInt16[np.ndarray, "h w"],
-    lens: Intrinsics,
-    up: Float[np.ndarray, "3"],
-    rng: np.random.Generator | None,
-) -> tuple[Float32[np.ndarray, "7 s s"], Float32[np.ndarray, "h2 h2"]]:
-    """Cut, flip and vary one frame."""
-    height, width = depth_mm.shape
-    left, top, right, bottom = 0, 0, width, height
+def depth_batch(frames: DepthFrames, rng: np.random.Generator | None = None) -> DepthBatch:
+    """Make inputs and truth; with a random stream each frame is cut and varied, without it is whole."""
+    count, device = len(frames), frames.colour.device
+    corner, size, mirrored = np.zeros((count, 2)), np.ones((count, 2)), np.zeros(count, bool)
+    ups, resized = frames.ups, torch.full((count,), _PHONE_M[0], device=device)
     if rng is not None:
-        share = rng.uniform(*_CUT)
-        stretch = np.exp(rng.uniform(-0.2, 0.2))
-        cut = [max(32, round(side * min(1.0, share * by))) for side, by in ((width, stretch), (height, 1 / stretch))]
-        left, top = (int(rng.integers(side - size + 1)) for side, size in zip((width, height), cut, strict=True))
-        right, bottom = left + cut[0], top + cut[1]
-    part = np.ascontiguousarray(colour[top:bottom, left:right])
-    lens = Intrinsics(lens.fx, lens.fy, lens.cx - left, lens.cy - top, right - left, bottom - top)
-    rays = ray_planes(lens, up if rng is None else _measured(up, rng))
-    square = cv2.resize(part, (DEPTH_SIDE, DEPTH_SIDE), interpolation=cv2.INTER_AREA)
-    image = square.astype(np.float32) / 255 if rng is None else _varied(square, rng)
-    depth = cv2.resize(depth_mm[top:bottom, left:right], (_HALF, _HALF), interpolation=cv2.INTER_NEAREST_EXACT)
-    if rng is not None and rng.random() < 0.5:
-        image, depth, rays = image[:, ::-1], depth[:, ::-1], rays[:, :, ::-1].copy()
-        rays[0] *= -1
-    return np.concatenate([np.moveaxis(image, -1, 0), rays]), depth.astype(np.float32) / 1000
+        stretch = np.exp(rng.uniform(-0.2, 0.2, (count, 1)))
+        size = np.minimum(1.0, rng.uniform(*_CUT, (count, 1)) * np.concatenate([stretch, 1 / stretch], axis=1))
+        corner, mirrored = rng.uniform(size=(count, 2)) * (1 - size), rng.random(count) < 0.5
+        ups = _measured(ups, rng)
+        resized = _tensor(rng.normal(*_PHONE_M, count), device)
+    resized = (resized / frames.heights_m.clamp(min=0.01)).clamp(*_RESIZED)
+    resized = torch.where(frames.heights_m > 0, resized, torch.ones_like(resized))
+
+    def places(side: int) -> tuple[Float32[Tensor, "b s"], Float32[Tensor, "b s"]]:
+        """Return where a square's columns and rows lie in the frame, of its sides; mirrored from right to left."""
+        middle = (np.arange(side) + 0.5) / side
+        columns = np.where(mirrored[:, None], 1 - middle, middle)
+        return tuple(
+            _tensor(corner[:, k, None] + size[:, k, None] * at, device) for k, at in ((0, columns), (1, middle))
+        )  # pyright: ignore[reportReturnType]
+
+    columns, rows = places(DEPTH_SIDE)
+    shape = (count, DEPTH_SIDE, DEPTH_SIDE)
+    grid = 2 * torch.stack([columns[:, None].expand(shape), rows[:, :, None].expand(shape)], dim=-1) - 1
+    image = functional.grid_sample(frames.colour.float() / 255, grid, padding_mode="border", align_corners=False)
+    if rng is not None:
+        image = _varied(image, rng)
+    side = frames.depth_m.shape[-1]
+    across, down = ((side * at).long().clamp(0, side - 1) for at in places(_HALF))
+    examples = torch.arange(count, device=device)[:, None, None]
+    depth = frames.depth_m[examples, down[:, :, None], across[:, None]].float() * resized[:, None, None]
+    known = (depth > 0.05)[:, None]
+    flipped = _tensor(np.where(mirrored, -1.0, 1.0), device)
+    rays = _rays(frames.lenses, columns, rows, ups, flipped, _tensor(size, device))
+    log_depth = torch.log(torch.where(known[:, 0], depth, torch.ones_like(depth)))[:, None]
+    return DepthBatch(torch.cat([image, rays], dim=1), log_depth, known.float())
 
 
-def _measured(up: Float[np.ndarray, "3"], rng: np.random.Generator) -> Float[np.ndarray, "3"] | None:
-    """Return gravity as a phone measures it, or None: some sources do not know it."""
-    turned = up + rng.normal(0, _TILT_ERROR, 3)
-    return None if rng.random() < _TILT_UNKNOWN else turned / np.linalg.norm(turned)
+def _tensor(values: Float[np.ndarray, "..."], device: torch.device) -> Float32[Tensor, "..."]:
+    return torch.from_numpy(np.asarray(values, np.float32)).to(device)
 
 
-def _resizing(height_m: float, rng: np.random.Generator | None) -> np.float32:
-    """Return the factor that brings a camera to the height of a phone."""
-    wanted = _PHONE_M[0] if rng is None else rng.normal(*_PHONE_M)
-    return np.float32(np.clip(wanted / height_m, *_RESIZED))
+def _rays(
+    lenses: Float32[Tensor, "b 4"],
+    columns: Float32[Tensor, "b s"],
+    rows: Float32[Tensor, "b s"],
+    ups: Float32[Tensor, "b 3"],
+    flipped: Float32[Tensor, " b"],
+    size: Float32[Tensor, "b 2"],
+) -> Float32[Tensor, "b 4 s s"]:
+    """Return `roomlight.monocular.network.ray_planes` of many cuts."""
+    fx, fy, cx, cy = lenses.T[..., None]
+    x, y = (columns - cx) / fx, (rows - cy) / fy
+    across, down = torch.broadcast_tensors(x[:, None], y[:, :, None])
+    rise = (ups[:, :1, None] * across - ups[:, 1:2, None] * down - ups[:, 2:, None]).clamp(-MOST_RISE, MOST_RISE)
+    focal = (fx * fy / (size[:, :1] * size[:, 1:])).sqrt()[..., None]
+    floor = -torch.log(rise.abs().clamp(min=LEAST_RISE) * focal)
+    floor = torch.where((ups != 0).any(dim=1)[:, None, None], floor, torch.zeros_like(floor))
+    return torch.stack([across * flipped[:, None, None], down, rise, floor], dim=1)
 
 
-def _varied(picture: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float32[np.ndarray, "h w 3"]:
-    """Expose, tint, blur and disturb a picture as another camera would."""
-    linear = srgb8_to_linear(picture)
-    gain = np.exp(rng.uniform(*np.log(_GAIN))) * np.exp(rng.normal(0, 0.12, 3))
-    image = linear_to_srgb(np.clip(linear * gain.astype(np.float32), 0, 1)).astype(np.float32)
-    grey = image.mean(axis=-1, keepdims=True)
-    image = grey + np.float32(rng.uniform(0.3, 1.5)) * (image - grey)
-    image = np.clip(image, 0, 1) ** np.float32(np.exp(rng.normal(0, 0.2)))
-    if rng.random() < 0.4:
-        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 1.5))
-    if rng.random() < 0.6:
-        image += rng.normal(0, rng.uniform(0.005, 0.05), image.shape).astype(np.float32)
-    if rng.random() < 0.1:
-        image = np.repeat(image.mean(axis=-1, keepdims=True), 3, axis=-1)
-    return np.clip(image, 0, 1).astype(np.float32)
+def _measured(ups: Float32[Tensor, "b 3"], rng: np.random.Generator) -> Float32[Tensor, "b 3"]:
+    """Return gravity as a phone measures it, or 0: some sources do not know it."""
+    turned = functional.normalize(ups + _tensor(rng.normal(0, _TILT_ERROR, ups.shape), ups.device), dim=1)
+    return turned * _tensor(np.where(rng.random((len(ups), 1)) < _TILT_UNKNOWN, 0.0, 1.0), ups.device)
+
+
+def _varied(image: Float32[Tensor, "b 3 h w"], rng: np.random.Generator) -> Float32[Tensor, "b 3 h w"]:
+    """Expose, tint, blur and disturb pictures as other cameras would."""
+    count, device = len(image), image.device
+
+    def per_picture(values: Float[np.ndarray, " b"] | Float[np.ndarray, "b 3"]) -> Float32[Tensor, "b c 1 1"]:
+        return _tensor(values.reshape(count, -1, 1, 1), device)
+
+    gain = np.exp(rng.uniform(np.log(_GAIN[0]), np.log(_GAIN[1]), (count, 1)) + rng.normal(0, 0.12, (count, 3)))
+    linear = torch.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
+    linear = (linear * per_picture(gain)).clamp(1e-6, 1)
+    image = torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    grey = image.mean(dim=1, keepdim=True)
+    image = grey + per_picture(rng.uniform(0.3, 1.5, count)) * (image - grey)
+    image = image.clamp(1e-6, 1) ** per_picture(np.exp(rng.normal(0, 0.2, count)))
+    image = _blurred(image, np.where(rng.random(count) < 0.4, rng.uniform(0.3, 1.5, count), 0.0))
+    noise = torch.randn(
+        image.shape, generator=torch.Generator(device).manual_seed(int(rng.integers(2**31))), device=device
+    )
+    image = image + per_picture(np.where(rng.random(count) < 0.6, rng.uniform(0.005, 0.05, count), 0.0)) * noise
+    grey = image.mean(dim=1, keepdim=True).expand_as(image)
+    return torch.where(per_picture(rng.random(count)) < 0.1, grey, image).clamp(0, 1)
+
+
+def _blurred(image: Float32[Tensor, "b 3 h w"], sigma: Float[np.ndarray, " b"]) -> Float32[Tensor, "b 3 h w"]:
+    """Blur each picture by its own deviation, pixels; 0 leaves it."""
+    count, _, high, wide = image.shape
+    taps = np.exp(-0.5 * (np.arange(-4, 5) / np.maximum(sigma, 1e-2)[:, None]) ** 2)
+    weights = _tensor(taps / taps.sum(axis=1, keepdims=True), image.device)[:, None]
+    planes = functional.pad(image, (4, 4, 4, 4), mode="replicate").transpose(0, 1)
+    planes = functional.conv2d(planes, weights[:, :, None], groups=count)
+    return functional.conv2d(planes, weights[..., None], groups=count).transpose(0, 1).reshape(count, 3, high, wide)
 
 
 def _mean(values: Float[Tensor, "b 1 h w"], known: Float[Tensor, "b 1 h w"]) -> Float[Tensor, ""]:

@@ -199,7 +199,7 @@ def build_stage(
         folders: The folders of `recipe.data`, in order.
         out: The folder of its run.
         start_from: The weights of `recipe.start_from`.
-        device: Where the networks run; the small ones run on the CPU.
+        device: Where the networks run; those of clipped radiance and of the light of objects run on the CPU.
         progress: Receives (done, total) while examples are read.
 
     Raises:
@@ -228,6 +228,7 @@ def build_stage(
         read(test) if test else examples.take(split_off),
         start_from=start_from,
         data=data,
+        device=device if isinstance(options, DepthOptions) else torch.device("cpu"),
     )
 
 

@@ -79,9 +79,12 @@ class RunOptions:
 
     def draw_examples(self, count: int, step: int) -> Iterator[tuple[int, np.random.Generator]]:
         """Yield the numbers of a step's examples, each with its random stream; an epoch has every example once."""
+        orders = dict[int, Any]()
         for slot in range(self.batch):
             epoch, place = divmod(step * self.batch + slot, count)
-            yield int(self.rng(epoch).permutation(count)[place]), self.rng(step, slot)
+            if epoch not in orders:
+                orders[epoch] = self.rng(epoch).permutation(count)
+            yield int(orders[epoch][place]), self.rng(step, slot)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""

@@ -56,15 +56,16 @@ class SmallStage(Generic[OptionsT, ExamplesT]):
         *,
         start_from: Checkpoint | None = None,
         data: list[dict[str, Any]] | None = None,
+        device: torch.device = torch.device("cpu"),  # noqa: B008 - a constant
     ) -> None:
-        """Take the examples, and the weights to start from (None: fresh ones).
+        """Take the examples, the weights to start from (None: fresh ones), and where the network runs.
 
         Raises:
             ModelError: `start_from` holds another network.
         """
         if start_from is not None and start_from.form != options.stage:
             raise ModelError(f"stage {options.stage} cannot start from a {start_from.form} network")
-        self.options, self.device, self.data = options, torch.device("cpu"), data or []
+        self.options, self.device, self.data = options, device, data or []
         self.before = None if start_from is None else start_from.card
         self.training, self.held_out, self._start_from = training, held_out, start_from
 
