@@ -141,24 +141,52 @@ test("a session is renamed, and its address is shared", async () => {
   assert.match(await page.evaluate(() => navigator.clipboard.readText()), /#session=room&probe=probe-1$/);
 });
 
-/** A tetrahedron as a GLB file. */
-function tetrahedron() {
-  const points = Float32Array.of(0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1);
+/** Vertices in meshopt's codec of attributes: for each byte of a vertex a group of raw differences, then a first vertex of zeros. */
+function meshoptOf(vertices, stride) {
+  const count = vertices.length / stride;
+  const at = (vertex, byte) => (vertex < 0 ? 0 : vertices[vertex * stride + byte]);
+  const zigzag = (difference) => ((difference << 1) ^ ((difference << 24) >> 31)) & 0xff;
+  const groups = Array.from({ length: stride }, (_, byte) => [
+    3, // 16 raw bytes
+    ...Array.from({ length: 16 }, (_, vertex) => (vertex < count ? zigzag(at(vertex, byte) - at(vertex - 1, byte)) : 0)),
+  ]);
+  return Buffer.from([0xa0, ...groups.flat(), ...Array(32).fill(0)]);
+}
+
+/** A tetrahedron as a GLB file, its points packed by meshopt, or with a texture in KTX2. */
+function tetrahedron({ meshopt = false, ktx2 = false } = {}) {
+  const points = Buffer.from(Float32Array.of(0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1).buffer);
   const faces = Uint16Array.of(0, 2, 1, 0, 3, 2, 0, 1, 3, 1, 2, 3);
-  const data = Buffer.concat([Buffer.from(points.buffer), Buffer.from(faces.buffer)]);
+  const packed = meshopt ? meshoptOf(points, 12) : Buffer.alloc(0);
+  const picture = Buffer.alloc(ktx2 ? 160 : 0);
+  if (ktx2) {
+    picture.set([0xab, ...Buffer.from("KTX 20"), 0xbb, 13, 10, 26, 10]);
+    Uint32Array.of(37, 1, 1, 1, 0, 0, 1, 1, 0).forEach((value, field) => picture.writeUInt32LE(value, 12 + 4 * field)); // plain RGBA
+  }
+  const data = Buffer.concat([points, Buffer.from(faces.buffer), picture, packed]);
+  const used = [...(meshopt ? ["EXT_meshopt_compression"] : []), ...(ktx2 ? ["KHR_texture_basisu"] : [])];
+  const unpacked = { buffer: 0, byteOffset: 0, byteLength: 48 };
+  const stored = { buffer: 0, byteOffset: 72 + picture.length, byteLength: packed.length, byteStride: 12, count: 4, mode: "ATTRIBUTES" };
   const document = JSON.stringify({
     asset: { version: "2.0" },
     scene: 0,
     scenes: [{ nodes: [0] }],
     animations: [{ channels: [], samplers: [] }],
     nodes: [{ mesh: 0 }],
-    materials: [{ pbrMetallicRoughness: { baseColorFactor: [0.8, 0.1, 0.1, 1], metallicFactor: 0 } }],
+    extensionsUsed: used,
+    extensionsRequired: used,
+    materials: [{ pbrMetallicRoughness: { baseColorFactor: [0.8, 0.1, 0.1, 1], metallicFactor: 0, ...(ktx2 && { baseColorTexture: { index: 0 } }) } }],
+    ...(ktx2 && { textures: [{ extensions: { KHR_texture_basisu: { source: 0 } } }], images: [{ bufferView: 2, mimeType: "image/ktx2" }] }),
     meshes: [{ primitives: [{ attributes: { POSITION: 0 }, indices: 1, material: 0 }] }],
     accessors: [
       { bufferView: 0, componentType: 5126, count: 4, type: "VEC3", min: [0, 0, 0], max: [1, 1, 1] },
       { bufferView: 1, componentType: 5123, count: 12, type: "SCALAR" },
     ],
-    bufferViews: [{ buffer: 0, byteOffset: 0, byteLength: 48 }, { buffer: 0, byteOffset: 48, byteLength: 24 }],
+    bufferViews: [
+      meshopt ? { ...unpacked, byteStride: 12, extensions: { EXT_meshopt_compression: stored } } : unpacked,
+      { buffer: 0, byteOffset: 48, byteLength: 24 },
+      ...(ktx2 ? [{ buffer: 0, byteOffset: 72, byteLength: picture.length }] : []),
+    ],
     buffers: [{ byteLength: data.length }],
   });
   const text = Buffer.from(document.padEnd(Math.ceil(document.length / 4) * 4));
@@ -180,6 +208,29 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   await waitForChange(page, "#picture-image", before);
   await page.waitForFunction(() => globalThis.roomlightPage.litObjects.includes("file-1"));
   await noNotices();
+});
+
+/** Upload a GLB file and place it on the floor. */
+async function placeFile(file) {
+  const before = await pixelsOf(page, "#picture-image");
+  await page.setInputFiles("#object-file", file);
+  await page.waitForFunction(() => document.getElementById("object-shape").value === "file");
+  const { width, height } = await page.locator("#picture-image").boundingBox();
+  await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.75 * height } });
+  await waitForChange(page, "#picture-image", before);
+}
+
+test("the 3D view shows a GLB file that meshopt has packed", async () => {
+  await placeFile({ name: "packed.glb", mimeType: "model/gltf-binary", buffer: tetrahedron({ meshopt: true }) });
+  await page.waitForFunction(() => globalThis.roomlightPage.litObjects.length === 1);
+  await noNotices();
+});
+
+test("a box stands for a GLB file that only the server unpacks, and a notice says so", async () => {
+  await placeFile({ name: "textured.glb", mimeType: "model/gltf-binary", buffer: tetrahedron({ ktx2: true }) });
+  await page.waitForFunction(() => globalThis.roomlightPage.litObjects.length === 1);
+  assert.match(await page.locator(".notice p").innerText(), /A box stands for textured.glb here: only the server unpacks/);
+  await page.click(".notice button");
 });
 
 test("the keyboard places an object", async () => {

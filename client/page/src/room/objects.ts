@@ -98,7 +98,7 @@ export class RoomObjects {
         before.environment?.dispose();
       }
       try {
-        const group = await shapeOf(object);
+        const group = await shapeOf(object, this.events.report);
         group.matrixAutoUpdate = false;
         group.matrix.fromArray([...object.pose!]);
         this.shown.set(object.name, { group, object, environment: null, etag: "" });

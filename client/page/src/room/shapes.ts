@@ -44,8 +44,8 @@ const GREY = [0.8, 0.8, 0.8] as const; // linear RGB
 const WOOD = [0.45, 0.28, 0.15] as const;
 const GLOSSY_IOR = 1.576; // reflects 5 % at normal incidence
 
-/** An object about its origin, as the server places it. Rejects if its file cannot be read. */
-export async function shapeOf({ shape, material, size_m, file }: PlacedObject): Promise<Group> {
+/** An object about its origin, as the server places it. Rejects if its file cannot be read; `report` says what is not shown. */
+export async function shapeOf({ shape, material, size_m, file }: PlacedObject, report: (error: unknown) => void): Promise<Group> {
   const group = new Group();
   if (!file?.data) {
     if (file) {
@@ -54,7 +54,12 @@ export async function shapeOf({ shape, material, size_m, file }: PlacedObject): 
     group.add(new Mesh(geometryOf(shape, size_m ?? 1), materialOf(material === "own" ? "diffuse" : material, shape, material === "own")));
     return group;
   }
-  const { scene } = await new GLTFLoader().parseAsync(await file.data.arrayBuffer(), "");
+  const scene = await sceneOf(file.data);
+  if (scene === null) {
+    report(new Error(`A box stands for ${file.name} here: only the server unpacks Draco meshes and KTX2 textures; the picture shows it.`));
+    group.add(new Mesh(geometryOf("cube", size_m ?? 0.3), materialOf("diffuse", "cube", false)));
+    return group;
+  }
   const size = new Box3().setFromObject(scene).getSize(new Vector3());
   const longest = Math.max(size.x, size.y, size.z) || 1;
   scene.scale.multiplyScalar((size_m ?? longest) / longest);
@@ -64,6 +69,20 @@ export async function shapeOf({ shape, material, size_m, file }: PlacedObject): 
   }
   group.add(scene);
   return group;
+}
+
+/** Read a GLB; null if it is packed in a way that only the server unpacks. */
+async function sceneOf(file: Blob): Promise<Group | null> {
+  const { MeshoptDecoder } = await import("three/addons/libs/meshopt_decoder.module.js");
+  try {
+    const { scene } = await new GLTFLoader().setMeshoptDecoder(MeshoptDecoder).parseAsync(await file.arrayBuffer(), "");
+    return scene;
+  } catch (error) {
+    if (/DRACOLoader|KTX2Loader/.test(String(error))) {
+      return null;
+    }
+    throw error;
+  }
 }
 
 /** The materials of an object, each once. */
