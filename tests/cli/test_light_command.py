@@ -3,14 +3,16 @@
 import json
 import re
 from dataclasses import replace
+from itertools import islice
 
 import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
-from box_room import LENS, exact_depth, frame, pose
 from depth_models import SIZE, write_depth_model
+from roomlight import sample_capture
+from roomlight.captures import open_capture
 from roomlight.captures.photo import DEFAULT_FOV_DEG, PhotoOptions, read_photo
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
@@ -275,11 +277,12 @@ def test_an_ambiguous_orientation_needs_an_option(room):
 
 
 def test_a_video_alone_is_lit_by_all_its_frames(tmp_path, roomlight):
-    poses = [pose(0.02 * k, turn=0.03 * k) for k in range(6)]
+    frames = list(islice(open_capture(sample_capture()), 6))
     with VideoWriter(tmp_path / "walk.mp4", frames_per_second=5.0) as writer:
-        for number, at in enumerate(poses):
-            writer.write(linear_to_srgb8(frame(number, at).image))
-    write_depth_model(tmp_path / "m.onnx", {"depth": exact_depth(poses[2], LENS.resized(SIZE[1], SIZE[0]))[None]})
+        for one in frames:
+            writer.write(linear_to_srgb8(one.image))
+    depth = cv2.resize(frames[2].depth_m, SIZE[::-1], interpolation=cv2.INTER_NEAREST)
+    write_depth_model(tmp_path / "m.onnx", {"depth": 1 / depth[None]})  # without a sidecar it is taken for disparity
     files = ("walk.mp4", "--depth-model", "m.onnx", "--probe", "0,0,-1", "--model", "classical", "--out", "out")
     result = roomlight("light", *files, cwd=tmp_path)
     assert result.code == 0, result.err
