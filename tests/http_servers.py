@@ -134,9 +134,15 @@ class RunningServer:
         return self.call("GET", f"/v1/sessions/{name}", **more).json
 
     def wait_until(self, condition):
-        """Wait on the event loop, one request after the other."""
-        wait_until(lambda: condition() or self.call("GET", "/healthz").status != 200)
-        assert self.call("GET", "/healthz").status == 200
+        """Wait on the event loop, one request after the other; each must succeed."""
+
+        def holds():
+            if condition():
+                return True
+            assert self.call("GET", "/healthz").status == 200
+            return False
+
+        wait_until(holds)
 
     def wait_until_ready(self):
         self.wait_until(lambda: self.call("GET", "/readyz").status == 200)

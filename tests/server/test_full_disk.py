@@ -13,7 +13,12 @@ LIMIT_BYTES = 10_000
 
 
 def wait_for_state(server, expected):
-    wait_until(lambda: server.call("GET", "/readyz")[1]["state"] == expected)
+    def is_expected():
+        status, answer = server.call("GET", "/readyz")
+        assert status == 200
+        return answer["state"] == expected
+
+    wait_until(is_expected)
 
 
 def wait_until_durable(server, index):
