@@ -69,6 +69,11 @@ def test_a_coat_neither_adds_nor_loses_light():
     assert np.abs(panorama / panorama.mean() - 1).max() < 0.25
 
 
+def test_a_room_without_any_light_is_black():
+    light = solved(walls(GREY))
+    assert light.panorama(np.array([0.4, 1.0, 0.3]), 16, seed=0).max() == 0
+
+
 def test_a_small_sphere_lights_by_the_inverse_square():
     radius, glow = 0.05, 40.0
     bulb = Item(

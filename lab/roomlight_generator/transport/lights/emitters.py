@@ -308,7 +308,7 @@ def _clustered(
     kind = pieces.kind
 
     def per(values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " l"]:
-        return np.bincount(own, values, clusters)
+        return np.bincount(own, values, clusters).astype(np.float64)  # without a source NumPy counts in integers
 
     power = pieces.area * pieces.luminance
     total = np.maximum(per(power), 1e-30)
