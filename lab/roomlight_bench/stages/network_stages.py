@@ -12,14 +12,19 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.engine.networks.graphs import LightingGraphs, NetworkForm, load_graphs
-from roomlight.engine.networks.openvino_runtime import openvino_version
+from roomlight.engine.networks.openvino_runtime import computes_in_bf16, openvino_version
+from roomlight.engine.networks.providers import CHOICES
 from roomlight.engine.networks.runtime import RuntimeName
 from roomlight_bench.stages import plain_torch
 from roomlight_bench.stages.bench_stage import BenchStage
 from roomlight_bench.timing import Implementation
 from roomlight_model.config import ModelConfig
 
-_RUNTIME_TITLES: dict[RuntimeName, str] = {"cpu": "ONNX Runtime fp32", "openvino": "OpenVINO fp32"}
+_RUNTIME_TITLES: dict[RuntimeName, str] = {
+    "cpu": "ONNX Runtime fp32",
+    "openvino": "OpenVINO fp32",
+    "openvino-bf16": "OpenVINO bf16",
+}
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,7 @@ class Networks:
     @property
     def fastest(self) -> RuntimeName:
         """The runtime in which whole frames are measured."""
-        return "openvino" if "openvino" in self.loaded else "cpu"
+        return list(self.loaded)[-1]
 
     @property
     def form(self) -> NetworkForm:
@@ -100,7 +105,7 @@ def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> 
 
 
 def _runtimes() -> tuple[RuntimeName, ...]:
-    return ("cpu", "openvino") if openvino_version() is not None else ("cpu",)
+    return CHOICES[: 1 + (openvino_version() is not None) + computes_in_bf16()]
 
 
 def _graph_input(name: str, shape: tuple[int, ...], volume: Float[np.ndarray, "5 z y x"]) -> Float[np.ndarray, "..."]:

@@ -21,6 +21,7 @@ def both_runtimes(monkeypatch, tmp_path):
     monkeypatch.delenv(VARIABLE)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(providers, "openvino_version", lambda: "1")
+    monkeypatch.setattr(providers, "computes_in_bf16", lambda: True)
     opened = []
 
     def open_as(path, runtime):
@@ -33,8 +34,9 @@ def both_runtimes(monkeypatch, tmp_path):
     return tmp_path / "cache", opened
 
 
-def _measured(monkeypatch, cpu_ms, openvino_ms):
-    monkeypatch.setattr(providers, "_least_ms", lambda _: {"cpu": cpu_ms, "openvino": openvino_ms})
+def _measured(monkeypatch, cpu_ms, openvino_ms, bf16_ms=100.0):
+    least_ms = dict(zip(providers.CHOICES, (cpu_ms, openvino_ms, bf16_ms), strict=True))
+    monkeypatch.setattr(providers, "_least_ms", lambda loaded: {name: least_ms[name] for name in loaded})
 
 
 @pytest.mark.parametrize("runtime", RUNTIMES)
@@ -84,24 +86,39 @@ def test_the_variable_stands_for_auto_and_is_checked(tiny_video, monkeypatch):
     assert load_graphs(tiny_video[1]).runtime == "cpu"
     monkeypatch.setenv(VARIABLE, "gpu")
     assert load_graphs(tiny_video[1], provider="cpu").runtime == "cpu"
-    with pytest.raises(ModelError, match="ROOMLIGHT_PROVIDER must be one of auto, cpu, openvino, cuda; got 'gpu'"):
+    with pytest.raises(
+        ModelError, match="ROOMLIGHT_PROVIDER must be one of auto, cpu, openvino, openvino-bf16, cuda; got 'gpu'"
+    ):
         load_graphs(tiny_video[1])
 
 
 @pytest.mark.usefixtures("both_runtimes")
-@pytest.mark.parametrize(("openvino_ms", "chosen"), [(8.9, "openvino"), (9.1, "cpu")])
-def test_auto_takes_openvino_where_it_is_a_tenth_faster(tiny_video, monkeypatch, openvino_ms, chosen):
-    _measured(monkeypatch, 10.0, openvino_ms)
+@pytest.mark.parametrize(
+    ("openvino_ms", "bf16_ms", "chosen"),
+    [(8.9, 8.1, "openvino"), (9.1, 9.1, "cpu"), (8.0, 7.1, "openvino-bf16"), (12.0, 8.9, "openvino-bf16")],
+)
+def test_auto_takes_openvino_and_bf16_where_each_is_a_tenth_faster(
+    tiny_video, monkeypatch, openvino_ms, bf16_ms, chosen
+):
+    _measured(monkeypatch, 10.0, openvino_ms, bf16_ms)
     graphs = load_graphs(tiny_video[1])
     assert {graph.runtime for graph in graphs.graphs.values()} == {chosen}
 
 
+def test_a_processor_without_bf16_is_not_measured_in_it(tiny_video, both_runtimes, monkeypatch):
+    monkeypatch.setattr(providers, "computes_in_bf16", lambda: False)
+    load_graphs(tiny_video[1])
+    assert set(both_runtimes[1]) == {"cpu", "openvino"}
+    with pytest.raises(ModelError, match=r'does not compute in bf16; use provider="openvino"'):
+        load_graphs(tiny_video[1], provider="openvino-bf16")
+
+
 def test_auto_measures_once_and_keeps_its_choice(tiny_video, both_runtimes, monkeypatch):
     folder, opened = both_runtimes
-    assert load_graphs(tiny_video[1]).runtime in ("cpu", "openvino")  # a real measurement
+    assert load_graphs(tiny_video[1]).runtime in providers.CHOICES  # a real measurement
     (kept,) = folder.glob("runtime-*.json")
     stated = json.loads(kept.read_text())
-    assert set(stated["least_ms"]) == {"cpu", "openvino"}
+    assert set(stated["least_ms"]) == set(providers.CHOICES)
     assert min(stated["least_ms"].values()) > 0
     for first, later in ((1.0, 9.0), (9.0, 1.0)):
         kept.write_text(json.dumps({"runtime": "openvino"}))
@@ -117,7 +134,7 @@ def test_of_two_processes_the_first_choice_counts(tiny_video, both_runtimes, mon
     def measured(_):
         _measured(monkeypatch, 10.0, 1.0)
         assert load_graphs(tiny_video[1]).runtime == "openvino"  # another process, meanwhile
-        return {"cpu": 1.0, "openvino": 10.0}
+        return {"cpu": 1.0, "openvino": 10.0, "openvino-bf16": 10.0}
 
     monkeypatch.setattr(providers, "_least_ms", measured)
     assert load_graphs(tiny_video[1]).runtime == "openvino"

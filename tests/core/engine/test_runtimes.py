@@ -1,4 +1,4 @@
-"""Graphs in OpenVINO, and on a GPU where there is one: ONNX Runtime's numbers, in the caller's buffers."""
+"""Graphs in OpenVINO, in bf16 or on a GPU where there is one: ONNX Runtime's numbers, in the caller's buffers."""
 
 import subprocess
 import sys
@@ -8,20 +8,28 @@ import numpy as np
 import pytest
 
 from roomlight.engine.networks.graphs import SHIPPED, SINGLE_GRAPHS
-from roomlight.engine.networks.openvino_runtime import TOLERANCE, openvino_version
+from roomlight.engine.networks.openvino_runtime import BF16_TOLERANCE, TOLERANCE, computes_in_bf16, openvino_version
 from roomlight.engine.networks.providers import open_graph
 from roomlight.engine.networks.runtime import CUDA, ort
 from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
 
-_PRESENT = {"openvino": openvino_version() is not None, "cuda": CUDA in ort.get_available_providers()}
-on_each_other_runtime = pytest.mark.parametrize(
-    "runtime",
-    [
-        pytest.param(name, marks=pytest.mark.skipif(not present, reason=f"no {name}"))
-        for name, present in _PRESENT.items()
-    ],
-)
+_PRESENT = {
+    "openvino": openvino_version() is not None,
+    "cuda": CUDA in ort.get_available_providers(),
+    "openvino-bf16": computes_in_bf16(),
+}
+
+
+def _on(names):
+    return pytest.mark.parametrize(
+        "runtime",
+        [pytest.param(name, marks=pytest.mark.skipif(not _PRESENT[name], reason=f"no {name}")) for name in names],
+    )
+
+
+on_each_other_runtime = _on(_PRESENT)
+on_each_fp32_runtime = _on(["openvino", "cuda"])
 SHIPPED_GRAPHS = [("single", name) for name in SINGLE_GRAPHS] + [("clipping", "clipping"), ("objects", "objects")]
 
 
@@ -32,7 +40,7 @@ def _bound(graph, seed):
     return graph.bind(inputs, outputs), inputs, outputs
 
 
-@on_each_other_runtime
+@on_each_fp32_runtime
 @pytest.mark.parametrize(("folder", "name"), SHIPPED_GRAPHS)
 def test_shipped_graphs_agree_with_onnx_runtime(folder, name, runtime):
     results = []
@@ -88,8 +96,28 @@ def test_a_session_saved_in_one_runtime_goes_on_in_the_other(tiny_video, tmp_pat
         whole.push(frame)
         other.push(frame)
     wanted, got = whole.lights()[0].panorama, other.lights()[0].panorama
-    assert np.abs(got - wanted).max() <= 10 * TOLERANCE * wanted.max()  # two frames of five graphs each
     assert (got != wanted).any()  # it is another runtime
+    if runtime == "openvino-bf16":
+        assert np.sqrt(np.mean((np.log1p(got) - np.log1p(wanted)) ** 2)) <= BF16_TOLERANCE
+    else:
+        assert np.abs(got - wanted).max() <= 10 * TOLERANCE * wanted.max()  # two frames of five graphs each
+
+
+@_on(["openvino-bf16"])
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_the_light_of_shipped_networks_in_bf16_is_that_of_fp32(form, runtime):
+    room = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35), lamp_radiance=30.0)
+    frames = [room.frame(camera_at((0, 1.4, 0), 20 * index), index=index, width=96, height=72) for index in range(3)]
+    logarithms = []
+    for provider in ("cpu", runtime):
+        session = Session(SessionOptions(model=form, provider=provider))
+        session.track((0.1, 1.2, -0.5))
+        for frame in frames:
+            session.push(frame)
+        (light,) = session.lights()
+        logarithms.append(np.log1p([light.reflection, light.panorama]))
+    assert np.sqrt(np.mean((logarithms[1] - logarithms[0]) ** 2, axis=(1, 2, 3))).max() <= BF16_TOLERANCE
+    assert (logarithms[1] != logarithms[0]).any()  # it is another runtime
 
 
 @pytest.mark.skipif(not _PRESENT["openvino"], reason="no openvino")

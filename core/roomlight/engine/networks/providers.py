@@ -1,6 +1,6 @@
 """Where graphs run: ONNX Runtime's CPU provider, OpenVINO where it is installed and faster, or a GPU if asked for.
 
-`auto` measures the first two once and keeps the answer in a file of the cache folder: `NUMBA_CACHE_DIR`, else
+`auto` measures the runtimes on the CPU once and keeps the answer in a file of the cache folder: `NUMBA_CACHE_DIR`, else
 `~/.cache/roomlight`. Processes that start together take the answer that was written first, so that all sessions of a
 machine compute the same bits. `ROOMLIGHT_PROVIDER` decides instead.
 """
@@ -18,18 +18,20 @@ from pathlib import Path
 from typing import Any, Final, Literal, cast, get_args
 
 from roomlight.engine.networks.graph import BoundGraph, Graph
-from roomlight.engine.networks.openvino_runtime import OpenVinoGraph, openvino_version
+from roomlight.engine.networks.openvino_runtime import OpenVinoGraph, computes_in_bf16, openvino_version
 from roomlight.engine.networks.runtime import CUDA, OnnxRuntimeGraph, RuntimeName, ort
 from roomlight.errors import ModelError
 from roomlight.threads import processor_name, thread_count
 
-Provider = Literal["auto", "cpu", "openvino", "cuda"]
+Provider = Literal["auto", "cpu", "openvino", "openvino-bf16", "cuda"]
 VARIABLE: Final = "ROOMLIGHT_PROVIDER"
 """Environment variable that stands for `auto`."""
 FASTER: Final = 0.9
-"""OpenVINO is chosen if it takes at most this share of ONNX Runtime's time: 0.55 for the SGLV networks on an AMD EPYC
-with AVX-512, 0.8 for the clipping network. Noise must not decide, because results differ in their last bits."""
-_MEASURED: Final[tuple[RuntimeName, ...]] = ("cpu", "openvino")
+"""A runtime is chosen over the one before it in `CHOICES` if it takes at most this share of its time: OpenVINO takes
+0.55 of ONNX Runtime's for the SGLV networks on an AMD EPYC with AVX-512, and bf16 0.7 of fp32's. Noise must not decide,
+because results differ in their last bits."""
+CHOICES: Final[tuple[RuntimeName, ...]] = ("cpu", "openvino", "openvino-bf16")
+"""What `auto` chooses from."""
 _RUNS: Final = 5
 
 
@@ -39,8 +41,9 @@ def open_graph(path: Path, runtime: RuntimeName) -> Graph:
     Raises:
         ModelError: the runtime refuses it, or a shape in it is dynamic.
     """
-    loaded = OpenVinoGraph.open(path) if runtime == "openvino" else OnnxRuntimeGraph.open(path, runtime)
-    return Graph(loaded, path.stem)
+    if runtime in ("openvino", "openvino-bf16"):
+        return Graph(OpenVinoGraph.open(path, runtime), path.stem)
+    return Graph(OnnxRuntimeGraph.open(path, runtime), path.stem)
 
 
 def open_graphs(paths: Sequence[Path], digest: str, provider: Provider) -> list[Graph]:
@@ -71,10 +74,12 @@ def _requested(provider: Provider) -> RuntimeName | None:
     wanted = os.environ.get(VARIABLE, "auto") if provider == "auto" else provider
     if wanted not in get_args(Provider):
         raise ModelError(f"{VARIABLE} must be one of {', '.join(get_args(Provider))}; got {wanted!r}")
-    if wanted == "openvino" and openvino_version() is None:
+    if wanted in ("openvino", "openvino-bf16") and openvino_version() is None:
         raise ModelError(
-            'provider="openvino": OpenVINO is not installed (pip install \'roomlight[openvino]\'); use provider="cpu"'
+            f'provider="{wanted}": OpenVINO is not installed (pip install \'roomlight[openvino]\'); use provider="cpu"'
         )
+    if wanted == "openvino-bf16" and not computes_in_bf16():
+        raise ModelError('provider="openvino-bf16": this processor does not compute in bf16; use provider="openvino"')
     if wanted == "cuda" and CUDA not in ort.get_available_providers():
         raise ModelError(
             'provider="cuda": this ONNX Runtime has no CUDA (pip uninstall onnxruntime; pip install onnxruntime-gpu); '
@@ -90,9 +95,13 @@ def _open_fastest(paths: Sequence[Path], digest: str) -> list[Graph]:
     kept = _kept_choice(file)
     if kept is not None:
         return _opened(paths, kept)
-    loaded: dict[RuntimeName, list[Graph]] = {runtime: _opened(paths, runtime) for runtime in _MEASURED}
+    measured = CHOICES if computes_in_bf16() else CHOICES[:-1]
+    loaded: dict[RuntimeName, list[Graph]] = {runtime: _opened(paths, runtime) for runtime in measured}
     least_ms = _least_ms(loaded)
-    chosen: RuntimeName = "openvino" if least_ms["openvino"] <= FASTER * least_ms["cpu"] else "cpu"
+    chosen = measured[0]
+    for runtime in measured[1:]:
+        if least_ms[runtime] <= FASTER * least_ms[chosen]:
+            chosen = runtime
     return loaded[_keep_choice(file, {"runtime": chosen, "least_ms": least_ms})]
 
 
@@ -102,7 +111,7 @@ def _least_ms(loaded: dict[RuntimeName, list[Graph]]) -> dict[RuntimeName, float
         runtime: [graph.bind(graph.new_inputs(), graph.new_outputs()) for graph in graphs]
         for runtime, graphs in loaded.items()
     }
-    least_ms: dict[RuntimeName, float] = {"cpu": float("inf"), "openvino": float("inf")}
+    least_ms = dict.fromkeys(runs, float("inf"))
     for _ in range(1 + _RUNS):  # the first plans memory
         for runtime, graphs in runs.items():
             began = time.perf_counter()
@@ -114,7 +123,7 @@ def _least_ms(loaded: dict[RuntimeName, list[Graph]]) -> dict[RuntimeName, float
 
 def _choice_file(digest: str) -> Path:
     """Return where the choice for these graphs is kept: another processor or version has another file."""
-    machine = [processor_name(), str(thread_count()), ort.__version__, str(openvino_version()), digest]
+    machine = [processor_name(), str(thread_count()), ort.__version__, str(openvino_version()), *CHOICES, digest]
     name = hashlib.sha256("\n".join(machine).encode()).hexdigest()[:16]
     numba_folder = os.environ.get("NUMBA_CACHE_DIR")
     caches = os.environ.get("XDG_CACHE_HOME")
@@ -128,7 +137,7 @@ def _kept_choice(file: Path) -> RuntimeName | None:
         runtime = json.loads(file.read_text(encoding="utf-8"))["runtime"]
     except (OSError, ValueError, LookupError, TypeError):
         return None
-    return runtime if runtime in _MEASURED else None
+    return runtime if runtime in CHOICES else None
 
 
 def _keep_choice(file: Path, choice: dict[str, Any]) -> RuntimeName:

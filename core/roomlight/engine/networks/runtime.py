@@ -22,8 +22,8 @@ import onnxruntime as ort
 
 Buffers = dict[str, Float32[np.ndarray, "..."]]
 """Arrays by the names of a graph's inputs or outputs; their ranks differ, `Graph.bind` checks the shapes."""
-RuntimeName = Literal["cpu", "openvino", "cuda"]
-"""ONNX Runtime's CPU provider, OpenVINO, or ONNX Runtime's CUDA provider."""
+RuntimeName = Literal["cpu", "openvino", "openvino-bf16", "cuda"]
+"""ONNX Runtime's CPU provider, OpenVINO in fp32 or bf16, or ONNX Runtime's CUDA provider."""
 CUDA: Final = "CUDAExecutionProvider"
 Shapes = dict[str, tuple[int | str, ...]]
 """Shapes by the names of a graph's inputs or outputs; a dynamic size has a name."""
