@@ -21,7 +21,14 @@ from roomlight.camera import transform_points
 from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.kernels.shadows import SurfaceGrid
 from roomlight.compositing.light.probes import LightAt, ObjectProbes
-from roomlight.compositing.light.temporal import FRAME_S, SHADOW_S, DepthFilter, ShadowHistory, elapsed_s, share_of
+from roomlight.compositing.light.temporal import (
+    SHADOW_S,
+    DepthFilter,
+    ShadowHistory,
+    elapsed_s,
+    elapsed_since,
+    share_of,
+)
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, blur_layer, measure_camera
 from roomlight.compositing.picture.crop import Crop, CropCamera, crop_of_sphere
 from roomlight.compositing.picture.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8, unchanged
@@ -180,11 +187,11 @@ class Compositor:
         with clock.stage("render"):
             rendered = self._render(frame, objects, supports_of(objects, posed.spheres, posed.supports))
         with clock.stage("depth"):
-            depth = self._room_depth(depth_m, frame, crops.shadow)
+            real, shaded_m = self._room_depth(depth_m, frame, crops.shadow)
         with clock.stage("shadow"):
-            shadow = self._shadow_ratio(frame, crops.shadow, depth.shaded_m, posed, share_of(step_s, SHADOW_S))
+            shadow = self._shadow_ratio(frame, crops.shadow, shaded_m, posed, share_of(step_s, SHADOW_S))
         with clock.stage("occlusion"):
-            layer = self._layer(frame, image, depth.real, rendered, crops, posed)
+            layer = self._layer(frame, image, real, rendered, crops, posed)
         with clock.stage("combine"):
             self._combine(frame, image, crops, shadow, layer)
         numbers = np.array([*(placed.number for placed in self._placed), -1], np.int32)
@@ -278,13 +285,18 @@ class Compositor:
             max_paths=self._max_paths,
         )
 
-    def _room_depth(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> "_RoomDepth":
-        """Return depth at the pixels of a crop, with holes filled from other frames."""
+    def _room_depth(
+        self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop
+    ) -> tuple[RealDepth, Float32[np.ndarray, "ch cw"]]:
+        """Return what hides objects in a crop, with holes filled from other frames, and what shadows fall on.
+
+        The second is completed where nothing was measured: there are shadows on black and shiny tables too.
+        """
         depth_m = self._filled(depth_m, frame, crop)
         size = frame.intrinsics.width, frame.intrinsics.height
         real = real_depth(depth_m, *size, crop)
         whole = complete_depth(depth_m)
-        return _RoomDepth(real, real.depth_m if whole is depth_m else real_depth(whole, *size, crop).depth_m)
+        return real, real.depth_m if whole is depth_m else real_depth(whole, *size, crop).depth_m
 
     def _filled(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> Float32[np.ndarray, "dh dw"]:
         """Fill holes near the objects with what other frames saw there."""
@@ -398,19 +410,6 @@ class _Crops:
     objects: Crop
 
 
-@dataclass(frozen=True)
-class _RoomDepth:
-    """Depth of real surfaces at the pixels of a crop.
-
-    Attributes:
-        real: as measured; it hides objects.
-        shaded_m: [ch, cw] completed where nothing was measured: shadows fall on black and shiny tables too.
-    """
-
-    real: RealDepth
-    shaded_m: Float32[np.ndarray, "ch cw"]
-
-
 def composite(
     session: Session, frame: Frame, scene: Scene | Sequence[SceneObject], *, quality: str = "good", seed: int = 0
 ) -> Composite:
@@ -437,13 +436,6 @@ def composite(
         return result
     finally:
         compositor.close()
-
-
-def elapsed_since(first: Frame, frame: Frame) -> float:
-    """Return the seconds between two frames: by timestamps, else 1/30 s an index."""
-    if first.timestamp_s is not None and frame.timestamp_s is not None:
-        return frame.timestamp_s - first.timestamp_s
-    return (frame.index - first.index) * FRAME_S
 
 
 def check_in_view(compositor: Compositor, frame: Frame) -> None:

@@ -159,7 +159,7 @@ def supports_of(objects: TracedObjects, spheres: list[Float[np.ndarray, "4"]], p
     normals = np.array([plane.normal for plane in known], np.float32).reshape(-1, 3)
     bounding = np.stack(spheres)
     shading = bounding.astype(np.float32)  # a copy
-    shading[:, 3] = np.minimum(shading[:, 3], objects.shade_radii())
+    shading[:, 3] = np.minimum(shading[:, 3], objects.shade_radii)
     ends_m = np.array(
         [0.0 if k < 0 else _plane_end(known[k], sphere, objects) for k, sphere in zip(carriers, bounding, strict=True)],
         np.float32,

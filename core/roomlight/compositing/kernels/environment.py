@@ -70,12 +70,6 @@ def bilinear_at(image, place):
 
 
 @njit(**JIT)
-def radiance(light, weights, x, y, z):
-    """Return the probes' radiance in a direction, mixed by their weights."""
-    return radiance_at(light, weights, place_of(x, y, z))
-
-
-@njit(**JIT)
 def mixed_at(images, weights, place):
     """Return the probes' images at a place, mixed by their weights."""
     red, green, blue = 0.0, 0.0, 0.0
@@ -91,13 +85,6 @@ def mixed_at(images, weights, place):
 def radiance_at(light, weights, place):
     """Return the probes' radiance at a place of `place_of`, mixed by their weights."""
     return mixed_at(light.radiance, weights, place)
-
-
-@njit(**JIT)
-def density(light, weights, x, y, z):
-    """Return the density per steradian with which `sample` draws a direction."""
-    row, column = pixel_at(light, place_of(x, y, z))
-    return density_at(light, weights, row, column)
 
 
 @njit(**JIT)
@@ -194,8 +181,8 @@ def fill_radiance(light, positions, directions, out, begin, end):
     weights = np.empty(light.radiance.shape[0])
     for i in range(begin, end):
         probe_weights(light.position, positions[i, 0], positions[i, 1], positions[i, 2], weights)
-        r, g, b = radiance(light, weights, directions[i, 0], directions[i, 1], directions[i, 2])
-        out[i, 0], out[i, 1], out[i, 2] = r, g, b
+        place = place_of(directions[i, 0], directions[i, 1], directions[i, 2])
+        out[i, 0], out[i, 1], out[i, 2] = radiance_at(light, weights, place)
 
 
 @njit(**KERNEL)
@@ -203,7 +190,8 @@ def fill_density(light, directions, out):
     """Fill the density of each direction; of the first probe alone."""
     weights = np.ones(1)
     for i in range(len(directions)):
-        out[i] = density(light, weights, directions[i, 0], directions[i, 1], directions[i, 2])
+        row, column = pixel_at(light, place_of(directions[i, 0], directions[i, 1], directions[i, 2]))
+        out[i] = density_at(light, weights, row, column)
 
 
 @njit(**KERNEL)

@@ -69,12 +69,9 @@ class ObjectProbes:
         self._frames = 0
         self._waiting_s = 0.0
 
-    def __len__(self) -> int:
-        return len(self._handles)
-
     def add(self, positions: Float[np.ndarray, "n 3"]) -> None:
         """Track probes at these positions, as far as `MAX_TOTAL` allows."""
-        for position in positions[: MAX_TOTAL - len(self)]:
+        for position in positions[: MAX_TOTAL - len(self._handles)]:
             x, y, z = position.tolist()
             handle = self._session.track((x, y, z))
             self._handles.append(handle)
@@ -154,21 +151,17 @@ class _EasedLights:
         self._at: dict[Position, LightSampler] = {}  # of the present set
 
     def add(self, position: Position, panorama: Float[np.ndarray, "h w 3"]) -> None:
-        """Add a position and its first light."""
         self._lights.append(EasedLight(position, panorama))
         self._set = None
 
     def clear(self) -> None:
-        """Forget all positions."""
         self._lights.clear()
         self._set = None
 
     def aim(self, number: int, panorama: Float[np.ndarray, "h w 3"]) -> None:
-        """Set the light that the position of this number follows."""
         self._lights[number].aim(panorama)
 
     def advance(self, elapsed_s: float) -> bool:
-        """Follow for a time; return whether any light changed."""
         changes = [light.advance(elapsed_s) for light in self._lights]
         changed = any(changes)
         if changed:
@@ -176,7 +169,6 @@ class _EasedLights:
         return changed
 
     def lights(self) -> ProbeSet:
-        """Return all as a set."""
         if self._set is None or len(self._at) >= MAX_TOTAL:
             self._at.clear()
         if self._set is None:
@@ -184,7 +176,6 @@ class _EasedLights:
         return self._set
 
     def at(self, position: Position) -> LightSampler:
-        """Return the light at a position, mixed from those around it."""
         probes = self.lights()
         if len(probes.samplers) == 1:
             return probes.samplers[0]

@@ -40,11 +40,16 @@ def share_of(elapsed_s: float, constant_s: float) -> float:
     return 1.0 - float(np.exp(-max(elapsed_s, 0.0) / constant_s))
 
 
+def elapsed_since(first: Frame, frame: Frame) -> float:
+    """Return the seconds between two frames: by timestamps, else 1/30 s an index."""
+    if first.timestamp_s is not None and frame.timestamp_s is not None:
+        return frame.timestamp_s - first.timestamp_s
+    return (frame.index - first.index) * FRAME_S
+
+
 def elapsed_s(before: Frame, frame: Frame) -> float:
-    """Return the time between two frames in seconds: by timestamps, else by indices; at most 1, at least 0."""
-    if before.timestamp_s is not None and frame.timestamp_s is not None:
-        return float(np.clip(frame.timestamp_s - before.timestamp_s, 0.0, 1.0))
-    return float(np.clip((frame.index - before.index) * FRAME_S, 0.0, 1.0))
+    """Return `elapsed_since`, at most 1 and at least 0."""
+    return float(np.clip(elapsed_since(before, frame), 0.0, 1.0))
 
 
 class DepthFilter:
@@ -52,46 +57,39 @@ class DepthFilter:
 
     def __init__(self) -> None:
         """Begin without depth."""
-        self._depth: Float32[np.ndarray, "h w"] | None = None
-        self._age: Float32[np.ndarray, "h w"] | None = None
-        self._frame: Frame | None = None
+        self._before: tuple[Frame, Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]] | None = None
 
     def push(self, frame: Frame, *, max_width: int = MAX_DEPTH_WIDTH) -> Float32[np.ndarray, "h w"]:
         """Return the frame's depth, averaged with what was known; wider maps are reduced to `max_width` columns."""
         depth = _reduced(frame.depth_m, max_width)
         age = np.zeros(depth.shape, np.float32)
-        if self._frame is not None and self._depth is not None and self._age is not None:
-            previous, previous_age = self._reprojected(frame, depth.shape)
-            share = np.float32(share_of(elapsed_s(self._frame, frame), DEPTH_S))
+        if self._before is not None:
+            previous, previous_age = _reprojected(*self._before, frame, depth.shape)
+            share = np.float32(share_of(elapsed_s(self._before[0], frame), DEPTH_S))
             same = (depth > 0) & (previous > 0) & (np.abs(previous - depth) < SAME_SURFACE * depth)
             gone = (depth <= 0) & (previous > 0) & (previous_age < MAX_HELD)
             age[gone] = previous_age[gone] + 1
             blended = previous + share * (depth - previous)
             depth = np.where(same, blended, np.where(gone, previous, depth)).astype(np.float32)
-        self._depth, self._age, self._frame = depth, age, frame
+        self._before = frame, depth, age
         return depth
 
-    def _reprojected(
-        self, frame: Frame, shape: tuple[int, ...]
-    ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-        assert self._frame is not None
-        assert self._depth is not None
-        assert self._age is not None
-        before = self._frame
-        if before.camera_to_world.tobytes() == frame.camera_to_world.tobytes() and shape == self._depth.shape:
-            return self._depth, self._age
-        transform = (rigid_inverse(frame.camera_to_world) @ before.camera_to_world)[:3].astype(np.float32)
-        depth, age = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        splat_depth(
-            self._depth,
-            self._age,
-            _lens(before.intrinsics, self._depth.shape),
-            transform,
-            _lens(frame.intrinsics, shape),
-            depth,
-            age,
-        )
+
+def _reprojected(
+    before: Frame,
+    depth: Float32[np.ndarray, "bh bw"],
+    age: Float32[np.ndarray, "bh bw"],
+    frame: Frame,
+    shape: tuple[int, ...],
+) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Return depth and age of the frame before as a later frame's camera sees them."""
+    if before.camera_to_world.tobytes() == frame.camera_to_world.tobytes() and shape == depth.shape:
         return depth, age
+    transform = (rigid_inverse(frame.camera_to_world) @ before.camera_to_world)[:3].astype(np.float32)
+    lens, new_lens = _lens(before.intrinsics, depth.shape), _lens(frame.intrinsics, shape)
+    seen_depth, seen_age = np.zeros((2, *shape), np.float32)
+    splat_depth(depth, age, lens, transform, new_lens, seen_depth, seen_age)
+    return seen_depth, seen_age
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ A share `transmission` of a surface is smooth glass: exact Fresnel reflection an
 roughness; light that passes into it is multiplied by the base colour once at each surface.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -28,6 +28,12 @@ Colour = tuple[float, float, float]
 """Linear RGB."""
 MAX_IOR = 1000.0
 """Converters of materials write it for a surface that reflects everything: 0.996 at normal incidence."""
+
+
+def colour_of(values: Iterable[float]) -> Colour:
+    """Return three values as a colour."""
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from PIL import Image
 
 from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.limits import ObjectLimits, plain_text
-from roomlight.compositing.objects.materials import Colour, Material
+from roomlight.compositing.objects.materials import Colour, Material, colour_of
 from roomlight.compositing.objects.pictures import PictureReader
 from roomlight.compositing.objects.textures import Texture
 from roomlight.conventions import srgb_to_linear
@@ -193,5 +193,4 @@ def _linear(colour: tuple[float, ...], most: float = 1.0) -> Colour:
     """Decode sRGB; a colour whose largest value is above 1 is that many times as bright."""
     values = np.clip(np.array(colour, np.float64), 0, most)
     times = max(float(values.max()), 1.0)
-    red, green, blue = (times * srgb_to_linear(values / times)).tolist()
-    return red, green, blue
+    return colour_of(times * srgb_to_linear(values / times))

@@ -3,12 +3,12 @@
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float, Float32, Int32, Int64, UInt64
+from jaxtyping import Float, Float32, Int32, Int64, Integer, UInt64
 
-CREASE_DEG: Final = 40.0
-_BACK_TO_BACK: Final = -0.5
+_CREASE_COSINE: Final = float(np.cos(np.radians(40.0)))
 """Faces of OBJ and PLY files without normals that meet at less than this shade smoothly: a cube stays a cube, and a
 scan stays round. glTF demands flat faces instead."""
+_BACK_TO_BACK: Final = -0.5
 
 
 def triangles_of(
@@ -79,7 +79,7 @@ def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Any:
     return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
 
 
-def face_normals(points: Float[np.ndarray, "n 3"], faces: Int64[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 3"]:
+def face_normals(points: Float[np.ndarray, "n 3"], faces: Integer[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 3"]:
     """Return twice the area of each triangle along its normal."""
     a, b, c = (points[faces[:, corner]].astype(np.float64) for corner in range(3))
     return np.cross(b - a, c - a)
@@ -96,11 +96,7 @@ def row_keys(rows: Float[np.ndarray, "n c"]) -> UInt64[np.ndarray, " n"]:
 
 
 def corner_normals(
-    points: Float[np.ndarray, "n 3"],
-    faces: Int64[np.ndarray, "f 3"],
-    *,
-    crease_deg: float = CREASE_DEG,
-    groups: Int32[np.ndarray, " f"] | None = None,
+    points: Float[np.ndarray, "n 3"], faces: Int64[np.ndarray, "f 3"], *, groups: Int32[np.ndarray, " f"] | None = None
 ) -> Float32[np.ndarray, "3*f 3"]:
     """Return a unit normal for each corner of each triangle: the area-weighted mean of the faces around its vertex that
     shade smoothly with its own face.
@@ -108,13 +104,11 @@ def corner_normals(
     Args:
         points: Vertices; those at the same place are one.
         faces: Triangles.
-        crease_deg: Faces shade smoothly together if their normals differ by less; 0 is flat.
-        groups: A smoothing group of each face, which decides instead, but for faces that look opposite ways; 0 is flat.
+        groups: A smoothing group of each face, 0 is flat; None: faces that meet at less than 40 degrees are one. Those
+            that look opposite ways never shade smoothly together.
     """
     weighted = face_normals(points, faces)
     unit = weighted / np.maximum(np.linalg.norm(weighted, axis=1, keepdims=True), 1e-30)
-    if crease_deg <= 0 and groups is None:
-        return np.repeat(unit, 3, axis=0).astype(np.float32)
     _, vertex = np.unique(row_keys(points), return_inverse=True)
     at = vertex.reshape(-1)[faces].reshape(-1)  # vertex of each corner
     face = np.repeat(np.arange(len(faces)), 3)
@@ -122,7 +116,6 @@ def corner_normals(
     counts = np.bincount(at)
     starts = np.cumsum(counts) - counts
     total = np.zeros((len(at), 3))
-    cosine = np.cos(np.radians(crease_deg))
     place = np.empty(len(at), np.int64)
     place[order] = np.arange(len(at)) - np.repeat(starts, counts)
     for step in range(int(counts.max(initial=1))):
@@ -130,7 +123,7 @@ def corner_normals(
         other = face[order[starts[at[rows]] + (place[rows] + step) % counts[at[rows]]]]
         own = face[rows]
         if groups is None:
-            smooth = (unit[own] * unit[other]).sum(axis=1) > cosine
+            smooth = (unit[own] * unit[other]).sum(axis=1) > _CREASE_COSINE
         else:
             smooth = (groups[own] == groups[other]) & (groups[own] > 0)
             smooth &= (unit[own] * unit[other]).sum(axis=1) > _BACK_TO_BACK  # two sides of a sheet are no edge

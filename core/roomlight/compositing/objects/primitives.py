@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.compositing.objects.materials import Material, diffuse
+from roomlight.compositing.objects.polygons import face_normals
 from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
 from roomlight.errors import ObjectError
 
@@ -161,8 +162,7 @@ def _lathe(profile: Float[np.ndarray, "n 2"], around: int) -> TriangleMesh:
         [np.stack([corner, corner + up, corner + 1], 1), np.stack([corner + 1, corner + up, corner + up + 1], 1)]
     )
     flat = points.reshape(-1, 3)
-    a, b, c = (flat[faces[:, k]] for k in range(3))
-    faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12]
+    faces = faces[np.linalg.norm(face_normals(flat, faces), axis=1) > 1e-12]
     mesh = TriangleMesh.build(flat, faces, uvs=np.stack([u, v], axis=-1).reshape(-1, 2))
     normals = mesh.normals.reshape(rows, around + 1, 3).copy()
     seam = normals[:, 0] + normals[:, -1]

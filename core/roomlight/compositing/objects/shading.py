@@ -1,38 +1,18 @@
-"""Meshes from what files hold: normals that are not stated, and colours at vertices as texels."""
+"""Meshes from what files hold: corners as vertices, and colours at vertices as texels."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Int32, Int64
+from jaxtyping import Float, Float32
 
-from roomlight.compositing.objects.materials import TEXTURES, Material
-from roomlight.compositing.objects.polygons import CREASE_DEG, corner_normals, row_keys
+from roomlight.compositing.objects.materials import TEXTURES, Material, colour_of
+from roomlight.compositing.objects.polygons import row_keys
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 
 _SAME = 1 / 512
 _TEXELS = 16
-
-
-def shaded_mesh(
-    points: Float[np.ndarray, "n 3"],
-    faces: Int64[np.ndarray, "f 3"],
-    *,
-    uvs: Float[np.ndarray, "n 2"] | None = None,
-    crease_deg: float = CREASE_DEG,
-    groups: Int32[np.ndarray, " f"] | None = None,
-) -> TriangleMesh:
-    """Make a mesh whose file states no normals; see `roomlight.compositing.objects.polygons.corner_normals`.
-
-    Raises:
-        ObjectError: As `TriangleMesh`.
-    """
-    texture = np.zeros((len(points), 2), np.float32) if uvs is None else uvs.astype(np.float32)
-    TriangleMesh.build(points, faces, uvs=texture)  # checks indices and coordinates before they are used
-    normals = corner_normals(points, faces, crease_deg=crease_deg, groups=groups)
-    corners = faces.reshape(-1)
-    return joined_corners(points[corners], texture[corners], normals, None)[0]
 
 
 def joined_corners(
@@ -95,7 +75,5 @@ def with_vertex_colours(
 
 
 def _tinted(material: Material, colour: Float32[np.ndarray, "4"]) -> Material:
-    red, green, blue = (
-        min(1.0, base * float(tint)) for base, tint in zip(material.base_colour, colour[:3], strict=True)
-    )
-    return replace(material, base_colour=(red, green, blue), opacity=min(1.0, material.opacity * float(colour[3])))
+    base = colour_of(np.minimum(np.array(material.base_colour) * colour[:3], 1.0))
+    return replace(material, base_colour=base, opacity=min(1.0, material.opacity * float(colour[3])))

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roomlight.compositing.objects.materials import Material, diffuse
+from roomlight.compositing.objects.polygons import face_normals
 from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
 from roomlight.errors import ObjectError
 
@@ -105,8 +106,7 @@ def _mesh(grid: Points) -> TriangleMesh:
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
     down, right = corner + columns, corner + 1
     faces = np.concatenate([np.stack([corner, down, right], 1), np.stack([right, down, down + 1], 1)])
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-9]
+    faces = faces[np.linalg.norm(face_normals(points, faces), axis=1) > 1e-9]
     v, u = np.meshgrid(np.arange(rows) / (rows - 1), np.arange(columns) / (columns - 1), indexing="ij")
     return TriangleMesh.build(
         points, faces, normals=_normals(grid, faces), uvs=np.stack([u, v], axis=-1).reshape(-1, 2)
@@ -116,8 +116,7 @@ def _mesh(grid: Points) -> TriangleMesh:
 def _normals(grid: Points, faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "n 3"]:
     """Return the mean normals of the faces; points at one place, at the seam and at the poles, share theirs."""
     points = grid.reshape(-1, 3)
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    weighted = np.cross(b - a, c - a)
+    weighted = face_normals(points, faces)
     _, same = np.unique(np.round(points, 6), axis=0, return_inverse=True)
     same = same.reshape(-1)
     total = np.zeros((same.max() + 1, 3))

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32, Integer
 
 from roomlight.compositing.objects.materials import Material
+from roomlight.compositing.objects.polygons import face_normals
 from roomlight.errors import ObjectError
 from roomlight.notes import Note
 
@@ -75,8 +76,7 @@ class TriangleMesh:
 
     def smooth_normals(self) -> Float32[np.ndarray, "n 3"]:
         """Return the area-weighted mean normal of the faces around each vertex; +Y where there is none."""
-        a, b, c = (self.vertices[self.faces[:, corner]].astype(np.float64) for corner in range(3))
-        weighted = np.cross(b - a, c - a)
+        weighted = face_normals(self.vertices, self.faces)
         total = np.stack([self._at_vertices(weighted[:, axis]) for axis in range(3)], axis=1)
         return _unit(total, np.broadcast_to(np.array([0.0, 1.0, 0.0]), total.shape))
 

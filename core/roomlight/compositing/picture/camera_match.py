@@ -130,7 +130,8 @@ def _grain_of(
     if all_flat.sum() < _FEWEST:
         return 0.0
     coarse = cv2.filter2D(half, -1, _HIGH_PASS, borderType=cv2.BORDER_REFLECT)[all_flat]
-    return _grain(_deviation(coarse.reshape(-1)) / max(_deviation(high[flat].reshape(-1)), 1e-9))
+    ratio = _deviation(coarse.reshape(-1)) / max(_deviation(high[flat].reshape(-1)), 1e-9)
+    return float(np.interp(ratio, _grain_ratios(), _GRAINS))
 
 
 def _shared(high: Float[np.ndarray, "n 3"]) -> float:
@@ -206,7 +207,8 @@ def add_noise(
     shift = np.random.default_rng([frame_index & 0xFFFFFFFF, 5]).integers(0, _TILE, 2)
     corner = (at[0] + int(shift[0])) % _TILE, (at[1] + int(shift[1])) % _TILE
     out = np.ascontiguousarray(encoded, np.float32).copy()
-    pattern = _pattern(_nearest_grain(camera.grain_px), round(camera.shared, 1))
+    grain_px = min(_GRAINS, key=lambda grain: abs(grain - camera.grain_px))
+    pattern = _pattern(grain_px, round(camera.shared, 1))
     sigma = camera.noise.astype(np.float32)
     arguments = (out, np.ascontiguousarray(alpha, np.float32), sigma, pattern, corner)
     parallel_for(lambda start, stop: add_pattern(*arguments, start, stop), len(out))
@@ -235,11 +237,3 @@ def _grain_ratios() -> tuple[float, ...]:
     """Return the measure at half the resolution over that at the full one, for each grain."""
     halves = (cv2.resize(_pattern(grain), (_TILE // 2, _TILE // 2), interpolation=cv2.INTER_AREA) for grain in _GRAINS)
     return tuple(_spread(half) for half in halves)
-
-
-def _grain(ratio: float) -> float:
-    return float(np.interp(ratio, _grain_ratios(), _GRAINS))
-
-
-def _nearest_grain(grain_px: float) -> float:
-    return min(_GRAINS, key=lambda grain: abs(grain - grain_px))

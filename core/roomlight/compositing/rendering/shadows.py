@@ -189,7 +189,7 @@ def shadow_ratio(
     if supports is None:
         supports = [caster.support for caster in casters if caster.support is not None]
     grid = surface_grid(coarse_depth, coarse_camera, camera_to_world, supports)
-    parts = [_filtered(caster, grid, quality) for caster in casters]
+    parts = [coarse_ratio(caster, grid, quality) for caster in casters]
     ratio = np.ones((*coarse_depth.shape, 3), np.float32)
     for part, _ in parts:
         ratio *= part
@@ -244,7 +244,7 @@ def _add_contact(
     share = cv2.resize(soft[rows, columns], None, fx=step, fy=step, interpolation=cv2.INTER_LINEAR)[:height, :width]
     grid = surface_grid(sampled, lens, pose, supports)
     wanted = share[fine // 2 :: fine, fine // 2 :: fine] > 0.1
-    detailed, _ = _filtered(caster, grid, quality, wanted)
+    detailed, _ = coarse_ratio(caster, grid, quality, wanted)
     detailed = spread_ratio(detailed, grid.known, sampled, part, fine)
     cut = [np.ascontiguousarray(values[rows, columns]) for values in (coarse.ratio, coarse.known, coarse.depth_m)]
     change = detailed / np.maximum(spread_ratio(cut[0], cut[1], cut[2], part, step), RATIO_RANGE[0])
@@ -252,15 +252,13 @@ def _add_contact(
     out[box] *= 1 + share[..., None] * (change - 1)
 
 
-def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> Float32[np.ndarray, "h w 3"]:
-    """Return the ratio of one caster on a grid of surfaces; 1 beyond its reach and where the surface is not known."""
-    return _filtered(caster, grid, quality)[0]
-
-
-def _filtered(
+def coarse_ratio(
     caster: Caster, grid: SurfaceGrid, quality: ShadowQuality, wanted: Bool[np.ndarray, "h w"] | None = None
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
-    """Return the ratio on the wanted points of a grid, and the mean distance of what takes the light there."""
+    """Return the ratio of one caster on the wanted points of a grid, and how far what takes the light there is (mean).
+
+    The ratio is 1 beyond the caster's reach and where the surface is not known.
+    """
     height, width = grid.known.shape
     out = np.ones((height, width, 3), np.float32)
     fade = _fade(caster.spheres, grid, quality.reach)
@@ -440,7 +438,7 @@ def _looks(scene: TracedObjects, levels: int) -> Looks:
 
 def _ground(caster: Caster) -> Ground:
     spheres = caster.spheres.copy()
-    spheres[:, 3] = np.minimum(spheres[:, 3], caster.scene.shade_radii()[caster.object_ids])
+    spheres[:, 3] = np.minimum(spheres[:, 3], caster.scene.shade_radii[caster.object_ids])
     if caster.support is None:
         return Ground(False, np.zeros(3, np.float32), np.array([0, 1, 0], np.float32), spheres)
     plane = caster.support

@@ -38,9 +38,7 @@ class Accessors:
         if accessor.count != count:
             raise ObjectError(f"{label} has {accessor.count} values for {count} vertices")
         values = self._values(accessor, label)
-        if accessor.componentType == 5126:
-            return values.astype(np.float32)
-        if not accessor.normalized:
+        if accessor.componentType == 5126 or not accessor.normalized:
             return values.astype(np.float32)
         return np.maximum(values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max), np.float32(-1))
 
@@ -82,5 +80,6 @@ class Accessors:
         end = offset + stride * (count - 1) + item if count else offset
         if end > len(content):
             raise ObjectError(f"{label}: {count} values end at byte {end} of a view of {len(content)}")
-        array = np.ndarray((count, width), dtype, content, offset, (stride, dtype.itemsize)) if count else None
-        return np.zeros((0, width), dtype) if array is None else array
+        if count == 0:
+            return np.zeros((0, width), dtype)
+        return np.ndarray((count, width), dtype, content, offset, (stride, dtype.itemsize))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from roomlight.compositing.objects.gltf.schema import (
     Transmission,
     Volume,
 )
-from roomlight.compositing.objects.materials import MAX_IOR, Colour, Material
+from roomlight.compositing.objects.materials import MAX_IOR, Material, colour_of
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
 from roomlight.conventions import LUMINANCE, srgb8_to_linear
 from roomlight.notes import Note
@@ -31,14 +31,14 @@ _DIELECTRIC = 0.04
 _MAX_GLASS_IOR = 3.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """A material and the texture coordinates that it reads.
 
     Attributes:
         material: The material.
         uv_set: Number of the set of texture coordinates.
-        uv_transform: What its textures do to these coordinates, 2 x 3.
+        uv_transform: What its textures do to these coordinates.
         opaque: Whether alpha counts for nothing.
         double_sided: Whether the file says that it shows from behind.
         unlit: Whether the surface shows its base colour as it is (`unlit_of`, after vertex colours).
@@ -47,7 +47,7 @@ class Surface:
 
     material: Material
     uv_set: int = 0
-    uv_transform: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    uv_transform: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.eye(2, 3))
     opaque: bool = True
     unlit: bool = False
     double_sided: bool = False
@@ -78,19 +78,13 @@ class MaterialReader:
         notes: list[Note] = []
         base = stated.pbrMetallicRoughness
         glossy = extension(SpecularGlossiness, stated, "KHR_materials_pbrSpecularGlossiness", label, self._clamped)
-        slots = {
-            "base": self._slot(
-                base.baseColorTexture if glossy is None else glossy.diffuseTexture, label, "base", notes
-            ),
-            "rough": self._slot(
-                base.metallicRoughnessTexture if glossy is None else glossy.specularGlossinessTexture,
-                label,
-                "rough",
-                notes,
-            ),
-            "normal": self._slot(stated.normalTexture, label, "normal", notes),
-            "emissive": self._slot(stated.emissiveTexture, label, "emissive", notes),
+        textures = {
+            "base": base.baseColorTexture if glossy is None else glossy.diffuseTexture,
+            "rough": base.metallicRoughnessTexture if glossy is None else glossy.specularGlossinessTexture,
+            "normal": stated.normalTexture,
+            "emissive": stated.emissiveTexture,
         }
+        slots = {key: self._slot(info, label, key, notes) for key, info in textures.items()}
         uv_set, transform = _common([slots[key] for key in ("base", "normal", "rough", "emissive")])
         pixels, means = {}, {}
         for key, slot in slots.items():
@@ -107,11 +101,10 @@ class MaterialReader:
             file = label.rpartition(":")[0]  # one note for all its materials
             effect = "objects shade themselves by ray tracing instead"
             notes.append(Note(f"{file}: occlusion textures", effect, "nothing to do"))
-        rows = transform[:2].tolist()
         return Surface(
             material,
             uv_set,
-            ((rows[0][0], rows[0][1], rows[0][2]), (rows[1][0], rows[1][1], rows[1][2])),
+            transform[:2],
             stated.alphaMode == "OPAQUE",
             "KHR_materials_unlit" in stated.extensions,
             stated.doubleSided,
@@ -161,11 +154,10 @@ class MaterialReader:
         )
         tint = self._mean(specular.specularColorTexture, f"{label}.specularColorTexture", notes)[:3]
         colour = tint * np.array(specular.specularColorFactor)
-        red, green, blue = (min(channel * glow, 1e6) for channel in stated.emissiveFactor)
         material = Material(
             specular=share,
             transmission=transmission,
-            emissive=(red, green, blue),
+            emissive=colour_of(min(channel * glow, 1e6) for channel in stated.emissiveFactor),
             alpha_cutoff=min(stated.alphaCutoff, 1.0) if stated.alphaMode == "MASK" else None,
         )
         return _with_reflectance(material, ior.ior, colour, label, notes)
@@ -178,14 +170,13 @@ class MaterialReader:
         means: dict[str, np.ndarray],
     ) -> Material:
         base = stated.pbrMetallicRoughness
-        red, green, blue, alpha = np.array(base.baseColorFactor) * means["base"]
-        metallic = base.metallicFactor * float(means["rough"][2])
+        colour = np.array(base.baseColorFactor) * means["base"]
         return replace(
             material,
-            base_colour=(float(red), float(green), float(blue)),
-            metallic=metallic,
+            base_colour=colour_of(colour[:3]),
+            metallic=base.metallicFactor * float(means["rough"][2]),
             roughness=base.roughnessFactor * float(means["rough"][1]),
-            opacity=1.0 if stated.alphaMode == "OPAQUE" else float(alpha),
+            opacity=1.0 if stated.alphaMode == "OPAQUE" else float(colour[3]),
             base_colour_texture=self._texture(pixels["base"], "opaque" if stated.alphaMode == "OPAQUE" else "colour"),
             metallic_roughness_texture=self._texture(pixels["rough"], "values"),
         )
@@ -199,8 +190,7 @@ class MaterialReader:
         pixels = None if texture is None else self._images.pixels(texture.index, f"{label}.thicknessTexture")
         thickness = volume.thicknessFactor * (1.0 if pixels is None else float(pixels[..., 1].mean()) / 255)
         share = np.array(volume.attenuationColor) ** (thickness / volume.attenuationDistance / 2)
-        red, green, blue = (np.array(material.base_colour) * share).tolist()
-        return replace(material, base_colour=(red, green, blue))
+        return replace(material, base_colour=colour_of(np.array(material.base_colour) * share))
 
     def _from_glossy(
         self,
@@ -214,14 +204,12 @@ class MaterialReader:
         specular, gloss = np.array(glossy.specularFactor), glossy.glossinessFactor
         if pixels["base"] is None and pixels["rough"] is None:
             base, metallic = metal_of(diffuse * means["base"][:3], specular * means["rough"][:3])
-            red, green, blue = base.tolist()
-            roughness = 1 - gloss * float(means["rough"][3])
             opacity = alpha * float(means["base"][3])
             return replace(
                 material,
-                base_colour=(red, green, blue),
+                base_colour=colour_of(base),
                 metallic=float(metallic),
-                roughness=roughness,
+                roughness=1 - gloss * float(means["rough"][3]),
                 opacity=opacity if material.alpha_cutoff is not None or opacity < 1 else 1.0,
             )
         sizes = (image.shape[:2] for image in pixels.values() if image is not None)
@@ -247,12 +235,9 @@ class MaterialReader:
         pixels: dict[str, np.ndarray | None],
         means: dict[str, np.ndarray],
     ) -> Material:
-        red, green, blue = (
-            float(glow * mean) for glow, mean in zip(material.emissive, means["emissive"], strict=False)
-        )
         return replace(
             material,
-            emissive=(red, green, blue),
+            emissive=colour_of(np.array(material.emissive) * means["emissive"][:3]),
             emissive_texture=self._texture(pixels["emissive"], "colour"),
             normal_texture=self._texture(pixels["normal"], "values"),
             normal_scale=1.0 if stated.normalTexture is None else stated.normalTexture.scale,
@@ -330,10 +315,9 @@ def _with_reflectance(
 
 def unlit_of(material: Material) -> Material:
     """Return a surface that emits its base colour and reflects nothing."""
-    black: Colour = (0.0, 0.0, 0.0)
     return replace(
         material,
-        base_colour=black,
+        base_colour=(0.0, 0.0, 0.0),
         metallic=0.0,
         specular=0.0,
         transmission=0.0,

@@ -21,7 +21,8 @@ from roomlight.compositing.objects.gltf.nodes import Placed, placed_meshes
 from roomlight.compositing.objects.gltf.schema import Gltf, Primitive
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import TEXTURES, Material
-from roomlight.compositing.objects.shading import shaded_mesh, with_vertex_colours
+from roomlight.compositing.objects.polygons import face_normals
+from roomlight.compositing.objects.shading import joined_corners, with_vertex_colours
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.errors import ObjectError
 from roomlight.notes import Note, distinct
@@ -138,8 +139,7 @@ def _are_open(meshes: list[TriangleMesh]) -> bool:
     """Return whether the faces' areas do not cancel as vectors, as those of closed surfaces do."""
     whole, total = np.zeros(3), 0.0
     for mesh in meshes:
-        a, b, c = (mesh.vertices[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
-        areas = np.cross(b - a, c - a)
+        areas = face_normals(mesh.vertices, mesh.faces)
         whole, total = whole + areas.sum(axis=0), total + float(np.linalg.norm(areas, axis=1).sum())
     return float(np.linalg.norm(whole)) > _CLOSED * total
 
@@ -227,7 +227,6 @@ class _PrimitiveReader:
             notes.append(Note(f"{label}: no TEXCOORD_{surface.uv_set}", effect, "unwrap the object"))
         points = points.astype(np.float32)
         if normals is None:
-            # the corners' colours follow their vertices through the split
             mesh, colours = _flat(points, arrays)
         else:
             mesh, colours = TriangleMesh.build(points, arrays.faces, normals=normals, uvs=uvs), arrays.colours
@@ -271,8 +270,7 @@ class _PrimitiveReader:
         normals = normals if normals is None or normals.any() else None  # none are stated
         uvs = values(f"TEXCOORD_{surface.uv_set}", "VEC2")
         if uvs is not None:
-            transform = np.array(surface.uv_transform)
-            uvs = (uvs @ transform[:, :2].T + transform[:, 2]).astype(np.float32)
+            uvs = (uvs @ surface.uv_transform[:, :2].T + surface.uv_transform[:, 2]).astype(np.float32)
         colours = values("COLOR_0", ("VEC3", "VEC4"))
         if colours is not None:
             opaque = np.ones((count, 1), np.float32)
@@ -342,13 +340,11 @@ def _flat(
     points: Float32[np.ndarray, "n 3"], arrays: _Arrays
 ) -> tuple[TriangleMesh, Float32[np.ndarray, "m 4"] | None]:
     """Give each triangle its own corners and normal. Raises ObjectError."""
-    if arrays.colours is None:
-        return shaded_mesh(points, arrays.faces, uvs=arrays.uvs, crease_deg=0.0), None
     corners = arrays.faces.reshape(-1)
-    uvs = None if arrays.uvs is None else arrays.uvs[corners]
-    split_points, faces = points[corners], np.arange(len(corners)).reshape(-1, 3)
-    # on split corners the smooth normal is the face's
-    return TriangleMesh.build(split_points, faces, uvs=uvs), arrays.colours[corners]
+    normals = np.repeat(face_normals(points, arrays.faces), 3, axis=0)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    uvs = np.zeros((len(corners), 2), np.float32) if arrays.uvs is None else arrays.uvs[corners]
+    return joined_corners(points[corners], uvs, normals, None if arrays.colours is None else arrays.colours[corners])
 
 
 def _skinned_normals(
