@@ -1,4 +1,4 @@
-"""GLB files for tests: built by hand, so that any part can be wrong."""
+"""GLB and PLY files for tests: built by hand, so that any part can be wrong."""
 
 import json
 import struct
@@ -6,6 +6,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
+
+from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
 
 
 def png(image: np.ndarray) -> bytes:
@@ -47,6 +50,15 @@ class GltfFile:
         textures.append({"source": len(images) - 1})
         return len(textures) - 1
 
+    @property
+    def primitive(self) -> dict[str, Any]:
+        """The first primitive of the first mesh."""
+        return self.tree["meshes"][0]["primitives"][0]
+
+    def attribute(self, name: str, values: np.ndarray, kind: str, component: int = 5126) -> None:
+        """State an attribute of the first primitive; the values are of the component's type."""
+        self.primitive["attributes"][name] = self.accessor(values, kind, component)
+
     def material(self, **values: Any) -> int:
         self.tree.setdefault("materials", []).append(values)
         return len(self.tree["materials"]) - 1
@@ -62,6 +74,32 @@ class GltfFile:
         if material is not None:
             primitive["material"] = material
         self.tree["meshes"].append({"primitives": [primitive]})
+        return len(self.tree["meshes"]) - 1
+
+    def quad(self, **material: Any) -> "GltfFile":
+        """Add `QUAD` with coordinates and a material."""
+        self.node(mesh=self.mesh(QUAD, QUAD_FACES, uvs=QUAD_UVS, material=self.material(**material)))
+        return self
+
+    def draco(self, points, faces, joints: tuple[np.ndarray, np.ndarray] | None = None, **primitive: Any) -> int:
+        """Add a mesh that Draco compresses, with joints and weights [n, 4] or none; skips without the package."""
+        library = pytest.importorskip("DracoPy")
+        extra = {} if joints is None else {"generic_attributes": {7: joints[0], 8: joints[1]}}
+        arrays = np.asarray(points, np.float64), np.asarray(faces, np.uint32)
+        data = library.encode(*arrays, quantization_bits=14, **extra)
+        decoded = library.decode(data)
+        position = next(one for one in decoded.attributes if one["num_components"] == 3)
+        ids = {"POSITION": position["unique_id"]} | ({} if joints is None else {"JOINTS_0": 7, "WEIGHTS_0": 8})
+        first, attributes = len(self.tree["accessors"]), {}
+        for key, (component, kind) in zip(ids, ((5126, "VEC3"), (5121, "VEC4"), (5126, "VEC4")), strict=False):
+            attributes[key] = len(self.tree["accessors"])
+            self.tree["accessors"].append({"componentType": component, "count": len(decoded.points), "type": kind})
+        self.tree["accessors"].append({"componentType": 5125, "count": arrays[1].size, "type": "SCALAR"})
+        stated = {"bufferView": self.view(data), "attributes": ids}
+        extensions = {"KHR_draco_mesh_compression": stated}
+        whole = {"attributes": attributes, "indices": first + len(ids), "extensions": extensions, **primitive}
+        self.tree["meshes"].append({"primitives": [whole]})
+        self.tree["extensionsRequired"] = self.tree["extensionsUsed"] = list(extensions)
         return len(self.tree["meshes"]) - 1
 
     def node(self, *, root: bool = True, **values: Any) -> int:
@@ -82,6 +120,33 @@ def packed(text: bytes, content: bytes) -> bytes:
     content += b"\0" * (-len(content) % 4)
     head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(content), len(text), b"JSON")
     return head + text + struct.pack("<I4s", len(content), b"BIN\0") + content
+
+
+def ply(vertices: np.ndarray, polygons: list[list[int]], kind: str, extra: str = "", rows: list | None = None) -> bytes:
+    """A PLY of polygons; `extra` is a property line of the vertices with `rows` of its values."""
+    endings = {"ascii": "ascii 1.0", "<": "binary_little_endian 1.0", ">": "binary_big_endian 1.0"}
+    head = f"ply\nformat {endings[kind]}\ncomment made\nelement vertex {len(vertices)}\n"
+    head += "property float x\nproperty float y\nproperty float z\n" + extra
+    head += f"element face {len(polygons)}\nproperty list uchar uint vertex_indices\nend_header\n"
+    if kind == "ascii":
+        lines = [" ".join(map(str, [*v.tolist(), *(rows[i] if rows else [])])) for i, v in enumerate(vertices)]
+        lines += [" ".join(map(str, [len(one), *one])) for one in polygons]
+        return (head + "\n".join(lines) + "\n").encode()
+    body = b"".join(
+        np.asarray(v, kind + "f4").tobytes() + (bytes(rows[i]) if rows else b"") for i, v in enumerate(vertices)
+    )
+    body += b"".join(bytes([len(one)]) + np.array(one, kind + "u4").tobytes() for one in polygons)
+    return head.encode() + body
+
+
+def face_normals(mesh: TriangleMesh) -> np.ndarray:
+    """Return twice the area of each triangle along its normal."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
+    return np.cross(b - a, c - a)
+
+
+def area(found: VirtualObject) -> float:
+    return sum(0.5 * float(np.linalg.norm(face_normals(mesh), axis=1).sum()) for mesh, _ in found.parts)
 
 
 QUAD = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]

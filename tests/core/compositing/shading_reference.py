@@ -9,6 +9,7 @@ from roomlight.camera import Intrinsics
 from roomlight.compositing.light.lighting import ProbeSet
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.primitives import plane
+from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.conventions import panorama_directions, panorama_solid_angles
@@ -26,14 +27,44 @@ def look_at(position, target) -> np.ndarray:
     return pose
 
 
+def moved(item: VirtualObject, x: float, y: float = 0.0, z: float = 0.0) -> VirtualObject:
+    pose = np.eye(4)
+    pose[:3, 3] = x, y, z
+    return item.transformed(pose)
+
+
+def wall(material: Material, z: float = 0.0) -> VirtualObject:
+    """Return a square of 4 m at z that faces +z."""
+    return plane(4.0, 4.0, material).transformed(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, z], [0, 0, 0, 1.0]]))
+
+
+def paths(samples: int, bounces: int = 4, **more) -> RenderSettings:
+    return RenderSettings(samples, bounces, denoised=False, **more)
+
+
+def mirrored_rays(camera: Intrinsics, pose: np.ndarray, centre, radius: float) -> tuple[np.ndarray, ...]:
+    """Return where each pixel's ray meets a sphere, its direction after a mirror there, and how deep it would pass.
+
+    The last is the square of half its way through the sphere; below 0 it misses.
+    """
+    rays = camera.rays().astype(float) @ pose[:3, :3].T
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    offset = np.asarray(centre, float) - pose[:3, 3]
+    toward = rays @ offset
+    square = toward**2 - (offset @ offset - radius**2)
+    place = pose[:3, 3] + (toward - np.sqrt(np.maximum(square, 0)))[..., None] * rays
+    normal = (place - centre) / radius
+    return place, rays - 2 * (rays * normal).sum(-1, keepdims=True) * normal, square
+
+
 def plane_radiance(material: Material, panorama, degrees: float, *, samples: int = 1024, seed: int = 0) -> np.ndarray:
     """Render a plane from far away, `degrees` off its normal toward +x; returns each pixel's radiance [64, 3]."""
     angle = np.radians(degrees)
     pose = look_at(1000 * np.array([np.sin(angle), np.cos(angle), 0]), np.zeros(3))
     camera = Intrinsics(800.0, 800.0, 4.0, 4.0, 8, 8)
     scene = TracedObjects([plane(1000.0, 1000.0, material)])
-    quality = RenderSettings(samples, 4, denoised=False)
-    picture = render_objects(scene, camera, pose, ProbeSet.single(panorama), quality=quality, seed=seed)
+    light = ProbeSet.single(panorama)
+    picture = render_objects(scene, camera, pose, light, quality=paths(samples), seed=seed)
     assert picture.alpha.min() == 1
     return picture.radiance.reshape(-1, 3)
 

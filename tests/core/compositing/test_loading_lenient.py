@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, textured_quad
+from gltf_files import QUAD, QUAD_UVS, GltfFile, area, packed, ply, textured_quad
 
 from roomlight.compositing.loading import load_object
-from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.errors import ObjectError
 
 RED = np.array([[1, 0, 0, 0.25]] * 4, np.float32)
@@ -18,25 +17,16 @@ MIXED = np.array([[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 0, 1]], np.fl
 OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
 
 
-def quad(material: dict[str, Any], *, colours: np.ndarray | None = None, uvs: bool = True) -> GltfFile:
-    file = GltfFile()
-    index = file.material(**material)
-    mesh = file.mesh(QUAD, QUAD_FACES, uvs=QUAD_UVS if uvs else None, normals=[[0, 0, 1]] * 4, material=index)
-    if colours is not None:
-        file.tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = file.accessor(colours, "VEC4", 5126)
-    file.node(mesh=mesh)
+def coloured(colours: np.ndarray, **material: Any) -> GltfFile:
+    file = GltfFile().quad(**material)
+    file.attribute("NORMAL", np.array([[0, 0, 1]] * 4, np.float32), "VEC3")
+    file.attribute("COLOR_0", colours, "VEC4")
     return file
-
-
-def area(found: VirtualObject) -> float:
-    ((mesh, _),) = found.parts
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
 @pytest.mark.parametrize("colours", [RED, MIXED], ids=["red", "mixed"])
 def test_unlit_surfaces_emit_their_vertex_colours(colours: np.ndarray) -> None:
-    ((_, material),) = load_object(quad({"extensions": {"KHR_materials_unlit": {}}}, colours=colours).glb()).parts
+    ((_, material),) = load_object(coloured(colours, extensions={"KHR_materials_unlit": {}}).glb()).parts
     assert material.base_colour == (0, 0, 0)
     if colours is RED:
         assert material.emissive == (1, 0, 0)
@@ -47,15 +37,13 @@ def test_unlit_surfaces_emit_their_vertex_colours(colours: np.ndarray) -> None:
 
 @pytest.mark.parametrize(("mode", "opacity"), [("OPAQUE", 1.0), ("BLEND", 0.25), ("blend", 0.25)])
 def test_alpha_of_vertex_colours_counts_unless_the_material_is_opaque(mode: str, opacity: float) -> None:
-    ((_, material),) = load_object(quad({"alphaMode": mode}, colours=RED).glb()).parts
+    ((_, material),) = load_object(coloured(RED, alphaMode=mode).glb()).parts
     assert material.opacity == opacity
 
 
 def test_vertex_colours_keep_the_coordinates_of_an_emissive_texture() -> None:
-    file = quad({}, colours=MIXED)
-    file.tree["materials"][0].update(
-        emissiveTexture={"index": file.image(np.full((2, 2, 3), 90, np.uint8))}, emissiveFactor=[1, 1, 1]
-    )
+    file = coloured(MIXED, emissiveFactor=[1, 1, 1])
+    file.tree["materials"][0]["emissiveTexture"] = {"index": file.image(np.full((2, 2, 3), 90, np.uint8))}
     found = load_object(file.glb())
     ((mesh, _),) = found.parts
     np.testing.assert_array_equal(np.unique(mesh.uvs), [0, 1])
@@ -63,16 +51,18 @@ def test_vertex_colours_keep_the_coordinates_of_an_emissive_texture() -> None:
 
 
 def test_textures_without_coordinates_are_noted() -> None:
-    for uvs, coordinates in ((False, 0), (True, 1)):
-        file = quad({}, uvs=uvs)
+    for coordinates in (0, 1):
+        file = GltfFile()
         texture = {"index": file.image(np.zeros((2, 2, 3), np.uint8)), "texCoord": coordinates}
-        file.tree["materials"][0]["pbrMetallicRoughness"] = {"baseColorTexture": texture}
+        file.quad(pbrMetallicRoughness={"baseColorTexture": texture})
+        if coordinates == 0:
+            del file.primitive["attributes"]["TEXCOORD_0"]
         assert any(f"no TEXCOORD_{coordinates}" in note.left_out for note in load_object(file.glb()).notes)
 
 
 def test_extensions_that_the_file_does_not_declare_are_noted_too() -> None:
-    file = quad({"extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": 1}}})
-    file.tree["meshes"][0]["primitives"][0]["extensions"] = {"KHR_materials_variants": {"mappings": []}}
+    file = GltfFile().quad(extensions={"KHR_materials_clearcoat": {"clearcoatFactor": 1}})
+    file.primitive["extensions"] = {"KHR_materials_variants": {"mappings": []}}
     left_out = [note.left_out for note in load_object(file.glb()).notes]
     assert len(left_out) == 2
     assert "clearcoat" in left_out[0]
@@ -80,7 +70,7 @@ def test_extensions_that_the_file_does_not_declare_are_noted_too() -> None:
 
 
 def test_hidden_nodes_are_left_out() -> None:
-    file = quad({})
+    file = GltfFile().quad()
     file.node(children=[0], root=False)
     file.node(children=[1], root=False, extensions={"KHR_node_visibility": {"visible": False}})
     file.tree["nodes"].append({"mesh": 0, "translation": [5, 0, 0]})
@@ -99,23 +89,34 @@ def test_hidden_nodes_are_left_out() -> None:
         lambda tree: (tree["nodes"].append({"mesh": 0, "scale": [0, 1, 1]}), tree["scenes"][0]["nodes"].append(1)),
         lambda tree: tree.pop("scene"),
         lambda tree: tree["materials"][0].update(alphaMode="opaque", alphaCutoff=None),
+        lambda tree: tree["accessors"][-1].update(count=6.0),
+        lambda tree: tree["nodes"][0].update(camera=None, skin=None, extras={"a": 1}),
+        lambda tree: (
+            tree["accessors"].append({"componentType": 5126, "count": 0, "type": "VEC3"}),
+            tree["meshes"][0]["primitives"].append({"attributes": {"POSITION": len(tree["accessors"]) - 1}}),
+        ),
     ],
 )
 def test_gltf_that_others_read(change: Any) -> None:
-    file = quad({})
+    file = GltfFile().quad()
     change(file.tree)
     assert area(load_object(file.glb())) == pytest.approx(1)
 
 
 def test_containers_that_others_read() -> None:
-    file = quad({})
+    file = GltfFile().quad()
     plain = file.glb()
     text = json.dumps(file.tree).encode()
     longer = plain[:8] + struct.pack("<I", len(plain) + 4) + plain[12:]
     marked = packed(codecs.BOM_UTF8 + text, bytes(file.content))
     padded = packed(text + bytes(-len(text) % 4 + 4), bytes(file.content))
-    for data in (plain, longer, marked, padded):
+    odd, rest = text + b" " * (-len(text) % 4 + 1), plain[20 + struct.unpack_from("<I", plain, 12)[0] :]
+    lengths = [odd + padding + rest for padding in (b"", b" " * (-len(odd) % 4))]  # padded, but not counted
+    heads = [struct.pack("<4sIII4s", b"glTF", 2, 20 + len(both), len(odd), b"JSON") for both in lengths]
+    for data in (plain, plain + bytes(4), longer, marked, padded, *map(bytes.__add__, heads, lengths)):
         assert area(load_object(data)) == pytest.approx(1)
+    with pytest.raises(ObjectError, match="truncated"):
+        load_object(plain[:-4])
 
 
 @pytest.mark.parametrize(
@@ -147,24 +148,19 @@ def test_obj_that_others_read(data: bytes) -> None:
     ],
 )
 def test_ply_colours_by_their_type(kind: str, values: tuple[int, int, int], red: float) -> None:
-    names = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
-    corners = [f"{x} {y} 0 {' '.join(map(str, values))} 9" for x, y, _ in QUAD]
-    text = (
-        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
-        f"{names}property uchar alpha\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    data = codecs.BOM_UTF8 + (text + "\n".join([*corners, "4 0 1 2 3"])).encode()
-    found = load_object(data)
+    names = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue")) + "property uchar alpha\n"
+    data = ply(np.array(QUAD), [[0, 1, 2, 3]], "ascii", names, [[*values, 9]] * 4)
+    found = load_object(codecs.BOM_UTF8 + data)
     ((_, material),) = found.parts
     assert material.base_colour[0] == pytest.approx(red, abs=2e-5)
     assert "alpha" in found.notes[0].left_out
 
 
 def test_mirrored_textures_go_on_mirrored() -> None:
-    file = quad({})
+    file = GltfFile()
     pixels = np.zeros((4, 4, 3), np.uint8)
     pixels[:, 0], pixels[:, 3] = (255, 0, 0), (0, 255, 0)
-    file.tree["materials"][0]["pbrMetallicRoughness"] = {"baseColorTexture": {"index": file.image(pixels)}}
+    file.quad(pbrMetallicRoughness={"baseColorTexture": {"index": file.image(pixels)}})
     file.tree["samplers"] = [{"wrapS": 33648}]
     file.tree["textures"][0]["sampler"] = 0
     ((mesh, material),) = load_object(file.glb()).parts
@@ -174,18 +170,6 @@ def test_mirrored_textures_go_on_mirrored() -> None:
     row = material.base_colour_texture.texels[0, :, :3] // 65535
     assert row.argmax(axis=1)[[0, 3, 4, 7]].tolist() == [0, 1, 1, 0]
     assert row.shape == (8, 3)
-
-
-def test_chunks_of_any_length_follow_each_other() -> None:
-    glb = quad({}).glb()
-    length = struct.unpack_from("<I", glb, 12)[0]
-    text = glb[20 : 20 + length].rstrip(b" ")
-    text += b" " * (-len(text) % 4 + 1)  # one too many
-    rest = glb[20 + length :]
-    for padding in (b"", b" " * (-len(text) % 4)):
-        size = 20 + len(text) + len(padding) + len(rest)
-        data = struct.pack("<4sIII4s", b"glTF", 2, size, len(text), b"JSON") + text + padding + rest
-        assert area(load_object(data)) == pytest.approx(1)
 
 
 @pytest.mark.parametrize(

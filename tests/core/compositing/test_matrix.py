@@ -22,6 +22,7 @@ from roomlight.sample import sample_capture
 from rooms import BoxRoom, camera_at
 
 QUALITIES = ("preview", "good", "final")
+MARKED = [QUALITIES[0], *(pytest.param(quality, marks=pytest.mark.slow) for quality in QUALITIES[1:])]
 WHITE = 1.0
 """The brightest wall of the room has 0.9."""
 ROOM = BoxRoom(block=((-1.3, 0.0, -1.4), (-0.5, 0.6, -0.8)))
@@ -47,9 +48,7 @@ def session() -> Session:
     return room
 
 
-@pytest.fixture(
-    scope="module", params=[QUALITIES[0], *(pytest.param(quality, marks=pytest.mark.slow) for quality in QUALITIES[1:])]
-)
+@pytest.fixture(scope="module", params=MARKED)
 def compositor(request: pytest.FixtureRequest, session: Session) -> Iterator[Compositor]:
     made = Compositor(session, OBJECTS, quality=request.param)
     yield made
@@ -58,11 +57,8 @@ def compositor(request: pytest.FixtureRequest, session: Session) -> Iterator[Com
 
 def test_shapes_are_lit_by_the_room_without_seams_and_stand_on_the_floor(compositor: Compositor) -> None:
     picture = compositor.composite(VIEW)
-    for layer in (picture.objects, picture.alpha, picture.shadow):
-        assert np.isfinite(layer).all()
+    check_light(picture)
     assert set(np.unique(picture.object_id)) == set(range(-1, len(OBJECTS)))
-    assert picture.radiance.max() < WHITE  # no lamp is in the room
-    assert picture.shadow.max() < 1.35  # light that white objects give
     for name in ("cube", "plane", "chair"):
         assert largest_step(picture.objects[..., 1], picture.object_id == list(SHAPES).index(name)) < 0.15
     for name in ("cube", "chair", "vase"):
@@ -103,28 +99,15 @@ def table(kind: str) -> VirtualObject:
         pbr["baseColorTexture"] = {"index": file.image(stripes), "extensions": moved}
     number, more = file.material(**material), {}
     if kind == "draco":
-        library = pytest.importorskip("DracoPy")
-        data = library.encode(points.astype(np.float64), faces.astype(np.uint32), quantization_bits=14)
-        decoded = library.decode(data)
-        stated = {"bufferView": file.view(data), "attributes": {"POSITION": decoded.attributes[0]["unique_id"]}}
-        file.tree["accessors"] = [
-            {"componentType": 5126, "count": len(decoded.points), "type": "VEC3"},
-            {"componentType": 5125, "count": faces.size, "type": "SCALAR"},
-        ]
-        extensions = {"KHR_draco_mesh_compression": stated}
-        primitive = {"attributes": {"POSITION": 0}, "indices": 1, "material": number, "extensions": extensions}
-        file.tree["meshes"] = [{"primitives": [primitive]}]
-        file.tree["extensionsRequired"] = file.tree["extensionsUsed"] = list(extensions)
+        file.draco(points, faces, material=number)
     else:
         file.mesh(points, faces, uvs=uvs, normals=normals, material=number)
-    attributes = file.tree["meshes"][0]["primitives"][0]["attributes"]
     if kind == "vertex colours":
         colours = np.linspace(0.2, 0.8, 3 * len(points), dtype=np.float32).reshape(-1, 3)
-        attributes["COLOR_0"] = file.accessor(colours, "VEC3", 5126)
+        file.attribute("COLOR_0", colours, "VEC3")
     if kind == "skin":  # a joint that shrinks what its bind pose enlarges
-        attributes["JOINTS_0"] = file.accessor(np.zeros((len(points), 4), np.uint8), "VEC4", 5121)
-        weights = np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1))
-        attributes["WEIGHTS_0"] = file.accessor(weights, "VEC4", 5126)
+        file.attribute("JOINTS_0", np.zeros((len(points), 4), np.uint8), "VEC4", 5121)
+        file.attribute("WEIGHTS_0", np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1)), "VEC4")
         bind = np.diag([100.0, 100, 100, 1]).astype(np.float32).reshape(1, 16)
         file.tree["skins"] = [{"joints": [1], "inverseBindMatrices": file.accessor(bind, "MAT4", 5126)}]
         more = {"skin": 0}
@@ -134,18 +117,13 @@ def table(kind: str) -> VirtualObject:
     return load_object(file.glb())
 
 
-@pytest.mark.parametrize(
-    "quality", [QUALITIES[0], *(pytest.param(quality, marks=pytest.mark.slow) for quality in QUALITIES[1:])]
-)
+@pytest.mark.parametrize("quality", MARKED)
 def test_files_are_lit_by_the_room_without_seams_and_stand_on_every_foot(session: Session, quality: str) -> None:
     scene = [SceneObject(kind, table(kind), AtPosition(place)) for kind, place in TABLES.items()]
     made = Compositor(session, scene, quality=quality)
     picture = made.composite(ROOM.frame(VIEW.camera_to_world, index=20, width=400, height=300))
     made.close()
-    for layer in (picture.objects, picture.alpha, picture.shadow):
-        assert np.isfinite(layer).all()
-    assert picture.radiance.max() < WHITE
-    assert picture.shadow.max() < 1.35
+    check_light(picture)
     for number, (x, y, z) in enumerate(TABLES.values()):
         assert largest_step(picture.objects[..., 1], picture.object_id == number) < 0.15
         feet = [contact_of_foot(picture, np.array([x + aside, y, z + along])) for aside, along in LEGS]
@@ -169,6 +147,13 @@ def test_objects_in_the_frames_of_a_recording_have_no_seams_and_cast_no_light() 
             assert largest_step(picture.objects[..., 1], picture.object_id == 0) < 0.2
         assert len(frames[::10]) > 2
         made.close()
+
+
+def check_light(picture: Composite) -> None:
+    for layer in (picture.objects, picture.alpha, picture.shadow):
+        assert np.isfinite(layer).all()
+    assert picture.radiance.max() < WHITE  # no lamp is in the room
+    assert picture.shadow.max() < 1.35  # light that white objects give
 
 
 def contact_of_foot(picture: Composite, foot: np.ndarray) -> float:

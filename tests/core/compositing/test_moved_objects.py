@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shading_reference import moved
 
 from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import diffuse, mirror
@@ -20,43 +21,41 @@ def turned(angle: float = 0.7) -> np.ndarray:
 
 
 def objects() -> list:
-    aside = np.eye(4)
-    aside[:3, 3] = 0.6, 0.1, 0
-    return [sphere(0.2, mirror()), cube(0.3, diffuse((0.5, 0.4, 0.3))).transformed(aside)]
+    return [sphere(0.2, mirror()), moved(cube(0.3, diffuse((0.5, 0.4, 0.3))), 0.6, 0.1)]
 
 
 def test_moved_scene_meets_rays_as_a_scene_built_anew() -> None:
-    moved = TracedObjects(objects()).moved(turned())
+    shifted = TracedObjects(objects()).moved(turned())
     built = TracedObjects([one.transformed(turned()) for one in objects()])
     rng = np.random.default_rng(0)
     origins = rng.uniform(-1, 2, (4000, 3)).astype(np.float32)
     toward = np.array([0.5, -0.2, 0.9]) + rng.normal(0, 0.3, (4000, 3)) - origins
     directions = (toward / np.linalg.norm(toward, axis=1, keepdims=True)).astype(np.float32)
-    a, b = moved.trace(origins, directions), built.trace(origins, directions)
+    a, b = shifted.trace(origins, directions), built.trace(origins, directions)
     same = a.face == b.face
     assert same.mean() > 0.999  # a ray through an edge may meet either triangle
     assert (a.face >= 0).mean() > 0.3
     hit = same & (a.face >= 0)
     assert_allclose(a.distance_m[hit], b.distance_m[hit], atol=1e-4)
-    assert (moved.blocked(origins, directions) == built.blocked(origins, directions)).mean() > 0.999
+    assert (shifted.blocked(origins, directions) == built.blocked(origins, directions)).mean() > 0.999
 
 
 def test_moved_scene_has_the_surfaces_of_a_scene_built_anew() -> None:
-    moved = TracedObjects(objects()).moved(np.eye(4)).moved(turned())  # moves count from the first place
+    shifted = TracedObjects(objects()).moved(np.eye(4)).moved(turned())  # moves count from the first place
     built = TracedObjects([one.transformed(turned()) for one in objects()])
     for name in ("corners", "normals"):
-        assert_allclose(getattr(moved.surfaces, name), getattr(built.surfaces, name), atol=1e-6)
-    assert_array_equal(moved.surfaces.object_id, built.surfaces.object_id)
-    assert_allclose(moved.bounds(), built.bounds(), atol=1e-6)
+        assert_allclose(getattr(shifted.surfaces, name), getattr(built.surfaces, name), atol=1e-6)
+    assert_array_equal(shifted.surfaces.object_id, built.surfaces.object_id)
+    assert_allclose(shifted.bounds(), built.bounds(), atol=1e-6)
 
 
 def test_a_turned_plate_shades_less_ground() -> None:
     lying = TracedObjects([plane(0.4, 0.4)])
-    before = lying.shade_radii()[0]
+    before = lying.shade_radii[0]
     upright = np.eye(4)
     upright[1:3, 1:3] = [[0, -1], [1, 0]]
-    assert lying.moved(upright).shade_radii()[0] < 0.1 * before
-    assert lying.moved(turned()).shade_radii()[0] == pytest.approx(before, rel=1e-5)
+    assert lying.moved(upright).shade_radii[0] < 0.1 * before
+    assert lying.moved(turned()).shade_radii[0] == pytest.approx(before, rel=1e-5)
     with pytest.raises(ValueError, match="rigid"):
         lying.moved(np.diag([1.01, 1.01, 1.01, 1.0]))
 

@@ -5,21 +5,22 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from shading_reference import look_at
+from shading_reference import look_at, mirrored_rays, moved, paths, wall
 
 from roomlight.camera import Intrinsics
 from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glass, glossy, mirror, rough_metal
 from roomlight.compositing.objects.primitives import cube, plane, sphere
+from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.rendering import renderer
-from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
+from roomlight.compositing.rendering.renderer import RenderedObjects, RenderSettings, render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.conventions import linear_to_srgb
 from roomlight.errors import ObjectError, OptionError
 
 CAMERA = Intrinsics(60.0, 60.0, 32.0, 24.0, 64, 48)
 POSE = look_at((0, 0, 2), (0, 0, 0))
-FEW = RenderSettings(16, 4, denoised=False)
+FEW = paths(16)
 
 
 def panorama(seed: int = 0, rows: int = 32) -> np.ndarray:
@@ -27,38 +28,29 @@ def panorama(seed: int = 0, rows: int = 32) -> np.ndarray:
     return np.kron(small, np.ones((rows // 4, rows // 4, 1))).astype(np.float32)
 
 
-def moved(one, x: float, y: float = 0.0, z: float = 0.0):
-    pose = np.eye(4)
-    pose[:3, 3] = x, y, z
-    return one.transformed(pose)
+def rendered(
+    objects, light: ProbeSet | np.ndarray | float, quality: str | RenderSettings = FEW, pose=POSE, **more
+) -> RenderedObjects:
+    """Render objects under probes, under a panorama, or under even light."""
+    if not isinstance(light, ProbeSet):
+        light = ProbeSet.single(light if isinstance(light, np.ndarray) else np.full((16, 32, 3), light, np.float32))
+    return render_objects(TracedObjects(objects), CAMERA, pose, light, quality=quality, **more)
 
 
 def test_mirror_sphere_shows_the_panorama_itself() -> None:
-    light = ProbeSet.single(panorama())
-    picture = render_objects(
-        TracedObjects([sphere(0.5, mirror())]), CAMERA, POSE, light, quality=RenderSettings(1, 4, denoised=False)
-    )
-    preview = render_objects(TracedObjects([sphere(0.5, mirror())]), CAMERA, POSE, light, quality="preview")
-    rays = CAMERA.rays().reshape(-1, 3).astype(float)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    towards = np.array([0, 0, 2.0]) @ rays.T
-    root = towards**2 - (4 - 0.25)
-    hit = root > 0.1  # away from the outline
-    distance = -towards - np.sqrt(np.maximum(root, 0))
-    normal = (np.array([0, 0, 2.0]) + distance[:, None] * rays) / 0.5
-    mirrored = rays - 2 * (rays * normal).sum(1, keepdims=True) * normal
+    light, ball = ProbeSet.single(panorama()), sphere(0.5, mirror())
+    picture, preview = (rendered([ball], light, quality) for quality in (paths(1), "preview"))
+    _, mirrored, square = mirrored_rays(CAMERA, POSE, np.zeros(3), 0.5)
+    hit = square > 0.1  # away from the outline
     exact = light.radiance(np.zeros((int(hit.sum()), 3)), mirrored[hit])
     # the sphere is made of triangles: directions are off by up to 0.2 degrees, on a panorama of 5.6 degrees a pixel
-    shown = preview.radiance.reshape(-1, 3)[hit]
-    assert np.abs(shown - exact).mean() < 0.005
-    assert np.abs(picture.radiance.reshape(-1, 3)[hit] - exact).mean() < 0.08  # drawn anywhere in the pixel
+    assert np.abs(preview.radiance[hit] - exact).mean() < 0.005
+    assert np.abs(picture.radiance[hit] - exact).mean() < 0.08  # drawn anywhere in the pixel
 
 
 def test_the_rim_of_a_mirror_has_no_dots_in_a_preview() -> None:
     """A pixel of the rim shows much of the room: its middle alone is any colour."""
-    light, scene = ProbeSet.single(panorama()), TracedObjects([sphere(0.5, mirror())])
-    many = render_objects(scene, CAMERA, POSE, light, quality=RenderSettings(1024, 4, denoised=False))
-    preview = render_objects(scene, CAMERA, POSE, light, quality="preview")
+    many, preview = (rendered([sphere(0.5, mirror())], panorama(), quality) for quality in (paths(1024), "preview"))
     inside = (many.alpha == 1).astype(np.uint8)
     rim = (inside > 0) & (cv2.erode(inside, np.ones((3, 3), np.uint8)) == 0)
     assert rim.sum() > 40
@@ -66,21 +58,20 @@ def test_the_rim_of_a_mirror_has_no_dots_in_a_preview() -> None:
 
 
 def test_diffuse_sphere_under_constant_light_is_its_albedo() -> None:
-    light = ProbeSet.single(np.full((16, 32, 3), (1, 2, 3), np.float32))
-    scene = TracedObjects([sphere(0.5, diffuse((0.8, 0.5, 0.2)))])
-    for quality, tolerance in (("preview", 0.002), (RenderSettings(64, 4, denoised=False), 0.01)):
-        picture = render_objects(scene, CAMERA, POSE, light, quality=quality)
+    light = np.full((16, 32, 3), (1, 2, 3), np.float32)
+    for quality, tolerance in (("preview", 0.002), (paths(64), 0.01)):
+        picture = rendered([sphere(0.5, diffuse((0.8, 0.5, 0.2)))], light, quality)
         inside = picture.radiance[picture.alpha == 1]
         np.testing.assert_allclose(inside.mean(axis=0), [0.8, 1.0, 0.6], rtol=tolerance)
 
 
 def test_pixels_without_noise_get_the_least_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """A mirror under smooth light needs all samples on its outline alone, a glossy sphere under lamps elsewhere too."""
-    paths: list[int] = []
+    counts: list[int] = []
     traced = renderer._traced
 
     def counted(scene, world, view, settings, span, background):
-        paths.append(len(view.column) * span[1])
+        counts.append(len(view.column) * span[1])
         return traced(scene, world, view, settings, span, background)
 
     monkeypatch.setattr(renderer, "_traced", counted)
@@ -89,11 +80,9 @@ def test_pixels_without_noise_get_the_least_samples(monkeypatch: pytest.MonkeyPa
     for material, light in ((mirror(), smooth), (glossy(), ProbeSet.single(20 * panorama() ** 8))):
         pictures, taken = [], []
         for least in (16, 0):
-            paths.clear()
-            quality = RenderSettings(64, 4, denoised=False, least=least)
-            scene = TracedObjects([sphere(0.5, material)])
-            pictures.append(render_objects(scene, CAMERA, POSE, light, quality=quality))
-            taken.append(sum(paths))
+            counts.clear()
+            pictures.append(rendered([sphere(0.5, material)], light, paths(64, least=least)))
+            taken.append(sum(counts))
         shown = [linear_to_srgb(picture.radiance[pictures[1].alpha == 1].clip(0, 1)) for picture in pictures]
         assert np.abs(shown[0] - shown[1]).mean() < 2 / 255
         assert np.abs(pictures[0].alpha - pictures[1].alpha).max() < 0.1  # a corner of a pixel that 16 points miss
@@ -104,47 +93,32 @@ def test_pixels_without_noise_get_the_least_samples(monkeypatch: pytest.MonkeyPa
 
 def test_neighbours_are_averaged_as_far_as_they_look_alike() -> None:
     """Smoothing takes noise from rough faces, and leaves mirrors and the borders of colours."""
-    light = ProbeSet.single(panorama())
-    pair = (
-        moved(cube(0.5, rough_metal(0.5, (0.8, 0.2, 0.1))), -0.26),
-        moved(cube(0.5, rough_metal(0.5, (0.1, 0.2, 0.8))), 0.26),
-    )
-    scenes = {"rough": TracedObjects(pair), "mirror": TracedObjects([sphere(0.5, mirror())])}
-    plain, smooth, truth = (
-        {
-            name: render_objects(scene, CAMERA, POSE, light, quality=RenderSettings(count, 4, denoised=False, **extra))
-            for name, scene in scenes.items()
-        }
-        for count, extra in ((16, {}), (16, {"smoothed": True}), (512, {}))
-    )
-    np.testing.assert_array_equal(smooth["mirror"].radiance, plain["mirror"].radiance)
-    inside = truth["rough"].alpha == 1
-    noisy = inside & np.any(plain["rough"].radiance != smooth["rough"].radiance, axis=-1)
+    colours = {-0.26: (0.8, 0.2, 0.1), 0.26: (0.1, 0.2, 0.8)}
+    pair = [moved(cube(0.5, rough_metal(0.5, colour)), x) for x, colour in colours.items()]
+    qualities = paths(16), paths(16, smoothed=True)
+    plain, smooth = (rendered([sphere(0.5, mirror())], panorama(), quality).radiance for quality in qualities)
+    np.testing.assert_array_equal(smooth, plain)
+    truth = rendered(pair, panorama(), paths(512))
+    plain, smooth = (rendered(pair, panorama(), quality).radiance for quality in qualities)
+    inside = truth.alpha == 1
+    noisy = inside & np.any(plain != smooth, axis=-1)
     assert noisy.sum() > 100
-    errors = [np.abs(one["rough"].radiance - truth["rough"].radiance)[noisy].mean() for one in (smooth, plain)]
+    errors = [np.abs(radiance - truth.radiance)[noisy].mean() for radiance in (smooth, plain)]
     assert errors[0] < 0.6 * errors[1]
-    np.testing.assert_allclose(smooth["rough"].radiance[inside].mean(0), plain["rough"].radiance[inside].mean(0), 0.01)
+    np.testing.assert_allclose(smooth[inside].mean(0), plain[inside].mean(0), 0.01)
 
 
 def test_same_inputs_and_seed_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = TracedObjects([sphere(0.4, glossy()), moved(cube(0.4, glass()), 0.5)])
-    light = ProbeSet.single(panorama())
-    first = render_objects(scene, CAMERA, POSE, light, quality=FEW, seed=3)
+    objects = [sphere(0.4, glossy()), moved(cube(0.4, glass()), 0.5)]
+    first = rendered(objects, panorama(), seed=3)
     monkeypatch.setenv("ROOMLIGHT_THREADS", "1")
-    second = render_objects(scene, CAMERA, POSE, light, quality=FEW, seed=3)
-    other = render_objects(scene, CAMERA, POSE, light, quality=FEW, seed=4)
+    second, other = (rendered(objects, panorama(), seed=seed) for seed in (3, 4))
     assert first.radiance.tobytes() == second.radiance.tobytes()
     assert first.radiance.tobytes() != other.radiance.tobytes()
 
 
 def test_alpha_is_the_covered_share_of_each_pixel() -> None:
-    picture = render_objects(
-        TracedObjects([sphere(0.5, diffuse())]),
-        CAMERA,
-        POSE,
-        ProbeSet.single(panorama()),
-        quality=RenderSettings(64, 2, denoised=False),
-    )
+    picture = rendered([sphere(0.5, diffuse())], panorama(), paths(64, 2))
     outline = np.pi * (60 * 0.5 / np.sqrt(4 - 0.25)) ** 2
     assert picture.alpha.sum() == pytest.approx(outline, rel=0.005)
     edges = (picture.alpha > 0) & (picture.alpha < 1)
@@ -156,9 +130,7 @@ def test_alpha_is_the_covered_share_of_each_pixel() -> None:
 
 @pytest.mark.parametrize("quality", ["preview", FEW])
 def test_depth_is_along_the_optical_axis(quality) -> None:
-    wall = plane(4.0, 4.0).transformed(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, -1], [0, 0, 0, 1.0]]))
-    picture = render_objects(TracedObjects([wall]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
-    np.testing.assert_allclose(picture.depth_m, 3, rtol=1e-5)
+    np.testing.assert_allclose(rendered([wall(diffuse(), -1)], panorama(), quality).depth_m, 3, rtol=1e-5)
 
 
 def test_objects_shadow_each_other() -> None:
@@ -166,9 +138,8 @@ def test_objects_shadow_each_other() -> None:
     light[:6] = 1.0  # from above
     ground = plane(2.0, 2.0, diffuse((1.0, 1.0, 1.0)))
     above = look_at((0, 1.5, 2), (0, 0, 0))
-    bare = render_objects(TracedObjects([ground]), CAMERA, above, ProbeSet.single(light), quality=FEW)
-    covered = TracedObjects([ground, moved(plane(0.8, 0.8, diffuse((0.0, 0.0, 0.0))), 0, 0.3)])
-    shadowed = render_objects(covered, CAMERA, above, ProbeSet.single(light), quality=FEW)
+    cover = moved(plane(0.8, 0.8, diffuse((0.0, 0.0, 0.0))), 0, 0.3)
+    bare, shadowed = (rendered(objects, light, pose=above) for objects in ([ground], [ground, cover]))
     seen = (shadowed.object_id == 0) & (shadowed.alpha == 1)
     ratio = shadowed.radiance[seen].sum(axis=1) / bare.radiance[seen].sum(axis=1)
     assert ratio.min() < 0.4
@@ -177,9 +148,7 @@ def test_objects_shadow_each_other() -> None:
 
 def test_objects_reflect_each_other() -> None:
     red = moved(sphere(0.4, Material(base_colour=(0.0, 0.0, 0.0), specular=0.0, emissive=(5.0, 0.0, 0.0))), 0.9)
-    scene = TracedObjects([sphere(0.4, mirror()), red])
-    light = ProbeSet.single(np.full((16, 32, 3), 0.1, np.float32))
-    picture = render_objects(scene, CAMERA, POSE, light, quality=FEW)
+    picture = rendered([sphere(0.4, mirror()), red], 0.1)
     on_mirror = picture.radiance[picture.object_id == 0]
     assert on_mirror[:, 0].max() > 4.5
     assert on_mirror[:, 1].max() < 0.11
@@ -191,35 +160,24 @@ def test_mirrors_and_glass_leave_no_bright_dots_on_matte_ground() -> None:
     ground = plane(2.0, 2.0, diffuse())
     above = look_at((0, 1.0, 2), (0, 0, 0))
     for material in (mirror(), glass()):
-        scene = TracedObjects([ground, moved(sphere(0.3, material), 0, 0.3)])
-        picture = render_objects(
-            scene, CAMERA, above, ProbeSet.single(light), quality=RenderSettings(64, 6, denoised=False)
-        )
+        picture = rendered([ground, moved(sphere(0.3, material), 0, 0.3)], light, paths(64, 6), above)
         matte = picture.radiance[(picture.object_id == 0) & (picture.alpha == 1)][:, 1]
         assert matte.max() < 5 * np.median(matte), material
 
 
 def test_closed_box_of_mirrors_ends_paths() -> None:
-    inside = look_at((0.1, 0.05, 0.1), (0, 0, -1))
-    picture = render_objects(
-        TracedObjects([cube(1.0, mirror())]), CAMERA, inside, ProbeSet.single(panorama()), quality=FEW
-    )
+    picture = rendered([cube(1.0, mirror())], panorama(), pose=look_at((0.1, 0.05, 0.1), (0, 0, -1)))
     assert picture.alpha.min() == 1
     assert picture.radiance.max() == 0  # no light gets in
 
 
 def test_glass_shows_the_background_behind_it() -> None:
-    pane = plane(4.0, 4.0, glass(ior=1.0)).transformed(
-        np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
-    )
-
     def background(directions: np.ndarray) -> np.ndarray:
         seen = np.tile(np.array([3.0, 0, 0], np.float32), (len(directions), 1))
         seen[directions[:, 0] < 0] = np.nan  # not in the frame
         return seen
 
-    light = ProbeSet.single(np.full((16, 32, 3), 0.25, np.float32))
-    picture = render_objects(TracedObjects([pane]), CAMERA, POSE, light, quality=FEW, background=background)
+    picture = rendered([wall(glass(ior=1.0))], 0.25, background=background)
     assert picture.alpha.min() == 1
     np.testing.assert_allclose(picture.radiance[:, 40:], np.broadcast_to([3, 0, 0], (48, 24, 3)), rtol=1e-4)
     np.testing.assert_allclose(picture.radiance[:, :24], 0.25, rtol=1e-4)
@@ -227,8 +185,7 @@ def test_glass_shows_the_background_behind_it() -> None:
 
 def test_more_glass_than_paths_can_cross_is_not_black() -> None:
     nested = [cube(0.2 + 0.15 * k, glass()) for k in range(4)]  # eight surfaces, of which paths cross four
-    light = ProbeSet.single(np.ones((32, 64, 3), np.float32))
-    picture = render_objects(TracedObjects(nested), CAMERA, POSE, light, quality=FEW)
+    picture = rendered(nested, 1)
     covered = picture.radiance[picture.alpha == 1]
     assert covered.mean() == pytest.approx(1, rel=0.02)  # nothing absorbs the even light
 
@@ -237,13 +194,7 @@ def test_glass_sphere_turns_the_light_upside_down() -> None:
     light = np.zeros((32, 64, 3), np.float32)
     light[:16] = (0, 0, 1)  # blue above
     light[16:] = (0, 1, 0)
-    picture = render_objects(
-        TracedObjects([sphere(0.5, glass(1.5))]),
-        CAMERA,
-        POSE,
-        ProbeSet.single(light),
-        quality=RenderSettings(64, 8, denoised=False),
-    )
+    picture = rendered([sphere(0.5, glass(1.5))], light, paths(64, 8))
     upper, lower = picture.radiance[18, 32], picture.radiance[30, 32]
     assert upper[1] > 0.8
     assert upper[2] < 0.2
@@ -252,67 +203,48 @@ def test_glass_sphere_turns_the_light_upside_down() -> None:
 
 def test_cut_out_shows_what_is_behind() -> None:
     hole = Material(specular=0.0, opacity=0.3, alpha_cutoff=0.5)
-    wall = plane(4.0, 4.0, hole).transformed(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 1], [0, 0, 0, 1.0]]))
     behind = sphere(0.4, diffuse())
-    light = ProbeSet.single(panorama())
-    alone = render_objects(TracedObjects([behind]), CAMERA, POSE, light, quality=RenderSettings(64, 3, denoised=False))
-    covered = render_objects(
-        TracedObjects([behind, wall]), CAMERA, POSE, light, quality=RenderSettings(64, 3, denoised=False)
-    )
+    alone, covered = (rendered(some, panorama(), paths(64, 3)) for some in ([behind], [behind, wall(hole, 1)]))
     assert covered.alpha[0, 0] == 0
     np.testing.assert_allclose(covered.alpha, alone.alpha, atol=0.05)
     # shadow rays take the wall for solid
     assert covered.depth_m[24, 32] == pytest.approx(alone.depth_m[24, 32], rel=1e-3)
 
 
-@pytest.mark.parametrize("quality", ["good", RenderSettings(256, 8, denoised=False)])
+@pytest.mark.parametrize("quality", ["good", paths(256, 8)])
 def test_a_cut_out_of_which_nothing_is_left_takes_no_light(quality) -> None:
     grey = diffuse((0.8, 0.8, 0.8))
-    wall, light = moved(cube(1.0, grey), 0, 0, -0.5), ProbeSet.single(panorama())
-    gone = moved(cube(0.6, replace(grey, opacity=0.0, alpha_cutoff=0.5)), 0, 0, 0.35)
-    bare, behind = (
-        render_objects(TracedObjects(objects), CAMERA, POSE, light, quality=quality).radiance[18:30, 26:38]
-        for objects in ([wall], [wall, gone])
-    )
+    back, gone = cube(1.0, grey), cube(0.6, replace(grey, opacity=0.0, alpha_cutoff=0.5))
+    objects = [moved(back, 0, 0, -0.5), moved(gone, 0, 0, 0.35)]
+    bare, behind = (rendered(some, panorama(), quality).radiance[18:30, 26:38] for some in (objects[:1], objects))
     np.testing.assert_allclose(behind.mean((0, 1)), bare.mean((0, 1)), rtol=0.02)
     assert behind.std() < 1.5 * bare.std() + 0.02  # as smooth
 
 
 def test_half_opacity_covers_half() -> None:
-    wall = plane(4.0, 4.0, Material(opacity=0.5)).transformed(
-        np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
-    )
-    for quality in ("preview", RenderSettings(64, 3, denoised=False)):
-        picture = render_objects(TracedObjects([wall]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
+    for quality in ("preview", paths(64, 3)):
+        picture = rendered([wall(Material(opacity=0.5))], panorama(), quality)
         assert picture.alpha.mean() == pytest.approx(0.5, abs=0.01)
 
 
 def test_light_changes_over_a_long_object() -> None:
-    probes = ProbeSet(
-        [
-            LightSampler(np.full((8, 16, 3), 1.0, np.float32), (-1.0, 0.0, 0.0)),
-            LightSampler(np.full((8, 16, 3), 3.0, np.float32), (1.0, 0.0, 0.0)),
-        ]
-    )
+    lights = {(-1.0, 0.0, 0.0): 1.0, (1.0, 0.0, 0.0): 3.0}
+    probes = ProbeSet([LightSampler(np.full((8, 16, 3), level), place) for place, level in lights.items()])
     beam = plane(2.0, 0.4, diffuse((1.0, 1.0, 1.0)))
     above = look_at((0, 2, 0), (0, 0, 0))
     for quality in ("preview", FEW):
-        picture = render_objects(TracedObjects([beam]), CAMERA, above, probes, quality=quality)
-        row = picture.radiance[24, :, 1]
+        row = rendered([beam], probes, quality, above).radiance[24, :, 1]
         assert row[4] == pytest.approx(1, abs=0.1)
         assert row[32] == pytest.approx(2, abs=0.15)
         assert row[59] == pytest.approx(3, abs=0.1)
 
 
-@pytest.mark.parametrize("quality", ["preview", RenderSettings(16, 6, denoised=False)])
+@pytest.mark.parametrize("quality", ["preview", paths(16, 6)])
 def test_mirrors_and_glass_show_a_light_of_their_own(quality) -> None:
-    position = (0.0, 0.0, 0.0)
-    lit = [LightSampler(np.full((8, 16, 3), 2.0, np.float32), position)]
-    shown = [LightSampler(np.full((8, 16, 3), 1.0, np.float32), position)]
-    light = ProbeSet(lit, mirrored=shown)
+    lit, shown = (LightSampler(np.full((8, 16, 3), level)) for level in (2.0, 1.0))
 
     def mean(material: Material) -> float:
-        picture = render_objects(TracedObjects([sphere(0.5, material)]), CAMERA, POSE, light, quality=quality)
+        picture = rendered([sphere(0.5, material)], ProbeSet([lit], mirrored=[shown]), quality)
         return float(picture.radiance[picture.alpha == 1].mean())
 
     assert mean(mirror()) == pytest.approx(1, rel=0.01)
@@ -332,51 +264,31 @@ def test_what_mirrors_show_is_resampled_and_must_be_at_the_same_positions() -> N
 
 
 def test_normal_texture_tilts_the_surface() -> None:
-    from roomlight.compositing.objects.textures import Texture
-
     tilted = np.zeros((1, 1, 3), np.float32)
     tilted[0, 0] = 0.5 + 0.5 * np.array([np.sin(np.pi / 4), 0, np.cos(np.pi / 4)])  # 45 degrees toward growing u = +x
     light = np.zeros((32, 64, 3), np.float32)
     light[:, 28:36] = 1  # around +x
     above = look_at((0, 3, 0.001), (0, 0, 0))
-    plain = TracedObjects([plane(1.0, 1.0, diffuse((1.0, 1.0, 1.0)))])
-    bent = TracedObjects(
-        [plane(1.0, 1.0, Material((1.0, 1.0, 1.0), specular=0.0, normal_texture=Texture.from_linear(tilted)))]
-    )
+    plain = diffuse((1.0, 1.0, 1.0))
+    bent = replace(plain, normal_texture=Texture.from_linear(tilted))
     before, after = (
-        render_objects(one, CAMERA, above, ProbeSet.single(light), quality="preview").radiance[24, 32, 0]
-        for one in (plain, bent)
+        rendered([plane(1.0, 1.0, material)], light, "preview", above).radiance[24, 32, 0] for material in (plain, bent)
     )
     assert after > 1.5 * before
 
 
-def test_objects_behind_the_camera_are_not_drawn() -> None:
-    scene = TracedObjects([moved(sphere(0.3), 0, 0, 5)])
-    picture = render_objects(scene, CAMERA, POSE, ProbeSet.single(panorama()), quality=FEW)
-    assert picture.alpha.max() == 0
-
-
-def test_camera_inside_an_object_is_drawn() -> None:
-    picture = render_objects(
-        TracedObjects([sphere(5.0)]),
-        CAMERA,
-        POSE,
-        ProbeSet.single(panorama()),
-        quality=RenderSettings(1, 2, denoised=False),
-    )
-    assert picture.alpha.min() == 1
+def test_objects_behind_the_camera_are_not_drawn_and_around_it_are() -> None:
+    assert rendered([moved(sphere(0.3), 0, 0, 5)], panorama()).alpha.max() == 0
+    assert rendered([sphere(5.0)], panorama(), paths(1, 2)).alpha.min() == 1
 
 
 @pytest.mark.slow  # Open Image Denoise loads for seconds
 def test_final_is_denoised_only_where_objects_are() -> None:
     pytest.importorskip("pyoidn")
-    quality = RenderSettings(4, 3, denoised=True)
     light = panorama()
     light[5, 9] = 300
-    scene = TracedObjects([sphere(0.5, rough_metal())])
-    noisy = render_objects(scene, CAMERA, POSE, ProbeSet.single(light), quality=RenderSettings(4, 3, denoised=False))
-    clean = render_objects(scene, CAMERA, POSE, ProbeSet.single(light), quality=quality)
-    truth = render_objects(scene, CAMERA, POSE, ProbeSet.single(light), quality=RenderSettings(512, 3, denoised=False))
+    qualities = paths(4, 3), replace(paths(4, 3), denoised=True), paths(512, 3)
+    noisy, clean, truth = (rendered([sphere(0.5, rough_metal())], light, quality) for quality in qualities)
     assert np.all(clean.radiance[clean.alpha == 0] == 0)
     inside = truth.alpha == 1
     errors = [np.abs(one.radiance - truth.radiance)[inside].mean() for one in (clean, noisy)]
@@ -384,10 +296,9 @@ def test_final_is_denoised_only_where_objects_are() -> None:
 
 
 def test_unknown_qualities_and_empty_scenes_are_refused() -> None:
-    odd = RenderSettings(16, 4, denoised=False, least=3)
-    for quality in ("best", RenderSettings(3, 4, denoised=False), RenderSettings(16, 0, denoised=False), odd):
+    for quality in ("best", paths(3), paths(16, 0), paths(16, least=3)):
         with pytest.raises(OptionError):
-            render_objects(TracedObjects([sphere(0.1)]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
+            rendered([sphere(0.1)], 1, quality)
     with pytest.raises(ObjectError, match="one object at least"):
         TracedObjects([])
 

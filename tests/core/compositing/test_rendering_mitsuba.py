@@ -4,13 +4,13 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from shading_reference import look_at
+from shading_reference import look_at, paths
 
 from roomlight.camera import Intrinsics
 from roomlight.compositing.light.lighting import ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glass, rough_metal
 from roomlight.compositing.objects.primitives import sphere
-from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
+from roomlight.compositing.rendering.renderer import render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects
 
 SIZE = 24
@@ -61,10 +61,7 @@ def test_spheres_agree_with_mitsuba(mitsuba: ModuleType, material: Material, bsd
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 12, "rr_depth": 1000},
-            "light": {
-                "type": "envmap",
-                "bitmap": mitsuba.Bitmap(_mitsuba_panorama(panorama)),
-            },
+            "light": {"type": "envmap", "bitmap": mitsuba.Bitmap(_mitsuba_panorama(panorama))},
             "sphere": {"type": "sphere", "radius": 0.5, "bsdf": bsdf},
             "sensor": {
                 "type": "perspective",
@@ -78,13 +75,8 @@ def test_spheres_agree_with_mitsuba(mitsuba: ModuleType, material: Material, bsd
     truth = np.array(mitsuba.render(scene, seed=1))[..., :3]
     focal = float(SIZE / 2 / np.tan(np.radians(degrees / 2)))
     camera = Intrinsics(focal, focal, SIZE / 2, SIZE / 2, SIZE, SIZE)
-    ours = render_objects(
-        TracedObjects([sphere(0.5, material)]),
-        camera,
-        look_at((0, 0.5, 2.5), (0, 0, 0)),
-        ProbeSet.single(panorama),
-        quality=RenderSettings(256, 12, denoised=False),
-    )
+    pose, light = look_at((0, 0.5, 2.5), (0, 0, 0)), ProbeSet.single(panorama)
+    ours = render_objects(TracedObjects([sphere(0.5, material)]), camera, pose, light, quality=paths(256, 12))
     inside = ours.alpha == 1
     assert inside.sum() > 150
     mean = truth[inside].mean()

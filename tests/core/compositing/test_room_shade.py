@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from light_rooms import lit, unit
+from shading_reference import moved
+from test_shadows import from_axis
 
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.objects.materials import diffuse
@@ -33,19 +35,15 @@ def scene():
 
 
 def ratio(grid, room):
-    move = np.eye(4)
-    move[:3, 3] = CENTRE
-    held = TracedObjects([sphere(0.3, diffuse((0.0, 0.0, 0.0))).transformed(move)])
+    held = TracedObjects([moved(sphere(0.3, diffuse((0.0, 0.0, 0.0))), *CENTRE)])
     spheres, light = np.array([[*CENTRE, 0.3]], np.float32), LightSampler(SUN, CENTRE)
     caster = Caster(held, spheres, np.array([0], np.int32), light, light, None, room)
-    return coarse_ratio(caster, grid, ShadowQuality(step=1, samples=64, bounces=0)).mean(axis=-1)
+    return coarse_ratio(caster, grid, ShadowQuality(step=1, samples=64, bounces=0))[0].mean(axis=-1)
 
 
 def in_line(grid, top):
     """Return where the ball is between a surface and the sun, on the block's top or on the floor in its shade."""
-    offset = grid.points - np.array(CENTRE, np.float32)
-    along = -(offset @ TOWARD)
-    across = np.linalg.norm(offset + along[..., None] * TOWARD, axis=-1)
+    _, across = from_axis(grid, CENTRE, TOWARD)
     x, y, z = np.moveaxis(grid.points, -1, 0)
     if top:
         return grid.known & (across < 0.2) & (np.abs(y - 0.6) < 0.02) & (x < -0.36) & (x > -0.8)

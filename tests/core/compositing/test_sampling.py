@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from shading_reference import look_at
+from shading_reference import look_at, moved, paths
 
 from roomlight.camera import Intrinsics
 from roomlight.compositing.kernels.environment import mean_around
@@ -11,7 +11,7 @@ from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glossy, mirror, rough_metal
 from roomlight.compositing.objects.primitives import cube, plane, sphere
 from roomlight.compositing.rendering import tracer
-from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
+from roomlight.compositing.rendering.renderer import render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.kernels.common import point
@@ -39,15 +39,8 @@ def lit_room(seed: int = 7) -> np.ndarray:
 
 def picture(scene: TracedObjects, lights: ProbeSet, samples: int, seed: int = 0, **options) -> np.ndarray:
     """Return the pixels in the middle of an object about the origin, [n, 3]."""
-    quality = RenderSettings(samples, 4, denoised=False)
-    found = render_objects(scene, CAMERA, POSE, lights, quality=quality, seed=seed, **options)
+    found = render_objects(scene, CAMERA, POSE, lights, quality=paths(samples), seed=seed, **options)
     return found.radiance[5:15, 5:15].reshape(-1, 3)
-
-
-def moved(one, *offset: float):
-    pose = np.eye(4)
-    pose[:3, 3] = offset
-    return one.transformed(pose)
 
 
 def test_points_are_stratified_in_every_shape() -> None:
@@ -62,7 +55,7 @@ def test_faces_under_nothing_are_open() -> None:
     assert TracedObjects([sphere(0.5)]).is_open().all()
     assert TracedObjects([cube(0.5)]).is_open().all()
     # two cubes side by side: the faces toward each other are closed
-    pair = TracedObjects([cube(0.5), moved(cube(0.5), 1.0, 0.0, 0.0)])
+    pair = TracedObjects([cube(0.5), moved(cube(0.5), 1.0)])
     first, second = (pair.surfaces.corners[:, k] - pair.surfaces.corners[:, 0] for k in (1, 2))
     normals = np.cross(first, second)
     left = pair.surfaces.object_id == 0
@@ -110,13 +103,7 @@ def test_two_probes_light_as_their_mean(monkeypatch: pytest.MonkeyPatch, is_open
 
 @pytest.mark.parametrize(
     ("name", "is_open", "most"),
-    [
-        ("metal", True, 0.5),
-        ("metal", False, 0.5),
-        ("glossy", False, 0.5),
-        ("diffuse", False, 0.5),
-        ("diffuse", True, 0.02),
-    ],
+    [*((name, False, 0.5) for name in MATERIALS), ("metal", True, 0.5), ("diffuse", True, 0.02)],
 )
 def test_variance_is_below_independent_samples(
     monkeypatch: pytest.MonkeyPatch, name: str, is_open: bool, most: float

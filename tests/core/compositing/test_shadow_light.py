@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from light_rooms import lit, unit
-from test_shadows import CAMERA, FLOOR, POSE, ball, caster, floor_depth, ratio_of
+from shading_reference import moved
+from test_shadows import CAMERA, FLOOR, POSE, ball, caster, floor_depth, from_axis, ratio_of
 
 from roomlight.compositing.compositor import shadow_step
 from roomlight.compositing.objects.materials import diffuse, mirror
@@ -57,11 +58,9 @@ def test_the_umbra_of_a_lamp_keeps_the_other_light(name, lamp_deg):
     panorama = lit(120, [(toward, lamp_deg, 1000.0 * level)], level=0.4)
     lamp = irradiance(panorama, (0, 1, 0)) - 0.4 * np.pi
     ratio, grid = ratio_of(ball(panorama, height=0.5, material=diffuse((0.0, 0.0, 0.0))), QUALITIES[name])
-    offset = grid.points - np.array([0, 0.5, 0], np.float32)
-    along = -(offset @ toward)
-    across = np.linalg.norm(offset + along[..., None] * toward, axis=-1)
+    along, across = from_axis(grid, (0, 0.5, 0), toward)
     umbra = grid.known & (across < 0.1) & (grid.points[..., 1] < 0.01)
-    distance = np.linalg.norm(offset, axis=-1)[umbra]
+    distance = np.hypot(along, across)[umbra]
     sky = 0.4 * np.pi * (1 - 0.2**2 * 0.5 / distance**3)
     expected = (sky / (0.4 * np.pi + lamp.mean())).mean()
     assert umbra.sum() > 50
@@ -72,10 +71,8 @@ def test_a_mirror_throws_the_light_that_it_receives():
     """The flux on the floor is the lamp's on the mirror; a lamp from below lights the floor by the mirror alone."""
     toward = unit(0.1, -1.0, 0.05)
     panorama = lit(120, [(toward, 3.0, 60.0)], level=0.5)
-    move = np.eye(4)
-    move[1, 3] = 0.4
     ceiling = Plane(np.array([0.0, 3.0, 0.0]), np.array([0.0, -1.0, 0.0]))
-    plate = caster(plane(0.2, 0.2, mirror()).transformed(move), panorama, (0, 0.4, 0), 0.1415, support=ceiling)
+    plate = caster(moved(plane(0.2, 0.2, mirror()), 0, 0.4), panorama, (0, 0.4, 0), 0.1415, support=ceiling)
     ratio, grid = ratio_of(plate, replace(FINE, reach=4.0))  # the plate's faint shadow lies beyond
     glow = (ratio[..., 1] - 1)[1:-1, 1:-1] * irradiance(panorama, (0, 1, 0))[1]
     right, down = grid.points[1:-1, 2:] - grid.points[1:-1, :-2], grid.points[2:, 1:-1] - grid.points[:-2, 1:-1]
@@ -89,12 +86,10 @@ def test_a_mirror_throws_the_light_that_it_receives():
 def test_few_samples_are_as_bright_as_many(held):
     """Next to a strong lamp that lights the floor at a grazing angle, few samples show the rest of the light."""
     panorama = lit(120, [(unit(1.0, 0.03, 0.0), 3.0, 2000.0)], level=0.5)
-    move = np.eye(4)
-    move[1, 3] = 0.2
-    one = caster(held.transformed(move), panorama, (0, 0.2, 0), 0.26)
+    one = caster(moved(held, 0, 0.2), panorama, (0, 0.2, 0), 0.26)
     grid = surface_grid(floor_depth(), CAMERA, POSE, [FLOOR])
-    few = coarse_ratio(one, grid, ShadowQuality(step=1, samples=16, bounces=2))
-    many = coarse_ratio(one, grid, FINE)
+    few, _ = coarse_ratio(one, grid, ShadowQuality(step=1, samples=16, bounces=2))
+    many, _ = coarse_ratio(one, grid, FINE)
     near = places(grid) < 0.6
     assert few[near].mean() == pytest.approx(many[near].mean(), rel=0.05)
 

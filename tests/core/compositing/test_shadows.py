@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from light_rooms import lit, unit
+from shading_reference import moved
 
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.objects.materials import diffuse, glass
@@ -45,14 +46,19 @@ def caster(held, panorama, centre, radius, support: Plane | None = FLOOR):
 
 
 def ball(panorama, radius=0.2, height=0.5, material=None):
-    move = np.eye(4)
-    move[1, 3] = height
-    return caster(sphere(radius, material).transformed(move), panorama, (0, height, 0), radius)
+    return caster(moved(sphere(radius, material), 0, height), panorama, (0, height, 0), radius)
 
 
 def ratio_of(shadow_caster, quality=FINE):
     grid = surface_grid(floor_depth(), CAMERA, POSE, [FLOOR])
-    return coarse_ratio(shadow_caster, grid, quality), grid
+    return coarse_ratio(shadow_caster, grid, quality)[0], grid
+
+
+def from_axis(grid, centre, toward):
+    """Return how far points are behind a centre in the light from a direction, and how far beside its axis."""
+    offset = grid.points - np.array(centre, np.float32)
+    along = -(offset @ toward)
+    return along, np.linalg.norm(offset + along[..., None] * toward, axis=-1)
 
 
 def test_points_on_a_support_stay_on_their_lines_of_sight():
@@ -71,9 +77,7 @@ def test_umbra_of_a_small_light_is_the_analytic_one():
     toward, angle = unit(0.35, 1.0, 0.2), np.radians(3.0)
     panorama = lit(240, [(toward, 3.0, 100.0)], level=0.0)
     ratio, grid = ratio_of(ball(panorama))
-    offset = grid.points - np.array([0, 0.5, 0])
-    along = -(offset @ toward)
-    across = np.linalg.norm(offset + along[..., None] * toward, axis=-1)
+    along, across = from_axis(grid, (0, 0.5, 0), toward)
     spread, margin = along * np.tan(angle), 0.02  # a pixel of the floor is 1.5 cm
     umbra = across < 0.2 - spread - margin
     outside = across > 0.2 + spread + margin
@@ -93,9 +97,7 @@ def test_far_from_objects_nothing_changes():
 
 
 def test_a_red_cube_bleeds_red_onto_a_white_floor():
-    move = np.eye(4)
-    move[1, 3] = 0.2
-    held = cube(0.4, diffuse((0.8, 0.05, 0.05))).transformed(move)
+    held = moved(cube(0.4, diffuse((0.8, 0.05, 0.05))), 0, 0.2)
     lit_cube = caster(held, lit(60, [], level=1.0), (0, 0.2, 0), 0.4 * np.sqrt(0.75))
     ratio, grid = ratio_of(lit_cube, ShadowQuality(step=1, samples=64, bounces=8))
     beside = grid.known & (np.abs(grid.points[..., 0]) < 0.2) & (np.abs(grid.points[..., 2] - 0.26) < 0.03)

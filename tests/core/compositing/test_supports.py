@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from shading_reference import look_at
+from shading_reference import look_at, mirrored_rays, moved, paths
 
 from roomlight.camera import Intrinsics
 from roomlight.compositing.kernels.ground import Supports
@@ -30,9 +30,7 @@ def supports(shade_radius: float = 0.0) -> Supports:
 
 
 def ball(material: Material) -> TracedObjects:
-    pose = np.eye(4)
-    pose[:3, 3] = CENTRE
-    return TracedObjects([sphere(RADIUS, material).transformed(pose)])
+    return TracedObjects([moved(sphere(RADIUS, material), *CENTRE)])
 
 
 def split_floor(rows: int = 256) -> ProbeSet:
@@ -46,15 +44,8 @@ def split_floor(rows: int = 256) -> ProbeSet:
 
 def reflected_floor() -> tuple[np.ndarray, np.ndarray]:
     """Return where the mirror ball shows the floor, and the floor's x there."""
-    pose = look_at(tuple(EYE), tuple(CENTRE))
-    rays = CAMERA.rays().astype(float) @ pose[:3, :3].T
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    toward = (CENTRE - EYE) @ rays[..., None]
-    root = toward[..., 0] ** 2 - ((CENTRE - EYE) @ (CENTRE - EYE) - RADIUS**2)
-    place = EYE + (toward[..., 0] - np.sqrt(np.maximum(root, 0)))[..., None] * rays
-    normal = (place - CENTRE) / RADIUS
-    turned = rays - 2 * (rays * normal).sum(-1, keepdims=True) * normal
-    shown = (root > 0.002) & (turned[..., 1] < -0.2)
+    place, turned, square = mirrored_rays(CAMERA, look_at(EYE, CENTRE), CENTRE, RADIUS)
+    shown = (square > 0.002) & (turned[..., 1] < -0.2)
     x = place[..., 0] - turned[..., 0] / np.minimum(turned[..., 1], -1e-6) * place[..., 1]
     return shown, x
 
@@ -66,7 +57,7 @@ def test_mirror_shows_the_floor_where_it_is() -> None:
     assert (clear & white).sum() > 20
     assert (clear & ~white).sum() > 20
     pose = look_at(tuple(EYE), tuple(CENTRE))
-    for quality in ("preview", RenderSettings(16, 2, denoised=False)):
+    for quality in ("preview", paths(16, 2)):
         near = render_objects(ball(mirror()), CAMERA, pose, split_floor(), quality=quality, supports=supports())
         far = render_objects(ball(mirror()), CAMERA, pose, split_floor(), quality=quality)
         error = [np.abs(one.radiance[..., 0] - white)[clear].mean() for one in (near, far)]
@@ -77,10 +68,9 @@ def test_mirror_shows_the_floor_where_it_is() -> None:
 def test_ball_on_the_floor_is_darker_below_than_above() -> None:
     pose = look_at((0.3, 0.12, 1.2), tuple(CENTRE))
     light = ProbeSet.single(np.ones((32, 64, 3), np.float32), (0.3, 0.12, 0.0))
-    settings = RenderSettings(64, 3, denoised=False)
-    plain = render_objects(ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light, quality=settings)
-    shaded = render_objects(
-        ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light, quality=settings, supports=supports(RADIUS)
+    plain, shaded = (
+        render_objects(ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light, quality=paths(64, 3), supports=under)
+        for under in (None, supports(RADIUS))
     )
     inside = plain.alpha == 1
     rows = np.flatnonzero(inside.any(axis=1))
@@ -90,7 +80,7 @@ def test_ball_on_the_floor_is_darker_below_than_above() -> None:
     assert shaded.radiance[top].mean() > 0.95 * plain.radiance[top].mean()
 
 
-@pytest.mark.parametrize("quality", ["preview", RenderSettings(16, 2, denoised=False)])
+@pytest.mark.parametrize("quality", ["preview", paths(16, 2)])
 def test_a_table_ends_beside_the_objects_on_it(quality: str | RenderSettings) -> None:
     pose = look_at(tuple(EYE), tuple(CENTRE))
     scene, light = ball(mirror()), split_floor()
@@ -102,26 +92,20 @@ def test_a_table_ends_beside_the_objects_on_it(quality: str | RenderSettings) ->
         assert (np.abs(beside.radiance - plain.radiance).max() < 1e-5) == ends
 
 
-@pytest.mark.parametrize(
-    ("quality", "crosses"), [("preview", True), ("preview", False), (RenderSettings(256, 2, denoised=False), True)]
-)
+@pytest.mark.parametrize(("quality", "crosses"), [("preview", True), ("preview", False), (paths(256, 2), True)])
 def test_light_has_no_step_where_the_table_of_another_object_ends(quality: str | RenderSettings, crosses: bool) -> None:
     """A mirror stands on the floor through the height of a table, or hangs over it; a ball lies on the table."""
     table, floor = (Plane(np.array([0, y, 0]), np.array([0.0, 1, 0])) for y in (0.5, 0.0))
-    moves = np.tile(np.eye(4), (2, 1, 1))
-    moves[0, :3, 3], moves[1, :3, 3] = (-0.6, 0.6, 0.0), (0.3, 0.5 if crosses else 1.05, 0.0)
+    centre = 0.3, 0.5 if crosses else 1.05, 0.0
     panel = cube(1.0, mirror()).transformed(np.diag([1.0, 1.0, 0.02, 1.0]))
-    objects = TracedObjects([sphere(0.1).transformed(moves[0]), panel.transformed(moves[1])])
-    spheres = [np.array([-0.6, 0.6, 0, 0.1]), np.array([*moves[1, :3, 3], 0.71])]
+    objects = TracedObjects([moved(sphere(0.1), -0.6, 0.6), moved(panel, *centre)])
+    spheres = [np.array([-0.6, 0.6, 0, 0.1]), np.array([*centre, 0.71])]
     supports = supports_of(objects, spheres, [table, floor if crosses else None])
     up = panorama_directions(64)[..., 1:2]
     panorama = np.repeat(np.where(up < -0.5, 0.8, 0.2), 3, axis=2).astype(np.float32)  # a bright patch of table
     light = ProbeSet.single(panorama, (0.0, 0.8, 0.3))
-    centre = moves[1, :3, 3]
-    picture = render_objects(
-        objects, CAMERA, look_at((0.3, float(centre[1]) + 0.3, 1.6), tuple(centre)), light, quality=quality,
-        supports=supports,
-    )  # fmt: skip
+    pose = look_at((0.3, centre[1] + 0.3, 1.6), centre)
+    picture = render_objects(objects, CAMERA, pose, light, quality=quality, supports=supports)
     whole = (picture.object_id == 1) & (picture.alpha > 0.999)
     smooth = cv2.GaussianBlur(picture.radiance[..., 0], (0, 0), 1.0)
     whole = cv2.erode(whole.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
@@ -132,14 +116,9 @@ def test_light_has_no_step_where_the_table_of_another_object_ends(quality: str |
 
 def test_a_table_ends_where_an_object_passes_through_its_plane() -> None:
     table = Plane(np.array([0, 0.5, 0]), np.array([0.0, 1, 0]))
-    moves = np.tile(np.eye(4), (2, 1, 1))
-    moves[0, :3, 3], moves[1, :3, 3] = (0.0, 0.6, 0.0), (0.4, 0.5, 0.0)
+    objects = [moved(sphere(0.1), 0, 0.6), moved(cube(0.2), 0.4, 0.5)]
     spheres = [np.array([0, 0.6, 0, 0.1]), np.array([0.4, 0.5, 0, 0.2])]
-    alone = supports_of(TracedObjects([sphere(0.1).transformed(moves[0])]), spheres[:1], [table])
-    beside = supports_of(
-        TracedObjects([held.transformed(move) for held, move in zip((sphere(0.1), cube(0.2)), moves, strict=True)]),
-        spheres,
-        [table, None],
-    )
+    alone = supports_of(TracedObjects(objects[:1]), spheres[:1], [table])
+    beside = supports_of(TracedObjects(objects), spheres, [table, None])
     assert alone.ends_m[0] == pytest.approx(0.6)
     assert beside.ends_m[0] == pytest.approx(0.3)  # the cube's near face
