@@ -187,11 +187,11 @@ class Compositor:
         with clock.stage("render"):
             rendered = self._render(frame, objects, supports_of(objects, posed.spheres, posed.supports))
         with clock.stage("depth"):
-            real, shaded_m = self._room_depth(depth_m, frame, crops.shadow)
+            depth = self._room_depth(depth_m, frame, crops.shadow)
         with clock.stage("shadow"):
-            shadow = self._shadow_ratio(frame, crops.shadow, shaded_m, posed, share_of(step_s, SHADOW_S))
+            shadow = self._shadow_ratio(frame, crops.shadow, depth.shaded_m, posed, share_of(step_s, SHADOW_S))
         with clock.stage("occlusion"):
-            layer = self._layer(frame, image, real, rendered, crops, posed)
+            layer = self._layer(frame, image, depth.real, rendered, crops, posed)
         with clock.stage("combine"):
             self._combine(frame, image, crops, shadow, layer)
         numbers = np.array([*(placed.number for placed in self._placed), -1], np.int32)
@@ -285,18 +285,13 @@ class Compositor:
             max_paths=self._max_paths,
         )
 
-    def _room_depth(
-        self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop
-    ) -> tuple[RealDepth, Float32[np.ndarray, "ch cw"]]:
-        """Return what hides objects in a crop, with holes filled from other frames, and what shadows fall on.
-
-        The second is completed where nothing was measured: there are shadows on black and shiny tables too.
-        """
+    def _room_depth(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> "_RoomDepth":
+        """Return depth at the pixels of a crop, with holes filled from other frames."""
         depth_m = self._filled(depth_m, frame, crop)
         size = frame.intrinsics.width, frame.intrinsics.height
         real = real_depth(depth_m, *size, crop)
         whole = complete_depth(depth_m)
-        return real, real.depth_m if whole is depth_m else real_depth(whole, *size, crop).depth_m
+        return _RoomDepth(real, real.depth_m if whole is depth_m else real_depth(whole, *size, crop).depth_m)
 
     def _filled(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> Float32[np.ndarray, "dh dw"]:
         """Fill holes near the objects with what other frames saw there."""
@@ -408,6 +403,19 @@ class _Crops:
 
     shadow: Crop
     objects: Crop
+
+
+@dataclass(frozen=True)
+class _RoomDepth:
+    """Depth of real surfaces at the pixels of a crop.
+
+    Attributes:
+        real: as measured; it hides objects.
+        shaded_m: [ch, cw] completed where nothing was measured: shadows fall on black and shiny tables too.
+    """
+
+    real: RealDepth
+    shaded_m: Float32[np.ndarray, "ch cw"]
 
 
 def composite(

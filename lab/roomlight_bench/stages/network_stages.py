@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.engine.networks.graphs import LightingGraphs, NetworkForm, load_graphs
-from roomlight.engine.networks.openvino_runtime import computes_in_bf16, openvino_version
-from roomlight.engine.networks.providers import CHOICES
+from roomlight.engine.networks.providers import available
 from roomlight.engine.networks.runtime import RuntimeName
 from roomlight_bench.stages import plain_torch
 from roomlight_bench.stages.bench_stage import BenchStage
@@ -52,7 +51,7 @@ def load_networks(model: Path) -> Networks:
         ModelError: The folder is not a model folder, or does not fit this version.
     """
     loaded: dict[RuntimeName, LightingGraphs] = {
-        runtime: load_graphs(model, provider=runtime) for runtime in _runtimes()
+        runtime: load_graphs(model, provider=runtime) for runtime in available()
     }
     described = json.loads((model / "model.json").read_text())
     return Networks(ModelConfig.from_dict(described.get("config", {})), loaded)
@@ -102,10 +101,6 @@ def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> 
                 )
             )
     return stages
-
-
-def _runtimes() -> tuple[RuntimeName, ...]:
-    return CHOICES[: 1 + (openvino_version() is not None) + computes_in_bf16()]
 
 
 def _graph_input(name: str, shape: tuple[int, ...], volume: Float[np.ndarray, "5 z y x"]) -> Float[np.ndarray, "..."]:

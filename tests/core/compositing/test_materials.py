@@ -21,16 +21,19 @@ WHITE = np.ones((16, 32, 3), np.float32)
 """The white furnace: the same light from everywhere."""
 
 
-@pytest.mark.parametrize("degrees", [0.0, 60.0, 80.0])
-@pytest.mark.parametrize(
-    "material",
-    [mirror(), diffuse((1.0, 1.0, 1.0)), glossy((1.0, 1.0, 1.0)), glass(), *map(rough_metal, (0.1, 0.25, 0.5, 1.0))],
-)
+@pytest.mark.parametrize("degrees", [0.0, 45.0, 80.0])
+@pytest.mark.parametrize("material", [mirror(), diffuse((1.0, 1.0, 1.0)), glossy((1.0, 1.0, 1.0)), glass()])
 def test_white_materials_keep_all_light(material: Material, degrees: float) -> None:
-    rough = material.metallic * material.roughness > 0  # the table is read between its cosines
-    value = plane_radiance(material, WHITE, degrees, samples=1024 if rough else 256).mean()
+    values = plane_radiance(material, WHITE, degrees, samples=256)
     # 16,384 paths: the noise of a mean is below 0.002 where paths differ at all
-    assert value == pytest.approx(1, abs=0.01 if rough else 0.004)
+    assert values.mean() == pytest.approx(1, abs=0.004)
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.25, 0.5, 1.0])
+@pytest.mark.parametrize("degrees", [0.0, 60.0, 80.0])
+def test_white_metal_keeps_all_light_at_any_roughness(roughness: float, degrees: float) -> None:
+    value = plane_radiance(rough_metal(roughness), WHITE, degrees, samples=1024).mean()
+    assert value == pytest.approx(1, abs=0.01)  # the table is read between its cosines
 
 
 def test_lobe_table_agrees_with_dense_integration() -> None:

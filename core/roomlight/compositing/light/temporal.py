@@ -52,44 +52,49 @@ def elapsed_s(before: Frame, frame: Frame) -> float:
     return float(np.clip(elapsed_since(before, frame), 0.0, 1.0))
 
 
+@dataclass(frozen=True)
+class _AgedDepth:
+    """Depth of a frame in metres, and for how many frames each pixel was not measured."""
+
+    frame: Frame
+    depth: Float32[np.ndarray, "h w"]
+    age: Float32[np.ndarray, "h w"]
+
+    def seen_by(
+        self, frame: Frame, shape: tuple[int, ...]
+    ) -> tuple[Float32[np.ndarray, "sh sw"], Float32[np.ndarray, "sh sw"]]:
+        """Return depth and age as the camera of a later frame sees them."""
+        pose, later = self.frame.camera_to_world, frame.camera_to_world
+        if pose.tobytes() == later.tobytes() and shape == self.depth.shape:
+            return self.depth, self.age
+        transform = (rigid_inverse(later) @ pose)[:3].astype(np.float32)
+        lens, new_lens = _lens(self.frame.intrinsics, self.depth.shape), _lens(frame.intrinsics, shape)
+        depth, age = np.zeros((2, *shape), np.float32)
+        splat_depth(self.depth, self.age, lens, transform, new_lens, depth, age)
+        return depth, age
+
+
 class DepthFilter:
     """Depth of the real scene, averaged over the frames that agree."""
 
     def __init__(self) -> None:
         """Begin without depth."""
-        self._before: tuple[Frame, Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]] | None = None
+        self._before: _AgedDepth | None = None
 
     def push(self, frame: Frame, *, max_width: int = MAX_DEPTH_WIDTH) -> Float32[np.ndarray, "h w"]:
         """Return the frame's depth, averaged with what was known; wider maps are reduced to `max_width` columns."""
         depth = _reduced(frame.depth_m, max_width)
         age = np.zeros(depth.shape, np.float32)
         if self._before is not None:
-            previous, previous_age = _reprojected(*self._before, frame, depth.shape)
-            share = np.float32(share_of(elapsed_s(self._before[0], frame), DEPTH_S))
+            previous, previous_age = self._before.seen_by(frame, depth.shape)
+            share = np.float32(share_of(elapsed_s(self._before.frame, frame), DEPTH_S))
             same = (depth > 0) & (previous > 0) & (np.abs(previous - depth) < SAME_SURFACE * depth)
             gone = (depth <= 0) & (previous > 0) & (previous_age < MAX_HELD)
             age[gone] = previous_age[gone] + 1
             blended = previous + share * (depth - previous)
             depth = np.where(same, blended, np.where(gone, previous, depth)).astype(np.float32)
-        self._before = frame, depth, age
+        self._before = _AgedDepth(frame, depth, age)
         return depth
-
-
-def _reprojected(
-    before: Frame,
-    depth: Float32[np.ndarray, "bh bw"],
-    age: Float32[np.ndarray, "bh bw"],
-    frame: Frame,
-    shape: tuple[int, ...],
-) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Return depth and age of the frame before as a later frame's camera sees them."""
-    if before.camera_to_world.tobytes() == frame.camera_to_world.tobytes() and shape == depth.shape:
-        return depth, age
-    transform = (rigid_inverse(frame.camera_to_world) @ before.camera_to_world)[:3].astype(np.float32)
-    lens, new_lens = _lens(before.intrinsics, depth.shape), _lens(frame.intrinsics, shape)
-    seen_depth, seen_age = np.zeros((2, *shape), np.float32)
-    splat_depth(depth, age, lens, transform, new_lens, seen_depth, seen_age)
-    return seen_depth, seen_age
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,11 @@ CHOICES: Final[tuple[RuntimeName, ...]] = ("cpu", "openvino", "openvino-bf16")
 _RUNS: Final = 5
 
 
+def available() -> tuple[RuntimeName, ...]:
+    """Return those of `CHOICES` that this machine has."""
+    return CHOICES[: 1 + (openvino_version() is not None) + computes_in_bf16()]
+
+
 def open_graph(path: Path, runtime: RuntimeName) -> Graph:
     """Load one graph.
 
@@ -95,11 +100,10 @@ def _open_fastest(paths: Sequence[Path], digest: str) -> list[Graph]:
     kept = _kept_choice(file)
     if kept is not None:
         return _opened(paths, kept)
-    measured = CHOICES if computes_in_bf16() else CHOICES[:-1]
-    loaded: dict[RuntimeName, list[Graph]] = {runtime: _opened(paths, runtime) for runtime in measured}
+    loaded: dict[RuntimeName, list[Graph]] = {runtime: _opened(paths, runtime) for runtime in available()}
     least_ms = _least_ms(loaded)
-    chosen = measured[0]
-    for runtime in measured[1:]:
+    chosen, *others = loaded
+    for runtime in others:
         if least_ms[runtime] <= FASTER * least_ms[chosen]:
             chosen = runtime
     return loaded[_keep_choice(file, {"runtime": chosen, "least_ms": least_ms})]
