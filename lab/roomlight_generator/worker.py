@@ -96,7 +96,8 @@ def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emi
     """
     options, done = task.options, 0
     for attempt in range(ATTEMPTS):
-        seed = options.seed if attempt == 0 else _attempt_seed(options.seed, attempt)
+        drawn = np.random.SeedSequence([options.seed, attempt]).generate_state(1, np.uint64)
+        seed = int(drawn[0]) if attempt else options.seed
         request = RoomRequest(
             room,
             seed,
@@ -140,19 +141,10 @@ def _packed(options: "GenerateOptions", room: int, within: int, attempt: int, se
     return pack(name, encode(replace(recording, name=name, facts={**recording.facts, "made": made})))
 
 
-def _attempt_seed(seed: int, attempt: int) -> int:
-    return int(np.random.SeedSequence([seed, attempt]).generate_state(1, np.uint64)[0])
-
-
 def find_renderer(name: str) -> RenderRoom:
     """Import a renderer by its `module:function`."""
     module, _, function = name.partition(":")
     return getattr(import_module(module), function)
-
-
-def _one_thread() -> None:
-    """Limit OpenCV to one thread; the environment that the parent sets limits the other libraries."""
-    cv2.setNumThreads(1)
 
 
 def main() -> None:
@@ -160,7 +152,7 @@ def main() -> None:
     # Messages get a descriptor of their own: libraries print to standard output too.
     messages = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
-    _one_thread()
+    cv2.setNumThreads(1)  # the environment that the parent sets limits the other libraries
     tasks: queue.Queue[str] = queue.Queue()
 
     def read_tasks() -> None:

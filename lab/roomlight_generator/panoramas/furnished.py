@@ -23,6 +23,7 @@ from roomlight_generator.panoramas.kernels.shell_views import PanoramaArrays
 from roomlight_generator.panoramas.shell import PanoramaShell
 from roomlight_generator.rooms.scene import Scene, Sky
 from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
+from roomlight_generator.transport.kernels.structs import allocated
 from roomlight_generator.transport.lights.coat import coat_table
 from roomlight_generator.transport.paths import Surfaces, surfaces_of
 from roomlight_generator.transport.tracer import Tracer
@@ -102,7 +103,7 @@ class FurnishedLight:
         """Return the irradiance of points with and without the furniture, by the same rays."""
         count, lights, arrays = len(position), sources.lights, self.shell.arrays
         weight = np.empty((count, len(lights.area)), np.float32)
-        rays = _rays(weight.size)
+        rays = allocated(Rays, weight.size)
         gather.light_rays(arrays, lights, position, normal, weight, rays)
         lit = np.flatnonzero(weight.ravel() > 0)
         without = weight @ lights.power
@@ -110,7 +111,7 @@ class FurnishedLight:
         weight.ravel()[lit[~seen]] = 0
         irradiance = weight @ lights.power
 
-        rays = _rays(count * GATHER_RAYS)
+        rays = allocated(Rays, count * GATHER_RAYS)
         radiance = np.empty((count * GATHER_RAYS, 3), np.float32)
         gather.gather_rays(arrays, self.shade, sources.dim, position, normal, GATHER_RAYS, radiance, rays)
         scale = np.float32(np.pi / GATHER_RAYS)
@@ -221,10 +222,6 @@ def _block_order(shape: tuple[int, int]) -> Int64[np.ndarray, " n"]:
         code |= ((column >> bit) & 1) << (2 * bit)
         code |= ((row >> bit) & 1) << (2 * bit + 1)
     return np.argsort(code)
-
-
-def _rays(count: int) -> Rays:
-    return Rays(np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.empty(count, np.float32))
 
 
 def _smoothed(shell: PanoramaShell, ratio: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:

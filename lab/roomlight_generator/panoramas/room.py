@@ -53,11 +53,8 @@ class PanoramaRoom:
         if furniture is not None and furniture.items:
             self._footprints = furniture.footprints
             self._furniture = FurnishedLight(shell, image, bright_parts(image), furniture)
-            emitted, reflected, self._shade = (
-                self._furniture.emitted,
-                self._furniture.reflected,
-                self._furniture.shade,
-            )
+            emitted, reflected = self._furniture.emitted, self._furniture.reflected
+            self._shade = self._furniture.shade
         self._panorama = PanoramaArrays(padded(emitted), padded(reflected), kinds, shell.centre)
 
     def free_space(self) -> FreeSpace:

@@ -115,7 +115,7 @@ def draw_shell(rng: np.random.Generator) -> PanoramaShell:
 
 def _flat_room(plan: Float[np.ndarray, "n 2"], top_m: float) -> list[Float[np.ndarray, "_ 3"]]:
     """Return floor, ceiling and walls of a room with a level ceiling; a notched plan is cut into two rectangles."""
-    parts = [plan] if len(plan) == 4 else [plan[[0, 1, 2]], plan[[0, 3, 4]]]
+    parts = [plan]
     if len(plan) != 4:
         parts = [_rectangle(plan[0], plan[2]), _rectangle([plan[0, 0], plan[2, 1]], plan[4])]
     levels = [_lifted(part, level) for part in parts for level in (0.0, top_m)]

@@ -1,5 +1,6 @@
 """Build a complete room from a seed: room type, finishes, shell, furniture, lights."""
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -59,16 +60,13 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
     items = [placement.item() for placement in placements]
     lighting = light_room(shell, placements, items, rng, wanted=kind)
     scene = Scene(items=lighting.items, openings=shell.openings, sky=lighting.sky)
-    roles: dict[str, int] = {}
-    for placement in placements:
-        roles[placement.model.role] = roles.get(placement.model.role, 0) + 1
     facts = {
         "room_type": room_type.name,
         "split": split,
         "seed": seed,
         "room": index,
         "triangles": scene.triangle_count(),
-        "furniture": roles,
+        "furniture": dict(Counter(placement.model.role for placement in placements)),
         "models": sorted({placement.model.id for placement in placements}),
         "attributions": scene.attributions(),
         "light": lighting.facts,

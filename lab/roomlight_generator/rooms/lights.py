@@ -4,7 +4,7 @@ Photometry: luminous flux in kilolumen, illuminance in kilolux, luminance in kcd
 luminance for a Lambertian surface. Colours come from `blackbody_rgb`, normalised to luminance 1.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -135,15 +135,17 @@ def light_room(
     flux_klm = _choose_total_flux(shell, rng, evening=windows and scenario == "night")
     weights = {i: _FLUX_WEIGHTS.get(placements[i].model.role, 0.5) * float(rng.uniform(0.6, 1.6)) for i in lit}
     total = sum(weights.values()) + len(fixtures)
-    bulbs = {role: kelvin if rng.random() > 0.3 else _choose_kelvin(rng) for role in sorted({*_roles(placements, lit)})}
+    bulbs = {
+        role: kelvin if rng.random() > 0.3 else _choose_kelvin(rng)
+        for role in sorted({placements[i].model.role for i in lit})
+    }
     for i in sorted(lit):
         own = bulbs[placements[i].model.role] * float(np.exp(rng.normal(0, 0.015)))
         flux = flux_klm * weights[i] / total
         item = items[i]
         if kind == "bare bulbs":
             item = _without_shade(item, placements[i])
-        item = switch_on(item, placements[i], flux_klm=flux, colour=blackbody_rgb(own))
-        out[i] = item
+        out[i] = switch_on(item, placements[i], flux_klm=flux, colour=blackbody_rgb(own))
         sources.append({"kind": placements[i].model.role, "flux_lm": round(1000 * flux, 1), "kelvin": round(own)})
     for fixture in fixtures:
         out.append(_with_uniform_emission(fixture, flux_klm / total, blackbody_rgb(kelvin)))
@@ -172,7 +174,7 @@ def switch_on(item: Item, placement: Placement, *, flux_klm: float, colour: Rgb)
     has none.
     """
     mesh = item.mesh
-    shades = [k for k, material in enumerate(mesh.materials) if material.name.startswith("shade")]
+    shades = _named(mesh, "shade")
     bulbs = placement.light_positions()
     escaped, met = _trace_bulb_occlusion(mesh, bulbs)
     if len(bulbs) and not shades and escaped < 0.1 and met:
@@ -182,12 +184,7 @@ def switch_on(item: Item, placement: Placement, *, flux_klm: float, colour: Rgb)
     if shades:
         share = 1.0 if not len(bulbs) or escaped < 0.05 else 1 - 0.7 * escaped
         area = _area_m2(mesh, np.isin(mesh.face_materials, shades))
-        glow = share * flux_klm / (np.pi * max(area, 1e-4))
-        materials = [
-            replace(material, emission=_scaled(colour, glow)) if k in shades else material
-            for k, material in enumerate(mesh.materials)
-        ]
-        parts = [replace(mesh, materials=tuple(materials))]
+        parts = [_glowing(mesh, shades, _scaled(colour, share * flux_klm / (np.pi * max(area, 1e-4))))]
     if not len(bulbs) and not shades:
         low, high = mesh.bounds()
         bulbs = np.array([[(low[0] + high[0]) / 2, low[1] - 0.04, (low[2] + high[2]) / 2]])
@@ -214,7 +211,7 @@ def _possible_kind(wanted: LightKind, shell: Shell) -> LightKind:
 def _without_shade(item: Item, placement: Placement) -> Item:
     """Return a lamp without the parts that `switch_on` would let glow, if it has a bulb behind them."""
     mesh = item.mesh
-    shade = np.array([material.name.startswith("shade") for material in mesh.materials])[mesh.face_materials]
+    shade = np.isin(mesh.face_materials, _named(mesh, "shade"))
     if not shade.any() or shade.all() or not len(placement.model.lights):
         return item
     return replace(item, mesh=replace(mesh, faces=mesh.faces[~shade], face_materials=mesh.face_materials[~shade]))
@@ -223,12 +220,7 @@ def _without_shade(item: Item, placement: Placement) -> Item:
 def _has_windows(shell: Shell) -> bool:
     """Return whether daylight can come in: through an opening, or through translucent cloth over a fully covered
     window."""
-    materials = (material for item in shell.items for material in item.mesh.materials)
-    return bool(shell.openings) or any(material.name.startswith("daylit") for material in materials)
-
-
-def _roles(placements: Sequence[Placement], chosen: Iterable[int]) -> list[str]:
-    return [placements[i].model.role for i in chosen]
+    return bool(shell.openings) or any(_named(item.mesh, "daylit") for item in shell.items)
 
 
 def _is_lamp(placement: Placement) -> bool:
@@ -295,16 +287,27 @@ def _area_m2(mesh: Mesh, chosen: Bool[np.ndarray, " f"]) -> float:
     return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
+def _named(mesh: Mesh, prefix: str) -> list[int]:
+    """Return the indices of the materials whose names begin so."""
+    return [k for k, material in enumerate(mesh.materials) if material.name.startswith(prefix)]
+
+
+def _glowing(mesh: Mesh, chosen: Sequence[int], emission: Rgb) -> Mesh:
+    """Let some of the materials emit."""
+    materials = (replace(m, emission=emission) if k in chosen else m for k, m in enumerate(mesh.materials))
+    return replace(mesh, materials=tuple(materials))
+
+
 def _scaled(colour: Rgb, factor: float) -> Rgb:
     return (colour[0] * factor, colour[1] * factor, colour[2] * factor)
 
 
 def _with_uniform_emission(item: Item, flux_klm: float, colour: Rgb) -> Item:
     """Make every surface of an item emit, with the given total flux."""
-    area = _area_m2(item.mesh, np.ones(len(item.mesh.faces), bool))
+    mesh = item.mesh
+    area = _area_m2(mesh, np.ones(len(mesh.faces), bool))
     emission = _scaled(colour, flux_klm / (np.pi * max(area, 1e-4)))
-    materials = tuple(replace(material, emission=emission) for material in item.mesh.materials)
-    return replace(item, mesh=replace(item.mesh, materials=materials))
+    return replace(item, mesh=_glowing(mesh, range(len(mesh.materials)), emission))
 
 
 def _ceiling_fixture(shell: Shell, rng: np.random.Generator, *, bulb: bool) -> Item:
@@ -379,17 +382,12 @@ def _accessory_lamps(
 def _with_screens_on(item: Item, rng: np.random.Generator, sources: list[dict[str, Any]]) -> Item:
     """Switch televisions and computers on: their white is 100 to 400 cd/m2, and a picture has a fifth to two thirds of
     it in the mean."""
-    mesh = item.mesh
-    screens = [k for k, material in enumerate(mesh.materials) if material.name.startswith("screen")]
+    screens = _named(item.mesh, "screen")
     if not screens or rng.random() > 0.55:
         return item
     level = float(rng.uniform(0.1, 0.4)) * float(rng.uniform(0.2, 0.67))
-    glow = _scaled(blackbody_rgb(6800), level)
-    materials = tuple(
-        replace(material, emission=glow) if k in screens else material for k, material in enumerate(mesh.materials)
-    )
     sources.append({"kind": "screen", "cd_m2": round(1000 * level)})
-    return replace(item, mesh=replace(mesh, materials=materials))
+    return replace(item, mesh=_glowing(item.mesh, screens, _scaled(blackbody_rgb(6800), level)))
 
 
 def _with_daylit_cloth(
@@ -400,8 +398,8 @@ def _with_daylit_cloth(
     The transport has no diffuse transmission, so the cloth is a light source of its own, as bright as the sky and half
     of the sun (the reveal shades the rest) make it.
     """
-    names = [material.name for material in item.mesh.materials]
-    if not any(name.startswith("daylit") for name in names):
+    cloth = _named(item.mesh, "daylit")
+    if not cloth:
         return item
     normal = item.mesh.normals.astype(np.float64).copy()
     normal[:, 1] = 0
@@ -409,14 +407,7 @@ def _with_daylit_cloth(
     centre = item.mesh.bounds().mean(0)[[0, 2]]
     away = centre - shell.polygon.mean(0)
     outward = axis if axis[0] * away[0] + axis[2] * away[1] > 0 else -axis
-    light = vertical_irradiance(sky, outward)
     transmittance = float(rng.uniform(0.12, 0.45))
-    emission = tuple(transmittance * float(value) / np.pi for value in light)
-    materials = tuple(
-        replace(material, emission=(emission[0], emission[1], emission[2]))
-        if material.name.startswith("daylit")
-        else material
-        for material in item.mesh.materials
-    )
+    red, green, blue = (transmittance * float(value) / np.pi for value in vertical_irradiance(sky, outward))
     sources.append({"kind": "daylit", "transmittance": round(transmittance, 2)})
-    return replace(item, mesh=replace(item.mesh, materials=materials))
+    return replace(item, mesh=_glowing(item.mesh, cloth, (red, green, blue)))

@@ -56,10 +56,11 @@ class Wall:
         """Length of the wall."""
         return float(np.linalg.norm(self.end - self.start))
 
-    def at(self, along_m: float, away_m: float = 0.0) -> Float[np.ndarray, "2"]:
+    def at(self, along_m: float, away_m: float = 0.0) -> tuple[float, float]:
         """Return the plan point along_m from the wall's start and away_m from the wall into the room."""
         direction = (self.end - self.start) / max(self.length_m, 1e-9)
-        return self.start + along_m * direction + away_m * self.inward
+        x, z = (self.start + along_m * direction + away_m * self.inward).tolist()
+        return x, z
 
     def facing_degrees(self) -> float:
         """Return the rotation (`Mesh.placed`) that puts a model's back to this wall: +z maps to `inward`."""

@@ -97,11 +97,9 @@ def make_sky(
     direction = _direction(azimuth, float(elevation))
     views = panorama_directions(HEIGHT)
     sky = _clear_dome(parameters, views, direction, rng)
-    sun = None
+    sun, hidden = None, False
     if kind == "partly_cloudy":
         sky, hidden = _with_clouds(sky, views, direction, rng)
-    else:
-        hidden = False
     if kind == "overcast":
         low = fbm(rng, _SHAPE, (8, 8), octaves=3) * np.maximum(views[..., 1], 0)
         sky = (sky * (1 + rng.uniform(0.1, 0.4) * low)[..., None]).astype(np.float32)
@@ -111,14 +109,12 @@ def make_sky(
     sky = (sky * (level / _klx(sky, np.array([0.0, 1.0, 0.0])))).astype(np.float32)
     if parameters.sun_klx[1] > 0 and not hidden:
         # A low sun is weaker and redder: its light passes through more air.
-        height = (elevation - np.radians(parameters.elevation[0])) / np.radians(
-            parameters.elevation[1] - parameters.elevation[0]
-        )
+        (lowest, highest), (weak, strong) = parameters.elevation, parameters.sun_klx
+        red_k, white_k = parameters.sun_kelvin
+        height = (elevation - np.radians(lowest)) / np.radians(highest - lowest)
         share = float(np.clip(height + rng.normal(0, 0.15), 0, 1))
-        klx = parameters.sun_klx[0] + (parameters.sun_klx[1] - parameters.sun_klx[0]) * share
-        red, green, blue = blackbody_rgb(
-            round(parameters.sun_kelvin[0] + (parameters.sun_kelvin[1] - parameters.sun_kelvin[0]) * share)
-        )
+        klx = weak + (strong - weak) * share
+        red, green, blue = blackbody_rgb(round(red_k + (white_k - red_k) * share))
         sun = Sun(direction.astype(np.float64), (klx * red, klx * green, klx * blue))
     return _with_ground(Sky(sky, sun), views, rng, dark=kind in ("dusk", "night"))
 

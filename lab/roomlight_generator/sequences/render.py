@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from roomlight.camera import Intrinsics
-from roomlight.dataset.folder import FRAMES
 from roomlight.dataset.recording import Recording, Split
 from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.rooms.build import Room, build_room, room_generator
@@ -96,7 +95,8 @@ def render_walks(lit_room: LitRoom, request: RoomRequest) -> Iterator[Recording]
     for walk in range(request.count):
         rng = room_generator(request.index, seed=request.seed, split=request.split, purpose=1 + walk)
         path = plan_camera_path(lit_room, rng, frames=request.frames)
-        yield render_sequence(lit_room, path, rng, name=f"{lit_room.room.name}-{walk}")
+        name = f"{lit_room.room.name}-{walk}"
+        yield record(lit_room.light, path, rng, name=name, facts=lit_room.room.facts, expose=expose)
 
 
 def solve_lighting(room_index: int, *, seed: int, split: Split, catalogue: Catalogue) -> LitRoom:
@@ -108,20 +108,18 @@ def solve_lighting(room_index: int, *, seed: int, split: Split, catalogue: Catal
     return LitRoom(room, light, FreeSpace(floor.free, floor.origin, floor.cell_m, tracer.distances))
 
 
-def plan_camera_path(
-    lit_room: LitRoom, rng: np.random.Generator, *, frames: int = FRAMES, probes: int = PROBES
-) -> CameraPath:
+def plan_camera_path(lit_room: LitRoom, rng: np.random.Generator, *, frames: int) -> CameraPath:
     """Draw a phone, its walk, and the probes in its first frame's view.
 
     Raises:
         ValueError: if no walk with places for the probes is found.
     """
     name, free, light = f"room {lit_room.room.name}", lit_room.free, lit_room.light
-    return find_camera_path(free, light, rng, name=name, walks=_TRIES, frames=frames, probes=probes)
+    return find_camera_path(free, light, rng, name=name, walks=_TRIES, frames=frames)
 
 
 def find_camera_path(
-    free: FreeSpace, views: Views, rng: np.random.Generator, *, name: str, walks: int, frames: int, probes: int = PROBES
+    free: FreeSpace, views: Views, rng: np.random.Generator, *, name: str, walks: int, frames: int
 ) -> CameraPath:
     """Draw phones and walks, at most `walks`, until one has places for its probes; `name` is what the error names.
 
@@ -129,28 +127,21 @@ def find_camera_path(
         ValueError: if none has.
     """
     for _ in range(walks):
-        path = draw_camera_path(free, views, rng, frames=frames, probes=probes)
+        path = draw_camera_path(free, views, rng, frames=frames)
         if path is not None:
             return path
-    raise ValueError(f"{name}: {walks} walks through it found no place for {probes} probes")
+    raise ValueError(f"{name}: {walks} walks through it found no place for {PROBES} probes")
 
 
-def draw_camera_path(
-    free: FreeSpace, views: Views, rng: np.random.Generator, *, frames: int, probes: int
-) -> CameraPath | None:
+def draw_camera_path(free: FreeSpace, views: Views, rng: np.random.Generator, *, frames: int) -> CameraPath | None:
     """Draw a phone, one walk and its probes; None if there is no place for the walk or the probes."""
     intrinsics = phone_intrinsics(rng)
     poses = camera_walk(free, rng, intrinsics=intrinsics, frames=frames)
     if poses is None:
         return None
     depth_m = views.depth(intrinsics.resized(80, 60), poses[0])
-    positions = place_probes(free, rng, intrinsics=intrinsics, camera_to_world=poses[0], depth_m=depth_m, count=probes)
+    positions = place_probes(free, rng, intrinsics=intrinsics, camera_to_world=poses[0], depth_m=depth_m, count=PROBES)
     return None if positions is None else CameraPath(intrinsics, poses, positions)
-
-
-def render_sequence(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator, *, name: str) -> Recording:
-    """Render a recording of a walk through a generated room, exposed as a phone would."""
-    return record(lit_room.light, path, rng, name=name, facts=lit_room.room.facts, expose=expose)
 
 
 def record(

@@ -162,7 +162,7 @@ def sphere_directions(count: int) -> Float[np.ndarray, "{count} 3"]:
 
 
 def camera_walk(
-    free: FreeSpace, rng: np.random.Generator, *, intrinsics: Intrinsics, frames: int = 31
+    free: FreeSpace, rng: np.random.Generator, *, intrinsics: Intrinsics, frames: int
 ) -> Float[np.ndarray, "{frames} 4 4"] | None:
     """Draw camera-to-world poses of a hand-held walk; None if the room has no place for a walk.
 

@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int, UInt16
+from jaxtyping import Int, UInt16
 
 from roomlight.conventions import srgb8_to_linear
 from roomlight_generator.rooms.scene import Texture
@@ -74,8 +74,3 @@ def build_atlas(textures: list[Texture]) -> Atlas:
                 start[which, index] = start[which, index - 1]
                 height[which, index], width[which, index] = height[which, index - 1], width[which, index - 1]
     return Atlas(np.concatenate(parts), start, width, height)
-
-
-def mean_colour(texture: Texture) -> Float[np.ndarray, "3"]:
-    """Return the texture's mean linear colour."""
-    return (pyramid(texture)[-1].reshape(-1, 3).mean(0) / 65535).astype(np.float32)

@@ -156,10 +156,18 @@ class IrradianceCache:
         points = Points(position, normal, geometric_normal, alpha, row, stream)
         direct = self._direct(points)
         coat = (alpha > 0)[:, None]
-        if not self._interpolated:
+        if self._interpolated:
+            fallback = np.where(coat, self.room_cache.indirect_coated[row], self.room_cache.indirect[row])
+            indirect = self._interpolate(points, foot, fallback)
+        else:
             indirect, _ = self.gathered(points, rays=self._gather_rays, first=0, streams=stream)
-            irradiance = np.where(coat, direct.coated, direct.irradiance) + indirect
-            return irradiance, np.where(coat, direct.sun_coated, direct.sun)
+        irradiance = np.where(coat, direct.coated, direct.irradiance) + indirect
+        return irradiance, np.where(coat, direct.sun_coated, direct.sun)
+
+    def _interpolate(
+        self, points: Points, foot: Float32[np.ndarray, " n"], fallback: Float32[np.ndarray, "n 3"]
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Return indirect irradiance from records about the points, where needed from new ones."""
         records = self._records
         for reach, share in zip(REACH_PIXELS, ROUND_SHARE, strict=True):
             chosen = records.choose(points, foot, reach, every=share)
@@ -167,13 +175,9 @@ class IrradianceCache:
                 some = Points(*(column[chosen] for column in points))
                 start = records.count - len(chosen)
                 light, clear = self.gathered(some, rays=self._gather_rays, first=start)
-                records.irradiance[start : records.count] = light
-                records.clear[start : records.count] = clear * np.float32(CLEARANCE)
-        indirect = np.empty((len(material), 3), np.float32)
-        fallback = np.where(coat, self.room_cache.indirect_coated[row], self.room_cache.indirect[row])
-        records.interpolate(points, foot, fallback, indirect)
-        irradiance = np.where(coat, direct.coated, direct.irradiance) + indirect
-        return irradiance, np.where(coat, direct.sun_coated, direct.sun)
+                records.columns.irradiance[start : records.count] = light
+                records.columns.clear[start : records.count] = clear * np.float32(CLEARANCE)
+        return records.interpolate(points, foot, fallback)
 
     def _direct(self, points: Points) -> Received:
         """Compute direct light, with a second round of shadow rays where lights are partly hidden."""
@@ -224,8 +228,7 @@ class IrradianceCache:
             stream = numbered if streams is None else streams[start : start + step]
             sent = allocated(GatherRays, len(stream) * rays)
             sampling = GatherSampling(rays - cones, cones, self._seed + 3)
-            light = self.light
-            some = some._replace(stream=stream)
+            light, some = self.light, some._replace(stream=stream)
             gather_rays(light.lights, light.visibility, some, light.coat.through, sampling, scratch, sent)
             face, distance, radiance = self._seen(sent.origin, sent.direction, (first + start) * rays)
             rows = slice(start, start + len(stream))
@@ -289,9 +292,7 @@ class _Records:
 
     def __init__(self) -> None:
         self.count = 0
-        self.position, self.normal, self.irradiance = (np.zeros((1 << 12, 3), np.float32) for _ in range(3))
-        self.coat = np.zeros(1 << 12, np.int32)
-        self.clear, self.reach = np.zeros(1 << 12, np.float32), np.zeros(1 << 12, np.float32)
+        self.columns = allocated(RecordColumns, 1 << 12)
         self._table = Table(1 << 14)
         self._entries = 0
         self._entry_record, self._entry_next = np.zeros(1 << 14, np.int32), np.zeros(1 << 14, np.int32)
@@ -309,8 +310,7 @@ class _Records:
         for start in range(0, len(foot), step):
             part = points.part(start, start + step)
             some = len(part.position)
-            for name in ("position", "normal", "irradiance", "coat", "clear", "reach"):
-                setattr(self, name, grown(getattr(self, name), self.count, self.count + some))
+            self.columns = RecordColumns(*(grown(column, self.count, self.count + some) for column in self.columns))
             # A record reaches into 27 cells at most.
             self._entry_record = grown(self._entry_record, self._entries, self._entries + 27 * some)
             self._entry_next = grown(self._entry_next, self._entries, self._entries + 27 * some)
@@ -320,7 +320,7 @@ class _Records:
             self.count, self._entries = kernels.choose_records(
                 CachePoints(part.position, part.normal, part.alpha, foot[start : start + step]),
                 RecordSpacing(reach_pixels, every, SMALLEST_PIXELS, FARTHEST_M),
-                self._columns(),
+                self.columns,
                 self._lists(),
                 self.count,
                 self._entries,
@@ -334,20 +334,12 @@ class _Records:
         points: Points,
         foot: Float32[np.ndarray, " n"],
         fallback: Float32[np.ndarray, "n 3"],
-        out: Float32[np.ndarray, "n 3"],
-    ) -> None:
-        """Write the irradiance of points interpolated between the records."""
-        kernels.interpolate(
-            CachePoints(points.position, points.normal, points.alpha, foot),
-            SMALLEST_PIXELS,
-            self._columns(),
-            self._lists(),
-            fallback,
-            out,
-        )
-
-    def _columns(self) -> RecordColumns:
-        return RecordColumns(self.position, self.normal, self.coat, self.clear, self.reach, self.irradiance)
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Return the irradiance of points interpolated between the records."""
+        out = np.empty_like(fallback)
+        at = CachePoints(points.position, points.normal, points.alpha, foot)
+        kernels.interpolate(at, SMALLEST_PIXELS, self.columns, self._lists(), fallback, out)
+        return out
 
     def _lists(self) -> RecordLists:
         keys, heads = self._table.arrays

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from roomlight_generator.transport.kernels import patches as kernels
 from roomlight_generator.transport.kernels.structs import (
@@ -71,7 +71,7 @@ def follow(
     hits = tracer.trace(origin, direction)
     count = len(origin)
     factor = np.ones(count, np.float32)
-    face, u, v, distance = hits
+    face, distance, u, v = hits
     mirrored = np.zeros(count, bool)
     if tracer.has_mirrors:
         at = np.flatnonzero(_on_mirror(tracer, face))
@@ -126,15 +126,13 @@ class _PatchSet:
         self.fineness = fineness
         self.table = Table()
         self.count = 0
-        shape = 0, kernels.POINTS, 3
-        self.position, self.normal, self.geometric_normal, self.albedo = (np.empty(shape, np.float32) for _ in range(4))
-        self.used, self.visits, self.material = (np.zeros(0, np.int32) for _ in range(3))
+        points = (np.empty((0, kernels.POINTS, 3), np.float32) for _ in range(4))
+        self.columns = PatchColumns(*points, *(np.zeros(0, np.int32) for _ in range(3)))
 
     def visit(self, ends: Arrivals) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
         """Find or add each hit's patch (-1 without a hit); also returns the cosine at which the ray leaves it."""
         count = len(ends.face)
-        for name in ("position", "normal", "geometric_normal", "albedo", "used", "visits", "material"):
-            setattr(self, name, grown(getattr(self, name), self.count, self.count + count))
+        self.columns = PatchColumns(*(grown(column, self.count, self.count + count) for column in self.columns))
         self.table.reserve(self.count + count)
         patch, cosine = np.empty(count, np.int32), np.zeros(count, np.float32)
         self.count = kernels.visit(
@@ -142,15 +140,7 @@ class _PatchSet:
             self.fineness,
             RayEnds(ends.face, ends.u, ends.v, ends.direction),
             self.table.arrays,
-            PatchColumns(
-                self.position,
-                self.normal,
-                self.geometric_normal,
-                self.albedo,
-                self.used,
-                self.visits,
-                self.material,
-            ),
+            self.columns,
             self.count,
             patch,
             cosine,
@@ -201,8 +191,9 @@ def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
     patches = _PatchSet(tracer, fineness)
     step = _RAYS_AT_ONCE // FIRST_RAYS
     for start in range(0, lit.count, step):
-        patches.visit(_gather(tracer, light, lit, start, min(start + step, lit.count), FIRST_RAYS, seed).ends)
-    parts = [_linked(patches, _gather(tracer, light, patches, 0, 0, GATHER_RAYS, seed))]
+        rows = np.arange(start, min(start + step, lit.count))
+        patches.visit(_gather(tracer, light, lit, rows, FIRST_RAYS, seed).ends)
+    parts = [_linked(patches, _gather(tracer, light, patches, np.arange(0), GATHER_RAYS, seed))]
     done = 0
     step = _RAYS_AT_ONCE // GATHER_RAYS
     for _ in range(MOST_WAVES):
@@ -210,14 +201,14 @@ def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
         if stop == done:
             break
         for start in range(done, stop, step):
-            rays = _gather(tracer, light, patches, start, min(start + step, stop), GATHER_RAYS, seed)
-            parts.append(_linked(patches, rays))
+            rows = np.arange(start, min(start + step, stop))
+            parts.append(_linked(patches, _gather(tracer, light, patches, rows, GATHER_RAYS, seed)))
         done = stop
     columns = tuple(np.concatenate(column) for column in zip(*parts, strict=True))
     enclosed, changed = _drop_enclosed(tracer, light, patches, done, seed)
     for start in range(0, len(changed), step):
         some = changed[start : start + step]
-        again = _linked(patches, _gather(tracer, light, patches, 0, 0, GATHER_RAYS, seed, some=some))
+        again = _linked(patches, _gather(tracer, light, patches, some, GATHER_RAYS, seed))
         for column, new in zip(columns, again, strict=True):
             rays_each = len(column) // done
             column.reshape(done, rays_each, *column.shape[1:])[some] = new.reshape(len(some), rays_each, *new.shape[1:])
@@ -234,19 +225,17 @@ def _drop_enclosed(
     enclosed = np.zeros(count, bool)
     near = patches.table.values[patches.table.keys >= 1 << 62]
     near = np.sort(near[near < count])
-    used = patches.used[near]
-    owner = np.repeat(np.arange(len(near)), used)
-    place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
-    position, normal, geometric_normal = (
-        column[near[owner], place][:, None] for column in (patches.position, patches.normal, patches.geometric_normal)
-    )
+    position, normal, geometric_normal, albedo, all_used, *_ = patches.columns
+    used = all_used[near]
+    owner, place = _points_of(used)
     points = len(owner)
     if not points:
         return enclosed, np.zeros(0, np.int32)
+    at = near[owner], place
     origins = PatchPoints(
-        position,
-        normal,
-        geometric_normal,
+        position[at][:, None],
+        normal[at][:, None],
+        geometric_normal[at][:, None],
         np.ones(points, np.int32),
         np.zeros(points, np.float32),
         np.arange(points, dtype=np.int64),
@@ -266,10 +255,16 @@ def _drop_enclosed(
     last = np.cumsum(used)
     for which in changed.tolist():
         patch, kept = near[which], np.flatnonzero(keep[last[which] - used[which] : last[which]])
-        for column in (patches.position, patches.normal, patches.geometric_normal, patches.albedo):
+        for column in (position, normal, geometric_normal, albedo):
             column[patch, : len(kept)] = column[patch, kept]
-        patches.used[patch] = len(kept)
+        all_used[patch] = len(kept)
     return enclosed, near[changed]
+
+
+def _points_of(used: Int32[np.ndarray, " p"]) -> tuple[Int32[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Return patch and place of each point that is used, patch by patch."""
+    owner = np.repeat(np.arange(len(used), dtype=np.int32), used)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
 
 
 def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
@@ -307,25 +302,15 @@ def _gather(
     tracer: Tracer,
     light: DirectLight,
     patches: _PatchSet,
-    start: int,
-    stop: int,
+    rows: Int[np.ndarray, " c"],
     rays: int,
     seed: int,
-    *,
-    some: Int32[np.ndarray, " c"] | None = None,
 ) -> _TracedRays:
-    """Trace cosine-weighted rays of the patches from `start` to before `stop`, or of `some`."""
-    streams = np.arange(start, stop, dtype=np.int64) if some is None else some.astype(np.int64)
-    rows = slice(start, stop) if some is None else some
-    points = PatchPoints(
-        patches.position[rows],
-        patches.normal[rows],
-        patches.geometric_normal[rows],
-        patches.used[rows],
-        tracer.materials.roughness[patches.material[rows]],
-        streams,
-    )
-    sent = allocated(PatchRays, len(streams) * rays)
+    """Trace cosine-weighted rays of some patches."""
+    position, normal, geometric_normal, _, used, _, material = (column[rows] for column in patches.columns)
+    roughness = tracer.materials.roughness[material]
+    points = PatchPoints(position, normal, geometric_normal, used, roughness, rows.astype(np.int64))
+    sent = allocated(PatchRays, len(rows) * rays)
     kernels.patch_rays(points, light.coat.through, rays, seed, sent)
     return _TracedRays(follow(tracer, light, sent.origin, sent.direction), sent.passed, rays)
 
@@ -353,14 +338,14 @@ def _direct(tracer: Tracer, light: DirectLight, patches: _PatchSet, visibility: 
     counts of both.
     """
     count = len(visibility.owner)
-    used = patches.used[:count]
-    owner = np.repeat(np.arange(count, dtype=np.int32), used)
-    place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
+    columns = patches.columns
+    used = columns.used[:count]
+    owner, place = _points_of(used)
     points = Points(
-        patches.position[owner, place],
-        patches.normal[owner, place],
-        patches.geometric_normal[owner, place],
-        tracer.materials.roughness[patches.material[owner]],
+        columns.position[owner, place],
+        columns.normal[owner, place],
+        columns.geometric_normal[owner, place],
+        tracer.materials.roughness[columns.material[owner]],
         np.full(len(owner), -1, np.int32),
         np.arange(len(owner), dtype=np.int64),
     )
@@ -393,14 +378,14 @@ def _bounced(
 ) -> RoomCache:
     """Sum the bounces of light between the patches; columns are those of `_linked`."""
     materials, coat = tracer.materials, light.coat
-    material = patches.material[:count].copy()
+    position, _, _, albedos, used, _, material = (column[:count] for column in patches.columns)
     alpha = materials.roughness[material]
-    point = np.arange(kernels.POINTS) < patches.used[:count, None]
-    albedo = (patches.albedo[:count] * point[..., None]).sum(1) / np.maximum(patches.used[:count], 1)[:, None]
+    point = np.arange(kernels.POINTS) < used[:, None]
+    albedo = (albedos * point[..., None]).sum(1) / np.maximum(used, 1)[:, None]
     visibility = LightVisibility(
-        patches.position[:count],
-        patches.used[:count],
-        patches.material[:count],
+        position,
+        used,
+        material.copy(),
         lights=max(1, len(light.lights.start)),
         materials=len(materials.mirror),
     )

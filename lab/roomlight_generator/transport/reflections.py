@@ -104,10 +104,8 @@ class Reflections:
         return out * paths.share[:, None]
 
     def lobes(self, points: Surfaces, some: Int64[np.ndarray, " k"], *, seed: int) -> Float32[np.ndarray, "k 3"]:
-        """Return the specular reflections of the coats of some points, all of which must have a coat."""
+        """Return the specular reflections of the coats of some points, of which there are any, all with a coat."""
         at = some
-        if len(at) == 0:
-            return np.zeros((0, 3), np.float32)
         tracer, light = self.tracer, self.light
         alpha = self._roughness[points.material][at]
         row = np.empty(len(at), np.int32)
@@ -130,8 +128,7 @@ class Reflections:
         seen = tracer.visible(shadow.origin[:written], shadow.direction[:written], shadow.reach[:written])
         scattered = np.zeros((len(at), 3), np.float32)
         glossy.add_scattered(shadow, seen, written, scattered)
-        count = len(at) * LOBE_RAYS
-        reflected = LobeRays(np.empty((count, 3), np.float32), np.empty(count, np.float32), np.empty(count, np.float32))
+        reflected = allocated(LobeRays, len(at) * LOBE_RAYS)
         glossy.lobe_rays(lobe, LOBE_RAYS, seed, reflected)
 
         def shares(paths: Paths) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
-from roomlight.rays import RayTree
+from roomlight.rays import RayHits, RayTree
 from roomlight_generator.rooms.scene import Material, Scene, Texture
 from roomlight_generator.transport.atlas import Atlas, build_atlas
 
@@ -51,15 +51,6 @@ class SceneArrays(NamedTuple):
     geometry: Geometry
     materials: Materials
     atlas: Atlas
-
-
-class Hits(NamedTuple):
-    """Hits of rays: face (-1: no hit), barycentric u and v, distance."""
-
-    face: Int32[np.ndarray, " n"]
-    u: Float32[np.ndarray, " n"]
-    v: Float32[np.ndarray, " n"]
-    distance_m: Float32[np.ndarray, " n"]
 
 
 class Tracer:
@@ -112,17 +103,15 @@ class Tracer:
         """Whether there is any mirror."""
         return bool(self.materials.mirror.max() > 0)
 
-    def trace(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Hits:
+    def trace(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> RayHits:
         """Find the nearest opaque surface along each ray (unit directions)."""
-        return _trace(self._opaque, origins, directions, 0)
+        return _trace(self._opaque, origins, directions)
 
-    def trace_glass(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Hits:
-        """Find the nearest pane along each ray; panes' faces are numbered after the opaque ones."""
-        if self._glass is None:
-            count = len(origins)
-            nothing = np.zeros(count, np.float32)
-            return Hits(np.full(count, -1, np.int32), nothing, nothing, np.full(count, FAR_M, np.float32))
-        return _trace(self._glass, origins, directions, self.opaque_faces)
+    def trace_glass(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> RayHits:
+        """Find the nearest pane along each ray, where `has_glass`; panes' faces are numbered after the opaque ones."""
+        assert self._glass is not None
+        hits = _trace(self._glass, origins, directions)
+        return hits._replace(face=np.where(hits.face >= 0, hits.face + np.int32(self.opaque_faces), np.int32(-1)))
 
     def visible(
         self,
@@ -194,9 +183,6 @@ def _tree(corners: Float32[np.ndarray, "f 3 3"]) -> RayTree:
     return RayTree(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3), robust=False)
 
 
-def _trace(
-    tree: RayTree, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"], first: int
-) -> Hits:
+def _trace(tree: RayTree, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> RayHits:
     hits = tree.trace(origins, directions)
-    face = np.where(hits.face >= 0, hits.face + np.int32(first), np.int32(-1)) if first else hits.face
-    return Hits(face, hits.u, hits.v, np.minimum(hits.distance_m, _MISSED_M))
+    return hits._replace(distance_m=np.minimum(hits.distance_m, _MISSED_M))

@@ -107,7 +107,7 @@ def test_library_folder_and_cache_give_the_same_catalogue(tmp_path):
         models = {(model.id, model.split, model.width_m, model.top_m) for model in catalogue.library}
         assert models == {(model.id, model.split, model.width_m, model.top_m) for model in catalogues[0].library}
         assert {model.role for model in catalogue.library} == {"chair"}
-        assert catalogue.attributions == ["Chair: Ann Onymous, CC-BY 3.0"]
+        assert {model.attribution for model in catalogue.library} == {"Chair: Ann Onymous, CC-BY 3.0"}
     assert len(list(cache_folder().iterdir())) == 1
     assert sum(model.split == "test" for model in catalogues[0].library) == 1
 
@@ -178,8 +178,8 @@ def test_the_environment_and_installed_libraries_are_found(tmp_path, monkeypatch
     installed = tmp_path / "installed"
     (installed / "furniture").mkdir(parents=True)
     simple_library(installed / "furniture" / "a.sh3f", ("a", "b"))
-    assert [path.name for path in installed_libraries(installed)] == ["a.sh3f"]
     monkeypatch.setattr("roomlight_generator.rooms.furniture.catalogue.INSTALLED_FOLDER", installed)
+    assert [path.name for path in installed_libraries()] == ["a.sh3f"]
     assert len(load_catalogue(warn=refuse).library) == 2
     monkeypatch.setenv("ROOMLIGHT_FURNITURE", str(simple_library(tmp_path / "mine.sh3f", ("x", "y", "z"))))
     assert len(load_catalogue(warn=refuse).library) == 3

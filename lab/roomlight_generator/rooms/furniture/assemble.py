@@ -2,7 +2,7 @@
 materials."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,7 +15,7 @@ from roomlight_generator.rooms.furniture.files.archive import Archive
 from roomlight_generator.rooms.furniture.files.materials import looks_like_shade, make_material
 from roomlight_generator.rooms.furniture.files.obj import MtlMaterial, Obj, parse_mtl, parse_obj
 from roomlight_generator.rooms.furniture.files.sh3f import LibraryEntry, WarningCallback
-from roomlight_generator.rooms.furniture.files.textures import MAX_SIDE, TextureImage, read_image
+from roomlight_generator.rooms.furniture.files.textures import MAX_IMAGE_BYTES, MAX_SIDE, TextureImage, decode_image
 from roomlight_generator.rooms.furniture.simplify import TriangleSoup, simplified, welded
 from roomlight_generator.rooms.roles import CEILING_ROLES, TOP_ROLES
 from roomlight_generator.rooms.scene import Material, Mesh, Texture
@@ -39,38 +39,22 @@ removed whole: a texture with holes that lies over another surface is a print on
 _UNNAMED: Final = MtlMaterial("default")
 
 
-@dataclass(frozen=True, eq=False)
-class ModelMaterials:
-    """Materials of a model, in the order of its OBJ's names, and the coverage of those with holes."""
-
-    materials: tuple[Material, ...]
-    coverages: Mapping[int, Float[np.ndarray, "h w"]]
-
-
 def build_mesh(archive: Archive, entry: LibraryEntry, *, role: str, warn: WarningCallback) -> Mesh:
     """Build the model's mesh: metres, y up, front toward +z, standing on y = 0.
 
     Raises:
-        FurnitureError: the model cannot be read.
+        FurnitureError: the model cannot be read, or no triangle is visible and of non-zero area.
     """
     where = f"{archive.path}: {entry.member}"
-    return assemble_mesh(parse_obj(archive.read(entry.member), where), archive, entry, role=role, warn=warn)
-
-
-def assemble_mesh(obj: Obj, archive: Archive, entry: LibraryEntry, *, role: str, warn: WarningCallback) -> Mesh:
-    """Build the mesh of an OBJ that is already parsed (see `build_mesh`).
-
-    Raises:
-        FurnitureError: no triangle is visible and of non-zero area.
-    """
-    loaded = _load_materials(obj, archive, entry, role, warn)
+    obj = parse_obj(archive.read(entry.member), where)
+    materials, coverages = _load_materials(obj, archive, entry, role, warn)
     levels = _HOLE_LEVELS if role in _LEAFY_ROLES else 0
-    soup = _drop_unused_uvs(_cut_holes(_soup(obj, entry), loaded.coverages, levels), loaded.materials)
+    soup = _drop_unused_uvs(_cut_holes(_soup(obj, entry), coverages, levels), materials)
     soup = welded(soup) if len(soup.faces) else soup
     if not len(soup.faces):
-        raise FurnitureError(f"{archive.path}: {entry.member}: all its triangles have zero area or are transparent")
+        raise FurnitureError(f"{where}: all its triangles have zero area or are transparent")
     small = role in TOP_ROLES or (role in CEILING_ROLES and entry.width_m < 0.3)
-    return _indexed_mesh(simplified(soup, _SMALL_TARGET_TRIANGLES if small else TARGET_TRIANGLES), loaded.materials)
+    return _indexed_mesh(simplified(soup, _SMALL_TARGET_TRIANGLES if small else TARGET_TRIANGLES), materials)
 
 
 def _soup(obj: Obj, entry: LibraryEntry) -> TriangleSoup:
@@ -91,7 +75,8 @@ def _soup(obj: Obj, entry: LibraryEntry) -> TriangleSoup:
 
 def _load_materials(
     obj: Obj, archive: Archive, entry: LibraryEntry, role: str, warn: WarningCallback
-) -> ModelMaterials:
+) -> tuple[tuple[Material, ...], dict[int, Float[np.ndarray, "h w"]]]:
+    """Return the materials in the order of the OBJ's names, and the coverage of those with holes."""
     mtl_materials: dict[str, MtlMaterial] = {}
     for library in obj.libraries:
         member = archive.find(library, relative_to=entry.member)
@@ -99,7 +84,7 @@ def _load_materials(
             mtl_materials |= parse_mtl(archive.read(member))
     side = MAX_SIDE * 2 if role in _LARGE_TEXTURE_ROLES else MAX_SIDE
     materials: list[Material] = []
-    coverages: dict[int, Float[np.ndarray, "h w"]] = {}
+    coverages: dict[int, np.ndarray] = {}
     textures: dict[str, tuple[TextureImage, Texture] | None] = {}
     kinds = KIND_OF.get(entry.id, {})
     for k, name in enumerate(obj.material_names):
@@ -117,7 +102,7 @@ def _load_materials(
     if all(material.glass for material in materials):
         # Rays pass straight through glass, so a model made only of glass would be invisible.
         materials = [replace(material, glass=False, roughness=0.08) for material in materials]
-    return ModelMaterials(tuple(materials), coverages)
+    return tuple(materials), coverages
 
 
 def _is_shade(name: str, entry: LibraryEntry, role: str) -> bool:
@@ -138,7 +123,8 @@ def _load_texture(
                 f"{archive.path}: model {entry.id!r}: its texture {name!r} is not in the library; using a plain colour"
             )
             return None
-        picture = read_image(archive, member, side=side)
+        data = archive.read(member, limit=MAX_IMAGE_BYTES)
+        picture = decode_image(data, f"{archive.path}: texture {member}", side=side)
     except FurnitureError as error:
         warn(f"{error}; using a plain colour")
         return None

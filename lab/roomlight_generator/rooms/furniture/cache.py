@@ -11,6 +11,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -102,22 +103,6 @@ class CacheWriter:
         return self._textures.setdefault(data, len(self._textures))
 
 
-@dataclass(frozen=True, eq=False)
-class StoredMesh:
-    """Reads one model's mesh from its cache when called."""
-
-    cache: "Cache"
-    number: int
-
-    def __call__(self) -> Mesh:
-        """Read the mesh.
-
-        Raises:
-            FurnitureError: the file is damaged.
-        """
-        return self.cache.mesh(self.number)
-
-
 class Cache:
     """An open cache file; its index is in memory, arrays are read on access."""
 
@@ -148,7 +133,7 @@ class Cache:
                 FurnitureModel(
                     **{name: record[name] for name in _FIELDS},
                     split="train",
-                    load=StoredMesh(self, number),
+                    load=partial(self.mesh, number),
                     lights=tuple(
                         LightSource(np.array(light["position"], np.float32), light["diameter_m"], _rgb(light["colour"]))
                         for light in record["lights"]

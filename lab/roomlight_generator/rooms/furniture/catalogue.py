@@ -12,7 +12,7 @@ import numpy as np
 
 from roomlight.dataset.recording import Split
 from roomlight.errors import FurnitureError, OutputError
-from roomlight_generator.rooms.furniture.build import SUFFIX, ProgressCallback, build_cache
+from roomlight_generator.rooms.furniture.build import SUFFIX, build_cache
 from roomlight_generator.rooms.furniture.cache import VERSION, Cache, is_cache
 from roomlight_generator.rooms.furniture.files.sh3f import WarningCallback
 from roomlight_generator.rooms.furniture.splits import assign_splits
@@ -77,16 +77,8 @@ class Catalogue:
         chosen = library or fallbacks
         return chosen[min(int(place * len(chosen)), len(chosen) - 1)] if chosen else None
 
-    @property
-    def attributions(self) -> list[str]:
-        """Sorted, distinct attributions of the models."""
-        texts = {model.attribution for model in (*self.library, *self.fallbacks)}
-        return sorted(text for text in texts if text)
 
-
-def load_catalogue(
-    path: Path | None = None, *, warn: WarningCallback, progress: ProgressCallback | None = None
-) -> Catalogue:
+def load_catalogue(path: Path | None = None, *, warn: WarningCallback) -> Catalogue:
     """Load the furniture library from a cache file, a `.sh3f` file, or a folder of them.
 
     Without a path, the variable ROOMLIGHT_FURNITURE names the library; if it is unset, Debian's installed libraries are
@@ -98,7 +90,7 @@ def load_catalogue(
     """
     named = path if path is not None else named_library()
     if named is not None and is_cache(named):
-        return catalogue_from_cache(Cache(named))
+        return _divided(Cache(named))
     sources = library_files(named) if named is not None else installed_libraries()
     if not sources:
         warn(
@@ -107,10 +99,10 @@ def load_catalogue(
             f"{ENVIRONMENT_VARIABLE} to a .sh3f file, a folder of them or a furniture cache)"
         )
         return Catalogue()
-    return catalogue_from_cache(_open_or_build_cache(sources, warn, progress))
+    return _divided(_open_or_build_cache(sources, warn))
 
 
-def catalogue_from_cache(cache: Cache) -> Catalogue:
+def _divided(cache: Cache) -> Catalogue:
     """Return all models of a cache, divided into splits."""
     stored = cache.models()
     splits = assign_splits(
@@ -141,12 +133,12 @@ def named_library() -> Path | None:
     return Path(named) if named else None
 
 
-def installed_libraries(root: Path | None = None) -> list[Path]:
+def installed_libraries() -> list[Path]:
     """Return the libraries of Debian's packages."""
-    return sorted(((root or INSTALLED_FOLDER) / "furniture").glob("*.sh3f"))
+    return sorted((INSTALLED_FOLDER / "furniture").glob("*.sh3f"))
 
 
-def _open_or_build_cache(sources: Sequence[Path], warn: WarningCallback, progress: ProgressCallback | None) -> Cache:
+def _open_or_build_cache(sources: Sequence[Path], warn: WarningCallback) -> Cache:
     path = cache_folder() / f"furniture-{_key(sources)}.rlf"
     if path.exists():
         try:
@@ -154,11 +146,11 @@ def _open_or_build_cache(sources: Sequence[Path], warn: WarningCallback, progres
         except FurnitureError as error:
             warn(f"{error}; rebuilding it")
     try:
-        build_cache(sources, path, warn=warn, progress=progress)
+        build_cache(sources, path, warn=warn)
     except OutputError as error:
         path = Path(tempfile.mkdtemp(prefix="roomlight-furniture-")) / path.name
         warn(f"{error}; writing it to {path} instead")
-        build_cache(sources, path, warn=warn, progress=progress)
+        build_cache(sources, path, warn=warn)
     return Cache(path)
 
 

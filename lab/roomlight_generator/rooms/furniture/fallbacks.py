@@ -69,11 +69,9 @@ def _joined(boxes: list[Box], *others: Mesh) -> Mesh:
     return Mesh.joined([*parts, *others])
 
 
-def _legs(
-    material: Material, width: Number, height: Number, depth: Number, *, thick: Number = 0.05, y: Number = 0
-) -> list[Box]:
+def _legs(material: Material, width: Number, height: Number, depth: Number, *, thick: Number = 0.05) -> list[Box]:
     x, z = (width - thick) / 2, (depth - thick) / 2
-    return [(material, (thick, height, thick), (sx * x, y, sz * z)) for sx in (-1, 1) for sz in (-1, 1)]
+    return [(material, (thick, height, thick), (sx * x, 0, sz * z)) for sx in (-1, 1) for sz in (-1, 1)]
 
 
 def _wood(rng: np.random.Generator) -> Material:

@@ -4,9 +4,8 @@ Start at `furnish.furnish`. `room_types` lists what stands in which room, `group
 `arrangement` tests each placement; `wall_space` and `free_floor` find the places.
 """
 
-from roomlight_generator.rooms.planner.chooser import Chooser
-from roomlight_generator.rooms.planner.free_floor import FreeFloor, free_floor
+from roomlight_generator.rooms.planner.free_floor import free_floor
 from roomlight_generator.rooms.planner.furnish import furnish
 from roomlight_generator.rooms.planner.room_types import ROOM_TYPES, RoomType
 
-__all__ = ["ROOM_TYPES", "Chooser", "FreeFloor", "RoomType", "free_floor", "furnish"]
+__all__ = ["ROOM_TYPES", "RoomType", "free_floor", "furnish"]

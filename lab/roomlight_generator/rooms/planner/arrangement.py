@@ -8,7 +8,7 @@ the view from a window, the floor in front of a wardrobe) exclude the layers the
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, TypeVar
+from typing import Final, Literal, Protocol, TypeVar, runtime_checkable
 
 import cv2
 import numpy as np
@@ -17,7 +17,6 @@ from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.plan import Gap, Placement, Shell, Wall
 from roomlight_generator.rooms.planner.body import Body, Segment, contains_point
-from roomlight_generator.rooms.planner.chooser import Chooser
 from roomlight_generator.rooms.planner.free_floor import bare_floor, cells_near, disc, is_obstacle
 from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
 from roomlight_generator.rooms.shapes import Number
@@ -51,6 +50,17 @@ UNDER_CEILING_M: Final = 0.005
 
 SILL_M: Final = 0.06
 """Height of a window's sill below its hole."""
+
+
+@runtime_checkable  # so that annotations can be checked in the test run
+class Chooser(Protocol):
+    """A collection of furniture models that can be sampled by role."""
+
+    def choose(
+        self, role: str, split: Split, rng: np.random.Generator, *, fits: Callable[[FurnitureModel], bool] | None = None
+    ) -> FurnitureModel | None:
+        """Choose a model of that role and split among those that `fits` accepts; None if there is none."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,8 +298,8 @@ class Arrangement:
                 if gap.kind not in ("door", "passage"):
                     continue
                 x, z = wall.at((gap.start_m + gap.end_m) / 2, DOORSTEP_M)
-                row = round((float(z) - self.floor.origin[1]) / self.floor.cell_m)
-                column = round((float(x) - self.floor.origin[0]) / self.floor.cell_m)
+                row = round((z - self.floor.origin[1]) / self.floor.cell_m)
+                column = round((x - self.floor.origin[0]) / self.floor.cell_m)
                 if 0 <= row < region.shape[0] and 0 <= column < region.shape[1] and region[row, column]:
                     steps.append((row, column))
         return steps
@@ -312,7 +322,7 @@ def _space_in_front(wall: Wall, gap: Gap, depth: float, *, low: float, grow: flo
     """Return the space in front of a gap in a wall."""
     x, z = wall.at((gap.start_m + gap.end_m) / 2, depth / 2)
     width = gap.end_m - gap.start_m + grow
-    return Body.of(float(x), float(z), wall.facing_degrees(), width=width, depth=depth, low=low, high=gap.top_m)
+    return Body.of(x, z, wall.facing_degrees(), width=width, depth=depth, low=low, high=gap.top_m)
 
 
 def yaw_toward(x0: float, z0: float, x1: float, z1: float) -> float:

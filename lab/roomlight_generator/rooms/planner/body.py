@@ -72,10 +72,9 @@ class Body:
         dx, dz = x - self.x, z - self.z
         return dx * self.cosine - dz * self.sine, dx * self.sine + dz * self.cosine
 
-    def corners(self, grow_m: float = 0.0) -> list[tuple[float, float]]:
+    def corners(self) -> list[tuple[float, float]]:
         """Return its four corners in plan."""
-        w, d = self.half_width + grow_m, self.half_depth + grow_m
-        return [self.to_plan(a * w, b * d) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        return [self.to_plan(a * self.half_width, b * self.half_depth) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
 
     def overlaps(self, other: "Body", slack_m: float = TOUCH_M) -> bool:
         """Return whether the boxes overlap by more than the slack (separating axes, height intervals)."""
@@ -98,9 +97,9 @@ class Body:
             < other.half_depth + self.half_width * across + self.half_depth * along - slack_m
         )
 
-    def crosses(self, segments: Sequence[Segment], slack_m: float = TOUCH_M) -> bool:
-        """Return whether any of the plan segments crosses its footprint."""
-        half_width, half_depth = self.half_width - slack_m, self.half_depth - slack_m
+    def crosses(self, segments: Sequence[Segment]) -> bool:
+        """Return whether any of the plan segments crosses its footprint by more than `TOUCH_M`."""
+        half_width, half_depth = self.half_width - TOUCH_M, self.half_depth - TOUCH_M
         for x0, z0, x1, z1 in segments:
             ax, az = x0 - self.x, z0 - self.z
             bx, bz = x1 - self.x, z1 - self.z

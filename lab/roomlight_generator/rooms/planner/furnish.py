@@ -4,10 +4,9 @@ import numpy as np
 
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.plan import Placement, Shell
-from roomlight_generator.rooms.planner.arrangement import Arrangement
-from roomlight_generator.rooms.planner.chooser import Chooser
+from roomlight_generator.rooms.planner.arrangement import Arrangement, Chooser
 from roomlight_generator.rooms.planner.groups.ceiling import light_ceiling
-from roomlight_generator.rooms.planner.groups.loose_items import furnish_second_room, place_person, place_pet
+from roomlight_generator.rooms.planner.groups.loose_items import furnish_second_room, place_being
 from roomlight_generator.rooms.planner.groups.tabletops import place_on_tops
 from roomlight_generator.rooms.planner.groups.wall_items import hang_wall_items, lamps_at_bed, radiators
 from roomlight_generator.rooms.planner.room_types import RoomType
@@ -39,6 +38,6 @@ def furnish(
     if arrangement.chance(0.15):
         lamps_at_bed(arrangement)
     place_on_tops(arrangement)
-    place_person(arrangement, room_type.people)
-    place_pet(arrangement, room_type.pets)
+    place_being(arrangement, "person", room_type.people)
+    place_being(arrangement, "pet", room_type.pets)
     return tuple([piece.placement for piece in arrangement.pieces] + furnish_second_room(arrangement))

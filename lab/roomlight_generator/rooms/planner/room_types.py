@@ -19,7 +19,7 @@ from roomlight_generator.rooms.planner.groups.loose_items import (
     place_rug,
     scatter_on_floor,
 )
-from roomlight_generator.rooms.planner.groups.public_rooms import benches, double_rows, row_along
+from roomlight_generator.rooms.planner.groups.public_rooms import benches, bookcase_row, double_rows
 from roomlight_generator.rooms.planner.groups.seating_groups import conversation_group, reading_corner, tv_lounge
 from roomlight_generator.rooms.planner.groups.tables import cafe_tables, desk, desk_islands, dining, reading_tables
 from roomlight_generator.rooms.tables import read_table
@@ -34,7 +34,7 @@ def fill_spare_space(arrangement: Arrangement) -> int:
             conversation_group,
             reading_corner,
             desk,
-            partial(row_along, role="bookcase", longest=2.6),
+            partial(bookcase_row, longest=2.6),
         )
     )
     for group in groups[:3]:
@@ -101,9 +101,9 @@ class RoomType:
 _GROUPS: Final[dict[str, Callable[..., object]]] = {
     group.__name__: group
     for group in (
-        bathroom, bed, benches, cafe_tables, conversation_group, desk, desk_islands, dining, double_rows,
+        bathroom, bed, benches, bookcase_row, cafe_tables, conversation_group, desk, desk_islands, dining, double_rows,
         fill_spare_space, fill_walls, kitchen, place_along_walls, place_in_corners, place_rug, reading_corner,
-        reading_tables, row_along, scatter_on_floor, tv_lounge,
+        reading_tables, scatter_on_floor, tv_lounge,
     )
 }  # fmt: skip
 """What a step of `room_types.toml` can place, by name."""

@@ -3,13 +3,13 @@
 `along` is the distance from a wall's left end (seen from inside) to the centre of the object, metres.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.plan import Wall
-from roomlight_generator.rooms.planner.arrangement import FLOOR_LAYER, SILL_M, Arrangement, Layer, Piece
+from roomlight_generator.rooms.planner.arrangement import SILL_M, Arrangement, Layer, Piece
 from roomlight_generator.rooms.planner.body import Body
 
 WallPreference = Literal["any", "corner", "middle"]
@@ -99,8 +99,7 @@ def slope_inset_m(arrangement: Arrangement, wall: Wall, height: float) -> float 
         return None
     for step in range(1, 13 if height < 1.3 else 7):
         away = 0.05 * step
-        heights = [arrangement.shell.ceiling_at(*(float(part) for part in wall.at(wall.length_m * share, away)))
-                   for share in (0.2, 0.5, 0.8)]  # fmt: skip
+        heights = [arrangement.shell.ceiling_at(*wall.at(wall.length_m * share, away)) for share in (0.2, 0.5, 0.8)]
         if min(heights) > height + 0.02:
             return away
     return None
@@ -108,8 +107,7 @@ def slope_inset_m(arrangement: Arrangement, wall: Wall, height: float) -> float 
 
 def wall_point(wall: Wall, along: float, depth: float, away: float) -> tuple[float, float]:
     """Return the centre of an object of that depth whose back is `away` metres from the wall."""
-    x, z = wall.at(along, away + depth / 2)
-    return float(x), float(z)
+    return wall.at(along, away + depth / 2)
 
 
 def wall_positions(
@@ -147,8 +145,6 @@ def place_at_wall(
     *,
     where: WallPreference = "any",
     clear_m: float = 0.0,
-    walls: Iterable[int] | None = None,
-    accept: Callable[[int, float], bool] | None = None,
     tries: int = 8,
 ) -> Piece | None:
     """Place a model with its back to a wall, 1 to 5 cm from it.
@@ -158,8 +154,6 @@ def place_at_wall(
         model: The model; None: nothing is placed.
         where: Preferred positions along the wall.
         clear_m: Depth of floor in front of the model to reserve.
-        walls: Indices of the walls; None: all walls.
-        accept: Called with wall and position; a position that it refuses is skipped.
         tries: Positions tried.
 
     Returns:
@@ -172,14 +166,8 @@ def place_at_wall(
     lower = arrangement.chance(0.7)
     depth = model.depth_m + away
     lowest, highest = float(model.elevation_m), float(model.elevation_m + model.height_m)
-    spans = free_wall_spans(arrangement, depth, low=0.0, high=highest, walls=walls, lower_walls=lower)
-    tried = 0
-    for index, along in wall_positions(arrangement, spans, model.width_m, where):
-        if accept is not None and not accept(index, along):
-            continue
-        tried += 1
-        if tried > tries:
-            break
+    spans = free_wall_spans(arrangement, depth, low=0.0, high=highest, lower_walls=lower)
+    for index, along in wall_positions(arrangement, spans, model.width_m, where)[:tries]:
         wall = arrangement.shell.walls[index]
         inset = slope_inset_m(arrangement, wall, highest)
         if inset is None:
@@ -187,15 +175,29 @@ def place_at_wall(
         # A slight rotation moves the back's corners toward the wall.
         back_off = abs(yaw) * 0.0175 * model.width_m / 2
         x, z = wall_point(wall, along, model.depth_m, away + inset + back_off)
-        snapshot = arrangement.snapshot()
-        piece = arrangement.place(model, x, z, wall.facing_degrees() + yaw, y=lowest)
-        if piece is None:
-            continue
-        if clear_m > 0 and not arrangement.reserve(floor_in_front(piece, clear_m), FLOOR_LAYER):
-            arrangement.restore(snapshot)
-            continue
-        return piece
+        piece = place_with_floor(arrangement, model, x, z, wall.facing_degrees() + yaw, clear_m, y=lowest)
+        if piece is not None:
+            return piece
     return None
+
+
+def place_with_floor(
+    arrangement: Arrangement,
+    model: FurnitureModel,
+    x: float,
+    z: float,
+    degrees: float,
+    clear_m: float,
+    *,
+    y: float = 0.0,
+) -> Piece | None:
+    """Place a model and reserve the floor in front of it, to that depth; None if the one or the other does not fit."""
+    snapshot = arrangement.snapshot()
+    piece = arrangement.place(model, x, z, degrees, y=y)
+    if piece is not None and clear_m > 0 and not arrangement.reserve(floor_in_front(piece, clear_m)):
+        arrangement.restore(snapshot)
+        return None
+    return piece
 
 
 def floor_in_front(piece: Piece, depth: float, *, shrink: float = 0.04) -> Body:
@@ -208,7 +210,7 @@ def floor_in_front(piece: Piece, depth: float, *, shrink: float = 0.04) -> Body:
 
 def depth_at_wall(arrangement: Arrangement, wall: Wall, along: float) -> tuple[float, bool]:
     """Return the depth of the room from that point of a wall, and whether the wall at the far end is parallel."""
-    x, z = (float(part) for part in wall.at(along, 0.01))
+    x, z = wall.at(along, 0.01)
     nx, nz = float(wall.inward[0]), float(wall.inward[1])
     best, parallel = 99.0, False
     for (x0, z0, x1, z1), other in zip(arrangement.outline, arrangement.shell.walls, strict=True):

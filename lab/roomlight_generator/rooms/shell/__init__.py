@@ -5,6 +5,6 @@ Start at `build.build_shell`. `outline` chooses the plan and the ceiling, `floor
 """
 
 from roomlight_generator.rooms.shell.build import build_shell
-from roomlight_generator.rooms.shell.style import STYLES, CoverKind, LowerKind, ShellStyle, WindowKind
+from roomlight_generator.rooms.shell.style import STYLES, CoverKind, ShellStyle
 
-__all__ = ["STYLES", "CoverKind", "LowerKind", "ShellStyle", "WindowKind", "build_shell"]
+__all__ = ["STYLES", "CoverKind", "ShellStyle", "build_shell"]

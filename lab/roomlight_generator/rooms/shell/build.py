@@ -2,6 +2,7 @@
 planner."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from roomlight_generator.rooms.plan import Gap, Shell, Wall
 from roomlight_generator.rooms.scene import Item, Material, Opening
 from roomlight_generator.rooms.shell.doors import door_items, niche_items, passage_items
 from roomlight_generator.rooms.shell.floor_plan import FloorPlan, choose_floor_plan
-from roomlight_generator.rooms.shell.holes import AnyHole, Door, Niche, Passage, Window
+from roomlight_generator.rooms.shell.holes import AnyHole, Door, Niche, Passage, Window, leads_to_second_room
 from roomlight_generator.rooms.shell.mesh_builder import Plane
 from roomlight_generator.rooms.shell.outline import Envelope, choose_envelope
 from roomlight_generator.rooms.shell.polygons import Outline
@@ -25,6 +26,9 @@ from roomlight_generator.rooms.shell.surfaces import (
     trim_items,
 )
 from roomlight_generator.rooms.shell.windows import window_items
+
+_ENTRY_SIDE: Final = 3
+"""Side of the second room next to the main room."""
 
 
 def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator) -> Shell:
@@ -50,10 +54,11 @@ def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator)
         items += beam_items(room, floor_plan.skylights, finishes.beam, depth_m, rng)
     spots: list[tuple[float, float, float]] = []
     if floor_plan.second is not None:
-        made, second_openings = _second_room_items(room, floor_plan, finishes, trim, rng)
+        entry = next(hole for hole in floor_plan.holes if leads_to_second_room(hole))
+        made, second_openings = _second_room_items(room, floor_plan, floor_plan.second, entry, finishes, trim, rng)
         items += made
         openings += second_openings
-        spots = _spots(room, floor_plan, rng)
+        spots = _spots(room, floor_plan, floor_plan.second, entry, rng)
     return Shell(
         items=tuple(items),
         openings=tuple(openings),
@@ -101,36 +106,30 @@ def _room_items(
     rng: np.random.Generator,
     *,
     band: int | None = None,
-    cuts: dict[int, list[Outline]] | None = None,
+    doorway: Outline | None = None,
 ) -> tuple[list[Item], list[Opening]]:
-    """Build walls, the windows and doors in them and the trim along them, and further holes (`cuts`)."""
+    """Build walls, the windows and doors in them and the trim along them, and a doorway in the second room's wall."""
     items: list[Item] = []
     openings: list[Opening] = []
     accent = _accent_side(room, holes) if room_finishes.accent_wall is not None and trim.accent else None
     for i, side in enumerate(room.sides):
         side_holes = [hole for hole in holes if hole.side == i]
         outlines: list[Outline] = [hole_outline(hole) for hole in side_holes]
-        outlines += (cuts or {}).get(i, [])
+        trim_stops = list(side_holes)
+        if doorway is not None and i == _ENTRY_SIDE:
+            outlines.append(doorway)
+            # To the trim it is a plain doorway with an architrave's margin.
+            s, h = [p[0] for p in doorway], [p[1] for p in doorway]
+            trim_stops.append(Passage(i, (min(s), max(s), min(h), max(h)), 0.1, 0.0, lined=True))
         builder = build_wall(room, i, outlines, room_finishes, trim, accent=i == accent)
         items.append(Item(f"wall {i}, backsplash" if i == band else f"wall {i}", "wall", builder.mesh()))
-        wall_finish = (
-            room_finishes.accent_wall if i == accent and room_finishes.accent_wall is not None else room_finishes.wall
-        )
+        wall_finish = (room_finishes.accent_wall if i == accent else None) or room_finishes.wall
         for k, hole in enumerate(side_holes):
             made, opening = _hole_items(hole, side.plane, finishes, room_finishes, wall_finish, rng, name=f"{i}.{k}")
             items += made
             openings += [opening] if opening is not None else []
-        items += trim_items(room, i, _holes_and_cuts(side_holes, i, cuts), room_finishes, finishes.moulding, trim)
+        items += trim_items(room, i, trim_stops, room_finishes, finishes.moulding, trim)
     return items, openings
-
-
-def _holes_and_cuts(side_holes: Sequence[AnyHole], side: int, cuts: dict[int, list[Outline]] | None) -> list[AnyHole]:
-    """Return the holes at which trim stops; a cut counts as a plain doorway with an architrave's margin."""
-    holes = list(side_holes)
-    for cut in (cuts or {}).get(side, []):
-        s, h = [p[0] for p in cut], [p[1] for p in cut]
-        holes.append(Passage(side, (min(s), max(s), min(h), max(h)), 0.1, 0.0, lined=True))
-    return holes
 
 
 def _accent_side(room: Envelope, holes: Sequence[AnyHole]) -> int | None:
@@ -159,37 +158,34 @@ def _hole_items(
     return passage_items(hole, plane, finishes, wall_finish, room_finishes.floor, name=f"passage {name}"), None
 
 
-def _second_room_entry(floor_plan: FloorPlan) -> Door | Passage:
-    """Return the hole that leads to the second room."""
-    return next(h for h in floor_plan.holes if isinstance(h, Passage) or (isinstance(h, Door) and h.to_second_room))
-
-
 def _second_room_items(
-    room: Envelope, floor_plan: FloorPlan, finishes: Finishes, trim: Trim, rng: np.random.Generator
+    room: Envelope,
+    floor_plan: FloorPlan,
+    second: Envelope,
+    hole: AnyHole,
+    finishes: Finishes,
+    trim: Trim,
+    rng: np.random.Generator,
 ) -> tuple[list[Item], list[Opening]]:
-    """Build the second room, closed except for the doorway or passage to it and its window."""
-    second, hole = floor_plan.second, _second_room_entry(floor_plan)
-    if second is None:
-        return [], []
+    """Build the second room, closed except for the hole that leads to it and its window."""
     plane = room.sides[hole.side].plane
-    near = second.sides[3].plane
+    near = second.sides[_ENTRY_SIDE].plane
     cut = [(float((plane.at(s, h, hole.depth_m) - near.origin) @ near.u), h) for s, h in hole_outline(hole)]
     cut.reverse()
     room_finishes = finishes.second
     plain = Trim(skirting_m=trim.skirting_m or 0.08)
     if room_finishes.lower_wall is not None:
         plain = Trim((0.0, 1.1), frozenset(range(4)), skirting_m=plain.skirting_m)
-    items, openings = _room_items(second, floor_plan.second_holes, finishes, room_finishes, plain, rng, cuts={3: [cut]})
+    items, openings = _room_items(second, floor_plan.second_holes, finishes, room_finishes, plain, rng, doorway=cut)
     items.append(Item("floor", "floor", build_floor(second, room_finishes.floor).mesh()))
     items.append(Item("ceiling", "ceiling", build_ceiling(second, room_finishes.ceiling, []).mesh()))
     return [Item(f"second room: {item.name}", "second_room", item.mesh) for item in items], openings
 
 
-def _spots(room: Envelope, floor_plan: FloorPlan, rng: np.random.Generator) -> list[tuple[float, float, float]]:
+def _spots(
+    room: Envelope, floor_plan: FloorPlan, second: Envelope, hole: AnyHole, rng: np.random.Generator
+) -> list[tuple[float, float, float]]:
     """Choose up to two places along the far wall of the second room, the first opposite the doorway."""
-    second, hole = floor_plan.second, _second_room_entry(floor_plan)
-    if second is None:
-        return []
     far = second.sides[1]
     depth_m = second.sides[0].length_m
     # A leaf that swings into the second room needs clear floor.

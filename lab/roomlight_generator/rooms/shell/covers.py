@@ -11,10 +11,10 @@ import numpy as np
 
 from roomlight_generator.rooms.finishes import Finishes
 from roomlight_generator.rooms.scene import Item, Material
-from roomlight_generator.rooms.shapes import smooth_normals
+from roomlight_generator.rooms.shapes import grid_faces, smooth_normals
 from roomlight_generator.rooms.shell.holes import Cover, Window
 from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
-from roomlight_generator.rooms.shell.polygons import OVERLAP, rect
+from roomlight_generator.rooms.shell.polygons import rect
 
 _FOLD_COLUMNS = 7
 """Vertices across one fold."""
@@ -46,10 +46,7 @@ def cover_items(
     cover = window.cover
     builder = MeshBuilder()
     if sealed is not None:
-        s0, s1, h0, h1 = window.rect
-        edge = 2 * OVERLAP
-        hole = rect(s0 - edge, s1 + edge, h0 - edge, h1 + edge)
-        builder.panel(plane, hole, sealed, depth=window.depth_m)
+        builder.back(plane, window.rect, sealed, window.depth_m)
     if cover.kind in ("roller", "roller_down"):
         _roller(window, plane, finishes, near_m, sealed, builder)
     elif cover.kind == "venetian":
@@ -220,9 +217,7 @@ def _add_cloth(cloth: _Cloth, plane: Plane, material: Material, rng: np.random.G
     local[..., 0] = np.clip(span[0] + t * (span[1] - span[0]) + sideways * ends, *span)
     local[..., 1] = (heights[0] + rows * (heights[1] - heights[0]))[:, None]
     local[..., 2] = np.minimum(cloth.depth_m - depth_m * depth * swell * np.sin(phase + drift), -0.004)
-    index = np.arange(local.shape[0] * columns).reshape(-1, columns)
-    a, b, c, d = index[:-1, :-1].ravel(), index[:-1, 1:].ravel(), index[1:, 1:].ravel(), index[1:, :-1].ravel()
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
+    faces = grid_faces(len(rows) - 1, columns - 1)
     world = plane.points(local.reshape(-1, 3))
     normals = smooth_normals(world.astype(np.float32), faces)
     builder.add(world, normals, faces, material)

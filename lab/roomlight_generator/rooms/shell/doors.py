@@ -22,15 +22,9 @@ def door_items(door: Door, plane: Plane, finishes: Finishes, floor: Material, *,
     """Build a door: closed in its recess, or open with a doorway to the second room."""
     s0, s1, h0, h1 = door.rect
     design = door.design
-    hole = rect(*door.rect)
     frame = MeshBuilder()
-    frame.tube(
-        plane,
-        hole,
-        (-OVERLAP, door.depth_m + OVERLAP),
-        finishes.door_frame,
-        others={0: floor} if door.to_second_room else None,
-    )
+    others = {0: floor} if door.to_second_room else None
+    frame.tube(plane, rect(*door.rect), (-OVERLAP, door.depth_m + OVERLAP), finishes.door_frame, others=others)
     _architrave(door, plane, finishes.door_frame, frame)
     shut = _leaf_depth(door)
     if door.to_second_room:
@@ -46,9 +40,7 @@ def door_items(door: Door, plane: Plane, finishes: Finishes, floor: Material, *,
         hinge_right = bool(k) if design.leaves == 2 else design.hinge_right
         leaf = MeshBuilder()
         if not door.to_second_room and k == 0:
-            edge = 2 * OVERLAP
-            back = rect(s0 - edge, s1 + edge, h0 - edge, h1 + edge)
-            leaf.panel(plane, back, finishes.door, depth=door.depth_m)
+            leaf.back(plane, door.rect, finishes.door, door.depth_m)
         # Of two leaves the second is rarely opened as far.
         angle = design.open_degrees * (1.0 if k == 0 else 0.85)
         hung = _leaf_plane(plane, door, shut, angle, hinge_right=hinge_right)
@@ -152,8 +144,7 @@ def _panel(face: Plane, field: tuple[float, float, float, float], material: Mate
     """Build a recessed panel with sloping edges."""
     s0, s1, h0, h1 = field
     depth_m, bevel = 0.009, 0.022
-    outer = [(s0, h0), (s1, h0), (s1, h1), (s0, h1)]
-    inner = [(s0 + bevel, h0 + bevel), (s1 - bevel, h0 + bevel), (s1 - bevel, h1 - bevel), (s0 + bevel, h1 - bevel)]
+    outer, inner = rect(*field), rect(s0 + bevel, s1 - bevel, h0 + bevel, h1 - bevel)
     builder.panel(face, inner, material, depth=depth_m)
     for k in range(4):
         a, b, c, d = outer[k], outer[(k + 1) % 4], inner[(k + 1) % 4], inner[k]
@@ -190,11 +181,10 @@ def passage_items(
 
 def niche_items(niche: Niche, plane: Plane, wall: Material, shelf: Material, *, name: str) -> list[Item]:
     """Build a recess with a back and shelves."""
-    s0, s1, h0, h1 = niche.rect
+    s0, s1, _, _ = niche.rect
     builder = MeshBuilder()
     builder.tube(plane, rect(*niche.rect), (-OVERLAP, niche.depth_m + OVERLAP), wall)
-    edge = 2 * OVERLAP
-    builder.panel(plane, rect(s0 - edge, s1 + edge, h0 - edge, h1 + edge), wall, depth=niche.depth_m)
+    builder.back(plane, niche.rect, wall, niche.depth_m)
     items = [Item(name, "wall", builder.mesh())]
     boards = MeshBuilder()
     for h in niche.shelves_m:

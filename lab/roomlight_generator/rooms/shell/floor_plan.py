@@ -6,7 +6,17 @@ from typing import Final
 
 import numpy as np
 
-from roomlight_generator.rooms.shell.holes import AnyHole, Cover, Door, DoorDesign, Niche, Passage, Window, edge_m
+from roomlight_generator.rooms.shell.holes import (
+    AnyHole,
+    Cover,
+    Door,
+    DoorDesign,
+    Niche,
+    Passage,
+    Window,
+    edge_m,
+    leads_to_second_room,
+)
 from roomlight_generator.rooms.shell.outline import Envelope, Side, envelope
 from roomlight_generator.rooms.shell.polygons import Point, area, intersection, triangles
 from roomlight_generator.rooms.shell.style import ShellStyle, uniform
@@ -68,7 +78,7 @@ class _Occupancy:
                 low, high = edge_m(other)
                 if start < high + 0.04 and end > low - 0.04:
                     return False
-                if isinstance(hole, Window) and _leads_to_second_room(other):
+                if isinstance(hole, Window) and leads_to_second_room(other):
                     return False
         flare = 0.5 * behind_m if isinstance(hole, Window) else 0.0
         if not self.free_outside(side.footprint(hole.rect[0], hole.rect[1], 0.003, behind_m, flare=flare)):
@@ -77,11 +87,6 @@ class _Occupancy:
         if isinstance(hole, Door) and self.overlaps(front, self.swings) > 1e-6:
             return False
         return self.overlaps(front, self._triangles) > area(front) - 1e-6
-
-
-def _leads_to_second_room(hole: AnyHole) -> bool:
-    """Return whether the hole leads to the second room."""
-    return isinstance(hole, Passage) or (isinstance(hole, Door) and hole.to_second_room)
 
 
 def choose_floor_plan(room: Envelope, style: ShellStyle, rng: np.random.Generator, *, beams_m: float) -> FloorPlan:

@@ -176,6 +176,11 @@ class Niche(Hole):
 AnyHole = Window | Door | Passage | Niche
 
 
+def leads_to_second_room(hole: AnyHole) -> bool:
+    """Return whether the hole is a way to the second room."""
+    return isinstance(hole, Passage) or (isinstance(hole, Door) and hole.to_second_room)
+
+
 def edge_m(hole: AnyHole) -> tuple[float, float]:
     """Return where along the side its gaps begin and end."""
     gaps = hole.gaps()

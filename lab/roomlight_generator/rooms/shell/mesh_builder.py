@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shell.polygons import OVERLAP, Outline, Point, Rect
+from roomlight_generator.rooms.shell.polygons import OVERLAP, Outline, Point, Rect, rect
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +75,7 @@ class MeshBuilder:
         self._owners.append(np.full(len(faces), place, np.int32))
         self._count += len(vertices)
 
-    def panel(
-        self,
-        plane: Plane,
-        outline: Outline,
-        material: Material,
-        *,
-        depth: float = 0.0,
-    ) -> None:
+    def panel(self, plane: Plane, outline: Outline, material: Material, *, depth: float = 0.0) -> None:
         """Add a convex flat piece that faces the room."""
         local = np.empty((len(outline), 3))
         local[:, :2] = outline
@@ -92,24 +85,19 @@ class MeshBuilder:
         normals = np.broadcast_to(plane.normal, local.shape)
         self.add(plane.points(local), normals, faces, material)
 
-    def quad(
-        self,
-        plane: Plane,
-        corners: Sequence[tuple[float, float, float]],
-        material: Material,
-    ) -> None:
+    def back(self, plane: Plane, hole: Rect, material: Material, depth: float) -> None:
+        """Close a rectangular hole at a depth, a little beyond its edges."""
+        s0, s1, h0, h1 = hole
+        edge = 2 * OVERLAP
+        self.panel(plane, rect(s0 - edge, s1 + edge, h0 - edge, h1 + edge), material, depth=depth)
+
+    def quad(self, plane: Plane, corners: Sequence[tuple[float, float, float]], material: Material) -> None:
         """Add a quadrilateral of corners (s, h, depth), counter-clockwise from its front."""
         world = plane.points(np.array(corners, np.float64))
         normal = np.cross(world[1] - world[0], world[3] - world[0])
         size = float(np.linalg.norm(normal))
-        if size < 1e-10:
-            return
-        self.add(
-            world,
-            np.broadcast_to(normal / size, (4, 3)),
-            np.array([[0, 1, 2], [0, 2, 3]]),
-            material,
-        )
+        if size >= 1e-10:
+            self.add(world, np.broadcast_to(normal / size, (4, 3)), np.array([[0, 1, 2], [0, 2, 3]]), material)
 
     def tube(
         self,

@@ -5,7 +5,6 @@ Every surface overlaps its neighbours by `OVERLAP` (see `roomlight_generator.roo
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -23,8 +22,6 @@ from roomlight_generator.rooms.shell.polygons import (
     rect,
     triangles,
 )
-
-_UP: Final = np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ def build_wall(
     whole: Outline = rect(-OVERLAP, side.length_m + OVERLAP, -OUTER_MARGIN_M, room.height_m + OUTER_MARGIN_M)
     for slope in room.slopes:
         whole = clip_half_plane(whole, *wall_cut(slope, side.plane, OUTER_MARGIN_M))
-    material = finishes.accent_wall if accent and finishes.accent_wall is not None else finishes.wall
+    material = (finishes.accent_wall if accent else None) or finishes.wall
     parts: list[tuple[Outline, Material]] = [(whole, material)]
     if trim.lower_m is not None and index in trim.lower_sides and finishes.lower_wall is not None:
         low, high = trim.lower_m
@@ -86,22 +83,12 @@ def build_wall(
     return builder
 
 
-def floor_plane(room: Envelope) -> Plane:
-    """Return the floor plane seen from above, u along the room's longer side: (s, h) = rotated plan coordinates."""
-    size = np.ptp(np.array(room.corners), axis=0)
-    if size[0] >= size[1]:
-        return Plane(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0]))
-    return Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
-
-
 def build_floor(room: Envelope, material: Material) -> MeshBuilder:
     """Build the floor, which extends under the walls."""
     builder = MeshBuilder()
-    plane = floor_plane(room)
+    plane = Plane(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0]))
     for piece in triangles(offset_outline(room.corners, OUTER_MARGIN_M)):
-        world = np.array([[x, 0.0, z] for x, z in reversed(piece)])
-        local = np.stack([world @ plane.u, world @ plane.v], 1)
-        builder.panel(plane, [(float(s), float(h)) for s, h in local], material)
+        builder.panel(plane, [(x, -z) for x, z in reversed(piece)], material)
     return builder
 
 

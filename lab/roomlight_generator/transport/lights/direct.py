@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int32, Int64, UInt8
 from roomlight_generator.transport.kernels import lights as kernels
 from roomlight_generator.transport.kernels.structs import LightScratch, ShadowSampling, allocated
 from roomlight_generator.transport.lights.coat import CoatTable, coat_table
-from roomlight_generator.transport.lights.emitters import Lights, LightSources, Outdoors, build_lights, light_sources
+from roomlight_generator.transport.lights.emitters import Lights, LightSources, Outdoors, build_lights
 from roomlight_generator.transport.tracer import FAR_M, Tracer
 
 _RAYS_AT_ONCE: Final = 1 << 16
@@ -84,8 +84,8 @@ class DirectLight:
     def __init__(self, tracer: Tracer) -> None:
         """Collect the lights; all count as visible until `visibility` is set."""
         self.tracer = tracer
-        self.lights, self.outdoors = build_lights(tracer)
-        self.sources = light_sources(self.lights, self.outdoors)
+        self.sources = build_lights(tracer)
+        self.lights, self.outdoors = self.sources.lights, self.sources.outdoors
         self.coat = coat_table()
         self.visibility = np.full((1, max(1, len(self.lights.start))), 255, np.uint8)
 

@@ -6,7 +6,6 @@ then a point in it in proportion to luminance times area. Spots where the sun st
 (`transport.sun_spots`): they are the brightest surfaces that a gather ray may meet.
 """
 
-from dataclasses import dataclass, fields
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -89,8 +88,7 @@ class LightSources(NamedTuple):
     surfaces: LightSurfaces
 
 
-@dataclass(frozen=True, eq=False)
-class _Pieces:
+class _Pieces(NamedTuple):
     """Pieces to be gathered into clusters.
 
     Attributes:
@@ -112,20 +110,16 @@ class _Pieces:
     slot: Int[np.ndarray, " p"]
 
 
-def build_lights(tracer: Tracer) -> tuple[Lights, Outdoors]:
+def build_lights(tracer: Tracer) -> LightSources:
     """Collect the lights of the tracer's scene."""
     scene = tracer.scene
     glowing, face_cuts, face_first, slots = _glowing_pieces(tracer)
-    openings, parts = _opening_pieces(scene.openings, scene.sky.panorama, slots)
-    outdoors = build_outdoors(tracer, parts)
+    openings, cuts = _opening_pieces(scene.openings, scene.sky.panorama, slots)
+    outdoors = build_outdoors(tracer, cuts)
     spots = sun_spots(tracer, outdoors)
-    pieces = _joined(_joined(glowing, openings), _spot_pieces(spots))
-    slots += int((parts[:, 1] * parts[:, 2]).sum())
-    return _clustered(pieces, face_cuts, face_first, slots, outdoors.sun_direction), outdoors
-
-
-def light_sources(lights: Lights, outdoors: Outdoors) -> LightSources:
-    """Join lights and outdoors into the kernels' arguments."""
+    pieces = _Pieces(*(np.concatenate(parts) for parts in zip(glowing, openings, _spot_pieces(spots), strict=True)))
+    slots += int((cuts[:, 1] * cuts[:, 2]).sum())
+    lights = _clustered(pieces, face_cuts, face_first, slots, outdoors.sun_direction)
     surfaces = LightSurfaces(
         lights.piece,
         lights.kind,
@@ -142,11 +136,6 @@ def small_from(lights: Lights, point: Float[np.ndarray, "3"], angle: float) -> B
     """Return whether each cluster is narrower than an angle (radians) as seen from a point."""
     distance = np.linalg.norm(lights.centre.T - point.astype(np.float32), axis=1)
     return 2 * lights.radius < angle * distance
-
-
-def _joined(first: _Pieces, second: _Pieces) -> _Pieces:
-    names = [field.name for field in fields(_Pieces)]
-    return _Pieces(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names))
 
 
 def _glowing_pieces(tracer: Tracer) -> tuple[_Pieces, Int32[np.ndarray, " f"], Int32[np.ndarray, " f"], int]:
@@ -244,9 +233,7 @@ def _opening_pieces(
 
 def _sky_halves(panorama: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "2"]:
     """Return the mean luminance of the sky's upper and lower half."""
-    height, width = panorama.shape[:2]
-    if width != 2 * height or height < 2:
-        return np.full(2, float(panorama.mean()))
+    height = len(panorama)
     rows = panorama.mean((1, 2)).astype(np.float64)
     angle = panorama_solid_angles(height)[:, 0].astype(np.float64)
     up = panorama_directions(height)[:, 0, 1] > 0

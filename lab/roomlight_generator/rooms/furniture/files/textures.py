@@ -9,13 +9,12 @@ from jaxtyping import Float, UInt8
 
 from roomlight.errors import FurnitureError, ImageError
 from roomlight.images import peek_size
-from roomlight_generator.rooms.furniture.files.archive import Archive
 
 MAX_SIDE: Final = 256
 """Maximum side of a stored texture in pixels: a sofa covers about as many of a 240 x 320 frame."""
 
+MAX_IMAGE_BYTES: Final = 48 << 20
 _MAX_PIXELS: Final = 40_000_000
-_MAX_BYTES: Final = 48 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,18 +25,10 @@ class TextureImage:
     coverage: Float[np.ndarray, "h w"] | None = None
 
 
-def read_image(archive: Archive, member: str, *, side: int = MAX_SIDE) -> TextureImage:
-    """Read a PNG or JPEG of the archive, scaled down to at most `side` pixels.
-
-    Raises:
-        FurnitureError: the image does not decode or is too large.
-    """
-    where = f"{archive.path}: texture {member}"
-    return decode_image(archive.read(member, limit=_MAX_BYTES), where, side=side)
-
-
 def decode_image(data: bytes, where: str, *, side: int = MAX_SIDE) -> TextureImage:
-    """Decode an image (see `read_image`). Uncovered pixels get the mean of the others: their colour is arbitrary.
+    """Decode a PNG or JPEG, scaled down to at most `side` pixels.
+
+    Uncovered pixels get the mean of the others: their colour is arbitrary.
 
     Raises:
         FurnitureError: the image does not decode or is too large; the message starts with `where`.
@@ -78,9 +69,6 @@ def _shrunk(picture: TextureImage, side: int) -> TextureImage:
         return picture
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     coverage = picture.coverage
-    return TextureImage(
-        image=np.asarray(cv2.resize(picture.image, size, interpolation=cv2.INTER_AREA), np.uint8),
-        coverage=None
-        if coverage is None
-        else np.asarray(cv2.resize(coverage, size, interpolation=cv2.INTER_AREA), np.float32),
-    )
+    if coverage is not None:
+        coverage = np.asarray(cv2.resize(coverage, size, interpolation=cv2.INTER_AREA))
+    return TextureImage(np.asarray(cv2.resize(picture.image, size, interpolation=cv2.INTER_AREA)), coverage)

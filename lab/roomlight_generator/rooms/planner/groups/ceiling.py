@@ -1,11 +1,11 @@
 """Ceiling lamps: in the middle, in a grid, over tables."""
 
-import math
 from typing import Final, Literal
 
 import numpy as np
 
 from roomlight_generator.rooms.furniture_model import FurnitureModel
+from roomlight_generator.rooms.plan import inside_outline
 from roomlight_generator.rooms.planner.arrangement import UNDER_CEILING_M, Arrangement, Piece
 from roomlight_generator.rooms.planner.body import Body
 
@@ -34,11 +34,8 @@ def light_ceiling(arrangement: Arrangement, kinds: tuple[tuple[CeilingLight, flo
     elif kind == "spots":
         _hang_grid(arrangement, _pick_spot(arrangement), arrangement.uniform(1.0, 1.7))
     elif kind == "pendants":
-        _hang_grid(
-            arrangement,
-            _pick_pendant(arrangement, arrangement.shell.height_m - HEADROOM_M),
-            arrangement.uniform(2.0, 3.2),
-        )
+        model = _pick_pendant(arrangement, arrangement.shell.height_m - HEADROOM_M)
+        _hang_grid(arrangement, model, arrangement.uniform(2.0, 3.2))
     elif kind == "middle" and not (lamps_over_tables and arrangement.area_m2 < 16):
         _hang_in_middle(arrangement)
 
@@ -143,12 +140,7 @@ def _centre(arrangement: Arrangement) -> tuple[float, float]:
     points = arrangement.floor.points()
     if not len(points):
         return float(middle[0]), float(middle[1])
-    walls = polygon, np.roll(polygon, -1, axis=0)
-    gaps = np.full(len(points), np.inf)
-    for start, end in zip(*walls, strict=True):
-        edge = end - start
-        along = np.clip((points - start) @ edge / max(float(edge @ edge), 1e-12), 0, 1)
-        gaps = np.minimum(gaps, np.linalg.norm(points - start - along[:, None] * edge, axis=1))
+    gaps = np.sqrt(inside_outline(polygon, points[:, 0], points[:, 1])[1])
     x, z = points[gaps >= gaps.max() - 0.05].mean(0)
     return float(x), float(z)
 
@@ -168,8 +160,7 @@ def _hang_grid(arrangement: Arrangement, model: FurnitureModel | None, spacing: 
     yaw = wall.facing_degrees() + (90.0 if arrangement.chance(0.3) else 0.0)
     for row in range(counts[1]):
         for column in range(counts[0]):
-            place = wall.at(
+            x, z = wall.at(
                 starts[0] + (column + 0.5) * sizes[0] / counts[0], starts[1] + (row + 0.5) * sizes[1] / counts[1]
             )
-            if math.isfinite(float(place[0])):
-                _hang_lamp(arrangement, model, float(place[0]), float(place[1]), yaw)
+            _hang_lamp(arrangement, model, x, z, yaw)

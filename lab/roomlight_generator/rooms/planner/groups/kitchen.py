@@ -5,9 +5,7 @@ from typing import Final
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.planner.arrangement import FLOOR_LAYER, Arrangement, Piece
 from roomlight_generator.rooms.planner.body import Body
-from roomlight_generator.rooms.planner.wall_space import WallSpan, free_wall_spans, wall_point
-
-Range = tuple[float, float]
+from roomlight_generator.rooms.planner.wall_space import WallSpan, floor_in_front, free_wall_spans, wall_point
 
 COUNTER_M: Final = (0.7, 1.0)
 """Heights of units that carry a worktop."""
@@ -36,12 +34,9 @@ def _pick_counter_unit(
     def matches(model: FurnitureModel) -> bool:
         return fits(model) and like is not None and model.id == like.id
 
-    own = arrangement.pick(
-        role, width=(0.3, 1.4), depth=(0.4, 0.8), height=(COUNTER_M[0], COUNTER_M[1] + TAP_HEIGHT_M), also=matches
-    )
-    return own or arrangement.pick(
-        role, width=(0.3, 1.4), depth=(0.4, 0.8), height=(COUNTER_M[0], COUNTER_M[1] + TAP_HEIGHT_M), also=fits
-    )
+    height = COUNTER_M[0], COUNTER_M[1] + TAP_HEIGHT_M
+    own = arrangement.pick(role, width=(0.3, 1.4), depth=(0.4, 0.8), height=height, also=matches)
+    return own or arrangement.pick(role, width=(0.3, 1.4), depth=(0.4, 0.8), height=height, also=fits)
 
 
 def kitchen(
@@ -190,16 +185,10 @@ def _place_next(arrangement: Arrangement, index: int, model: FurnitureModel, cur
     if piece is None:
         return None
     # In a corner a run can meet its own zone, so a shallow zone suffices.
-    if arrangement.reserve(_access_zone(piece, ACCESS_DEPTH_M)) or arrangement.reserve(_access_zone(piece, 0.6)):
+    if any(arrangement.reserve(floor_in_front(piece, depth, shrink=0.02)) for depth in (ACCESS_DEPTH_M, 0.6)):
         return piece
     arrangement.restore(snapshot)
     return None
-
-
-def _access_zone(piece: Piece, depth: float) -> Body:
-    x, z = piece.body.to_plan(0.0, piece.body.half_depth + depth / 2 + 0.005)
-    width = 2 * piece.body.half_width - 0.02
-    return Body.of(x, z, piece.degrees, width=width, depth=depth, low=0.0, high=1.9)
 
 
 def _place_corner_run(
@@ -294,7 +283,6 @@ def _place_island(arrangement: Arrangement, run: list[Piece], unit: FurnitureMod
         row.append(piece)
     if stool is not None:
         for piece in row:
-            x, z = middle.body.to_plan(0.0, 0.0)
             back = -(piece.body.half_depth + stool.depth_m / 2 + arrangement.uniform(0.03, 0.2))
             x, z = piece.body.to_plan(arrangement.uniform(-0.1, 0.1), back)
             arrangement.place(stool, x, z, piece.degrees + arrangement.jitter(15))

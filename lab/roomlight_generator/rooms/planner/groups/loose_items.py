@@ -1,6 +1,7 @@
 """Freestanding items: furniture along walls, plants, lamps, rugs, clutter, toys, people, pets, and the second room."""
 
 import math
+from typing import Literal
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.plan import Placement
 from roomlight_generator.rooms.planner.arrangement import Arrangement, Piece, yaw_toward
 from roomlight_generator.rooms.planner.body import Body
-from roomlight_generator.rooms.planner.wall_space import WallPreference, place_at_wall
+from roomlight_generator.rooms.planner.wall_space import place_at_wall
 
 _CLEAR_M = {
     "wardrobe": 0.6, "dresser": 0.55, "bookcase": 0.45, "sideboard": 0.45, "fireplace": 0.7, "piano": 0.6,
@@ -22,13 +23,15 @@ _LIGHT_ROLES = frozenset(
 )
 """Roles that may stand partly on a rug."""
 
+_BEINGS = {"person": (1.1, (1.35, 2.05), 8), "pet": (1.2, (0.0, 0.9), 6)}
+"""Largest width, range of heights and places tried."""
+
 
 def place_along_walls(
     arrangement: Arrangement,
     *,
     roles: tuple[str, ...],
     number: tuple[int, int] = (1, 1),
-    where: WallPreference = "any",
     depth: float = 1.2,
     height: tuple[float, float] = (0.0, 3.0),
 ) -> int:
@@ -41,15 +44,13 @@ def place_along_walls(
             continue
         for highest in (height[1], height[1], 1.15):
             model = arrangement.pick(role, width=(0.0, widest), depth=(0.0, depth), height=(height[0], highest))
-            if place_at_wall(arrangement, model, where=where, clear_m=_CLEAR_M.get(role, 0.3)) is not None:
+            if place_at_wall(arrangement, model, clear_m=_CLEAR_M.get(role, 0.3)) is not None:
                 done += 1
                 break
     return done
 
 
-def fill_walls(
-    arrangement: Arrangement, *, roles: tuple[str, ...], share: tuple[float, float] = (0.16, 0.36), depth: float = 0.75
-) -> int:
+def fill_walls(arrangement: Arrangement, *, roles: tuple[str, ...], share: tuple[float, float] = (0.16, 0.36)) -> int:
     """Place pieces of these roles along walls until a share of the floor is covered; return how many were placed."""
     wanted = arrangement.uniform(share[0], share[1]) * arrangement.area_m2
     done = missed = 0
@@ -57,7 +58,7 @@ def fill_walls(
         taken = sum(4 * p.body.half_width * p.body.half_depth for p in arrangement.pieces if p.layer == "floor")
         if taken >= wanted:
             break
-        put = place_along_walls(arrangement, roles=roles, depth=depth)
+        put = place_along_walls(arrangement, roles=roles, depth=0.75)
         done, missed = done + put, missed + (put == 0)
     return done
 
@@ -97,36 +98,24 @@ def scatter_on_floor(
             return done
         if arrangement.chance(by_walls):
             done += place_at_wall(arrangement, model) is not None
-            continue
-        for x, z in free_points(arrangement, 4):
-            if arrangement.place(model, x, z, arrangement.uniform(0, 360)) is not None:
-                done += 1
-                break
+        else:
+            done += _place_on_free_floor(arrangement, model, 4)
     return done
 
 
-def place_person(arrangement: Arrangement, probability: float) -> Piece | None:
-    """Place a standing person with the given probability."""
-    if not arrangement.chance(probability):
-        return None
-    model = arrangement.pick("person", height=(1.35, 2.05), width=(0.0, 1.1), depth=(0.0, 1.1))
-    return _place_on_free_floor(arrangement, model, 8)
+def place_being(arrangement: Arrangement, role: Literal["person", "pet"], probability: float) -> None:
+    """Place a standing person or an animal on free floor, with the given probability."""
+    if arrangement.chance(probability):
+        widest, height, tries = _BEINGS[role]
+        model = arrangement.pick(role, width=(0.0, widest), depth=(0.0, widest), height=height)
+        _place_on_free_floor(arrangement, model, tries)
 
 
-def place_pet(arrangement: Arrangement, probability: float) -> Piece | None:
-    """Place an animal on the floor with the given probability."""
-    if not arrangement.chance(probability):
-        return None
-    model = arrangement.pick("pet", width=(0.0, 1.2), depth=(0.0, 1.2), height=(0.0, 0.9))
-    return _place_on_free_floor(arrangement, model, 6)
-
-
-def _place_on_free_floor(arrangement: Arrangement, model: FurnitureModel | None, tries: int) -> Piece | None:
-    for x, z in free_points(arrangement, tries):
-        placed = arrangement.place(model, x, z, arrangement.uniform(0, 360))
-        if placed is not None:
-            return placed
-    return None
+def _place_on_free_floor(arrangement: Arrangement, model: FurnitureModel | None, tries: int) -> bool:
+    return any(
+        arrangement.place(model, x, z, arrangement.uniform(0, 360)) is not None
+        for x, z in free_points(arrangement, tries)
+    )
 
 
 def place_rug(

@@ -2,24 +2,17 @@
 
 from roomlight_generator.rooms.planner.arrangement import Arrangement, Piece
 from roomlight_generator.rooms.planner.wall_space import (
-    floor_in_front,
     free_wall_spans,
     place_at_wall,
+    place_with_floor,
     wall_point,
     wall_positions,
 )
 
 
-def row_along(
-    arrangement: Arrangement,
-    *,
-    role: str,
-    longest: float,
-    clear_m: float = 0.6,
-    height: tuple[float, float] = (0.5, 3.0),
-) -> list[Piece]:
-    """Place copies of one model side by side along a wall; return the placed pieces."""
-    model = arrangement.pick(role, width=(0.3, 2.0), depth=(0.1, 0.7), height=height)
+def bookcase_row(arrangement: Arrangement, *, longest: float) -> list[Piece]:
+    """Place bookcases of one model side by side along a wall; return the placed pieces."""
+    model = arrangement.pick("bookcase", width=(0.3, 2.0), depth=(0.1, 0.7), height=(0.5, 3.0))
     if model is None:
         return []
     spans = free_wall_spans(arrangement, model.depth_m + 0.04, low=0.0, high=model.height_m)
@@ -32,15 +25,10 @@ def row_along(
         cursor = span.start_m + slack * arrangement.uniform(0.1, 0.9)
         row: list[Piece] = []
         for k in range(count):
-            snapshot = arrangement.snapshot()
             x, z = wall_point(wall, cursor + (k + 0.5) * (model.width_m + 0.003), model.depth_m, away)
-            piece = arrangement.place(model, x, z, wall.facing_degrees())
-            if piece is None:
-                continue
-            if not arrangement.reserve(floor_in_front(piece, clear_m)):
-                arrangement.restore(snapshot)
-                continue
-            row.append(piece)
+            piece = place_with_floor(arrangement, model, x, z, wall.facing_degrees(), 0.6)
+            if piece is not None:
+                row.append(piece)
         if row:
             return row
     return []
@@ -63,12 +51,8 @@ def double_rows(arrangement: Arrangement) -> int:
                 for side in (-1, 1):
                     middle = along + side * (model.depth_m / 2 + 0.005)
                     x, z = wall.at(middle, 0.05 + (k + 0.5) * (model.width_m + 0.003))
-                    snapshot = arrangement.snapshot()
-                    piece = arrangement.place(model, float(x), float(z), wall.facing_degrees() + 90 * side)
-                    if piece is not None and not arrangement.reserve(floor_in_front(piece, 0.65)):
-                        arrangement.restore(snapshot)
-                        piece = None
-                    done += piece is not None
+                    yaw = wall.facing_degrees() + 90 * side
+                    done += place_with_floor(arrangement, model, x, z, yaw, 0.65) is not None
             if done:
                 count += done
                 break

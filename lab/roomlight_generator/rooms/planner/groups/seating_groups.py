@@ -7,9 +7,9 @@ from roomlight_generator.rooms.planner.arrangement import Arrangement, Layer, Pi
 from roomlight_generator.rooms.planner.body import Body
 from roomlight_generator.rooms.planner.wall_space import (
     depth_at_wall,
-    floor_in_front,
     free_wall_spans,
     place_at_wall,
+    place_with_floor,
     wall_point,
     wall_positions,
 )
@@ -86,7 +86,7 @@ def _place_facing(
             continue
         x, z = wall.at(along + arrangement.uniform(-0.15, 0.15), face + distance)
         floating = farthest - face - distance > 0.1
-        seat = arrangement.place(sofa, float(x), float(z), yaw + 180 + (arrangement.jitter(1.5) if floating else 0.0))
+        seat = arrangement.place(sofa, x, z, yaw + 180 + (arrangement.jitter(1.5) if floating else 0.0))
         if seat is None or not _reserve_view(arrangement, seat, distance):
             arrangement.restore(snapshot)
             continue
@@ -254,17 +254,13 @@ def reading_corner(arrangement: Arrangement) -> Piece | None:
     spans = free_wall_spans(arrangement, 2 * half, low=0.0, high=model.height_m)
     for index, along in wall_positions(arrangement, spans, 2 * half, "corner")[:8]:
         wall = arrangement.shell.walls[index]
-        x, z = (float(part) for part in wall.at(along, half + 0.02))
+        x, z = wall.at(along, half + 0.02)
         middle = arrangement.shell.polygon.mean(0)
         yaw = yaw_toward(x, z, float(middle[0]), float(middle[1]))
         facing = wall.facing_degrees()
         clamped_yaw = facing + min(max((yaw - facing + 180) % 360 - 180, -50.0), 50.0)
-        snapshot = arrangement.snapshot()
-        seat = arrangement.place(model, x, z, clamped_yaw + arrangement.jitter(6))
+        seat = place_with_floor(arrangement, model, x, z, clamped_yaw + arrangement.jitter(6), 0.35)
         if seat is None:
-            continue
-        if not arrangement.reserve(floor_in_front(seat, 0.35)):
-            arrangement.restore(snapshot)
             continue
         side = 1 if arrangement.chance(0.5) else -1
         lamp = arrangement.pick("floor_lamp", width=(0.1, 0.6), depth=(0.1, 0.6))

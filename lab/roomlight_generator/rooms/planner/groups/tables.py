@@ -48,8 +48,7 @@ def place_chairs(
         ends = yaw in (90.0, 270.0)
         # Offset from the table's edge at which the rotated chair's box reaches under it by `tuck`.
         edge = body.half_width if ends else body.half_depth
-        probe = Body.of(0.0, 0.0, twist, width=chair.width_m, depth=chair.depth_m, high=1.0)
-        extent = probe.half_depth * abs(probe.cosine) + probe.half_width * abs(probe.sine)
+        extent = _half_extent(chair, twist)
         offset = at * length + arrangement.uniform(-0.03, 0.03)
         out = edge + extent - tuck
         frame = Body.of(body.x, body.z, table.degrees + yaw, width=1.0, depth=1.0, high=1.0)
@@ -58,6 +57,12 @@ def place_chairs(
         if chair_piece is not None:
             placed.append(chair_piece)
     return placed
+
+
+def _half_extent(model: FurnitureModel, degrees: float) -> float:
+    """Return half the depth of a rotated model's bounding box."""
+    probe = Body.of(0.0, 0.0, degrees, width=model.width_m, depth=model.depth_m, high=1.0)
+    return probe.half_depth * abs(probe.cosine) + probe.half_width * abs(probe.sine)
 
 
 def dining(
@@ -175,8 +180,7 @@ def place_desk_chair(
     body = desk_piece.body
     for _ in range(3):
         yaw = arrangement.jitter(12.0)
-        probe = Body.of(0.0, 0.0, yaw, width=chair.width_m, depth=chair.depth_m, high=1.0)
-        extent = probe.half_depth * abs(probe.cosine) + probe.half_width * abs(probe.sine)
+        extent = _half_extent(chair, yaw)
         out = body.half_depth + extent + arrangement.uniform(-0.06, 0.22)
         slack = max(body.half_width - chair.width_m / 2 - 0.05, 0.0)
         x, z = body.to_plan(arrangement.uniform(-0.35, 0.35) * min(slack, 0.5), out)
@@ -207,7 +211,8 @@ def desk_islands(arrangement: Arrangement) -> int:
     aisle = arrangement.uniform(0.8, 1.3)
     island_depth = rows * model.depth_m + rows * room
     away = arrangement.uniform(0.4, 1.0)
-    depth = max(across_m for across_m in _room_depths(arrangement))
+    polygon = arrangement.shell.polygon
+    depth = max(float(((polygon - side.start) @ side.inward).max()) for side in arrangement.shell.walls)
     count = 0
     skip_probability = 0.05 + 0.25 * (1 - arrangement.clutter)
     while away + island_depth < depth:
@@ -220,12 +225,10 @@ def desk_islands(arrangement: Arrangement) -> int:
                     x, z = wall.at(centre, away + near)
                     # The first row sits on the wall's side, the second opposite.
                     yaw = wall.facing_degrees() + (180 if row == 0 else 0)
-                    if not contains_point(float(x), float(z), arrangement.outline) or arrangement.chance(
-                        skip_probability
-                    ):
+                    if not contains_point(x, z, arrangement.outline) or arrangement.chance(skip_probability):
                         continue
                     snapshot = arrangement.snapshot()
-                    piece = arrangement.place(model, float(x), float(z), yaw)
+                    piece = arrangement.place(model, x, z, yaw)
                     if piece is None:
                         continue
                     if place_desk_chair(arrangement, piece, chair, room_m=0.2) is None:
@@ -237,12 +240,7 @@ def desk_islands(arrangement: Arrangement) -> int:
     return count
 
 
-def _room_depths(arrangement: Arrangement) -> list[float]:
-    points = arrangement.shell.polygon
-    return [max(float((point - wall.start) @ wall.inward) for point in points) for wall in arrangement.shell.walls]
-
-
-def cafe_tables(arrangement: Arrangement, *, density: float = 0.3) -> int:
+def cafe_tables(arrangement: Arrangement) -> int:
     """Place small tables with two to four chairs of one kind throughout the room; return the number of tables."""
     table = arrangement.pick("dining_table", width=(0.5, 1.3), depth=(0.5, 1.1), height=(0.6, 1.1))
     table = table or arrangement.pick("side_table", width=(0.45, 1.1), height=(0.6, 1.1))
@@ -251,7 +249,7 @@ def cafe_tables(arrangement: Arrangement, *, density: float = 0.3) -> int:
         return 0
     other = arrangement.pick("dining_table", width=(0.5, 1.8), depth=(0.5, 1.1), height=(0.6, 0.9)) or table
     count = 0
-    for attempt in range(int(arrangement.area_m2 * density) + 3):
+    for attempt in range(int(arrangement.area_m2 * 0.3) + 3):
         snapshot = arrangement.snapshot()
         model = table if arrangement.chance(0.75) else other
         placed = place_table(

@@ -128,24 +128,20 @@ def _place_lamps(arrangement: Arrangement, supports: list[Piece]) -> None:
         _place_randomly(arrangement, support, model, edge=support.role == "desk")
 
 
-def _place_randomly(
-    arrangement: Arrangement, support: Piece, model: FurnitureModel, *, edge: bool = False
-) -> Piece | None:
+def _place_randomly(arrangement: Arrangement, support: Piece, model: FurnitureModel, *, edge: bool = False) -> None:
     yaw = arrangement.jitter(18) if model.role not in ("food", "vase", "small_plant") else arrangement.uniform(0, 360)
     half = max(model.width_m, model.depth_m) / 2 if abs(yaw) > 36 else model.width_m / 2
     side = support.body.half_width - half - MARGIN_M
     depth = support.body.half_depth - model.depth_m / 2 - MARGIN_M
     if side < 0 or depth < 0:
-        return None
+        return
     for _ in range(4):
         right = arrangement.uniform(-side, side)
         if edge:
             right = side * arrangement.uniform(0.8, 1.0) * (1 if arrangement.chance(0.5) else -1)
         front = arrangement.uniform(-depth, depth) if not edge else -depth * arrangement.uniform(0.4, 1.0)
-        placed = place_on(arrangement, support, model, right, front, yaw)
-        if placed is not None:
-            return placed
-    return None
+        if place_on(arrangement, support, model, right, front, yaw) is not None:
+            return
 
 
 def _place_small_objects(arrangement: Arrangement, support: Piece) -> None:

@@ -73,21 +73,17 @@ def _hang(arrangement: Arrangement, model: FurnitureModel, index: int, along: fl
     return piece
 
 
-def _hang_on_free_wall(arrangement: Arrangement, role: str) -> Piece | None:
+def _hang_on_free_wall(arrangement: Arrangement, role: str) -> None:
     widest = 0.6 * max(wall.length_m for wall in arrangement.shell.walls)
     model = arrangement.pick(role, width=(0.05, widest), depth=(0.0, 0.45))
-    if model is None:
-        return None
-    y = _choose_bottom_m(arrangement, model, arrangement.shell.height_m)
-    if y is None:
-        return None
+    y = None if model is None else _choose_bottom_m(arrangement, model, arrangement.shell.height_m)
+    if model is None or y is None:
+        return
     spans = free_wall_spans(arrangement, CLEAR_DEPTH_M, low=y, high=y + model.height_m, layer="wall")
     where = "middle" if arrangement.chance(0.5) else "any"
     for index, along in wall_positions(arrangement, spans, model.width_m + 0.12, where)[:5]:
-        piece = _hang(arrangement, model, index, along, y)
-        if piece is not None:
-            return piece
-    return None
+        if _hang(arrangement, model, index, along, y) is not None:
+            return
 
 
 def _wall_behind(arrangement: Arrangement, piece: Piece) -> tuple[int, float] | None:
