@@ -155,11 +155,7 @@ class GenerateReport:
 
 
 def generate(
-    out: Path,
-    options: GenerateOptions,
-    *,
-    workers: int | None = None,
-    progress: ProgressCallback | None = None,
+    out: Path, options: GenerateOptions, *, workers: int | None = None, progress: ProgressCallback | None = None
 ) -> GenerateReport:
     """Make a dataset in the folder `out`, or continue the dataset there.
 

@@ -82,9 +82,7 @@ class LightComparison:
 
 
 def measure_light(
-    frame: Float[np.ndarray, "h w 3"],
-    clipped: Float[np.ndarray, "n 3"],
-    panorama: Float[np.ndarray, "ph pw 3"],
+    frame: Float[np.ndarray, "h w 3"], clipped: Float[np.ndarray, "n 3"], panorama: Float[np.ndarray, "ph pw 3"]
 ) -> Measures:
     """Measure one frame and one panorama near it.
 
@@ -163,11 +161,7 @@ def panorama_light(
 
 
 def compare_light(
-    dataset: Dataset,
-    panoramas: Path,
-    *,
-    limit: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    dataset: Dataset, panoramas: Path, *, limit: int | None = None, progress: Callable[[int, int], None] | None = None
 ) -> LightComparison:
     """Compare a dataset, or `limit` sequences spread evenly over it, with the real panoramas of a folder.
 

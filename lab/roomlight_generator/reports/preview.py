@@ -40,13 +40,7 @@ _LEGEND_ROWS: Final = 32
 _TINTS: Final = {GLASS: (0.05, 0.2, 0.8), MIRROR: (0.05, 0.6, 0.15), LIGHT: (1.0, 0.8, 0.1)}
 
 
-def write_previews(
-    dataset: Dataset,
-    out: Path,
-    *,
-    rooms: int,
-    progress: ProgressCallback | None = None,
-) -> list[Path]:
+def write_previews(dataset: Dataset, out: Path, *, rooms: int, progress: ProgressCallback | None = None) -> list[Path]:
     """Write sheets `preview-00.png`, ... of the first sequence of `rooms` rooms, spread evenly over the dataset.
 
     Returns:

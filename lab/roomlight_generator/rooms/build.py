@@ -82,8 +82,7 @@ def _choose_type(split: Split, rng: np.random.Generator) -> RoomType:
 
 
 def _shell_style(room_type: RoomType, kind: LightKind, rng: np.random.Generator) -> ShellStyle:
-    """Return the shell style of a room type: the entry in `STYLES` with the type's own sizes and probabilities, and
-    with the windows and the second room that a kind of light needs."""
+    """Return the type's entry in `STYLES` with its sizes and chances, and what a kind of light needs."""
     default = STYLES[room_type.name]
     windows = room_type.windows
     lit_by_windows = kind in ("windows alone", "sunbeams")

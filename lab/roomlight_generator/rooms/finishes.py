@@ -100,10 +100,7 @@ _KINDS: Final = (
     ("kitchen", ("kitchen", "cafe", "restaurant", "bar", "canteen")),
     ("bed", ("bed", "child", "kid", "nursery", "guest")),
     ("work", ("office", "study", "class", "meeting", "conference", "library", "shop", "waiting")),
-    (
-        "utility",
-        ("laundry", "garage", "gym", "workshop", "utility", "basement", "cellar", "storage", "fitness"),
-    ),
+    ("utility", ("laundry", "garage", "gym", "workshop", "utility", "basement", "cellar", "storage", "fitness")),
 )
 
 
@@ -233,8 +230,7 @@ class _FinishChooser:
         return Material("frame", grey(rng) if pick < 0.95 else wall_colour(rng), roughness=coat)
 
     def metal(self) -> Material:
-        """Choose the metal of handles and rods: a grey or a brass with a glossy coat, since the renderer has no
-        conductors."""
+        """Choose the metal of handles and rods: glossily coated grey or brass, as the renderer has no conductors."""
         rng = self.rng
         pick = rng.random()
         if pick < 0.6:

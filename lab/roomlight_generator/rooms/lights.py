@@ -218,8 +218,7 @@ def _without_shade(item: Item, placement: Placement) -> Item:
 
 
 def _has_windows(shell: Shell) -> bool:
-    """Return whether daylight can come in: through an opening, or through translucent cloth over a fully covered
-    window."""
+    """Return whether daylight comes in, through an opening or translucent cloth over a fully covered window."""
     return bool(shell.openings) or any(_named(item.mesh, "daylit") for item in shell.items)
 
 
@@ -350,14 +349,7 @@ def _accessory_lamps(
     """Return light strips below wall units and a lamp in the second room, with the range of each lamp's flux in klm.
 
     A bright second room has a panel below its ceiling instead of a globe: from a dim room it looks like a lit hall or a
-    conservatory.
-
-    Args:
-        shell: The room.
-        placements: What stands in the room.
-        rng: Random numbers.
-        night: Strips are more frequent at night.
-        only_second: The second room has the only light, and it is bright.
+    conservatory. Strips are more frequent at night. `only_second`: the second room has the only light.
     """
     lamps: list[tuple[Item, str, tuple[float, float]]] = []
     units = [placement for placement in placements if placement.model.role == "wall_unit"]
@@ -380,8 +372,7 @@ def _accessory_lamps(
 
 
 def _with_screens_on(item: Item, rng: np.random.Generator, sources: list[dict[str, Any]]) -> Item:
-    """Switch televisions and computers on: their white is 100 to 400 cd/m2, and a picture has a fifth to two thirds of
-    it in the mean."""
+    """Switch some screens on: white of 100 to 400 cd/m2, of which a picture has a fifth to two thirds in the mean."""
     screens = _named(item.mesh, "screen")
     if not screens or rng.random() > 0.55:
         return item

@@ -8,12 +8,7 @@ from jaxtyping import Float
 
 
 def fbm(
-    rng: np.random.Generator,
-    shape: tuple[int, int],
-    cells: tuple[int, int],
-    *,
-    octaves: int = 4,
-    gain: float = 0.55,
+    rng: np.random.Generator, shape: tuple[int, int], cells: tuple[int, int], *, octaves: int = 4, gain: float = 0.55
 ) -> Float[np.ndarray, "h w"]:
     """Return smooth tileable fractal noise of variance about 0.15 and mean about 0.
 
@@ -36,8 +31,7 @@ def fbm(
 
 @lru_cache(maxsize=256)
 def _nearest_divisor(cells: int, size: int) -> int:
-    """Return the divisor of `size` nearest to `cells` (within a third): sizes that do not divide cost three times as
-    much."""
+    """Return the divisor of `size` nearest to `cells` (within a third): others cost three times as much."""
     divisors = [n for n in range(1, size + 1) if size % n == 0]
     best = min(divisors, key=lambda n: abs(np.log(n / cells)))
     return best if 3 * abs(best - cells) <= cells else min(cells, size)

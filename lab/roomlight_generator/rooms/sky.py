@@ -333,8 +333,7 @@ def _facades(
 def _add_night_lights(
     panorama: Panorama, elevation: ScalarMap, houses: Bool[np.ndarray, "64 128"], rng: np.random.Generator
 ) -> Panorama:
-    """Add lit windows across the street and a few street lamps: 5 to 150 cd/m2 for a window, 0.2 to 3 kcd/m2 for a
-    lamp's pixel."""
+    """Add lit windows (5 to 150 cd/m2) across the street and a few pixels of street lamps (0.2 to 3 kcd/m2)."""
     out = panorama.copy()
     candidates = np.argwhere(houses & (elevation > 0.0))
     if len(candidates):

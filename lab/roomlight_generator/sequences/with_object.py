@@ -151,11 +151,7 @@ def _solved(tracer: Tracer, seed: int) -> RoomLight:
 
 
 def _fits(
-    tracer: Tracer,
-    point: Float[np.ndarray, "3"],
-    eye: Float[np.ndarray, "3"],
-    radius_m: float,
-    height_m: float,
+    tracer: Tracer, point: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], radius_m: float, height_m: float
 ) -> bool:
     angle = np.arange(_RING) / _RING * 2 * np.pi
     ring = np.stack([np.cos(angle), np.zeros(_RING), np.sin(angle)], axis=1).astype(np.float32)

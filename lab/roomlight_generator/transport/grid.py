@@ -29,11 +29,7 @@ class Grid:
     """Surface points of a picture (height, width) and the light that they receive and reflect; others are left out."""
 
     def __init__(
-        self,
-        shape: tuple[int, int],
-        points: Surfaces,
-        kinds: Int32[np.ndarray, " m"],
-        alpha: Float32[np.ndarray, " m"],
+        self, shape: tuple[int, int], points: Surfaces, kinds: Int32[np.ndarray, " m"], alpha: Float32[np.ndarray, " m"]
     ) -> None:
         """Lay out the points by their rays' indices; kinds are equal for pixels that show one surface."""
         self._ray = points.ray

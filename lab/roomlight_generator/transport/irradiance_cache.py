@@ -330,10 +330,7 @@ class _Records:
         return np.concatenate(chosen)
 
     def interpolate(
-        self,
-        points: Points,
-        foot: Float32[np.ndarray, " n"],
-        fallback: Float32[np.ndarray, "n 3"],
+        self, points: Points, foot: Float32[np.ndarray, " n"], fallback: Float32[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "n 3"]:
         """Return the irradiance of points interpolated between the records."""
         out = np.empty_like(fallback)

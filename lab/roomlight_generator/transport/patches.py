@@ -299,12 +299,7 @@ class _TracedRays(NamedTuple):
 
 
 def _gather(
-    tracer: Tracer,
-    light: DirectLight,
-    patches: _PatchSet,
-    rows: Int[np.ndarray, " c"],
-    rays: int,
-    seed: int,
+    tracer: Tracer, light: DirectLight, patches: _PatchSet, rows: Int[np.ndarray, " c"], rays: int, seed: int
 ) -> _TracedRays:
     """Trace cosine-weighted rays of some patches."""
     position, normal, geometric_normal, _, used, _, material = (column[rows] for column in patches.columns)
@@ -383,11 +378,7 @@ def _bounced(
     point = np.arange(kernels.POINTS) < used[:, None]
     albedo = (albedos * point[..., None]).sum(1) / np.maximum(used, 1)[:, None]
     visibility = LightVisibility(
-        position,
-        used,
-        material.copy(),
-        lights=max(1, len(light.lights.start)),
-        materials=len(materials.mirror),
+        position, used, material.copy(), lights=max(1, len(light.lights.start)), materials=len(materials.mirror)
     )
     direct = _direct(tracer, light, patches, visibility, seed)
     target, cosine, factor, distance, passed, beside, beside_coated = columns
@@ -444,11 +435,7 @@ def _with_fallbacks(
 
 
 def _means(
-    column: Float[np.ndarray, "p c"],
-    owner: Int32[np.ndarray, " p"],
-    *,
-    count: int,
-    fill: bool = False,
+    column: Float[np.ndarray, "p c"], owner: Int32[np.ndarray, " p"], *, count: int, fill: bool = False
 ) -> Float[np.ndarray, "_ c"]:
     """Average the rows of each owner; owners without rows get zeros, or the mean of all rows if `fill`."""
     number = np.bincount(owner, minlength=count)

@@ -135,11 +135,7 @@ class RoomLight:
         return image
 
     def _splat(
-        self,
-        image: Float32[np.ndarray, "h w 3"],
-        position: Float32[np.ndarray, "3"],
-        splatted: np.ndarray,
-        seed: int,
+        self, image: Float32[np.ndarray, "h w 3"], position: Float32[np.ndarray, "3"], splatted: np.ndarray, seed: int
     ) -> None:
         """Add small lights and the sun to a panorama, where the point sees them."""
         light, tracer = self.light, self.tracer

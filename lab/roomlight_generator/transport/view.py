@@ -112,12 +112,7 @@ class Viewer:
         return Picture(image, paths.distance_m.reshape(camera.shape), surface)
 
     def _refined(
-        self,
-        image: Float32[np.ndarray, "h w 3"],
-        grid: Grid,
-        pixel: Int64[np.ndarray, " n"],
-        camera: Camera,
-        seed: int,
+        self, image: Float32[np.ndarray, "h w 3"], grid: Grid, pixel: Int64[np.ndarray, " n"], camera: Camera, seed: int
     ) -> Float32[np.ndarray, "h w 3"]:
         """Add rays to the picture at jittered places in some pixels; a pixel is listed `EXTRA_RAYS` times."""
         height, width = camera.shape

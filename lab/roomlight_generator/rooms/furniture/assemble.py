@@ -1,5 +1,4 @@
-"""Build a mesh in the model frame from a library entry: read, rotate, scale, weld, simplify, shade, assign
-materials."""
+"""Build a mesh in the model frame from a library entry: read, rotate, scale, weld, simplify, shade."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -189,8 +188,7 @@ def _subdivided(corners: Float[np.ndarray, "f 3 c"]) -> Float[np.ndarray, "g 3 c
 
 
 def _indexed_mesh(soup: TriangleSoup, materials: tuple[Material, ...]) -> Mesh:
-    """Build a mesh whose vertices are unique in position, texture coordinates and normal; only used materials are
-    kept."""
+    """Build a mesh of vertices unique in position, texture coordinates and normal, with the materials in use."""
     normals = corner_normals(soup.points, soup.faces.astype(np.int64))
     uvs = soup.uvs[soup.uv_faces].reshape(-1, 2)
     keys = np.concatenate([soup.faces.reshape(-1, 1), np.rint(normals * 200), np.rint(uvs * 4096)], axis=1).astype(

@@ -1,5 +1,4 @@
-"""Build a furniture cache from libraries: every model read, classified, simplified and measured; damaged ones left
-out."""
+"""Build a furniture cache from libraries: models read, classified, simplified, measured; damaged ones left out."""
 
 import hashlib
 from collections.abc import Callable, Sequence

@@ -49,12 +49,7 @@ class Catalogue:
         return [*library, *fallbacks]
 
     def choose(
-        self,
-        role: str,
-        split: Split,
-        rng: np.random.Generator,
-        *,
-        fits: Callable[[FurnitureModel], bool] | None = None,
+        self, role: str, split: Split, rng: np.random.Generator, *, fits: Callable[[FurnitureModel], bool] | None = None
     ) -> FurnitureModel | None:
         """Choose a model of a role at random; a fallback only if the library has no model that fits.
 

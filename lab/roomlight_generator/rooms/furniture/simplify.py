@@ -108,8 +108,7 @@ def _areas(soup: TriangleSoup) -> Float[np.ndarray, " f"]:
 def _thin_parts(
     soup: TriangleSoup, part_of_vertex: Int[np.ndarray, " v"], area: Float[np.ndarray, " v"], target: int
 ) -> TriangleSoup:
-    """Keep a regular sample of small parts if there are too many triangles, and enlarge them to the original total
-    `area`."""
+    """Keep a regular sample of small parts if there are too many triangles, enlarged to the original total `area`."""
     part = part_of_vertex[soup.faces[:, 0]]
     counts = np.bincount(part, minlength=len(area))
     small = counts[part] <= 12

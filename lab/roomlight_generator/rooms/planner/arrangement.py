@@ -197,8 +197,7 @@ class Arrangement:
         return not self.shell.slopes or all(body.high <= self.shell.ceiling_at(x, z) + 0.001 for x, z in body.corners())
 
     def fits(self, body: Body, layer: Layer, *, ignore: Iterable[Body] = ()) -> bool:
-        """Return whether a body of that layer fits: inside, and clear of zones and of all bodies but the ignored
-        ones."""
+        """Return whether a body of that layer fits: inside, clear of zones and of bodies that are not ignored."""
         for zone in self.zones:
             if layer in zone.excluded_layers and body.overlaps(zone.body):
                 return False

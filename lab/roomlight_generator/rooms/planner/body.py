@@ -21,8 +21,7 @@ Segment = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """An upright box: centre of its footprint, half its width (x) and depth (z), its rotation, lowest and highest
-    point."""
+    """An upright box: centre of its footprint, half its width (x) and depth (z), rotation, lowest and highest point."""
 
     x: float
     z: float

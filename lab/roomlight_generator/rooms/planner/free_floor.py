@@ -71,8 +71,7 @@ def bare_floor(shell: Shell, *, radius_m: float, cell_m: float = 0.1) -> FreeFlo
 
 
 def cells_near(floor: FreeFloor, body: Body, radius_m: float) -> tuple[slice, slice, Bool[np.ndarray, "r c"]]:
-    """Return the rows and columns of the grid near a body, and which of their cells are within radius_m of its
-    footprint."""
+    """Return rows and columns of the grid near a body, and which of their cells are within radius_m of it."""
     reach = body.reach + radius_m + floor.cell_m
     rows, columns = floor.free.shape
     first_column = min(max(math.floor((body.x - reach - floor.origin[0]) / floor.cell_m), 0), columns)

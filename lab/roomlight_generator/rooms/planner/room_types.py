@@ -29,13 +29,7 @@ def fill_spare_space(arrangement: Arrangement) -> int:
     """Place further furniture groups while a large room is still mostly empty; return their number."""
     done = 0
     groups = arrangement.shuffled(
-        (
-            partial(dining, seats=(2, 6)),
-            conversation_group,
-            reading_corner,
-            desk,
-            partial(bookcase_row, longest=2.6),
-        )
+        (partial(dining, seats=(2, 6)), conversation_group, reading_corner, desk, partial(bookcase_row, longest=2.6))
     )
     for group in groups[:3]:
         if arrangement.free_cells().sum() * arrangement.floor.cell_m**2 < max(9.0, 0.42 * arrangement.area_m2):

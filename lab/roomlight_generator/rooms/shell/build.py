@@ -1,5 +1,4 @@
-"""Build a complete shell from a style: envelope, floor plan, items, openings, and the plan for the furniture
-planner."""
+"""Build a complete shell from a style: envelope, floor plan, items, openings, plan for the furniture planner."""
 
 from collections.abc import Sequence
 from typing import Final

@@ -21,8 +21,7 @@ _FOLD_COLUMNS = 7
 
 
 def seal_material(cover: Cover, finishes: Finishes) -> Material | None:
-    """Return the material that closes the hole of a fully covered window, a new object for each window; None if it
-    stays open."""
+    """Return the material that closes a fully covered window, a new object for each; None if it stays open."""
     if not cover.full:
         return None
     if cover.kind == "drawn_curtains":
@@ -179,8 +178,7 @@ def _curtains(
 
 @dataclass(frozen=True)
 class _Cloth:
-    """A length of cloth: its span along the wall, lowest and highest point, depth in the wall's plane (negative: in
-    the room), width of a fold and maximum depth of the folds, all in metres."""
+    """A length of cloth: span along the wall, heights, depth behind its face, width and depth of folds; metres."""
 
     span: tuple[float, float]
     heights: tuple[float, float]

@@ -90,8 +90,7 @@ class _Occupancy:
 
 
 def choose_floor_plan(room: Envelope, style: ShellStyle, rng: np.random.Generator, *, beams_m: float) -> FloorPlan:
-    """Place doors first (with the second room), then windows, then niches; beams lower the usable wall height by
-    beams_m."""
+    """Place doors (with the second room), then windows, then niches; beams lower the usable wall by beams_m."""
     occupancy = _Occupancy(room, beams_m)
     wall_m = uniform(rng, style.wall_m)
     design = _choose_door_design(rng)
@@ -209,8 +208,7 @@ def _place_second_room(
 def _choose_second_room_corners(
     occupancy: _Occupancy, side: Side, hole: AnyHole, rng: np.random.Generator
 ) -> list[Point] | None:
-    """Return the plan of the second room: a corridor along the wall or a small room, its near wall `depth_m` behind
-    the side."""
+    """Return the plan of the second room: a corridor along the wall or a small room, `depth_m` behind the side."""
     s0, s1 = hole.rect[:2]
     for _ in range(6):
         corridor = rng.random() < 0.5
@@ -232,8 +230,7 @@ def _second_holes(
     wall_m: float,
     rng: np.random.Generator,
 ) -> tuple[AnyHole, ...]:
-    """Choose what is in the wall opposite the entry: a window with no part of the building before it, or a closed
-    door with probability one half."""
+    """Choose a window opposite the entry, with no part of the building before it, or in half of the rooms a door."""
     far = second.sides[1]
     if rng.random() < style.second_window:
         window = _second_window(second, style, wall_m, rng)

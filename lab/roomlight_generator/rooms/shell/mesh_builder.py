@@ -199,8 +199,7 @@ class MeshBuilder:
 
 
 def _box_corners() -> tuple[np.ndarray, np.ndarray]:
-    """Return, for 6 faces x 4 corners, which of (s0, s1, h0, h1, d0, d1) each coordinate is; and the normals. Front
-    first, back last: the back can be left out."""
+    """Return which of (s0, s1, h0, h1, d0, d1) each coordinate of 6 faces x 4 corners is (back last); the normals."""
     front = [(0, 2, 4), (1, 2, 4), (1, 3, 4), (0, 3, 4)]
     left = [(0, 2, 5), (0, 2, 4), (0, 3, 4), (0, 3, 5)]
     right = [(1, 2, 4), (1, 2, 5), (1, 3, 5), (1, 3, 4)]

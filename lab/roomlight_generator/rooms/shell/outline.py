@@ -207,13 +207,7 @@ def envelope(corners: list[Point], height: float, slopes: tuple[Slope, ...]) -> 
         for slope in slopes:
             outline = clip_half_plane(outline, *wall_cut(slope, plane))
         sides.append(
-            Side(
-                plane,
-                length,
-                tuple(outline),
-                _half_cotangent(before, start, end),
-                _half_cotangent(start, end, after),
-            )
+            Side(plane, length, tuple(outline), _half_cotangent(before, start, end), _half_cotangent(start, end, after))
         )
     return Envelope(tuple(corners), height, slopes, tuple(sides))
 
@@ -264,8 +258,7 @@ def _choose_slopes(corners: list[Point], height: float, both: bool, rng: np.rand
 def _slope_over(
     points: Float[np.ndarray, "n 2"], i: int, height: float, pitch: float, knee: float, run_m: float
 ) -> Slope:
-    """Return the slope from the knee wall on side i up to the ceiling; the knee is raised if the slope would run too
-    far."""
+    """Return the slope from the knee wall on side i to the ceiling; the knee is raised if it would run too far."""
     start, end = points[i], points[(i + 1) % len(points)]
     length = float(np.linalg.norm(end - start))
     u = np.array([end[0] - start[0], 0.0, end[1] - start[1]]) / length

@@ -126,8 +126,7 @@ def build_ceiling(room: Envelope, material: Material, skylights: Sequence[Window
 
 
 def _free_spans(side: Side, holes: Sequence[AnyHole], low: float, high: float) -> list[tuple[float, float, bool, bool]]:
-    """Return the stretches of a side without holes between two heights: (from, to, starts at a corner, ends at a
-    corner)."""
+    """Return a side's stretches without holes between two heights: (from, to, starts, ends at a corner)."""
     cuts: list[tuple[float, float]] = []
     for hole in holes:
         edge = 0.0

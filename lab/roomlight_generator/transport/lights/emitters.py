@@ -121,13 +121,7 @@ def build_lights(tracer: Tracer) -> LightSources:
     slots += int((cuts[:, 1] * cuts[:, 2]).sum())
     lights = _clustered(pieces, face_cuts, face_first, slots, outdoors.sun_direction)
     surfaces = LightSurfaces(
-        lights.piece,
-        lights.kind,
-        outdoors.hole,
-        outdoors.parts,
-        outdoors.panorama,
-        lights.coat_share,
-        lights.sun,
+        lights.piece, lights.kind, outdoors.hole, outdoors.parts, outdoors.panorama, lights.coat_share, lights.sun
     )
     return LightSources(lights, outdoors, surfaces)
 

@@ -45,12 +45,7 @@ _LAMP_ROLES: Final = frozenset({"ceiling_lamp", "floor_lamp", "table_lamp", "wal
 
 
 def make_material(
-    mtl: MtlMaterial,
-    texture: Texture | None,
-    *,
-    role: str,
-    identity: str,
-    kind: str | None = None,
+    mtl: MtlMaterial, texture: Texture | None, *, role: str, identity: str, kind: str | None = None
 ) -> Material:
     """Make the material of a part of a model.
 

@@ -177,8 +177,7 @@ def _absolute(tokens: list[bytes], points: int, uvs: int, name: str) -> list[byt
 def _corners(
     tokens: list[bytes], points: int, uvs: int, name: str
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return point and texture indices of corner tokens `p`, `p/t`, `p/t/n`, `p//n`; each distinct token is parsed
-    once."""
+    """Return point and texture indices of corner tokens `p`, `p/t`, `p/t/n`, `p//n`, each parsed once."""
     spellings: dict[bytes, int] = {}
     which = np.array([spellings.setdefault(token, len(spellings)) for token in tokens], np.int64)
     table = np.empty((len(spellings), 2), np.int64)

@@ -70,8 +70,7 @@ def _hang_lamp(
     *,
     lowest: float = MIN_LAMP_HEIGHT_M,
 ) -> Piece | None:
-    """Hang a lamp with its top just under the lowest ceiling over its footprint; return None if its bottom were
-    below `lowest`."""
+    """Hang a lamp just under the lowest ceiling over its footprint; None if its bottom were below `lowest`."""
     if model is None:
         return None
     probe = Body.of(x, z, degrees, width=model.width_m, depth=model.depth_m, high=0.1)

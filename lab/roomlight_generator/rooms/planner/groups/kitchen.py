@@ -74,8 +74,7 @@ def kitchen(
 def _choose_run_models(
     arrangement: Arrangement, unit: FurnitureModel, length: float, *, turns: bool
 ) -> list[FurnitureModel]:
-    """Choose the units of a run of that length, starting at the corner; a run that turns there begins with a low
-    unit."""
+    """Choose the units of a run of that length from the corner on; a run that turns there begins with a low unit."""
     sink = _pick_counter_unit(arrangement, "kitchen_unit", like=unit, sink=True) or unit
     oven = _pick_counter_unit(arrangement, "oven", like=unit) or arrangement.pick(
         "oven", width=(0.3, 1.0), depth=(0.4, 0.8), height=(0.6, 1.1)
@@ -119,8 +118,7 @@ def _choose_run_models(
 def _place_run(
     arrangement: Arrangement, span: WallSpan, unit: FurnitureModel, longest: float, *, turns: bool
 ) -> tuple[list[Piece], bool]:
-    """Place units side by side from one end of the span, an end at a corner if there is one; also return whether it
-    is the left end."""
+    """Place units side by side from one end of the span, at a corner if there is one; and whether it is the left."""
     wall = arrangement.shell.walls[span.wall]
     left_corner, right_corner = span.start_m < 0.01, span.end_m > wall.length_m - 0.01
     from_left = left_corner if left_corner != right_corner else arrangement.chance(0.5)

@@ -64,8 +64,7 @@ def fill_walls(arrangement: Arrangement, *, roles: tuple[str, ...], share: tuple
 
 
 def place_in_corners(arrangement: Arrangement, *, role: str, number: float = 1.0, widest: float = 0.9) -> int:
-    """Place floor lamps or plants in corners and beside furniture (Poisson mean `number`); return how many were
-    placed."""
+    """Place floor lamps or plants in corners and beside furniture (Poisson mean `number`); return their number."""
     done = 0
     for _ in range(arrangement.poisson(number)):
         model = arrangement.pick(role, width=(0.0, widest), depth=(0.0, widest + 0.2))
@@ -89,8 +88,7 @@ def free_points(arrangement: Arrangement, number: int) -> list[tuple[float, floa
 def scatter_on_floor(
     arrangement: Arrangement, *, role: str, number: float, by_walls: float = 0.5, tallest: float = 1.2
 ) -> int:
-    """Scatter small objects on the floor, some of them along walls (Poisson mean `number`); return how many were
-    placed."""
+    """Scatter small objects on the floor, some along walls (Poisson mean `number`); return their number."""
     done = 0
     for _ in range(arrangement.poisson(number)):
         model = arrangement.pick(role, width=(0.0, 0.9), depth=(0.0, 0.9), height=(0.0, tallest))

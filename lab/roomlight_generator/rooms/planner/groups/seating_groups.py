@@ -161,8 +161,7 @@ def conversation_group(arrangement: Arrangement) -> Piece | None:
 
 
 def _furnish_around(arrangement: Arrangement, seat: Piece) -> Piece | None:
-    """Place a coffee table, armchairs at the sides, side tables and a lamp by the sofa, and a rug; return the coffee
-    table."""
+    """Place coffee table, rug, armchairs at the sides, side tables and a lamp by a sofa; return the coffee table."""
     table = _place_coffee_table(arrangement, seat)
     _place_rug_below(arrangement, seat, table)
     if arrangement.chance(0.6):

@@ -141,8 +141,7 @@ def _clearance_m(arrangement: Arrangement, x: float, z: float) -> float:
 
 
 def desk(arrangement: Arrangement, *, seat: str = "office_chair", facing_room: float = 0.0) -> Piece | None:
-    """Place a desk with its back to a wall and a chair in front, or (with probability facing_room) the chair behind
-    it."""
+    """Place a desk and its chair, the desk's back to a wall or (with probability facing_room) the chair's."""
     longest = min(0.6 * max(wall.length_m for wall in arrangement.shell.walls), 2.4)
     for widest in (longest, longest, min(longest, 1.5), 1.25, 1.1):
         model = arrangement.pick("desk", width=(0.6, widest), depth=(0.35, 1.3))

@@ -46,8 +46,7 @@ def hang_wall_items(arrangement: Arrangement, wanted: Iterable[tuple[str, float]
 def _choose_bottom_m(
     arrangement: Arrangement, model: FurnitureModel, ceiling: float, floor: float = 0.0
 ) -> float | None:
-    """Return the height of an item's bottom, above `floor` (what stands below) and under the ceiling; None if it
-    does not fit."""
+    """Return the height of an item's bottom, above `floor` (what stands below); None if it does not fit."""
     if model.role == "air_conditioner":
         y = ceiling - model.height_m - arrangement.uniform(0.08, 0.3)
     else:
