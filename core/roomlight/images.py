@@ -157,7 +157,6 @@ def _decode_heic(data: bytes, name: str) -> ColourImage:
 
 
 def _decode_encoded(data: bytes, name: str, *, as_stored: bool) -> ColourImage:
-    """Decode a JPEG or PNG."""
     _check_size(data, name)
     try:
         tags = read_tags(data, name)
@@ -189,11 +188,9 @@ def _decode_encoded(data: bytes, name: str, *, as_stored: bool) -> ColourImage:
     return ColourImage(image, clipped, _unless_all(seen), notes)
 
 
-def decode_colour(
-    data: bytes, name: str, *, as_stored: bool = False
-) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+def decode_colour(data: bytes, name: str) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """Decode a file to linear RGB float32 and the mask of clipped pixels; see `decode_picture`. Raises ImageError."""
-    picture = decode_picture(data, name, as_stored=as_stored)
+    picture = decode_picture(data, name)
     return picture.image, picture.clipped
 
 

@@ -256,7 +256,7 @@ def encoded(suffix, width=4, height=3, dtype: DTypeLike = np.uint8, channels: tu
 def test_an_image_must_have_the_stated_size_and_encoding():
     for encoding, suffix in (("jpeg", ".jpg"), ("png", ".png")):
         assert isinstance(parse(with_colour(encoding, encoded(suffix))), FrameMessage)
-        assert error_of(with_colour(encoding, encoded(suffix, 40, 30))).field == "colour"
+        assert error_of(with_colour(encoding, encoded(suffix, 40, 30))).value == "40 x 30"
         if encoding == "png":  # whether a JPEG is whole shows when it is decoded
             assert error_of(with_colour(encoding, encoded(suffix)[:-20])).field == "colour"
         assert error_of(with_colour(encoding, b"\x76\x2f\x31\x01" + bytes(50))).field == "colour"
@@ -267,12 +267,6 @@ def test_an_image_must_have_the_stated_size_and_encoding():
     assert error_of(with_depth("float32_m", "png", grey)).field == "depth.encoding"
     big = encoded(".png", 4000, 3000, np.uint16, ())
     assert error_of(with_depth("uint16_mm", "png", big)).field == "depth"
-
-
-def test_a_png_bomb_is_rejected_by_its_header():
-    bomb = bytearray(encoded(".png"))
-    bomb[16:24] = struct.pack(">II", 60_000, 60_000)
-    assert error_of(with_colour("png", bytes(bomb))).value == "60000 x 60000"
 
 
 def test_zstd_must_state_the_right_size_or_no_size():

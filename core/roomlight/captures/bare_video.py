@@ -45,12 +45,6 @@ class BareVideoReader:
     conventions = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
 
     def __init__(self, path: Path, options: CaptureOptions) -> None:
-        """List the frames.
-
-        Raises:
-            CaptureError: The file is not a readable video.
-            OptionError: An option is for stored poses or depth.
-        """
         for name in _UNUSED:
             if getattr(options, name) is not None:
                 raise OptionError(f"{name} is for stored poses and depth; {path} is a video without")
@@ -161,7 +155,6 @@ class BareVideoReader:
         return Intrinsics(focal, focal, width / 2, height / 2, width, height), known
 
     def _note(self, motion: CameraPath) -> None:
-        """Say what was estimated, and what was not to be told from the pictures."""
         self.notes.append(
             Note(
                 f"{self._path}: its camera poses are estimated from the pictures",

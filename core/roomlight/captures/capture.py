@@ -132,7 +132,14 @@ RawProbe = tuple[Float[np.ndarray, "3"], Path | None]
 
 @runtime_checkable  # the test run checks annotations with isinstance
 class Reader(Protocol):
-    """The interface of a format's reader. A pass reads records in order, by index."""
+    """The interface of a format's reader. A pass reads records in order, by index.
+
+    It is made of the capture's path and the options, and reads and checks the index, but no image.
+
+    Raises:
+        CaptureError: The index is missing or damaged, or lists no frame or too many.
+        OptionError: An option is for what the format does not have.
+    """
 
     format: str
     conventions: PoseConventions
@@ -167,8 +174,6 @@ class Preparing(Protocol):
 
 @dataclass
 class _Place:
-    """Where a pass is: frames so far, and the last index."""
-
     good: int = 0
     last: int = -1
 
@@ -316,20 +321,6 @@ class Capture:
         depth = None if self._depth_stream is None else replace(self._depth_stream.state)
         return PassState(self._at.last, self._at.good, list(self.skipped), list(self.notes), sorted(self._noted), depth)
 
-    def frame_at(self, index: int) -> Frame:
-        """Read one frame by its `Frame.index`. A video is decoded up to it; other formats read this frame only.
-
-        Raises:
-            FrameError: The record is bad, or there is no record of this index.
-            CaptureError: Poses are to be scaled, and no floor is seen.
-        """
-        if not 0 <= index < self._reader.count:
-            raise FrameError(f"{self.path}: there is no frame {index}; frames are 0 to {self._reader.count - 1}")
-        self._metres_per_unit()
-        self._depth_stream = None
-        with self._reader.records() as read:
-            return self._frame(index, read)
-
     def _metres_per_unit(self) -> float:
         """Return the metres of the stored unit, by the floor if its scale is to be found; reads frames once."""
         if self._metres is not None:
@@ -394,7 +385,6 @@ class Capture:
             raise FrameError(f"{name}: {error}") from error
 
     def _in_metres(self, frame: Frame) -> Frame:
-        """Return a frame that is in the stored unit in metres."""
         return frame if self._metres in (None, 1.0) else frame.scaled(self._metres)
 
     def _with_depth(self, frame: Frame) -> Frame:
@@ -452,7 +442,6 @@ class Capture:
             self._notes[note] = None
 
     def _to_conventions(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """Convert a stored, rigid pose to camera-to-world with OpenGL camera axes in a y-up world."""
         rigid = pose
         if self._pose_direction == "world-to-camera":
             rigid = rigid_inverse(rigid)

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from roomlight.camera import Intrinsics
 from roomlight.errors import CaptureError, FrameError, RoomLightError
 
 _DECIMAL_COMMA: Final = re.compile(r"(?=.*,)[-+]?\d*(,\d+)?(e[-+]?\d+)?(\s++[-+]?\d*(,\d+)?(e[-+]?\d+)?)+", re.I)
@@ -166,17 +167,21 @@ def matrix4(value: object, what: str) -> Float[np.ndarray, "4 4"]:
     """Convert nested lists to a 4 x 4 matrix; a 3 x 4 matrix gets the last row 0 0 0 1."""
     if not isinstance(value, list) or len(value) not in (3, 4):
         raise ValueError(f"{what} is {_short(value)}, not a 4 x 4 matrix")
-    rows = [vector(row, 4, f"row {index} of {what}") for index, row in enumerate(value)]
-    if len(rows) == 3:
-        rows.append(np.array([0.0, 0.0, 0.0, 1.0]))
-    return np.stack(rows)
+    whole = value if len(value) == 4 else [*value, [0.0, 0.0, 0.0, 1.0]]
+    return np.stack([vector(row, 4, f"row {index} of {what}") for index, row in enumerate(whole)])
 
 
-def rows(value: object, count: int, what: str) -> list[object]:
-    """Check for a list of `count` rows."""
-    if not isinstance(value, list) or len(value) != count:
-        raise ValueError(f"{what} is {_short(value)}, not {count} rows")
-    return list(value)
+def matrix3(value: object, what: str) -> Float[np.ndarray, "3 3"]:
+    """Convert nested lists to a 3 x 3 matrix."""
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError(f"{what} is {_short(value)}, not a 3 x 3 matrix")
+    return np.stack([vector(row, 3, f"row {index} of {what}") for index, row in enumerate(value)])
+
+
+def camera(stated: Mapping[str, Any]) -> Intrinsics:
+    """Check for `fx`, `fy`, `cx`, `cy`, `width` and `height` of a pinhole camera, in pixels."""
+    fx, fy, cx, cy = (number(stated.get(key), key) for key in ("fx", "fy", "cx", "cy"))
+    return Intrinsics(fx, fy, cx, cy, pixels(stated.get("width"), "width"), pixels(stated.get("height"), "height"))
 
 
 def objects(value: object, what: str) -> list[dict[str, Any]]:

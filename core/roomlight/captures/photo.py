@@ -187,13 +187,11 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
 
 
 def _up(frame: Frame) -> Upright:
-    """Estimate where up is in a photograph's camera."""
     small = replace(frame, depth_m=np.zeros(frame.image.shape[:2], np.float32)).resized(SIDE, SIDE)
     return upright([lines_of(grey_picture(srgb_picture(small)), small.intrinsics)], [np.eye(3)])
 
 
 def _check_depth(depth_m: Float[np.ndarray, "h w"], path: str) -> None:
-    """Raise FrameError for depth that is empty or in another unit."""
     known = depth_m[depth_m > 0]
     if known.size == 0:
         raise FrameError(f"{path}: no pixel has a depth; the light cannot be placed in the room without it")

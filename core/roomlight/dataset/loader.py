@@ -99,15 +99,12 @@ class Dataset:
         self._numbers = {place.entry.name: number for number, place in enumerate(self._places)}
 
     def __len__(self) -> int:
-        """Return the number of finished sequences."""
         return len(self._places)
 
     def __getitem__(self, number: int) -> Recording:
-        """Read a whole sequence; `read` decodes selected frames."""
         return self.read(number)
 
     def __iter__(self) -> Iterator[Recording]:
-        """Read every sequence, in order."""
         return (self.read(number) for number in range(len(self)))
 
     @property
@@ -146,7 +143,12 @@ class Dataset:
             DatasetError: The sequence is damaged.
             IndexError: There is no such sequence or frame.
         """
-        return self._decoded(number, self.files(number), frames=frames, probes=probes, clipped=clipped)
+        files, place = self.files(number), self._places[number]
+        label = f"{place.tar}: {place.entry.name}"
+        try:
+            return sequence_files.decode(files, label, frames=frames, probes=probes, clipped=clipped)
+        except (ValueError, KeyError, TypeError, ImageError) as error:
+            raise self._foreign(place, error) from error
 
     def stream(self, options: StreamOptions | None = None) -> Iterator[StreamedSequence]:
         """Yield every sequence once: shards in random order, sequences shuffled within a sliding window.
@@ -202,16 +204,6 @@ class Dataset:
         # seeded by name, not by number: sequences of a growing dataset keep their depth sensors
         rng = np.random.default_rng([options.seed, options.epoch, *recording.name.encode()])
         return StreamedSequence(recording, *arkit_like(recording.depth_mm, recording.surface, recording.colour, rng))
-
-    def _decoded(
-        self, number: int, files: dict[str, memoryview], *, frames: Sequence[int] | None, probes: bool, clipped: bool
-    ) -> Recording:
-        place = self._places[number]
-        label = f"{place.tar}: {place.entry.name}"
-        try:
-            return sequence_files.decode(files, label, frames=frames, probes=probes, clipped=clipped)
-        except (ValueError, KeyError, TypeError, ImageError) as error:
-            raise self._foreign(place, error) from error
 
     def _foreign(self, place: _StoredSequence, error: Exception) -> DatasetError:
         """Return the error for bytes that have their checksum but are not a sequence, such as another version's."""

@@ -116,23 +116,18 @@ def decode(
     ]
     return Recording(
         name=index["name"],
-        colour=_stack([_colour(files, entry["colour"], label) for entry in entries], (*shape, 3), np.uint8),
-        depth_mm=_stack([_grey(files, entry["depth"], label) for entry in entries], shape, np.uint16),
-        surface=_stack([_grey(files, entry["surface"], label) for entry in entries], shape, np.uint8),
+        colour=_stack([_image(files, entry["colour"], label, bgr=True) for entry in entries], (*shape, 3), np.uint8),
+        depth_mm=_stack([_image(files, entry["depth"], label) for entry in entries], shape, np.uint16),
+        surface=_stack([_image(files, entry["surface"], label) for entry in entries], shape, np.uint8),
         intrinsics=lens,
         camera_to_world=np.array([entry["camera_to_world"] for entry in entries], np.float64).reshape(-1, 4, 4),
         exposure=np.array([entry["exposure"] for entry in entries], np.float64),
         timestamp_s=np.array([entry["timestamp_s"] for entry in entries], np.float64),
         probe_positions=np.array([probe["position"] for probe in truths], np.float64).reshape(-1, 3),
         probe_panoramas=np.stack(panoramas) if panoramas else np.zeros((0, 1, 2, 3), np.float32),
-        facts=read_facts(files),
+        facts=json.loads(bytes(_file(files, FACTS))),
         clipped_radiance=_clipped(files, entries, shape, label) if clipped else None,
     )
-
-
-def read_facts(files: Mapping[str, bytes | memoryview]) -> dict[str, Any]:
-    """Read `Recording.facts` only."""
-    return json.loads(bytes(_file(files, FACTS)))
 
 
 def _check(recording: Recording) -> None:
@@ -229,14 +224,14 @@ def _file(files: Mapping[str, bytes | memoryview], name: str) -> bytes | memoryv
     return files[name]
 
 
-def _colour(files: Mapping[str, bytes | memoryview], name: str, label: str) -> Shaped[np.ndarray, "h w 3"]:
-    image = cv2.imdecode(np.frombuffer(_file(files, name), np.uint8), cv2.IMREAD_COLOR)
-    return _decoded(image, f"{label}/{name}")[..., ::-1]
-
-
-def _grey(files: Mapping[str, bytes | memoryview], name: str, label: str) -> Shaped[np.ndarray, "h w"]:
-    image = cv2.imdecode(np.frombuffer(_file(files, name), np.uint8), cv2.IMREAD_UNCHANGED)
-    return _decoded(image, f"{label}/{name}")
+def _image(
+    files: Mapping[str, bytes | memoryview], name: str, label: str, *, bgr: bool = False
+) -> Shaped[np.ndarray, "h w *c"]:
+    data = np.frombuffer(_file(files, name), np.uint8)
+    image = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR if bgr else cv2.IMREAD_UNCHANGED))
+    if not image.ndim:  # OpenCV returns None
+        raise ImageError(f"{label}/{name}: does not decode")
+    return image[..., ::-1] if bgr else image
 
 
 def _clipped(
@@ -248,12 +243,6 @@ def _clipped(
     names: list[str] = [entry["clipped"] for entry in entries]
     images = [decode_colour(bytes(_file(files, name)), f"{label}/{name}")[0].astype(np.float16) for name in names]
     return _stack(images, (*shape, 3), np.float16)
-
-
-def _decoded(image: Shaped[np.ndarray, "..."] | None, name: str) -> Shaped[np.ndarray, "..."]:
-    if image is None:
-        raise ImageError(f"{name}: does not decode")
-    return image
 
 
 def _stack(

@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from roomlight.conventions import linear_to_srgb
@@ -69,10 +69,8 @@ class Canvas:
         """
         width, height = size
         if image.shape[:2] != (height, width):
-            shrinks = height < image.shape[0]
             # clipped before it is shrunk: one lamp pixel must not whiten all of its neighbours
-            image = np.clip(image * (self._gain if exposed else 1), 0, 1).astype(np.float32)
-            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+            image = _resampled(np.clip(image * (self._gain if exposed else 1), 0, 1).astype(np.float32), size)
         elif exposed:
             image = image * self._gain
         self._part(at, size)[:] = linear_to_srgb(image.astype(np.float32))
@@ -130,18 +128,15 @@ class Canvas:
             ValueError: It does not fit the canvas.
         """
         if image.shape[:2] != size[::-1]:
-            shrinks = size[1] < image.shape[0]
-            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+            image = _resampled(image, size)
         self._part(at, size)[:] = image.astype(np.float32) / 255
 
-    def line(
-        self, points: Sequence[tuple[float, float]], colour: Colour, *, width: int = 1, opacity: float = 1.0
-    ) -> None:
+    def line(self, points: Sequence[tuple[float, float]], colour: Colour, *, width: int = 1) -> None:
         """Draw a polyline with smooth edges through pixel positions."""
         corners = np.rint(np.asarray(points, np.float64).reshape(-1, 1, 2) * 2**_SUBPIXEL_BITS).astype(np.int32)
         mask = np.zeros(self._pixels.shape[:2], np.uint8)
         cv2.polylines(mask, [corners], False, 255, width, cv2.LINE_AA, _SUBPIXEL_BITS)
-        self._blend(mask, colour, opacity)
+        self._blend(mask, colour, 1.0)
 
     def area(self, points: Sequence[tuple[float, float]], colour: Colour, *, opacity: float = 1.0) -> None:
         """Fill a polygon with smooth edges."""
@@ -187,6 +182,11 @@ class Canvas:
         if left < 0 or top < 0 or part.shape[:2] != (height, width):
             raise ValueError(f"{width} x {height} pixels at {at} do not fit a canvas of {self._pixels.shape[1::-1]}")
         return part
+
+
+def _resampled(image: Shaped[np.ndarray, "h w 3"], size: tuple[int, int]) -> Shaped[np.ndarray, "sh sw 3"]:
+    shrinks = size[1] < image.shape[0]
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
 
 
 def text_width(text: str, *, size: int = LABEL_SIZE, weight: Weight = "regular") -> int:

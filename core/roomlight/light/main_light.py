@@ -131,7 +131,7 @@ def no_light() -> MainLight:
 
 def main_light(panorama: Float[np.ndarray, "h w 3"]) -> MainLight:
     """Return the first of `find_lights`, or `no_light` where there is none."""
-    return lights_of(panorama).main
+    return next(iter(find_lights(panorama)), no_light())
 
 
 def find_lights(panorama: Float[np.ndarray, "h w 3"]) -> tuple[MainLight, ...]:
@@ -144,12 +144,6 @@ def find_lights(panorama: Float[np.ndarray, "h w 3"]) -> tuple[MainLight, ...]:
         ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
     """
     return Surroundings.of(panorama).lights()
-
-
-def lights_of(panorama: Float[np.ndarray, "h w 3"]) -> TrackedLights:
-    """Return the lights of one panorama, the first of them as the main light."""
-    lights = find_lights(panorama)
-    return TrackedLights(next(iter(lights), no_light()), lights)
 
 
 def relit(

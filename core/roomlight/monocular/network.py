@@ -5,7 +5,6 @@ high people hold a phone is much the same, so that the rise gives the depth of t
 """
 
 from functools import cache
-from pathlib import Path
 from typing import Final
 
 import cv2
@@ -15,7 +14,6 @@ from jaxtyping import Float, Float32
 from roomlight.camera import Intrinsics
 from roomlight.engine.networks.graph import Graph
 from roomlight.engine.networks.graphs import SHIPPED, load_part
-from roomlight.engine.networks.providers import Provider
 from roomlight.monocular.estimate import DepthEstimate, DepthKind
 
 DEPTH_SIDE: Final = 224
@@ -38,7 +36,6 @@ class DepthNetworkModel:
     kind: DepthKind = "metric"
 
     def __init__(self, graph: Graph) -> None:
-        """Take the loaded graph."""
         self._graph = graph
         self.digest = graph.digest
 
@@ -58,13 +55,13 @@ class DepthNetworkModel:
 
 
 @cache
-def shipped_depth(provider: Provider = "auto", folder: Path = SHIPPED / "depth") -> DepthNetworkModel:
+def shipped_depth() -> DepthNetworkModel:
     """Load the network inside the package, once.
 
     Raises:
         ModelError: The weights are missing or damaged.
     """
-    return DepthNetworkModel(load_part(folder, "depth", provider=provider))
+    return DepthNetworkModel(load_part(SHIPPED / "depth", "depth", provider="auto"))
 
 
 def ray_planes(intrinsics: Intrinsics, up: Float[np.ndarray, "3"] | None = None) -> Float32[np.ndarray, "4 side side"]:

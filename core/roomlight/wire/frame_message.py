@@ -135,10 +135,10 @@ def column_major(camera_to_world: Float[np.ndarray, "4 4"]) -> list[float]:
     return [float(value) for value in camera_to_world.T.reshape(-1)]
 
 
-def to_wire_error(error: ValidationError, *, kind: str, prefix: str = "") -> WireError:
+def to_wire_error(error: ValidationError, *, kind: str) -> WireError:
     """Convert Pydantic's first error to a WireError with field, value and rule."""
     first = error.errors(include_url=False, include_context=False)[0]
-    field = ".".join(str(part) for part in (prefix, *first["loc"]) if part != "")
+    field = ".".join(str(part) for part in first["loc"] if part != "")
     given: Any = first["input"]
     value = "nothing" if first["type"] == "missing" else _value_text(given)
     return WireError(kind, field=field, value=value, rule=rule_text(first["msg"]))

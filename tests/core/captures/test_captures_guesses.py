@@ -17,7 +17,7 @@ from capture_checks import edit, one_skipped
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.photo import PhotoOptions, read_photo
-from roomlight.errors import CaptureError, UnknownFormatError
+from roomlight.errors import UnknownFormatError
 from roomlight.frame import Frame
 from roomlight.images import write_png
 from roomlight.sample import sample_capture
@@ -108,18 +108,6 @@ def test_depth_that_no_frame_leads_to_is_noted(
     meant = open_capture(path, CaptureOptions(depth="network"))
     assert len(list(meant)) == 2
     assert renamed not in " ".join(map(str, meant.notes))
-
-
-@pytest.mark.parametrize("build", [formats.tum, formats.seven_scenes, formats.arkit_scenes])
-def test_depth_of_recordings_without_any_is_estimated(tmp_path: Path, build: Callable[..., Path]) -> None:
-    path = build(tmp_path / "capture", VIEWS[:2])
-    for file in sorted(path.rglob("*depth*")):
-        shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
-    frames = list(capture := open_capture(path))
-    assert len(frames) == 2
-    assert any("estimated" in str(note) for note in capture.notes)
-    with pytest.raises(CaptureError, match="has no depth"):
-        list(open_capture(path, CaptureOptions(depth="file")))
 
 
 def test_keys_of_roomlight_s_own_format_that_are_not_read_are_listed(native: Path) -> None:
@@ -235,7 +223,7 @@ def test_a_depth_map_inside_a_jpeg_is_noted(transforms: Path) -> None:
 @pytest.fixture(scope="module")
 def seen_room() -> Frame:
     """A frame of which the depth network makes something."""
-    return open_capture(sample_capture()).frame_at(12)
+    return list(open_capture(sample_capture(), CaptureOptions(every=12)))[1]
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,9 @@
 
 import shutil
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import av
-import cv2
 import formats
 import numpy as np
 import pytest
@@ -49,7 +47,7 @@ def test_scannetpp_as_downloaded(tmp_path: Path, kind: str) -> None:
         np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-9)
         np.testing.assert_allclose(frame.depth_m, maps[10 * number], atol=6e-4)
         assert np.abs(frame.image - srgb8_to_linear(view.srgb8)).mean() < 0.012
-    np.testing.assert_allclose(capture.frame_at(0).depth_m, maps[0], atol=6e-4)
+    np.testing.assert_allclose(next(iter(capture)).depth_m, maps[0], atol=6e-4)
     data = (path / "depth.bin").read_bytes()
     (path / "depth.bin").write_bytes(data[: len(data) * 2 // 3])
     capture = open_capture(path)
@@ -220,7 +218,7 @@ def test_poses_between_two_of_tf_are_interpolated(tmp_path: Path) -> None:
         base = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP @ np.linalg.inv(tool_formats.MOUNT)
         data = tool_formats.transforms_message(view.time_s, "map", "base_link", base)
         moved.append(("/tf", "tf2_msgs/msg/TFMessage", view.time_s, data))
-    second = open_capture(tool_formats.ros2_bag(tmp_path / "bag", moved)).frame_at(1)
+    _, second, *_ = open_capture(tool_formats.ros2_bag(tmp_path / "bag", moved))
     assert np.abs(second.camera_to_world[:3, 3] - VIEWS[1].pose[:3, 3]).max() < 0.03
     assert np.degrees(np.arccos((second.camera_to_world[:3, 2] * VIEWS[1].pose[:3, 2]).sum())) < 0.5
 
@@ -250,21 +248,6 @@ def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
     expected = np.repeat(rgb[..., 1:2], 3, axis=2) if encoding == "mono8" else rgb
     error = np.abs(frame.image - srgb8_to_linear(expected))[2:-2, 2:-2]
     assert error.mean() < (0.03 if encoding == "bayer_rggb8" else 0.012)
-
-
-@pytest.mark.parametrize("name", ["scannetpp", "scannet_frames", "rtabmap", "ros_bag"])
-def test_recordings_without_depth_have_frames_without(tmp_path: Path, name: str) -> None:
-    if name == "ros_bag":
-        path = with_messages(tmp_path / "capture", {}, drop="/camera/aligned")
-    else:
-        path = getattr(tool_formats, name)(tmp_path / "capture", VIEWS)
-        shutil.rmtree(path / ("room_depth" if name == "rtabmap" else "depth"))
-    with open_capture(path)._reader.records() as read:
-        raw = read(1)
-    assert raw.depth_name is None
-    assert not raw.depth_m.any()
-    with pytest.raises(CaptureError, match="has no depth; depth=auto estimates it"):
-        list(open_capture(path, CaptureOptions(depth="file")))
 
 
 # Refused by name
@@ -302,27 +285,3 @@ def test_the_nearest_format_and_what_it_lacks_are_named(tmp_path: Path, files: l
     with pytest.raises(UnknownFormatError, match=message) as caught:
         open_capture(tmp_path / "folder")
     assert "Known are .r3d" in str(caught.value)
-
-
-def test_polycams_folders_without_keyframes_are_known_by_their_cameras(tmp_path: Path) -> None:
-    path = formats.polycam(tmp_path / "a", VIEWS)
-    for name in ("corrected_images", "corrected_cameras"):
-        shutil.rmtree(path / "keyframes" / name)
-    for folder in (path / "keyframes").iterdir():
-        folder.rename(path / folder.name)
-    (path / "keyframes").rmdir()
-    assert open_capture(path).format == "polycam"
-    assert next(iter(open_capture(path))).camera_to_world[0, 3] == 99.0
-    assert cv2.imread(str(next((path / "images").iterdir()))) is not None
-
-
-@pytest.mark.parametrize("builder", [formats.polycam, formats.scanner_app], ids=["polycam", "3d-scanner-app"])
-def test_keys_of_a_lens_that_are_not_read_are_noted_once(tmp_path: Path, builder: Callable[..., Path]) -> None:
-    path = builder(tmp_path / "room", VIEWS)
-    assert not any("not read" in str(note) for note in open_capture(path).notes)
-    for index in path.rglob("*.json"):
-        edit(index, lambda stated: stated.update(k1=0.1, camera_model="OPENCV_FISHEYE", blur_score=3.0))
-    capture = open_capture(path)
-    assert len(list(capture)) == len(VIEWS)
-    (note,) = [str(note) for note in capture.notes if "not read" in str(note)]
-    assert "the keys camera_model, k1" in note

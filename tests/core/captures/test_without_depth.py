@@ -1,12 +1,16 @@
 """Recordings without depth: read with estimated depth, or refused where the user wants files."""
 
-import json
 import shutil
-from collections.abc import Callable
+import zipfile
 from pathlib import Path
 
+import cv2
+import formats
 import numpy as np
 import pytest
+import tool_formats
+from builders import BUILDERS
+from capture_checks import edit
 
 from box_room import LENS, exact_depth, frame, pose
 from depth_models import SIZE, write_depth_model
@@ -18,6 +22,7 @@ from roomlight.images import write_png
 from written_captures import write_capture
 
 POSES = [pose(0.1 * k) for k in range(3)]
+VIEWS = formats.scene(2)
 
 
 @pytest.fixture
@@ -27,78 +32,44 @@ def model(tmp_path: Path) -> Path:
     return write_depth_model(tmp_path / "metric.onnx", {"depth": truth[None]})
 
 
-def _native(folder: Path) -> Path:
-    write_capture(folder, [frame(k, at, depth=True) for k, at in enumerate(POSES)])
-    index = json.loads((folder / "capture.json").read_text())
-    for entry in index["frames"]:
-        del entry["depth"]
-    (folder / "capture.json").write_text(json.dumps(index))
-    shutil.rmtree(folder / "depth")
-    return folder
+def without_depth(name: str, folder: Path) -> Path:
+    """Return a capture of a layout without its files of depth, and without a word of them in its index."""
+    if name == "ros-bag":
+        return tool_formats.ros2_bag(
+            folder, [message for message in tool_formats.ros_messages(VIEWS) if "aligned_depth" not in message[0]]
+        )
+    path = BUILDERS[name](folder, VIEWS)
+    if path.is_file():
+        with zipfile.ZipFile(path, "w") as archive:
+            for member, data in formats.record3d_members(VIEWS).items():
+                if not member.endswith((".depth", ".conf")):
+                    archive.writestr(member, data)
+    for file in sorted(path.rglob("*depth*")):
+        shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
+    for index in (path / "capture.json", path / "transforms.json"):
+        if index.exists():
+            edit(index, lambda stated: [f.pop(key) for f in stated["frames"] for key in list(f) if "depth" in key])
+    return path
 
 
-def _nerfstudio(folder: Path) -> Path:
-    _native(folder)
-    (folder / "capture.json").unlink()
-    frames = [{"file_path": f"colour/{k:06d}.jpg", "transform_matrix": at.tolist()} for k, at in enumerate(POSES)]
-    lens = {"fl_x": LENS.fx, "fl_y": LENS.fy, "cx": LENS.cx, "cy": LENS.cy, "w": 320, "h": 240}
-    (folder / "transforms.json").write_text(json.dumps({**lens, "world_up": "y", "frames": frames}))
-    return folder
-
-
-def _polycam(folder: Path) -> Path:
-    _native(folder)
-    (folder / "keyframes/cameras").mkdir(parents=True)
-    shutil.move(folder / "colour", folder / "keyframes/images")
-    for k, at in enumerate(POSES):
-        rows = {f"t_{row}{column}": float(at[row, column]) for row in range(3) for column in range(4)}
-        lens = {"fx": LENS.fx, "fy": LENS.fy, "cx": LENS.cx, "cy": LENS.cy, "width": 320, "height": 240}
-        (folder / f"keyframes/cameras/{k:06d}.json").write_text(json.dumps({**rows, **lens}))
-    (folder / "capture.json").unlink()
-    return folder
-
-
-def _scanner_app(folder: Path) -> Path:
-    _native(folder)
-    for k, at in enumerate(POSES):
-        shutil.move(folder / f"colour/{k:06d}.jpg", folder / f"frame_{k:05d}.jpg")
-        k_matrix = [LENS.fx, 0, LENS.cx, 0, LENS.fy, LENS.cy, 0, 0, 1]
-        stated = {"cameraPoseARFrame": at.astype(float).ravel().tolist(), "intrinsics": k_matrix, "time": 0.1 * k}
-        (folder / f"frame_{k:05d}.json").write_text(json.dumps(stated))
-    (folder / "capture.json").unlink()
-    return folder
-
-
-def _colmap(folder: Path) -> Path:
-    _native(folder)
-    (folder / "capture.json").unlink()
-    shutil.move(folder / "colour", folder / "images")
-    (folder / "sparse/0").mkdir(parents=True)
-    camera = f"1 PINHOLE 320 240 {LENS.fx} {LENS.fy} {LENS.cx} {LENS.cy}\n"
-    (folder / "sparse/0/cameras.txt").write_text(camera)
-    lines = [f"{k + 1} 1 0 0 0 {-at[0, 3]} {at[1, 3]} 0 1 {k:06d}.jpg\n\n" for k, at in enumerate(POSES)]
-    (folder / "sparse/0/images.txt").write_text("".join(lines))
-    return folder
-
-
-@pytest.mark.parametrize("write", [_native, _nerfstudio, _polycam, _scanner_app, _colmap])
-def test_a_recording_without_depth_gets_it_estimated_and_says_so(
-    tmp_path: Path, model: Path, write: Callable[[Path], Path]
-) -> None:
-    capture = open_capture(write(tmp_path / "recording"), CaptureOptions(depth_model=model))
+@pytest.mark.parametrize("name", [name for name in BUILDERS if name != "scannet"])  # a .sens always has depth
+def test_a_recording_without_depth_gets_it_estimated_and_says_so(tmp_path: Path, name: str) -> None:
+    seen = cv2.resize(VIEWS[0].depth_m, SIZE[::-1])
+    model = write_depth_model(tmp_path / "metric.onnx", {"depth": seen[None]})
+    path = without_depth(name, tmp_path / "recording")
+    capture = open_capture(path, CaptureOptions(depth_model=model))
     frames = list(capture)
-    assert len(frames) == len(POSES)
+    assert len(frames) == len(VIEWS)
     for read in frames:
-        assert read.depth_m.shape == (240, 320)
-        assert np.median(np.abs(read.depth_m / exact_depth(POSES[0]) - 1)) < 0.15
+        assert read.depth_estimated
+        assert np.median(np.abs(read.depth_m / VIEWS[0].depth_m - 1)) < 0.15
     (note,) = [note for note in capture.notes if "estimated" in note.left_out]
     assert "metric.onnx" in note.left_out
+    with pytest.raises(CaptureError, match="depth=auto estimates it"):
+        list(open_capture(path, CaptureOptions(depth="file")))
 
 
 def test_files_can_be_demanded_or_ignored(tmp_path: Path, model: Path) -> None:
-    without = _native(tmp_path / "without")
-    with pytest.raises(CaptureError, match="has no depth; depth=auto estimates it"):
-        list(open_capture(without, CaptureOptions(depth="file")))
     whole = write_capture(tmp_path / "whole", [frame(0, POSES[2], depth=True)])
     (measured,) = open_capture(whole, CaptureOptions(depth_model=model))
     assert np.allclose(measured.depth_m, exact_depth(POSES[2]), atol=1e-3)
@@ -109,23 +80,20 @@ def test_files_can_be_demanded_or_ignored(tmp_path: Path, model: Path) -> None:
 
 
 def test_a_bad_model_is_no_bad_frame(tmp_path: Path) -> None:
-    without = _native(tmp_path / "without")
+    without = without_depth("roomlight", tmp_path / "without")
     with pytest.raises(ModelError, match="there is no such depth model"):
         list(open_capture(without, CaptureOptions(depth_model=tmp_path / "absent.onnx")))
 
 
 def test_masked_pixels_get_no_depth(tmp_path: Path, model: Path) -> None:
-    folder = _nerfstudio(tmp_path / "masked")
-    mask = np.full((240, 320, 3), 255, np.uint8)
-    mask[:120] = 0
+    folder = without_depth("nerfstudio", tmp_path / "masked")
+    mask = np.full((24, 32, 3), 255, np.uint8)
+    mask[:12] = 0
     write_png(folder / "mask.png", mask)
-    index = json.loads((folder / "transforms.json").read_text())
-    for entry in index["frames"]:
-        entry["mask_path"] = "mask.png"
-    (folder / "transforms.json").write_text(json.dumps(index))
+    edit(folder / "transforms.json", lambda index: index.update(mask_path="mask.png"))
     read = next(iter(open_capture(folder, CaptureOptions(depth_model=model))))
-    assert not read.depth_m[:120].any()
-    assert (read.depth_m[120:] > 0).all()
+    assert not read.depth_m[:12].any()
+    assert (read.depth_m[12:] > 0).all()
 
 
 def test_a_photo_without_depth(tmp_path: Path, model: Path) -> None:
@@ -152,14 +120,13 @@ def test_poses_without_metres_are_scaled_by_the_floor(tmp_path: Path) -> None:
     assert np.median(frames[0].depth_m / exact_depth(shots[0].scaled(0.3048).camera_to_world)) == pytest.approx(
         1, rel=0.02
     )
-    assert np.array_equal(capture.frame_at(1).depth_m, frames[1].depth_m)
     assert any("camera for 1.4 m above the floor" in note.effect for note in capture.notes)
     assert np.allclose(next(iter(open_capture(folder))).depth_m, frames[0].depth_m / 0.3048, rtol=0.02)
 
 
 def test_a_capture_whose_frames_are_all_bad_has_no_scale(tmp_path: Path) -> None:
-    folder = _native(tmp_path / "bad")
+    folder = without_depth("roomlight", tmp_path / "bad")
     for picture in (folder / "colour").iterdir():
         picture.write_bytes(b"no picture")
-    with pytest.raises(CaptureError, match="none of 3 frames can be used to find the scale"):
+    with pytest.raises(CaptureError, match="none of 2 frames can be used to find the scale"):
         list(open_capture(folder, CaptureOptions(camera_height_m=1.4)))

@@ -133,16 +133,6 @@ def _identity(shape):
     return OnnxRuntimeGraph(ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"]))
 
 
-def test_a_bound_graph_reads_and_writes_in_place():
-    graph = Graph(_identity([2, 3]), "identity")
-    x, y = np.zeros((2, 3), np.float32), graph.new_outputs()["y"]
-    bound = graph.bind({"x": x}, {"y": y})
-    for value in (1, 2):
-        x[:] = value
-        bound.run()
-        assert (y == value).all()
-
-
 def test_buffers_that_do_not_fit_are_refused():
     with pytest.raises(ModelError, match="graph free: x has the shape"):
         Graph(_identity(["batch", 3]), "free")

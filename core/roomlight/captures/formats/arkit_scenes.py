@@ -37,11 +37,6 @@ class ArkitScenesReader(ListedReader):
     conventions = PoseConventions("opencv", "world-to-camera", (0.0, 0.0, 1.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """List the images and read the trajectory.
-
-        Raises:
-            CaptureError: There is no image, or the trajectory is missing or damaged.
-        """
         source = FolderSource(folder)
         colour = files_of(source, "lowres_wide", (".png", ".jpg"))
         super().__init__(folder, options, colour, expected="lowres_wide/*.png")
@@ -77,15 +72,7 @@ class ArkitScenesReader(ListedReader):
             pose = _transform(self._poses[at][1])
         intrinsics = self._intrinsics(time_s, label)
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
-        return RawFrame(
-            name=label,
-            picture=read.picture,
-            depth_m=read.depth_m,
-            depth_name=depth_name and self._source.label(depth_name),
-            intrinsics=intrinsics,
-            pose=pose,
-            confidence=self._confidence(f"confidence/{file}"),
-        )
+        return self._raw_frame(index, read, depth_name, intrinsics, pose, self._confidence(f"confidence/{file}"))
 
     def _intrinsics(self, time_s: float, label: str) -> Intrinsics:
         if not self._pincams:

@@ -85,11 +85,6 @@ class ColmapReader(ListedReader):
     conventions = PoseConventions("opencv", "world-to-camera", (0.0, -1.0, 0.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read the model.
-
-        Raises:
-            CaptureError: There is no model, or it is damaged.
-        """
         source = FolderSource(folder)
         model = model_folder(source)
         if model is None:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
-from roomlight.captures.decoding import decode_confidence
+from roomlight.captures.decoding import Rgbd, decode_confidence
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES
-from roomlight.errors import CaptureError
+from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
 from roomlight.notes import Note, keys_of_use, unread_keys
 
@@ -27,11 +28,6 @@ class ListedReader:
     conventions = ARKIT
 
     def __init__(self, folder: Path, options: CaptureOptions, colour: list[str], *, expected: str) -> None:
-        """Take the names of the colour files.
-
-        Raises:
-            CaptureError: There is none, or more than `MAX_FRAMES`.
-        """
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m
         self._colour = colour
@@ -60,6 +56,18 @@ class ListedReader:
     def _read(self, index: int) -> RawFrame:
         raise NotImplementedError
 
+    def _raw_frame(
+        self,
+        index: int,
+        read: Rgbd,
+        depth_name: str | None,
+        intrinsics: Intrinsics,
+        pose: Float[np.ndarray, "4 4"],
+        confidence: UInt8[np.ndarray, "ch cw"] | None = None,
+    ) -> RawFrame:
+        depth_label = depth_name and self._source.label(depth_name)
+        return RawFrame(self.name_of(index), read.picture, read.depth_m, depth_label, intrinsics, pose, confidence)
+
     def _json(self, name: str) -> dict[str, Any]:
         """Read a JSON object of one frame; keys that bear on it are noted once. Raises FrameError and CaptureError."""
         stated = fields.parse_json(self._source.read(name, max_bytes=1 << 20), self._source.label(name))
@@ -69,7 +77,6 @@ class ListedReader:
         return stated
 
     def _confidence(self, name: str) -> UInt8[np.ndarray, "h w"] | None:
-        """Read confidence if the file exists."""
         return decode_confidence(self._source.read(name), self._source.label(name)) if self._source.has(name) else None
 
 
@@ -77,6 +84,21 @@ def files_of(source: FolderSource, folder: str, suffixes: tuple[str, ...]) -> li
     """Return a folder's files of these endings in any case, in natural order."""
     names = [name for name in source.names(folder) if name.lower().endswith(suffixes) and "/._" not in f"/{name}"]
     return sorted(names, key=fields.natural_key)
+
+
+def probes_of(index: dict[str, Any], key: str, source: FolderSource, label: str) -> list[RawProbe]:
+    """Return the probes of an index, whose panoramas stand under `key`. Raises CaptureError and ValueError."""
+    probes: list[RawProbe] = []
+    for entry in fields.objects(index.get("probes", []), "probes"):
+        position = fields.vector(entry.get("position"), 3, "a probe's position")
+        for value in position.tolist():
+            fields.number(value, "a probe's position")
+        try:
+            name = None if entry.get(key) is None else source.path(fields.text(entry[key], f"a probe's {key}"))
+        except FrameError as error:
+            raise CaptureError(f"{label}: a probe's panorama: {error}") from error
+        probes.append((position, name))
+    return probes
 
 
 def first_folder(source: FolderSource, *folders: str) -> str:

@@ -35,8 +35,9 @@ from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid
 from roomlight.captures import fields
-from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame, ReadRecord
 from roomlight.captures.decoding import decode_confidence, read_rgbd
+from roomlight.captures.formats.listed import probes_of
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError, OutputError
@@ -62,11 +63,6 @@ class NativeReader:
     conventions = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index.
-
-        Raises:
-            CaptureError: The index is missing or damaged, so that no frame can be read.
-        """
         self._source = FolderSource(folder)
         self.notes: list[Note] = []
         self._unit_m = options.depth_unit_m
@@ -78,7 +74,7 @@ class NativeReader:
             raise CaptureError(f"{self._label}: is version {str(index.get('version'))[:20]}; version {VERSION} is read")
         with fields.naming(self._label, CaptureError):
             self._frames = fields.objects(index.get("frames"), "frames")
-            self.probes = [self._probe(entry) for entry in fields.objects(index.get("probes", []), "probes")]
+            self.probes = probes_of(index, "panorama", self._source, self._label)
         self.count = len(self._frames)
         self.notes.extend(unread_keys(self._label, self._unread(index)))
         self._has_depth = any(entry.get("depth") is not None for entry in self._frames)
@@ -117,9 +113,7 @@ class NativeReader:
             lens: Any = entry.get("intrinsics")
             if not isinstance(lens, dict):
                 raise ValueError("has no intrinsics")
-            fx, fy, cx, cy = (fields.number(lens.get(key), key) for key in _INTRINSICS)
-            size = (fields.pixels(lens.get("width"), "width"), fields.pixels(lens.get("height"), "height"))
-            intrinsics = Intrinsics(fx, fy, cx, cy, *size)
+            intrinsics = fields.camera(lens)
         label = self._source.label(colour_name)
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         picture = read.picture
@@ -140,17 +134,6 @@ class NativeReader:
             confidence=confidence,
             auto_exposed=entry.get("exposure") is None,
         )
-
-    def _probe(self, entry: dict[str, Any]) -> RawProbe:
-        position = fields.vector(entry.get("position"), 3, "a probe's position")
-        for value in position.tolist():
-            fields.number(value, "a probe's position")
-        if entry.get("panorama") is None:
-            return position, None
-        try:
-            return position, self._source.path(fields.text(entry["panorama"], "a probe's panorama"))
-        except FrameError as error:
-            raise CaptureError(f"{self._label}: a probe's panorama: {error}") from error
 
 
 class CaptureWriter:

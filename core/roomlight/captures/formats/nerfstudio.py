@@ -31,8 +31,9 @@ import numpy as np
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
-from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame, ReadRecord
 from roomlight.captures.decoding import read_mask, read_rgbd, with_mask
+from roomlight.captures.formats.listed import probes_of
 from roomlight.captures.lenses import MODEL_KEYS, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.captures.source import MAX_FRAMES, read_index
@@ -79,11 +80,6 @@ class NerfstudioReader:
     format = "nerfstudio"
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index.
-
-        Raises:
-            CaptureError: The index is missing or damaged, so that no frame can be read.
-        """
         self._source = FolderSource(folder)
         self._label = self._source.label(INDEX)
         self._shared = fields.parse_json(read_index(self._source, INDEX), self._label)
@@ -96,7 +92,7 @@ class NerfstudioReader:
             self._stated_unit_m = options.depth_unit_m
             self._depth_unit({})  # refuses the capture for what concerns all frames
             fields.positive(self._shared.get("applied_scale", 1.0), "applied_scale")
-            self.probes = [self._probe(entry) for entry in fields.objects(self._shared.get("probes", []), "probes")]
+            self.probes = probes_of(self._shared, "file_path", self._source, self._label)
         if len(self._frames) > MAX_FRAMES:
             raise CaptureError(f"{self._label}: lists {len(self._frames)} frames; up to {MAX_FRAMES} are read")
         self.count = len(self._frames)
@@ -154,7 +150,6 @@ class NerfstudioReader:
         )
 
     def _masked(self, entry: dict[str, Any], picture: ColourImage, where: str) -> ColourImage:
-        """Apply the frame's mask, which may have another size."""
         stated = fields.first_of(entry, self._shared, "mask_path")
         if stated is not None:
             with fields.naming(where, FrameError):
@@ -254,18 +249,6 @@ class NerfstudioReader:
             hint = f"its frames have {names}; set depth_key" if present else "depth=auto estimates it"
             raise CaptureError(f"{self._label}: no frame has {' or '.join(keys)}; {hint}")
         return keys
-
-    def _probe(self, entry: dict[str, Any]) -> RawProbe:
-        position = fields.vector(entry.get("position"), 3, "a probe's position")
-        for value in position.tolist():
-            fields.number(value, "a probe's position")
-        name = entry.get("file_path")
-        if name is None:
-            return position, None
-        try:
-            return position, self._source.path(fields.text(name, "a probe's file_path"))
-        except FrameError as error:
-            raise CaptureError(f"{self._label}: a probe's panorama: {error}") from error
 
 
 def _angle(value: object, what: str = "camera_angle_x") -> float:

@@ -10,7 +10,6 @@ and 255. The files' names are times in microseconds.
 
 from pathlib import Path
 
-from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import RawFrame
 from roomlight.captures.decoding import read_rgbd
@@ -36,11 +35,6 @@ class PolycamReader(ListedReader):
     format = "polycam"
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """List the images.
-
-        Raises:
-            CaptureError: There is no image or no camera.
-        """
         source = FolderSource(folder)
         images = first_folder(source, *_IMAGES)
         self._cameras = images.replace("images", "cameras")
@@ -64,16 +58,7 @@ class PolycamReader(ListedReader):
         with fields.naming(self._source.label(camera_name), FrameError):
             rows = [[camera.get(f"t_{row}{column}") for column in range(4)] for row in range(3)]
             pose = fields.matrix4(rows, "t_00 to t_23")
-            fx, fy, cx, cy = (fields.number(camera.get(key), key) for key in ("fx", "fy", "cx", "cy"))
-            size = fields.pixels(camera.get("width"), "width"), fields.pixels(camera.get("height"), "height")
-            intrinsics = Intrinsics(fx, fy, cx, cy, *size)
+            intrinsics = fields.camera(camera)
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
-        return RawFrame(
-            name=self.name_of(index),
-            picture=read.picture,
-            depth_m=read.depth_m,
-            depth_name=depth_name and self._source.label(depth_name),
-            intrinsics=intrinsics,
-            pose=pose,
-            confidence=self._confidence(f"{self._root}confidence/{stem}.png"),
-        )
+        confidence = self._confidence(f"{self._root}confidence/{stem}.png")
+        return self._raw_frame(index, read, depth_name, intrinsics, pose, confidence)

@@ -52,11 +52,6 @@ class Record3DReader:
     conventions = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
 
     def __init__(self, path: Path, options: CaptureOptions) -> None:
-        """Read and check the index.
-
-        Raises:
-            CaptureError: The index is missing or damaged, so that no frame can be read.
-        """
         self._source: Source = FolderSource(path) if path.is_dir() else ZipSource(path)
         self._unit_m = options.depth_unit_m
         self.probes: list[RawProbe] = []

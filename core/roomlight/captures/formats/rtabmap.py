@@ -49,11 +49,6 @@ class RtabmapReader(ListedReader):
     conventions = PoseConventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """List the images and read the poses.
-
-        Raises:
-            CaptureError: There is no image, or the poses are missing or damaged.
-        """
         source = FolderSource(folder)
         prefix = export_name(source)
         poses_name = None if prefix is None else _poses_name(source, prefix)
@@ -124,8 +119,7 @@ class RtabmapReader(ListedReader):
             effect = "images are taken for rectified, as RTAB-Map stores them"
             self.notes.append(Note(f"{calib_label}: the lens distortion", effect, "undistort raw images first"))
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
-        depth_label = depth_name and self._source.label(depth_name)
-        return RawFrame(label, read.picture, read.depth_m, depth_label, intrinsics, pose)
+        return self._raw_frame(index, read, depth_name, intrinsics, pose)
 
 
 def _poses_name(source: FolderSource, prefix: str) -> str | None:

@@ -32,11 +32,6 @@ class ScannerAppReader(ListedReader):
     format = "3d-scanner-app"
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """List the images.
-
-        Raises:
-            CaptureError: There is no image.
-        """
         source = FolderSource(folder)
         colour = [name for name in files_of(source, "", (".jpg", ".jpeg", ".png")) if _COLOUR.fullmatch(name)]
         super().__init__(folder, options, colour, expected="frame_00000.jpg")
@@ -67,12 +62,4 @@ class ScannerAppReader(ListedReader):
             pose = row_major(stated.get("cameraPoseARFrame"), 4, "cameraPoseARFrame")
             k = row_major(stated.get("intrinsics"), 3, "intrinsics")
             intrinsics = intrinsics_without_size(k, width=width, height=height)
-        return RawFrame(
-            name=self.name_of(index),
-            picture=read.picture,
-            depth_m=read.depth_m,
-            depth_name=depth_name and self._source.label(depth_name),
-            intrinsics=intrinsics,
-            pose=pose,
-            confidence=self._confidence(f"conf_{number}.png"),
-        )
+        return self._raw_frame(index, read, depth_name, intrinsics, pose, self._confidence(f"conf_{number}.png"))

@@ -52,17 +52,12 @@ class _Entry:
 
 
 class ScanNetReader:
-    """Reads a `.sens` file."""
+    """Reads a `.sens` file; of a truncated one the frames that are whole."""
 
     format = "scannet"
     conventions = PoseConventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
 
     def __init__(self, path: Path, options: CaptureOptions) -> None:
-        """Read the header and list the frames; a truncated file keeps those that are whole.
-
-        Raises:
-            CaptureError: The file is none, or of another version, or holds no frame.
-        """
         self._path = path
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []
@@ -212,11 +207,6 @@ class ScanNetFramesReader(ListedReader):
     conventions = ScanNetReader.conventions
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """List the images and read K.
-
-        Raises:
-            CaptureError: There is no image or no K.
-        """
         source = FolderSource(folder)
         name = intrinsics_file(source)
         if name is None:
@@ -232,7 +222,6 @@ class ScanNetFramesReader(ListedReader):
 
     @staticmethod
     def _stated(source: FolderSource, name: str, size: int) -> Float[np.ndarray, "{size} {size}"] | None:
-        """Read a matrix if its file exists. Raises CaptureError."""
         if not source.has(name):
             return None
         with fields.naming(source.label(name), CaptureError):

@@ -43,11 +43,6 @@ class ScanNetPPReader(ListedReader):
     conventions = PoseConventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read the index and find colour and depth.
-
-        Raises:
-            CaptureError: The index is missing or damaged, or there is neither video nor images.
-        """
         source = FolderSource(folder)
         label = source.label(INDEX)
         index = fields.parse_json(read_index(source, INDEX), label)
@@ -113,8 +108,8 @@ class ScanNetPPReader(ListedReader):
         height, width = picture.image.shape[:2]
         with fields.naming(f"{self._source.label(INDEX)}: {stem}", FrameError):
             pose = fields.matrix4(entry.get("aligned_pose"), "aligned_pose")
-            rows = [fields.vector(row, 3, "intrinsic") for row in fields.rows(entry.get("intrinsic"), 3, "intrinsic")]
-            intrinsics = intrinsics_without_size(np.stack(rows), width=width, height=height)
+            k = fields.matrix3(entry.get("intrinsic"), "intrinsic")
+            intrinsics = intrinsics_without_size(k, width=width, height=height)
         mask_name = f"rgb_masks/{stem}.png"
         if self._source.has(mask_name):
             picture = with_mask(picture, read_mask(self._source, mask_name))

@@ -36,11 +36,6 @@ class SevenScenesReader(ListedReader):
     format = "seven-scenes"
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index.
-
-        Raises:
-            CaptureError: The index is missing or damaged, so that no frame can be read.
-        """
         source = FolderSource(folder)
         matches = [match for match in map(_RECORD.fullmatch, source.names()) if match]
         self._stems = sorted({match[1] for match in matches}, key=lambda stem: int(stem[6:]))
@@ -66,8 +61,7 @@ class SevenScenesReader(ListedReader):
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=width, height=height)
-        depth_label = depth_name and self._source.label(depth_name)
-        return RawFrame(label, read.picture, read.depth_m, depth_label, intrinsics, pose)
+        return self._raw_frame(index, read, depth_name, intrinsics, pose)
 
     def _up(self) -> tuple[float, float, float]:
         if not self._source.has(GRAVITY):

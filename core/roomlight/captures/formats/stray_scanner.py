@@ -47,11 +47,6 @@ class StrayScannerReader:
     conventions = PoseConventions("opencv", "camera-to-world", (0.0, 1.0, 0.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index.
-
-        Raises:
-            CaptureError: The index is missing or damaged, so that no frame can be read.
-        """
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m
         self.probes: list[RawProbe] = []

@@ -41,11 +41,6 @@ class TumReader(ListedReader):
     conventions = PoseConventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index.
-
-        Raises:
-            CaptureError: The index is missing or damaged, so that no frame can be read.
-        """
         source = FolderSource(folder)
         notes: list[Note] = []
         self._times = _stream(source, "rgb.txt", notes)
@@ -72,8 +67,7 @@ class TumReader(ListedReader):
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=width, height=height, shift=0.5)
-        depth_label = depth_name and self._source.label(depth_name)
-        return RawFrame(label, read.picture, read.depth_m, depth_label, intrinsics, pose)
+        return self._raw_frame(index, read, depth_name, intrinsics, pose)
 
 
 def _stream(source: FolderSource, name: str, notes: list[Note], *, most: int = MAX_FRAMES) -> list[tuple[float, str]]:

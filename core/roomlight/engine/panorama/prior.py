@@ -151,13 +151,13 @@ def _product(matrix: Float32[np.ndarray, "m n"], values: Float32[np.ndarray, "c 
 
 
 @cache
-def shipped_prior(folder: Path = SHIPPED / "prior") -> PanoramaPrior:
+def shipped_prior() -> PanoramaPrior:
     """Load the prior inside the package, once.
 
     Raises:
         ModelError: it is missing or damaged.
     """
-    return PanoramaPrior.load(folder / FILE)
+    return PanoramaPrior.load(SHIPPED / "prior" / FILE)
 
 
 def _reduced(plane: Float[np.ndarray, "h w c"]) -> Float32[np.ndarray, "rows columns c"]:

@@ -62,11 +62,6 @@ class RosBagReader:
     conventions = PoseConventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
 
     def __init__(self, path: Path, options: CaptureOptions) -> None:
-        """Read the poses and the times of the images.
-
-        Raises:
-            CaptureError: The bag is damaged, holds no colour, camera or poses, or `rosbags` is not installed.
-        """
         if importlib.util.find_spec("rosbags") is None:
             raise CaptureError(f"{path}: is a ROS bag, which needs pip install 'roomlight[rosbag]'")
         self._path, self._unit_m = path, options.depth_unit_m
