@@ -15,7 +15,25 @@ from torch import Tensor
 
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.kernels.blend import HIGHER, NOISE
-from roomlight.engine.panorama.blend import DARK, FILL_COLOUR
+from roomlight.engine.panorama.blend import DARK, FILL_COLOUR, UNSEEN_DEPTH
+
+
+class Observation(NamedTuple):
+    """Panoramas rendered at a probe for one frame.
+
+    hdr is the volume's rendering. ldr is the mesh's, and outside the mesh (mask 0) a fill from the pixels seen so far
+    (`roomlight.engine.panorama.fill.fill_unknown`). depth is in units of the volume's depth_max_m and at most
+    `roomlight.engine.panorama.blend.farthest_depth_m`; otherwise the conservative rule would reject surfaces outside
+    the volume when they are first seen. clipped and guessed are as in `roomlight.engine.surface.mesh.PartialPanorama`;
+    None: nothing was clipped in the whole sequence.
+    """
+
+    hdr: Float[Tensor, "b 3 h w"]
+    ldr: Float[Tensor, "b 3 h w"]
+    mask: Float[Tensor, "b 1 h w"]
+    depth: Float[Tensor, "b 1 h w"]
+    clipped: Float[Tensor, "b 1 h w"] | None = None
+    guessed: Float[Tensor, "b 1 h w"] | None = None
 
 
 class Panorama(NamedTuple):
@@ -55,20 +73,12 @@ def _luminance(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
     return torch.einsum("bchw,c->bhw", light, torch.from_numpy(LUMINANCE).to(light))[:, None]
 
 
-def first_panorama(
-    hdr: Float[Tensor, "b 3 h w"],
-    ldr: Float[Tensor, "b 3 h w"],
-    depth: Float[Tensor, "b 1 h w"],
-    *,
-    weight: Float[Tensor, "b 1 h w"],
-    unseen_depth: float,
-    clipped: Float[Tensor, "b 1 h w"] | None = None,
-    guessed: Float[Tensor, "b 1 h w"] | None = None,
-) -> Panorama:
-    """Return the state after frame 0: the recursion from weight 0 and depth `unseen_depth` everywhere."""
+def first_panorama(seen: Observation, weight: Float[Tensor, "b 1 h w"]) -> Panorama:
+    """Return the state after frame 0: the recursion from weight 0 and depth `UNSEEN_DEPTH` everywhere."""
     taken = weight.detach()
-    planes = [None if plane is None else taken * plane for plane in (clipped, guessed)]
-    return Panorama(blend(hdr, ldr, weight), weight * depth + (1 - weight) * unseen_depth, weight, *planes)
+    planes = [None if plane is None else taken * plane for plane in (seen.clipped, seen.guessed)]
+    depth = weight * seen.depth + (1 - weight) * UNSEEN_DEPTH
+    return Panorama(blend(seen.hdr, seen.ldr, weight), depth, weight, *planes)
 
 
 def conservative(
@@ -76,7 +86,7 @@ def conservative(
     depth: Float[Tensor, "b 1 h w"],
     accumulated_depth: Float[Tensor, "b 1 h w"],
     *,
-    margin: float | Float[Tensor, "b 1 1 1"] = 0.25,
+    margin: float | Float[Tensor, "b 1 1 1"],
 ) -> Float[Tensor, "b 1 h w"]:
     """Apply L_M = max(L_M - 1(D_hat - D < margin), 0): detail is kept unless the new surface is clearly closer.
 
@@ -86,75 +96,37 @@ def conservative(
     return torch.relu(weight - not_closer)
 
 
-class Clipping(NamedTuple):
-    """What of an observation was clipped: its share, and a lower bound of its luminance."""
-
-    share: Float[Tensor, "b 1 h w"]
-    bound: Float[Tensor, "b 1 h w"]
-
-    @classmethod
-    def of(
-        cls, radiance: Float[Tensor, "b 3 h w"], share: Float[Tensor, "b 1 h w"], guessed: Float[Tensor, "b 1 h w"]
-    ) -> "Clipping":
-        """Return what is known of a radiance whose luminance was estimated by `guessed`; without a gradient."""
-        return cls(share, _luminance(radiance.detach()) - guessed)
-
-
-def better_share(kept: Clipping, new: Clipping) -> Float[Tensor, "b 1 h w"]:
-    """Return how much of a clipped observation a new one replaces (`roomlight.engine.panorama.blend.better_share`)."""
-    less = (kept.share - new.share) / kept.share.clamp(min=1e-12)
-    less = less.clamp(min=0) * (new.bound >= kept.bound * (1 - float(NOISE) * kept.share))
-    share = torch.where(new.bound * kept.share > float(HIGHER) * kept.bound, torch.ones_like(less), less)
-    return share * (kept.share > 0)
-
-
-def with_brackets(
-    ruled: Float[Tensor, "b 1 h w"],
-    weight: Float[Tensor, "b 1 h w"],
-    better: Float[Tensor, "b 1 h w"],
-    *,
-    distance: Float[Tensor, "b 1 h w"],
-    margin: float | Float[Tensor, "b 1 1 1"],
+def accepted(
+    weight: Float[Tensor, "b 1 h w"], seen: Observation, kept: Panorama, *, margin: float | Float[Tensor, "b 1 1 1"]
 ) -> Float[Tensor, "b 1 h w"]:
-    """Raise the weight after `conservative` where the new observation of the same surface knows more.
-
-    Args:
-        ruled, weight: The weight after the conservative rule, and before it.
-        better: `better_share`.
-        distance: Difference of the accumulated depth and the new one.
-    """
-    same = distance.abs() < margin
+    """Return the weight after the engine's rules: closer surfaces, and clipped ones seen at another exposure."""
+    ruled = conservative(weight, seen.depth, kept.depth, margin=margin)
+    if seen.clipped is None or seen.guessed is None or kept.clipped is None or kept.guessed is None:
+        return ruled
+    # `roomlight.engine.panorama.blend.better_share`, of lower bounds of luminance
+    old, new = (_luminance(one.detach()) for one in (kept.radiance, seen.ldr))
+    old, new = old - kept.guessed, new - seen.guessed
+    less = (kept.clipped - seen.clipped) / kept.clipped.clamp(min=1e-12)
+    less = less.clamp(min=0) * (new >= old * (1 - float(NOISE) * kept.clipped))
+    share = torch.where(new * kept.clipped > float(HIGHER) * old, torch.ones_like(less), less)
+    better = share * (kept.clipped > 0)
+    same = (kept.depth - seen.depth).abs() < margin
     return torch.where(same, torch.maximum(ruled, better * weight.clamp(max=1)), ruled)
 
 
-def accumulate(
-    state: Panorama,
-    hdr: Float[Tensor, "b 3 h w"],
-    ldr: Float[Tensor, "b 3 h w"],
-    *,
-    depth: Float[Tensor, "b 1 h w"],
-    weight: Float[Tensor, "b 1 h w"],
-    clipped: Float[Tensor, "b 1 h w"] | None = None,
-    guessed: Float[Tensor, "b 1 h w"] | None = None,
-) -> Panorama:
-    """Return the state after one more frame (eqs. videoBlend, depthAccu, maskAccu).
+def accumulate(state: Panorama, seen: Observation, weight: Float[Tensor, "b 1 h w"]) -> Panorama:
+    """Return the state after one more frame (eqs. videoBlend, depthAccu, maskAccu); `weight` is as `accepted` has it.
 
-    `weight` must be the result of `conservative` and, where clipping is known, of `with_brackets`.
+    Its mask is not used: outside it the weight is 0.
     """
     # eq. videoBlend: L^i = L_M L_tilde + (1 - L_M) ((1 - L_hat_M) L_dot + L_hat_M L^{i-1})
-    kept = (1 - state.weight) * hdr + state.weight * state.radiance
-    radiance = weight * ldr + (1 - weight) * kept
-    # eq. depthAccu
-    accumulated_depth = weight * depth + (1 - weight) * state.depth
-    # eq. maskAccu
-    accumulated_weight = (state.weight + weight).clamp(max=1.0)
-    if clipped is None or guessed is None or state.clipped is None or state.guessed is None:
-        return Panorama(radiance, accumulated_depth, accumulated_weight)
+    kept = (1 - state.weight) * seen.hdr + state.weight * state.radiance
+    radiance = weight * seen.ldr + (1 - weight) * kept
+    depth = weight * seen.depth + (1 - weight) * state.depth  # eq. depthAccu
+    accumulated_weight = (state.weight + weight).clamp(max=1.0)  # eq. maskAccu
+    if seen.clipped is None or seen.guessed is None or state.clipped is None or state.guessed is None:
+        return Panorama(radiance, depth, accumulated_weight)
     taken = weight.detach()
-    return Panorama(
-        radiance,
-        accumulated_depth,
-        accumulated_weight,
-        taken * clipped + (1 - taken) * state.clipped,
-        taken * guessed + (1 - taken) * state.guessed,
-    )
+    clipped = taken * seen.clipped + (1 - taken) * state.clipped
+    guessed = taken * seen.guessed + (1 - taken) * state.guessed
+    return Panorama(radiance, depth, accumulated_weight, clipped, guessed)

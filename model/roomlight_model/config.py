@@ -5,16 +5,12 @@ Volumes are [z, y, x]; panoramas are H x 2H. `docs/networks.md` gives the reason
 
 import json
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Final, Literal, get_args
+from typing import Any, ClassVar, Final
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from roomlight.errors import ModelError
 
-NetworkForm = Literal["single", "video"]
-"""`single`: each image on its own. `video`: the recurrent networks, with the single-view ones for frame 0."""
-
-FORMS: tuple[str, ...] = get_args(NetworkForm)
 _STRICT = ConfigDict(extra="forbid")
 
 

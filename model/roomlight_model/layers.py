@@ -22,7 +22,7 @@ LEAK = 0.1
 
 def conv3d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> nn.Conv3d:
     """Build a 3D convolution. Kernel 3 or 1 keeps the size; kernel 4 with stride 2 halves it, rounding down."""
-    conv = nn.Conv3d(inputs, outputs, kernel, stride, padding=(kernel - 1) // 2, bias=True)
+    conv = nn.Conv3d(inputs, outputs, kernel, stride, padding=(kernel - 1) // 2)
     _initialise(conv)
     return conv
 
@@ -34,7 +34,7 @@ class PanoramaConv(nn.Module):
         """Build the convolution. Kernel 3 or 1 keeps the size; kernel 4 with stride 2 halves it."""
         super().__init__()
         self.wrap = (kernel - 1) // 2
-        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding=(self.wrap, 0), bias=True)
+        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding=(self.wrap, 0))
         _initialise(self.conv)
 
     def forward(self, image: Float[Tensor, "b _ h w"]) -> Float[Tensor, "b _ _h _w"]:
@@ -112,5 +112,4 @@ def _convolution(module: nn.Module) -> nn.Conv2d | nn.Conv3d:
 
 def _initialise(conv: nn.Conv2d | nn.Conv3d) -> None:
     nn.init.kaiming_normal_(conv.weight, a=LEAK)
-    if conv.bias is not None:
-        nn.init.zeros_(conv.bias)
+    nn.init.zeros_(conv.bias)  # pyright: ignore[reportArgumentType]

@@ -10,18 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from roomlight.engine.panorama.blend import UNSEEN_DEPTH
-from roomlight_model.accumulate import (
-    Clipping,
-    Panorama,
-    accumulate,
-    better_share,
-    blend,
-    conservative,
-    fill_in,
-    first_panorama,
-    with_brackets,
-)
+from roomlight_model.accumulate import Observation, Panorama, accepted, accumulate, blend, fill_in, first_panorama
 from roomlight_model.config import ModelConfig
 from roomlight_model.panorama_networks import (
     SINGLE_PANELS,
@@ -43,25 +32,6 @@ class SGState(NamedTuple):
     volume: SGVolume
     unit: Float[Tensor, "b 3 1 1 1"]
     """The first frame's mean colour, in whose units the hidden states are."""
-
-
-class Observation(NamedTuple):
-    """Panoramas rendered at a probe for one frame.
-
-    hdr is the volume's rendering. ldr is the mesh's, and outside the mesh (mask 0) a fill from the pixels seen so far
-    (`roomlight.engine.panorama.fill.fill_unknown`). depth is in units of the volume's depth_max_m and at most
-    `roomlight.engine.panorama.blend.farthest_depth_m`; otherwise the conservative rule would reject surfaces outside
-    the volume
-    when they are first seen. clipped and guessed are as in `roomlight.engine.surface.mesh.PartialPanorama`; None:
-    nothing was clipped in the whole sequence.
-    """
-
-    hdr: Float[Tensor, "b 3 h w"]
-    ldr: Float[Tensor, "b 3 h w"]
-    mask: Float[Tensor, "b 1 h w"]
-    depth: Float[Tensor, "b 1 h w"]
-    clipped: Float[Tensor, "b 1 h w"] | None = None
-    guessed: Float[Tensor, "b 1 h w"] | None = None
 
 
 class BlendState(NamedTuple):
@@ -158,17 +128,8 @@ class VideoModel(nn.Module):
         """Run frame 0 at a probe by single-view blending; its features become the hidden states."""
         f0, f1 = self.single.blend_encoder(single_panels(seen.hdr, seen.ldr, seen.mask))
         weight = self.single.blend_decoder(f0, f1, seen.mask).to(seen.mask.dtype)
-        hdr = fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight)
-        panorama = first_panorama(
-            hdr,
-            seen.ldr,
-            seen.depth,
-            weight=weight * seen.mask,
-            unseen_depth=UNSEEN_DEPTH,
-            clipped=seen.clipped,
-            guessed=seen.guessed,
-        )
-        return BlendState(f0, f1, panorama)
+        filled = seen._replace(hdr=fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight))
+        return BlendState(f0, f1, first_panorama(filled, weight * seen.mask))
 
     def blend_step(
         self, seen: Observation, state: BlendState, *, margin: float | Float[Tensor, "b 1 1 1"]
@@ -186,31 +147,9 @@ class VideoModel(nn.Module):
         h0 = self.blend_gru0(state.h0, f0)
         h1 = self.blend_gru1(state.h1, f1)
         weight = self.blend_decoder(h0, h1, seen.mask).to(seen.mask.dtype)
-        hdr = fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight)
-        weight = _accepted(weight * seen.mask, seen, state.panorama, margin=margin)
-        panorama = accumulate(
-            state.panorama,
-            hdr,
-            seen.ldr,
-            depth=seen.depth,
-            weight=weight,
-            clipped=seen.clipped,
-            guessed=seen.guessed,
-        )
-        return BlendState(h0, h1, panorama)
-
-
-def _accepted(
-    weight: Float[Tensor, "b 1 h w"], seen: Observation, kept: Panorama, *, margin: float | Float[Tensor, "b 1 1 1"]
-) -> Float[Tensor, "b 1 h w"]:
-    """Return the weight after the engine's rules: closer surfaces, and clipped ones seen at another exposure."""
-    ruled = conservative(weight, seen.depth, kept.depth, margin=margin)
-    if seen.clipped is None or seen.guessed is None or kept.clipped is None or kept.guessed is None:
-        return ruled
-    better = better_share(
-        Clipping.of(kept.radiance, kept.clipped, kept.guessed), Clipping.of(seen.ldr, seen.clipped, seen.guessed)
-    )
-    return with_brackets(ruled, weight, better, distance=kept.depth - seen.depth, margin=margin)
+        filled = seen._replace(hdr=fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight))
+        weight = accepted(weight * seen.mask, seen, state.panorama, margin=margin)
+        return BlendState(h0, h1, accumulate(state.panorama, filled, weight))
 
 
 def _copy_rows(video: SGDecoder, single: SGDecoder) -> None:

@@ -63,7 +63,7 @@ class BlendDecoder(nn.Module):
         self.at_quarter = block2d(2 * width, 2 * width)
         self.at_half = nn.Sequential(block2d(3 * width, width), block2d(width, full))
         self.at_full = block2d(full, full)
-        self.head = nn.Conv2d(full + 1, 1, 1, bias=True)
+        self.head = nn.Conv2d(full + 1, 1, 1)
         with torch.no_grad():  # initial weights: 0.88 on the mesh, 0.38 of the fill outside
             self.head.weight[:, -1] = 2.5
             self.head.bias.fill_(-0.5)  # pyright: ignore[reportOptionalMemberAccess]

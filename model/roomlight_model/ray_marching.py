@@ -45,24 +45,14 @@ def march(
     if samples > SAMPLES:
         raise ValueError(f"{samples} samples a ray: the kernel holds {SAMPLES}")
     if alpha.device.type != "cpu" or alpha.dtype == torch.float64:
-        return torch.stack(
-            [_by_grid_sample(*part, samples=samples, far=far) for part in zip(
-                alpha, lobes, lower_m, voxel_m, origins, directions, strict=True
-            )]
-        )  # fmt: skip
+        names = ("alpha", "lobes", "lower_m", "voxel_m", "origin", "directions")
+        rays = zip(alpha, lobes, lower_m, voxel_m, origins, directions, strict=True)
+        parts = (dict(zip(names, part, strict=True)) for part in rays)
+        return torch.stack([render_rays(**part, samples=samples, far=far)[0] for part in parts])
     result: Tensor = _March.apply(  # pyright: ignore[reportAssignmentType]
         alpha.float(), lobes.float(), lower_m, voxel_m, origins, directions, samples, far == "boundary"
     )
     return result
-
-
-def _by_grid_sample(
-    alpha: Tensor, lobes: Tensor, lower_m: Tensor, voxel_m: Tensor, origins: Tensor, directions: Tensor, **options: Any
-) -> Tensor:
-    radiance, _ = render_rays(
-        alpha, lobes, lower_m=lower_m, voxel_m=voxel_m, origin=origins, directions=directions, **options
-    )
-    return radiance
 
 
 class _March(torch.autograd.Function):

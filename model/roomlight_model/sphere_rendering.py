@@ -19,7 +19,6 @@ from roomlight.spheres import GLOSSY_ALBEDO, GLOSSY_F0, GLOSSY_ROUGHNESS
 SPECULAR_SHARE = 0.5
 """Share of the samples; the lobe has a tenth of the energy and nearly all of the variance under small lamps."""
 
-
 _GOLDEN = 0.618033988749895
 
 
@@ -51,7 +50,7 @@ def disc(
     """Draw points in the unit disc, stratified by area, without the outer 2 % of the radius."""
     uniform = torch.rand((*batch, count, 2), generator=generator)
     radius = 0.98 * ((torch.arange(count) + uniform[..., 0]) / count).sqrt()
-    angle = 2 * math.pi * ((torch.arange(count) * 0.618033988749895 + uniform[..., 1]) % 1.0)
+    angle = 2 * math.pi * ((torch.arange(count) * _GOLDEN + uniform[..., 1]) % 1.0)
     return torch.stack([radius * angle.cos(), radius * angle.sin()], dim=-1)
 
 

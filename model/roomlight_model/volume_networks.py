@@ -178,7 +178,7 @@ def _heads(channels: int, *, recurrent: bool) -> nn.Conv3d:
     bias += [*[_INITIAL_BIAS["w"]] * 3, _INITIAL_BIAS["sharpness"], 0.0, 1.0, 0.0]
     if recurrent:
         bias += [_KEPT_BIAS]
-    heads = nn.Conv3d(channels, len(bias), 1, bias=True)
+    heads = nn.Conv3d(channels, len(bias), 1)
     nn.init.normal_(heads.weight, std=0.1 / math.sqrt(channels))
     with torch.no_grad():
         heads.bias.copy_(torch.tensor(bias))  # pyright: ignore[reportOptionalMemberAccess]

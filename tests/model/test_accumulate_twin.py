@@ -9,13 +9,14 @@ from roomlight.engine.kernels.reference import accumulate_reference
 from roomlight.engine.panorama import blend as serving
 from roomlight.engine.session import Session, SessionOptions
 from roomlight_model.accumulate import (
+    Observation,
     Panorama,
+    accepted,
     accumulate,
     conservative,
     fill_in,
     first_panorama,
 )
-from roomlight_model.networks import Observation, _accepted
 
 HEIGHT = 12
 DEPTH_MAX_M = 3.0
@@ -39,6 +40,12 @@ def planes(array):
     return torch.from_numpy(np.atleast_3d(array).transpose(2, 0, 1)[None].copy())
 
 
+def observed(frame, **clipping):
+    """A frame's planes as the networks' input, and its weight."""
+    hdr, ldr, depth, weight = (planes(frame[name]) for name in ("hdr", "detail", "detail_depth_m", "weight"))
+    return Observation(hdr, ldr, (weight > 0).float(), depth, **clipping), weight
+
+
 @pytest.mark.parametrize("kernel", [serving.accumulate, accumulate_reference])
 def test_agrees_with_serving(kernel):
     """Six frames from nothing seen. Tolerance: both are float32, the kernel with fast-math reordering."""
@@ -46,9 +53,8 @@ def test_agrees_with_serving(kernel):
     state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.observed))
     for frame in frames(6):
         kernel(kept, **frame)
-        depth = planes(frame["detail_depth_m"])
-        weight = conservative(planes(frame["weight"]), depth, state.depth, margin=serving.CLOSER_M)
-        state = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
+        seen, weight = observed(frame)
+        state = accumulate(state, seen, accepted(weight, seen, state, margin=serving.CLOSER_M))
     for ours, theirs in zip(state[:3], (kept.radiance, kept.depth_m, kept.observed), strict=True):
         torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
 
@@ -74,21 +80,11 @@ def test_a_sequence_of_exposures_agrees_with_serving():
             "weight": random.random(shape).astype(np.float32),
         }
         serving.accumulate(kept, **view, detail_clipped=clipped, detail_guessed=guessed)
-        seen = Observation(
-            planes(view["hdr"]),
-            planes(view["detail"]),
-            planes((view["weight"] > 0).astype(np.float32)),
-            planes(view["detail_depth_m"]),
-            planes(clipped),
-            planes(guessed),
-        )
-        raw = planes(view["weight"])
-        weight = _accepted(raw, seen, state, margin=serving.CLOSER_M)
+        seen, raw = observed(view, clipped=planes(clipped), guessed=planes(guessed))
+        weight = accepted(raw, seen, state, margin=serving.CLOSER_M)
         ruled = conservative(raw, seen.depth, state.depth, margin=serving.CLOSER_M)
         replaced += int((weight > ruled).sum())
-        state = accumulate(
-            state, seen.hdr, seen.ldr, depth=seen.depth, weight=weight, clipped=seen.clipped, guessed=seen.guessed
-        )
+        state = accumulate(state, seen, weight)
     assert replaced > 100
     wanted = (kept.radiance, kept.depth_m, kept.observed, kept.clipped, kept.guessed)
     for ours, theirs in zip(state, wanted, strict=True):
@@ -126,19 +122,14 @@ def test_what_is_filled_in_agrees_with_serving():
 
 
 def test_first_frame_is_the_recursion_from_nothing_seen():
-    frame = next(frames(1))
-    hdr, detail = planes(frame["hdr"]), planes(frame["detail"])
-    depth, weight = planes(frame["detail_depth_m"]), planes(frame["weight"])
-    nothing = Panorama(torch.zeros_like(hdr), torch.full_like(depth, 4.0), torch.zeros_like(weight))
-    wanted = accumulate(nothing, hdr, detail, depth=depth, weight=weight)
-    found = first_panorama(hdr, detail, depth, weight=weight, unseen_depth=4.0)
-    for one, other in zip(found, wanted, strict=True):
-        torch.testing.assert_close(one, other)
+    seen, weight = observed(next(frames(1)))
+    nothing = Panorama(torch.zeros_like(seen.hdr), torch.full_like(seen.depth, 4.0), torch.zeros_like(weight))
+    torch.testing.assert_close(first_panorama(seen, weight)[:3], accumulate(nothing, seen, weight)[:3])
 
 
 def test_gradients_pass_where_the_rule_keeps_the_weight():
     weight = torch.full((1, 1, 1, 2), 0.5, requires_grad=True)
     depth = torch.tensor([[[[1.0, 2.0]]]])
-    conservative(weight, depth, torch.full_like(depth, 2.0)).sum().backward()
+    conservative(weight, depth, torch.full_like(depth, 2.0), margin=0.25).sum().backward()
     assert weight.grad is not None
     assert weight.grad.flatten().tolist() == [1.0, 0.0]

@@ -5,9 +5,9 @@ import torch
 
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.panorama.blend import UNSEEN_DEPTH
-from roomlight_model.accumulate import fill_in
+from roomlight_model.accumulate import Observation, fill_in
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
-from roomlight_model.networks import Observation, SingleModel, VideoModel
+from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.panorama_networks import (
     SINGLE_PANELS,
     VIDEO_PANELS,

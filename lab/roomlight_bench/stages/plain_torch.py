@@ -133,19 +133,19 @@ def accumulate_by_tensors(
     """Return a function that applies the conservative rule and the accumulation to tensors [1, c, h, w]."""
     import torch
 
-    from roomlight_model.accumulate import Panorama, accumulate, conservative
+    from roomlight_model.accumulate import Observation, Panorama, accepted, accumulate
 
     def panel(array: Float[np.ndarray, "..."]) -> "Tensor":
         planes = array if array.ndim == 3 else array[..., None]
         return _tensor(planes).permute(2, 0, 1)[None].contiguous()
 
     before = Panorama(panel(state.radiance), panel(state.depth_m), panel(state.observed))
-    rendered, seen, depth, share = panel(hdr), panel(detail), panel(detail_depth_m), panel(weight)
+    share = panel(weight)
+    seen = Observation(panel(hdr), panel(detail), (share > 0).float(), panel(detail_depth_m))
 
     @torch.inference_mode()
     def run() -> Float[np.ndarray, "h w 3"]:
-        blend = conservative(share, depth, before.depth, margin=CLOSER_M)
-        after = accumulate(before, rendered, seen, depth=depth, weight=blend)
+        after = accumulate(before, seen, accepted(share, seen, before, margin=CLOSER_M))
         return after.radiance[0].permute(1, 2, 0).numpy()
 
     return run

@@ -93,7 +93,6 @@ class _Conv(nn.Module):
         self.linear = linear
 
     def forward(self, x: Tensor) -> Tensor:
-        """Pad, convolve, clip."""
         if any(self.pad):
             x = functional.pad(x, (*self.pad, *self.pad))
         if self.conv.groups > 1 and x.device.type == "cpu" and torch.is_grad_enabled():
@@ -116,7 +115,6 @@ class _Inverted(nn.Module):
         self.residual = stride == 1 and inputs == outputs
 
     def forward(self, x: Tensor) -> Tensor:
-        """Add the layers' output to the input where both have one shape."""
         return x + self.layers(x) if self.residual else self.layers(x)
 
 
@@ -158,7 +156,6 @@ class _Merge(nn.Module):
         )
 
     def forward(self, coarse: Tensor, skip: Tensor) -> Tensor:
-        """Return features of the size of `skip`."""
         larger = functional.interpolate(self.reduce(coarse), scale_factor=2.0, mode="bilinear", align_corners=False)
         x = functional.relu(larger + self.skip(skip))
         return functional.relu(x + self.refine(x))

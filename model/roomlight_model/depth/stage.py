@@ -6,8 +6,8 @@ near the floor are thinned out, and rooms without furniture, whose size nothing 
 the camera is at that height.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Annotated, Final, Literal
@@ -29,6 +29,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
 from roomlight_model.training.small_stage import SmallStage
+from roomlight_model.training.subsets import ProgressCallback, each_sequence
 
 GRADIENT_WEIGHT: Final = 0.5
 """Weight of the differences between neighbouring errors, at four scales: edges and planes (Li and Snavely 2018)."""
@@ -51,8 +52,6 @@ _TILT_UNKNOWN: Final = 0.2
 """Share of the examples without gravity."""
 _TILT_ERROR: Final = 0.015
 """Deviation of gravity's error: a degree."""
-
-ProgressCallback = Callable[[int, int], object]
 
 
 @dataclass(frozen=True)
@@ -94,11 +93,6 @@ class DepthFrames(Tensors):
     ups: Float32[Tensor, "n 3"]
     heights_m: Float32[Tensor, " n"]
 
-    def take(self, numbers: Sequence[int]) -> "DepthFrames":
-        """Return the frames with these numbers."""
-        chosen = torch.tensor(list(numbers), device=self.colour.device)
-        return replace(self, **{name: value[chosen] for name, value in vars(self).items()})
-
     @classmethod
     def of(
         cls,
@@ -129,9 +123,8 @@ class DepthFrames(Tensors):
         Raises:
             DatasetError: There is no sequence.
         """
-        sequences = [(dataset, index) for dataset in datasets for index in range(len(dataset))]
         parts, low = list[DepthFrames](), 0
-        for done, (dataset, index) in enumerate(sequences, 1):
+        for dataset, index in each_sequence(datasets, progress):
             recording = dataset.read(index, probes=False)
             of_true_size = bool(recording.facts.get("furniture")) or recording.facts.get("room_type") == "blender"
             heights, kept = recording.camera_to_world[:, 1, 3], list[int]()
@@ -149,8 +142,6 @@ class DepthFrames(Tensors):
                         [0.0 if of_true_size else float(heights[k]) for k in kept],
                     )
                 )
-            if progress:
-                progress(done, len(sequences))
         if not parts:
             raise DatasetError("the datasets hold no sequence to learn depth from; generate one with --any-view")
         return cls(*(torch.cat([vars(part)[name] for part in parts]) for name in vars(parts[0])))

@@ -31,11 +31,15 @@ Self = TypeVar("Self", bound="Tensors")
 
 @dataclass(frozen=True, eq=False)
 class Tensors:
-    """A batch of any stage: fields are tensors whose first axis is the example, or None."""
+    """Examples of any stage: fields are tensors or arrays whose first axis is the example, or None."""
 
     def __len__(self) -> int:
         """Return the number of examples."""
-        return len(next(value for value in vars(self).values() if isinstance(value, Tensor)))
+        return len(next(value for value in vars(self).values() if value is not None))
+
+    def take(self: Self, numbers: Sequence[int]) -> Self:
+        """Return the examples with these numbers; all fields must be known."""
+        return replace(self, **{name: value[list(numbers)] for name, value in vars(self).items()})
 
     def to(self: Self, device: torch.device) -> Self:
         """Copy the batch to another device."""

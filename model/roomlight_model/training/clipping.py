@@ -4,7 +4,7 @@ A generated recording holds the radiance of its clipped pixels, so that every fr
 frame anew: other pixels clip, and their truth is known too.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
@@ -23,6 +23,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.small_stage import SmallOptions, SmallStage
+from roomlight_model.training.subsets import ProgressCallback, each_sequence
 
 CLIPPED: Final = 0.956
 """Radiance from which an 8-bit sRGB value counts as clipped (`roomlight.frame.CLIPPED_SRGB8`)."""
@@ -34,8 +35,6 @@ _BRIGHTEST: Final = 2000.0
 """Greatest radiance, in units of white: the sun's disc is no more than a bright lamp."""
 _FULL_AREA: Final = 30.0
 """Clipped pixels (at half the input's resolution) from which a frame counts fully."""
-
-ProgressCallback = Callable[[int, int], object]
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class ClippingOptions(SmallOptions):
 
 
 @dataclass(frozen=True, eq=False)
-class ClippingFrames:
+class ClippingFrames(Tensors):
     """Frames in the network's square, at most one per example.
 
     Attributes:
@@ -61,14 +60,6 @@ class ClippingFrames:
 
     radiance: Float16[np.ndarray, "n 3 s s"]
     geometry: Float16[np.ndarray, "n 7 s s"]
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self.radiance)
-
-    def take(self, numbers: Sequence[int]) -> "ClippingFrames":
-        """Return the frames with these numbers."""
-        return ClippingFrames(self.radiance[list(numbers)], self.geometry[list(numbers)])
 
     @classmethod
     def read(
@@ -85,9 +76,8 @@ class ClippingFrames:
             DatasetError: No sequence has the radiance of clipped pixels.
         """
         rng = np.random.default_rng([seed, 11])
-        sequences = [(dataset, index) for dataset in datasets for index in range(len(dataset))]
         radiance, geometry = list[np.ndarray](), list[np.ndarray]()
-        for done, (dataset, index) in enumerate(sequences, 1):
+        for dataset, index in each_sequence(datasets, progress):
             number = int(rng.integers(dataset.frames_of(index)))
             recording = dataset.read(index, frames=[number], clipped=True)
             if recording.clipped_radiance is not None:
@@ -97,8 +87,6 @@ class ClippingFrames:
                 stored = truth.any(-1, keepdims=True)
                 radiance.append(_square(np.where(stored, truth, example.frame.image)))
                 geometry.append(clipping_planes(example.frame, example.depth_m)[4:].astype(np.float16))
-            if progress:
-                progress(done, len(sequences))
         if not radiance:
             raise DatasetError(
                 "no sequence holds the radiance of clipped pixels; generate a new dataset (older versions left it out)"

@@ -5,7 +5,7 @@ as a camera cuts them. The logarithm of what matte surfaces receive joins them, 
 bright cost the same. A weak log-L2 of the panoramas keeps light plausible that these pictures do not show.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated, Final, Literal
@@ -31,6 +31,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.small_stage import SmallOptions, SmallStage
+from roomlight_model.training.subsets import ProgressCallback, each_sequence
 
 MATERIALS: Final = ("diffuse", "glossy", "metal")
 """Pictures whose errors are the loss: spheres of these materials."""
@@ -56,8 +57,6 @@ _DARK: Final = 0.01
 _BEYOND_WHITE: Final = 0.1
 """Slope of what is beyond white in a picture, so that too bright light has a gradient."""
 
-ProgressCallback = Callable[[int, int], object]
-
 
 @dataclass(frozen=True)
 class ObjectsOptions(SmallOptions):
@@ -72,7 +71,7 @@ class ObjectsOptions(SmallOptions):
 
 
 @dataclass(frozen=True, eq=False)
-class ProbePanels:
+class ProbePanels(Tensors):
     """What streams have shown probes, and the true light there, at the network's resolution.
 
     Attributes:
@@ -82,14 +81,6 @@ class ProbePanels:
 
     panels: Float16[np.ndarray, "n 10 h w"]
     truth: Float16[np.ndarray, "n 3 h w"]
-
-    def __len__(self) -> int:
-        """Return the number of examples."""
-        return len(self.panels)
-
-    def take(self, numbers: Sequence[int]) -> "ProbePanels":
-        """Return the examples with these numbers."""
-        return ProbePanels(self.panels[list(numbers)], self.truth[list(numbers)])
 
     @classmethod
     def read(
@@ -118,10 +109,9 @@ class ProbePanels:
             ModelError: The weights of a model are missing.
         """
         rng = np.random.default_rng([seed, 12])
-        recordings = [(dataset, index) for dataset in datasets for index in range(len(dataset))]
         loaded = {model: choose_graphs(SessionOptions(model=model)) for model in models}
         panels, truth, streamed = list[np.ndarray](), list[np.ndarray](), 0
-        for done, (dataset, index) in enumerate(recordings, 1):
+        for dataset, index in each_sequence(datasets, progress):
             for _ in range(streams if dataset.frames_of(index) > 1 else 1):
                 model = models[streamed % len(models)]
                 session = Session(SessionOptions(model=model), graphs=loaded[model])
@@ -129,8 +119,6 @@ class ProbePanels:
                     panels.append(probe_panels)
                     truth.append(light)
                 streamed += 1
-            if progress:
-                progress(done, len(recordings))
         if not panels:
             raise DatasetError("no recording has a probe to learn from; generate a dataset with probes")
         return cls(np.stack(panels), np.stack(truth))
@@ -235,18 +223,13 @@ def _luminance(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
 
 
 @cache
-def _solid_angles() -> Float32[Tensor, "h w"]:
-    angles = np.broadcast_to(panorama_solid_angles(HEIGHT), (HEIGHT, 2 * HEIGHT))
-    return torch.from_numpy(np.ascontiguousarray(angles, np.float32))
-
-
-@cache
 def _reflection_lobe(power: int) -> Float32[Tensor, "n k"]:
     """Return weights of directions in reflections at fixed normals, cosine to a power (1: matte); each sums to 1."""
     normals = np.random.default_rng(3).normal(size=(_LOBES, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     cosine = np.maximum(panorama_rays(HEIGHT).astype(np.float64) @ normals.T, 0)
-    weights = cosine**power * _solid_angles().numpy().reshape(-1, 1)
+    solid_angles = np.broadcast_to(panorama_solid_angles(HEIGHT), (HEIGHT, 2 * HEIGHT)).astype(np.float32)
+    weights = cosine**power * solid_angles.reshape(-1, 1)
     return torch.from_numpy((weights / weights.sum(0)).astype(np.float32))
 
 

@@ -23,7 +23,7 @@
 
 import json
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -42,7 +42,7 @@ from roomlight_model.training.loop import Stage
 from roomlight_model.training.objects import ObjectsOptions, ObjectsStage, ProbePanels
 from roomlight_model.training.run_folder import RunOptions
 from roomlight_model.training.single_view import SingleViewOptions, SingleViewStage
-from roomlight_model.training.subsets import describe, random_split, test_split, train_val_split
+from roomlight_model.training.subsets import ProgressCallback, describe, random_split, test_split, train_val_split
 from roomlight_model.training.video import VideoOptions, VideoStage
 
 RECIPES: Final = Path(__file__).parent / "recipes"
@@ -54,9 +54,6 @@ _OPTIONS: Final[Mapping[str, type[RunOptions]]] = {
 }
 STAGES: Final = tuple(_OPTIONS)
 _STAGE_KEYS: Final = ("name", "data", "start_from")
-
-ProgressCallback = Callable[[int, int], object]
-"""Receives (done, total)."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +259,6 @@ def _stage(
 
 
 def _options(values: Mapping[str, Any], where: str) -> RunOptions:
-    """Read the options of a stage into its own class."""
     options = _OPTIONS.get(str(values.get("stage")))
     if options is None:
         raise OptionError(f"{where}: stage is {values.get('stage')!r}; it must be one of {', '.join(STAGES)}")

@@ -28,6 +28,8 @@ _WHOLE = 0.25
 _FROM_THE_START = 0.5
 """Share of sequences that begin with the walk's first frame, near which the probes are."""
 _MAX_STRIDE = 4
+_OF_FRAMES: Final = ("volume", "light_of", "detail", "mask", "distance_m", "clipped", "guessed", "hdr")
+"""Fields of `WalkBatch` whose second axis is the frame."""
 _HALVES: Final = ("lights", "detail", "mask", "clipped", "guessed", "hdr")
 """Fields that `WalkCache` keeps in half precision: radiance is at most 60,000 (`training.examples`)."""
 _MOST: Final = 65_504.0
@@ -149,21 +151,8 @@ class WalkBatch(Probes):
 
     def cut(self, start: int, stop: int) -> "WalkBatch":
         """Return the batch with these frames alone."""
-        part = slice(start, stop)
-        frames = {
-            name: None if value is None else value[:, part]
-            for name, value in (
-                ("volume", self.volume),
-                ("light_of", self.light_of),
-                ("detail", self.detail),
-                ("mask", self.mask),
-                ("distance_m", self.distance_m),
-                ("clipped", self.clipped),
-                ("guessed", self.guessed),
-                ("hdr", self.hdr),
-            )
-        }
-        return replace(self, **frames)
+        values = {name: value for name in _OF_FRAMES if (value := getattr(self, name)) is not None}
+        return replace(self, **{name: value[:, start:stop] for name, value in values.items()})
 
     def truth(self, frame: int) -> Float[Tensor, "b p 3 h w"]:
         """Return the true light at the probes in a frame."""
@@ -214,7 +203,7 @@ def join_walks(batches: Sequence[WalkBatch]) -> WalkBatch:
 
 def with_views(batch: WalkBatch, walks: Sequence[PreparedWalk], *, panorama_height: int) -> WalkBatch:
     """Add what the probes see of each frame's mesh."""
-    planes: dict[str, list[np.ndarray]] = {name: [] for name in ("detail", "mask", "distance_m", "clipped", "guessed")}
+    planes: dict[str, list[np.ndarray]] = {name: [] for name in _OF_FRAMES[2:-1]}
     for prepared in walks:
         farthest_m = farthest_depth_m(prepared.grid.depth_max_m)
         positions = prepared.walk.example.positions

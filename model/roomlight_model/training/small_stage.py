@@ -3,10 +3,10 @@
 A stage adds its batches, its losses and its scores: `clipping`, `objects`, `depth.stage`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Annotated, Any, Generic, TypeVar
 
 import torch
 from annotated_types import Ge, Interval
@@ -14,20 +14,8 @@ from annotated_types import Ge, Interval
 from roomlight.errors import ModelError
 from roomlight_model.checkpoint import Checkpoint, build_network
 from roomlight_model.config import ModelConfig
+from roomlight_model.training.batches import Tensors
 from roomlight_model.training.run_folder import RunOptions
-
-
-@runtime_checkable  # so that annotations can be checked in the test run
-class SmallExamples(Protocol):
-    """Examples of a small network, all in memory."""
-
-    def __len__(self) -> int:
-        """Return the number of examples."""
-        ...
-
-    def take(self, numbers: Sequence[int]) -> Any:
-        """Return the examples with these numbers."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -42,7 +30,7 @@ class SmallOptions(RunOptions):
 
 
 OptionsT = TypeVar("OptionsT", bound=RunOptions)
-ExamplesT = TypeVar("ExamplesT", bound=SmallExamples)
+ExamplesT = TypeVar("ExamplesT", bound=Tensors)
 
 
 class SmallStage(Generic[OptionsT, ExamplesT]):

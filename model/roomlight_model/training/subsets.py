@@ -4,7 +4,7 @@ View and video stages hold out the first sequences of the first dataset, the sam
 hold out the test splits, or a twelfth of their examples.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,17 @@ class Subset:
                 f"(the least: {min(surrounds, default=0):.2f}); raise `surround_max`"
             )
         return Subset(places)
+
+
+def each_sequence(
+    datasets: Sequence[Dataset], progress: ProgressCallback | None = None
+) -> Iterator[tuple[Dataset, int]]:
+    """Yield every sequence as its dataset and its number there; `progress` is called when one has been used."""
+    sequences = [(dataset, index) for dataset in datasets for index in range(len(dataset))]
+    for done, sequence in enumerate(sequences, 1):
+        yield sequence
+        if progress:
+            progress(done, len(sequences))
 
 
 def train_val_split(datasets: Sequence[Recordings], held_out: int) -> tuple[Subset, Subset]:

@@ -7,7 +7,7 @@ can be compared with it; sequences have the height of training.
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
@@ -17,11 +17,14 @@ from torch import Tensor
 
 from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import OutputError
-from roomlight_model.sphere_rendering import disc, look_up, sample_sphere, shade, sphere_normals
+from roomlight_model.sphere_rendering import shade
 from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.examples import DepthKind, Recordings, example_of, read_example
-from roomlight_model.training.losses import Losses
+from roomlight_model.training.losses import Losses, draw_sphere, log_l2_loss, radiance_along, rendering_loss
 from roomlight_model.training.sequences import PreparedWalk, WalkBatch, collate_walks, read_walk, with_views
+
+if TYPE_CHECKING:
+    from roomlight_model.training.video import Unroll
 
 HEIGHT: Final = 120
 INTERVALS: Final = ((1, 8), (8, 14), (14, 20), (20, 26), (26, 32))
@@ -80,7 +83,7 @@ class SingleViewValidation:
         for batches, after in ((self._batches, ""), (self._walks, "_walk")):
             for batch in batches:
                 for name, panoramas in predict(batch).items():
-                    errors.setdefault(name + after, []).append(_errors(panoramas[0].cpu(), batch))
+                    errors.setdefault(name + after, []).append(_errors(panoramas.cpu(), batch))
         trained = [name for name in errors if name.startswith("blended")] or list(errors)
         scores: dict[str, float] = {}
         for name, values in errors.items():
@@ -103,24 +106,8 @@ class SingleViewValidation:
         _write_rows(path, lines)
 
 
-class FrameByFrame(Protocol):
-    """A model that runs over a batch of sequences (`video.Unroll`); the first frame is done."""
-
-    def first_losses(self) -> Losses:
-        """Return the losses of the first frame."""
-        ...
-
-    def advance(self, frame: int) -> Losses:
-        """Run one frame after the first and return its losses."""
-        ...
-
-    def panoramas(self) -> Float[Tensor, "b p 3 h w"]:
-        """Return the panoramas after the latest frame."""
-        ...
-
-
 Unrolled = Callable[[WalkBatch], Any]
-"""Begins to run a model over a batch and returns a `FrameByFrame`."""
+"""Begins to run a model over a batch and returns a `video.Unroll`."""
 
 
 class WalkValidation:
@@ -160,7 +147,7 @@ class WalkValidation:
         alone: list[Losses] = []
         for number in self._numbers:
             batch = self._batch(number)
-            sequence: FrameByFrame = unroll(batch)
+            sequence: Unroll = unroll(batch)
             for frame in range(1, batch.frames):
                 now = sequence.advance(frame)
                 losses.setdefault("video", []).append(now)
@@ -187,7 +174,7 @@ class WalkValidation:
         lines: list[list[Picture]] = []
         for number in self._numbers[:rows]:
             batch = self._batch(number)
-            sequence: FrameByFrame = unroll(batch)
+            sequence: Unroll = unroll(batch)
             shown = [batch.truth(0), sequence.panoramas()]
             for frame in range(1, batch.frames):
                 sequence.advance(frame)
@@ -210,20 +197,12 @@ def _mean(losses: Sequence[Losses], name: str) -> float:
     return float(np.mean([float(frame[name]) for frame in losses]))
 
 
-def _errors(panoramas: Float[Tensor, "p 3 h w"], batch: Batch) -> tuple[float, float]:
+def _errors(panoramas: Float[Tensor, "b p 3 h w"], batch: Batch) -> tuple[float, float]:
     """Return (log-L2, rendering loss) of one sequence's probes."""
-    truth = batch.truth[0]
-    difference = torch.log1p(panoramas.clamp(min=0)) - torch.log1p(truth)
-    generator = torch.Generator().manual_seed(0)
     pixels, samples = _SPHERE
-    points = disc(pixels, batch=(len(truth),), generator=generator)
-    sphere = sample_sphere(
-        sphere_normals(batch.to_viewer[0], points), batch.to_viewer[0], samples=samples, generator=generator
-    )
-    flat = sphere.directions.flatten(1, 2)
-    spheres = [shade(sphere, look_up(light, flat).reshape(sphere.directions.shape)) for light in (panoramas, truth)]
-    rendering = (spheres[0].clamp(max=1) - spheres[1].clamp(max=1)).square().mean()
-    return float(difference.square().mean()), float(rendering)
+    sphere = draw_sphere(batch, pixels=pixels, samples=samples, generator=torch.Generator().manual_seed(0))
+    shaded, true_shaded = (shade(sphere, radiance_along(sphere, light)) for light in (panoramas, batch.truth))
+    return float(log_l2_loss(panoramas, batch.truth)), float(rendering_loss(shaded, true_shaded))
 
 
 def _two_exposures(panorama: Float[Tensor, "3 h w"]) -> UInt8[np.ndarray, "2*h w 3"]:

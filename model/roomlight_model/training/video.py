@@ -26,9 +26,9 @@ from torch.utils.checkpoint import checkpoint
 
 from roomlight.engine.panorama.blend import CLOSER_M
 from roomlight.errors import ModelError, OptionError
-from roomlight_model.accumulate import Panorama
+from roomlight_model.accumulate import Observation, Panorama
 from roomlight_model.checkpoint import Checkpoint
-from roomlight_model.networks import BlendState, Observation, SGState, SingleModel, VideoModel
+from roomlight_model.networks import BlendState, SGState, SingleModel, VideoModel
 from roomlight_model.sphere_rendering import shade
 from roomlight_model.training.batches import fill_detail
 from roomlight_model.training.examples import Recordings

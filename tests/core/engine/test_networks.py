@@ -20,8 +20,9 @@ from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.engine.volume.sglv import Sglv, render_panorama
 from roomlight.errors import ModelError
 from roomlight.metrics import log_l2
+from roomlight_model.accumulate import Observation
 from roomlight_model.checkpoint import load_checkpoint
-from roomlight_model.networks import Observation, VideoModel
+from roomlight_model.networks import VideoModel
 from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35))
