@@ -11,8 +11,6 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from onnx import ModelProto
-
 from roomlight.engine.networks.graphs import DESCRIPTION, FORMAT
 from roomlight.engine.networks.providers import open_graph
 from roomlight.errors import ModelError
@@ -74,14 +72,15 @@ def export_checkpoint(
         ModelError: The checkpoint does not load, or a graph differs from PyTorch by more than `tolerance`.
         OutputError: `out` cannot be written, or holds other files.
     """
-    report_step: ProgressCallback = progress or _ignore
+    report_step: ProgressCallback = progress or (lambda _: None)
     loaded = load_checkpoint(checkpoint)
     check_target(out)
     graphs = {graph.name: graph for graph in graphs_of(half_rounded(loaded.model, str(checkpoint)))}
     with new_folder(out) as folder:
         for name, graph in graphs.items():
             report_step(f"exporting {name}")
-            _write(folder / f"{name}.onnx", to_onnx(graph, metadata=_metadata(loaded, name)))
+            model = to_onnx(graph, metadata=_metadata(loaded, name))
+            (folder / f"{name}.onnx").write_bytes(model.SerializeToString())
         report_step("comparing with PyTorch")
         parity = _verify(loaded, folder, graphs)
         _check_parity(parity, tolerance, checkpoint)
@@ -104,10 +103,6 @@ def export_checkpoint(
     return report
 
 
-def _ignore(_: str) -> None:
-    pass
-
-
 def _metadata(loaded: Checkpoint, name: str) -> dict[str, str]:
     return {
         "roomlight.format": str(FORMAT),
@@ -121,10 +116,6 @@ def _metadata(loaded: Checkpoint, name: str) -> dict[str, str]:
 def _config(loaded: Checkpoint) -> dict[str, object]:
     """Return the configuration of the networks; the small ones have none."""
     return dict(loaded.config.to_dict()) if loaded.form in ("single", "video") else {}
-
-
-def _write(path: Path, model: ModelProto) -> None:
-    path.write_bytes(model.SerializeToString())
 
 
 def _verify(loaded: Checkpoint, folder: Path, graphs: Mapping[str, Graph]) -> dict[str, Parity]:

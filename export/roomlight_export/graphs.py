@@ -9,7 +9,6 @@ graphs, so that a server can keep states bound between them. Volumes are [z, y, 
 
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -102,11 +101,6 @@ def graphs_of(model: Network) -> list[Graph]:
     return [Graph(model.form, model, *shapes)]
 
 
-def sample_inputs(graph: Graph) -> tuple[Tensor, ...]:
-    """Return zeros of the graph's input shapes, for tracing."""
-    return tuple(torch.zeros(shape) for shape in graph.inputs.values())
-
-
 def _eighth(size: int) -> int:
     return size // 2 // 2 // 2  # each strided convolution rounds down
 
@@ -140,7 +134,7 @@ class _Shapes:
 
 def _single_graphs(model: SingleModel) -> list[Graph]:
     at = _Shapes.of(model)
-    mask = (1, 1, *at.panorama)
+    mask, features = (1, 1, *at.panorama), {"f0": at.b0, "f1": at.b1}
     return [
         Graph("single_sg_encoder", model.sg_encoder, {"volume": at.volume}, {"f0": at.f0, "f1": at.f1}),
         Graph(
@@ -149,24 +143,14 @@ def _single_graphs(model: SingleModel) -> list[Graph]:
             {"f0": at.f0, "f1": at.f1, "volume": at.volume},
             {"alpha": at.alpha, "lobes": at.lobes},
         ),
-        Graph(
-            "single_blend_encoder",
-            model.blend_encoder,
-            {"panels": (1, SINGLE_PANELS, *at.panorama)},
-            {"f0": at.b0, "f1": at.b1},
-        ),
-        Graph(
-            "single_blend_decoder",
-            model.blend_decoder,
-            {"f0": at.b0, "f1": at.b1, "mask": mask},
-            {"weight": mask},
-        ),
+        Graph("single_blend_encoder", model.blend_encoder, {"panels": (1, SINGLE_PANELS, *at.panorama)}, features),
+        Graph("single_blend_decoder", model.blend_decoder, {**features, "mask": mask}, {"weight": mask}),
     ]
 
 
 def _video_graphs(model: VideoModel) -> list[Graph]:
     at = _Shapes.of(model)
-    mask = (1, 1, *at.panorama)
+    mask, features = (1, 1, *at.panorama), {"f0": at.b0, "f1": at.b1}
     unit: Shape = (1, 3, 1, 1, 1)
     return [
         Graph("video_sg_encoder", model.sg_encoder, {"volume": at.volume, "unit": unit}, {"f0": at.f0, "f1": at.f1}),
@@ -189,22 +173,12 @@ def _video_graphs(model: VideoModel) -> list[Graph]:
             },
             {"alpha": at.alpha, "lobes": at.lobes},
         ),
-        Graph(
-            "video_blend_encoder",
-            model.blend_encoder,
-            {"panels": (1, VIDEO_PANELS, *at.panorama)},
-            {"f0": at.b0, "f1": at.b1},
-        ),
+        Graph("video_blend_encoder", model.blend_encoder, {"panels": (1, VIDEO_PANELS, *at.panorama)}, features),
         Graph(
             "video_blend_gru",
             _TwoGRUs(model.blend_gru0, model.blend_gru1),
-            {"h0": at.b0, "h1": at.b1, "f0": at.b0, "f1": at.b1},
+            {"h0": at.b0, "h1": at.b1, **features},
             {"h0_next": at.b0, "h1_next": at.b1},
         ),
-        Graph(
-            "video_blend_decoder",
-            model.blend_decoder,
-            {"h0": at.b0, "h1": at.b1, "mask": mask},
-            {"weight": mask},
-        ),
+        Graph("video_blend_decoder", model.blend_decoder, {"h0": at.b0, "h1": at.b1, "mask": mask}, {"weight": mask}),
     ]

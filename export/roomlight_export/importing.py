@@ -45,7 +45,6 @@ def load_exported(folder: Path) -> Checkpoint:
 
 
 def _fill(graph: Graph, path: Path, entry: object) -> None:
-    """Copy a file's weights to the graph's network."""
     try:
         data = path.read_bytes()
     except OSError as error:

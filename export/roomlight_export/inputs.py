@@ -54,9 +54,9 @@ class ProbeFrame:
     mask: Float[np.ndarray, "1 1 h w"]
 
 
-def probe_frames(height: int, *, frames: int, seed: int = 0) -> list[ProbeFrame]:
+def probe_frames(height: int, *, frames: int) -> list[ProbeFrame]:
     """Compute panoramas of a probe over time: the visible part rotates, depth varies, detail accumulates."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     hdr = np.exp(2 * _smooth(random, height, 3))
     detail = np.clip(hdr * np.exp(0.3 * _smooth(random, height, 3, grid=24)), 0, 1)
     depth = 0.5 + 0.3 * np.tanh(_smooth(random, height, 1))
@@ -69,13 +69,7 @@ def probe_frames(height: int, *, frames: int, seed: int = 0) -> list[ProbeFrame]
         ldr, now = detail * mask, hdr * (1 + 0.02 * np.sin(frame))
         single = np.concatenate([now, ldr, mask, 1 - mask])
         video = np.concatenate([previous, now, ldr, mask, 1 - mask, wobble * mask, accumulated])
-        result.append(
-            ProbeFrame(
-                single[None].astype(np.float32),
-                video[None].astype(np.float32),
-                mask[None].astype(np.float32),
-            )
-        )
+        result.append(ProbeFrame(*(planes[None].astype(np.float32) for planes in (single, video, mask))))
         previous = mask * ldr + (1 - mask) * previous
         accumulated = mask * np.minimum(wobble, accumulated) + (1 - mask) * accumulated
     return result

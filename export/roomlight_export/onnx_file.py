@@ -18,7 +18,7 @@ from onnx import ModelProto, TensorProto, helper, numpy_helper
 from torch import nn
 
 from roomlight.errors import ModelError
-from roomlight_export.graphs import Graph, sample_inputs
+from roomlight_export.graphs import Graph
 
 _Network = TypeVar("_Network", bound=nn.Module)
 
@@ -52,7 +52,7 @@ def to_onnx(graph: Graph, *, metadata: Mapping[str, str]) -> ModelProto:
     with _quiet():
         program = torch.onnx.export(
             graph.module.eval(),
-            sample_inputs(graph),
+            tuple(torch.zeros(shape) for shape in graph.inputs.values()),
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
             opset_version=OPSET,

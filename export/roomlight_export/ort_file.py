@@ -13,7 +13,7 @@ from roomlight.engine.networks.graph import Graph as LoadedGraph
 from roomlight.engine.networks.runtime import OnnxRuntimeGraph, ort
 from roomlight.errors import ModelError
 from roomlight_export.graphs import Graph
-from roomlight_export.parity import Tensors, difference, session_runner
+from roomlight_export.parity import difference, session_runner
 
 
 def write_ort(source: Path, target: Path, graph: Graph, *, tolerance: float) -> None:
@@ -34,7 +34,8 @@ def write_ort(source: Path, target: Path, graph: Graph, *, tolerance: float) -> 
     options.add_session_config_entry("session.load_model_format", "ORT")
     loaded = ort.InferenceSession(str(target), options, providers=["CPUExecutionProvider"])
 
-    inputs = _inputs(graph)
+    random = np.random.default_rng(0)
+    inputs = {name: random.random(shape, dtype=np.float32) for name, shape in graph.inputs.items()}
     wanted, outputs = (
         session_runner({graph.name: LoadedGraph(OnnxRuntimeGraph(session), graph.name)})(graph.name, inputs)
         for session in (converted, loaded)
@@ -43,8 +44,3 @@ def write_ort(source: Path, target: Path, graph: Graph, *, tolerance: float) -> 
         worst = difference(name, outputs[name], value)
         if not worst <= tolerance:
             raise ModelError(f"{target.name}: differs from its ONNX graph by {worst:.2g} in {name}")
-
-
-def _inputs(graph: Graph) -> Tensors:
-    random = np.random.default_rng(0)
-    return {name: random.random(shape, dtype=np.float32) for name, shape in graph.inputs.items()}

@@ -92,41 +92,40 @@ def compare_small(tested: Run, wanted: Run, *, graph: Graph) -> Parity:
 
 
 def _run_volumes(run: Run, volumes: list[np.ndarray], *, recurrent: bool) -> list[Tensors]:
+    unit = {"unit": mean_colour(volumes[0][0]).reshape(1, 3, 1, 1, 1)}
     results: list[Tensors] = []
-    state: Tensors = {}
-    unit = mean_colour(volumes[0][0]).reshape(1, 3, 1, 1, 1)
-    for index, volume in enumerate(volumes):
-        if index == 0 or not recurrent:
-            features = run("single_sg_encoder", {"volume": volume})
-            light = run("single_sg_decoder", {**features, "volume": volume})
-            hidden = {"h0": features["f0"], "h1": features["f1"]}
+    for volume in volumes:
+        given = {"volume": volume}
+        if not results or not recurrent:
+            results.append(_first(run, "sg", given, given))
         else:
-            features = run("video_sg_encoder", {"volume": volume, "unit": unit})
-            updated = run("video_sg_gru", {"h0": state["h0"], "h1": state["h1"], **features})
-            hidden = {"h0": updated["h0_next"], "h1": updated["h1_next"]}
-            previous = {"alpha_previous": state["alpha"], "lobes_previous": state["lobes"]}
-            light = run("video_sg_decoder", {**hidden, "volume": volume, **previous, "unit": unit})
-        state = {**hidden, **light}
-        results.append(state)
+            before = {f"{name}_previous": results[-1][name] for name in ("alpha", "lobes")}
+            results.append(_next(run, "sg", results[-1], given | unit, given | before | unit))
     return results
 
 
 def _run_blending(run: Run, frames: list[ProbeFrame], *, recurrent: bool) -> list[Tensors]:
     results: list[Tensors] = []
-    state: Tensors = {}
-    for index, frame in enumerate(frames):
-        if index == 0 or not recurrent:
-            features = run("single_blend_encoder", {"panels": frame.single_panels})
-            decoded = run("single_blend_decoder", {**features, "mask": frame.mask})
-            hidden = {"h0": features["f0"], "h1": features["f1"]}
+    for frame in frames:
+        mask = {"mask": frame.mask}
+        if not results or not recurrent:
+            results.append(_first(run, "blend", {"panels": frame.single_panels}, mask))
         else:
-            features = run("video_blend_encoder", {"panels": frame.video_panels})
-            updated = run("video_blend_gru", {"h0": state["h0"], "h1": state["h1"], **features})
-            hidden = {"h0": updated["h0_next"], "h1": updated["h1_next"]}
-            decoded = run("video_blend_decoder", {**hidden, "mask": frame.mask})
-        state = {**hidden, **decoded}
-        results.append(state)
+            results.append(_next(run, "blend", results[-1], {"panels": frame.video_panels}, mask))
     return results
+
+
+def _first(run: Run, kind: str, encoded: Tensors, decoded: Tensors) -> Tensors:
+    """Run the single-view graphs on an encoder's and a decoder's own inputs; their features are the hidden states."""
+    features = run(f"single_{kind}_encoder", encoded)
+    return {"h0": features["f0"], "h1": features["f1"], **run(f"single_{kind}_decoder", features | decoded)}
+
+
+def _next(run: Run, kind: str, state: Tensors, encoded: Tensors, decoded: Tensors) -> Tensors:
+    features = run(f"video_{kind}_encoder", encoded)
+    updated = run(f"video_{kind}_gru", {"h0": state["h0"], "h1": state["h1"], **features})
+    hidden = {"h0": updated["h0_next"], "h1": updated["h1_next"]}
+    return hidden | run(f"video_{kind}_decoder", hidden | decoded)
 
 
 def difference(name: str, first: np.ndarray, second: np.ndarray) -> float:
