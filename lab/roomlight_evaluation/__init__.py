@@ -13,7 +13,7 @@ Each folder answers one question, with the measurement in `evaluation`, its figu
 `drift` with exposure that drifts;
 `benchmark` scores spheres in rooms that a seed gives (`roomlight eval benchmark`).
 
-`baselines` has mean colour and warp-and-fill, `confidence` bootstrap intervals, `tables` what all tables share.
+`baselines` has mean colour and warp-and-fill, `confidence` bootstrap intervals.
 
 The metrics themselves are in `roomlight.metrics`.
 """

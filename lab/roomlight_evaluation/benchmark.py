@@ -9,7 +9,6 @@ probes; intervals are over rooms. Models give the mirror their reflection and th
 """
 
 import hashlib
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,13 +25,12 @@ from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError, FrameError
-from roomlight.files import write_atomic
+from roomlight.files import write_json
 from roomlight.imaging.tables import figure_table
 from roomlight.metrics import SPHERES, SphereScorer
 from roomlight.spheres import Material, SphereRenderer, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
-from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
-from roomlight_evaluation.tables import mean_cell
+from roomlight_evaluation.confidence import MeanWithInterval, mean_cell, mean_with_interval
 from roomlight_evaluation.walks import Walks, walk_frames
 from roomlight_generator.generate import GenerateOptions
 
@@ -85,7 +83,7 @@ class BenchmarkScores:
         rows = [
             {"method": method, "moment": moment, "errors": errors} for (method, moment), errors in self.errors.items()
         ]
-        write_atomic(path, json.dumps({"rooms": self.rooms, "scores": rows}, indent=1).encode())
+        write_json(path, {"rooms": self.rooms, "scores": rows})
 
 
 def benchmark_options(*, rooms: int, seed: int) -> GenerateOptions:
@@ -200,7 +198,6 @@ class _Judge:
 
 
 def _errors(judges: Sequence[_Judge], lit: Iterable[Panorama], mirrored: Iterable[Panorama]) -> dict[str, float]:
-    """Return the means over probes of spheres' errors."""
     of_probes = [
         {
             f"{key}_{sphere}": value

@@ -21,6 +21,13 @@ class MeanWithInterval:
     high: float
 
 
+def mean_cell(value: MeanWithInterval, digits: int = 3) -> str:
+    """Return a mean with its interval as a table shows it; a dash where it is not known."""
+    if not np.isfinite(value.mean):
+        return "-"
+    return f"{value.mean:.{digits}f} ({value.low:.{digits}f} to {value.high:.{digits}f})"
+
+
 def mean_with_interval(values: Iterable[float], weights: Iterable[float] | None = None) -> MeanWithInterval:
     """Return the weighted mean of the values that are not NaN; its interval resamples values with their weights."""
     known = np.array(list(values), np.float64)

@@ -119,14 +119,10 @@ def _classical(options: SessionOptions) -> EngineEstimator:
     return EngineEstimator(replace(options, model="classical", weights=None), None)
 
 
-def _by_phone(estimators: Sequence[Estimator]) -> list[Estimator]:
-    return [renamed(estimator, f"{estimator.name}, {PHONE}") for estimator in estimators]
-
-
-def renamed(estimator: Any, name: str) -> Estimator:
-    """Give an estimator another name."""
-    estimator.name = name
-    return estimator
+def _by_phone(estimators: Sequence[Any]) -> list[Estimator]:
+    for estimator in estimators:
+        estimator.name = f"{estimator.name}, {PHONE}"
+    return list(estimators)
 
 
 class FrameAlone:
@@ -249,10 +245,7 @@ def score_walk(recording: Recording, models: Compared, *, name: str) -> list[Tra
         (number, (float(x), float(y), float(z)), panorama)
         for number, ((x, y, z), panorama) in enumerate(zip(recording.probe_positions, truth, strict=True))
     ]
-    sensors: tuple[tuple[DepthKind, list[Estimator]], ...] = (
-        ("exact", models.exact()),
-        ("arkit", models.phone()),
-    )
+    sensors: list[tuple[DepthKind, list[Estimator]]] = [("exact", models.exact()), ("arkit", models.phone())]
     tracks: list[Track] = []
     for depth, estimators in sensors:
         if estimators:

@@ -179,7 +179,6 @@ class _Hidden(EngineEstimator):
         self.errors: list[Float[np.ndarray, "4 2"]] = []
 
     def push(self, frame: Frame) -> None:
-        """Take the next frame."""
         true_m = frame.depth_m
         bare = replace(frame, depth_m=np.zeros_like(true_m))
         stream_m = self._stream.estimate(bare)

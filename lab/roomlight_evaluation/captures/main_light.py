@@ -13,16 +13,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+from rich.table import Table
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import Position
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.files import write_json
+from roomlight.imaging.tables import figure_table
 from roomlight.light.main_light import main_light
 from roomlight.placement import point_in_view
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
@@ -101,31 +103,22 @@ class MainLightScores:
             last_error_deg=mean_with_interval([error[-1] for error in errors]),
         )
 
-    def to_json(self) -> dict[str, Any]:
-        """Return every direction and score as plain JSON values."""
-        return {
-            "tracks": [
-                {
-                    "capture": track.capture,
-                    "probe": track.probe,
-                    "method": track.method,
-                    "directions": [direction.tolist() for direction in track.directions],
-                    "truth": None if track.truth is None else track.truth.tolist(),
-                    "largest_jump_deg": max(track.jumps_deg, default=0.0),
-                    "below": track.below,
-                    "errors_deg": track.errors_deg,
-                }
-                for track in self.tracks
-            ]
-        }
-
     def write(self, path: Path) -> None:
-        """Write `to_json` to a file atomically.
-
-        Raises:
-            OutputError: The file cannot be written.
-        """
-        write_json(path, self.to_json())
+        """Write every direction and score as JSON. Raises OutputError."""
+        tracks = [
+            {
+                "capture": track.capture,
+                "probe": track.probe,
+                "method": track.method,
+                "directions": [direction.tolist() for direction in track.directions],
+                "truth": None if track.truth is None else track.truth.tolist(),
+                "largest_jump_deg": max(track.jumps_deg, default=0.0),
+                "below": track.below,
+                "errors_deg": track.errors_deg,
+            }
+            for track in self.tracks
+        ]
+        write_json(path, {"tracks": tracks})
 
 
 def evaluate_main_lights(
@@ -185,3 +178,31 @@ def _score_capture(
 def angle_deg(first: Direction, second: Direction) -> float:
     """Return the angle between two unit directions."""
     return float(np.degrees(np.arccos(np.clip(first @ second, -1, 1))))
+
+
+def main_light_table(scores: MainLightScores) -> Table:
+    """Return the table: jumps after the fifth frame, share from below, mean errors with 95 % intervals over probes."""
+    sequences = len({(track.capture, track.probe) for track in scores.tracks})
+    known = len({(track.capture, track.probe) for track in scores.tracks if track.truth is not None})
+    table = figure_table(
+        f"Main light, probes: {sequences}",
+        ("largest\njump", f"over {JUMP_DEG:g}", "below", "error", "last\nframe"),
+        caption=(
+            f"degrees; jumps: angle between frames after frame {SETTLED_FRAME}; below: share of the frames; errors and "
+            f"95 % intervals over probes with ground truth ({known})"
+        ),
+    )
+    for method in METHODS:
+        row = scores.summary(method)
+        table.add_row(
+            method,
+            f"{row.largest_jump_deg:.0f}",
+            f"{row.jumps} of {row.steps}",
+            f"{100 * row.below:.1f} %",
+            *(_with_interval(cell) for cell in (row.error_deg, row.last_error_deg)),
+        )
+    return table
+
+
+def _with_interval(cell: MeanWithInterval) -> str:
+    return f"{cell.mean:.0f} ({cell.low:.0f}-{cell.high:.0f})" if np.isfinite(cell.mean) else "-"

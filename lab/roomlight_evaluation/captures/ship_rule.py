@@ -100,17 +100,16 @@ def apply_ship_rule(
     captures: Sequence[Path],
     candidate: SessionOptions,
     *,
-    reference: SessionOptions | None = None,
     options: CaptureOptions | None = None,
     progress: ProgressCallback | None = None,
 ) -> tuple[ShipRule, CaptureScores]:
-    """Score a candidate beside the reference (default: the classical model).
+    """Score a candidate beside the classical model.
 
     Raises:
         ModelError: Weights are missing.
         CaptureError: A capture cannot be read or has no ground truth.
     """
-    known = reference or SessionOptions(model="classical")
+    known = SessionOptions(model="classical")
     graphs = [choose_graphs(session) for session in (candidate, known)]
 
     def estimators() -> list[Estimator]:

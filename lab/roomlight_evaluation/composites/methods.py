@@ -10,7 +10,7 @@ from jaxtyping import Float, Float32
 
 from roomlight.compositing.compositor import Compositor
 from roomlight.compositing.light.probes import LightAt
-from roomlight.conventions import Position, panorama_rays, panorama_solid_angles
+from roomlight.conventions import panorama_rays, panorama_solid_angles
 from roomlight.engine.session import Session
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
@@ -49,7 +49,7 @@ def harmonics_and_directional(panorama: Float[np.ndarray, "h w 3"]) -> Panorama:
     return ambient.reshape(height, 2 * height, 3).astype(np.float32)
 
 
-def composites(scene: CompositeScene, session: Session, *, quality: str = "good") -> dict[str, Picture]:
+def composites(scene: CompositeScene, session: Session) -> dict[str, Picture]:
     """Return the composite of each of `METHODS`, in linear radiance, without the camera's noise on the object.
 
     Args:
@@ -60,26 +60,17 @@ def composites(scene: CompositeScene, session: Session, *, quality: str = "good"
         warped.push(frame)
         mean.push(frame)
 
-    def harmonics(position: Position) -> Panorama:
-        return harmonics_and_directional(np.minimum(warped.light_at(position), 1))
-
-    def harmonics_of_ours(position: Position) -> Panorama:
-        return harmonics_and_directional(session.light_at(position).panorama)
-
-    def true_light(_: Position) -> Panorama:
-        return scene.true_light
-
     lights: dict[str, LightAt | None] = {
         MEAN_COLOUR: mean.light_at,
-        HARMONICS: harmonics,
-        HARMONICS_OURS: harmonics_of_ours,
+        HARMONICS: lambda position: harmonics_and_directional(np.minimum(warped.light_at(position), 1)),
+        HARMONICS_OURS: lambda position: harmonics_and_directional(session.light_at(position).panorama),
         WARPED: warped.light_at,
-        TRUE_LIGHT: true_light,
+        TRUE_LIGHT: lambda _: scene.true_light,
         OURS: None,
     }
     pictures: dict[str, Picture] = {}
     for name, light in lights.items():
-        compositor = Compositor(session, scene.objects, quality=quality, light=light)
+        compositor = Compositor(session, scene.objects, quality="good", light=light)
         try:
             result = compositor.composite(scene.frame)
         finally:

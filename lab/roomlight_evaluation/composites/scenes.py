@@ -9,7 +9,6 @@ frame's white.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -119,14 +118,7 @@ class _Phone:
         return srgb8_to_linear(eight_bit) * unit, eight_bit
 
     def in_white(self, radiance: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """Return radiance in the session's unit."""
         return (radiance * (self.exposure.gains * self.exposure.multiplier[self.shown])).astype(np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class _Recording:
-    frames: tuple[Frame, ...]
-    phone: _Phone
 
 
 def virtual_object(shape: str, material: str) -> VirtualObject:
@@ -147,7 +139,7 @@ def real_material(material: str) -> RealMaterial:
     return RealMaterial(real.OBJECT, albedo=_COLOUR, roughness=_ALPHA if material == "glossy" else None)
 
 
-def scene_for(number: int, *, seed: int, furniture: Path | None = None) -> CompositeScene:
+def scene_for(number: int, *, seed: int) -> CompositeScene:
     """Make the scene of this number; the same arguments give the same scene.
 
     Raises:
@@ -155,12 +147,12 @@ def scene_for(number: int, *, seed: int, furniture: Path | None = None) -> Compo
     """
     shape = tuple(SHAPES)[number // len(MATERIALS) % len(SHAPES)]
     material = MATERIALS[number % len(MATERIALS)]
-    lit_room = solve_lighting(number, seed=seed, split="test", catalogue=catalogue_for(furniture))
+    lit_room = solve_lighting(number, seed=seed, split="test", catalogue=catalogue_for(None))
     rng = room_generator(number, seed=seed, split="test", purpose=_PURPOSE)
     geometry = virtual_object(shape, material)
     for path, shown, place in _places(lit_room, rng, geometry):
-        taken = _recorded(lit_room, path, rng, shown=shown)
-        session, frames = Session(SessionOptions(model="classical")), taken.frames
+        frames, phone = _recorded(lit_room, path, rng, shown=shown)
+        session = Session(SessionOptions(model="classical"))
         for frame in frames:
             session.push(frame)
         objects = Scene((SceneObject(NAME, geometry, AtPixel(place.u, place.v)),))
@@ -173,11 +165,11 @@ def scene_for(number: int, *, seed: int, furniture: Path | None = None) -> Compo
         low, high = geometry.bounds()
         centre = object_to_world[:3, :3] @ ((low + high) / 2) + object_to_world[:3, 3]
         x, y, z = centre.tolist()
-        clean = taken.phone.in_white(view.view.radiance), taken.phone.in_white(bare.radiance)
+        clean = phone.in_white(view.view.radiance), phone.in_white(bare.radiance)
         radius_m = float(np.linalg.norm(high - low) / 2)
         distance_m = _distances(path.intrinsics, pose, view.view, centre)
         masks = regions(*clean, view.covered, distance_m, radius_m=radius_m)
-        developed = taken.phone.developed(view.view.radiance, shown)[0]
+        developed = phone.developed(view.view.radiance, shown)[0]
         light = lit_room.light.panorama(centre, _PANORAMA_ROWS, seed=number)
         return CompositeScene(
             name=lit_room.room.name,
@@ -190,7 +182,7 @@ def scene_for(number: int, *, seed: int, furniture: Path | None = None) -> Compo
             clean=clean,
             covered=view.covered,
             masks=masks,
-            true_light=taken.phone.in_white(light),
+            true_light=phone.in_white(light),
             frames=frames,
             shift_m=shift_m,
         )
@@ -224,7 +216,9 @@ def _off_centre(place: real.RestingPlace, lens: Intrinsics) -> float:
     return float(np.hypot(place.u / lens.width - 0.5, place.v / lens.height - 0.6))
 
 
-def _recorded(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator, *, shown: int) -> "_Recording":
+def _recorded(
+    lit_room: LitRoom, path: CameraPath, rng: np.random.Generator, *, shown: int
+) -> tuple[tuple[Frame, ...], _Phone]:
     """Render the frames and develop them as a phone does, with its exposure and its depth."""
     seed = int(rng.integers(2**31))
     views = [lit_room.light.frame(path.intrinsics, pose, seed=seed + k) for k, pose in enumerate(path.poses)]
@@ -247,7 +241,7 @@ def _recorded(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator, *, 
         )
         for k, (linear, eight_bit) in enumerate(pictures)
     ]
-    return _Recording(tuple(frames), phone)
+    return tuple(frames), phone
 
 
 def _placed(

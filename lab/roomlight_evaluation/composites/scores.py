@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -45,10 +45,6 @@ class SceneScore:
     errors: Mapping[str, Mapping[str, Mapping[str, float]]]
     darkening: Mapping[str, float]
     shift_m: float
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return asdict(self)
 
 
 def errors_of(
@@ -112,7 +108,7 @@ class CompositeScores:
 def write_line(path: Path, score: SceneScore) -> None:
     """Append one scene's scores to a file of JSON lines."""
     with path.open("a") as file:
-        file.write(json.dumps(score.to_json()) + "\n")
+        file.write(json.dumps(asdict(score)) + "\n")
 
 
 def read_lines(path: Path) -> list[SceneScore]:

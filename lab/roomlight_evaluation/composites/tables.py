@@ -7,7 +7,7 @@ from roomlight_evaluation.composites.methods import HARMONICS, METHODS, NO_SHADO
 from roomlight_evaluation.composites.regions import ELSEWHERE, OBJECT, REGIONS, SHADOW
 from roomlight_evaluation.composites.scenes import MATERIALS
 from roomlight_evaluation.composites.scores import CompositeScores
-from roomlight_evaluation.tables import mean_cell
+from roomlight_evaluation.confidence import mean_cell
 
 TARGET = 0.6
 """Largest error in the object and in the shadow, relative to SH + directional light's."""

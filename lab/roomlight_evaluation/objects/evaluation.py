@@ -28,8 +28,7 @@ from roomlight.spheres import resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
 from roomlight_evaluation.confidence import MeanWithInterval, evenly_spread, mean_with_interval, ratio_of_means
-from roomlight_evaluation.objects.lit_objects import LOOKS, SHADOW, LitObjects
-from roomlight_evaluation.objects.unseen_look import MEASURES, unseen_look
+from roomlight_evaluation.objects.lit_objects import LOOKS, MEASURES, SHADOW, LitObjects, unseen_look
 
 COMPOSITED: Final = "as composited"
 """Appended to a model's name: in the light that the compositor gives to objects, mirrors and shadows."""

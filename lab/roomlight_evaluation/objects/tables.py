@@ -4,10 +4,9 @@ from rich.table import Table
 
 from roomlight.imaging.tables import figure_table
 from roomlight_evaluation.composites.methods import HARMONICS
+from roomlight_evaluation.confidence import mean_cell
 from roomlight_evaluation.objects.evaluation import ObjectScores
-from roomlight_evaluation.objects.lit_objects import LOOKS
-from roomlight_evaluation.objects.unseen_look import MEASURES
-from roomlight_evaluation.tables import mean_cell
+from roomlight_evaluation.objects.lit_objects import LOOKS, MEASURES
 
 
 def object_tables(scores: ObjectScores) -> list[Table]:

@@ -18,8 +18,8 @@ from roomlight_evaluation.captures.main_light import (
     DirectionTrack,
     MainLightScores,
     evaluate_main_lights,
+    main_light_table,
 )
-from roomlight_evaluation.captures.main_light_tables import main_light_table
 from written_captures import write_capture
 
 UP, EAST, DOWN = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])

@@ -12,10 +12,17 @@ from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
 from roomlight_evaluation.objects.evaluation import COMPOSITED, TRUTH, evaluate_objects
-from roomlight_evaluation.objects.lit_objects import BRIGHTNESS, LOOKS, SHADOW, SPHERES, LitObjects
-from roomlight_evaluation.objects.sphere_shadow import shadow_of_sphere
+from roomlight_evaluation.objects.lit_objects import (
+    BRIGHTNESS,
+    LOOKS,
+    MEASURES,
+    SHADOW,
+    SPHERES,
+    LitObjects,
+    shadow_of_sphere,
+    unseen_look,
+)
 from roomlight_evaluation.objects.tables import object_tables
-from roomlight_evaluation.objects.unseen_look import MEASURES, unseen_look
 from rooms import BoxRoom, camera_at
 from written_captures import write_capture
 

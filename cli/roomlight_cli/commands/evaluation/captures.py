@@ -17,8 +17,7 @@ from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoresJson
 from roomlight_evaluation.captures.depth import evaluate_depth
 from roomlight_evaluation.captures.evaluation import evaluate_engine, evaluate_predictions
-from roomlight_evaluation.captures.main_light import evaluate_main_lights
-from roomlight_evaluation.captures.main_light_tables import main_light_table
+from roomlight_evaluation.captures.main_light import evaluate_main_lights, main_light_table
 from roomlight_evaluation.captures.poses import evaluate_poses
 from roomlight_evaluation.captures.ship_rule import apply_ship_rule, ship_rule_table, write_rule
 from roomlight_evaluation.captures.tables import capture_tables
