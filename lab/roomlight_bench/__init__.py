@@ -6,7 +6,7 @@ Each benchmark is a command, a function that runs it and a report with a table a
     roomlight bench server     `server.run_server_bench`        a server under streaming phones
 
 Start with `stages`. A `BenchStage` is one row of its table: our implementation, a readable NumPy reference and a plain
-PyTorch one (`plain_torch`); networks also as a share of the machine's peak (`peak`). `timing` interleaves the runs, so
+PyTorch one (`plain_torch`); networks also as a share of the machine's peak. `timing` interleaves the runs, so
 that other work on the machine slows all of them alike.
 
 All benchmarks run from an installed package; none needs a checkout. PyTorch (`pip install 'roomlight[train]'`) is

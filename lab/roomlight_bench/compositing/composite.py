@@ -106,7 +106,8 @@ def run_composite(
     """
     if frames < 1:
         raise OptionError(f"frames must be at least 1, got {frames}")
-    report, size = progress or _ignore, size or CompositeSize()
+    report: ProgressCallback = progress or (lambda _: None)
+    size = size or CompositeSize()
     report("compiling kernels")
     warm_up()
     report("building the room")
@@ -126,10 +127,6 @@ def run_composite(
         depth=size.depth,
         machine=describe_machine(),
     )
-
-
-def _ignore(_: str) -> None:
-    pass
 
 
 def _session(room: Sequence[Frame], size: CompositeSize) -> Session:
@@ -178,17 +175,10 @@ def _sums(columns: dict[str, list[float]]) -> list[float]:
     return [sum(row) for row in zip(*columns.values(), strict=True)]
 
 
-def _with_depth(frame: Frame, size: CompositeSize, noise_m: float, seed: int) -> Frame:
-    """Return the frame with depth of the sensor's size and noise."""
-    depth_m = cv2.resize(frame.depth_m, size.depth, interpolation=cv2.INTER_NEAREST_EXACT)
-    if noise_m > 0:
-        depth_m = depth_m + np.random.default_rng(seed).normal(0, noise_m, depth_m.shape)
-    return replace(frame, depth_m=depth_m.astype(np.float32))
-
-
 def _as_phone(frame: Frame, size: CompositeSize, seed: int) -> Frame:
-    """Return the frame with noise in colour and depth, colour rounded to 8 bits."""
+    """Return the frame with noise in colour and depth, colour rounded to 8 bits, depth of the sensor's size."""
     noise = np.random.default_rng([seed, 1]).normal(0, COLOUR_NOISE, frame.image.shape)
     encoded = np.rint(np.clip(linear_to_srgb(frame.image) + noise, 0, 1) * 255).astype(np.uint8)
-    coloured = replace(frame, image=srgb8_to_linear(encoded).astype(np.float32))
-    return _with_depth(coloured, size, DEPTH_NOISE_M, seed)
+    depth_m = cv2.resize(frame.depth_m, size.depth, interpolation=cv2.INTER_NEAREST_EXACT)
+    depth_m = depth_m + np.random.default_rng(seed).normal(0, DEPTH_NOISE_M, depth_m.shape)
+    return replace(frame, image=srgb8_to_linear(encoded).astype(np.float32), depth_m=depth_m.astype(np.float32))

@@ -36,7 +36,6 @@ from roomlight_bench.server.hostile_floods import FLOODS, SLOW_BYTES_PER_S, floo
 
 ADDRESS: Final = "127.0.0.2"
 IDLE_ADDRESSES: Final = tuple(f"127.0.0.{last}" for last in range(2, 12))
-IDLE: Final = 1100
 ROWS: Final = 512
 CLIENT_HELLO: Final = b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03"
 """The first bytes of a TLS handshake."""
@@ -116,24 +115,14 @@ class Hostile:
 
         await self._all(repeat() for _ in range(8))
 
-    async def idle_connections(self) -> None:
-        """Hold as many connections without a request as the server accepts, from ten addresses."""
+    async def idle_connections(self, hold: int, every_s: float, data: bytes = b"") -> None:
+        """Hold as many connections as the server accepts, which send `data` and nothing more, from ten addresses."""
         writers: list[asyncio.StreamWriter] = []
         while True:
             with suppress(OSError):
                 writers.append((await self._connect(IDLE_ADDRESSES[self.requests % len(IDLE_ADDRESSES)]))[1])
-            self.requests += 1
-            if len(writers) >= IDLE:
-                writers.pop(0).close()
-            await asyncio.sleep(0.002)
-
-    async def unfinished_handshakes(self, hold: int, every_s: float, data: bytes) -> None:
-        """Open connections to a server with TLS that send `data` and nothing more, from ten addresses."""
-        writers: list[asyncio.StreamWriter] = []
-        while True:
-            with suppress(OSError):
-                writers.append((await self._connect(IDLE_ADDRESSES[self.requests % len(IDLE_ADDRESSES)]))[1])
-                writers[-1].write(data)
+                if data:
+                    writers[-1].write(data)
             self.requests += 1
             if len(writers) >= hold:
                 writers.pop(0).close()
@@ -316,15 +305,15 @@ ATTACKS: Final[dict[str, Callable[[Hostile], Awaitable[None]]]] = {
     "decode-bombs": Hostile.decode_bombs,
     "large-headers": Hostile.large_headers,
     "refused-bodies": Hostile.refused_bodies,
-    "idle-connections": Hostile.idle_connections,
+    "idle-connections": partial(Hostile.idle_connections, hold=1100, every_s=0.002),
     "hung-up-posts": Hostile.hung_up_posts,
     "large-answers": Hostile.large_answers,
     "tall-probes": Hostile.tall_probes,
     "unread-messages": Hostile.unread_messages,
     "many-sessions": Hostile.many_sessions,
     "glb-bombs": Hostile.glb_bombs,
-    "tls-handshakes": partial(Hostile.unfinished_handshakes, hold=1400, every_s=0.0, data=b""),
-    "tls-handshakes-slow": partial(Hostile.unfinished_handshakes, hold=1400, every_s=0.02, data=CLIENT_HELLO),
+    "tls-handshakes": partial(Hostile.idle_connections, hold=1400, every_s=0.0),
+    "tls-handshakes-slow": partial(Hostile.idle_connections, hold=1400, every_s=0.02, data=CLIENT_HELLO),
     "final-composites": Hostile.final_composites,
     **{
         f"{name}{suffix}": partial(Hostile.flood, name=name, bytes_per_s=rate)

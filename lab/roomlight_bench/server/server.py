@@ -35,7 +35,7 @@ from roomlight_bench.server.server_load import PROBE, TIMEOUTS, Load, Outcome, P
 from roomlight_bench.server.server_process import ServerProcess, polling_health
 from roomlight_bench.server.server_report import Latencies, LoadRow, OverheadRow, ServerReport
 from roomlight_bench.timing import ProgressCallback
-from roomlight_client import Client, FrameEncoding, Session
+from roomlight_client import Client, FrameEncoding
 from roomlight_server.work.decode_worker import decode_to_box
 from roomlight_server.work.intake import parse_frame
 
@@ -86,7 +86,7 @@ def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback 
         ModelError: The model is not available.
         ServerError: The server does not start or stops responding.
     """
-    report: ProgressCallback = progress or _ignore
+    report: ProgressCallback = progress or (lambda _: None)
     busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     report("reading the sample capture")
     frames = list(open_capture(sample_capture(), CaptureOptions(max_frames=options.frames)))
@@ -125,17 +125,7 @@ def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback 
 
 
 def _engine(options: ServerBenchOptions) -> Engine:
-    return Engine(
-        SessionOptions(
-            model=options.model,
-            weights=options.weights,
-            height=options.height,
-        )
-    )
-
-
-def _open(client: Client, options: ServerBenchOptions) -> Session:
-    return client.open(model=options.model, height=options.height, reference_exposure=1.0)
+    return Engine(SessionOptions(model=options.model, weights=options.weights, height=options.height))
 
 
 def _overhead(
@@ -178,15 +168,18 @@ def _direct_and_http(
         engine_ms = _timed(lambda: engine.push(frame))
         return engine_ms, 1e3 * (time.perf_counter() - start_s)
 
+    def over_http(index: int, body: bytes) -> float:
+        return _timed(lambda: client.run(frame_call(session.id, index, body)))
+
     times_ms: list[tuple[float, float, float]] = []
-    with _open(client, options) as session:
+    with client.open(model=options.model, height=options.height, reference_exposure=1.0) as session:
         session.track(PROBE, probe)
         for index, body in enumerate(bodies):
             if index % 2:
                 engine_ms, decoded_ms = direct(index, body)
-                http_ms = _timed(lambda index=index: _push(client, session, index, bodies))
+                http_ms = over_http(index, body)
             else:
-                http_ms = _timed(lambda index=index: _push(client, session, index, bodies))
+                http_ms = over_http(index, body)
                 engine_ms, decoded_ms = direct(index, body)
             times_ms.append((engine_ms, decoded_ms, http_ms))
     return times_ms
@@ -231,15 +224,7 @@ def _loaded(
     )
 
 
-def _push(client: Client, session: Session, index: int, bodies: Sequence[bytes]) -> None:
-    client.run(frame_call(session.id, index, bodies[index % len(bodies)]))
-
-
 def _timed(work: Callable[[], object]) -> float:
     start_s = time.perf_counter()
     work()
     return 1e3 * (time.perf_counter() - start_s)
-
-
-def _ignore(_: str) -> None:
-    pass

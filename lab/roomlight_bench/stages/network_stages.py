@@ -50,9 +50,7 @@ def load_networks(model: Path) -> Networks:
     Raises:
         ModelError: The folder is not a model folder, or does not fit this version.
     """
-    loaded: dict[RuntimeName, LightingGraphs] = {
-        runtime: load_graphs(model, provider=runtime) for runtime in available()
-    }
+    loaded: dict[RuntimeName, LightingGraphs] = {name: load_graphs(model, provider=name) for name in available()}
     described = json.loads((model / "model.json").read_text())
     return Networks(ModelConfig.from_dict(described.get("config", {})), loaded)
 
@@ -63,20 +61,11 @@ def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> 
     Stages: 3D network, 3D GRU, blending network and 2D GRU. `volume` is the networks' input.
     """
     form = networks.form
+    blend = f"{form}_blend"
     plan: list[tuple[str, tuple[str, ...], float, str]] = [
-        (
-            "SGLV network",
-            (f"{form}_sg_encoder", f"{form}_sg_decoder"),
-            25.0,
-            "3D encoder and decoder",
-        ),
+        ("SGLV network", (f"{form}_sg_encoder", f"{form}_sg_decoder"), 25.0, "3D encoder and decoder"),
         ("3D GRU", ("video_sg_gru",), 19.0, "both levels"),
-        (
-            "blending network",
-            (f"{form}_blend_encoder", f"{form}_blend_decoder"),
-            5.2,
-            "2D encoder and decoder",
-        ),
+        ("blending network", (f"{blend}_encoder", f"{blend}_decoder"), 5.2, "2D encoder and decoder"),
         ("2D GRU", ("video_blend_gru",), 2.1, "both levels"),
     ]
     modules = _eager_modules(networks) if plain_torch.torch_installed() else None

@@ -7,8 +7,7 @@ from typing import Any, Final
 from rich.table import Table
 
 from roomlight.imaging.tables import figure_table
-from roomlight.threads import thread_count
-from roomlight_bench.reporting import Criterion, criteria_table, describe_machine, short_number
+from roomlight_bench.reporting import Criterion, criteria_table, short_number
 from roomlight_bench.stages.sessions import FURTHER, LATE
 from roomlight_bench.timing import Timing
 
@@ -66,15 +65,6 @@ class StagesReport:
     repeats: int
     networks: str
     torch: bool
-
-    @classmethod
-    def of(
-        cls, rows: Sequence[StageRow], peak_flops_per_s: float, *, repeats: int, networks: str, torch: bool
-    ) -> "StagesReport":
-        """Make the report of these rows: judge the criteria and describe the machine."""
-        return cls(
-            tuple(rows), peak_flops_per_s, judge(rows), describe_machine(), thread_count(), repeats, networks, torch
-        )
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""

@@ -29,6 +29,7 @@ _LAMP: Final = len(_FURNITURE) - 1
 _HORIZONTAL_FIELD_DEGREES: Final = 58.0
 _PITCH_DEGREES: Final = -20.0
 """People hold a phone a little downwards: the floor and the furniture are in view."""
+_SWAY_DEGREES: Final = 6.0
 PROBE: Final = (0.15, -0.6, -1.35)
 """The probe: on the table."""
 
@@ -56,19 +57,17 @@ class RoomSize:
 
 def views(count: int, size: RoomSize) -> list[Frame]:
     """Return frames of a camera that turns around once on the spot, bobbing a little; colour and depth are exact."""
-    focal = size.width / 2 / np.tan(np.radians(_HORIZONTAL_FIELD_DEGREES / 2))
-    lens = Intrinsics(focal, focal, size.width / 2, size.height / 2, size.width, size.height)
-    return [_view(index, 2 * np.pi * index / count, lens) for index in range(count)]
+    return [_view(index, 2 * np.pi * index / count, size) for index in range(count)]
 
 
-def handheld(count: int, size: RoomSize, *, sway_degrees: float = 6.0) -> list[Frame]:
+def handheld(count: int, size: RoomSize) -> list[Frame]:
     """Return frames of a camera that looks at the table and sways to both sides once in 30 frames."""
+    return [_view(index, np.radians(_SWAY_DEGREES) * np.sin(2 * np.pi * index / 30), size) for index in range(count)]
+
+
+def _view(index: int, yaw: float, size: RoomSize) -> Frame:
     focal = size.width / 2 / np.tan(np.radians(_HORIZONTAL_FIELD_DEGREES / 2))
     lens = Intrinsics(focal, focal, size.width / 2, size.height / 2, size.width, size.height)
-    return [_view(index, np.radians(sway_degrees) * np.sin(2 * np.pi * index / 30), lens) for index in range(count)]
-
-
-def _view(index: int, yaw: float, lens: Intrinsics) -> Frame:
     pose = np.eye(4)
     cosine, sine = np.cos(yaw), np.sin(yaw)
     rotation = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])

@@ -122,7 +122,6 @@ class _Measuring:
         self._process.communicate()
 
     def round(self) -> dict[str, float]:
-        """Measure each once."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with suppress(BrokenPipeError):  # it has ended

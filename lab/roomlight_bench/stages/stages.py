@@ -20,16 +20,12 @@ from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.engine.volume.sglv import LOBE_CHANNELS, Far, Sglv, render_rays
 from roomlight.errors import OptionError
 from roomlight.frame import Frame
+from roomlight.threads import thread_count
 from roomlight_bench.reporting import describe_machine
 from roomlight_bench.stages import plain_torch
 from roomlight_bench.stages.bench_stage import BenchStage, differences, largest_difference
-from roomlight_bench.stages.network_stages import (
-    Networks,
-    load_networks,
-    network_stages,
-)
-from roomlight_bench.stages.peak import MatrixProduct
-from roomlight_bench.stages.report import AgainstReport, AgainstRow, StageRow, StagesReport
+from roomlight_bench.stages.network_stages import load_networks, network_stages
+from roomlight_bench.stages.report import AgainstReport, AgainstRow, StageRow, StagesReport, judge
 from roomlight_bench.stages.room import PROBE, RoomSize, views
 from roomlight_bench.stages.sessions import MeasuredSession, measure_against
 from roomlight_bench.timing import Implementation, ProgressCallback, Timing, time_interleaved
@@ -38,6 +34,8 @@ SLOW_RUNS: Final = 3
 """Most runs of the references that take seconds."""
 _FAINT_ALPHA: Final = (0.02, 0.05)
 """Opacity of empty space in the network-like volume: decoders start at 0.05, and training lowers it."""
+_PEAK_EDGE: Final = 2048
+"""Edge of the float32 matrices whose product, on NumPy's BLAS, is the machine's peak."""
 _BRUTE_FORCE_RAYS: Final = 32
 """Rays of the brute-force reference; all 28,800 would take minutes."""
 
@@ -63,7 +61,7 @@ def run_stages(
     """
     if repeats < 1:
         raise OptionError(f"repeats must be at least 1, got {repeats}")
-    report: ProgressCallback = progress or _ignore
+    report: ProgressCallback = progress or (lambda _: None)
     size = size or RoomSize()
     report("compiling kernels")
     warm_up()
@@ -81,47 +79,46 @@ def run_stages(
     stages += _mesh_stages(frames[0], size)
     stages.append(_fill_stage(frames[0], grid, size))
     stages.append(_accumulate_stage(frames[0], grid, size))
-    sessions = _sessions(size, networks, model)
+    provider = networks.fastest
+    sessions = [
+        MeasuredSession("classical", size, provider=provider),
+        MeasuredSession(networks.form, size, provider=provider, weights=model),
+    ]
     stages += [
         BenchStage(name, Implementation(run), note=f"{session.keyframes} keyframes" if "late" in name else "")
         for session in sessions
         for name, run in session.runs().items()
     ]
-    product = MatrixProduct()
-    implementations = [
-        (index, kind, implementation)
-        for index, stage in enumerate(stages)
-        for kind, implementation in _implementations(stage)
-    ]
-    everything = [
-        Implementation(product.run),
-        *(implementation for _, _, implementation in implementations),
-    ]
-    multiplied, *timings = time_interleaved(everything, repeats, progress=report)
-    timed: dict[tuple[int, str], Timing] = {
-        (index, kind): timing for (index, kind, _), timing in zip(implementations, timings, strict=True)
-    }
+    matrix = np.ones((_PEAK_EDGE, _PEAK_EDGE), np.float32)
+    product = np.empty_like(matrix)
+    peak = Implementation(lambda: np.matmul(matrix, matrix, out=product))
+    peak.run()
+    known = [one for stage in stages for one in (stage.ours, stage.reference, stage.torch) if one is not None]
+    multiplied, *timings = time_interleaved([peak, *known], repeats, progress=report)
+    timed = iter(timings)
     rows = [
         StageRow(
-            name=stage.name,
-            ours=timed[index, "ours"],
-            reference=timed.get((index, "reference")),
-            torch=timed.get((index, "torch")),
+            stage.name,
+            next(timed),
+            next(timed) if stage.reference else None,
+            next(timed) if stage.torch else None,
             paper_ms=stage.paper_ms,
             flops=stage.flops,
             note=stage.note,
             differences=stage.differences,
         )
-        for index, stage in enumerate(stages)
+        for stage in stages
     ]
     for session in sessions:
-        rows += [
-            StageRow(f"{stage}, {session.name}", _timing(times_ms), None, None, None, None, "of a frame", {})
-            for stage, times_ms in session.stage_ms.items()
-        ]
-    return StagesReport.of(
-        rows,
-        product.flops_per_s(multiplied.least_ms),
+        for stage, times_ms in session.stage_ms.items():
+            ours = Timing(min(times_ms), median(times_ms), len(times_ms))
+            rows.append(StageRow(f"{stage}, {session.name}", ours, None, None, None, None, "of a frame", {}))
+    return StagesReport(
+        rows=tuple(rows),
+        peak_flops_per_s=2e3 * _PEAK_EDGE**3 / multiplied.least_ms,
+        criteria=judge(rows),
+        machine=describe_machine(),
+        threads=thread_count(),
         repeats=repeats,
         networks=f"{networks.form}, {model or 'shipped'}",
         torch=plain_torch.torch_installed(),
@@ -141,28 +138,10 @@ def run_against(other: Path, *, rounds: int, progress: ProgressCallback | None =
     """
     if not (other / "core" / "roomlight").is_dir():
         raise OptionError(f"{other}: is no checkout of RoomLight, it has no core/roomlight")
-    (progress or _ignore)("frames and late points, in turns with the other checkout")
+    if progress is not None:
+        progress("frames and late points, in turns with the other checkout")
     rows = measure_against(other, ("classical", "single"), rounds=rounds)
     return AgainstReport(tuple(AgainstRow(*row) for row in rows), str(other), describe_machine())
-
-
-def _sessions(size: RoomSize, networks: Networks, model: Path | None) -> list[MeasuredSession]:
-    """Return a session without networks and one with them, in the faster runtime."""
-    provider = networks.fastest
-    return [
-        MeasuredSession("classical", size, provider=provider),
-        MeasuredSession(networks.form, size, provider=provider, weights=model),
-    ]
-
-
-def _timing(times_ms: list[float]) -> Timing:
-    return Timing(min(times_ms), median(times_ms), len(times_ms))
-
-
-def _implementations(stage: BenchStage) -> list[tuple[str, Implementation]]:
-    """Return the implementations that the stage has, each with its kind."""
-    kinds = (("ours", stage.ours), ("reference", stage.reference), ("torch", stage.torch))
-    return [(kind, implementation) for kind, implementation in kinds if implementation is not None]
 
 
 def _volume_stage(grid: VolumeGrid, frame: Frame) -> BenchStage:
@@ -189,7 +168,6 @@ def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list
 
 
 def _march_stage(name: str, sglv: Sglv, size: RoomSize, *, far: Far, paper_ms: float | None = None) -> BenchStage:
-    """Time ray tracing at the engine's own step."""
     directions = panorama_directions(size.panorama_height).reshape(-1, 3)
     step_m = sglv.grid.edge_m
 
@@ -201,10 +179,8 @@ def _march_stage(name: str, sglv: Sglv, size: RoomSize, *, far: Far, paper_ms: f
 
     torch = None
     if plain_torch.torch_installed():
-        by_grid_sample = plain_torch.panorama_by_grid_sample(
-            sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far
-        )
-        torch = Implementation(by_grid_sample)
+        traced = plain_torch.panorama_by_grid_sample
+        torch = Implementation(traced(sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far))
     deviations = differences(ours, {"reference": reference, "torch": torch.run if torch else None})
     note = f"{len(directions)} rays, {size.samples} samples"
     return BenchStage(
@@ -219,10 +195,7 @@ def _march_stage(name: str, sglv: Sglv, size: RoomSize, *, far: Far, paper_ms: f
 
 
 def _mesh_stages(frame: Frame, size: RoomSize) -> list[BenchStage]:
-    def build() -> FrameMesh:
-        return FrameMesh(frame)
-
-    mesh = build()
+    mesh = FrameMesh(frame)
     position, height = np.asarray(PROBE), size.panorama_height
     seen = mesh.render_panorama(position, height=height)
     directions = panorama_directions(height).reshape(-1, 3)
@@ -240,7 +213,7 @@ def _mesh_stages(frame: Frame, size: RoomSize) -> list[BenchStage]:
         note=f"{rays} rays, {faces} triangles",
         differences=agreement,
     )
-    return [BenchStage("mesh building", Implementation(build), note="once per frame"), panorama]
+    return [BenchStage("mesh building", Implementation(lambda: FrameMesh(frame)), note="once per frame"), panorama]
 
 
 def _brute_force_depth(
@@ -279,10 +252,8 @@ def _fill_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
 
 def _first_panorama(frame: Frame, grid: VolumeGrid, size: RoomSize) -> tuple[PartialPanorama, PanoramaState]:
     """Return what one frame shows of the probe's surroundings, and the empty panorama that accumulates it."""
-    height = size.panorama_height
-    return FrameMesh(frame).render_panorama(np.asarray(PROBE), height=height), PanoramaState.fresh(
-        height, grid.depth_max_m
-    )
+    seen = FrameMesh(frame).render_panorama(np.asarray(PROBE), height=size.panorama_height)
+    return seen, PanoramaState.fresh(size.panorama_height, grid.depth_max_m)
 
 
 def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
@@ -321,13 +292,9 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchSt
     )
 
 
-def _ignore(_: str) -> None:
-    pass
-
-
-def _network_like(grid: VolumeGrid, surfaces: Sglv, *, seed: int = 0) -> Sglv:
+def _network_like(grid: VolumeGrid, surfaces: Sglv) -> Sglv:
     """Return a volume as a network predicts it: faint opacity and a lobe in every voxel, besides the surfaces."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     alpha = random.uniform(*_FAINT_ALPHA, grid.shape).astype(np.float32)
     alpha = np.maximum(alpha, np.minimum(surfaces.alpha, np.float32(0.9)))
     lobes = np.empty((*grid.shape, LOBE_CHANNELS), np.float32)
