@@ -104,7 +104,7 @@ def accepted(
     if seen.clipped is None or seen.guessed is None or kept.clipped is None or kept.guessed is None:
         return ruled
     # `roomlight.engine.panorama.blend.better_share`, of lower bounds of luminance
-    old, new = (_luminance(one.detach()) for one in (kept.radiance, seen.ldr))
+    old, new = (_luminance(light.detach()) for light in (kept.radiance, seen.ldr))
     old, new = old - kept.guessed, new - seen.guessed
     less = (kept.clipped - seen.clipped) / kept.clipped.clamp(min=1e-12)
     less = less.clamp(min=0) * (new >= old * (1 - float(NOISE) * kept.clipped))

@@ -56,6 +56,7 @@ def test_video_graphs_take_the_previous_state():
     graphs = {graph.name: graph for graph in graphs_of(VideoModel(CONFIG))}
     assert set(graphs) == SINGLE | VIDEO
     assert graphs["video_sg_decoder"].inputs["lobes_previous"] == (*SHAPE, 10)
+    assert {name for name in graphs if "unit" in graphs[name].inputs} == {"video_sg_encoder", "video_sg_decoder"}
     assert graphs["video_blend_encoder"].inputs == {"panels": (1, 13, 18, 36)}
     assert graphs["video_sg_gru"].inputs["h0"] == graphs["video_sg_gru"].outputs["h0_next"]
 

@@ -99,14 +99,6 @@ def test_training_reaches_the_exported_graphs(trained):
         torch.testing.assert_close(value, kept[name], rtol=1e-3, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_encoder_and_decoder_take_the_unit(trained):
-    _, folder = trained
-    graphs = load_graphs(folder, provider="cpu").graphs
-    named = {name for name, graph in graphs.items() if "unit" in graph.inputs}
-    assert named == {"video_sg_encoder", "video_sg_decoder"}
-
-
 def test_mean_colour_equals_its_twin():
     volume = room_volume(SHAPE, frame=3)
     expected = volume_networks.mean_colour(torch.from_numpy(volume))[0, :, 0, 0, 0].numpy()

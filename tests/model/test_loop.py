@@ -20,7 +20,7 @@ from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.training.clipping import ClippingBatch, ClippingOptions
 from roomlight_model.training.loop import Run, learning_rate
 from roomlight_model.training.run_folder import LAST, RunFolder
-from tiny_stages import logged
+from tiny_stages import VIEWS, WALKS, logged
 
 SMALL = ClippingOptions(steps=6, batch=2, learning_rate=0.005, seed=5, validate_steps=3)
 
@@ -271,14 +271,20 @@ def test_an_epoch_has_every_example_once():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("options", "change", "message"),
     [
-        ({"steps": 0}, "steps is 0; it must be 1 or more"),
-        ({"learning_rate": 0.0}, r"learning_rate is 0\.0; it must be above 0 to 1"),
-        ({"ema": 1.1}, r"ema is 1\.1; it must be 0 to 1"),
-        ({"seed": -1}, "seed is -1; it must be 0 or more"),
+        (SMALL, {"steps": 0}, "steps is 0; it must be 1 or more"),
+        (SMALL, {"learning_rate": 0.0}, r"learning_rate is 0\.0; it must be above 0 to 1"),
+        (SMALL, {"ema": 1.1}, r"ema is 1\.1; it must be 0 to 1"),
+        (SMALL, {"seed": -1}, "seed is -1; it must be 0 or more"),
+        (VIEWS, {"surround_max": -0.1}, r"surround_max is -0\.1; it must be 0 to 100"),
+        (VIEWS, {"volume_shape": (4, 30, 42)}, "volume_shape"),
+        (VIEWS, {"panorama_height": 61}, "panorama_height is 61; it must be even"),
+        (WALKS, {"frames": 1}, "frames is 1; it must be 2 or more"),
+        (WALKS, {"variants": 1}, "only video-blend has fixed 3D networks"),
+        (WALKS, {"revisits": 1.5}, r"revisits is 1\.5; it must be 0 to 1"),
     ],
 )
-def test_options_out_of_range_are_refused(change, message):
+def test_options_out_of_range_are_refused(options, change, message):
     with pytest.raises(OptionError, match=message):
-        replace(SMALL, **change)
+        replace(options, **change)

@@ -11,21 +11,12 @@ from roomlight.errors import ModelError
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 
 
-@pytest.mark.parametrize(
-    "config",
-    [
-        ModelConfig(),
-        ModelConfig(
-            SGConfig(volume_shape=(17, 14, 23), channels=8, full_channels=4),
-            BlendConfig(height=24, channels=4, full_channels=2),
-        ),
-    ],
-)
-def test_survives_json(config):
+def test_it_survives_json_and_missing_fields_take_defaults():
+    config = ModelConfig(
+        SGConfig(volume_shape=(17, 14, 23), channels=8, full_channels=4),
+        BlendConfig(height=24, channels=4, full_channels=2),
+    )
     assert ModelConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
-
-
-def test_missing_fields_take_defaults():
     assert ModelConfig.from_dict({"sg": {"channels": 16}}) == ModelConfig(sg=SGConfig(channels=16))
 
 

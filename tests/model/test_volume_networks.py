@@ -26,28 +26,23 @@ def _seeded():
     torch.manual_seed(3)
 
 
-def test_two_skips_at_half_and_an_eighth():
-    f0, f1 = SGEncoder(TINY)(volume(2))
-    assert f0.shape == (2, 8, 8, 7, 11)
-    assert f1.shape == (2, 32, 2, 1, 2)
-    assert f0.abs().max() <= 1
-    assert f1.abs().max() <= 1
-
-
 @pytest.mark.parametrize("recurrent", [False, True])
-def test_decoder_gives_the_renderers_layout(recurrent):
-    given = volume(2)
-    predicted = SGDecoder(TINY, recurrent=recurrent)(*SGEncoder(TINY)(given), given)
-    assert predicted.alpha.shape == (2, *SHAPE)
-    assert predicted.lobes.shape == (2, *SHAPE, 10)
+@pytest.mark.parametrize(("shape", "half", "eighth"), [(SHAPE, (8, 7, 11), (2, 1, 2)), ((16,) * 3, (8,) * 3, (2,) * 3)])
+def test_two_skips_and_the_renderers_layout(recurrent, shape, half, eighth):
+    """Also of another size than the configuration's: training begins at half resolution."""
+    given = volume(2, shape=shape)
+    f0, f1 = SGEncoder(TINY)(given)
+    assert (f0.shape, f1.shape) == ((2, 8, *half), (2, 32, *eighth))
+    assert max(f0.abs().max(), f1.abs().max()) <= 1
+    predicted = SGDecoder(TINY, recurrent=recurrent)(f0, f1, given)
+    assert (predicted.alpha.shape, predicted.lobes.shape) == ((2, *shape), (2, *shape, 10))
+    assert (predicted.update is not None) == recurrent
     if recurrent:
-        assert predicted.update.shape == (2, *SHAPE)
+        assert predicted.update.shape == (2, *shape)
         assert ((predicted.update > 0) & (predicted.update < 1)).all()
-    else:
-        assert predicted.update is None
 
 
-def test_voxels_that_the_depth_map_empties_are_cleared():
+def test_voxels_that_the_depth_map_empties_are_cleared_and_others_are_in_range():
     given = volume(2)
     predicted = SingleModel(CONFIG)(given)
     cleared = given[:, 4] == -1
@@ -55,13 +50,7 @@ def test_voxels_that_the_depth_map_empties_are_cleared():
     assert not predicted.alpha[cleared].any()
     assert not predicted.lobes[cleared].any()
     assert predicted.alpha[~cleared].all()
-
-
-def test_ranges():
-    given = volume()
-    predicted = SingleModel(CONFIG)(given)
-    kept = given[:, 4] == 0
-    lobes = predicted.lobes[kept]
+    lobes = predicted.lobes[~cleared]
     assert ((predicted.alpha >= 0) & (predicted.alpha <= 1)).all()
     assert (lobes[:, :6] >= 0).all()
     assert (lobes[:, 6] > 0).all()
@@ -148,12 +137,6 @@ def test_absurdly_bright_input_stays_finite():
     predicted = SingleModel(CONFIG)(given)
     assert torch.isfinite(predicted.lobes).all()
     assert predicted.lobes[..., :6].max() <= 22_027  # e^10: c + w still fits half precision
-
-
-def test_weights_fit_other_volume_sizes():
-    """Training begins at half resolution with the same weights."""
-    given = volume(shape=(16, 16, 24))
-    assert SingleModel(CONFIG)(given).alpha.shape == (1, 16, 16, 24)
 
 
 def test_every_voxel_depends_on_the_whole_volume():

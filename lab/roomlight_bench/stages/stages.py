@@ -93,8 +93,8 @@ def run_stages(
     product = np.empty_like(matrix)
     peak = Implementation(lambda: np.matmul(matrix, matrix, out=product))
     peak.run()
-    known = [one for stage in stages for one in (stage.ours, stage.reference, stage.torch) if one is not None]
-    multiplied, *timings = time_interleaved([peak, *known], repeats, progress=report)
+    every = [work for stage in stages for work in (stage.ours, stage.reference, stage.torch) if work is not None]
+    multiplied, *timings = time_interleaved([peak, *every], repeats, progress=report)
     timed = iter(timings)
     rows = [
         StageRow(

@@ -11,14 +11,16 @@ import pytest
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions
+from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import Estimator
-from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_predictions
+from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_engine, evaluate_predictions
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
+from rooms import BoxRoom, pan
 from written_captures import write_capture
 
 PROBES = ((0.0, 0.0, -1.0), (0.3, 0.1, -1.5))
@@ -100,6 +102,17 @@ def test_panoramas_are_resized_to_the_height_of_the_truth(tmp_path: Path) -> Non
     scores = evaluate_captures([capture_of(tmp_path / "room", frames=1)], lambda: [Oracle(height=48)])
     # 48 rows hold three equal ones for each of the 16: the solid-angle weighted mean of each three is the row itself
     assert values(scores, "oracle", "log_l2")[0] == pytest.approx((0.0,), abs=1e-9)
+
+
+def test_the_engine_is_scored_beside_both_baselines(tmp_path: Path) -> None:
+    room, point = BoxRoom(), (0.3, 1.2, -0.5)
+    probes = [(point, room.panorama(np.array(point), height=32)[0])]
+    capture = write_capture(tmp_path / "box", pan(room, 3, width=64, height=48, step_degrees=25.0), probes=probes)
+    scores = evaluate_engine([capture], SessionOptions(model="classical", height=32))
+    assert scores.methods == ("mean colour", "warp and fill", "classical")
+    assert json.dumps(scores.to_json()["tracks"]).count("null") == 0
+    # it sees the wall ahead of the probe; the mean colour does not
+    assert scores.means("classical", "log_l2")[-1].mean < scores.means("mean colour", "log_l2")[-1].mean
 
 
 def write_predictions(folder: Path, *, frames: range) -> None:
