@@ -11,7 +11,7 @@ from roomlight_model.training.recipe import RECIPES, read_recipe
 from roomlight_model.training.single_view import SingleViewOptions
 from roomlight_model.training.video import VideoOptions
 
-RENAMED = {"second_looks": "revisits"}
+RENAMED: dict[str, str] = {"second_looks": "revisits"}
 LATER = {"validate_steps", "held_out", "model"}
 """Not in the cards; as many as there were; the widths of the weights before."""
 SMALL = """
@@ -51,7 +51,7 @@ def test_the_shipped_recipes_follow_the_cards(form: str) -> None:
     assert recipe.ships[-1].partition("/")[0] == recipe.stages[-1].name
     assert cards(form)[-1].get("mean_of", 1) == len(recipe.ships)
     for stage, card in zip(recipe.stages, chain, strict=True):
-        stated = {RENAMED.get(name, name): value for name, value in card["options"].items()}
+        stated: dict[str, Any] = {RENAMED.get(str(name), str(name)): value for name, value in card["options"].items()}
         ours = stage.options.to_dict()
         compared = (set(stated) & set(ours)) - LATER
         assert {name: ours[name] for name in compared} == {name: stated[name] for name in compared}

@@ -1,7 +1,7 @@
 """The video stages: what they train, how they resume, what they start from, their data and validation."""
 
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -22,8 +22,9 @@ VIEW_STAGES = [pytest.param("single", part, marks=pytest.mark.slow) for part in 
 @pytest.mark.parametrize(("form", "part"), [*VIEW_STAGES, ("video", "sglv"), ("video", "blend"), ("video", "joint")])
 def test_a_stage_changes_only_its_own_networks(tmp_path, form, part):
     """Of single views too."""
-    options, stage_of = (VIEWS, view_stage) if form == "single" else (replace(WALKS, frames=2), video_stage)
-    run = Run(stage_of(replace(options, stage=f"{form}-{part}", steps=1, batch=1)), tmp_path / "run")
+    changes: dict[str, Any] = {"stage": f"{form}-{part}", "steps": 1, "batch": 1}
+    walks = replace(WALKS, frames=2, **changes)
+    run = Run(view_stage(replace(VIEWS, **changes)) if form == "single" else video_stage(walks), tmp_path / "run")
     before = {name: value.clone() for name, value in run.network.state_dict().items()}
     run.train()
     moved = {name.split(".")[0] for name, value in run.network.state_dict().items() if not value.equal(before[name])}
