@@ -11,6 +11,7 @@ import numpy as np
 from av.container import OutputContainer
 from av.video.stream import VideoStream
 from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
 
 from roomlight.camera import Intrinsics, check_rigid
 from roomlight.captures.formats.native import depth_to_png, encoded
@@ -77,25 +78,5 @@ def _add_stream(container: OutputContainer, camera: Intrinsics, frames_per_secon
 def _odometry_row(number: int, frame: RecordedFrame, frames_per_second: int) -> str:
     pose = check_rigid(frame.camera_to_world) @ OPENCV_TO_OPENGL  # its own inverse: OpenGL axes to OpenCV's
     time_s = number / frames_per_second if frame.timestamp_s is None else frame.timestamp_s
-    values = [*pose[:3, 3].tolist(), *quaternion_from_rotation(pose[:3, :3])]
+    values = [*pose[:3, 3].tolist(), *Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True).tolist()]
     return f"{time_s}, {number:06d}, " + ", ".join(f"{value:.9g}" for value in values)
-
-
-def quaternion_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> list[float]:
-    """Return the unit quaternion (x, y, z, w), w >= 0: the inverse of `camera.pose_from_quaternion`.
-
-    It is the eigenvector of the largest eigenvalue of a symmetric 4 x 4 matrix (Bar-Itzhack 2000), which has no
-    singular case.
-    """
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], 0, 0, 0],
-            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], 0, 0],
-            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], 0],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
-        ]
-    )
-    _, vectors = np.linalg.eigh(k)  # reads the lower triangle; eigenvalues ascend
-    quaternion = vectors[:, -1]
-    return (quaternion if quaternion[3] >= 0 else -quaternion).tolist()

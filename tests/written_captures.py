@@ -1,7 +1,10 @@
 """Captures on disk, written from frames: for the tests that replay, score and stream them."""
 
-from collections.abc import Iterable
+import json
+import shutil
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,4 +26,13 @@ def write_capture(folder: Path, frames: Iterable[Frame], *, probes: Iterable[tup
             )
         for position, panorama in probes:
             writer.add_probe(position, panorama)
+    return folder
+
+
+def edited_copy(capture: Path, folder: Path, edit: Callable[[dict[str, Any]], object]) -> Path:
+    """Copy a capture of RoomLight's own format; `edit` changes the values of its capture.json."""
+    shutil.copytree(capture, folder)
+    index = json.loads((folder / "capture.json").read_text())
+    edit(index)
+    (folder / "capture.json").write_text(json.dumps(index))
     return folder

@@ -19,6 +19,12 @@ from roomlight.notes import Note
 err = Console(stderr=True, highlight=False)
 out = Console(highlight=False)
 
+APP_OPTIONS: Final[dict[str, Any]] = {
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": "markdown",  # paragraphs flow to the terminal's width, and [brackets] are text
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+"""Options of every `typer.Typer` of the command line."""
 EXTRAS: Final = {"torch": "train", "onnx": "train", "onnxscript": "train", "tensorboard": "train"}
 """Which extra of the package installs a module that a command needs."""
 
@@ -26,15 +32,33 @@ EXTRAS: Final = {"torch": "train", "onnx": "train", "onnxscript": "train", "tens
 def print_notes(notes: Iterable[Note]) -> None:
     """Print what the files state and was left out, guessed or changed, a line each."""
     for note in notes:
-        err.print(f"[yellow]note:[/] {escape(str(note))}", soft_wrap=True)
+        remark("note:", str(note))
+
+
+def remark(word: str, text: str, console: Console = err) -> None:
+    """Print a line that begins with a yellow word: a note, a warning, what was skipped."""
+    console.print(f"[yellow]{word}[/] {escape(text)}", soft_wrap=True)
 
 
 @runtime_checkable  # the test run checks annotations with isinstance
 class Report(Protocol):
     """What a benchmark returns."""
 
+    def tables(self) -> list[Table]:
+        """Return the tables to print."""
+        ...
+
     def to_json(self) -> Any:
         """Return plain JSON values."""
+        ...
+
+
+@runtime_checkable
+class Scores(Protocol):
+    """What an evaluation returns."""
+
+    def write(self, path: Path) -> None:
+        """Write every score as JSON. Raises OutputError."""
         ...
 
 
@@ -105,8 +129,16 @@ def print_tables(*tables: RenderableType) -> None:
         print_table(out, table)
 
 
-def show_report(report: Report, json: Path | None, *tables: RenderableType) -> None:
+def show_report(report: Report, json: Path | None) -> None:
     """Print a benchmark's tables, and write its figures as JSON where a file is given. Raises OutputError."""
-    print_tables(*tables)
+    print_tables(*report.tables())
     if json:
         write_json(json, report.to_json())
+
+
+def show_scores(scores: Scores, json: Path | None, *tables: RenderableType) -> None:
+    """Print tables of scores, and write the scores as JSON where a file is given. Raises OutputError."""
+    print_tables(*tables)
+    if json:
+        scores.write(json)
+        say(f"Scores: {json}")

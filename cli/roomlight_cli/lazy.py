@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from roomlight_cli.app_options import APP_OPTIONS
+from roomlight_cli.console import APP_OPTIONS
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ import threading
 import webbrowser
 from collections.abc import Awaitable, Callable
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol, runtime_checkable
+from typing import Final
 
 from roomlight.captures import open_capture
 from roomlight.errors import RoomLightError
@@ -29,20 +28,8 @@ KEEP_S: Final = 1e6
 _DISPLAYS: Final = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 
 
-@runtime_checkable  # the test run checks annotations with isinstance
-class Browser(Protocol):
-    """What `webbrowser.get` returns."""
-
-    def open(self, url: str) -> bool:
-        """Open an address; return whether it worked."""
-        ...
-
-
-def find_browser() -> Browser | None:
-    """Return the default browser; None on a machine without a display.
-
-    Without a display, only browsers for the terminal could be left, and the page needs WebGL.
-    """
+def find_browser() -> webbrowser.BaseBrowser | None:
+    """Return the default browser; None without a display, where those for the terminal lack the page's WebGL."""
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _DISPLAYS):
         return None
     try:
@@ -56,15 +43,7 @@ def page_is_built() -> bool:
     return "/" in page_files(page_folder())
 
 
-@dataclass(frozen=True)
-class Pace:
-    """Frames per second, and the function that waits; tests replace it."""
-
-    fps: float = FPS
-    sleep: Callable[[float], Awaitable[object]] = asyncio.sleep
-
-
-def run_live_demo(capture: Path, browser: Browser, *, port: int | None = None) -> None:
+def run_live_demo(capture: Path, browser: webbrowser.BaseBrowser, *, port: int | None = None) -> None:
     """Serve on this machine, open the page and stream a recording into it, until Ctrl-C.
 
     Args:
@@ -99,23 +78,29 @@ def _stream(capture: Path, address: str, token: str | None) -> None:
         say(f"All {frames} frames of the sample are in the light. Drag the spheres; the page stays until Ctrl-C.")
 
 
-async def stream_sample(capture: Path, address: str, token: str | None = None, pace: Pace | None = None) -> int:
-    """Stream a recording into the session `demo`, with its probes; return the number of frames.
+async def stream_sample(
+    capture: Path,
+    address: str,
+    token: str | None = None,
+    *,
+    sleep: Callable[[float], Awaitable[object]] = asyncio.sleep,
+) -> int:
+    """Stream a recording into the session `demo`, with its probes; return the number of frames. `sleep` waits seconds.
 
     Raises:
         RoomLightError: The server has stopped, or its session was deleted.
     """
-    pace, opened = pace or Pace(), open_capture(capture)
+    opened = open_capture(capture)
     async with AsyncClient(address, token=token) as client:
         while not await client.ready():
-            await pace.sleep(0.2)
+            await sleep(0.2)
         session = await client.open(SESSION, reference_exposure=1.0)
         for number, probe in enumerate(opened.probes, start=1):
             await session.track(f"probe-{number}", probe.position)
         loop, count = asyncio.get_running_loop(), 0
         began_s = loop.time()
         for frame in opened:
-            await pace.sleep(max(0.0, began_s + count / pace.fps - loop.time()))
+            await sleep(max(0.0, began_s + count / FPS - loop.time()))
             await session.push(frame, colour="jpeg")
             count += 1
     return count

@@ -30,8 +30,7 @@ from annotated_types import Ge, Le
 
 from roomlight.errors import OptionError, RoomLightError
 from roomlight.rules import Rule
-from roomlight_cli.app_options import APP_OPTIONS
-from roomlight_cli.console import fail, with_flags
+from roomlight_cli.console import APP_OPTIONS, fail, with_flags
 
 _UNIT: Final = re.compile(r"_(m|deg|degrees)$")
 _REQUIRED: Final = inspect.Parameter.empty

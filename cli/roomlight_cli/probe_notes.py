@@ -1,4 +1,4 @@
-"""Notes that commands print beside a probe whose light is mostly a guess."""
+"""Words that commands print: numbers, and notes beside a probe whose light is mostly a guess."""
 
 from typing import Final
 
@@ -12,6 +12,11 @@ def position_text(position: Position) -> str:
     """Format a position as (x, y, z) m, with centimetres."""
     x, y, z = position
     return f"({x:.2f}, {y:.2f}, {z:.2f}) m"
+
+
+def counted(number: int, noun: str) -> str:
+    """Format a number of things: "1 frame", "2 frames"."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def percent(share: float) -> str:

@@ -54,15 +54,21 @@ class Progress:
 
     def say(self, text: str) -> None:
         """Set what is being done."""
-        self._show(text, self._done, self._total)
+        self.count_of(text, self._done, self._total)
 
     def count(self, done: int, total: int) -> None:
         """Set how much is done, and of how much."""
-        self._show(self._text, done, total)
+        self.count_of(self._text, done, total)
 
-    def count_of(self, name: str, done: int, total: int) -> None:
+    def count_of(self, text: str, done: int, total: int | None) -> None:
         """Set what is being done, how much of it is done, and of how much."""
-        self._show(name, done, total)
+        if text != self._first[0] or not self._total:
+            self._first = text, done, time.monotonic()
+            if self._bars and total:  # what was done before is not of the pace
+                self._bars.reset(self._task, completed=done, total=total)
+        self._text, self._done, self._total = text, done, total
+        if self._bars:
+            self._bars.update(self._task, description=escape(text), completed=done, total=total)
 
     def line(self) -> str:
         """Return the state as a line: what, how much, for how long, and how long it will take at this pace."""
@@ -72,15 +78,6 @@ class Progress:
         if self._total and first < self._done < self._total:
             left = f", {duration((now_s - first_s) / (self._done - first) * (self._total - self._done))} left"
         return f"{self._text}{count}, {duration(now_s - self._began_s)}{left}"
-
-    def _show(self, text: str, done: int, total: int | None) -> None:
-        if text != self._first[0] or not self._total:
-            self._first = text, done, time.monotonic()
-            if self._bars and total:  # what was done before is not of the pace
-                self._bars.reset(self._task, completed=done, total=total)
-        self._text, self._done, self._total = text, done, total
-        if self._bars:
-            self._bars.update(self._task, description=escape(text), completed=done, total=total)
 
     def _print_lines(self) -> None:
         while not self._ended.wait(LINE_EVERY_S):

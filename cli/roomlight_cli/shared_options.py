@@ -3,9 +3,13 @@
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
+from rich.markup import escape
+
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError
+from roomlight_cli.console import err
 from roomlight_cli.options import Check, Flag, Without
+from roomlight_cli.probe_notes import counted
 from roomlight_client import RecoveryEvent
 
 POINTS: Final = "Where to light"
@@ -49,13 +53,17 @@ ScoredNetworks = Annotated[SessionOptions, Without("model", "hedge", "keyframes"
 """How to estimate light where the command chooses the models."""
 
 
+def print_recovery(event: RecoveryEvent) -> None:
+    """Say on the terminal that a server is away, or that it is back."""
+    err.print(f"[yellow]{escape(recovery_line(event))}[/]", soft_wrap=True)
+
+
 def recovery_line(event: RecoveryEvent) -> str:
     """Return what the terminal says about a server that is away, or that is back."""
     if event.state == "waiting":
         return f"the server is away; waiting for it ({event.error})"
     again = "the server is back"
     again += ": it had lost the session, which was opened again" if event.reopened else " with the session"
-    frames = f"{event.resent} frame" + ("" if event.resent == 1 else "s")
-    again += f"; {frames} sent again" if event.resent else ""
+    again += f"; {counted(event.resent, 'frame')} sent again" if event.resent else ""
     lost = "; older frames are lost: the light differs from one without the interruption"
     return again + (lost if event.incomplete else "")

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Final
 
-import numpy as np
 from annotated_types import Ge, Interval
 
 from roomlight.captures import CaptureOptions, open_capture
@@ -166,11 +165,6 @@ class Tally:
         return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 and recent[-1] > recent[0] else 0.0
 
 
-def percentile_ms(values: list[float], share: float) -> float | None:
-    """Return the latency that this share of the answers stays under; None without any answer."""
-    return float(np.percentile(values, 100 * share)) if values else None
-
-
 @dataclass(frozen=True)
 class Clock:
     """The time in seconds, and sleeping; tests replace it by virtual time."""
@@ -213,7 +207,7 @@ async def stream(
         if not options.keep:
             await stack.enter_async_context(session)
         tally.session_id, tally.model = session.id, session.model
-        player = _Player(session, options, tally, show or _ignore, clock or Clock())
+        player = _Player(session, options, tally, show or (lambda _: None), clock or Clock())
         try:
             await player.play(path)
         except ExceptionGroup as group:  # a task group's: the first error cancelled the other tasks
@@ -280,9 +274,7 @@ class _Player:
             result = await self._session.push(frame, index, colour=self._options.colour, retry="without answer")
         except BusyError:
             tally.busy += 1
-        except WireError as error:
-            tally.refuse(f"{frame.source}: {error}")
-        except InvalidError as error:
+        except (WireError, InvalidError) as error:
             tally.refuse(f"{frame.source}: {error}")
         except ConflictError as error:
             if error.kind != "frame-conflict":
@@ -318,7 +310,3 @@ def _seconds_since(first: Frame, frame: Frame, otherwise_s: float) -> float:
     if first.timestamp_s is None or frame.timestamp_s is None:
         return otherwise_s
     return max(0.0, frame.timestamp_s - first.timestamp_s)
-
-
-def _ignore(_: Tally) -> None:
-    return None

@@ -49,7 +49,7 @@ def train_recipe(
         DatasetError: A dataset is missing and cannot be generated.
         ModelError: The weights or a run's folder do not fit the options.
     """
-    chosen = torch.device(choose_device(device))
+    chosen = _choose_device(device)
     _keep_freed_memory()
     cv2.setNumThreads(1)  # examples are made on the loop's own threads already
     wanted = {name: _generation(recipe, name, data) for name in recipe.data}
@@ -123,11 +123,7 @@ def _train_stage(
 
 
 def _start_path(recipe: Recipe, stage: StageRecipe, out: Path) -> Path | None:
-    """Return where a stage's weights start, checked before any work.
-
-    Raises:
-        OptionError: There is no such stage, shipped network or file.
-    """
+    """Return where a stage's weights start; refuse what is not there before any work."""
     if stage.start_from is None:
         return None
     name, _, rest = stage.start_from.partition("/")
@@ -143,11 +139,7 @@ def _start_path(recipe: Recipe, stage: StageRecipe, out: Path) -> Path | None:
 
 
 def _generation(recipe: Recipe, name: str, data: Path) -> GenerateOptions | None:
-    """Return the options that generate a dataset of the recipe; None if it states none.
-
-    Raises:
-        OptionError: An option is unknown, of the wrong type or out of range.
-    """
+    """Return the options that generate a dataset of the recipe; None if it states none."""
     values, where = recipe.data[name], f"{recipe.path}: data {name}"
     if not values:
         return None
@@ -159,11 +151,7 @@ def _generation(recipe: Recipe, name: str, data: Path) -> GenerateOptions | None
 
 
 def _complete_dataset(folder: Path, options: GenerateOptions | None, console: Console) -> None:
-    """Generate a dataset, or the rest of it; a dataset with enough sequences is used as it is.
-
-    Raises:
-        DatasetError: It is missing and the recipe states no options, or the generator fails.
-    """
+    """Generate a dataset, or the rest of it; a dataset with enough sequences is used as it is."""
     if (folder / MANIFEST).exists() and (options is None or len(Dataset(folder, "train")) >= options.sequences):
         return
     if options is None:
@@ -173,20 +161,15 @@ def _complete_dataset(folder: Path, options: GenerateOptions | None, console: Co
         generate(folder, options, progress=show_generation(progress))
 
 
-def choose_device(device: str) -> str:
-    """Resolve `auto` to cuda or cpu. Raises OptionError for cuda on a machine without a GPU."""
-    if device == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    if device == "cuda" and not torch.cuda.is_available():
+def _choose_device(device: str) -> torch.device:
+    available = torch.cuda.is_available()
+    if device == "cuda" and not available:
         raise OptionError("device is 'cuda', but PyTorch finds no GPU; use 'cpu'")
-    return device
+    return torch.device("cuda" if device != "cpu" and available else "cpu")
 
 
 def _keep_freed_memory() -> None:
-    """Have the C library (glibc) keep freed buffers for the next step.
-
-    Otherwise it returns them to the system, which clears every page again.
-    """
+    """Have the C library (glibc) keep freed buffers: the system would clear every page of them again."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, 32 << 20)  # glibc's maximum; a step's largest buffers are 7 MB

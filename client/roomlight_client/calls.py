@@ -53,6 +53,9 @@ DEFAULT_FORMS: Final[tuple[LightFormat | LightForm, ...]] = (
 )
 """Forms of `light_at` by default: both panoramas exactly as the engine has them, harmonics, the main light."""
 
+PERMANENT: Final = (httpx.UnsupportedProtocol, httpx.LocalProtocolError, httpx.DecodingError)
+"""Failures that another attempt would meet too."""
+
 FRAME_MEDIA_TYPE: Final = "application/vnd.roomlight.frame"
 
 SESSION_HEADER: Final = "X-Session-Id"
@@ -120,8 +123,7 @@ class Attempt(Generic[T]):
             UnreachableError: If no attempt is left.
         """
         self._made += 1
-        permanent = isinstance(error, httpx.UnsupportedProtocol | httpx.LocalProtocolError | httpx.DecodingError)
-        delay_s = None if permanent else self._retry.delay_s(self._made, jitter=_waiting.jitter())
+        delay_s = None if isinstance(error, PERMANENT) else self._retry.delay_s(self._made, jitter=_waiting.jitter())
         if delay_s is not None:
             return delay_s
         attempts = f"{self._made} attempts" if self._made > 1 else "one attempt"
@@ -133,11 +135,7 @@ class Attempt(Generic[T]):
 
 
 def client_arguments(url: str, *, token: str | None, timeouts: Timeouts) -> dict[str, Any]:
-    """Return the arguments of httpx's client.
-
-    Raises:
-        OptionError: If the address or the token is invalid.
-    """
+    """Return the arguments of httpx's client. Raises OptionError if the address or the token is invalid."""
     try:
         parts = urlsplit(url)
         host = parts.hostname if parts.port != 0 else None
@@ -195,11 +193,6 @@ def delete_object(object_id: str) -> Call[None]:
     return Call("DELETE", f"/v1/objects/{object_id}", _ignore_body, expected=frozenset({404}))
 
 
-def new_session_id() -> str:
-    """Return an id of 128 random bits, which is unique and cannot be guessed."""
-    return secrets.token_hex(16)
-
-
 class SessionCalls:
     """The calls of one session, and the index of its next frame.
 
@@ -208,7 +201,7 @@ class SessionCalls:
     """
 
     def __init__(self, session_id: str | None = None) -> None:
-        self.session_id = new_session_id() if session_id is None else session_id
+        self.session_id = secrets.token_hex(16) if session_id is None else session_id  # unique, and not to be guessed
         _check_id(self.session_id, "session_id")
         self.next_index = 0
 
@@ -240,11 +233,7 @@ class SessionCalls:
         return self._call("DELETE", "", _ignore_body, expected=frozenset({404, 410}))
 
     def push(self, frame: Frame | CameraFrame, index: int, *, colour: FrameEncoding, wait: bool) -> Call[FrameResult]:
-        """Send a frame.
-
-        Raises:
-            WireError: If the frame is invalid: no server would accept it.
-        """
+        """Send a frame. Raises WireError if the frame is invalid: no server would accept it."""
         body = pack_camera_frame(frame) if isinstance(frame, CameraFrame) else pack_frame(frame, colour=colour)
         return self.frame(index, _with_index(body, index), wait=wait)
 
@@ -310,11 +299,7 @@ class SessionCalls:
         return self._call("PUT", f"/probes/{name}", _ignore_body, json=ProbeBody(position=_floats(position)))
 
     def untrack(self, name: str) -> Call[None]:
-        """Stop tracking a point.
-
-        Raises:
-            OptionError: If the name is invalid.
-        """
+        """Stop tracking a point. Raises OptionError if the name is invalid."""
         _check_id(name, "name")
         return self._call("DELETE", f"/probes/{name}", _ignore_body, expected=frozenset({404}))
 
@@ -350,11 +335,7 @@ def light_request(probes: Sequence[PositionOrName], forms: Sequence[LightFormat 
 
 
 def as_form(form: LightFormat | LightForm) -> LightForm:
-    """Return the form of a format's name, or the form itself.
-
-    Raises:
-        WireError: If there is no such format.
-    """
+    """Return the form of a format's name, or the form itself. Raises WireError if there is no such format."""
     try:
         return form if isinstance(form, LightForm) else LightForm(format=form)
     except ValidationError as error:
@@ -362,11 +343,7 @@ def as_form(form: LightFormat | LightForm) -> LightForm:
 
 
 def session_request(**options: Any) -> SessionRequest:
-    """Return the request that opens a session.
-
-    Raises:
-        WireError: If an option is invalid; with field, value and rule.
-    """
+    """Return the request that opens a session. Raises WireError if an option is invalid; with field, value and rule."""
     try:
         return SessionRequest.model_validate(options)
     except ValidationError as error:

@@ -43,11 +43,7 @@ class CompositeFile:
 def composite_request(
     objects: Sequence[CompositeObject | dict[str, Any]], *, quality: str, picture_format: str
 ) -> CompositeRequest:
-    """Return the request for a composite.
-
-    Raises:
-        WireError: A field is invalid; with field, value and rule.
-    """
+    """Return the request for a composite. Raises WireError if a field is invalid; with field, value and rule."""
     listed = [item.model_dump(exclude_none=True) if isinstance(item, CompositeObject) else item for item in objects]
     try:
         text = json.dumps({"objects": listed, "quality": quality, "format": picture_format})
@@ -59,11 +55,7 @@ def composite_request(
 
 
 def parse_composite(body: bytes, headers: Any) -> CompositeFile:
-    """Return the composite of a response.
-
-    Raises:
-        BadReplyError: The headers are malformed.
-    """
+    """Return the composite of a response. Raises BadReplyError if the headers are malformed."""
     try:
         frame, poses = int(headers[FRAME_HEADER]), json.loads(headers[POSES_HEADER])
     except (KeyError, ValueError) as error:

@@ -116,11 +116,7 @@ class ReceivedForms:
 
 
 def parse_lights(body: bytes, media_type: str) -> list[Light]:
-    """Parse the lights of a response, binary or JSON.
-
-    Raises:
-        BadReplyError: the response is malformed.
-    """
+    """Parse the lights of a response, binary or JSON. Raises BadReplyError if the response is malformed."""
     try:
         if media_type.partition(";")[0].strip() == MEDIA_TYPE:
             response, parts = parse_light(body, LightResponse)

@@ -106,14 +106,6 @@ class FrameBuffer:
             self._forgotten_top = max(self._forgotten_top, frame.index)
 
 
-@dataclass(frozen=True)
-class ProbeChanges:
-    """Points that a session lacks, and names that it has too much."""
-
-    track: dict[str, Position]
-    untrack: tuple[str, ...]
-
-
 class SessionMemory:
     """The memory of one session.
 
@@ -148,10 +140,10 @@ class SessionMemory:
         self.probes.pop(name, None)
         self._untracked.add(name)
 
-    def probe_changes(self, state: SessionState) -> ProbeChanges:
-        """Return what differs between this client's points and those of the session."""
+    def probe_changes(self, state: SessionState) -> tuple[dict[str, Position], tuple[str, ...]]:
+        """Return the points that the session lacks, and the names that it has too much."""
         wanted = {name: tuple(float(value) for value in position) for name, position in self.probes.items()}
         missing = {name: self.probes[name] for name, at in wanted.items() if tuple(state.probes.get(name, ())) != at}
         unwanted = tuple(name for name in self._untracked if name in state.probes)
         self._untracked.clear()
-        return ProbeChanges(missing, unwanted)
+        return missing, unwanted

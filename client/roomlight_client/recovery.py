@@ -9,18 +9,15 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeVar
 
-import httpx
-
 from roomlight.wire.messages import FrameResult, SessionState
 from roomlight_client import _waiting
-from roomlight_client.calls import Call, SessionCalls
+from roomlight_client.calls import PERMANENT, Call, SessionCalls
 from roomlight_client.errors import BusyError, GoneError, RefusedError, RemoteError, UnreachableError
 from roomlight_client.memory import SessionMemory
 from roomlight_client.retry import NO_RETRY, Retry
 
 T = TypeVar("T")
 _LOST_KINDS: Final = ("", "blank", "stopping", "session-moved")
-_PERMANENT: Final = (httpx.UnsupportedProtocol, httpx.LocalProtocolError, httpx.DecodingError)
 
 
 @dataclass(frozen=True)
@@ -189,10 +186,10 @@ class Recovery:
     def _restore(self) -> Steps[None]:
         """Bring the session up to date."""
         resumed = yield from self.resume(reopen=self.memory.can_reopen)
-        changes = self.memory.probe_changes(resumed.state)
-        for name in changes.untrack:
+        missing, unwanted = self.memory.probe_changes(resumed.state)
+        for name in unwanted:
             yield Send(self._calls.untrack(name))
-        for name, position in changes.track.items():
+        for name, position in missing.items():
             yield Send(self._calls.track(name, position))
         last = resumed.state.frames.last_index
         lost = [frame for frame in self.memory.frames if frame.state == "done" and (last is None or frame.index > last)]
@@ -230,7 +227,7 @@ class Recovery:
 def is_server_lost(error: RemoteError) -> bool:
     """Return whether there was no answer, or only that of a proxy whose server is away, or of a server before."""
     if isinstance(error, UnreachableError):
-        return not isinstance(error.__cause__, _PERMANENT)
+        return not isinstance(error.__cause__, PERMANENT)
     if not isinstance(error, RefusedError):
         return False
     return error.status in (502, 504) or (error.status == 503 and error.kind in _LOST_KINDS)

@@ -321,11 +321,11 @@ class AsyncStream:
             elif frame.state == "sent":
                 frame.state = "done"
                 self._resolve(f"frame {frame.index}", _outcome_lost(frame.index))
-        changes = self._memory.probe_changes(state)
-        self._outbox.extend(Untrack(type="untrack", name=name) for name in changes.untrack)
+        missing, unwanted = self._memory.probe_changes(state)
+        self._outbox.extend(Untrack(type="untrack", name=name) for name in unwanted)
         self._outbox.extend(
             Track(type="track", name=name, position=[float(value) for value in position])
-            for name, position in changes.track.items()
+            for name, position in missing.items()
         )
         if self._memory.forms:
             self._outbox.append(Subscribe(type="subscribe", forms=list(self._memory.forms)))

@@ -73,11 +73,7 @@ class StreamLink:
 
 
 async def open_socket(link: StreamLink) -> ClientConnection:
-    """Connect to the session's WebSocket.
-
-    Raises:
-        RemoteError: If the server refuses or does not respond.
-    """
+    """Connect to the session's WebSocket. Raises RemoteError if the server refuses or does not respond."""
     options = link.options
     headers = {SESSION_HEADER: link.calls.session_id}
     if options.token is not None:

@@ -1,11 +1,11 @@
 """`roomlight demo` with and without a browser, and `roomlight serve --lan` as it is printed."""
 
 import asyncio
-import json
 import logging
-import shutil
+import webbrowser
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock, call
 
 import pytest
 from command_runner import RunCommand
@@ -16,85 +16,62 @@ from roomlight_cli import live_demo
 from roomlight_cli.commands import demo as demo_command
 from roomlight_cli.commands import serve as serve_command
 from roomlight_server.transport.lan import ensure_token
+from written_captures import edited_copy
 
 
-class FakeBrowser:
+class FakeBrowser(webbrowser.BaseBrowser):
     def __init__(self, opens: bool = True) -> None:
+        super().__init__()
         self.opened: list[str] = []
         self._opens = opens
 
-    def open(self, url: str) -> bool:
+    def open(self, url: str, new: int = 0, autoraise: bool = True) -> bool:
+        del new, autoraise
         self.opened.append(url)
         return self._opens
 
 
-@pytest.fixture
-def written(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """Folders that the demo wrote pictures to."""
-    folders: list[Path] = []
-    monkeypatch.setattr(demo_command, "write_pictures", lambda _, out: folders.append(out))
-    return folders
-
-
-@pytest.fixture
-def shown(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
-    """Calls of the live demo."""
-    calls: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(
-        demo_command, "run_live_demo", lambda capture, browser, *, port: calls.append((capture, browser, port))
-    )
-    return calls
-
-
-def use_browser(monkeypatch: pytest.MonkeyPatch, browser: object, *, built: bool = True) -> None:
-    monkeypatch.setattr(demo_command, "find_browser", lambda: browser)
-    monkeypatch.setattr(demo_command, "page_is_built", lambda: built)
-
-
-def test_the_demo_opens_the_page_in_the_browser(monkeypatch, roomlight: RunCommand, written, shown):
-    browser = FakeBrowser()
-    use_browser(monkeypatch, browser)
-    assert roomlight("demo", "--port", "0").code == 0
-    assert shown == [(sample_capture(), browser, 0)]
-    assert written == []
+BROWSER = FakeBrowser()
 
 
 @pytest.mark.parametrize(
-    ("arguments", "folder"),
-    [(("--no-browser",), "roomlight-demo"), (("--out", "there"), "there"), (("--no-browser", "--out", "a"), "a")],
+    ("arguments", "browser", "built", "folder", "said"),
+    [
+        ("--port 0", BROWSER, True, None, ""),
+        ("--no-browser", BROWSER, True, "roomlight-demo", ""),
+        ("--out there", BROWSER, True, "there", ""),
+        ("--no-browser --out a", BROWSER, True, "a", ""),
+        ("", None, True, "roomlight-demo", "No browser for the live page here: writing pictures to roomlight-demo"),
+        ("", BROWSER, False, "roomlight-demo", "No browser for the live page here: writing pictures to roomlight-demo"),
+    ],
 )
-def test_the_demo_writes_pictures_on_request(monkeypatch, roomlight: RunCommand, written, shown, arguments, folder):
-    use_browser(monkeypatch, FakeBrowser())
-    result = roomlight("demo", *arguments)
-    assert (result.code, result.out, shown, written) == (0, "", [], [Path(folder)])
+def test_the_demo_opens_the_page_or_writes_pictures(
+    monkeypatch, roomlight: RunCommand, arguments, browser, built, folder, said
+):
+    live, pictures = Mock(), Mock()
+    monkeypatch.setattr(demo_command, "run_live_demo", live)
+    monkeypatch.setattr(demo_command, "write_pictures", pictures)
+    monkeypatch.setattr(demo_command, "find_browser", lambda: browser)
+    monkeypatch.setattr(demo_command, "page_is_built", lambda: built)
+    result = roomlight("demo", *arguments.split())
+    assert result.code == 0
+    assert result.out.startswith(said)
+    assert result.out.count("\n") == (1 if said else 0)
+    sample = sample_capture()
+    assert live.mock_calls == ([call(sample, browser, port=0)] if folder is None else [])
+    assert pictures.mock_calls == ([] if folder is None else [call(sample, Path(folder))])
 
 
-@pytest.mark.parametrize(("browser", "built"), [(None, True), (FakeBrowser(), False)])
-def test_the_demo_without_a_browser_says_so(monkeypatch, roomlight: RunCommand, written, shown, browser, built):
-    use_browser(monkeypatch, browser, built=built)
-    result = roomlight("demo")
-    (line,) = result.out.strip().splitlines()
-    assert line.startswith("No browser for the live page here: writing pictures to roomlight-demo")
-    assert (shown, written) == ([], [Path("roomlight-demo")])
-
-
-def test_no_browser_is_found_without_a_display(monkeypatch):
-    """Only browsers for the terminal could be left."""
+def test_a_browser_needs_a_display(monkeypatch):
+    """Without one, only browsers for the terminal could be left."""
     monkeypatch.setattr(live_demo.sys, "platform", "linux")
-    monkeypatch.setattr(live_demo.webbrowser, "get", FakeBrowser)
+    monkeypatch.setattr(webbrowser, "get", FakeBrowser)
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
         monkeypatch.delenv(name, raising=False)
     assert live_demo.find_browser() is None
     monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
     assert isinstance(live_demo.find_browser(), FakeBrowser)
-
-
-def test_a_display_without_a_browser_is_none(monkeypatch):
-    def fail() -> None:
-        raise live_demo.webbrowser.Error("could not locate runnable browser")
-
-    monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(live_demo.webbrowser, "get", fail)
+    monkeypatch.setattr(webbrowser, "get", Mock(side_effect=webbrowser.Error("could not locate runnable browser")))
     assert live_demo.find_browser() is None
 
 
@@ -132,11 +109,7 @@ def test_the_live_demo_serves_and_streams(monkeypatch, capsys, opens, lines):
 
 @pytest.mark.slow
 def test_the_sample_is_streamed_with_its_probes(tmp_path: Path):
-    folder = tmp_path / "sample"
-    shutil.copytree(sample_capture(), folder)
-    index = json.loads((folder / "capture.json").read_text())
-    index["frames"] = index["frames"][:3]
-    (folder / "capture.json").write_text(json.dumps(index))
+    folder = edited_copy(sample_capture(), tmp_path / "sample", lambda index: index.update(frames=index["frames"][:3]))
     waits: list[float] = []
 
     async def sleep(seconds: float) -> None:
@@ -145,7 +118,7 @@ def test_the_sample_is_streamed_with_its_probes(tmp_path: Path):
 
     with RunningServer() as server:
         address = f"http://127.0.0.1:{server.port}"
-        assert asyncio.run(live_demo.stream_sample(folder, address, pace=live_demo.Pace(3.0, sleep))) == 3
+        assert asyncio.run(live_demo.stream_sample(folder, address, sleep=sleep)) == 3
         state = server.state(live_demo.SESSION)
         entries = server.call("GET", f"/v1/sessions/{live_demo.SESSION}/history").json["entries"]
     assert state["frames"]["processed"] == 3

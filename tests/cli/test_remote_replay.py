@@ -1,7 +1,7 @@
 """A replay through a server over a real socket writes the very bytes that one by the engine here writes."""
 
 import json
-import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,11 +16,11 @@ from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, OutputError, WireError
 from roomlight.images import write_exr, write_png
-from roomlight_cli.replays.remote_replay import replay_through
 from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
 from stray_captures import RecordedFrame, write_stray_scanner
+from written_captures import edited_copy
 
 pytestmark = pytest.mark.usefixtures("small_pictures", "no_pictures")
 ROOM = BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3))
@@ -86,21 +86,24 @@ def lasting(report: dict) -> dict:
     return kept
 
 
+def replay_both(capture: Path, url: str, out: Path, options: ReplayOptions, remote: ReplayOptions | None = None):
+    """Replay here and through a server, into `here` and `there`; check that the panoramas are the same."""
+    here = replay(capture, out / "here", options)
+    there = replay(capture, out / "there", replace(remote or options, server=url))
+    assert panoramas(out / "there") == panoramas(out / "here") != {}
+    return here, there
+
+
 @pytest.mark.usefixtures("pictures")
 def test_files_are_the_same_as_those_of_a_local_replay(native, server, tmp_path):
-    options = ReplayOptions(session=SMALL, probes=PROBES)
-    here = replay(native, tmp_path / "here", options)
-    there = replay_through(server, native, tmp_path / "there", options)
-    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
-    assert len(panoramas(tmp_path / "here")) == 2 * len(here.report["frames"]) > 3
-    assert lasting(there.report) == lasting(here.report)
-    assert there.report["stage_ms_median"].keys() == here.report["stage_ms_median"].keys()
+    here, there = replay_both(native, server, tmp_path, ReplayOptions(session=SMALL, probes=PROBES))
+    assert len(panoramas(tmp_path / "here")) == 2 * len(here["frames"]) > 3
+    assert lasting(there) == lasting(here)
+    assert there["stage_ms_median"].keys() == here["stage_ms_median"].keys()
     assert (tmp_path / "there" / "replay.mp4").read_bytes() == (tmp_path / "here" / "replay.mp4").read_bytes()
-    sheets = [cv2.imread(str(tmp_path / place / "summary.png")) for place in ("here", "there")]
-    assert sheets[0] is not None
-    assert sheets[1] is not None
+    sheets = [present(cv2.imread(str(tmp_path / place / "summary.png"))) for place in ("here", "there")]
     # the frame at the top left has spheres only where the engine is, and `observed` comes in steps of 1/255
-    lower = [sheet.astype(int)[sheet.shape[0] // 2 :] for sheet in sheets if sheet is not None]
+    lower = [sheet.astype(int)[sheet.shape[0] // 2 :] for sheet in sheets]
     assert np.abs(lower[0] - lower[1]).max() <= 1
 
 
@@ -108,89 +111,71 @@ def test_files_are_the_same_as_those_of_a_local_replay(native, server, tmp_path)
 @pytest.mark.parametrize("model", ["video", "single"])
 def test_networks_give_the_same_files(native, tiny_video, model, tmp_path):
     """The server has the weights; the remote replay names the model only."""
-    weights = {"weights": tiny_video[1]}
-    here = replay(
-        native,
-        tmp_path / "here",
-        ReplayOptions(session=SessionOptions(model=model, height=32, **weights), probes=PROBES),
-    )
-    remote = ReplayOptions(session=SessionOptions(model=model, height=32), probes=PROBES)
-    with RunningServer(model="video", **weights) as running:
-        there = replay_through(f"http://127.0.0.1:{running.port}", native, tmp_path / "there", remote)
-    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
-    assert len(panoramas(tmp_path / "here")) == 2 * len(here.report["frames"]) > 3
-    assert lasting(there.report)["frames"] == lasting(here.report)["frames"]
-    assert there.report["model"] == here.report["model"] == model
+    weights = tiny_video[1]
+    options = ReplayOptions(session=SessionOptions(model=model, height=32, weights=weights), probes=PROBES)
+    remote = replace(options, session=SessionOptions(model=model, height=32))
+    with RunningServer(model="video", weights=weights) as running:
+        here, there = replay_both(native, f"http://127.0.0.1:{running.port}", tmp_path, options, remote)
+    assert lasting(there) == lasting(here)
+    assert here["model"] == model
 
 
 def test_video_captures_give_the_same_files(video, server, tmp_path):
-    options = ReplayOptions(session=SMALL, probes=PROBES[:1])
-    replay(video, tmp_path / "here", options)
-    replay_through(server, video, tmp_path / "there", options)
-    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
+    replay_both(video, server, tmp_path, ReplayOptions(session=SMALL, probes=PROBES[:1]))
     assert len(panoramas(tmp_path / "here")) == 2
 
 
 def test_interpolation_and_the_default_probe_are_the_same(native, server, tmp_path):
-    options = ReplayOptions(session=SMALL, every=2, interpolate=True)
-    here = replay(native, tmp_path / "here", options)
-    there = replay_through(server, native, tmp_path / "there", options)
-    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
-    assert there.report["interpolated"] == here.report["interpolated"] > 0
-    assert there.report["probes"] == here.report["probes"]
+    here, there = replay_both(native, server, tmp_path, ReplayOptions(session=SMALL, every=2, interpolate=True))
+    assert lasting(there) == lasting(here)
+    assert here["interpolated"] > 0
 
 
 def test_frames_without_depth_at_working_size_are_alike(native, server, tmp_path):
     """Known depth only in a column that sampling leaves out: no session starts with it, one that runs takes it."""
-    odd = tmp_path / "odd"
-    shutil.copytree(native, odd)
-    index = json.loads((odd / "capture.json").read_text())
+    odd = edited_copy(native, tmp_path / "odd", lambda _: None)
     left_out = sorted(set(range(340)) - {int((column + 0.5) * 340 / 320) for column in range(320)})
-    for number in (0, 2):
-        depth = odd / index["frames"][number]["depth"]
+    for depth in (odd / "depth" / "000000.png", odd / "depth" / "000002.png"):
         millimetres = present(cv2.imread(str(depth), cv2.IMREAD_UNCHANGED))
         millimetres[:, sorted(set(range(340)) - {left_out[5]})] = 0
         write_png(depth, millimetres)
-    options = ReplayOptions(session=SMALL, probes=PROBES[:1])
-    here = replay(odd, tmp_path / "here", options).report
-    there = replay_through(server, odd, tmp_path / "there", options).report
-    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
-    assert [frame["index"] for frame in there["frames"]] == [1, 2]
-    for report in (here, there):
-        assert sorted(skipped["index"] for skipped in report["skipped"]) == [0, 3]
-        assert all(
-            Path(skipped["file"]).name in skipped["reason"] for skipped in report["skipped"] if skipped["index"] == 0
-        )
+    reports = replay_both(odd, server, tmp_path, ReplayOptions(session=SMALL, probes=PROBES[:1]))
+    for report in reports:
+        assert [frame["index"] for frame in report["frames"]] == [1, 2]
+        skipped = {one["index"]: one for one in report["skipped"]}
+        assert skipped.keys() == {0, 3}
+        assert Path(skipped[0]["file"]).name in skipped[0]["reason"]
 
 
-def test_a_failed_replay_leaves_no_output(native, server, tmp_path):
-    out = tmp_path / "out"
-    with pytest.raises(WireError, match="height"):
-        replay_through(server, native, out, ReplayOptions(session=SessionOptions(model="classical", height=1024)))
-    with pytest.raises(CaptureError, match="depth unit"):
-        replay_through(server, native, out, ReplayOptions(CaptureOptions(depth_unit_m=1e-6), session=SMALL))
-    assert not out.exists()
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        (ReplayOptions(session=SessionOptions(model="classical", height=1024)), WireError, "height"),
+        (ReplayOptions(CaptureOptions(depth_unit_m=1e-6), session=SMALL), CaptureError, "depth unit"),
+    ],
+)
+def test_a_failed_replay_leaves_no_output(native, server, tmp_path, options, error, message):
+    with pytest.raises(error, match=message):
+        replay(native, tmp_path / "out", replace(options, server=server))
+    assert not (tmp_path / "out").exists()
 
 
 def test_local_and_remote_replays_do_not_share_a_folder(native, server, tmp_path):
     options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, probes=PROBES[:1])
     replay(native, tmp_path / "out", options)
-    with pytest.raises(OutputError, match="another replay"):
-        replay_through(server, native, tmp_path / "out", options)
-    assert json.loads((tmp_path / "out" / "replay.json").read_text())["options"]["server"] is None
+    with pytest.raises(OutputError, match=r"another replay .*server=None there"):
+        replay(native, tmp_path / "out", replace(options, server=server))
 
 
 def test_the_session_is_deleted_after_errors_too(native, tmp_path):
+    def stop(*_):
+        raise KeyboardInterrupt
+
     with RunningServer(model="classical", max_sessions=1) as running:
-        url = f"http://127.0.0.1:{running.port}"
-        options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL)
-        replay_through(url, native, tmp_path / "whole", options)
-
-        def stop(*_):
-            raise KeyboardInterrupt
-
+        options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, server=f"http://127.0.0.1:{running.port}")
+        replay(native, tmp_path / "whole", options)
         with pytest.raises(KeyboardInterrupt):
-            replay_through(url, native, tmp_path / "stopped", ReplayOptions(session=SMALL), progress=stop)
+            replay(native, tmp_path / "stopped", options, progress=stop)
         assert running.registry.items() == []
 
 
@@ -208,7 +193,8 @@ def test_a_replay_survives_a_killed_server(native, tmp_path):
                 server.kill()
                 starting.append(InThread(server.start))
 
-        replay_through(server.url, native, tmp_path / "there", options, progress=kill_once, on_recovery=events.append)
+        remote = replace(options, server=server.url)
+        replay(native, tmp_path / "there", remote, progress=kill_once, on_recovery=events.append)
         starting[0].result()
     assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
     assert [event.state for event in events] == ["waiting", "restored"]

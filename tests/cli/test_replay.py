@@ -1,7 +1,6 @@
 """Replays: what is written, and what is refused."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,12 +18,14 @@ from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_folder import finished_report
 from roomlight_cli.replays.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
-from written_captures import write_capture
+from written_captures import edited_copy, write_capture
 
 pytestmark = pytest.mark.usefixtures("small_pictures", "no_pictures")
 FRAMES = 6
 PROBES = [(0.4, 1.2, -0.3), (-0.8, 1.0, 0.6)]
 SMALL = SessionOptions(model="classical", height=16)
+ONE = ReplayOptions(session=SMALL, probes=(PROBES[0],))
+OTHER = ReplayOptions(session=SMALL, probes=(PROBES[1],))
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +44,13 @@ def exr_names(folder: Path) -> list[str]:
 def test_each_frame_and_probe_gets_a_panorama(capture, tmp_path):
     seen = []
     options = ReplayOptions(session=SMALL, probes_from_capture=True)
-    result = replay(capture, tmp_path / "out", options, progress=lambda _, done, total: seen.append((done, total)))
+    returned = replay(capture, tmp_path / "out", options, progress=lambda _, done, total: seen.append((done, total)))
     for probe in range(2):
         assert exr_names(tmp_path / "out" / f"probe-{probe:02d}") == [f"light.{n:06d}.exr" for n in range(FRAMES)]
     assert (tmp_path / "out" / "summary.png").stat().st_size > 0
     assert (tmp_path / "out" / "replay.mp4").stat().st_size > 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report == result.report
+    assert report == returned
     assert report["complete"] is True
     assert [frame["index"] for frame in report["frames"]] == list(range(FRAMES))
     assert {"volume", "sglv", "mesh", "render", "partial", "blend"} <= report["stage_ms_median"].keys()
@@ -58,20 +59,23 @@ def test_each_frame_and_probe_gets_a_panorama(capture, tmp_path):
     assert coverage == sorted(coverage)
 
 
-def test_the_panoramas_are_those_of_the_session(capture, tmp_path):
-    replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],)))
+def test_panoramas_and_other_forms_are_those_of_the_session(capture, tmp_path):
+    forms = ("usdz", "glb", "equirect", "confidence")
+    replay(capture, tmp_path / "out", replace(ONE, forms=forms))
     session = Session(SMALL)
     session.track(PROBES[0])
     for frame in open_capture(capture):
         session.push(frame)
-    last = read_panorama(tmp_path / "out" / "probe-00" / f"light.{FRAMES - 1:06d}.exr")
-    assert (last == session.light(0).panorama.astype(np.float16)).all()
+    light, folder = session.light(0), tmp_path / "out" / "probe-00"
+    last = read_panorama(folder / f"light.{FRAMES - 1:06d}.exr")
+    assert (last == light.panorama.astype(np.float16)).all()
+    for form, end in zip(forms, (".usdz", ".glb", ".equirect.ktx2", ".confidence.png"), strict=True):
+        assert (folder / f"light{end}").read_bytes() == light.file(form)
 
 
 def test_the_sequence_has_timecode_in_every_file(capture, tmp_path):
     """At ten frames a second the sixth record is half a second in, whatever was left out before it."""
-    options = ReplayOptions(capture=CaptureOptions(every=5), session=SMALL, probes=(PROBES[0],))
-    replay(capture, tmp_path / "out", options)
+    replay(capture, tmp_path / "out", replace(ONE, capture=CaptureOptions(every=5)))
     for index, frame in ((0, 0), (5, 5)):
         header = OpenEXR.File(str(tmp_path / f"out/probe-00/light.{index:06d}.exr")).header()
         assert header["framesPerSecond"] == 10
@@ -82,7 +86,7 @@ def test_the_sequence_has_timecode_in_every_file(capture, tmp_path):
 
 def test_a_capture_without_times_has_no_timecode(tmp_path):
     untimed = write_capture(tmp_path / "box", [*pan(BoxRoom(), 2, width=64, height=48)])
-    replay(untimed, tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],)))
+    replay(untimed, tmp_path / "out", ONE)
     header = OpenEXR.File(str(tmp_path / "out/probe-00/light.000001.exr")).header()
     assert {"timeCode", "framesPerSecond"}.isdisjoint(header)
     assert "PerSecond" not in (tmp_path / "out/probe-00/light.usda").read_text()
@@ -90,7 +94,7 @@ def test_a_capture_without_times_has_no_timecode(tmp_path):
 
 def test_usd_core_reads_the_stage_of_a_replay(capture, tmp_path):
     Usd, UsdLux = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdLux")
-    replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],), every=2))
+    replay(capture, tmp_path / "out", replace(ONE, every=2))
     stage = Usd.Stage.Open(str(tmp_path / "out/probe-00/light.usda"))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetTimeCodesPerSecond()) == (0, 4, 10)
     texture = UsdLux.DomeLight(stage.GetPrimAtPath("/Light/Room")).GetTextureFileAttr()
@@ -101,84 +105,64 @@ def test_usd_core_reads_the_stage_of_a_replay(capture, tmp_path):
         assert path.is_file()
 
 
-def test_the_last_light_is_written_in_other_forms(capture, tmp_path):
-    forms = ("usdz", "glb", "equirect", "confidence")
-    replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],), forms=forms))
-    session = Session(SMALL)
-    session.track(PROBES[0])
-    for frame in open_capture(capture):
-        session.push(frame)
-    for form, end in zip(forms, (".usdz", ".glb", ".equirect.ktx2", ".confidence.png"), strict=True):
-        assert (tmp_path / "out" / "probe-00" / f"light{end}").read_bytes() == session.light(0).file(form)
-
-
 def test_every_and_interpolate(capture, tmp_path):
-    sparse = replay(capture, tmp_path / "sparse", ReplayOptions(session=SMALL, probes=(PROBES[0],), every=2))
+    sparse = replay(capture, tmp_path / "sparse", replace(ONE, every=2))
     assert exr_names(tmp_path / "sparse" / "probe-00") == ["light.000000.exr", "light.000002.exr", "light.000004.exr"]
-    assert len(sparse.report["frames"]) == 3
-    dense = ReplayOptions(session=SMALL, probes=(PROBES[0],), every=2, interpolate=True)
-    result = replay(capture, tmp_path / "dense", dense)
-    assert exr_names(tmp_path / "dense" / "probe-00") == [f"light.{n:06d}.exr" for n in range(FRAMES)]
-    assert result.report["interpolated"] == 3
+    assert len(sparse["frames"]) == 3
+    dense = replay(capture, tmp_path / "dense", replace(ONE, every=2, interpolate=True))
+    assert dense["interpolated"] == 3
     panoramas = [read_panorama(tmp_path / "dense" / "probe-00" / f"light.{n:06d}.exr") for n in range(FRAMES)]
     # half floats carry 11 bits: the mean of two rounded ends is within 2^-10 of the rounded mean
     assert panoramas[1] == pytest.approx((panoramas[0] + panoramas[2]) / 2, rel=2e-3, abs=1e-4)
     assert (panoramas[5] == panoramas[4]).all()  # nothing comes after it: the light stays
 
 
-def test_a_probe_outside_the_volume_is_reported(capture, tmp_path):
-    report = replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, probes=((200.0, 0.0, 0.0),))).report
-    assert report["probes"][0]["outside_volume"] is True
-
-
-def test_a_probe_of_a_room_that_was_left_is_not_outside(tmp_path):
+def test_a_probe_outside_every_volume_is_reported(tmp_path):
+    """A probe of a room that was left is not outside."""
     frames = [replace(frame, timestamp_s=0.1 * frame.index) for frame in pan(BoxRoom(), 2, width=64, height=48)]
     pose = frames[1].camera_to_world.copy()
     pose[0, 3] += 50
     capture = write_capture(tmp_path / "walk", [frames[0], replace(frames[1], camera_to_world=pose)])
     x, y, z = PROBES[0]
-    options = ReplayOptions(session=SMALL, probes=(PROBES[0], (x + 50, y, z), (x + 25, y, z)))
-    report = replay(capture, tmp_path / "out", options).report
+    report = replay(capture, tmp_path / "out", replace(ONE, probes=(PROBES[0], (x + 50, y, z), (x + 25, y, z))))
     assert [probe.get("outside_volume", False) for probe in report["probes"]] == [False, False, True]
 
 
 def test_other_files_are_never_mixed_with_a_replay(capture, tmp_path):
     out = tmp_path / "out"
-    replay(capture, out, ReplayOptions(session=SMALL, probes=(PROBES[0],)))
-    other = ReplayOptions(session=SMALL, probes=(PROBES[1],))
+    replay(capture, out, ONE)
     with pytest.raises(OutputError, match="another replay"):
-        replay(capture, out, other)
-    replaced = replay(capture, out, ReplayOptions(session=SMALL, probes=(PROBES[1],), overwrite=True))
-    assert replaced.report["probes"][0]["position"] == list(PROBES[1])
+        replay(capture, out, OTHER)
+    replaced = replay(capture, out, replace(OTHER, overwrite=True))
+    assert replaced["probes"][0]["position"] == list(PROBES[1])
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "thesis.tex").write_text("precious")
-    with pytest.raises(OutputError, match="holds other files"):
-        replay(capture, foreign, other)
-    assert (foreign / "thesis.tex").read_text() == "precious"
-    with pytest.raises(OutputError, match="is a file"):
-        replay(capture, foreign / "thesis.tex", other)
-    with pytest.raises(OutputError, match="Not a directory"):
-        replay(capture, foreign / "thesis.tex" / "out", other)
+    for path, message in (
+        ("", "holds other files"),
+        ("thesis.tex", "is a file"),
+        ("thesis.tex/out", "Not a directory"),
+    ):
+        with pytest.raises(OutputError, match=message):
+            replay(capture, foreign / path, OTHER)
     stale = foreign / "probe-00" / "light.000000.exr"
     stale.parent.mkdir()
     stale.write_bytes(b"of another program")
     (foreign / "probe-00" / "notes.txt").write_text("precious too")
-    replay(capture, foreign, ReplayOptions(session=SMALL, probes=(PROBES[1],), overwrite=True))
+    replay(capture, foreign, replace(OTHER, overwrite=True))
     assert read_panorama(stale).shape == (16, 32, 3)
     assert (foreign / "thesis.tex").read_text() == "precious"
     assert (foreign / "probe-00" / "notes.txt").read_text() == "precious too"
 
 
 def test_a_refused_command_leaves_the_folder_as_it_was(capture, tmp_path):
-    out = tmp_path / "out"
-    wrong = CaptureOptions(depth_unit_m=1.0)
+    out, wrong = tmp_path / "out", ReplayOptions(CaptureOptions(depth_unit_m=1.0), session=SMALL)
     with pytest.raises(CaptureError, match="depth unit"):
-        replay(capture, out, ReplayOptions(capture=wrong, session=SMALL))
+        replay(capture, out, wrong)
     assert not out.exists()
-    kept = replay(capture, out, ReplayOptions(session=SMALL, probes=(PROBES[0],))).report
+    kept = replay(capture, out, ONE)
     with pytest.raises(CaptureError, match="depth unit"):
-        replay(capture, out, ReplayOptions(capture=wrong, session=SMALL, overwrite=True))
+        replay(capture, out, replace(wrong, overwrite=True))
     assert json.loads((out / "report.json").read_text()) == kept
 
 
@@ -190,33 +174,22 @@ def test_a_capture_is_never_its_own_output(capture):
     assert sorted(path.name for path in capture.iterdir()) == before
 
 
-def test_a_finished_replay_with_a_changed_file_is_redone(capture, tmp_path):
-    out, options = tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],))
-    report = replay(capture, out, options).report
-    assert finished_report(capture, out, options) == report
-    panorama = out / "probe-00" / "light.000001.exr"
-    original = panorama.read_bytes()
-    panorama.write_bytes(b"damaged")
-    assert finished_report(capture, out, options) is None
-    replay(capture, out, options)
-    assert panorama.read_bytes() == original
-    assert finished_report(capture, out, options) is not None
-
-
 def test_only_the_same_finished_replay_counts_as_done(capture, tmp_path):
-    out, options = tmp_path / "out", ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, probes=(PROBES[0],))
-    copy = tmp_path / "copy"
-    shutil.copytree(capture, copy)
+    out, options = tmp_path / "out", replace(ONE, capture=CaptureOptions(max_frames=1))
+    copy = edited_copy(capture, tmp_path / "copy", lambda _: None)
     assert finished_report(copy, out, options) is None
-    replay(copy, out, options)
-    assert finished_report(copy, out, options) is not None
+    report = replay(copy, out, options)
+    assert finished_report(copy, out, options) == report
     assert finished_report(copy, out, replace(options, probes=(PROBES[1],))) is None
     assert finished_report(capture, out, options) is None  # the same frames, but another capture
-    depth = next((copy / "depth").iterdir())
-    depth.write_bytes(depth.read_bytes() + b"recorded again")
-    assert finished_report(copy, out, options) is None
-    replay(copy, out, options)
-    assert finished_report(copy, out, options) is not None
+    panorama, depth = out / "probe-00" / "light.000000.exr", next((copy / "depth").iterdir())
+    original = panorama.read_bytes()
+    for path, changed in ((panorama, b"damaged"), (depth, depth.read_bytes() + b"recorded again")):
+        path.write_bytes(changed)
+        assert finished_report(copy, out, options) is None
+        replay(copy, out, options)
+        assert panorama.read_bytes() == original
+        assert finished_report(copy, out, options) is not None
     (out / "report.json").unlink()
     assert finished_report(copy, out, options) is None
 
@@ -243,19 +216,13 @@ def test_a_finished_replay_is_not_run_again(capture, tmp_path, monkeypatch, room
 
 
 def test_pixels_are_points_on_the_first_frame(capture, tmp_path):
-    first = next(iter(open_capture(capture)))
-    options = ReplayOptions(
-        CaptureOptions(max_frames=1), session=SMALL, probes=(PROBES[0],), pixels=((20.0, 30.0),), above_m=0.3
-    )
-    report = replay(capture, tmp_path / "out", options).report
-    expected = point_at_pixel(first, 20.0, 30.0, above_m=0.3)
+    expected = point_at_pixel(next(iter(open_capture(capture))), 20.0, 30.0, above_m=0.3)
+    options = replace(ONE, capture=CaptureOptions(max_frames=1), pixels=((20.0, 30.0),), above_m=0.3)
+    report = replay(capture, tmp_path / "out", options)
     assert [tuple(probe["position"]) for probe in report["probes"]] == [PROBES[0], expected]
-
-
-def test_a_pixel_outside_the_image_leaves_no_output(capture, tmp_path):
     with pytest.raises(OptionError, match="pixel is 64,5; the image is 64 x 48"):
-        replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, pixels=((64.0, 5.0),)))
-    assert not (tmp_path / "out").exists()
+        replay(capture, tmp_path / "none", replace(ONE, pixels=((64.0, 5.0),)))
+    assert not (tmp_path / "none").exists()
 
 
 def test_a_probe_that_was_hardly_seen_gets_a_warning(capture, tmp_path, roomlight):
@@ -268,12 +235,10 @@ def test_a_probe_that_was_hardly_seen_gets_a_warning(capture, tmp_path, roomligh
 
 
 def test_bad_frames_are_skipped_and_listed(capture, tmp_path):
-    broken = tmp_path / "broken"
-    shutil.copytree(capture, broken)
-    index = json.loads((broken / "capture.json").read_text())
-    depth = broken / index["frames"][2]["depth"]
+    broken = edited_copy(capture, tmp_path / "broken", lambda _: None)
+    depth = broken / "depth" / "000002.png"
     depth.write_bytes(depth.read_bytes()[:50])
-    report = replay(broken, tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],))).report
+    report = replay(broken, tmp_path / "out", ONE)
     assert [frame["index"] for frame in report["frames"]] == [0, 1, 3, 4, 5]
     assert [skipped["index"] for skipped in report["skipped"]] == [2]
     assert depth.name in report["skipped"][0]["reason"]
@@ -284,10 +249,6 @@ def test_impossible_options_are_refused(capture, tmp_path):
         ReplayOptions(every=0)
     with pytest.raises(ProbeError, match="finite"):
         ReplayOptions(probes=((float("nan"), 0.0, 0.0),))
-    bare = tmp_path / "bare"
-    shutil.copytree(capture, bare)
-    index = json.loads((bare / "capture.json").read_text())
-    index["probes"] = []
-    (bare / "capture.json").write_text(json.dumps(index))
+    bare = edited_copy(capture, tmp_path / "bare", lambda index: index["probes"].clear())
     with pytest.raises(CaptureError, match="has no probes of its own"):
         replay(bare, tmp_path / "out", ReplayOptions(session=SMALL, probes_from_capture=True))

@@ -1,7 +1,6 @@
 """Streams: the recording's pace, dropped frames, a clean end; in virtual time, and once with a real server."""
 
 import asyncio
-import json
 from dataclasses import replace
 from pathlib import Path
 from unittest import mock
@@ -18,29 +17,27 @@ from roomlight.errors import OptionError
 from roomlight.placement import point_at_pixel
 from roomlight.wire.frame_message import parse
 from roomlight_cli.shared_options import recovery_line, refuse_local_model
-from roomlight_cli.stream import Clock, StreamOptions, Tally, percentile_ms, stream
+from roomlight_cli.stream import Clock, StreamOptions, Tally, stream
 from roomlight_client import AsyncClient, RecoveryEvent, _waiting
 from rooms import BoxRoom, pan
-from written_captures import write_capture
+from written_captures import edited_copy, write_capture
 
 PROBE = (0.4, 1.2, -0.3)
 RATE = 10.0
 
 
-def capture_of(path: Path, *, timed: bool, count: int = 6) -> Path:
-    frames = pan(BoxRoom(), count, width=48, height=36)
-    times = [7.0 + number / RATE if timed else None for number in range(count)]
-    return write_capture(path, [replace(frame, timestamp_s=at) for frame, at in zip(frames, times, strict=True)])
-
-
-@pytest.fixture(scope="module")
-def timed(tmp_path_factory) -> Path:
-    return capture_of(tmp_path_factory.mktemp("captures") / "timed", timed=True)
-
-
 @pytest.fixture(scope="module")
 def untimed(tmp_path_factory) -> Path:
-    return capture_of(tmp_path_factory.mktemp("captures") / "untimed", timed=False)
+    return write_capture(tmp_path_factory.mktemp("captures") / "untimed", pan(BoxRoom(), 6, width=48, height=36))
+
+
+@pytest.fixture(scope="module")
+def timed(untimed) -> Path:
+    def give_times(index):
+        for number, frame in enumerate(index["frames"]):
+            frame["timestamp_s"] = 7.0 + number / RATE
+
+    return edited_copy(untimed, untimed.parent / "timed", give_times)
 
 
 class FakeServer:
@@ -131,8 +128,7 @@ def played(path, options=None, show=None, **room):
 
 def test_a_recording_keeps_its_own_pace(timed):
     room = played(timed)
-    assert list(room.arrived) == list(range(6))
-    assert [moment - 100.0 for moment in room.arrived.values()] == pytest.approx([n / RATE for n in range(6)])
+    assert room.arrived == pytest.approx({n: 100 + n / RATE for n in range(6)})
     tally = room.tally
     assert (tally.frames, tally.due, tally.sent, tally.processed, tally.dropped) == (6, 6, 6, 6, 0)
     assert tally.pace == 1.0
@@ -144,15 +140,13 @@ def test_a_recording_keeps_its_own_pace(timed):
 
 
 def test_fps_leaves_frames_out_and_keeps_the_pace(timed):
-    room = played(timed, StreamOptions(fps=3.0))
-    assert [(index, round(moment - 100.0, 6)) for index, moment in room.arrived.items()] == [(0, 0.0), (3, 0.3)]
+    assert played(timed, StreamOptions(fps=3.0)).arrived == pytest.approx({0: 100.0, 3: 100.3})
 
 
 def test_without_times_fps_is_the_pace(untimed):
-    room = played(untimed, StreamOptions(fps=4.0))
-    assert [moment - 100.0 for moment in room.arrived.values()] == pytest.approx([n / 4 for n in range(6)])
-    room = played(untimed, StreamOptions(capture=CaptureOptions(max_frames=2)))
-    assert [moment - 100.0 for moment in room.arrived.values()] == pytest.approx([0, 1 / 3])
+    assert played(untimed, StreamOptions(fps=4.0)).arrived == pytest.approx({n: 100 + n / 4 for n in range(6)})
+    two = StreamOptions(capture=CaptureOptions(max_frames=2))
+    assert played(untimed, two).arrived == pytest.approx({0: 100, 1: 100 + 1 / 3})
 
 
 @pytest.mark.parametrize(("in_flight", "sent"), [(1, [0, 3, 4, 5]), (2, [0, 1, 3, 4, 5])])
@@ -241,12 +235,11 @@ def test_colour_selects_the_frame_encoding(timed, colour, encoding):
     assert parse(room.bodies[0]).header.colour.encoding == encoding
 
 
-def test_bad_frames_of_the_recording_are_counted(tmp_path):
-    copy = capture_of(tmp_path / "bad", timed=True, count=3)
-    index = json.loads((copy / "capture.json").read_text())
-    (copy / index["frames"][1]["depth"]).write_bytes(b"no PNG")
+def test_bad_frames_of_the_recording_are_counted(timed, tmp_path):
+    copy = edited_copy(timed, tmp_path / "bad", lambda _: None)
+    (copy / "depth" / "000001.png").write_bytes(b"no PNG")
     room = played(copy)
-    assert (room.tally.unreadable, room.tally.sent, room.tally.frames) == (1, 2, 3)
+    assert (room.tally.unreadable, room.tally.sent, room.tally.frames) == (1, 5, 6)
 
 
 @pytest.mark.parametrize("options", [{"fps": 0.0}, {"fps": float("nan")}, {"in_flight": 0}])
@@ -263,11 +256,6 @@ def test_the_probe_is_a_position_a_pixel_or_a_default(timed):
     assert StreamOptions().probe_position(first)[1] == pytest.approx(first.camera_to_world[1, 3], abs=1e-3)
     with pytest.raises(OptionError, match="pixel is 48,5"):
         played(timed, StreamOptions(pixel=(48.0, 5.0)))
-
-
-def test_percentiles():
-    assert percentile_ms([], 0.5) is None
-    assert percentile_ms([1.0, 2.0, 10.0], 0.5) == 2.0
 
 
 # --- the command, and a real server -----------------------------------------------------------------------------
@@ -288,33 +276,28 @@ def test_the_command_against_a_real_server(timed, roomlight):
         assert set(state["probes"]) == {"stream"}
 
 
-@pytest.mark.parametrize(("keep", "said"), [([], "the session is deleted"), (["--keep"], "the session stays")])
-def test_ctrl_c_prints_what_was_done(timed, monkeypatch, roomlight, keep, said):
-    async def interrupted(*_, tally, show):
-        tally.frames, tally.sent, tally.processed, tally.session_id = 6, 3, 2, "room"
-        tally.busy = 1
+@pytest.mark.parametrize(
+    ("error", "options", "code", "said"),
+    [
+        (KeyboardInterrupt(), [], 130, "stopped; the session is deleted"),
+        (KeyboardInterrupt(), ["--keep"], 130, "stopped; the session stays"),
+        (sdk.UnreachableError("no answer"), [], 1, "error: no answer"),
+    ],
+)
+def test_an_end_before_the_last_frame_prints_what_was_done(timed, monkeypatch, roomlight, error, options, code, said):
+    async def ended(*_, tally, show):
+        tally.frames, tally.sent, tally.processed, tally.busy, tally.session_id = 6, 3, 2, 1, "room"
+        tally.frame_ms += [1.0, 2.0, 10.0]
         show(replace(tally, pace=0.5))
-        raise KeyboardInterrupt
+        raise error
 
-    monkeypatch.setattr("roomlight_cli.commands.stream.play", interrupted)
-    result = roomlight("stream", timed, *keep)
-    assert result.code == 130
+    monkeypatch.setattr("roomlight_cli.commands.stream.play", ended)
+    result = roomlight("stream", timed, *options)
+    assert result.code == code
+    assert result.err.strip() == said
     assert "3 of 6 frames sent, 2 in the light" in result.out
+    assert "frame latency: 2 ms (median), 9 ms (95 %)" in result.out
     assert "1 server busy" in result.out
-    assert said in result.err
-
-
-def test_an_error_is_printed_after_what_was_done(timed, monkeypatch, roomlight):
-    async def broken(*_, tally, show):
-        tally.frames, tally.sent, tally.processed = 6, 3, 2
-        show(tally)
-        raise sdk.UnreachableError("no answer")
-
-    monkeypatch.setattr("roomlight_cli.commands.stream.play", broken)
-    result = roomlight("stream", timed)
-    assert result.code == 1
-    assert result.err.strip() == "error: no answer"
-    assert "3 of 6 frames sent, 2 in the light" in result.out
 
 
 @pytest.mark.parametrize("options", [SessionOptions(weights=Path("w")), SessionOptions(provider="cpu")])

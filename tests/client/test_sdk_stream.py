@@ -341,8 +341,8 @@ def test_closing_a_stream_ends_its_calls():
 # --- the buffer -------------------------------------------------------------------------------------------------
 
 
-def settled(index: int, durable: int | None = None) -> FrameResult:
-    return FrameResult(index=index, status="processed", durable_index=durable)
+def settled(index: int, durable: int | None = None, status: str = "processed") -> FrameResult:
+    return FrameResult(index=index, status=status, durable_index=durable)
 
 
 def test_frames_in_the_light_make_room_first():
@@ -352,8 +352,7 @@ def test_frames_in_the_light_make_room_first():
     buffer.settle(settled(1))
     assert [frame.index for frame in buffer.add(2, b"c", state="waiting")] == [1]
     assert [frame.index for frame in buffer.add(3, b"d", state="waiting")] == [0]
-    assert buffer.lacks(0)
-    assert not buffer.lacks(1)
+    assert [buffer.lacks(index) for index in (0, 1)] == [True, False]
 
 
 def test_the_buffer_is_bounded_in_bytes_but_keeps_the_newest():
@@ -365,15 +364,12 @@ def test_the_buffer_is_bounded_in_bytes_but_keeps_the_newest():
         BufferLimits(frames=0)
 
 
-def test_frames_that_the_server_has_written_down_are_forgotten():
+def test_frames_that_the_server_has_written_down_or_left_out_are_forgotten():
     buffer = FrameBuffer(BufferLimits())
-    for index in range(3):
-        buffer.add(index, b"x", state="sent")
-        buffer.settle(settled(index, durable=0 if index == 2 else None))
-    buffer.settle(FrameResult(index=7, status="processed"))
-    assert [frame.index for frame in buffer] == [1, 2]
-    buffer.add(3, b"x", state="sent")
-    buffer.settle(FrameResult(index=3, status="superseded"))
+    for result in (settled(0), settled(1), settled(2, durable=0), settled(3, status="superseded")):
+        buffer.add(result.index, b"x", state="sent")
+        buffer.settle(result)
+    buffer.settle(settled(7))  # of another program
     assert [frame.index for frame in buffer] == [1, 2]
 
 

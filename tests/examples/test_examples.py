@@ -281,6 +281,7 @@ def test_blender_render(tmp_path: Path) -> None:
 @pytest.fixture
 def web_root(tmp_path: Path) -> Iterator[tuple[Path, str]]:
     """A folder with the example's page, the built client and `out/`, and the address where it is served."""
+    run(["npm", "run", "--silent", "build"])
     for name in ("examples", "client"):
         (tmp_path / name).symlink_to(ROOT / name)
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(tmp_path)))
@@ -340,6 +341,12 @@ Object.assign(pixels, { shown });
 )
 
 
+def in_chromium(script: str, *arguments: object) -> Any:
+    """Run a script of Node that drives Chromium, and return the JSON that it prints."""
+    command = ["node", "--input-type=module", "--eval", script, os.environ.get("CHROMIUM", "/usr/bin/chromium")]
+    return json.loads(run([*command, *map(str, arguments)], folder=PACKAGE))
+
+
 def page_views(url: str, *files: Path) -> dict[str, Any]:
     """Return what `three_js.html` shows of the sample room: two linear pictures, pose, camera, and its text."""
     with RunningServer(allow_origins=(url,)) as server:
@@ -348,9 +355,7 @@ def page_views(url: str, *files: Path) -> dict[str, Any]:
             session = client.open("room")
             for frame in rl.open_capture(rl.sample_capture(), rl.CaptureOptions(max_frames=3)):
                 session.push(frame)
-        command = ["node", "--input-type=module", "--eval", PAGE_VIEWS, os.environ.get("CHROMIUM", "/usr/bin/chromium")]
-        page = f"{url}/examples/three_js.html?server={address}"
-        answer = json.loads(run([*command, page, *map(str, files)], folder=PACKAGE))
+        answer = in_chromium(PAGE_VIEWS, f"{url}/examples/three_js.html?server={address}", *files)
     views = [np.array(view, np.uint8).reshape(120, 160, 4)[..., :3] for view in answer["views"]]
     return answer | {"views": [srgb8_to_linear(view) for view in views]}
 
@@ -358,7 +363,6 @@ def page_views(url: str, *files: Path) -> dict[str, Any]:
 @pytest.mark.js
 def test_three_js_page(web_root: tuple[Path, str]) -> None:
     """Frame, sphere and shadow are where the compositor has them; the sphere is as bright."""
-    run(["npm", "run", "--silent", "build"])
     answer = page_views(web_root[1])
     three, ours = answer["views"]
     assert answer["text"] == "Frame 2: click a surface, or drag the object"
@@ -379,7 +383,6 @@ def test_three_js_page(web_root: tuple[Path, str]) -> None:
 @pytest.mark.js
 def test_three_js_page_shows_a_glb_file(web_root: tuple[Path, str]) -> None:
     folder, url = web_root
-    run(["npm", "run", "--silent", "build"])
     box = GltfFile()  # red, 0.2 m wide; its origin is a corner
     corners = 0.2 * np.indices((2, 2, 2)).reshape(3, 8).T
     sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -447,10 +450,8 @@ def test_a_sphere_is_as_bright_in_three_js_as_in_the_compositor(web_root: tuple[
     view = {"position": position, "camera_to_world": camera.tolist(), "radius_m": 0.1, "colour": [0.2, 0.2, 0.2]}
     (folder / "view.json").write_text(json.dumps(view))
     (folder / "sphere.html").write_text(SPHERE_PAGE)
-    run(["npm", "run", "--silent", "build"])
-    command = ["node", "--input-type=module", "--eval", PAGE_PIXELS, os.environ.get("CHROMIUM", "/usr/bin/chromium")]
-    pixels = json.loads(run([*command, f"{url}/sphere.html"], folder=PACKAGE))
-    image = srgb8_to_linear(np.array(pixels, np.uint8).reshape(32, 64, 4)[..., :3])
+    pixels = np.array(in_chromium(PAGE_PIXELS, f"{url}/sphere.html"), np.uint8)
+    image = srgb8_to_linear(pixels.reshape(32, 64, 4)[..., :3])
     for half in (image[:, :32], image[:, 32:]):
         theirs = half[half.sum(axis=-1) > 0.2 * half.sum(axis=-1).max()].mean(axis=0)
         np.testing.assert_allclose(theirs, ours, rtol=0.05)

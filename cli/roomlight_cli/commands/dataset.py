@@ -21,8 +21,7 @@ from roomlight.dataset.verify import verify as verify_dataset
 from roomlight.errors import DatasetError, FurnitureError
 from roomlight.files import write_json
 from roomlight_cli import console
-from roomlight_cli.app_options import APP_OPTIONS
-from roomlight_cli.console import run, say
+from roomlight_cli.console import APP_OPTIONS, run, say
 from roomlight_cli.generation import cost_text, show_generation
 from roomlight_cli.options import Flag, Without, add_command
 from roomlight_cli.progress import Progress, duration

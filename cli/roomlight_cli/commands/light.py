@@ -6,8 +6,6 @@ from dataclasses import fields
 from itertools import chain
 from pathlib import Path
 
-from rich.markup import escape
-
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.photo import Photo, PhotoOptions, read_photo
 from roomlight.captures.video import DEMUXERS
@@ -16,8 +14,8 @@ from roomlight.engine.session import warm_up
 from roomlight.errors import OptionError
 from roomlight.frame import Frame
 from roomlight.light.sources import FileFormat
-from roomlight_cli.console import err, print_notes, say
 from roomlight_cli.console import out as terminal
+from roomlight_cli.console import print_notes, remark, say
 from roomlight_cli.photo import PhotoLight, PhotoPoints, light_photo
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
 from roomlight_cli.progress import Progress
@@ -98,9 +96,9 @@ def _light_video(
         lights = light_photo(counted(), positions, out, options=options, graphs=choose_graphs(options), forms=forms)
     print_notes(capture.notes)
     for skipped in capture.skipped[:3]:
-        err.print(f"[yellow]skipped[/] {escape(skipped.reason)}", soft_wrap=True)
+        remark("skipped", skipped.reason)
     if len(capture.skipped) > 3:
-        err.print(f"[yellow]skipped[/] {len(capture.skipped) - 3} more frames", soft_wrap=True)
+        remark("skipped", f"{len(capture.skipped) - 3} more frames")
     _print_lights(lights, out)
 
 
@@ -127,17 +125,15 @@ def _print_field_of_view(photo: Photo) -> None:
     }
     say(f"field of view {photo.fov_deg:.1f} degrees, horizontal: {sources[photo.fov_source]}")
     if photo.fov_source == "default":
-        terminal.print(
-            "[yellow]warning:[/] the photo does not state its focal length; give --fov, or distances are distorted",
-            soft_wrap=True,
-        )
+        text = "the photo does not state its focal length; give --fov, or distances are distorted"
+        remark("warning:", text, terminal)
 
 
 def _print_light(lit: PhotoLight) -> None:
     coverage = lit.light.coverage
     say(f"{position_text(lit.position)}: {percent(coverage)} of the sphere around it is in the photograph")
     for warning in probe_warnings(coverage, inside_volume=lit.inside_volume, behind_camera=lit.behind_camera):
-        terminal.print(f"  [yellow]warning:[/] {escape(warning)}", soft_wrap=True)
+        remark("  warning:", warning, terminal)
     say(f"  {_main_light_text(lit)}")
 
 

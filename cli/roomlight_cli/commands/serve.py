@@ -113,10 +113,7 @@ def run_server(
 
 
 def _token_reader(settings: ServerSettings, options: dict[str, Any]) -> Callable[[], tuple[str, ...]] | None:
-    """Return what reads the tokens again at SIGHUP.
-
-    None without a token file, or with a terminal, whose end is a SIGHUP too.
-    """
+    """Return what reads the tokens again at SIGHUP; None without a token file, or where a terminal sends it."""
     if settings.token_file is None:
         return None
     with suppress(OSError):

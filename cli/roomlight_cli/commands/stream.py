@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.console import RenderableType
 from rich.live import Live
@@ -14,14 +15,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from roomlight.errors import RoomLightError
-from roomlight_cli.console import err, out, print_notes, say
+from roomlight_cli.console import err, out, print_notes, remark, say
 from roomlight_cli.options import Flag
 from roomlight_cli.probe_notes import percent, probe_warnings
 from roomlight_cli.progress import Progress
-from roomlight_cli.shared_options import Token, recovery_line
-from roomlight_cli.stream import StreamOptions, Tally, percentile_ms
+from roomlight_cli.shared_options import Token, print_recovery
+from roomlight_cli.stream import StreamOptions, Tally
 from roomlight_cli.stream import stream as play
-from roomlight_client import AsyncClient, RecoveryEvent
+from roomlight_client import AsyncClient
 
 
 def stream(
@@ -40,9 +41,14 @@ def stream(
         token: The server's.
     """
     tally, stopped = Tally(), False
+
+    async def streamed(show: Callable[[Tally], object]) -> None:
+        async with AsyncClient(server, token=token, on_recovery=print_recovery) as client:
+            await play(capture, client, options, tally=tally, show=show)
+
     with _live_tally(tally) as show:
         try:
-            asyncio.run(_play(capture, options, tally, show, server=server, token=token))
+            asyncio.run(streamed(show))
         except KeyboardInterrupt:
             stopped = True
         except RoomLightError:
@@ -66,22 +72,6 @@ def _live_tally(tally: Tally) -> Generator[Callable[[Tally], None]]:
             yield lambda now: progress.count(now.due, now.frames)
 
 
-async def _play(
-    capture: Path,
-    options: StreamOptions,
-    tally: Tally,
-    show: Callable[[Tally], object],
-    *,
-    server: str,
-    token: str | None,
-) -> None:
-    def tell(event: RecoveryEvent) -> None:
-        err.print(f"[yellow]{escape(recovery_line(event))}[/]", soft_wrap=True)
-
-    async with AsyncClient(server, token=token, on_recovery=tell) as client:
-        await play(capture, client, options, tally=tally, show=show)
-
-
 def _live_table(tally: Tally) -> RenderableType:
     table = Table.grid(padding=(0, 2))
     rate = f"{tally.due} of {tally.frames}, {tally.rate(time.perf_counter()):.1f} per second"
@@ -95,10 +85,10 @@ def _print_result(tally: Tally, options: StreamOptions) -> None:
     for name, value in _rows(tally):
         say(f"  {name}: {value}")
     for warning in probe_warnings(tally.light.coverage) if tally.light else ():
-        out.print(f"  [yellow]warning:[/] {escape(warning)}", soft_wrap=True)
+        remark("  warning:", warning, out)
     print_notes(tally.notes)
     for reason in tally.reasons:
-        err.print(f"[yellow]refused[/] {escape(reason)}", soft_wrap=True)
+        remark("refused", reason)
     if options.keep and tally.session_id:
         say(f"The session stays: {tally.session_id}")
 
@@ -107,8 +97,8 @@ def _rows(tally: Tally) -> list[tuple[str, str]]:
     """Return what is known by now, as (name, value)."""
     rows: list[tuple[str, str]] = []
     for name, values in (("frame latency", tally.frame_ms), ("light latency", tally.light_ms)):
-        median, high = percentile_ms(values, 0.5), percentile_ms(values, 0.95)
-        if median is not None and high is not None:
+        if values:
+            median, high = np.percentile(values, (50, 95))
             rows.append((name, f"{median:.0f} ms (median), {high:.0f} ms (95 %)"))
     counts = {
         "dropped here": tally.dropped,

@@ -26,14 +26,6 @@ _RATES: Final = (2.0, 60.0)
 """Bounds of the video's frames per second: players stumble below 2, screens do not show more than 60."""
 
 
-@dataclass(frozen=True)
-class Titles:
-    """The summary's title and the line below it."""
-
-    title: str = ""
-    subtitle: str = ""
-
-
 @dataclass
 class PicturesState:
     """What the pictures of a replay know after a frame.
@@ -77,8 +69,9 @@ class ReplayPictures:
         parts: Folder for the parts of the video.
         frame_count: Frames of the whole replay.
         frames_per_second: The recording's rate; None if unknown.
-        truths: Measured panoramas of the probes where the capture has them.
-        titles: The summary's.
+        truths: Measured panoramas of the probes; None where the capture has none.
+        title: The summary's.
+        subtitle: The line below it.
     """
 
     def __init__(
@@ -90,16 +83,17 @@ class ReplayPictures:
         parts: Path,
         frame_count: int,
         frames_per_second: float | None,
-        truths: Sequence[Float[np.ndarray, "th tw 3"] | None] = (),
-        titles: Titles = Titles(),
+        truths: Sequence[Float[np.ndarray, "th tw 3"] | None],
+        title: str,
+        subtitle: str,
     ) -> None:
         self.state = state
         self._summary, self._whole, self._parts = out / SUMMARY, out / VIDEO, parts
-        self._titles = titles
+        self._title, self._subtitle = title, subtitle
         self._positions = tuple(positions)
         self._labels = [f"Probe {n} at {position_text(position)}" for n, position in enumerate(positions)]
         self._shown = f", {MAX_PROBES} of {len(positions)} probes" if len(positions) > MAX_PROBES else ""
-        self._truths = tuple(truths) or (None,) * len(positions)
+        self._truths = truths
         self._wanted = sheet_times(frame_count)
         self._picture = ReplayPicture(self._labels, views=state.views, frame_size=state.frame_size)
         self._rate = min(max(frames_per_second or _DEFAULT_RATE, _RATES[0]), _RATES[1])
@@ -145,7 +139,7 @@ class ReplayPictures:
             self.state.best = printed(self.state.best)
         return self.state
 
-    def close(self, session: Session | None = None) -> None:
+    def close(self, session: Session | None) -> None:
         """Finish the video and write the summary, with spheres if the session is given. Raises OutputError."""
         self._video.__exit__(None, None, None)
         parts = [self._part(number) for number in range(self.state.parts + 1)]
@@ -165,8 +159,8 @@ class ReplayPictures:
         best = self.state.best
         inserted = None if session is None or best is None else insert_spheres(session, printed(best))
         sheet = Sheet(
-            self._titles.title,
-            self._titles.subtitle,
+            self._title,
+            self._subtitle,
             self.state.times,
             probes,
             indices=self.state.indices,

@@ -1,6 +1,6 @@
 """Replay of a recorded capture through a session: one HDR panorama per frame at each probe, pictures and a report.
 
-The session is the engine here, or one on a server (`remote_replay`): the loop is the same.
+The session is the engine here, or one on a server (`remote_session`): the loop is the same.
 
 It writes `probe-00/light.000000.exr` ... (numbered by the capture's frame index, with timecode where the capture has
 times), the same as a USD stage (`probe-00/light.usda`), `summary.png`, `replay.mp4` and, last of all, `report.json`: a
@@ -11,9 +11,9 @@ state that was saved last (`saved_replay`), with the same bits as without the in
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +22,6 @@ from roomlight import __version__
 from roomlight.captures import Capture, SkippedFrame, open_capture
 from roomlight.conventions import Position
 from roomlight.engine.session import FrameReport, Session
-from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import write_atomic, write_json
 from roomlight.frame import Frame
@@ -33,54 +32,17 @@ from roomlight.light.sources import LightUse
 from roomlight.light.usd import sequence_stage
 from roomlight.placement import point_at_pixel, point_in_view
 from roomlight.threads import read_ahead
-from roomlight_cli.replays.pictures import PicturesState, ReplayPictures, Titles
+from roomlight_cli.probe_notes import counted
+from roomlight_cli.replays.pictures import PicturesState, ReplayPictures
+from roomlight_cli.replays.remote_session import RemoteSession
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_cli.replays.saved_replay import FOLDER, ReplayState, forget_replay, is_due, load_replay, save_replay
+from roomlight_client import Client, RecoveryEvent
 
-
-@dataclass(frozen=True)
-class ReplayResult:
-    """Where the outputs are, and the report as written."""
-
-    out: Path
-    report: dict[str, Any]
-
-
+AnySession = Session | RemoteSession
 ProgressCallback = Callable[[str, int, int], None]
 """Called with (what is being done, frames done, frames in all)."""
-
-
-@runtime_checkable  # the test run checks annotations with isinstance
-class ReplaySession(Protocol):
-    """What a replay needs of a session; `roomlight.engine.session.Session` has it."""
-
-    @property
-    def model(self) -> str:
-        """The model in use."""
-        ...
-
-    @property
-    def grid(self) -> VolumeGrid | None:
-        """The lighting volume's place; None before the first frame."""
-        ...
-
-    @property
-    def keyframes(self) -> int:
-        """Number of keyframes held."""
-        ...
-
-    def track(self, position: Position) -> int:
-        """Estimate the light at a position from now on; return its number."""
-        ...
-
-    def push(self, frame: Frame) -> FrameReport:
-        """Process the next frame. Raises FrameError if it cannot be used."""
-        ...
-
-    def lights(self) -> Sequence[Light]:
-        """Return the light at every tracked position."""
-        ...
 
 
 def replay(
@@ -88,13 +50,23 @@ def replay(
     out: Path,
     options: ReplayOptions,
     *,
-    session: ReplaySession | None = None,
+    token: str | None = None,
     progress: ProgressCallback | None = None,
-) -> ReplayResult:
-    """Replay a capture into a folder, with the engine here or with a new `session`.
+    on_recovery: Callable[[RecoveryEvent], object] | None = None,
+) -> dict[str, Any]:
+    """Replay a capture into a folder; return the report as written.
 
     The next call with the same arguments after an interruption goes on, if the engine is here. A finished replay is
-    made again (`replay_folder.finished_report` tells beforehand that it would be the same).
+    made again (`replay_folder.finished_report` tells beforehand that it would be the same). With a server the replay
+    waits while that is away.
+
+    Args:
+        path: The capture.
+        out: The folder.
+        options: What to replay.
+        token: Of the server of the options.
+        progress: Is told how far the replay is.
+        on_recovery: Is told that the server is away, or back.
 
     Raises:
         CaptureError: The capture cannot be read, or no frame of it can start a session.
@@ -102,19 +74,34 @@ def replay(
         ProbeError: There is no depth to place a point by.
         ModelError: The weights cannot be used.
         OutputError: `out` holds something else, or cannot be written.
-        RemoteError: The server of `session` fails or refuses.
+        RemoteError: The server fails or refuses.
     """
+    if options.server is None:
+        return _replay(path, out, options, None, progress)
+    with (
+        Client(options.server, token=token, on_recovery=on_recovery) as client,
+        RemoteSession(client, options.session) as session,
+    ):
+        return _replay(path, out, options, session, progress)
+
+
+def _replay(
+    path: Path,
+    out: Path,
+    options: ReplayOptions,
+    remote: RemoteSession | None,
+    progress: ProgressCallback | None,
+) -> dict[str, Any]:
     read = options.capture
     stride = 1 if options.interpolate else options.every
     capture = open_capture(path, replace(read, every=read.every * stride))
     if progress:
         capture.prepare(progress)
-    local = session is None
-    session = session or Session(options.session)
+    session = remote or Session(options.session)
     intent = describe_intent(path, session.model, options)
     refuse_foreign(out, capture.path, intent, overwrite=options.overwrite)
     inputs = fingerprint(capture.path, out, options)["inputs"]
-    stopped = local and not options.overwrite and not (out / REPORT).exists()
+    stopped = remote is None and not options.overwrite and not (out / REPORT).exists()
     saved = load_replay(out, inputs, options.session) if stopped else None
     state, session = saved or (ReplayState(inputs), session)
 
@@ -132,8 +119,7 @@ def replay(
                 continue
             try:
                 if not state.positions:  # a frame that cannot start the session must not track its probes twice
-                    given = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
-                    state.positions = _all_positions(frame, given, options)
+                    state.positions = _positions(capture, frame, options)
                     for position in state.positions:
                         session.track(position)
                 report = session.push(frame)
@@ -169,7 +155,7 @@ def replay(
     report["fingerprint"] = fingerprint(capture.path, out, options)
     write_json(out / REPORT, report)
     forget_replay(out)
-    return ReplayResult(out, report)
+    return report
 
 
 class _Run:
@@ -179,7 +165,7 @@ class _Run:
         self,
         out: Path,
         capture: Capture,
-        session: ReplaySession,
+        session: AnySession,
         options: ReplayOptions,
         state: ReplayState,
         *,
@@ -190,7 +176,8 @@ class _Run:
         self._session, self._state, self._step = session, state, step
         self._writer = _Writer(out, state, options, capture.frames_per_second, step=step)
         if state.reports:
-            self._writer.go_on(state.reports[-1].index, session.lights())
+            self._writer.last = state.reports[-1].index, session.lights()
+        frames = counted(capture.frame_count, "frame")
         self.pictures = ReplayPictures(
             out,
             state.positions,
@@ -199,7 +186,8 @@ class _Run:
             frame_count=capture.frame_count,
             frames_per_second=capture.frames_per_second,
             truths=_truths(capture, state.positions),
-            titles=_titles(capture, session.model),
+            title=capture.path.name,
+            subtitle=f"Light estimated by RoomLight from {frames}, model {session.model}",
         )
 
     @property
@@ -224,13 +212,12 @@ class _Run:
     def close(self, waiting: Sequence[Frame]) -> None:
         """Write the frames after the last session frame, and what is made of all."""
         for frame in waiting:  # there is nothing to interpolate towards: the light stays
-            self._writer.repeat(frame)
-            self.pictures.add(frame, self._writer.last_seen)
+            self.pictures.add(frame, self._writer.repeat(frame))
         self._writer.close()
         self.pictures.close(self._session if isinstance(self._session, Session) else None)
 
 
-def _report(path: Path, capture: Capture, session: ReplaySession, state: ReplayState) -> dict[str, Any]:
+def _report(path: Path, capture: Capture, session: AnySession, state: ReplayState) -> dict[str, Any]:
     """Return the values of `report.json`, without the fingerprint."""
     reports, last = state.reports, session.grid
     return {
@@ -271,28 +258,21 @@ class _Writer:
         self._use: LightUse = options.use
         self._forms = options.forms
         self._rate = None if rate is None else rate * step  # at which indices count
-        self._before: tuple[int, Sequence[Light]] | None = None
-
-    def go_on(self, index: int, lights: Sequence[Light]) -> None:
-        """Go on after a session frame."""
-        self._before = index, lights
+        self.last: tuple[int, Sequence[Light]] = 0, ()
+        """Index and light of the last session frame."""
 
     def write(self, frame: Frame, lights: Sequence[Light]) -> None:
         """Write the panoramas of one session frame."""
-        self._before = frame.index, lights
+        self.last = frame.index, lights
         self._state.written.append(frame.index)
-        for folder, light in zip(self._folders, lights, strict=True):
-            coverage = f"{light.coverage:.4f}"
-            panorama = light.panorama if self._use == "lighting" else light.reflection
-            self._save(folder, frame.index, panorama, {"roomlight:coverage": coverage})
+        for folder, light, panorama in zip(self._folders, lights, panoramas_of(lights, self._use), strict=True):
+            self._save(folder, frame.index, panorama, {"roomlight:coverage": f"{light.coverage:.4f}"})
 
     def interpolated(
         self, between: Sequence[Frame], frame: Frame, lights: Sequence[Light]
     ) -> Iterator[tuple[Frame, list[Float[np.ndarray, "h w 3"]]]]:
         """Write the frames between the last session frame and this one; yield them with what is seen at the probes."""
-        if self._before is None:
-            return
-        start, before = self._before
+        start, before = self.last
         for middle in between:
             share = np.float32((middle.index - start) / (frame.index - start))
 
@@ -303,15 +283,11 @@ class _Writer:
             self._save_interpolated(middle.index, mixed(self._use))
             yield middle, mixed("reflection")
 
-    @property
-    def last_seen(self) -> list[Float[np.ndarray, "h w 3"]]:
-        """What is seen at the probes after the last session frame; empty before the first."""
-        return [] if self._before is None else panoramas_of(self._before[1], "reflection")
-
-    def repeat(self, frame: Frame) -> None:
-        """Write a frame after the last session frame, with that frame's light."""
-        lights = () if self._before is None else self._before[1]
+    def repeat(self, frame: Frame) -> list[Float[np.ndarray, "h w 3"]]:
+        """Write a frame after the last session frame, with that frame's light; return what is seen at the probes."""
+        _, lights = self.last
         self._save_interpolated(frame.index, panoramas_of(lights, self._use))
+        return panoramas_of(lights, "reflection")
 
     def _save_interpolated(self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]]) -> None:
         self._state.interpolated += 1
@@ -321,7 +297,7 @@ class _Writer:
 
     def close(self) -> None:
         """Write the stages of the panoramas, and the last light in the other forms."""
-        lights = () if self._before is None else self._before[1]
+        _, lights = self.last
         names = {index: _name(index) for index in self._state.written}
         for folder, position, light in zip(self._folders, self._state.positions, lights, strict=True):
             stage = sequence_stage(position, names, self._rate)
@@ -343,22 +319,14 @@ def panoramas_of(lights: Sequence[Light], use: LightUse) -> list[Float[np.ndarra
     return [light.panorama if use == "lighting" else light.reflection for light in lights]
 
 
-def _titles(capture: Capture, model: str) -> Titles:
-    """Return the summary's title and subtitle."""
-    frames = f"{capture.frame_count} frame" + ("" if capture.frame_count == 1 else "s")
-    return Titles(capture.path.name, f"Light estimated by RoomLight from {frames}, model {model}")
-
-
-def _capture_probes(capture: Capture) -> tuple[Position, ...]:
-    if not capture.probes:
-        raise CaptureError(f"{capture.path}: has no probes of its own; place them with --probe or --pixel")
-    return tuple(probe.position for probe in capture.probes)
-
-
-def _all_positions(first: Frame, positions: Sequence[Position], options: ReplayOptions) -> tuple[Position, ...]:
-    """`positions` and those that the options place by the first frame; at least one."""
-    picked = tuple(point_at_pixel(first, u, v, above_m=options.above_m) for u, v in options.pixels)
-    return (*positions, *picked) or (point_in_view(first),)
+def _positions(capture: Capture, first: Frame, options: ReplayOptions) -> tuple[Position, ...]:
+    """Return the probes of the capture or of the options, which place some by the first frame; at least one."""
+    if options.probes_from_capture:
+        if not capture.probes:
+            raise CaptureError(f"{capture.path}: has no probes of its own; place them with --probe or --pixel")
+        return tuple(probe.position for probe in capture.probes)
+    picked = (point_at_pixel(first, u, v, above_m=options.above_m) for u, v in options.pixels)
+    return (*options.probes, *picked) or (point_in_view(first),)
 
 
 def _truths(capture: Capture, positions: Sequence[Position]) -> list[Float[np.ndarray, "h w 3"] | None]:

@@ -4,21 +4,18 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.markup import escape
 
 from roomlight.engine.session import warm_up
 from roomlight.notes import Note
-from roomlight_cli.console import err, out, print_notes, say
-from roomlight_cli.probe_notes import percent, position_text, probe_warnings
+from roomlight_cli.console import err, out, print_notes, remark, say
+from roomlight_cli.probe_notes import counted, percent, position_text, probe_warnings
 from roomlight_cli.progress import Progress
 from roomlight_cli.replays.pictures import SUMMARY, VIDEO
-from roomlight_cli.replays.remote_replay import replay_through
 from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_folder import REPORT, finished_report
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_cli.replays.saved_replay import forget_replay, saved_frames
-from roomlight_cli.shared_options import recovery_line
-from roomlight_client import RecoveryEvent
+from roomlight_cli.shared_options import print_recovery
 
 
 def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: str | None = None) -> None:
@@ -26,7 +23,7 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
 
     Raises:
         typer.Exit: Ctrl-C stopped it (code 130).
-        RoomLightError: As `replay` and `replay_through` raise it.
+        RoomLightError: As `replay` raises it.
     """
     if not options.overwrite and (report := finished_report(capture, folder, options)):
         forget_replay(folder)  # a replay that was stopped between its last two steps
@@ -38,20 +35,14 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
             warm_up()
         progress.say("replaying")
 
-        def tell(event: RecoveryEvent) -> None:
-            err.print(f"[yellow]{escape(recovery_line(event))}[/]", soft_wrap=True)
-
         try:
-            if options.server is None:
-                result = replay(capture, folder, options, progress=progress.count_of)
-            else:
-                result = replay_through(
-                    options.server, capture, folder, options, token=token, progress=progress.count_of, on_recovery=tell
-                )
+            report = replay(
+                capture, folder, options, token=token, progress=progress.count_of, on_recovery=print_recovery
+            )
         except KeyboardInterrupt:
             err.print(f"stopped; {_next_run(folder, options)}", soft_wrap=True)
             raise typer.Exit(130) from None
-    _print_result(folder, result.report)
+    _print_result(folder, report)
 
 
 def _next_run(folder: Path, options: ReplayOptions) -> str:
@@ -67,9 +58,9 @@ def _print_result(folder: Path, report: dict[str, Any]) -> None:
     print_notes(Note(**note) for note in report.get("notes", ()))
     stages = report["stage_ms_median"]
     say(
-        _count(len(report["frames"]), "frame")
+        counted(len(report["frames"]), "frame")
         + (f" and {report['interpolated']} interpolated" if report["interpolated"] else "")
-        + f", {_count(len(report['probes']), 'probe')}, model {report['model']}, "
+        + f", {counted(len(report['probes']), 'probe')}, model {report['model']}, "
         f"{sum(stages.values()):.0f} ms per frame (median), {report['wall_s']:.0f} s in all"
     )
     for probe in report["probes"]:
@@ -78,15 +69,11 @@ def _print_result(folder: Path, report: dict[str, Any]) -> None:
             f"{percent(probe['coverage'])} of the sphere around it seen"
         )
         for warning in probe_warnings(probe["coverage"], inside_volume=not probe.get("outside_volume")):
-            out.print(f"    [yellow]warning:[/] {escape(warning)}", soft_wrap=True)
+            remark("    warning:", warning, out)
     for skipped in report["skipped"][:5]:
-        err.print(f"[yellow]skipped[/] frame {skipped['index']}: {escape(skipped['reason'])}", soft_wrap=True)
+        remark("skipped", f"frame {skipped['index']}: {skipped['reason']}")
     if len(report["skipped"]) > 5:
         more = len(report["skipped"]) - 5
-        err.print(f"[yellow]skipped[/] {more} more; all are in {escape(str(folder / REPORT))}", soft_wrap=True)
+        remark("skipped", f"{more} more; all are in {folder / REPORT}")
     say(f"Pictures: {folder / SUMMARY} and {folder / VIDEO}")
     say(f"Panoramas: {folder}/probe-*/light.*.exr, as a USD stage light.usda; times and coverage: {folder / REPORT}")
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" + ("" if number == 1 else "s")

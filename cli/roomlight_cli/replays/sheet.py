@@ -124,15 +124,15 @@ class Sheet:
     inserted: InsertedObjects | None = None
 
 
-def sheet_times(frames: int, columns: int = COLUMNS) -> list[int]:
+def sheet_times(frames: int) -> list[int]:
     """Return the numbers (from 0) of the frames to show: evenly spread, with the first and the last."""
     if frames <= 0:
         return []
-    return sorted({round(position) for position in np.linspace(0, frames - 1, min(columns, frames)).tolist()})
+    return sorted({round(position) for position in np.linspace(0, frames - 1, min(COLUMNS, frames)).tolist()})
 
 
-def compose_sheet(sheet: Sheet, *, exposure_ev: float = 0.0) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the summary as 8-bit sRGB; `exposure_ev` is in stops, for panoramas and frames.
+def compose_sheet(sheet: Sheet) -> UInt8[np.ndarray, "h w 3"]:
+    """Return the summary as 8-bit sRGB.
 
     Raises:
         ValueError: There is no time, or a time's panoramas are not one for each probe.
@@ -142,18 +142,18 @@ def compose_sheet(sheet: Sheet, *, exposure_ev: float = 0.0) -> UInt8[np.ndarray
     for time in sheet.times:
         if len(time.panoramas) != len(sheet.probes):
             raise ValueError(f"time {time.label!r} has {len(time.panoramas)} panoramas, not {len(sheet.probes)}")
-    return _Page(sheet, exposure_ev).draw()
+    return _Page(sheet).draw()
 
 
-def write_sheet(path: Path, sheet: Sheet, *, exposure_ev: float = 0.0) -> None:
+def write_sheet(path: Path, sheet: Sheet) -> None:
     """Write `compose_sheet`'s picture as a PNG, atomically. Raises OutputError if it cannot be written."""
-    write_png(path, compose_sheet(sheet, exposure_ev=exposure_ev))
+    write_png(path, compose_sheet(sheet))
 
 
 class _Page:
     """The layout: two columns as wide as a panorama, a section for the frames and one for each probe."""
 
-    def __init__(self, sheet: Sheet, exposure_ev: float) -> None:
+    def __init__(self, sheet: Sheet) -> None:
         self._sheet = sheet
         self._wide = PANORAMA_COLUMNS[len(sheet.probes) > WIDE_PROBES]
         self._left, self._right = _MARGIN, _MARGIN + self._wide + _GUTTER
@@ -170,7 +170,7 @@ class _Page:
         self._detail_rows = max(self._strip_rows, LABEL_ROWS + self._sphere + 40)
         self._probe_rows = _SECTION_GAP + _SECTION_ROWS + LABEL_ROWS + self._wide // 2 + 2 * _GAP + self._detail_rows
         height = _MARGIN + _HEADER_ROWS + self._top_rows + len(sheet.probes) * self._probe_rows + _MARGIN
-        self._canvas = Canvas(self._right + self._wide + _MARGIN, height, exposure_ev=exposure_ev)
+        self._canvas = Canvas(self._right + self._wide + _MARGIN, height)
 
     def draw(self) -> UInt8[np.ndarray, "h w 3"]:
         """Draw everything and return the picture."""

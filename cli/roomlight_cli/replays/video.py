@@ -29,7 +29,6 @@ class ReplayPicture:
         probes: Labels of the probes; the first `MAX_PROBES` are shown.
         views: World directions along which each probe's spheres are seen.
         frame_size: The frames' (columns, rows).
-        exposure_ev: Exposure in stops.
 
     Raises:
         ValueError: The numbers of probes and views differ.
@@ -41,7 +40,6 @@ class ReplayPicture:
         *,
         views: Sequence[tuple[float, float, float]],
         frame_size: tuple[int, int],
-        exposure_ev: float = 0.0,
     ) -> None:
         if len(views) != len(probes):
             raise ValueError(f"{len(probes)} probes need as many views, not {len(views)}")
@@ -52,7 +50,6 @@ class ReplayPicture:
         self._rows -= self._rows % 2
         frame_columns, frame_rows = frame_size
         self._frame_size = (round(_FRAME_ROWS * frame_columns / frame_rows), _FRAME_ROWS)
-        self._exposure_ev = exposure_ev
         self._spheres = [SphereRenderer(view, size=self._rows) for view in list(views)[:MAX_PROBES]]
 
     def compose(
@@ -68,7 +65,7 @@ class ReplayPicture:
         width = left + 4 * rows + 2 * _GAP + _MARGIN
         probes_rows = len(self._probes) * (LABEL_ROWS + rows + _GAP) - _GAP
         height = 2 * _MARGIN + max(LABEL_ROWS + frame_rows, probes_rows)
-        canvas = Canvas(width, height, exposure_ev=self._exposure_ev)
+        canvas = Canvas(width, height)
         canvas.text((_MARGIN, _MARGIN), label, width=frame_columns)
         canvas.picture((_MARGIN, _MARGIN + LABEL_ROWS), frame, size=self._frame_size)
         top = _MARGIN

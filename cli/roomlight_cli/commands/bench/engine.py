@@ -26,14 +26,12 @@ def stages(
         weights: A model folder of `roomlight export`. Default: the single-view networks inside the package.
         against: Instead: whole frames and late points in turns with those of this other checkout of RoomLight.
     """
-    if against is not None:
-        with Progress("measuring") as progress:
-            compared = run_against(against, rounds=repeats, progress=progress.say)
-        show_report(compared, json, *compared.tables())
-        return
     with Progress("measuring") as progress:
-        report = run_stages(repeats=repeats, model=weights, progress=progress.say)
-    show_report(report, json, *report.tables())
+        if against is None:
+            report = run_stages(repeats=repeats, model=weights, progress=progress.say)
+        else:
+            report = run_against(against, rounds=repeats, progress=progress.say)
+    show_report(report, json)
 
 
 def composite(
@@ -50,4 +48,4 @@ def composite(
     """
     with Progress("measuring") as progress:
         report = run_composite(frames=frames, final=final, progress=progress.say)
-    show_report(report, json, *report.tables())
+    show_report(report, json)

@@ -15,7 +15,7 @@ def server(options: ServerBenchOptions, *, json: FiguresJson = None) -> None:
     """
     with Progress("measuring") as progress:
         report = run_server_bench(options, progress=progress.say)
-    show_report(report, json, *report.tables())
+    show_report(report, json)
 
 
 def hostile(options: HostileOptions, *, json: FiguresJson = None) -> None:
@@ -26,4 +26,4 @@ def hostile(options: HostileOptions, *, json: FiguresJson = None) -> None:
     """
     with Progress("measuring") as progress:
         report = run_hostile(options, progress=progress.say)
-    show_report(report, json, *report.tables())
+    show_report(report, json)

@@ -11,7 +11,7 @@ from roomlight.captures import CaptureOptions
 from roomlight.dataset.recording import Split
 from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
-from roomlight_cli.console import print_tables, say
+from roomlight_cli.console import print_tables, say, show_scores
 from roomlight_cli.options import Without
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoresJson
@@ -84,10 +84,7 @@ def captures(
                 captures, options.predictions, baselines=True, options=reading, progress=progress.count_of
             )
             tables = capture_tables(scores, per_capture=True)
-    print_tables(*tables)
-    if json:
-        scores.write(json)
-        say(f"Scores: {json}")
+    show_scores(scores, json, *tables)
 
 
 def _ship_rule(captures: tuple[Path, ...], light: SessionOptions, reading: CaptureOptions, json: Path | None) -> None:
@@ -127,10 +124,7 @@ def depth(
     with Progress(_COMPILING) as progress:
         warm_up()
         scores = evaluate_depth(sources, light, reading, split=split, limit=limit, progress=progress.count_of)
-    print_tables(scores.table())
-    if json:
-        scores.write(json)
-        say(f"Scores: {json}")
+    show_scores(scores, json, scores.table())
 
 
 def poses(
@@ -150,7 +144,4 @@ def poses(
     with Progress(_COMPILING) as progress:
         warm_up()
         scores = evaluate_poses(captures, light, reading, progress=progress.count_of)
-    print_tables(scores.table())
-    if json:
-        scores.write(json)
-        say(f"Scores: {json}")
+    show_scores(scores, json, scores.table())

@@ -8,7 +8,7 @@ from annotated_types import Ge
 
 from roomlight.dataset.recording import Split
 from roomlight.engine.session import warm_up
-from roomlight_cli.console import print_tables, say
+from roomlight_cli.console import print_tables, say, show_scores
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoresJson
 from roomlight_evaluation.composites.evaluation import evaluate_composites
@@ -55,8 +55,7 @@ def composite(out: Path, options: CompositeScoreOptions, light: ScoredLight) -> 
             pictures=options.pictures,
             progress=lambda done, total, note: progress.count_of(note, done, total),
         )
-    tables = composite_tables(scores)
-    print_tables(*tables)
+    print_tables(*composite_tables(scores))
     for line in summary(scores):
         say(line)
 
@@ -85,8 +84,4 @@ def objects(
     with Progress("compiling kernels (first run only)") as progress:
         warm_up()
         scores = evaluate_objects(sources, light, frames=frames, split=split, limit=limit, progress=progress.count_of)
-    tables = object_tables(scores)
-    print_tables(*tables)
-    if json:
-        scores.write(json)
-        say(f"Scores: {json}")
+    show_scores(scores, json, *object_tables(scores))

@@ -10,7 +10,7 @@ from roomlight.dataset.loader import Dataset, DepthKind
 from roomlight.dataset.recording import Split
 from roomlight.engine.session import warm_up
 from roomlight.errors import OptionError
-from roomlight_cli.console import print_tables, say
+from roomlight_cli.console import say, show_scores
 from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoredNetworks, ScoresJson
@@ -53,10 +53,7 @@ def walks(
         progress.say("scoring")
         folders = [Dataset(folder, split) for folder in data]
         scores = evaluate_walks(folders, models, limit=limit, progress=progress.count)
-    print_tables(*capture_tables(scores))
-    if json:
-        scores.write(json)
-        say(f"Scores: {json}")
+    show_scores(scores, json, *capture_tables(scores))
 
 
 @dataclass(frozen=True)
@@ -95,8 +92,5 @@ def benchmark(data: Path, options: BenchmarkOptions, light: ScoredLight, *, json
         warm_up()
         progress.say("scoring")
         scores = evaluate_benchmark(folder, light, rooms=options.rooms, depth=options.depth, progress=progress.count)
-    print_tables(*scores.tables(title=f"{options.depth} depth, seed {options.seed}"))
+    show_scores(scores, json, *scores.tables(title=f"{options.depth} depth, seed {options.seed}"))
     say(f"SHA-256 of the rooms: {rooms_digest(data, options.rooms)}")
-    if json:
-        scores.write(json)
-        say(f"Scores: {json}")

@@ -1,13 +1,11 @@
-"""A replay whose session is on a server: the same loop, and bit for bit the same panoramas.
+"""The session of a replay on a server: bit for bit the same panoramas as here.
 
 Frames travel as linear floats at the engine's working size (frame encoding `exact`), so the server's engine sees the
 same numbers as one here would; panoramas come back as the floats that it holds (form `npy`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from types import TracebackType
 from typing import Final, TypeVar
 
@@ -17,9 +15,7 @@ from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import FrameError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.messages import LightForm
-from roomlight_cli.replays.replay import ProgressCallback, ReplayResult, replay
-from roomlight_cli.replays.replay_options import ReplayOptions
-from roomlight_client import BadReplyError, Client, InvalidError, Light, RecoveryEvent, UnreachableError
+from roomlight_client import BadReplyError, Client, InvalidError, Light, UnreachableError
 
 _T = TypeVar("_T")
 _PROBES_PER_CALL: Final = 16
@@ -113,37 +109,9 @@ class RemoteSession:
         ]
 
     def _patiently(self, call: Callable[[], _T]) -> _T:
-        """Make a call; if the server is away, wait for it and bring the session up to date first.
-
-        Raises:
-            RemoteError: The server does not come back, or refuses the call.
-        """
+        """Make a call; if the server is away, wait for it and bring the session up to date first."""
         try:
             return call()
         except UnreachableError:
             self._session.recover()
             return call()
-
-
-def replay_through(
-    server: str,
-    path: Path,
-    out: Path,
-    options: ReplayOptions,
-    *,
-    token: str | None = None,
-    progress: ProgressCallback | None = None,
-    on_recovery: Callable[[RecoveryEvent], object] | None = None,
-) -> ReplayResult:
-    """Replay a capture as `replay` does, with a new session on the server at this address.
-
-    The replay waits for a server that is away; `on_recovery` is told about it.
-
-    Raises:
-        RoomLightError: As `replay` raises it; RemoteError if the server fails.
-    """
-    with (
-        Client(server, token=token, on_recovery=on_recovery) as client,
-        RemoteSession(client, options.session) as session,
-    ):
-        return replay(path, out, replace(options, server=server), session=session, progress=progress)
