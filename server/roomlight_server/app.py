@@ -150,7 +150,6 @@ def create_app(
 
 
 def _make_context(settings: ServerSettings, clock: Clock) -> Context:
-    """Make the objects that the routes share."""
     metrics = Metrics()
     workers = Workers(settings, metrics)
     states = None

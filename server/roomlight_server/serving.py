@@ -68,6 +68,11 @@ class GracefulServer(uvicorn.Server):
         self._when_stopping, self._read_tokens = when_stopping, read_tokens
         self._loop: asyncio.AbstractEventLoop | None = None
 
+    @property
+    def _context(self) -> Context:
+        app: Any = self.config.app
+        return app.state.context
+
     def _on_hangup(self, number: int, frame: FrameType | None) -> None:
         if self._read_tokens is None or self._loop is None:
             self.handle_exit(number, frame)
@@ -76,8 +81,7 @@ class GracefulServer(uvicorn.Server):
 
     def _reload_tokens(self, read_tokens: ReadTokens) -> None:
         """Use the tokens of the token file from now on; close the connections of those that are gone."""
-        app: Any = self.config.app
-        context: Context = app.state.context
+        context = self._context
         try:
             tokens = read_tokens()
         except ServerError as error:
@@ -107,9 +111,7 @@ class GracefulServer(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Listen; with a certificate, by `TlsListener`."""
         self._loop = asyncio.get_running_loop()
-        app: Any = self.config.app
-        context: Context = app.state.context
-        settings = context.settings
+        context, settings = self._context, self._context.settings
         if settings.tls_cert is None:
             await super().startup(sockets)
             return
@@ -130,8 +132,7 @@ class GracefulServer(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop; at most `STOP_S`."""
         self._when_stopping()
-        app: Any = self.config.app
-        context: Context = app.state.context
+        context = self._context
         context.begin_stop()
         _log.info("stopping")
         loop = asyncio.get_running_loop()
@@ -244,11 +245,11 @@ def freeze_garbage_collector() -> None:
     gc.freeze()
 
 
-def address_of(settings: ServerSettings, bound: socket.socket) -> str:
+def address_of(settings: ServerSettings, port: int) -> str:
     """Return the URL of the server for clients on this machine."""
     host = settings.host.strip("[]")
     scheme = "http" if settings.tls_cert is None else "https"
-    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{bound.getsockname()[1]}"
+    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
 
 
 def serve(
@@ -284,7 +285,7 @@ def serve(
             with ExitStack() as sockets:
                 bound = sockets.enter_context(listen(settings))
                 local = [sockets.enter_context(bound_socket) for bound_socket in _listen_locally(settings, bound)]
-                address = address_of(settings, bound)
+                address = address_of(settings, bound.getsockname()[1])
                 context.public_url = address if settings.on_lan else None
                 _log.info("serving", extra={"url": address})
                 on_lan = settings.on_lan and settings.tokens

@@ -227,13 +227,13 @@ def test_lan_options_make_what_is_missing(tmp_path, files):
 @pytest.mark.parametrize(("host", "reason"), [("0.0.0.0", "every address"), ("room.local", "must be an address")])
 def test_the_address_of_the_network_must_be_one(host, reason):
     with pytest.raises(ServerError, match=reason):
-        lan.find_lan(host)
+        lan.names_on_lan(host)
 
 
 def test_the_names_of_the_machine_are_hosts(monkeypatch):
     monkeypatch.setattr(lan.socket, "gethostname", lambda: "Desk.example")
-    found = lan.find_lan("192.168.1.7")
-    assert found.names == ("192.168.1.7", "desk.example", "desk.local", "localhost", "127.0.0.1", "::1")
+    found = lan.names_on_lan("192.168.1.7")
+    assert found == ("192.168.1.7", "desk.example", "desk.local", "localhost", "127.0.0.1", "::1")
 
 
 def test_a_machine_without_a_network_is_told(monkeypatch):

@@ -114,7 +114,7 @@ def test_an_unusable_address_is_named():
     free = ServerSettings(port=0)
     with listen(free) as first:
         port = first.getsockname()[1]
-        assert address_of(free, first) == f"http://127.0.0.1:{port}"
+        assert address_of(free, port) == f"http://127.0.0.1:{port}"
         with pytest.raises(ServerError, match=rf"127\.0\.0\.1:{port}.*Address already in use.*--port"):
             listen(ServerSettings(port=port))
     with pytest.raises(ServerError, match=r"192\.0\.2\.1"):  # an address kept for documentation

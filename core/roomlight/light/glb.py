@@ -85,7 +85,7 @@ def to_glb(panorama: Float[np.ndarray, "h w 3"], lights: Sequence[MainLight], *,
         ]
         scene["nodes"] = list(range(len(lights)))
     document["extensionsUsed"] = sorted(extensions)
-    return _container(document, images)
+    return glb_file(document, images)
 
 
 def _directional(light: MainLight) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def _rgbd(radiance: Float[np.ndarray, "s s 3"]) -> bytes:
     return data.tobytes()
 
 
-def _container(document: dict[str, Any], parts: list[bytes]) -> bytes:
+def glb_file(document: dict[str, Any], parts: list[bytes]) -> bytes:
     """Return a GLB file whose buffer views are these parts, in order."""
     body = b""
     views: list[dict[str, int]] = []

@@ -6,7 +6,6 @@ gives way to the server's own threads, and keeps networks and kernels until it i
 
 import os
 import pickle
-import traceback
 from functools import lru_cache
 from typing import Final
 
@@ -34,12 +33,10 @@ def composite_result(body: bytes) -> Result:
         return {"poses": made.poses, "visible": made.visible}, (encode(made.picture, job.form),)
     except (SceneError, ObjectError, ProbeError) as error:
         return {"refused": str(error)}, ()
-    except MemoryError:
-        raise
     except Exception as error:
         if (isinstance(error, cv2.error) and error.code == cv2.Error.StsNoMem) or "bad_alloc" in str(error):
             raise MemoryError from error  # of a library in C++
-        return {"failed": traceback.format_exc()[-4000:]}, ()
+        raise
 
 
 @lru_cache(2)

@@ -108,11 +108,7 @@ def memory_of(
 
 
 def make(engine: Session, frame: Frame, scene: "Scene", quality: CompositeQuality) -> Made:
-    """Composite one frame.
-
-    Raises:
-        SceneError: A place is refused, or an object is not in view.
-    """
+    """Composite one frame. Raises SceneError if a place is refused, or an object is not in view."""
     from roomlight.compositing.compositor import Compositor, check_in_view
 
     compositor = Compositor(engine, scene, quality=quality, max_paths=MAX_PATHS)

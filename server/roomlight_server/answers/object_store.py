@@ -1,6 +1,5 @@
 """Uploaded objects by owner and digest: their memory limits, and the expiry of unused ones."""
 
-import hashlib
 import logging
 import math
 from collections.abc import Callable
@@ -29,7 +28,6 @@ class ObjectStore:
     """The uploaded objects. Each owner has a separate set, and finds those of its phones. Event loop only."""
 
     def __init__(self, settings: ServerSettings, metrics: Metrics, clock: Callable[[], float]) -> None:
-        """Create an empty store."""
         self._settings, self._clock = settings, clock
         self._stored: dict[tuple[str, str], _Stored] = {}
         metrics.objects.set_function(lambda: len(self._stored))
@@ -106,8 +104,3 @@ class ObjectStore:
 
     def _bytes(self, owner: str | None = None) -> int:
         return sum(stored.info.bytes for (whose, _), stored in self._stored.items() if owner in (None, whose))
-
-
-def digest_of(body: bytes) -> str:
-    """Return the id of an object's file."""
-    return hashlib.sha256(body).hexdigest()

@@ -16,7 +16,6 @@ class PartsResponse(Response):
     """
 
     def __init__(self, parts: Sequence[bytes], media_type: str) -> None:
-        """Prepare the response."""
         self._parts, self.size = parts, sum(len(part) for part in parts)
         super().__init__(media_type=media_type, headers={"Content-Length": str(self.size)})
 

@@ -5,8 +5,6 @@ vertices disappear (Rossignac and Borrel, Multi-resolution 3D approximations for
 also merges surfaces that several keyframes show. World metres, y up; colours are linear RGB.
 """
 
-import json
-import struct
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,6 +14,7 @@ from jaxtyping import Float32, Int
 
 from roomlight.camera import rigid_inverse
 from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.light.glb import glb_file
 
 MAX_TRIANGLES: Final = 100_000
 """Default bound: 1 to 3 MB of glTF. The sample room has as many at cells of 6 cm."""
@@ -63,7 +62,6 @@ def room_mesh(meshes: list[tuple[int, FrameMesh]], *, max_triangles: int = MAX_T
 
 
 def _vertex_colours(mesh: FrameMesh) -> Float32[np.ndarray, "v 3"]:
-    """Return the image's radiance at each vertex, linear RGB."""
     camera, k = rigid_inverse(mesh.camera_to_world), mesh.image_camera
     points = mesh.vertices @ camera[:3, :3].T + camera[:3, 3]
     depth_m = np.maximum(-points[:, 2], 1e-6)
@@ -125,11 +123,6 @@ def to_glb(mesh: RoomMesh) -> bytes:
     colours = np.full((len(used), 4), 65535, "<u2")
     colours[:, :3] = np.rint(np.clip(mesh.colours[used], 0, 1) * 65535)
     parts = [positions.tobytes(), colours.tobytes(), np.ascontiguousarray(faces, "<u4").tobytes()]
-    offsets = np.cumsum([0, *map(len, parts)]).tolist()
-    views = [
-        {"buffer": 0, "byteOffset": offset, "byteLength": len(part), "target": target}
-        for offset, part, target in zip(offsets, parts, (34962, 34962, 34963), strict=False)
-    ]
     bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "RoomLight"},
@@ -144,11 +137,5 @@ def to_glb(mesh: RoomMesh) -> bytes:
             {"bufferView": 1, "componentType": 5123, "count": len(colours), "type": "VEC4", "normalized": True},
             {"bufferView": 2, "componentType": 5125, "count": faces.size, "type": "SCALAR"},
         ],
-        "bufferViews": views,
-        "buffers": [{"byteLength": offsets[-1]}],
     }
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    data = b"".join(parts)  # every part is a multiple of four bytes
-    chunks = [struct.pack("<II", len(text), 0x4E4F534A), text, struct.pack("<II", len(data), 0x004E4942), data]
-    return struct.pack("<4sII", b"glTF", 2, 12 + sum(map(len, chunks))) + b"".join(chunks)
+    return glb_file(document, parts)

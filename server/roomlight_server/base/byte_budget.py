@@ -11,18 +11,16 @@ from roomlight_server.base.request_context import current_flow
 class ByteBudget:
     """Bytes reserved by all requests of the process. Used on the event loop only."""
 
-    def __init__(
-        self, limit: int, unsent_bytes: Callable[[str | None], int], *, owner_limit: int | None = None
-    ) -> None:
+    def __init__(self, limit: int, unsent_bytes: Callable[[str | None], int], *, owner_limit: int) -> None:
         """Create a budget.
 
         Args:
             limit: Bytes of all owners.
             unsent_bytes: Returns the size of the finished answers that clients of an owner, or all (None), have not
                 received yet.
-            owner_limit: Bytes of one owner; by default `limit`.
+            owner_limit: Bytes of one owner.
         """
-        self._limit, self._owner_limit = limit, min(limit, owner_limit or limit)
+        self._limit, self._owner_limit = limit, min(limit, owner_limit)
         self._unsent_bytes = unsent_bytes
         self._reserved: Counter[str] = Counter()
 
@@ -41,11 +39,7 @@ class ByteBudget:
             self.release(reserved.owner, reserved.size)
 
     def reserve(self, owner: str, size: int) -> None:
-        """Reserve bytes.
-
-        Raises:
-            ProblemError: The owner's share is used up (429), or the budget (503).
-        """
+        """Reserve bytes. Raises ProblemError if the owner's share is used up (429), or the budget (503)."""
         used = self._reserved[owner] + self._unsent_bytes(owner)
         if self._owner_limit < self._limit and used + size > self._owner_limit:
             rule = f"at most {self._owner_limit} bytes for the requests and answers of one token"
@@ -72,11 +66,7 @@ class Reservation:
         self._budget, self.owner, self.size = budget, owner, 0
 
     def add(self, size: int) -> None:
-        """Reserve more bytes.
-
-        Raises:
-            ProblemError: The owner's share is used up (429), or the budget (503).
-        """
+        """Reserve more bytes. Raises ProblemError if the owner's share is used up (429), or the budget (503)."""
         self._budget.reserve(self.owner, size)
         self.size += size
 

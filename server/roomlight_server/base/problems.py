@@ -82,6 +82,8 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
 """Status and title of each kind of problem; the kind is the end of the problem's `type`."""
 BODY_PROBLEMS: Final = ("bad-request", "body-timeout", "too-large")
 """Kinds of problem of any request with a body."""
+SESSION_PROBLEMS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
+"""Kinds of problem of any request to an open session."""
 _TOKEN_LIMITS: Final = ("owner-quota", "owner-busy")
 
 
@@ -173,7 +175,6 @@ async def on_http_exception(request: Request, error: Exception) -> JSONResponse:
 
 
 def _methods_at(request: Request) -> set[str]:
-    """Return the methods of all routes at the path of the request."""
     methods: set[str] = set()
     for path, operations in request.app.openapi()["paths"].items():
         whole = re.escape(path).replace(r"\{path\}", ".+")  # the path of a file has slashes

@@ -38,7 +38,6 @@ class RequestIdMiddleware:
     """Gives each request and WebSocket an id: the client's `X-Request-Id`, or a new one. Answers return it."""
 
     def __init__(self, app: ASGIApp) -> None:
-        """Wrap an application."""
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

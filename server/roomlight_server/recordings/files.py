@@ -50,7 +50,6 @@ class RecordingFiles:
     """The folder of one upload. Sizes are kept in memory; other threads write, one piece of a file at once."""
 
     def __init__(self, folder: Path, announced: RecordingRequest) -> None:
-        """Create the folder."""
         self.folder, self.announced = folder, announced
         self.received = 0
         """Bytes written."""

@@ -14,11 +14,10 @@ from typing import BinaryIO, Final
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.compositing.compositor import Compositor
 from roomlight.engine.session import Session
-from roomlight.errors import ObjectError, RoomLightError, SceneError
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight_server.answers.composites import BOXES, MAX_PATHS
 from roomlight_server.recordings.jobs import MAX_FILM_BYTES, FilmJob
-from roomlight_server.recordings.worker import MAX_MEMORY_BYTES, capture_path, film_rate, open_output, without, write
+from roomlight_server.recordings.worker import capture_path, film_rate, open_output, run, write
 
 _NICE: Final = 10
 _LIGHT_FRAMES: Final = 200
@@ -61,16 +60,7 @@ def main(arguments: list[str]) -> None:
     output = open_output(MAX_FILM_BYTES)
     os.nice(_NICE)
     folder, film = (Path(argument) for argument in arguments)
-    try:
-        make(folder, film, FilmJob(*pickle.load(sys.stdin.buffer)), output)
-    except BrokenPipeError:
-        pass  # the server has stopped the film
-    except (SceneError, ObjectError) as error:
-        write(output, {"place": str(error)[:1000]})
-    except (RoomLightError, OSError, ValueError) as error:
-        write(output, {"problem": without(folder, str(error))[:1000]})
-    except MemoryError:
-        write(output, {"problem": f"its film needs more than {MAX_MEMORY_BYTES} bytes of memory"})
+    run(lambda: make(folder, film, FilmJob(*pickle.load(sys.stdin.buffer)), output), folder, output)
 
 
 if __name__ == "__main__":

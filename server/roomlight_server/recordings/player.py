@@ -10,11 +10,10 @@ import logging
 import sys
 from asyncio.subprocess import PIPE, Process
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from roomlight.conventions import Position
 from roomlight.wire.messages import Problem
 from roomlight.wire.recordings import ReplayRequest
 from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError
@@ -34,7 +33,7 @@ class Progress:
     """How far a replay is.
 
     Attributes:
-        session: id of the session.
+        session: id of the session; None before the first replay.
         frames: frames that are played; None until the recording is open.
         frame: frames sent to the session.
         unreadable: frames that could not be read or used.
@@ -43,11 +42,11 @@ class Progress:
         problem: why the replay failed.
     """
 
-    session: str
+    session: str | None
     frames: int | None = None
     frame: int = 0
     unreadable: int = 0
-    notes: tuple[str, ...] = ()
+    notes: list[str] = field(default_factory=list[str])
     film_frames: int | None = None
     film_fps: float | None = None
     problem: Problem | None = None
@@ -88,7 +87,7 @@ class Player:
             text, body = await read_record(process, READ_TIMEOUT_S)
             if "preparing" in text:
                 continue
-            self.progress.unreadable, self.progress.notes = text["unreadable"], tuple(text["notes"])
+            self.progress.unreadable, self.progress.notes = text["unreadable"], text["notes"]
             if "end" in text:
                 break
             if start_s is None:
@@ -111,29 +110,27 @@ class Player:
                 places[VIEW] = view
             places |= {f"probe-{number}": place for number, place in enumerate(stated, start=1)}
         for name, place in list(places.items())[: self._max_probes]:
-            x, y, z = place
-            position: Position = (x, y, z)
-            await self._live.lighting.track(name, position)
+            await self._live.lighting.track(name, place)
 
     async def _send(self, body: bytes) -> None:
         """Send a frame to the session; up to `frames_in_flight` are processed or wait."""
-        await self._live.acquire_frame_slot()
+        await self._live.slots.acquire()
         try:
             entry = await self._live.accept(body, self.progress.frame)
         except ProblemError as error:
-            self._live.release_frame_slot()
+            self._live.slots.release()
             if error.kind in ("session-failed", "session-closed"):
                 raise
             self.progress.unreadable += 1
             return
         except BaseException:
-            self._live.release_frame_slot()
+            self._live.slots.release()
             raise
         self.progress.frame += 1
         entry.outcome.add_done_callback(self._on_outcome)
 
     def _on_outcome(self, outcome: "asyncio.Future[Any]") -> None:
-        self._live.release_frame_slot()
+        self._live.slots.release()
         if not outcome.cancelled():
             outcome.exception()  # marks it as retrieved; the session counts refused frames
 

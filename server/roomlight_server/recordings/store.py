@@ -18,7 +18,7 @@ from roomlight_server.recordings.files import RecordingFiles, append
 from roomlight_server.recordings.film import FilmMaker
 from roomlight_server.recordings.jobs import MAX_FILM_BYTES, FilmJob
 from roomlight_server.recordings.locked_folder import LockedFolder, remove_left_folders
-from roomlight_server.recordings.player import Player
+from roomlight_server.recordings.player import Player, Progress
 from roomlight_server.sessions.registry import Registry
 
 _log = logging.getLogger("roomlight.server")
@@ -34,7 +34,6 @@ class StoredRecording:
     """An uploaded recording, its replay, and when it was last used."""
 
     def __init__(self, owner: str, files: RecordingFiles, now_s: float) -> None:
-        """Create an upload without files."""
         self.id = files.folder.name
         self.owner, self.files, self.last_used_s = owner, files, now_s
         self.player: Player | None = None
@@ -117,11 +116,7 @@ class RecordingStore:
         return self.describe(recording)
 
     def find(self, owner: str, recording_id: str) -> StoredRecording:
-        """Return a recording, which counts as a use.
-
-        Raises:
-            ProblemError: The owner has no such recording (404).
-        """
+        """Return a recording, which counts as a use. Raises ProblemError if the owner has no such recording (404)."""
         self.expire()
         recording = self._recordings.get(recording_id)
         if recording is None or not sees(owner, recording.owner):
@@ -142,7 +137,8 @@ class RecordingStore:
 
     def describe(self, recording: StoredRecording) -> Recording:
         """Return a recording as clients see it."""
-        files, progress = recording.files, None if recording.player is None else recording.player.progress
+        files, player = recording.files, recording.player
+        progress = Progress(session=None) if player is None else player.progress
         expiry_s = self._settings.recording_expiry_s
         idle_s = 0.0 if recording.playing or recording.filming else self._clock() - recording.last_used_s
         return Recording(
@@ -153,15 +149,8 @@ class RecordingStore:
             files=files.announced.files,
             files_received=files.files,
             status=recording.status,
-            session=None if progress is None else progress.session,
-            frame=0 if progress is None else progress.frame,
-            frames=None if progress is None else progress.frames,
-            unreadable=0 if progress is None else progress.unreadable,
-            notes=[] if progress is None else list(progress.notes),
-            film_frames=None if progress is None else progress.film_frames,
-            film_fps=None if progress is None else progress.film_fps,
             film=None if recording.film is None else recording.film.film,
-            problem=None if progress is None else progress.problem,
+            **vars(progress),
             expires_in_s=round(max(0.0, expiry_s - idle_s), 1),
         )
 
@@ -199,9 +188,7 @@ class RecordingStore:
 
     async def stop(self, recording: StoredRecording) -> None:
         """Stop the replay, if one runs; the session stays."""
-        if recording.task is not None and not recording.task.done():
-            recording.task.cancel()
-            await asyncio.wait([recording.task])
+        await _cancelled(recording.task)
 
     def make_film(self, recording: StoredRecording, job: FilmJob) -> None:
         """Begin a film, in place of the one that the recording has.
@@ -236,9 +223,7 @@ class RecordingStore:
 
     async def stop_film(self, recording: StoredRecording) -> None:
         """Stop the film if it is being made, and delete it."""
-        if recording.film_task is not None and not recording.film_task.done():
-            recording.film_task.cancel()
-            await asyncio.wait([recording.film_task])
+        await _cancelled(recording.film_task)
         self._remove_film(recording)
 
     @staticmethod
@@ -305,6 +290,12 @@ class RecordingStore:
         if self._root is None:
             self._root = LockedFolder(self._settings.recordings_folder)
         return self._root.path
+
+
+async def _cancelled(task: asyncio.Task[None] | None) -> None:
+    if task is not None and not task.done():
+        task.cancel()
+        await asyncio.wait([task])
 
 
 def _reserved(recordings: Iterable[StoredRecording]) -> int:

@@ -2,9 +2,8 @@
 
 It writes records to standard output: the lengths of a JSON text and of a body, the text, the body. The first record
 describes the recording, those with `preparing` say that it is being looked at, each following one is a frame message,
-and the last one has `end`. Uploaded files are not
-trusted: this process has limits on its memory and writes no file, so that a hostile file harms the server in no way.
-The pipe holds the process until the server takes the next frame.
+and the last one has `end`. Uploaded files are not trusted: this process has limits on its memory and writes no file,
+so that a hostile file harms the server in no way. The pipe holds the process until the server takes the next frame.
 """
 
 import json
@@ -13,12 +12,14 @@ import os
 import resource
 import signal
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.captures.recognition import is_record3d_archive
-from roomlight.errors import CaptureError, ProbeError, RoomLightError
+from roomlight.errors import CaptureError, ObjectError, ProbeError, RoomLightError, SceneError
 from roomlight.placement import point_in_view
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight_server.recordings.jobs import RECORD
@@ -63,11 +64,7 @@ def film_rate(rate: float | None) -> tuple[int, float]:
 
 
 def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
-    """Write the records of a recording.
-
-    Raises:
-        RoomLightError: The recording cannot be read.
-    """
+    """Write the records of a recording. Raises RoomLightError if the recording cannot be read."""
     path = capture_path(folder)
     whole = open_capture(path)
     rate = whole.frames_per_second
@@ -127,18 +124,25 @@ def open_output(file_bytes: int = 0) -> BinaryIO:
     return output
 
 
+def run(work: Callable[[], None], folder: Path, output: BinaryIO) -> None:
+    """Run the work of this process on the recording in a folder; the record of a failure says why."""
+    try:
+        work()
+    except BrokenPipeError:
+        pass  # the server has stopped it
+    except (SceneError, ObjectError) as error:
+        write(output, {"place": str(error)[:1000]})
+    except (RoomLightError, OSError, ValueError) as error:
+        write(output, {"problem": without(folder, str(error))[:1000]})
+    except MemoryError:
+        write(output, {"problem": f"it needs more than {MAX_MEMORY_BYTES} bytes of memory"})
+
+
 def main(arguments: list[str]) -> None:
     """Play the recording in the folder of the first argument; the second is the rate, or `-`."""
     output = open_output()
     folder, fps = Path(arguments[0]), None if arguments[1] == "-" else float(arguments[1])
-    try:
-        play(folder, fps, output)
-    except BrokenPipeError:
-        pass  # the server has stopped the replay
-    except (RoomLightError, OSError, ValueError) as error:
-        write(output, {"problem": without(folder, str(error))[:1000]})
-    except MemoryError:
-        write(output, {"problem": f"reading it needs more than {MAX_MEMORY_BYTES} bytes of memory"})
+    run(partial(play, folder, fps, output), folder, output)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ the path. An error of Ray itself (the replica was killed) becomes a 503 that cli
 """
 
 import json
-import re
 from typing import Any, Final
 
 from starlette.middleware import Middleware
@@ -14,9 +13,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from roomlight_server.base.problems import MEDIA_TYPE, ProblemError
 from roomlight_server.base.request_context import REQUEST_ID_HEADER
 from roomlight_server.state.lease import MOVED
+from roomlight_server.transport.auth import SESSION_PATH
 
 SESSION_HEADER: Final = b"x-session-id"
-_SESSION_PATH: Final = re.compile(r"/v1/sessions/([^/]+)")
 _RAY_HEADERS: Final = (b"x-request-timeout-seconds", b"x-request-disconnect-disabled")
 """Headers by which any client could change how Ray handles its request."""
 
@@ -30,7 +29,6 @@ class SessionRouting:
     """Sets `X-Session-Id` to the session of the path, and converts errors of Ray to problems."""
 
     def __init__(self, app: ASGIApp) -> None:
-        """Wrap the proxy."""
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -47,7 +45,7 @@ class SessionRouting:
 def routed_headers(path: str, headers: list[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
     """Return headers with the session id of the path, if it has one, in place of the client's."""
     kept = [(name, value) for name, value in headers if name.replace(b"_", b"-") not in _RAY_HEADERS]
-    session = _SESSION_PATH.match(path)
+    session = SESSION_PATH.match(path)
     if session is None:
         return kept
     own = [(name, value) for name, value in kept if name.replace(b"_", b"-") != SESSION_HEADER]

@@ -24,7 +24,7 @@ from roomlight.errors import OutputError, ServerError
 from roomlight.files import write_durable
 from roomlight_server.base.logs import configure_logging
 from roomlight_server.base.settings import ServerSettings
-from roomlight_server.serving import KEEP_ALIVE_S, STOP_S, listen
+from roomlight_server.serving import KEEP_ALIVE_S, STOP_S, address_of, listen
 
 _log = logging.getLogger("roomlight.server")
 APPLICATION: Final = "roomlight"
@@ -75,10 +75,10 @@ def serve_on_ray(settings: ServerSettings, *, replicas: int, listening: Callable
     settings = settings.model_copy(update={"port": port})
     stopped = threading.Event()
     with _cluster(ray, replicas):
-        running = _running(serve)
+        running = APPLICATION in serve.status().applications
         _deploy(ray, serve, settings, replicas)
         _log.info("ready", extra={"replicas": replicas, "ray": ray.get_runtime_context().gcs_address})
-        listening(_url(settings))
+        listening(address_of(settings, port))
         if running:
             _log.info("replicas changed", extra={"replicas": replicas})
             return
@@ -121,7 +121,6 @@ def load_ray() -> tuple[Any, Any]:
 
 
 def _is_local() -> bool:
-    """Return whether the cluster is of this machine alone."""
     address = os.environ.get(ADDRESS_VARIABLE, "")
     return not address or address.startswith("127.")
 
@@ -170,11 +169,6 @@ def _cluster(ray: Any, replicas: int) -> Generator[None]:
         yield
     finally:
         ray.shutdown()
-
-
-def _running(serve: Any) -> bool:
-    """Return whether the cluster serves the application already."""
-    return APPLICATION in serve.status().applications
 
 
 def _deploy(ray: Any, serve: Any, settings: ServerSettings, replicas: int) -> None:
@@ -240,12 +234,6 @@ def _free_port(settings: ServerSettings) -> int:
         return settings.port or 8090
     with listen(settings) as bound:
         return bound.getsockname()[1]
-
-
-def _url(settings: ServerSettings) -> str:
-    host = settings.host.strip("[]")
-    scheme = "http" if settings.tls_cert is None else "https"
-    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{settings.port}"
 
 
 def _text(path: Path | None) -> str | None:

@@ -107,6 +107,19 @@ class BodyMiddleware:
         return limited
 
 
+async def read_body(request: Request, reserved: Reservation, copies: int = 1) -> bytes:
+    """Return a request's body; the memory of so many copies of it is added to `reserved` as it arrives.
+
+    Raises:
+        ProblemError: The memory budget is used up (429, 503).
+    """
+    chunks: list[bytes] = []
+    async for chunk in request.stream():
+        reserved.add(copies * len(chunk))
+        chunks.append(chunk)
+    return b"".join(chunks)
+
+
 async def read_frame(request: Request, reserved: Reservation) -> bytes:
     """Return the frame message in a request's body, assembled from its parts if the body is multipart.
 
@@ -117,11 +130,7 @@ async def read_frame(request: Request, reserved: Reservation) -> bytes:
     """
     content_type = request.headers.get("content-type", "")
     if not content_type.startswith("multipart/form-data"):
-        chunks: list[bytes] = []
-        async for chunk in request.stream():
-            reserved.add(len(chunk))
-            chunks.append(chunk)
-        return b"".join(chunks)
+        return await read_body(request, reserved)
     charset = parse_options_header(content_type)[1].get(b"charset", b"utf-8").decode("latin-1")
     if charset.lower() not in _CHARSETS:  # Starlette decodes with any of Python's codecs, some of which raise
         rule = "must be utf-8"

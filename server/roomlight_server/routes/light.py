@@ -33,7 +33,7 @@ from roomlight_server.answers.light_forms import (
     max_bytes,
 )
 from roomlight_server.answers.parts_response import PartsResponse
-from roomlight_server.base.problems import BODY_PROBLEMS, ProblemError, documented
+from roomlight_server.base.problems import BODY_PROBLEMS, SESSION_PROBLEMS, ProblemError, documented
 from roomlight_server.routes.context import ContextDep, ProbeName, ReservationDep, SessionDep
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.transport.disconnects import until_gone
@@ -44,7 +44,6 @@ COVERAGE_HEADER: Final = "Roomlight-Coverage"
 FRAME_HEADER: Final = "Roomlight-Frame"
 MAX_ANSWER_BYTES: Final = 64 * 2**20
 """Largest answer: 64 probes with a cube map of 128 pixels each."""
-_PROBLEMS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
 _PROBE_RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
     200: {
         "description": "The light in the media type of the format",
@@ -106,7 +105,8 @@ _FormDep = Annotated[LightForm, Depends(_form)]
     "/probe",
     summary="Light at a point",
     response_class=Response,
-    responses=_PROBE_RESPONSES | documented(*_PROBLEMS, "owner-quota", "owner-busy", "engine-failed", "server-busy"),
+    responses=_PROBE_RESPONSES
+    | documented(*SESSION_PROBLEMS, "owner-quota", "owner-busy", "engine-failed", "server-busy"),
 )
 async def probe(
     live: SessionDep,
@@ -131,7 +131,7 @@ async def probe(
     "/probes/{name}",
     summary="Light at a named probe",
     response_class=Response,
-    responses=_PROBE_RESPONSES | documented(*_PROBLEMS, "probe-not-found", "owner-busy", "server-busy"),
+    responses=_PROBE_RESPONSES | documented(*SESSION_PROBLEMS, "probe-not-found", "owner-busy", "server-busy"),
 )
 async def named_probe(
     live: SessionDep,
@@ -151,8 +151,7 @@ async def named_probe(
     summary="Track a named probe",
     responses={201: {"model": ProbeBody, "description": "A new probe is tracked"}}
     | documented(
-        *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "session-failed", "session-closed"),
-        *("too-many-probes", "owner-quota", "invalid", "engine-failed"),
+        *(*BODY_PROBLEMS, *SESSION_PROBLEMS, "too-many-probes", "owner-quota", "engine-failed"),
     ),
 )
 async def put_probe(
@@ -162,8 +161,7 @@ async def put_probe(
     response: Response,
 ) -> ProbeBody:
     """Track a probe under a name, ideally before the first frame; an existing name moves to the new position."""
-    x, y, z = body.position
-    response.status_code = 201 if await live.lighting.track(name, (x, y, z)) else 200
+    response.status_code = 201 if await live.lighting.track(name, body.position) else 200
     return body
 
 
@@ -171,9 +169,7 @@ async def put_probe(
     "/probes/{name}",
     summary="Stop tracking a named probe",
     status_code=204,
-    responses=documented(
-        *("unauthorized", "session-not-found", "session-failed", "session-closed", "probe-not-found", "invalid")
-    ),
+    responses=documented(*SESSION_PROBLEMS, "probe-not-found"),
 )
 async def delete_probe(live: SessionDep, name: ProbeName) -> None:
     """Stop tracking a named probe."""
@@ -186,7 +182,15 @@ async def delete_probe(live: SessionDep, name: ProbeName) -> None:
     response_model=LightResponse,
     responses={200: {"description": "The light in the order of the request", "content": {MEDIA_TYPE: {}}}}
     | documented(
-        *(*BODY_PROBLEMS, *_PROBLEMS, "probe-not-found", "owner-quota", "owner-busy", "engine-failed", "server-busy")
+        *(
+            *BODY_PROBLEMS,
+            *SESSION_PROBLEMS,
+            "probe-not-found",
+            "owner-quota",
+            "owner-busy",
+            "engine-failed",
+            "server-busy",
+        )
     ),
 )
 async def probes(

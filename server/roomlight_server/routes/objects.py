@@ -1,14 +1,14 @@
 """Routes of objects, `/v1/objects`: upload, list, look at, delete."""
 
+import hashlib
 from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from roomlight.errors import WireError
 from roomlight.wire.compositing import OBJECT_ID_PATTERN, ObjectFormat, ObjectInfo, ObjectList
-from roomlight_server.answers.object_store import digest_of
 from roomlight_server.base.problems import BODY_PROBLEMS, ProblemError, documented
-from roomlight_server.routes.bodies import OBJECTS_PATH
+from roomlight_server.routes.bodies import OBJECTS_PATH, read_body
 from roomlight_server.routes.context import ContextDep, OwnerDep, ReservationDep
 from roomlight_server.transport.disconnects import until_gone
 
@@ -33,16 +33,8 @@ _BODY: Final[dict[str, Any]] = {
     response_model=ObjectInfo,
     responses={201: {"model": ObjectInfo, "description": "The object is stored"}}
     | documented(
-        *(
-            *BODY_PROBLEMS,
-            "unauthorized",
-            "bad-object",
-            "invalid",
-            "too-many-objects",
-            "object-memory",
-            "owner-busy",
-            "server-busy",
-        )
+        *(*BODY_PROBLEMS, "unauthorized", "bad-object", "invalid", "too-many-objects", "object-memory"),
+        *("owner-busy", "server-busy"),
     ),
 )
 async def upload_object(
@@ -59,12 +51,8 @@ async def upload_object(
 
     An object that is not used for an hour is deleted.
     """
-    chunks: list[bytes] = []
-    async for chunk in request.stream():
-        reserved.add(2 * len(chunk))  # as received, and joined
-        chunks.append(chunk)
-    body = b"".join(chunks)
-    digest = digest_of(body)
+    body = await read_body(request, reserved, copies=2)  # as received, and joined
+    digest = hashlib.sha256(body).hexdigest()
     try:
         return context.objects.info(owner, digest)
     except ProblemError:

@@ -12,6 +12,7 @@ from roomlight_server.answers.composites import scene_of
 from roomlight_server.base.problems import BODY_PROBLEMS, ProblemError, documented, problem_response
 from roomlight_server.recordings.files import MAX_PIECE_BYTES, append
 from roomlight_server.recordings.jobs import FilmJob
+from roomlight_server.routes.bodies import read_body
 from roomlight_server.routes.context import ContextDep, OwnerDep, ReservationDep
 
 RECORDINGS_PATH: Final = "/v1/recordings"
@@ -107,11 +108,7 @@ async def put_piece(
     If the file has another size than `Upload-Offset`, the answer (409) has its size in this header: go on from there.
     """
     recording = context.recordings.find(owner, recording_id)
-    chunks: list[bytes] = []
-    async for chunk in request.stream():
-        reserved.add(2 * len(chunk))  # as received, and joined
-        chunks.append(chunk)
-    data = b"".join(chunks)
+    data = await read_body(request, reserved, copies=2)  # as received, and joined
     try:
         with recording.files.piece(path, upload_offset, len(data)) as file:
             await asyncio.to_thread(append, file, upload_offset, data)

@@ -18,7 +18,7 @@ from roomlight.wire.frame_message import column_major
 from roomlight.wire.messages import FrameCounts
 from roomlight.wire.room import CameraView, HistoryList, SessionList, SessionSummary, VolumeBox
 from roomlight_server.answers.room_mesh import MAX_TRIANGLES, room_mesh, to_glb
-from roomlight_server.base.problems import ProblemError, documented
+from roomlight_server.base.problems import SESSION_PROBLEMS, ProblemError, documented
 from roomlight_server.routes.context import ContextDep, OwnerDep, ProbeName, ReservationDep, SessionDep
 from roomlight_server.routes.light import FRAME_HEADER, etag_matches
 from roomlight_server.sessions.live_session import LiveSession
@@ -33,7 +33,6 @@ _MESH_BYTES: Final = 24 * 2**20
 """Memory of 25 keyframe meshes while they are merged."""
 _MESHES_KEPT: Final = 4
 """Meshes kept for several clients, of up to 3 MB; making one of 16 keyframes takes 0.7 s of one core."""
-_PROBLEMS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
 UNCHANGED: Final[dict[int | str, dict[str, Any]]] = {304: {"description": "Unchanged: `If-None-Match` names its ETag"}}
 _Index = Annotated[int, Path(ge=0, le=MAX_INDEX)]
 _Metres = Annotated[float | None, Query(ge=-1000, le=1000, allow_inf_nan=False, description="World metres.")]
@@ -112,7 +111,7 @@ def _saved_summary(head: SavedHead) -> SessionSummary:
     "/v1/sessions/{session_id}/colour",
     summary="Picture of the last frame",
     response_class=Response,
-    responses=_binary("image/jpeg", "image/png") | documented(*_PROBLEMS, "no-frame", "server-busy"),
+    responses=_binary("image/jpeg", "image/png") | documented(*SESSION_PROBLEMS, "no-frame", "server-busy"),
 )
 async def colour(live: SessionDep, context: ContextDep, reserved: ReservationDep, request: Request) -> Response:
     """Return the picture of the last processed frame: JPEG or PNG as it was sent, anything else as JPEG."""
@@ -135,7 +134,6 @@ async def colour(live: SessionDep, context: ContextDep, reserved: ReservationDep
 
 
 def _jpeg(image: Float[np.ndarray, "h w 3"]) -> bytes:
-    """Encode linear RGB as JPEG."""
     return cv2.imencode(".jpg", np.ascontiguousarray(linear_to_srgb8(image)[..., ::-1]))[1].tobytes()
 
 
@@ -143,7 +141,7 @@ def _jpeg(image: Float[np.ndarray, "h w 3"]) -> bytes:
     "/v1/sessions/{session_id}/camera",
     summary="Camera, its path and the volume",
     response_model=CameraView,
-    responses=UNCHANGED | documented(*_PROBLEMS),
+    responses=UNCHANGED | documented(*SESSION_PROBLEMS),
 )
 async def camera(live: SessionDep, request: Request) -> Response:
     """Return the camera of the last processed frame, the cameras of the recorded frames, and the volume's box."""
@@ -176,7 +174,7 @@ def _box(grid: VolumeGrid) -> VolumeBox:
     "/v1/sessions/{session_id}/mesh",
     summary="The room as a mesh",
     response_class=Response,
-    responses=_binary(GLB) | documented(*_PROBLEMS, "no-frame", "server-busy"),
+    responses=_binary(GLB) | documented(*SESSION_PROBLEMS, "no-frame", "server-busy"),
 )
 async def mesh(
     live: SessionDep,
@@ -215,7 +213,7 @@ def _keyframes(engine: Session) -> list[tuple[int, FrameMesh]]:
     "/v1/sessions/{session_id}/history",
     summary="Recorded frames",
     response_model=HistoryList,
-    responses=UNCHANGED | documented(*_PROBLEMS),
+    responses=UNCHANGED | documented(*SESSION_PROBLEMS),
 )
 async def history(
     live: SessionDep,
@@ -234,7 +232,7 @@ async def history(
     "/v1/sessions/{session_id}/history/{index}/colour",
     summary="Small picture of a recorded frame",
     response_class=Response,
-    responses=_binary("image/jpeg") | documented(*_PROBLEMS, "history-not-found"),
+    responses=_binary("image/jpeg") | documented(*SESSION_PROBLEMS, "history-not-found"),
 )
 async def history_colour(live: SessionDep, request: Request, index: _Index) -> Response:
     """Return a JPEG of 160 pixels on its long side."""
@@ -246,9 +244,9 @@ async def history_colour(live: SessionDep, request: Request, index: _Index) -> R
     "/v1/sessions/{session_id}/history/{index}/probes/{name}",
     summary="Light at a recorded frame",
     response_class=Response,
-    responses=_binary("image/vnd.radiance") | documented(*_PROBLEMS, "history-not-found"),
+    responses=_binary("image/vnd.radiance") | documented(*SESSION_PROBLEMS, "history-not-found"),
 )
 async def history_panorama(live: SessionDep, request: Request, index: _Index, name: ProbeName) -> Response:
     """Return the panorama of a named probe after a recorded frame: Radiance HDR, 64 x 32 pixels."""
     live.check_open()
-    return _data(request, await live.history.panorama(index, name), "image/vnd.radiance")
+    return _data(request, await live.history.picture(index, name), "image/vnd.radiance")

@@ -1,23 +1,20 @@
 """Route of what people keep with a session, `/v1/sessions/{id}/scene`: its title, and the objects placed in it."""
 
-from typing import Final
-
 from fastapi import APIRouter, Request, Response
 
 from roomlight.wire.compositing import SessionScene
-from roomlight_server.base.problems import BODY_PROBLEMS, documented
+from roomlight_server.base.problems import BODY_PROBLEMS, SESSION_PROBLEMS, documented
 from roomlight_server.routes.context import SessionDep
 from roomlight_server.routes.room import UNCHANGED, json_answer
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/scene", tags=["objects"])
-_PROBLEMS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
 
 
 @router.get(
     "",
     summary="Title and placed objects",
     response_model=SessionScene,
-    responses=UNCHANGED | documented(*_PROBLEMS, "state-refused", "state-unavailable"),
+    responses=UNCHANGED | documented(*SESSION_PROBLEMS, "state-refused", "state-unavailable"),
 )
 async def get_scene(live: SessionDep, request: Request) -> Response:
     """Return the title of a session and the objects that its viewers have placed, for a composite of any frame."""
@@ -28,7 +25,7 @@ async def get_scene(live: SessionDep, request: Request) -> Response:
 @router.put(
     "",
     summary="Keep title and placed objects",
-    responses=documented(*BODY_PROBLEMS, *_PROBLEMS, "state-refused", "state-unavailable"),
+    responses=documented(*BODY_PROBLEMS, *SESSION_PROBLEMS, "state-refused", "state-unavailable"),
 )
 async def put_scene(live: SessionDep, scene: SessionScene) -> SessionScene:
     """Replace title and objects for all who look at the session; the last one wins. They are saved with the session."""

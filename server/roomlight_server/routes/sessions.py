@@ -73,16 +73,8 @@ _PROCESSED: Final[dict[str, Any]] = {
     response_model=SessionState,
     responses={201: {"model": SessionState, "description": "A new session is open"}}
     | documented(
-        *BODY_PROBLEMS,
-        "unauthorized",
-        "session-conflict",
-        "state-refused",
-        "model-not-here",
-        "invalid",
-        "owner-quota",
-        "server-full",
-        "state-unavailable",
-        "stopping",
+        *(*BODY_PROBLEMS, "unauthorized", "session-conflict", "state-refused", "model-not-here", "invalid"),
+        *("owner-quota", "server-full", "state-unavailable", "stopping"),
     ),
 )
 async def open_session(
@@ -161,7 +153,7 @@ async def put_frame(
     a conflict (409). Indices may leave gaps.
     """
     context.registry.check_not_stopping()
-    async with live.frame_slot():
+    async with live.slots.slot():
         entry = await until_gone(request, live.accept(await read_frame(request, reservation), index))
         if "respond-async" in prefer.lower() and not entry.outcome.done():
             response.status_code = 202

@@ -157,14 +157,14 @@ class _Connection:
         limit = self._context.settings.max_body_bytes
         if len(data) > limit:
             raise ProblemError("too-large", f"the frame has {len(data)} bytes", rule=f"at most {limit} bytes")
-        await self._live.acquire_frame_slot()
+        await self._live.slots.acquire()
         task = self._tasks.create_task(self._process_frame(data))
         self._frame_tasks.add(task)
         task.add_done_callback(self._end_frame)  # called even if the task is cancelled before it starts
 
     def _end_frame(self, task: asyncio.Task[None]) -> None:
         self._frame_tasks.discard(task)
-        self._live.release_frame_slot()
+        self._live.slots.release()
 
     async def _process_frame(self, data: bytes) -> None:
         async with self._answering_errors(frame=data):
@@ -199,8 +199,7 @@ class _Connection:
         elif isinstance(message, Subscribe):
             self._subscribe(message.forms)
         elif isinstance(message, Track):
-            x, y, z = message.position
-            await self._live.lighting.track(message.name, (x, y, z))
+            await self._live.lighting.track(message.name, message.position)
             await self._send_probes()
         else:
             await self._live.lighting.untrack(message.name)

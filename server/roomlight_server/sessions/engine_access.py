@@ -23,18 +23,13 @@ class EngineAccess:
     """
 
     def __init__(self, engine: Session) -> None:
-        """Begin with a new engine."""
         self.engine_lock, self.state_lock = asyncio.Lock(), asyncio.Lock()
         self.engine: Session | None = engine
         self.ended: ProblemError | None = None
         self.journal: Journal | None = None
 
     def check_open(self) -> None:
-        """Check that the session is usable.
-
-        Raises:
-            ProblemError: The session has failed or was closed.
-        """
+        """Check that the session is usable. Raises ProblemError if the session has failed or was closed."""
         if self.ended is not None:
             raise self.ended
 

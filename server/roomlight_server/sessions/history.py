@@ -58,11 +58,6 @@ class _Moment:
         numbers = _ENTRY_BYTES + _PROBE_BYTES * len(self.entry.probes)
         return numbers + len(self.colour) + sum(map(len, self.panoramas.values()))
 
-    async def drawn(self) -> None:
-        """Wait until the pictures are made."""
-        if self.pictures is not None:
-            await asyncio.shield(self.pictures)
-
 
 class History:
     """The recorded frames of a session. Used on the event loop; pictures are made on decoding threads."""
@@ -146,30 +141,19 @@ class History:
         """Return the camera of each recorded frame, in order."""
         return [moment.pose for moment in self._moments]
 
-    async def picture(self, index: int) -> bytes:
-        """Return the JPEG of a recorded frame.
-
-        Raises:
-            ProblemError: The frame is not in the history (404).
-        """
-        return await self._drawn(index, None)
-
-    async def panorama(self, index: int, name: str) -> bytes:
-        """Return the Radiance HDR panorama of a named probe after a recorded frame.
+    async def picture(self, index: int, probe: str | None = None) -> bytes:
+        """Return the JPEG of a recorded frame, or the Radiance HDR panorama of a named probe after it.
 
         Raises:
             ProblemError: The frame, or the probe at this frame, is not in the history (404).
         """
-        return await self._drawn(index, name)
-
-    async def _drawn(self, index: int, name: str | None) -> bytes:
         moment = next((moment for moment in self._moments if moment.entry.index == index), None)
-        if moment is not None:
-            await moment.drawn()
-        data = b"" if moment is None else moment.colour if name is None else moment.panoramas.get(name, b"")
+        if moment is not None and moment.pictures is not None:
+            await asyncio.shield(moment.pictures)
+        data = b"" if moment is None else moment.colour if probe is None else moment.panoramas.get(probe, b"")
         if not data:
-            probe = "" if name is None else f" with the probe {name!r}"
-            detail = f"the history has no frame {index}{probe}; read the entries again, it may have been thinned out"
+            named = "" if probe is None else f" with the probe {probe!r}"
+            detail = f"the history has no frame {index}{named}; read the entries again, it may have been thinned out"
             raise ProblemError("history-not-found", detail, field="index", value=index)
         return data
 

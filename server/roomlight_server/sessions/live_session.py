@@ -7,9 +7,9 @@ request is answered with this error, and its memory is released.
 
 import asyncio
 import logging
-from collections.abc import AsyncGenerator, Callable, Generator
+from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import contextmanager
 from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
@@ -32,14 +32,7 @@ from roomlight_server.sessions.engine_access import EngineAccess
 from roomlight_server.sessions.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.sessions.history import History, NamedLights, lights_for_history
 from roomlight_server.sessions.session_lighting import SessionLighting
-from roomlight_server.sessions.session_parts import (
-    SCENE_BYTES,
-    CompositeTurn,
-    FrameSlots,
-    Limits,
-    cached_lights,
-    volume_of,
-)
+from roomlight_server.sessions.session_parts import SCENE_BYTES, FrameSlots, Limits, cached_lights, volume_of
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import MOVED, SessionLease
 from roomlight_server.state.live_state import LiveState
@@ -65,7 +58,6 @@ class LiveSession:
         limits: Limits,
         metrics: Metrics,
     ) -> None:
-        """Wrap a new engine session."""
         self.name, self.request = name, request
         self.last_used_s = 0.0
         self.users = 0
@@ -77,7 +69,7 @@ class LiveSession:
         # Frames enter the queue in the order of arrival, although parsing and decoding run on threads. This lock is
         # never held together with those of `EngineAccess`.
         self._ingest_lock = asyncio.Lock()
-        self._slots = FrameSlots(limits.frames_in_flight)
+        self.slots = FrameSlots(limits.frames_in_flight, self.check_open)
         self.lease: SessionLease | None = None
         self._queue = FrameQueue(lambda status: metrics.frames.labels(status).inc(), lambda: self.durable_index)
         self._runner: asyncio.Task[None] | None = None
@@ -85,35 +77,11 @@ class LiveSession:
         self._latest: LatestFrame | None = None
         self._depth: DepthStream | None = None
         self.history = History(limits.history_bytes, workers)
-        self._composite_turn = CompositeTurn()
+        self._compositing = False
         self.scene = SessionScene()
         self._listeners: set[Callable[[], None]] = set()
 
     # --- frames -----------------------------------------------------------------------------------------------
-
-    @asynccontextmanager
-    async def frame_slot(self) -> AsyncGenerator[None]:
-        """Hold a slot for a frame in flight (being received, decoded or processed).
-
-        Raises:
-            ProblemError: All slots are taken (429), or the session has ended.
-        """
-        self.check_open()
-        async with self._slots.slot():
-            yield
-
-    async def acquire_frame_slot(self) -> None:
-        """Wait for a slot for a frame in flight; `release_frame_slot` frees it.
-
-        Raises:
-            ProblemError: The session has ended.
-        """
-        self.check_open()
-        await self._slots.acquire()
-
-    def release_frame_slot(self) -> None:
-        """Free the slot of a frame."""
-        self._slots.release()
 
     async def accept(self, body: bytes, index: int | None) -> Entry:
         """Parse, check and decode a frame message and add it to the queue.
@@ -176,7 +144,6 @@ class LiveSession:
         return frame
 
     def _decode(self, message: FrameMessage, index: int) -> Frame:
-        """Decode a frame; on a decoding thread."""
         least, processes = self.request.min_confidence, self._workers.decode_processes
         with self._metrics.decode_seconds.time():
             return decode_to_size(message, index, self._reference_for(message), least, processes)
@@ -304,10 +271,16 @@ class LiveSession:
             ProblemError: A composite is being made (429), there is no frame yet (409), or the session has ended.
         """
         self.check_open()
-        with self._composite_turn.turn():
-            if self._latest is None:
-                raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
+        if self._compositing:
+            rule = "one composite a session at a time"
+            raise ProblemError("composite-running", f"{rule}; retry later", rule=rule, retry_after_s=1)
+        if self._latest is None:
+            raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
+        self._compositing = True
+        try:
             yield self._latest
+        finally:
+            self._compositing = False
 
     async def decode_latest(self, latest: LatestFrame, box: tuple[int, int]) -> Frame:
         """Decode the frame to fit into a box of (width, height) pixels. Raises ProblemError if that fails."""
@@ -434,17 +407,12 @@ class LiveSession:
     @property
     def frames_in_flight(self) -> int:
         """Frames that are being received, decoded or processed, or whose outcome is being sent."""
-        return self._slots.taken + self._queue.counts().queued
+        return self.slots.taken + self._queue.counts().queued
 
     @property
     def probe_count(self) -> int:
         """Number of named probes."""
         return len(self.lighting.positions)
-
-    @property
-    def rows(self) -> int:
-        """Rows of the session's panoramas."""
-        return self.request.height
 
     def state(self) -> SessionState:
         """Return the current state."""

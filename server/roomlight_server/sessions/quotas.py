@@ -6,36 +6,20 @@ They keep one client from taking what all share. A request beyond a limit is ans
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from roomlight_server.base.problems import ProblemError
 from roomlight_server.base.request_context import current_flow
 from roomlight_server.base.settings import ServerSettings
 
-
-class CountedSession(Protocol):
-    """What quotas count of a session."""
-
-    @property
-    def bound_bytes(self) -> int:
-        """Upper bound of the session's memory."""
-        ...
-
-    @property
-    def probe_count(self) -> int:
-        """Number of named probes."""
-        ...
-
-    @property
-    def rows(self) -> int:
-        """Rows of the panorama of each probe."""
-        ...
+if TYPE_CHECKING:
+    from roomlight_server.sessions.live_session import LiveSession
 
 
 class Quotas:
     """What each owner uses, and its limits. The owner is that of the current request. Event loop only."""
 
-    def __init__(self, settings: ServerSettings, sessions_of: Callable[[str], Iterable[CountedSession]]) -> None:
+    def __init__(self, settings: ServerSettings, sessions_of: "Callable[[str], Iterable[LiveSession]]") -> None:
         """Create quotas; `sessions_of` returns the open sessions of an owner."""
         self._settings, self._sessions_of = settings, sessions_of
         self._late: Counter[str] = Counter()
@@ -75,10 +59,8 @@ class Quotas:
         if count >= limit:
             detail = f"the token has {count} named probes; delete one first"
             raise _exceeded("name", detail, f"at most {limit} named probes for one token", 1)
-        used, limit = (
-            sum(session.probe_count * session.rows for session in sessions) + sum(adding),
-            self._settings.max_owner_rows,
-        )
+        used = sum(session.probe_count * session.request.height for session in sessions) + sum(adding)
+        limit = self._settings.max_owner_rows
         if used + rows > limit:
             detail = f"the panoramas of the token's named probes have {used} rows and this one has {rows}; delete one"
             raise _exceeded("name", detail, f"at most {limit} rows of named probes for one token", 1)

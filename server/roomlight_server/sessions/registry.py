@@ -233,11 +233,7 @@ class Registry:
         return sorted(heads, key=lambda head: head.idle_s)
 
     def delete(self, owner: str, name: str) -> None:
-        """End a session.
-
-        Raises:
-            ProblemError: There is no session of this id (404).
-        """
+        """End a session. Raises ProblemError if there is no session of this id (404)."""
         with self.use(owner, name) as live:
             del self._sessions[owner, name]
             live.close()

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import asdict
 from typing import Final
 
 from roomlight.conventions import NO_FRAME, Position
@@ -12,8 +11,8 @@ from roomlight.wire.messages import ProbeQuery
 from roomlight_server.answers.light_forms import default_panorama
 from roomlight_server.base.problems import ProblemError, convert_probe_errors
 from roomlight_server.sessions.engine_access import EngineAccess
-from roomlight_server.sessions.session_parts import LIGHT_PIXEL_BYTES, LightCache, Limits, NamedProbe, cached_lights
-from roomlight_server.state.live_state import SavedProbe
+from roomlight_server.sessions.session_parts import LIGHT_PIXEL_BYTES, LightCache, Limits, cached_lights
+from roomlight_server.state.live_state import NamedProbe
 from roomlight_server.work.workers import Workers
 
 _LATE: Final = 1
@@ -34,12 +33,13 @@ class SessionLighting:
         self._cache = LightCache(cached_lights(self.light_bytes))
         self.frame = NO_FRAME
 
-    async def track(self, name: str, position: Position) -> bool:
+    async def track(self, name: str, at: Sequence[float]) -> bool:
         """Track a named probe; an existing name moves to the new position. Return whether the name is new.
 
         Raises:
             ProblemError: There are too many probes, the position is unusable, or the session has ended.
         """
+        position = _position(at)
         async with self._access.engine_lock:
             engine, old = self._access.live(), self._named.get(name)
             if old is not None and old.position == position:
@@ -55,7 +55,7 @@ class SessionLighting:
     async def _replace_probe(self, engine: Session, name: str, position: Position) -> None:
         async with self._workers.engine_slot():
             handle = await convert_probe_errors(self._workers.run_in_engine_pool(engine.track, position))
-        new = NamedProbe(position, handle)
+        new = NamedProbe(position=position, handle=handle)
         if self.has_light:
             new.coverage = (await self._workers.run_in_decode_pool(engine.light, handle)).coverage
         async with self._access.state_lock:
@@ -136,8 +136,7 @@ class SessionLighting:
         if query.name is not None:
             return self._named_probe(query.name).position
         assert query.position is not None
-        x, y, z = query.position
-        return x, y, z
+        return _position(query.position)
 
     def _named_probe(self, name: str) -> NamedProbe:
         named = self._named.get(name)
@@ -185,17 +184,20 @@ class SessionLighting:
         """Release the cached lights."""
         self._cache.clear()
 
-    def saved(self) -> dict[str, SavedProbe]:
-        """Return the named probes for the state on disk."""
-        return {name: SavedProbe(**asdict(named)) for name, named in self._named.items()}
+    def saved(self) -> dict[str, NamedProbe]:
+        """Return a copy of the named probes, for the state on disk."""
+        return {name: named.model_copy() for name, named in self._named.items()}
 
-    def restore(self, probes: dict[str, SavedProbe], frame: int) -> None:
+    def restore(self, probes: dict[str, NamedProbe], frame: int) -> None:
         """Continue with saved probes, after a frame."""
-        self._named = {name: NamedProbe(**saved.model_dump()) for name, saved in probes.items()}
-        self.frame = frame
+        self._named, self.frame = probes, frame
+
+
+def _position(coordinates: Sequence[float]) -> Position:
+    x, y, z = coordinates
+    return x, y, z
 
 
 def _identified(engine: Session, handle: int) -> tuple[Light, str]:
-    """Return the light of a probe, and its identity."""
     light = engine.light(handle)
     return light, light.digest()

@@ -1,9 +1,9 @@
-"""Parts of a live session: its limits, its slots for frames in flight, its named probes, the lights it has computed."""
+"""Parts of a live session: its limits, its slots for frames in flight, the lights it has computed."""
 
 import asyncio
 from collections import OrderedDict
-from collections.abc import AsyncGenerator, Generator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Final
 
@@ -42,26 +42,18 @@ class Limits:
     quotas: Quotas
 
 
-@dataclass
-class NamedProbe:
-    """A named probe; `handle` is that of the engine."""
-
-    position: Position
-    handle: int
-    coverage: float = 0.0
-
-
 class FrameSlots:
     """Slots for frames in flight (being received, decoded or processed)."""
 
-    def __init__(self, limit: int) -> None:
-        """Make all slots free."""
-        self._limit, self._free = limit, asyncio.Semaphore(limit)
+    def __init__(self, limit: int, check_open: Callable[[], None]) -> None:
+        """Make all slots free; `check_open` raises ProblemError if the session has ended."""
+        self._limit, self._free, self._check_open = limit, asyncio.Semaphore(limit), check_open
         self.taken = 0
 
     @asynccontextmanager
     async def slot(self) -> AsyncGenerator[None]:
-        """Hold a slot. Raises ProblemError if all are taken (429)."""
+        """Hold a slot. Raises ProblemError if all are taken (429), or the session has ended."""
+        self._check_open()
         if self._free.locked():
             limit = self._limit
             detail = f"{limit} frames of this session are in flight; retry with a newer frame"
@@ -73,7 +65,8 @@ class FrameSlots:
             self.release()
 
     async def acquire(self) -> None:
-        """Wait for a slot; `release` frees it."""
+        """Wait for a slot; `release` frees it. Raises ProblemError if the session has ended."""
+        self._check_open()
         await self._free.acquire()
         self.taken += 1
 
@@ -81,26 +74,6 @@ class FrameSlots:
         """Free a slot."""
         self.taken -= 1
         self._free.release()
-
-
-class CompositeTurn:
-    """The turn of a session to make a composite."""
-
-    def __init__(self) -> None:
-        """Make the turn free."""
-        self._taken = False
-
-    @contextmanager
-    def turn(self) -> Generator[None]:
-        """Take the turn. Raises ProblemError if it is taken (429)."""
-        if self._taken:
-            rule = "one composite a session at a time"
-            raise ProblemError("composite-running", f"{rule}; retry later", rule=rule, retry_after_s=1)
-        self._taken = True
-        try:
-            yield
-        finally:
-            self._taken = False
 
 
 class LightCache:

@@ -46,8 +46,9 @@ class SessionLease:
             ProblemError: Another server owns it, or the shared directory cannot be read (503).
         """
         if not self.lost:
+            loop = asyncio.get_running_loop()
             try:
-                self.lost = not await self._in_thread(self._fence.holds, self._lease)
+                self.lost = not await loop.run_in_executor(self._pool, self._fence.holds, self._lease)
             except OSError as error:
                 _log.error("the owner of a session cannot be read: %s", error, extra={"session": self._name})
                 self.lost = True  # it cannot be known, and an answer could contradict another server's
@@ -98,6 +99,3 @@ class SessionLease:
             self._fence.release(self._lease)
         except Exception as error:  # the next owner then asks the client for frames that it has
             _log.warning("a session was not released: %s", error, extra={"session": self._name})
-
-    async def _in_thread(self, work: Callable[[Lease], _R], lease: Lease) -> _R:
-        return await asyncio.get_running_loop().run_in_executor(self._pool, work, lease)

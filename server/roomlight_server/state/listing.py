@@ -37,7 +37,6 @@ class SavedList:
     """Reads which sessions are on disk. Each file is read again only after it has changed. Used on one thread."""
 
     def __init__(self, root: Path) -> None:
-        """List the folders in `root`."""
         self._root = root
         self._known: dict[str, tuple[tuple[int, int, int], SavedValues | None, str]] = {}
 

@@ -16,12 +16,12 @@ class _Saved(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class SavedProbe(_Saved):
+class NamedProbe(BaseModel, extra="forbid"):
     """A named probe; `handle` is that of the engine."""
 
     position: Position
     handle: int
-    coverage: float
+    coverage: float = 0.0
 
 
 class SavedQueue(_Saved):
@@ -68,7 +68,7 @@ class SavedValues(_Saved):
     name: str
     request: SessionRequest
     reference: float | None
-    probes: dict[str, SavedProbe]
+    probes: dict[str, NamedProbe]
     queue: SavedQueue
     light_frame: int
     bases: dict[int, SavedBase]
@@ -82,7 +82,7 @@ class LiveState:
 
     snapshot: SessionSnapshot
     reference: float | None
-    probes: dict[str, SavedProbe]
+    probes: dict[str, NamedProbe]
     queue: SavedQueue
     light_frame: int
     latest: LatestFrame | None

@@ -10,9 +10,8 @@ import hashlib
 import logging
 import os
 import time
-from collections.abc import AsyncGenerator, Callable, Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Final, Protocol, TypeVar, runtime_checkable
 from weakref import WeakValueDictionary
@@ -274,21 +273,12 @@ class StateStore:
         """Return the sessions of an owner that are on disk, those in memory too; last used first."""
         return await self._in_thread(self._list.of, digest_of_owner(owner))
 
-    @asynccontextmanager
-    async def lock(self, owner: str, name: str) -> AsyncGenerator[None]:
-        """Hold the lock of a session's folder: one of saving, restoring and erasing at a time."""
-        lock = self._locks.get((owner, name))
-        if lock is None:
-            lock = self._locks[owner, name] = asyncio.Lock()  # lives while one of its users refers to it
-        async with lock:
-            yield
+    def lock(self, owner: str, name: str) -> asyncio.Lock:
+        """Return the lock of a session's folder: one of saving, restoring and erasing at a time."""
+        return self._locks.setdefault((owner, name), asyncio.Lock())  # lives while one of its users refers to it
 
     async def read(self, owner: str, name: str) -> Reading:
-        """Read a saved session.
-
-        Raises:
-            ProblemError: The state cannot be used (409), or not be read now (503).
-        """
+        """Read a saved session. Raises ProblemError if the state cannot be used (409), or not be read now (503)."""
         try:
             return await self._in_thread(read_session, self._folder(owner, name), digest_of_owner(owner), name)
         except StateError as error:

@@ -33,7 +33,7 @@ PHONES: Final = "/v1/phones"
 """Path to which a phone that has no token yet sends its code."""
 SUBPROTOCOL: Final = "roomlight.v1"
 _BEARER_SUBPROTOCOL: Final = "bearer."
-_SESSION_PATH: Final = re.compile(r"/v1/sessions/([^/]+)")
+SESSION_PATH: Final = re.compile(r"/v1/sessions/([^/]+)")
 
 
 class Tokens:
@@ -149,7 +149,7 @@ class AuthMiddleware:
         """Count the work and the unsent answers of the request for its owner and session."""
         state = scope.get("state", {})
         owner = state.get("owner", "")
-        path = _SESSION_PATH.match(scope["path"])
+        path = SESSION_PATH.match(scope["path"])
         current_flow.set(Flow(owner, path[1] if path else ""))
         if owner and TRANSPORT in state:
             self._guard.assign(state[TRANSPORT], owner)

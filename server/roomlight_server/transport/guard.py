@@ -10,6 +10,7 @@ from typing import Final, Protocol, runtime_checkable
 
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError
+from roomlight_server.base.request_context import sees
 from roomlight_server.base.settings import ServerSettings
 
 _log = logging.getLogger("roomlight.server")
@@ -65,7 +66,6 @@ class ConnectionGuard:
     """
 
     def __init__(self, settings: ServerSettings, metrics: Metrics) -> None:
-        """Create a guard without connections."""
         self.settings, self._metrics = settings, metrics
         self._addresses: dict[Transport, str] = {}
         self._idle: dict[Transport, None] = {}  # in the order in which they became idle
@@ -111,7 +111,7 @@ class ConnectionGuard:
     def close_owner(self, owner: str) -> None:
         """Close the connections of an owner whose token is not valid any more, and of its phones."""
         for transport, connected in tuple(self._owners.items()):
-            if connected == owner or connected.startswith(f"{owner}."):
+            if sees(owner, connected):
                 self.record("token-ended", self._addresses[transport])
                 transport.abort()
 
@@ -183,7 +183,6 @@ class WriteWatch:
     """Aborts a connection whose client receives nothing of a waiting answer for `send_timeout_s`."""
 
     def __init__(self, transport: Transport, guard: ConnectionGuard, address: str) -> None:
-        """Create a watch that has not started."""
         self._transport, self._guard, self._address = transport, guard, address
         self._timer: asyncio.TimerHandle | None = None
 

@@ -245,7 +245,6 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
 
 
 def _response(problem: ProblemError) -> bytes:
-    """Return a problem as the bytes of an HTTP response."""
     status = HTTPStatus(problem.problem.status)
     body = json.dumps(problem.problem.model_dump(exclude_none=True)).encode()
     lines = [

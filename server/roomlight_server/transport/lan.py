@@ -4,7 +4,6 @@ import io
 import os
 import secrets
 import socket
-from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Final
@@ -20,19 +19,6 @@ PHONES: Final = "phones.json"
 _WHITE_ON_BLACK, _RESET = "\x1b[97;40m", "\x1b[0m"
 _ELSEWHERE: Final = ("192.0.2.1", 9)
 """An address of documentation networks (RFC 5737). Choosing a route to it sends no packet."""
-
-
-@dataclass(frozen=True)
-class Lan:
-    """What `roomlight serve --lan` adds to the settings.
-
-    Attributes:
-        host: address on the local network.
-        names: names and addresses under which this machine is reached, `host` first.
-    """
-
-    host: str
-    names: tuple[str, ...]
 
 
 def state_folder() -> Path:
@@ -56,8 +42,8 @@ def local_address() -> str:
     return address
 
 
-def find_lan(host: str | None) -> Lan:
-    """Return address and names of this machine on the local network; `host` is the address if it is given.
+def names_on_lan(host: str | None) -> tuple[str, ...]:
+    """Return address and names of this machine on the local network, the address first: `host` if it is given.
 
     Raises:
         ServerError: There is no network, or the host is not one address.
@@ -72,7 +58,7 @@ def find_lan(host: str | None) -> Lan:
     name = socket.gethostname().lower()
     names = (name, f"{name.partition('.')[0]}.local")
     usable = tuple(host for host in names if host and host.isascii() and "_" not in host and " " not in host)
-    return Lan(address, tuple(dict.fromkeys((address, *usable, *LOOPBACK_HOSTS))))
+    return tuple(dict.fromkeys((address, *usable, *LOOPBACK_HOSTS)))
 
 
 def ensure_token(folder: Path) -> str:
@@ -115,14 +101,14 @@ def lan_options(
     Raises:
         ServerError: There is no network, or a file cannot be used.
     """
-    lan, folder = find_lan(host), folder or state_folder()
-    names = tuple(dict.fromkeys((*lan.names, *allow_hosts)))
+    folder = folder or state_folder()
+    names = tuple(dict.fromkeys((*names_on_lan(host), *allow_hosts)))
     certificate, key = tls
     if certificate is None:
         certificate, key = ensure_certificate(folder, names)
     check_certificate(certificate, key)
     return {
-        "host": lan.host,
+        "host": names[0],
         "tokens": tokens or (ensure_token(folder),),
         "tls_cert": certificate,
         "tls_key": key,

@@ -27,7 +27,6 @@ class SecurityHeadersMiddleware:
     """Adds the headers to each answer."""
 
     def __init__(self, app: ASGIApp) -> None:
-        """Wrap an application."""
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -44,7 +44,6 @@ class CompositeProcesses(Processes):
     """Composite processes. Methods may be called on any thread."""
 
     def __init__(self) -> None:
-        """Create an empty pool."""
         super().__init__("roomlight_server.answers.composite_worker", "composite", spare=False)
 
     def composite(self, job: CompositeJob, timeout_s: float, cancel: Cancellation) -> Composited:
@@ -67,6 +66,4 @@ class CompositeProcesses(Processes):
 def _composited(text: dict[str, Any], data: memoryview) -> Composited:
     if "refused" in text:
         raise SceneError(text["refused"])
-    if "failed" in text:
-        raise RuntimeError(text["failed"])
     return Composited(text["poses"], text["visible"], bytes(data))

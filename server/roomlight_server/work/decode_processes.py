@@ -59,6 +59,4 @@ class DecodeProcesses(Processes):
 def _decoded_object(text: dict[str, Any], data: memoryview) -> VirtualObject:
     if "rejected" in text:
         raise WireError(**text["rejected"])
-    if "failed" in text:
-        raise RuntimeError(text["failed"])
     return unpack_object(text, data)

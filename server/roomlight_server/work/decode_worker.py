@@ -77,12 +77,9 @@ def unpack_frame(text: dict[str, Any], data: bytes | memoryview, message: FrameM
 
     Raises:
         WireError: The decoder rejected the frame.
-        RuntimeError: The decoder failed.
     """
     if "rejected" in text:
         raise WireError(**text["rejected"])
-    if "failed" in text:
-        raise RuntimeError(text["failed"])
     (height, width), (depth_height, depth_width) = text["image"], text["depth"]
     pixels, depth_pixels = height * width, depth_height * depth_width
     depth_at = 12 * pixels
@@ -106,10 +103,6 @@ def _frame_result(body: bytes, index: int, reference: float, min_confidence: int
     except WireError as error:
         fields = {"kind": error.kind, "field": error.field, "value": str(error.value)[:1000], "rule": error.rule}
         return {"rejected": fields}, ()
-    except MemoryError:
-        raise
-    except Exception:
-        return {"failed": traceback.format_exc()[-4000:]}, ()
 
 
 def _object_result(body: bytes, kind: str | None, limits: dict[str, int]) -> Result:
@@ -117,20 +110,19 @@ def _object_result(body: bytes, kind: str | None, limits: dict[str, int]) -> Res
 
     try:
         text, data = pack_object(body, kind, limits)
-        return text, (data,)
     except ObjectError as error:
         value = f"{len(body)} bytes"
         return {"rejected": {"kind": "bad-object", "field": "body", "value": value, "rule": str(error)[:1000]}}, ()
-    except MemoryError:
-        raise
-    except Exception:
-        return {"failed": traceback.format_exc()[-4000:]}, ()
+    return text, (data,)
 
 
 def serve(
     requests: BinaryIO, results: BinaryIO, block: SharedBlock, answers: Mapping[str, Callable[..., Result]]
 ) -> None:
-    """Answer requests until the input ends; `answers` has what is done by the name of the work."""
+    """Answer requests until the input ends; `answers` has what is done by the name of the work.
+
+    An exception is answered with its traceback (`failed`), or with `memory` if there was too little.
+    """
     results.write(READY)
     results.flush()
     while len(head := requests.read(REQUEST.size)) == REQUEST.size:
@@ -143,6 +135,8 @@ def serve(
             text, parts = answers[work](body, **arguments)
         except MemoryError:
             body, text, parts = b"", {"memory": True}, ()
+        except Exception:
+            body, text, parts = b"", {"failed": traceback.format_exc()[-4000:]}, ()
         encoded, size = json.dumps(text).encode(), sum(map(len, parts))
         if size <= BLOCK_BYTES:  # else the server refuses it
             block.write(*parts)

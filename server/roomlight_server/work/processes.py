@@ -248,6 +248,7 @@ class Processes:
 
         Raises:
             KilledError: The process took too long, has ended, or used up its memory.
+            RuntimeError: The work failed; the text is the traceback.
         """
         wanted = json.dumps(arguments).encode()
         head = REQUEST.pack(len(wanted), len(body), int(timeout_s) + 10) + wanted
@@ -276,6 +277,8 @@ class Processes:
                 try:
                     if "memory" in text:
                         raise KilledError("must decode within the memory of a decoding process", "memory")
+                    if "failed" in text:
+                        raise RuntimeError(text["failed"])
                     with process.arrays(size, len(body)) as arrays:
                         return unpack(text, arrays)
                 finally:

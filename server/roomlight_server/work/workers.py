@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import AsyncGenerator, Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import asynccontextmanager, suppress
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from contextvars import ContextVar, copy_context
 from dataclasses import replace
 from functools import partial
@@ -31,8 +31,8 @@ from roomlight_server.work.processes import Cancellation
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
-_engine_turn: ContextVar[Turn] = ContextVar("engine_turn")
-_preview_turn: ContextVar[Turn] = ContextVar("preview_turn")
+_turn: ContextVar[Turn] = ContextVar("turn")
+"""The job in a slot of the engine or of previews; a task holds one of them at a time."""
 KEEP_S: Final = 8.0
 """Time for which the process of composites is kept when it is not used: it takes 3 s to start, and 0.4 GB."""
 STOP_S: Final = 1.0
@@ -48,8 +48,10 @@ class Workers:
         self._stopped = False
 
         def pool(name: str, threads: int) -> ThreadPoolExecutor:
-            note = partial(_note_thread, self._threads)
-            return ThreadPoolExecutor(threads, thread_name_prefix=name, initializer=note)
+            note = self._threads.append
+            return ThreadPoolExecutor(
+                threads, thread_name_prefix=name, initializer=lambda: note(threading.current_thread())
+            )
 
         self._engine = pool("engine", settings.engine_threads + MAX_PAUSED)  # a paused job keeps its thread
         self._decode = pool("decode", settings.decode_threads)
@@ -112,8 +114,7 @@ class Workers:
         self.decode_processes.stop()
         self.composite_processes.stop()
         deadline_s = time.monotonic() + STOP_S
-        pools = (self._engine, self._composite, self._decode, self._encode)
-        for pool in pools:
+        for pool in (self._engine, self._composite, self._decode, self._encode):
             pool.shutdown(wait=False, cancel_futures=True)
         for thread in self._threads:
             thread.join(max(0.0, deadline_s - time.monotonic()))
@@ -146,57 +147,40 @@ class Workers:
         with suppress(RuntimeError):  # the pools are shut down
             self._engine.submit(release_free_memory)
 
-    @asynccontextmanager
-    async def engine_slot(self, order: int = 0, near: Callable[[], object] = lambda: None) -> AsyncGenerator[None]:
+    def engine_slot(
+        self, order: int = 0, near: Callable[[], object] = lambda: None
+    ) -> AbstractAsyncContextManager[None]:
         """Wait for a free engine thread; inside the context, `run_in_engine_pool` starts immediately.
 
         Args:
             order: Lower ones come first, and interrupt others.
             near: As in `FairShare.slot`.
         """
-        async with self._engine_share.slot(order, near) as turn:
-            token = _engine_turn.set(turn)
-            try:
-                yield
-            finally:
-                _engine_turn.reset(token)
+        return _held(self._engine_share.slot(order, near))
 
     async def run_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run on an engine thread; requires an `engine_slot`. Long work is paused for other sessions."""
-        turn = _engine_turn.get()
-        return await self._run_to_end(self._engine, lambda: _run_paused(turn, lambda: work(*args, **kwargs)))
+        return await self._run_to_end(self._engine, partial(_run_paused, _turn.get().pause, work, *args, **kwargs))
 
     async def read_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run work that changes nothing, as `run_in_engine_pool`; a cancelled caller ends it at its next pause."""
-        turn = _engine_turn.get()
-        run = partial(_run_paused, turn, lambda: work(*args, **kwargs))
+        turn = _turn.get()
+        run = partial(_run_paused, turn.pause, work, *args, **kwargs)
         return await self._run_to_end(self._engine, run, cancelled=turn.abandon)
 
-    @asynccontextmanager
-    async def preview_slot(self) -> AsyncGenerator[None]:
+    def preview_slot(self) -> AbstractAsyncContextManager[None]:
         """Wait for a free thread for previews; inside the context, `run_preview` starts immediately."""
-        async with self._preview_share.slot() as turn:
-            token = _preview_turn.set(turn)
-            try:
-                yield
-            finally:
-                _preview_turn.reset(token)
+        return _held(self._preview_share.slot())
 
     async def run_preview(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run on a compositing thread; requires a `preview_slot`. If the caller is cancelled, it ends soon."""
-        turn = _preview_turn.get()
-
-        def run() -> _R:
-            with pausing(turn.check):
-                return work(*args, **kwargs)
-
+        turn = _turn.get()
+        run = partial(_run_paused, turn.check, work, *args, **kwargs)
         return await self._run_to_end(self._composite, run, cancelled=turn.abandon)
 
-    @asynccontextmanager
-    async def composite_slot(self) -> AsyncGenerator[None]:
+    def composite_slot(self) -> AbstractAsyncContextManager[Turn]:
         """Wait until a process may make a composite, with `run_composite`."""
-        async with self._composite_share.slot():
-            yield
+        return self._composite_share.slot()
 
     async def run_composite(self, job: CompositeJob) -> Composited:
         """Make a composite in a process; requires a `composite_slot`. If the caller is cancelled, it is killed.
@@ -242,13 +226,19 @@ class Workers:
             raise
 
 
-def _note_thread(threads: list[threading.Thread]) -> None:
-    threads.append(threading.current_thread())
+@asynccontextmanager
+async def _held(slot: AbstractAsyncContextManager[Turn]) -> AsyncGenerator[None]:
+    async with slot as turn:
+        token = _turn.set(turn)
+        try:
+            yield
+        finally:
+            _turn.reset(token)
 
 
-def _run_paused(turn: Turn, work: Callable[[], _R]) -> _R:
-    with pausing(turn.pause):
-        return work()
+def _run_paused(pause: Callable[[], object], work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+    with pausing(pause):
+        return work(*args, **kwargs)
 
 
 def _all_but_last(threads: int, several_owners: bool) -> int | None:
