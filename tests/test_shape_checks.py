@@ -7,7 +7,7 @@ import pytest
 from jaxtyping import Float, TypeCheckError
 
 from roomlight.conventions import direction_to_uv
-from roomlight_bench.stages.peak import MatrixProduct
+from roomlight_bench.timing import Timing
 from roomlight_evaluation.baselines import MeanColour
 from shape_checks import checked
 
@@ -18,7 +18,7 @@ def test_a_wrong_shape_is_an_error_in_every_layer():
     with pytest.raises(TypeCheckError):
         MeanColour().light_at("somewhere")  # type: ignore[arg-type]
     with pytest.raises(TypeCheckError):
-        MatrixProduct(edge="large")  # type: ignore[arg-type]
+        Timing("fast", 1.0, 1)  # type: ignore[arg-type]
 
 
 def pairs(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, " n"], rows: int = 2) -> Float[np.ndarray, "n 2"]:

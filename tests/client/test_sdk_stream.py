@@ -341,7 +341,7 @@ def test_closing_a_stream_ends_its_calls():
 # --- the buffer -------------------------------------------------------------------------------------------------
 
 
-def settled(index: int, durable: int | None = None, status: str = "processed") -> FrameResult:
+def settled(index: int, durable: int | None = None, status: Any = "processed") -> FrameResult:
     return FrameResult(index=index, status=status, durable_index=durable)
 
 

@@ -133,14 +133,16 @@ def find_camera_path(
     raise ValueError(f"{name}: {walks} walks through it found no place for {PROBES} probes")
 
 
-def draw_camera_path(free: FreeSpace, views: Views, rng: np.random.Generator, *, frames: int) -> CameraPath | None:
+def draw_camera_path(
+    free: FreeSpace, views: Views, rng: np.random.Generator, *, frames: int, probes: int = PROBES
+) -> CameraPath | None:
     """Draw a phone, one walk and its probes; None if there is no place for the walk or the probes."""
     intrinsics = phone_intrinsics(rng)
     poses = camera_walk(free, rng, intrinsics=intrinsics, frames=frames)
     if poses is None:
         return None
     depth_m = views.depth(intrinsics.resized(80, 60), poses[0])
-    positions = place_probes(free, rng, intrinsics=intrinsics, camera_to_world=poses[0], depth_m=depth_m, count=PROBES)
+    positions = place_probes(free, rng, intrinsics=intrinsics, camera_to_world=poses[0], depth_m=depth_m, count=probes)
     return None if positions is None else CameraPath(intrinsics, poses, positions)
 
 
