@@ -67,6 +67,11 @@ def logged(folder):
     return [{name: value for name, value in entry.items() if name not in times} for entry in entries]
 
 
+def trained_networks(network):
+    """The names of the networks in a model that require a gradient."""
+    return {name.split(".")[0] for name, weight in network.named_parameters() if weight.requires_grad}
+
+
 def single_view_weights(config: ModelConfig = TINY) -> Checkpoint:
     """A single-view model whose weights all differ, as trained ones do."""
     with torch.random.fork_rng(devices=[]):

@@ -125,8 +125,10 @@ def test_messages_name_the_flags(error: RoomLightError, message: str) -> None:
 @pytest.mark.parametrize(
     ("option", "says"),
     [
+        (("--probe", "1,2"), "X,Y,Z"),
         (("--probe", "a,b,c"), "X,Y,Z"),
         (("--pixel", "5"), "a pixel is U,V"),
+        (("--pixel", "5,x"), "a pixel is U,V"),
         (("--above", "-1"), "--above"),
         (("--height", "3"), "--height"),
         (("--height", "3000"), "2048"),
@@ -137,6 +139,7 @@ def test_messages_name_the_flags(error: RoomLightError, message: str) -> None:
         (("--model", "classical", "--weights", "w"), "leave out --weights"),
         (("--model", "magic"), "magic"),
         (("--world-up", "1,2"), "a position or direction is X,Y,Z"),
+        (("--mode", "classical"), "No such option"),
     ],
 )
 def test_a_bad_argument_is_a_usage_error(

@@ -139,7 +139,9 @@ def test_unusable_depth_is_refused(room, depth, error, message):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
+        ("photo.png --probe 1,2", 2, "a position or direction is X,Y,Z"),
         ("photo.png --probe 0,0,-1 --fov 170", 2, "150"),
+        ("photo.png --pixel 1", 2, "a pixel is U,V"),
         ("photo.png --pixel 1,1 --form gif", 2, "is not one of exr, hdr, png, npy,"),
         ("photo.png", 2, "give the points to light"),
         ("photo.png --probe 0,0,99999", 1, "99999"),

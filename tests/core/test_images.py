@@ -53,6 +53,16 @@ def test_png_keeps_every_value(tmp_path):
     assert (clipped == (SRGB >= 250).any(axis=-1)).all()
 
 
+def test_png_and_jpeg_are_rgb_not_bgr(tmp_path):
+    red = np.zeros((16, 16, 3), np.uint8)
+    red[..., 0] = 200
+    write_png(tmp_path / "red.png", red)
+    for data in ((tmp_path / "red.png").read_bytes(), _encoded("jpg", red[..., ::-1])):
+        image, _ = decode_colour(data, "red")
+        assert image[..., 0].min() > 0.5
+        assert image[..., 1:].max() < 0.01
+
+
 def test_what_a_camera_clipped_is_marked():
     pixels = np.full((2, 3, 3), 249, np.uint8)
     pixels[0, 1, 2] = 250

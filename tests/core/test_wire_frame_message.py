@@ -269,6 +269,12 @@ def test_an_image_must_have_the_stated_size_and_encoding():
     assert error_of(with_depth("uint16_mm", "png", big)).field == "depth"
 
 
+def test_a_png_bomb_is_rejected_by_its_header():
+    bomb = bytearray(encoded(".png"))
+    bomb[16:24] = struct.pack(">II", 60_000, 60_000)
+    assert error_of(with_colour("png", bytes(bomb))).value == "60000 x 60000"
+
+
 def test_zstd_must_state_the_right_size_or_no_size():
     compress = zstandard.ZstdCompressor().compress
     assert isinstance(parse(with_depth("uint16_mm", "zstd", compress(bytes(24)))), FrameMessage)

@@ -17,11 +17,28 @@ from roomlight_model.training.examples import example_of, read_example
 from roomlight_model.training.loop import Run
 from roomlight_model.training.losses import BatchGradients, render_rays
 from roomlight_model.training.single_view import predict_panoramas
-from tiny_stages import CPU, HEIGHT, SHAPE, TINY, VIEWS, single_view_weights, view_stage
+from tiny_stages import CPU, HEIGHT, SHAPE, TINY, VIEWS, single_view_weights, trained_networks, view_stage
+
+STAGES = ["single-sglv", "single-blend", "single-joint"]
 
 
 def losses_of(stage, model, batch):
     return stage.losses(model, batch, torch.Generator().manual_seed(1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_changes_only_its_own_networks(tmp_path, stage):
+    run = Run(view_stage(replace(VIEWS, stage=stage, steps=1, batch=1)), tmp_path / "run")
+    before = {name: value.clone() for name, value in run.network.state_dict().items()}
+    run.train()
+    moved = {name.split(".")[0] for name, value in run.network.state_dict().items() if not value.equal(before[name])}
+    assert moved == trained_networks(run.network)
+    assert moved == {
+        "single-sglv": {"sg_encoder", "sg_decoder"},
+        "single-blend": {"blend_encoder", "blend_decoder"},
+        "single-joint": {"sg_encoder", "sg_decoder", "blend_encoder", "blend_decoder"},
+    }[stage]  # fmt: skip
 
 
 @pytest.mark.slow

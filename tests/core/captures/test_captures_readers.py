@@ -68,6 +68,16 @@ def test_every_and_max_frames_select_records_by_their_own_index(built: tuple[str
         assert capture.frames_per_second == pytest.approx(15, rel=1e-3)
 
 
+def test_a_capture_can_be_read_repeatedly(built: tuple[str, Path]) -> None:
+    _, path = built
+    capture = open_capture(path)
+    first, again = list(capture), list(capture)
+    assert [frame.index for frame in again] == [frame.index for frame in first] == list(range(4))
+    for one, same in zip(first, again, strict=True):
+        np.testing.assert_array_equal(same.image, one.image)
+        np.testing.assert_array_equal(same.depth_m, one.depth_m)
+
+
 def test_forcing_another_reader_is_refused_with_a_file(built: tuple[str, Path]) -> None:
     name, path = built
     for other in set(FORMATS) - {FORMAT_OF[name]}:

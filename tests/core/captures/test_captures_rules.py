@@ -517,7 +517,7 @@ def test_polycam_without_loops_and_in_its_other_layout(tmp_path: Path) -> None:
         if not corrected:  # the uncorrected cameras belong to the uncorrected images
             for kind in ("images", "cameras"):
                 shutil.rmtree(path / f"keyframes/corrected_{kind}")
-            assert next(iter(open_capture(path))).camera_to_world[0, 3] == 99.0
+                assert next(iter(open_capture(path))).camera_to_world[0, 3] == 99.0
         for folder in (path / "keyframes").iterdir():
             folder.rename(path / folder.name)
         (path / "keyframes").rmdir()

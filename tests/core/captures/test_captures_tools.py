@@ -2,6 +2,7 @@
 
 import shutil
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import av
@@ -285,3 +286,15 @@ def test_the_nearest_format_and_what_it_lacks_are_named(tmp_path: Path, files: l
     with pytest.raises(UnknownFormatError, match=message) as caught:
         open_capture(tmp_path / "folder")
     assert "Known are .r3d" in str(caught.value)
+
+
+@pytest.mark.parametrize("builder", [formats.polycam, formats.scanner_app], ids=["polycam", "3d-scanner-app"])
+def test_keys_of_a_lens_that_are_not_read_are_noted_once(tmp_path: Path, builder: Callable[..., Path]) -> None:
+    path = builder(tmp_path / "room", VIEWS)
+    assert not any("not read" in str(note) for note in open_capture(path).notes)
+    for index in path.rglob("*.json"):
+        edit(index, lambda stated: stated.update(k1=0.1, camera_model="OPENCV_FISHEYE", blur_score=3.0))
+    capture = open_capture(path)
+    assert len(list(capture)) == len(VIEWS)
+    (note,) = [str(note) for note in capture.notes if "not read" in str(note)]
+    assert "the keys camera_model, k1" in note

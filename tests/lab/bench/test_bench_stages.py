@@ -153,3 +153,12 @@ def test_implementations_are_timed_interleaved():
     assert order == ["a", "b", "a", "b", "a"]
     assert (first.runs, second.runs) == (3, 2)
     assert progress[-1] == "timing, round 3 of 3"
+
+
+@pytest.mark.slow
+def test_operations_of_networks_are_counted_by_layer(report: StagesReport):
+    """The 2D GRU's convolutions: 3 x 3, gates 2C to 2C and candidate 2C to C, at a half and an eighth of the size."""
+    row = next(row for row in report.rows if row.name.startswith("2D GRU"))
+    half, eighth = 16 * 32, 4 * 8
+    outputs_times_inputs = half * (8 * 8 + 8 * 4) + eighth * (32 * 32 + 32 * 16)
+    assert row.flops == 2 * 9 * outputs_times_inputs
