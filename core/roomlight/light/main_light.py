@@ -18,6 +18,7 @@ below in 17 % of the frames; with these limits it never does, and the mean error
 degrees. With 4 instead of 8 a few remain; 2 or 8 instead of the first 4 changes nothing.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -28,16 +29,18 @@ from jaxtyping import Float, Int
 
 from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.light.checks import check_panorama
+from roomlight.light.kernels.lobes import lobe, shift_to_centre
 from roomlight.spheres import resize_panorama
 
 MAX_LIGHTS: Final = 3
 NO_SOURCE: Final = -1
 """Number of a main light that is not in the list of lights: mostly one whose place is inferred, not seen."""
 _SEARCH_ROWS: Final = 24  # 7.5 degrees a pixel, under a kernel of 12
-_KERNELS_DEG: Final = (12.0, 12.0, 12.0, 6.0, 6.0, 6.0, 6.0)
-"""Widths (standard deviation) of the steps to the centre: from that of a lobe to one that separates lamps 15 degrees
-apart."""
-_LOBE_DEG: Final = (20.0, 30.0)  # all of the light above the level counts up to the first, none from the second on
+_KERNELS: Final = np.radians((12.0, 12.0, 12.0, 6.0, 6.0, 6.0, 6.0))
+"""Widths (standard deviation, in radians) of the steps to the centre: from that of a lobe to one that separates lamps
+15 degrees apart."""
+_LOBE: Final = (math.radians(20), math.radians(30))
+"""All of the light above the level counts up to the first angle, none from the second on."""
 _NEAR_DEG: Final = 60.0  # no lobe reaches farther from its peak in the coarse panorama
 _FAINTEST: Final = 1e-4  # of all light: a fainter lobe is a rounding error of even light
 _WEAKEST: Final = 0.05  # of the strongest light: weaker ones are not worth a shadow
@@ -137,7 +140,7 @@ def main_light(panorama: Float[np.ndarray, "h w 3"]) -> MainLight:
 def find_lights(panorama: Float[np.ndarray, "h w 3"]) -> tuple[MainLight, ...]:
     """Find up to `MAX_LIGHTS` lights, the main light first. Negative radiance counts as black.
 
-    1 to 4 ms for 120 x 240 on one core. Products are computed with einsum, on this thread alone: BLAS uses its own
+    About 1 ms for 120 x 240 on one core. Products are computed with einsum, on this thread alone: BLAS uses its own
     threads, which wait for a core beside a running engine (12 to 16 ms in all, at a load of 8 on two cores).
 
     Raises:
@@ -187,7 +190,7 @@ def without_lights(
     left = np.ones(len(pixels.index))  # share of each pixel's excess that no light has yet
     taken: list[MainLight] = []
     for light in lights:
-        share = left * _lobe(_along(pixels.rays, light.direction))
+        share = left * _lobe(pixels.rays, light.direction)
         full = np.einsum("i,ij->j", share * pixels.excess, pixels.radiance)
         part = np.clip(light.intensity / np.maximum(full, 1e-30), 0, 1)
         kept -= (share * per_solid_angle)[:, None] * part
@@ -289,7 +292,8 @@ class Surroundings:
             peak = search.brightest(np.bincount(cell, pixels.power * left, minlength=len(self.coarse)))
             near = np.flatnonzero(_along(pixels.rays, peak) > np.cos(np.radians(_NEAR_DEG)))
             some = pixels.select(near)
-            light, share = _light_toward(some, left[near], _centre(some, left[near], peak))
+            centre = np.array(shift_to_centre(some.rays, some.power * left[near], peak, _KERNELS))
+            light, share = _light_toward(some, left[near], centre)
             if light.intensity @ LUMINANCE <= _FAINTEST * self.total or (
                 chosen and light.weight < _WEAKEST * chosen[0].weight
             ):
@@ -305,7 +309,7 @@ class Surroundings:
 
     def intensity(self, direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Return the irradiance RGB of the lobe about a direction, on a surface that faces it."""
-        share = _lobe(_along(self.pixels.rays, direction))
+        share = _lobe(self.pixels.rays, direction)
         return np.einsum("i,ij->j", share * self.pixels.excess, self.pixels.radiance)
 
     def shadow_strength(self, light: MainLight) -> float:
@@ -328,7 +332,7 @@ class Search:
         """Return the weights for a panorama of `rows` rows."""
         rays = panorama_rays(rows)
         solid_angle = np.repeat(panorama_solid_angles(rows)[:, 0], 2 * rows)
-        kernel = np.exp((rays @ rays.T - 1) / np.float32(np.radians(_KERNELS_DEG[0]) ** 2))
+        kernel = np.exp((rays @ rays.T - 1) / np.float32(_KERNELS[0] ** 2))
         return Search(rows, kernel, solid_angle, rays)
 
     def brightest(self, power: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3"]:
@@ -351,12 +355,11 @@ def _light_toward(
 
     `radius_deg` is that of the uniform disc with the same mean of 1 - cos(angle), which is (1 - cos radius) / 2.
     """
-    cosine = _along(pixels.rays, direction)
-    share = left * _lobe(cosine)
+    share = left * _lobe(pixels.rays, direction)
     intensity = np.einsum("i,ij->j", share * pixels.excess, pixels.radiance)
     power = share * pixels.power
     sure = float(power.sum())
-    radius = np.arccos(np.clip(1 - 2 * _dot(power, 1 - cosine) / max(sure, 1e-30), -1, 1))
+    radius = np.arccos(np.clip(1 - 2 * _dot(power, 1 - _along(pixels.rays, direction)) / max(sure, 1e-30), -1, 1))
     emitted = min(sure / max(float(intensity @ LUMINANCE), 1e-30), 1.0)
     return MainLight(direction, intensity, float(np.degrees(radius)), emitted=emitted), share
 
@@ -375,26 +378,11 @@ def emitted_share(
     return np.clip((luminance - surface) / ((_BRIGHTEST_SURFACE - 1) * surface), 0, 1)
 
 
-def _centre(
-    pixels: _Pixels, left: Float[np.ndarray, " n"], direction: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3"]:
-    """Move from a direction to the centre of the lobe around it (mean shift)."""
-    power = pixels.power * left
-    for width_deg in _KERNELS_DEG:
-        pull = power * np.exp((_along(pixels.rays, direction) - 1) / np.radians(width_deg) ** 2)
-        mean = np.einsum("i,ij->j", pull, pixels.rays)
-        length = np.linalg.norm(mean)
-        if length < 1e-30:
-            break
-        direction = mean / length
-    return direction
-
-
-def _lobe(cosine: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def _lobe(rays: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, " n"]:
     """Return 1 within a lobe and 0 beyond, with a smooth edge: a lamp that crosses it does not flicker."""
-    inner, outer = np.radians(_LOBE_DEG)
-    ramp = np.clip((outer - np.arccos(np.clip(cosine, -1, 1))) / (outer - inner), 0, 1)
-    return ramp * ramp * (3 - 2 * ramp)
+    shares = np.empty(len(rays))
+    lobe(rays, axis.astype(np.float64), *_LOBE, shares)
+    return shares
 
 
 def _along(vectors: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, " n"]:

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
-from roomlight.conventions import LUMINANCE
+from roomlight.conventions import luminance
 from roomlight.engine.networks.graph import Graph
 from roomlight.engine.networks.graphs import SHIPPED, load_part
 from roomlight.engine.networks.providers import Provider
@@ -78,7 +78,7 @@ class ClippingModel:
         saturated = measured >= np.float32(_SATURATED) * white
         image = frame.image.copy()
         image.reshape(-1, 3)[where] = np.where(saturated, np.maximum(estimate, measured), measured)
-        return replace(frame, image=image, guessed=np.einsum("hwc,c->hw", image - frame.image, LUMINANCE))
+        return replace(frame, image=image, guessed=luminance(image - frame.image))
 
     def log_radiance(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float32[np.ndarray, "h w 3"]:
         """Estimate the logarithm of each pixel's radiance in units of the frame's white, if it is clipped.

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from roomlight.conventions import LUMINANCE
+from roomlight.conventions import luminance
 from roomlight.engine.kernels.rasterise import sample_level
 from roomlight.frame import Frame
 
@@ -101,8 +101,8 @@ class Texture:
     @property
     def bound(self) -> Float[np.ndarray, "h w"]:
         """The least luminance that each pixel can have: the image's, less what was estimated."""
-        luminance = np.einsum("hwc,c->hw", self.image, LUMINANCE)
-        return luminance if self.guessed is None else luminance - self.guessed
+        measured = luminance(self.image)
+        return measured if self.guessed is None else measured - self.guessed
 
     @cached_property
     def peak(self) -> float:
