@@ -17,7 +17,7 @@ from roomlight.engine.room import AnyRoom
 from roomlight.engine.state.snapshot import ProbeSnapshot
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.surface.views import MeshesView, distinct
-from roomlight.engine.volume.sglv import render_coarse_panorama, render_panorama
+from roomlight.engine.volume.sglv import render_coarse_panorama
 from roomlight.light.light import Light
 from roomlight.threads import parallel_for, thread_count
 
@@ -118,7 +118,7 @@ class Probe:
         if self.forgotten:
             return None
         height = self.panorama.observed.shape[0]
-        return Rendered(*render_panorama(self.room.sglv, self.position, height=height, far=self.room.far))
+        return Rendered(*render_coarse_panorama(self.room.sglv, self.position, height=height, far=self.room.far))
 
     def view(self, mesh: FrameMesh) -> PartialPanorama:
         """Render what the probe sees of a frame's mesh."""

