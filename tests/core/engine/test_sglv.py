@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +12,7 @@ from roomlight.conventions import panorama_directions
 from roomlight.engine.kernels.reference import render_rays_reference
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import (
+    COARSE_ROWS,
     Sglv,
     render_coarse_panorama,
     render_panorama,
@@ -149,7 +151,7 @@ def test_turning_camera_and_world_together_turns_the_panorama():
 
 
 def test_a_coarse_panorama_is_interpolated_around_the_circle():
-    sglv, height = _random(7), 24
+    sglv, height = _random(7), 2 * COARSE_ROWS
     half = np.dstack(render_panorama(sglv, CENTRE, height=height // 2))
     above, below = half[np.r_[0, : len(half) - 1]], half[np.r_[1 : len(half), -1]]
     rows = np.stack([0.75 * half + 0.25 * above, 0.75 * half + 0.25 * below], axis=1).reshape(height, height, 4)
@@ -159,9 +161,19 @@ def test_a_coarse_panorama_is_interpolated_around_the_circle():
     np.testing.assert_allclose(np.dstack([radiance, transmittance]), wanted, rtol=1e-4, atol=1e-5)
 
 
-def test_a_coarse_panorama_of_odd_height_has_every_ray():
+@pytest.mark.parametrize("height", [9, 16, COARSE_ROWS + 1, 2 * COARSE_ROWS + 1])
+def test_a_small_panorama_and_one_that_does_not_divide_have_every_ray(height):
     sglv = _random(7)
     for coarse, fine in zip(
-        render_coarse_panorama(sglv, CENTRE, height=9), render_panorama(sglv, CENTRE, height=9), strict=True
+        render_coarse_panorama(sglv, CENTRE, height=height), render_panorama(sglv, CENTRE, height=height), strict=True
     ):
         np.testing.assert_array_equal(coarse, fine)
+
+
+def test_a_larger_panorama_takes_as_many_rays():
+    sglv = _random(7)
+    radiance, _ = render_coarse_panorama(sglv, CENTRE, height=4 * COARSE_ROWS)
+    few, _ = render_panorama(sglv, CENTRE, height=COARSE_ROWS)
+    means = cv2.resize(radiance, (2 * COARSE_ROWS, COARSE_ROWS), interpolation=cv2.INTER_AREA)
+    assert np.abs(means - few).mean() < 0.03 * few.mean()  # what interpolation smoothes
+    assert np.abs(np.roll(means, 1, axis=1) - few).mean() > 0.04 * few.mean()
