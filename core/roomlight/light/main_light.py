@@ -29,7 +29,7 @@ from jaxtyping import Float, Int
 
 from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.light.checks import check_panorama
-from roomlight.light.kernels.lobes import lobe, shift_to_centre
+from roomlight.light.kernels.lobes import gather, lobe, shift_to_centre
 from roomlight.spheres import resize_panorama
 
 MAX_LIGHTS: Final = 3
@@ -240,11 +240,6 @@ class _Pixels:
         radiance = panorama.reshape(-1, 3)[index].astype(np.float64)
         return _Pixels(rows, index, rays, radiance, excess, excess * luminance * emitted)
 
-    def select(self, chosen: Int[np.ndarray, " m"]) -> "_Pixels":
-        """Return some of the pixels."""
-        parts = (self.index, self.rays, self.radiance, self.excess, self.power)
-        return _Pixels(self.rows, *(part[chosen] for part in parts))
-
     def cell_of(self, rows: int) -> Int[np.ndarray, " n"]:
         """Return the pixel of a panorama of `rows` rows that each pixel lies in."""
         row, column = np.divmod(self.index, 2 * self.rows)
@@ -290,16 +285,15 @@ class Surroundings:
         chosen: list[MainLight] = []
         while len(cell) and len(chosen) < MAX_LIGHTS:
             peak = search.brightest(np.bincount(cell, pixels.power * left, minlength=len(self.coarse)))
-            near = np.flatnonzero(_along(pixels.rays, peak) > np.cos(np.radians(_NEAR_DEG)))
-            some = pixels.select(near)
-            centre = np.array(shift_to_centre(some.rays, some.power * left[near], peak, _KERNELS))
-            light, share = _light_toward(some, left[near], centre)
+            near = left * (_along(pixels.rays, peak) > np.cos(np.radians(_NEAR_DEG)))
+            centre = np.array(shift_to_centre(pixels.rays, pixels.power * near, peak, _KERNELS))
+            light, share = _light_toward(pixels, near, centre)
             if light.intensity @ LUMINANCE <= _FAINTEST * self.total or (
                 chosen and light.weight < _WEAKEST * chosen[0].weight
             ):
                 break
             chosen.append(replace(light, shadow_strength=self.shadow_strength(light)))
-            left[near] -= share
+            left -= share
         return rank(chosen)
 
     def light(self, direction: Float[np.ndarray, "3"]) -> MainLight:
@@ -337,8 +331,8 @@ class Search:
 
     def brightest(self, power: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3"]:
         """Return the direction about which the most power lies."""
-        filled = np.flatnonzero(power)
-        gathered = np.einsum("ij,i->j", self.kernel[filled], power[filled].astype(np.float32))
+        gathered = np.empty(len(self.kernel), np.float32)
+        gather(self.kernel, power, gathered)
         return self.rays[np.argmax(gathered)].astype(np.float64)
 
     def shadow_strength(self, light: MainLight, luminance: Float[np.ndarray, " n"]) -> float:

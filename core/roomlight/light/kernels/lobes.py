@@ -3,6 +3,7 @@
 
 import math
 
+import numpy as np
 from numba import njit
 
 from roomlight.kernels.common import JIT
@@ -19,10 +20,12 @@ def lobe(rays, axis, inner, outer, shares):
         outer: radians.
         shares: float64 [n], written.
     """
+    least = math.cos(outer)
     for n in range(len(rays)):
         cosine = rays[n, 0] * axis[0] + rays[n, 1] * axis[1] + rays[n, 2] * axis[2]
-        ramp = (outer - math.acos(min(max(cosine, -1.0), 1.0))) / (outer - inner)
-        ramp = min(max(ramp, 0.0), 1.0)
+        ramp = 0.0
+        if cosine > least:
+            ramp = min((outer - math.acos(min(cosine, 1.0))) / (outer - inner), 1.0)
         shares[n] = ramp * ramp * (3 - 2 * ramp)
 
 
@@ -41,6 +44,8 @@ def shift_to_centre(rays, power, direction, widths):
         sharpness = 1 / (width * width)
         mean_x, mean_y, mean_z = 0.0, 0.0, 0.0
         for n in range(len(rays)):
+            if power[n] == 0:
+                continue
             cosine = rays[n, 0] * x + rays[n, 1] * y + rays[n, 2] * z
             pull = power[n] * math.exp((cosine - 1) * sharpness)
             mean_x += pull * rays[n, 0]
@@ -51,3 +56,20 @@ def shift_to_centre(rays, power, direction, widths):
             break
         x, y, z = mean_x / length, mean_y / length, mean_z / length
     return x, y, z
+
+
+@njit(**JIT)
+def gather(kernel, power, gathered):
+    """Write power @ kernel; rows without power cost nothing, and no matrix is copied.
+
+    Args:
+        kernel: float32 [n, k].
+        power: float64 [n].
+        gathered: float32 [k], written.
+    """
+    gathered[:] = 0
+    for row in range(len(power)):
+        if power[row] > 0:
+            factor = np.float32(power[row])
+            for column in range(len(gathered)):
+                gathered[column] += factor * kernel[row, column]
