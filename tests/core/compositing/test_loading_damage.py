@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_files import packed, textured_quad
+from gltf_files import QUAD, GltfFile, packed, textured_quad
 from test_loading import OBJ, OBJ_FACE, PLY
 
 from roomlight.compositing.loading import load_object
@@ -85,3 +85,30 @@ def test_changed_declarations_are_read_or_refused(seed: int) -> None:
             _changed(file.tree, rng)
         refused += _is_refused(packed(json.dumps(file.tree).encode(), bytes(file.content)), None)
     assert refused > 5
+
+
+@pytest.mark.parametrize(
+    ("part", "change", "message"),
+    [
+        ("buffers", {"byteLength": 10_000}, "buffer 0 declares 10000 bytes, "),
+        ("textures", {"source": 99}, "texture 0 has no image"),
+        ("images", {"bufferView": 99}, "bufferViews.99 of "),
+    ],
+)
+def test_what_points_past_the_end_is_refused(part: str, change: dict[str, int], message: str) -> None:
+    file = textured_quad()
+    file.glb()
+    file.tree[part][0] |= change
+    with pytest.raises(ObjectError, match=message):
+        load_object(file.glb())
+
+
+@pytest.mark.parametrize("last", [3, 4])
+def test_an_index_is_below_the_number_of_vertices(last: int) -> None:
+    file = GltfFile()
+    file.node(mesh=file.mesh(QUAD, [[0, 1, 2], [0, 2, last]]))
+    if last < len(QUAD):
+        assert len(load_object(file.glb()).parts[0][0].faces) == 2
+    else:
+        with pytest.raises(ObjectError, match="an index points at vertex 4 of 4"):
+            load_object(file.glb())

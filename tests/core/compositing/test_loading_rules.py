@@ -87,6 +87,19 @@ def test_smoothing_groups_decide_in_obj() -> None:
     assert bend_deg(load_object(obj_of(points, quads, "s off"), "obj")) < 2  # quads bend a little
 
 
+def test_two_sides_of_a_sheet_in_one_smoothing_group_keep_their_normals() -> None:
+    sheet = [[0, 1, 2, 3], [3, 2, 1, 0]]
+    assert bend_deg(load_object(obj_of(np.array(QUAD), sheet, before="s 1"), "obj")) < 0.01
+
+
+@pytest.mark.parametrize("largest", [1, 255])
+def test_colours_of_floats_are_in_units_of_one_or_of_255(largest: int) -> None:
+    extra = "property float red\nproperty float green\nproperty float blue\n"
+    rows = [[largest, 0.5 * largest, 0]] * 4
+    ((_, material),) = load_object(ply(np.array(QUAD), [[0, 1, 2, 3]], "ascii", extra, rows), "ply").parts
+    assert material.base_colour == pytest.approx((1, 0.214, 0), abs=1e-3)
+
+
 @pytest.mark.parametrize("start", range(6))
 @pytest.mark.parametrize("way", [1, -1])
 def test_concave_polygons_are_cut_within_their_outline(start: int, way: int) -> None:
@@ -461,7 +474,8 @@ def test_occlusion_textures_of_all_materials_have_one_note() -> None:
     file = GltfFile()
     texture = {"index": file.image(np.zeros((2, 2, 3), np.uint8))}
     (note,) = load_object(file.quad(occlusionTexture=texture).quad(occlusionTexture=texture).glb()).notes
-    assert "occlusion" in note.left_out
+    assert note.left_out.endswith("occlusion textures")
+    assert note.effect == "objects shade themselves by ray tracing instead"
 
 
 def test_single_sided_surfaces_among_double_sided_ones_are_said_to_show_from_behind() -> None:
