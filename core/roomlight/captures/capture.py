@@ -321,6 +321,20 @@ class Capture:
         depth = None if self._depth_stream is None else replace(self._depth_stream.state)
         return PassState(self._at.last, self._at.good, list(self.skipped), list(self.notes), sorted(self._noted), depth)
 
+    def frame_at(self, index: int) -> Frame:
+        """Read one frame by its `Frame.index`. A video is decoded up to it; other formats read this frame only.
+
+        Raises:
+            FrameError: The record is bad, or there is no record of this index.
+            CaptureError: Poses are to be scaled, and no floor is seen.
+        """
+        if not 0 <= index < self._reader.count:
+            raise FrameError(f"{self.path}: there is no frame {index}; frames are 0 to {self._reader.count - 1}")
+        self._metres_per_unit()
+        self._depth_stream = None
+        with self._reader.records() as read:
+            return self._frame(index, read)
+
     def _metres_per_unit(self) -> float:
         """Return the metres of the stored unit, by the floor if its scale is to be found; reads frames once."""
         if self._metres is not None:

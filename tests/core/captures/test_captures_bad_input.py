@@ -13,9 +13,9 @@ import pytest
 from builders import BUILDERS
 from capture_checks import edit, one_skipped
 
-from roomlight.captures import open_capture
+from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures import source as source_module
-from roomlight.errors import CaptureError, ImageError
+from roomlight.errors import CaptureError, FrameError, ImageError
 
 VIEWS = formats.scene()
 SRGB, MILLIMETRES = VIEWS[1].srgb8, formats.millimetres(VIEWS[1])
@@ -370,3 +370,11 @@ def test_invalid_metadata_refuses_the_capture(tmp_path: Path, change: dict) -> N
     edit(path / "metadata.json", lambda index: index.update(change))
     with pytest.raises(CaptureError, match=r"metadata\.json"):
         open_capture(path)
+
+
+def test_frame_at_raises_what_iterating_skips(native: Path) -> None:
+    (native / "depth/000001.png").unlink()
+    capture = open_capture(native, CaptureOptions(every=2))
+    with pytest.raises(FrameError, match=r"depth/000001\.png"):
+        capture.frame_at(1)
+    assert capture.frame_at(2).index == 2

@@ -13,7 +13,7 @@ from capture_checks import edit
 
 from roomlight.captures import FORMATS, Capture, CaptureOptions, open_capture
 from roomlight.conventions import srgb8_to_linear
-from roomlight.errors import CaptureError, OptionError, UnknownFormatError
+from roomlight.errors import CaptureError, FrameError, OptionError, UnknownFormatError
 
 VIEWS = formats.scene()
 HAS_TIMES = {"nerfcapture", "stray-scanner", "record3d", "record3d-export", "tum", "roomlight", "polycam"}
@@ -76,6 +76,9 @@ def test_a_capture_can_be_read_repeatedly(built: tuple[str, Path]) -> None:
     for one, same in zip(first, again, strict=True):
         np.testing.assert_array_equal(same.image, one.image)
         np.testing.assert_array_equal(same.depth_m, one.depth_m)
+    np.testing.assert_array_equal(capture.frame_at(2).image, first[2].image)
+    with pytest.raises(FrameError, match="no frame 4; frames are 0 to 3"):
+        capture.frame_at(4)
 
 
 def test_forcing_another_reader_is_refused_with_a_file(built: tuple[str, Path]) -> None:
