@@ -29,7 +29,6 @@ from jaxtyping import Float, Int
 
 from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.light.checks import check_panorama
-from roomlight.light.kernels.lobes import gather, lobe, shift_to_centre
 from roomlight.spheres import resize_panorama
 
 MAX_LIGHTS: Final = 3
@@ -279,6 +278,8 @@ class Surroundings:
 
     def lights(self) -> tuple[MainLight, ...]:
         """Return up to `MAX_LIGHTS` lights, the strongest first."""
+        from roomlight.light.kernels.lobes import shift_to_centre  # numba: 0.5 s that clients without lights save
+
         pixels, search = self.pixels, self.search
         cell = pixels.cell_of(search.rows)
         left = np.ones(len(cell))  # share of each pixel's light that no lobe has yet
@@ -331,6 +332,8 @@ class Search:
 
     def brightest(self, power: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3"]:
         """Return the direction about which the most power lies."""
+        from roomlight.light.kernels.lobes import gather
+
         gathered = np.empty(len(self.kernel), np.float32)
         gather(self.kernel, power, gathered)
         return self.rays[np.argmax(gathered)].astype(np.float64)
@@ -374,6 +377,8 @@ def emitted_share(
 
 def _lobe(rays: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, " n"]:
     """Return 1 within a lobe and 0 beyond, with a smooth edge: a lamp that crosses it does not flicker."""
+    from roomlight.light.kernels.lobes import lobe
+
     shares = np.empty(len(rays))
     lobe(rays, axis.astype(np.float64), *_LOBE, shares)
     return shares
