@@ -93,9 +93,8 @@ class Probe:
     def _begin(self, shown: MeshesView, cameras: Float[np.ndarray, "n 3"]) -> None:
         """Take over what is seen of the place, and let the model infer the rest."""
         seen = shown.partial().within(farthest_depth_m(self.room.grid.depth_max_m))
-        far, rows = self.room.far, self.panorama.observed.shape[0]
-        rendered = Rendered(*render_coarse_panorama(self.room.sglv, self.position, height=rows, far=far))
-        estimate = self.estimator.estimate(self.panorama, rendered, seen, depth_max_m=self.room.grid.depth_max_m)
+        depth_max_m = self.room.grid.depth_max_m
+        estimate = self.estimator.estimate(self.panorama, self._rendered(), seen, depth_max_m=depth_max_m)
         for _ in range(2):  # surfaces are in several frames: each adds a share of what the ones before left out
             self._accumulate(self.panorama, seen, None, hdr=estimate.hdr, weight=estimate.weight)
         self.panorama.viewed_from[:] = shown.viewed_from(cameras)
@@ -115,8 +114,9 @@ class Probe:
 
     def render(self) -> Rendered | None:
         """Ray trace the SGLV after the last frame; None for a place whose room is forgotten."""
-        if self.forgotten:
-            return None
+        return None if self.forgotten else self._rendered()
+
+    def _rendered(self) -> Rendered:
         height = self.panorama.observed.shape[0]
         return Rendered(*render_coarse_panorama(self.room.sglv, self.position, height=height, far=self.room.far))
 

@@ -189,7 +189,7 @@ def without_lights(
     left = np.ones(len(pixels.index))  # share of each pixel's excess that no light has yet
     taken: list[MainLight] = []
     for light in lights:
-        share = left * _lobe(pixels.rays, light.direction)
+        share = left * _lobe(_along(pixels.rays, light.direction))
         full = np.einsum("i,ij->j", share * pixels.excess, pixels.radiance)
         part = np.clip(light.intensity / np.maximum(full, 1e-30), 0, 1)
         kept -= (share * per_solid_angle)[:, None] * part
@@ -304,7 +304,7 @@ class Surroundings:
 
     def intensity(self, direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Return the irradiance RGB of the lobe about a direction, on a surface that faces it."""
-        share = _lobe(self.pixels.rays, direction)
+        share = _lobe(_along(self.pixels.rays, direction))
         return np.einsum("i,ij->j", share * self.pixels.excess, self.pixels.radiance)
 
     def shadow_strength(self, light: MainLight) -> float:
@@ -352,11 +352,12 @@ def _light_toward(
 
     `radius_deg` is that of the uniform disc with the same mean of 1 - cos(angle), which is (1 - cos radius) / 2.
     """
-    share = left * _lobe(pixels.rays, direction)
+    cosine = _along(pixels.rays, direction)
+    share = left * _lobe(cosine)
     intensity = np.einsum("i,ij->j", share * pixels.excess, pixels.radiance)
     power = share * pixels.power
     sure = float(power.sum())
-    radius = np.arccos(np.clip(1 - 2 * _dot(power, 1 - _along(pixels.rays, direction)) / max(sure, 1e-30), -1, 1))
+    radius = np.arccos(np.clip(1 - 2 * _dot(power, 1 - cosine) / max(sure, 1e-30), -1, 1))
     emitted = min(sure / max(float(intensity @ LUMINANCE), 1e-30), 1.0)
     return MainLight(direction, intensity, float(np.degrees(radius)), emitted=emitted), share
 
@@ -375,12 +376,12 @@ def emitted_share(
     return np.clip((luminance - surface) / ((_BRIGHTEST_SURFACE - 1) * surface), 0, 1)
 
 
-def _lobe(rays: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, " n"]:
+def _lobe(cosine: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Return 1 within a lobe and 0 beyond, with a smooth edge: a lamp that crosses it does not flicker."""
     from roomlight.light.kernels.lobes import lobe
 
-    shares = np.empty(len(rays))
-    lobe(rays, axis.astype(np.float64), *_LOBE, shares)
+    shares = np.empty(len(cosine))
+    lobe(cosine, *_LOBE, shares)
     return shares
 
 

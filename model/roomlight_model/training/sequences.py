@@ -28,7 +28,9 @@ _WHOLE = 0.25
 _FROM_THE_START = 0.5
 """Share of sequences that begin with the walk's first frame, near which the probes are."""
 _MAX_STRIDE = 4
-_OF_FRAMES: Final = ("volume", "light_of", "detail", "mask", "distance_m", "clipped", "guessed", "hdr")
+_OF_MESHES: Final = ("detail", "mask", "distance_m", "clipped", "guessed")
+"""Fields of `WalkBatch` that frames' meshes fill."""
+_OF_FRAMES: Final = ("volume", "light_of", *_OF_MESHES, "hdr")
 """Fields of `WalkBatch` whose second axis is the frame."""
 _HALVES: Final = ("lights", "detail", "mask", "clipped", "guessed", "hdr")
 """Fields that `WalkCache` keeps in half precision: radiance is at most 60,000 (`training.examples`)."""
@@ -203,7 +205,7 @@ def join_walks(batches: Sequence[WalkBatch]) -> WalkBatch:
 
 def with_views(batch: WalkBatch, walks: Sequence[PreparedWalk], *, panorama_height: int) -> WalkBatch:
     """Add what the probes see of each frame's mesh."""
-    planes: dict[str, list[np.ndarray]] = {name: [] for name in _OF_FRAMES[2:-1]}
+    planes: dict[str, list[np.ndarray]] = {name: [] for name in _OF_MESHES}
     for prepared in walks:
         farthest_m = farthest_depth_m(prepared.grid.depth_max_m)
         positions = prepared.walk.example.positions

@@ -111,6 +111,8 @@ def render_coarse_panorama(
         ProbeError: the position is not usable.
     """
     factor = math.gcd(height, max(height // COARSE_ROWS, 1))
+    if factor == 1:
+        return render_panorama(sglv, position_world, height=height, far=far)
     coarse = np.dstack(render_panorama(sglv, position_world, height=height // factor, far=far))
     around = np.concatenate([coarse[:, -1:], coarse, coarse[:, :1]], axis=1)  # azimuth is a circle
     size = 2 * (height + factor), height

@@ -10,22 +10,20 @@ from roomlight.kernels.common import JIT
 
 
 @njit(**JIT)
-def lobe(rays, axis, inner, outer, shares):
-    """Write 1 for rays within `inner` radians of the axis and 0 beyond `outer`; smooth between, so nothing flickers.
+def lobe(cosines, inner, outer, shares):
+    """Write 1 up to `inner` radians from the axis and 0 beyond `outer`; smooth between, so that nothing flickers.
 
     Args:
-        rays: float64 [n, 3], unit vectors.
-        axis: float64 [3], unit vector.
+        cosines: float64 [n], of the angles to the axis.
         inner: radians.
         outer: radians.
         shares: float64 [n], written.
     """
     least = math.cos(outer)
-    for n in range(len(rays)):
-        cosine = rays[n, 0] * axis[0] + rays[n, 1] * axis[1] + rays[n, 2] * axis[2]
+    for n in range(len(cosines)):
         ramp = 0.0
-        if cosine > least:
-            ramp = min((outer - math.acos(min(cosine, 1.0))) / (outer - inner), 1.0)
+        if cosines[n] > least:
+            ramp = min((outer - math.acos(min(cosines[n], 1.0))) / (outer - inner), 1.0)
         shares[n] = ramp * ramp * (3 - 2 * ramp)
 
 
