@@ -7,12 +7,11 @@ import pytest
 
 from roomlight.engine.networks import providers
 from roomlight.engine.networks.graphs import load_graphs
-from roomlight.engine.networks.openvino_runtime import openvino_version
 from roomlight.engine.networks.providers import VARIABLE, open_graph
 from roomlight.engine.networks.runtime import CUDA, ort
 from roomlight.errors import ModelError
 
-RUNTIMES = ("cpu", pytest.param("openvino", marks=pytest.mark.skipif(not openvino_version(), reason="no OpenVINO")))
+RUNTIMES = ("cpu", "openvino")
 
 
 @pytest.fixture

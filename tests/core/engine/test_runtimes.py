@@ -122,7 +122,6 @@ def test_the_light_of_shipped_networks_in_bf16_is_that_of_fp32(form, runtime):
     assert (logarithms[1] != logarithms[0]).any()  # it is another runtime
 
 
-@pytest.mark.skipif(not _PRESENT["openvino"], reason="no openvino")
 def test_openvinos_converter_which_reports_its_import_is_not_loaded(tiny_video):
     program = f"""
 import sys

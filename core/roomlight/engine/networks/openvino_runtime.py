@@ -1,4 +1,4 @@
-"""OpenVINO as a runtime of graphs: an optional package, for processors on which it is faster than ONNX Runtime.
+"""OpenVINO as a runtime of graphs, for processors on which it is faster than ONNX Runtime.
 
 In fp32 every output agrees with ONNX Runtime's within `TOLERANCE` of its largest value; in bf16, for processors that
 compute in it, the light does within `BF16_TOLERANCE`.
@@ -33,7 +33,7 @@ def openvino_version() -> str | None:
 
 
 @cache
-def _openvino() -> Any:  # the package is optional, and its types are not here without it
+def _openvino() -> Any:  # imported only when a graph needs it: that takes a fifth of a second
     # Its converter reports the import to Google Analytics; without it the import is faster, too.
     converter = "openvino.tools.ovc"
     blocked = converter not in sys.modules

@@ -80,9 +80,7 @@ def _requested(provider: Provider) -> RuntimeName | None:
     if wanted not in get_args(Provider):
         raise ModelError(f"{VARIABLE} must be one of {', '.join(get_args(Provider))}; got {wanted!r}")
     if wanted in ("openvino", "openvino-bf16") and openvino_version() is None:
-        raise ModelError(
-            f'provider="{wanted}": OpenVINO is not installed (pip install \'roomlight[openvino]\'); use provider="cpu"'
-        )
+        raise ModelError(f'provider="{wanted}": OpenVINO is not installed (pip install openvino); use provider="cpu"')
     if wanted == "openvino-bf16" and not computes_in_bf16():
         raise ModelError('provider="openvino-bf16": this processor does not compute in bf16; use provider="openvino"')
     if wanted == "cuda" and CUDA not in ort.get_available_providers():
