@@ -33,7 +33,7 @@ def openvino_version() -> str | None:
 
 
 @cache
-def _openvino() -> Any:  # imported only when a graph needs it: that takes a fifth of a second
+def _openvino() -> Any:  # imported only when a graph needs it: that takes 0.14 s
     # Its converter reports the import to Google Analytics; without it the import is faster, too.
     converter = "openvino.tools.ovc"
     blocked = converter not in sys.modules
