@@ -7,6 +7,7 @@ looks up a host of Microsoft when it is loaded. It reads the variable once, at i
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Final, Literal, Protocol, runtime_checkable
 
@@ -69,17 +70,23 @@ class OnnxRuntimeGraph:
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         # Hidden states that decay towards zero become denormals, which are 100 times slower than zero.
         options.add_session_config_entry("session.set_denormal_as_zero", "1")
+        if runtime == "cuda":
+            _load_cuda_libraries()
         # Opened in a separate thread: with denormals as zero, ONNX Runtime changes the floating-point mode of the
         # opening thread for good, and the caller's thread must keep its own.
         with ThreadPoolExecutor(1) as opener:
-            wanted = [CUDA] if runtime == "cuda" else ["CPUExecutionProvider"]
+            # TF32, the default on newer GPUs, keeps 10 bits of each product: light would differ in its third digit
+            wanted = [(CUDA, {"use_tf32": "0"})] if runtime == "cuda" else ["CPUExecutionProvider"]
             opening = opener.submit(ort.InferenceSession, str(path), options, providers=wanted)
         error = opening.exception()
         if error is not None:  # ONNX Runtime's exceptions share no base class
             raise ModelError(f"{path}: ONNX Runtime cannot load it ({str(error).splitlines()[0]})") from error
         graph = cls(opening.result(), path)
         if graph.runtime != runtime:  # it falls back to the CPU with a warning
-            raise ModelError('provider="cuda": ONNX Runtime found no GPU, or not the CUDA libraries that it needs')
+            raise ModelError(
+                'provider="cuda": ONNX Runtime found no GPU, or not the CUDA libraries that it needs (pip install '
+                "'onnxruntime-gpu[cuda,cudnn]')"
+            )
         return graph
 
     def bind(self, inputs: Buffers, outputs: Buffers) -> Callable[[], object]:
@@ -106,6 +113,12 @@ class OnnxRuntimeGraph:
         except Exception as error:  # ONNX Runtime's exceptions share no base class
             raise ModelError(f"{self._name}: ONNX Runtime fails on it ({str(error).splitlines()[0]})") from error
         return dict(zip(self.outputs, map(np.asarray, values), strict=True))
+
+
+def _load_cuda_libraries() -> None:
+    """Load those that PyPI's NVIDIA packages hold, where the dynamic linker does not look."""
+    with redirect_stdout(None):  # it prints what is missing; ONNX Runtime then falls back to the CPU, which is an error
+        ort.preload_dlls()
 
 
 _NUMPY: Final = {
