@@ -102,15 +102,23 @@ def _normal(frame: Frame, row: int, column: int, surface: Float[np.ndarray, "3"]
 
 
 def _no_depth(frame: Frame, u: float, v: float, row: int, column: int) -> str:
-    """Suggest the nearest pixel that has depth, if there is one."""
-    message = f"there is no depth at pixel {u:g},{v:g}"
+    near = nearest_with_depth(frame, row, column)
+    if near is None:
+        return f"there is no depth at pixel {u:g},{v:g}, nor anywhere else in this frame; give the point in metres"
+    return (
+        f"there is no depth at pixel {u:g},{v:g} (a window, a lamp or a shiny surface?); the nearest pixel with depth "
+        f"is {near[0]},{near[1]}"
+    )
+
+
+def nearest_with_depth(frame: Frame, row: int, column: int) -> tuple[int, int] | None:
+    """Return the colour pixel (u, v) with depth that is nearest to a depth pixel; None if the frame has no depth."""
     known = np.argwhere(frame.depth_m > 0)
     if not len(known):
-        return f"{message}, nor anywhere else in this frame; give the point in metres instead"
+        return None
     near_row, near_column = known[np.argmin(((known - (row, column)) ** 2).sum(axis=1))].tolist()
     scale_v, scale_u = frame.image.shape[0] / frame.depth_m.shape[0], frame.image.shape[1] / frame.depth_m.shape[1]
-    near_u, near_v = int((near_column + 0.5) * scale_u), int((near_row + 0.5) * scale_v)
-    return f"{message} (a window, a lamp or a shiny surface?); the nearest pixel with depth is {near_u},{near_v}"
+    return int((near_column + 0.5) * scale_u), int((near_row + 0.5) * scale_v)
 
 
 def _in_world(frame: Frame, point_camera: Float[np.ndarray, "3"]) -> Position:

@@ -116,7 +116,10 @@ def test_another_frame_fills_a_hole_behind_the_pixel():
 def test_places_that_cannot_be_are_refused():
     frame, geometry = view(-35)
     blind = replace(frame, depth_m=np.zeros_like(frame.depth_m))
-    with pytest.raises(SceneError, match=r"no surface is known behind 100,50.*choose another pixel or give a position"):
+    with pytest.raises(SceneError, match=r"no surface is known behind 100,50.*; give a position$"):
+        place_at_pixel(RoomGeometry(), blind, 100.0, 50.0, BOX)
+    blind.depth_m[30, 110] = blind.depth_m[150, 100] = 1.0  # of 192 x 256
+    with pytest.raises(SceneError, match=r"the nearest pixel with depth is 138,38$"):
         place_at_pixel(RoomGeometry(), blind, 100.0, 50.0, BOX)
     for u, v in ((-1.0, 5.0), (320.0, 5.0), (5.0, 240.0), (float("nan"), 5.0)):
         with pytest.raises(SceneError, match="320 x 240 pixels"):

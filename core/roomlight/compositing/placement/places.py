@@ -15,6 +15,7 @@ from roomlight.camera import check_rigid, transform_points
 from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.errors import SceneError
 from roomlight.frame import MAX_POSITION_M, Frame
+from roomlight.placement import nearest_with_depth
 
 Anchor = Literal["base", "back", "top", "centre", "origin"]
 """Point that is placed: middle of the bounding box's bottom, back or top face, of the box, or (0, 0, 0)."""
@@ -174,14 +175,16 @@ def surface_at_pixel(
     ray = np.array([(u + 0.5 - k.cx) / k.fx, -(v + 0.5 - k.cy) / k.fy, -1.0])
     direction = frame.camera_to_world[:3, :3] @ (ray / np.linalg.norm(ray))
     origin = frame.camera_to_world[:3, 3]
-    distance_m = _depth_at(frame, u, v) * float(np.linalg.norm(ray))
+    distance_m = float(frame.depth_m[_depth_pixel(frame, u, v)]) * float(np.linalg.norm(ray))
     if distance_m <= 0:
         hits = geometry.cast(origin[None].astype(np.float32), direction[None].astype(np.float32))
         distance_m = float(hits.distance_m[0])
     if not np.isfinite(distance_m):
+        near = nearest_with_depth(frame, *_depth_pixel(frame, u, v))
         raise SceneError(
             f"pixel: no surface is known behind {u:g},{v:g}: the sensor gave no depth there (a window, a lamp, a shiny "
-            "surface?) and no other frame showed it; choose another pixel or give a position"
+            "surface?) and no other frame showed it; "
+            + ("give a position" if near is None else f"the nearest pixel with depth is {near[0]},{near[1]}")
         )
     hit = origin + distance_m * direction
     low, high = FIT_RADIUS_M
@@ -317,11 +320,11 @@ def _flush(normal: Float[np.ndarray, "3"], yaw_degrees: float) -> Float[np.ndarr
     return np.stack([turned, np.cross(normal, turned), normal], axis=1)
 
 
-def _depth_at(frame: Frame, u: float, v: float) -> float:
+def _depth_pixel(frame: Frame, u: float, v: float) -> tuple[int, int]:
     rows, columns = frame.depth_m.shape
     height, width = frame.image.shape[:2]
     row, column = int((v + 0.5) * rows / height), int((u + 0.5) * columns / width)
-    return float(frame.depth_m[min(row, rows - 1), min(column, columns - 1)])
+    return min(row, rows - 1), min(column, columns - 1)
 
 
 def _patch(
