@@ -33,7 +33,7 @@ from roomlight_model.training.objects import (
 )
 
 EVALUATED = ("diffuse", "glossy")
-SHORT = ObjectsOptions(steps=16, batch=2, learning_rate=3e-3, warm_up=6, ema=0.5, seed=1, validate_steps=100)
+SHORT = ObjectsOptions(steps=24, batch=2, learning_rate=1e-3, warm_up=6, ema=0.5, seed=1, validate_steps=100)
 
 
 def half_rooms(count):
@@ -119,7 +119,7 @@ def test_it_learns_what_its_examples_show(tmp_path):
     run.train()
     after = load_checkpoint(tmp_path / "run" / "best.pt").card["scores"]
     assert set(after) == {"loss", *MATERIALS}
-    assert after["loss"] < 0.6 * before
+    assert after["loss"] < 0.3 * before
     assert all(np.isfinite(value) for value in after.values())
 
 
