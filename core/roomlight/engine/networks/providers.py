@@ -85,8 +85,8 @@ def _requested(provider: Provider) -> RuntimeName | None:
         raise ModelError('provider="openvino-bf16": this processor does not compute in bf16; use provider="openvino"')
     if wanted == "cuda" and CUDA not in ort.get_available_providers():
         raise ModelError(
-            'provider="cuda": this ONNX Runtime has no CUDA (pip uninstall onnxruntime; pip install onnxruntime-gpu); '
-            'use provider="cpu"'
+            'provider="cuda": this ONNX Runtime has no CUDA (pip uninstall onnxruntime; pip install '
+            "'onnxruntime-gpu[cuda,cudnn]'); use provider=\"cpu\""
         )
     if wanted == "auto":
         return "cpu" if openvino_version() is None else None

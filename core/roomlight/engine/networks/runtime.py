@@ -7,7 +7,6 @@ looks up a host of Microsoft when it is loaded. It reads the variable once, at i
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Final, Literal, Protocol, runtime_checkable
 
@@ -71,7 +70,7 @@ class OnnxRuntimeGraph:
         # Hidden states that decay towards zero become denormals, which are 100 times slower than zero.
         options.add_session_config_entry("session.set_denormal_as_zero", "1")
         if runtime == "cuda":
-            _load_cuda_libraries()
+            ort.preload_dlls()  # of PyPI's NVIDIA packages, where the dynamic linker does not look
         # Opened in a separate thread: with denormals as zero, ONNX Runtime changes the floating-point mode of the
         # opening thread for good, and the caller's thread must keep its own.
         with ThreadPoolExecutor(1) as opener:
@@ -113,12 +112,6 @@ class OnnxRuntimeGraph:
         except Exception as error:  # ONNX Runtime's exceptions share no base class
             raise ModelError(f"{self._name}: ONNX Runtime fails on it ({str(error).splitlines()[0]})") from error
         return dict(zip(self.outputs, map(np.asarray, values), strict=True))
-
-
-def _load_cuda_libraries() -> None:
-    """Load those that PyPI's NVIDIA packages hold, where the dynamic linker does not look."""
-    with redirect_stdout(None):  # it prints what is missing; ONNX Runtime then falls back to the CPU, which is an error
-        ort.preload_dlls()
 
 
 _NUMPY: Final = {
