@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any, Final
 
-from fastapi import FastAPI, Response
+from fastapi import Depends, FastAPI, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
 from fastapi_offline import FastAPIOffline
@@ -43,6 +43,7 @@ from roomlight_server.sessions.registry import Clock, Registry
 from roomlight_server.state.store import StateStore
 from roomlight_server.transport.auth import DOCS_ASSETS, LOOPBACK_HOSTS, PHONES, AuthMiddleware, Tokens
 from roomlight_server.transport.guard import ConnectionGuard
+from roomlight_server.transport.head_requests import HeadMiddleware
 from roomlight_server.transport.phones import Phones
 from roomlight_server.transport.security_headers import SecurityHeadersMiddleware
 from roomlight_server.transport.stop_middleware import StopMiddleware
@@ -129,6 +130,7 @@ def create_app(
         version=__version__,
         description=_DESCRIPTION,
         lifespan=lifespan,
+        dependencies=[Depends(problems.refuse_unknown_parameters)],
         redirect_slashes=False,
         generate_unique_id_function=_operation_id,
         exception_handlers={
@@ -212,7 +214,7 @@ def _add_middleware(app: FastAPI, context: Context) -> None:
         AuthMiddleware,
         tokens=context.tokens,
         origins=settings.allow_origins,
-        hosts=settings.allow_hosts if settings.tokens else LOOPBACK_HOSTS,
+        hosts=settings.allow_hosts if settings.tokens else (*LOOPBACK_HOSTS, *settings.allow_hosts),
         metrics=metrics,
         wrong_token_delay_s=settings.wrong_token_delay_s,
         guard=context.guard,
@@ -228,6 +230,7 @@ def _add_middleware(app: FastAPI, context: Context) -> None:
         )
     app.add_middleware(SecurityHeadersMiddleware)
     app.add_middleware(StopMiddleware, stopping=lambda: context.registry.stopping)
+    app.add_middleware(HeadMiddleware)
     app.add_middleware(RequestIdMiddleware)  # answers of all others carry the id
 
 

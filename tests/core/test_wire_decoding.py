@@ -1,5 +1,6 @@
 """Decoding of frame messages: every colour and depth encoding, exposure, confidence, HEIC."""
 
+import inspect
 import io
 import json
 from dataclasses import replace
@@ -11,7 +12,7 @@ import pytest
 import zstandard
 
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
-from roomlight.errors import WireError
+from roomlight.errors import OptionError, WireError
 from roomlight.wire.decoding import decode_frame
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_header import FrameHeader
@@ -112,6 +113,11 @@ def test_a_mask_is_sent_with_every_encoding(encoding):
         np.testing.assert_array_equal(sent.clipped, clipped)
         np.testing.assert_array_equal(sent.image, own.image)
     assert decode_frame(parse(pack_frame(replace(own, seen=None), colour=encoding)), 0).seen is None
+
+
+def test_an_unknown_encoding_is_refused():
+    with pytest.raises(OptionError, match="exact, jpeg, png; got 'webp'"):
+        inspect.unwrap(pack_frame)(decode_frame(message(), 0), colour="webp")
 
 
 @pytest.mark.parametrize("encoding", ["exact", "jpeg"])

@@ -115,7 +115,7 @@ def test_an_idle_connection_makes_room(before, caplog):
         assert is_closed(idle)
         assert len(refusals(caplog, "idle")) == 1
         busy.sendall(b"x" * 100)
-        assert answer_of(busy)[0] == 422
+        assert answer_of(busy)[0] == 415
 
 
 def test_the_address_with_most_connections_makes_room(caplog):

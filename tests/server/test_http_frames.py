@@ -232,6 +232,41 @@ def test_a_multipart_frame_is_validated(server, changes, field):
     assert server.state("curl-checked")["frames"]["accepted"] == 0
 
 
+def test_a_multipart_frame_needs_no_depth(server):
+    server.open("curl-flat")
+    parts = curl_parts()
+    header = json.loads(parts["header"])
+    body, headers = multipart({"header": parts["header"], "colour": parts["colour"]})
+    answer = server.push(0, body, name="curl-flat", headers=headers)
+    assert (answer.kind, answer.json["field"], answer.json["value"]) == ("bad-frame", "depth", "no such part")
+    del header["depth"]
+    body, headers = multipart({"header": json.dumps(header).encode(), "colour": parts["colour"]})
+    headers["Content-Type"] = headers["Content-Type"].replace("multipart/form-data", "Multipart/Form-Data")
+    answer = server.push(0, body, name="curl-flat", headers=headers)
+    assert (answer.json["status"], answer.json["depth_estimated"]) == ("processed", True)
+
+
+@pytest.mark.parametrize("size", [100, 30_000])
+def test_images_sent_as_text_are_refused_with_what_to_do(server, size):
+    """Python's requests sends `(None, data)` without a file name: as text, and its bytes are damaged."""
+    server.open("curl-text")
+    parts = curl_parts(colour=curl_parts()["colour"][:size])
+    body, headers = multipart(parts)
+    body = body.replace(b'name="colour"; filename="colour"', b'name="colour"', 1)
+    body = body.replace(b"\r\nContent-Type: application/octet-stream", b"", 1)
+    answer = server.push(0, body, name="curl-text", headers=headers)
+    assert (answer.status, answer.kind) == (400, "bad-request")
+    assert "must be sent as a file, with a file name" in answer.json["detail"]
+
+
+def test_a_part_that_is_given_twice_is_refused(server):
+    server.open("curl-twice")
+    body, headers = multipart(curl_parts())
+    second = multipart({"colour": b"junk"})[0]
+    answer = server.push(0, body.removesuffix(b"--edge--\r\n") + second, name="curl-twice", headers=headers)
+    assert (answer.status, answer.json["field"]) == (400, "colour")
+
+
 def test_malformed_multipart_is_rejected(server):
     server.open("curl-broken")
     for headers, body in (

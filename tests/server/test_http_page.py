@@ -109,6 +109,12 @@ def test_allowed_hosts_are_checked_with_tokens_too():
             assert server.call("GET", "/v1/sessions", token=TOKEN, headers={"Host": host}).status == status, host
 
 
+def test_hosts_are_allowed_without_a_token_too():
+    with RunningServer(allow_hosts=("Box.lan",)) as server:
+        for host, status in (("box.lan:8090", 200), ("BOX.LAN", 200), ("127.0.0.1", 200), ("evil.example", 403)):
+            assert server.call("GET", "/v1/sessions", headers={"Host": host}).status == status, host
+
+
 @pytest.mark.parametrize("method", ["GET", "PUT", "DELETE"])
 @pytest.mark.parametrize("origin", ["https://evil.example", "http://localhost:3000", "null"])
 def test_pages_of_other_sites_are_refused(server, method, origin):

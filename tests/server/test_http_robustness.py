@@ -113,6 +113,53 @@ def with_colour(encoding, data, **changes):
     return pack(header, data, parts_of(box_shot(0))[1])
 
 
+@pytest.mark.parametrize("content_type", [None, "application/x-www-form-urlencoded", "text/plain"])
+def test_json_of_another_content_type_is_refused_with_the_right_one(server, content_type):
+    headers = {} if content_type is None else {"Content-Type": content_type}
+    answer = server.call("PUT", "/v1/sessions/room/probes/table", b'{"position": [0, 1, 0]}', headers=headers)
+    assert (answer.status, answer.kind) == (415, "unsupported-media-type")
+    assert (answer.json["field"], answer.json.get("value")) == ("Content-Type", content_type)
+    assert "application/json" in answer.json["detail"]
+
+
+@pytest.mark.parametrize("path", ["/v1/sessions/room/frames/9", "/v1/sessions/room/probes/table", "/v1/objects"])
+def test_a_compressed_body_is_refused_by_its_encoding(server, path):
+    method = "POST" if path == "/v1/objects" else "PUT"
+    headers = {"Content-Encoding": "gzip", "Content-Type": "application/json"}
+    answer = server.call(method, path, b"\x1f\x8b\x08\x00", headers=headers)
+    assert (answer.status, answer.kind) == (415, "unsupported-media-type")
+    assert "Content-Encoding 'gzip'" in answer.json["detail"]
+
+
+def test_a_form_is_no_object(server):
+    body = b'--edge\r\nContent-Disposition: form-data; name="file"; filename="a.obj"\r\n\r\nv 0 0 0\r\n--edge--\r\n'
+    answer = server.call(
+        "POST", "/v1/objects?kind=obj", body, headers={"Content-Type": "multipart/form-data; boundary=edge"}
+    )
+    assert (answer.status, answer.kind, answer.json["field"]) == (415, "unsupported-media-type", "Content-Type")
+    assert "--data-binary" in answer.json["detail"]
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "name", "rule"),
+    [
+        ("GET", "/v1/sessions/room/probe?x=0&y=1&z=0&format=sh&height=64", "height", "must be one of x, y, z"),
+        ("PUT", "/v1/sessions/other?model=classical", "model", "takes no query parameters"),
+    ],
+)
+def test_an_unknown_query_parameter_is_refused(server, method, path, name, rule):
+    answer = server.call(method, path, {} if method == "PUT" else None)
+    assert (answer.status, answer.kind, answer.json["field"]) == (422, "invalid", name)
+    assert rule in answer.json["rule"]
+    assert server.call("GET", "/v1/sessions/other").status == 404
+
+
+@pytest.mark.parametrize("path", ["/healthz", "/", "/docs", "/metrics", "/v1/sessions/room", "/v1/sessions/nobody"])
+def test_head_is_answered_as_get_without_a_body(server, path):
+    got, head = server.call("GET", path), server.call("HEAD", path)
+    assert (head.status, head.headers["content-type"], head.body) == (got.status, got.headers["content-type"], b"")
+
+
 def test_a_heic_without_a_primary_image_is_invalid(server, errors, tmp_path):
     """pillow_heif raised an IndexError, which was a 500."""
     server.open("heic")

@@ -48,6 +48,27 @@ def test_lists_are_split_at_spaces_and_commas(monkeypatch):
     assert load_settings().allow_origins == ("https://a.example", "https://b.example", "https://c.example")
 
 
+def test_hosts_and_origins_are_taken_as_browsers_send_them():
+    settings = load_settings(
+        allow_origins=(
+            "HTTP://LocalHost:8000/",
+            "https://a.example:443",
+            "http://[::1]:80",
+            "capacitor://localhost",
+            "*",
+        ),
+        allow_hosts=("Johns-MacBook.local", "[fe80::1]", "10.0.0.7"),
+    )
+    assert settings.allow_origins == (
+        "http://localhost:8000",
+        "https://a.example",
+        "http://[::1]",
+        "capacitor://localhost",
+        "*",
+    )
+    assert settings.allow_hosts == ("johns-macbook.local", "fe80::1", "10.0.0.7")
+
+
 def test_tokens_come_from_the_environment_and_a_file(monkeypatch, tmp_path):
     path = tmp_path / "tokens"
     path.write_text(f"# ours\n{TOKEN}-file  # the phone\n\n")
@@ -82,6 +103,12 @@ def test_a_loopback_address_needs_no_token(host):
         ("IDLE_EXPIRY_S", "-1", "ROOMLIGHT_IDLE_EXPIRY_S: '-1': input should be greater than 0"),
         ("ACCESS_LOG", "maybe", "ROOMLIGHT_ACCESS_LOG: 'maybe': input should be a valid boolean"),
         ("MAX_SESSION", "4", "ROOMLIGHT_MAX_SESSION: unknown environment variable.*ROOMLIGHT_MAX_SESSIONS"),
+        ("ALLOW_HOSTS", "box.lan:8090", "ROOMLIGHT_ALLOW_HOSTS: .*'box.lan:8090' is no host: .*without scheme, port"),
+        ("ALLOW_HOSTS", "http://box.lan", "'http://box.lan' is no host"),
+        ("ALLOW_ORIGINS", "localhost:8000", "ROOMLIGHT_ALLOW_ORIGINS: .*'localhost:8000' is no web origin"),
+        ("ALLOW_ORIGINS", "http://*.example", "no web origin"),
+        ("ALLOW_ORIGINS", "http://a.example/page", "no web origin"),
+        ("ALLOW_ORIGINS", '["http://a.example"]', "no web origin"),
         ("FRAMES_INFLIGHT", "4", "ROOMLIGHT_FRAMES_INFLIGHT: unknown.*ROOMLIGHT_FRAMES_IN_FLIGHT"),
     ],
 )

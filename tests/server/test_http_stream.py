@@ -117,6 +117,12 @@ def test_a_rejected_message_keeps_the_connection_open(server):
         stream.send(light | {"probes": [{"name": "nobody"}]})
         nobody = stream.next("problem")
         assert (nobody["request"], nobody["problem"]["status"]) == ("r7", 404)
+        for invalid in (light | {"probes": [{"position": [0, 2000, 0]}]}, light | {"forms": []}, light | {"more": 1}):
+            stream.send(invalid)
+            refused = stream.next("problem")
+            assert (refused["request"], refused["problem"]["status"]) == ("r7", 422)
+        stream.send(light | {"request": 7})
+        assert "request" not in stream.next("problem")
         stream.send(frame(0, index=3))
         assert stream.next("frame")["status"] == "processed"
         stream.send(frame(1, index=2))

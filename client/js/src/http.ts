@@ -50,7 +50,7 @@ export class Http {
     url: string | URL,
     readonly options: ClientOptions,
   ) {
-    this.base = new URL(url);
+    this.base = serverAddress(url);
     if (!this.base.pathname.endsWith("/")) {
       this.base.pathname += "/";
     }
@@ -141,4 +141,17 @@ function parseRetryAfter_s(response: Response): number | null {
   }
   const delay_s = /^\s*\d+(\.\d+)?\s*$/.test(header) ? Number(header) : (Date.parse(header) - Date.now()) / 1000;
   return Number.isNaN(delay_s) ? null : Math.max(delay_s, 0);
+}
+
+/** The address of a server. Throws RoomLightError for one that no request can be sent to. */
+function serverAddress(url: string | URL): URL {
+  try {
+    const address = new URL(url);
+    if (/^https?:$/.test(address.protocol) && !address.username && !address.password) {
+      return address;
+    }
+  } catch {
+    // no address at all
+  }
+  throw new RoomLightError(`the server must be an address such as https://light.example, without a user; got ${url}`, 0);
 }

@@ -262,3 +262,12 @@ test("joining a session continues its index and sends no options", async (contex
     ["GET /v1/sessions/room", "PUT /v1/sessions/room/frames/42", "GET /v1/sessions/gone"],
   );
 });
+
+test("an address that no request can be sent to is refused with its value", () => {
+  for (const url of ["localhost:8090", "ws://light.example", "http://user:word@light.example", "light.example", ""]) {
+    assert.throws(
+      () => new RoomLight(url),
+      (error) => error instanceof RoomLightError && error.message.endsWith(`got ${url}`),
+    );
+  }
+});

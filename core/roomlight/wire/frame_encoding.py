@@ -4,7 +4,7 @@ Poses are camera-to-world (camera x right, y up, z backward; world metres, y up)
 """
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import linear_to_srgb8
-from roomlight.errors import WireError
+from roomlight.errors import OptionError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.frame_header import (
     ColourEncoding,
@@ -90,8 +90,11 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
     """Encode a RoomLight frame of linear radiance as a message.
 
     Raises:
+        OptionError: If `colour` is none of these encodings.
         WireError: If the frame is invalid: no server would accept it.
     """
+    if colour not in get_args(FrameEncoding):
+        raise OptionError(f"colour must be one of {', '.join(get_args(FrameEncoding))}; got {colour!r}")
     if colour == "exact":
         return _pack_exact(frame)
     small = frame.resized(*PHONE_SIZE)

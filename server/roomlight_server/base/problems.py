@@ -11,6 +11,7 @@ from fastapi import Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
 
 from roomlight.errors import ProbeError, WireError
 from roomlight.wire.frame_message import rule_text
@@ -55,6 +56,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "no-frame": (409, "Session has no frame yet"),
     "session-closed": (410, "Session was closed"),
     "too-large": (413, "Message is too large"),
+    "unsupported-media-type": (415, "Content type or encoding is not supported"),
     "bad-request": (400, "Request cannot be parsed"),
     "bad-frame": (422, "Frame is invalid"),
     "bad-object": (422, "Object is invalid"),
@@ -80,10 +82,18 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "stopping": (503, "Server is stopping"),
 }
 """Status and title of each kind of problem; the kind is the end of the problem's `type`."""
-BODY_PROBLEMS: Final = ("bad-request", "body-timeout", "too-large")
+BODY_PROBLEMS: Final = ("bad-request", "body-timeout", "too-large", "unsupported-media-type")
 """Kinds of problem of any request with a body."""
 SESSION_PROBLEMS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
 """Kinds of problem of any request to an open session."""
+_KINDS: Final[Mapping[int, str]] = {
+    404: "not-found",
+    405: "method-not-allowed",
+    408: "body-timeout",
+    413: "too-large",
+    415: "unsupported-media-type",
+}
+"""Kinds of problem of what the framework and the middleware raise, by status; others are a bad request."""
 _TOKEN_LIMITS: Final = ("owner-quota", "owner-busy")
 
 
@@ -154,6 +164,13 @@ async def on_invalid(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
     first: dict[str, Any] = error.errors()[0]
     location = [str(part) for part in first["loc"]]
+    if location == ["body"] and isinstance(first.get("input"), bytes):  # FastAPI parses JSON by its type alone
+        content_type, rule = request.headers.get("content-type"), "send JSON as application/json"
+        detail = f"Content-Type: {rule}"
+        return _answered(
+            request,
+            ProblemError("unsupported-media-type", detail, field="Content-Type", value=content_type, rule=rule),
+        )
     field = ".".join(location[1:]) if len(location) > 1 else location[0]
     rule = rule_text(str(first["msg"]))
     value = "nothing" if first["type"] == "missing" else ascii(first.get("input"))
@@ -163,9 +180,7 @@ async def on_invalid(request: Request, error: Exception) -> JSONResponse:
 async def on_http_exception(request: Request, error: Exception) -> JSONResponse:
     """Handle errors raised by the framework and the middleware."""
     assert isinstance(error, HTTPException)
-    kind = {404: "not-found", 405: "method-not-allowed", 408: "body-timeout", 413: "too-large"}.get(
-        error.status_code, "bad-request"
-    )
+    kind = _KINDS.get(error.status_code, "bad-request")
     detail = str(error.detail) or HTTPStatus(error.status_code).phrase
     response = _answered(request, ProblemError(kind, detail))
     response.headers.update(error.headers or {})
@@ -181,7 +196,25 @@ def _methods_at(request: Request) -> set[str]:
         pattern = re.sub(r"\\\{[^}]+\\\}", "[^/]+", whole)
         if re.fullmatch(pattern, request.url.path):
             methods |= {method.upper() for method in operations}
-    return methods
+    return methods | {"HEAD"} if "GET" in methods else methods
+
+
+async def refuse_unknown_parameters(connection: HTTPConnection) -> None:
+    """Refuse a request below `/v1` with a query parameter that its route does not have.
+
+    Raises:
+        ProblemError: There is one (422).
+    """
+    scope, given = connection.scope, connection.query_params
+    if not given or scope["type"] != "http" or not scope["path"].startswith("/v1/"):
+        return
+    operation = connection.app.openapi()["paths"][scope["route"].path_format][scope["method"].lower()]
+    known = [entry["name"] for entry in operation.get("parameters", ()) if entry["in"] == "query"]
+    for name in given:
+        if name not in known:
+            rule = f"must be one of {', '.join(known)}" if known else "this path takes no query parameters"
+            detail = f"unknown query parameter: {rule}"
+            raise ProblemError("invalid", detail, field=name[:100], value=given[name], rule=rule)
 
 
 async def on_disconnect(request: Request, error: Exception) -> Response:

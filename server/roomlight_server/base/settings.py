@@ -17,6 +17,7 @@ from roomlight.engine.surface.keyframes import DEFAULT_KEYFRAMES
 from roomlight.errors import ServerError
 from roomlight.wire.frame_message import FrameLimits, rule_text
 from roomlight_server.base.tls import check_certificate
+from roomlight_server.base.web_origins import checked_host, checked_origin
 
 PREFIX: Final = "ROOMLIGHT_"
 OTHER_VARIABLES: Final = ("ROOMLIGHT_THREADS", "ROOMLIGHT_FURNITURE", "ROOMLIGHT_TOKEN", "ROOMLIGHT_SERVER")
@@ -36,8 +37,8 @@ class ServerSettings(BaseSettings):
         tokens: Bearer tokens. A session belongs to the token that opened it. Without tokens: loopback only.
         token_file: File of more bearer tokens, one per line; `#` starts a comment. Or set ROOMLIGHT_TOKENS.
         allow_origins: Web origin whose pages may use the server (CORS and WebSocket), or *. Repeatable.
-        allow_hosts: Name or address that the header `Host` may have. Repeatable. Default: any; without a token those
-            of loopback.
+        allow_hosts: Name or address that the header `Host` may have. Repeatable. Default: any. Without a token
+            those of loopback are allowed besides, and by default no other.
         tls_cert: Certificate chain in PEM; the server then speaks HTTPS. Default with --lan: made and kept.
         tls_key: Private key of the certificate in PEM.
         public_url: Address by which a phone reaches the server; `/v1/pairing` returns it.
@@ -195,6 +196,16 @@ class ServerSettings(BaseSettings):
             if not 16 <= len(token) <= 512 or not token.isascii() or not token.isprintable() or " " in token:
                 raise ValueError("a token must be 16 to 512 printable ASCII characters without spaces")
         return tokens
+
+    @field_validator("allow_origins")
+    @classmethod
+    def _check_origins(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(map(checked_origin, origins))
+
+    @field_validator("allow_hosts")
+    @classmethod
+    def _check_hosts(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(map(checked_host, hosts))
 
     @property
     def session_options(self) -> SessionOptions:

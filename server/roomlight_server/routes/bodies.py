@@ -30,6 +30,8 @@ MAX_JSON_NAMES: Final = 2048
 6,000 of them held the event loop for 0.13 s."""
 _MAX_LENGTH_DIGITS: Final = 15
 _CHARSETS: Final = ("utf-8", "utf8", "us-ascii", "ascii")
+_FILES: Final = ("colour", "depth", "confidence")
+_AS_FILE: Final = "must be sent as a file, with a file name (curl: -F NAME=@FILE)"
 OBJECTS_PATH: Final = "/v1/objects"
 _FRAME_PATH: Final = re.compile(r"/v1/sessions/[^/]+/frames/[^/]+")
 
@@ -55,8 +57,7 @@ class BodyMiddleware:
             return
         limit = MAX_JSON_BYTES
         if _FRAME_PATH.fullmatch(scope["path"]):  # multipart adds boundaries and a header part
-            multipart = Headers(scope=scope).get("content-type", "").startswith("multipart/")
-            limit = self._frame_bytes + (2 * MAX_HEADER_BYTES if multipart else 0)
+            limit = self._frame_bytes + (2 * MAX_HEADER_BYTES if _is_multipart(Headers(scope=scope)) else 0)
         elif PIECE_PATH.fullmatch(scope["path"]):
             limit = MAX_PIECE_BYTES
         elif scope["path"] == OBJECTS_PATH:
@@ -80,6 +81,7 @@ class BodyMiddleware:
         declared = Headers(scope=scope).get("content-length", "")
         # Python converts at most 4,300 digits to an integer
         too_long = declared.isdecimal() and (len(declared) > _MAX_LENGTH_DIGITS or int(declared) > limit)
+        encoding = Headers(scope=scope).get("content-encoding", "").strip().lower()
         received, names, done = 0, 0, False
         deadline = time.monotonic() + self._timeout_s
 
@@ -87,6 +89,8 @@ class BodyMiddleware:
             nonlocal received, names, done
             if done:  # the application now waits for a disconnect
                 return await receive()
+            if encoding not in ("", "identity"):
+                raise HTTPException(415, f"Content-Encoding {encoding[:80]!r} is not supported; send the body as it is")
             if too_long:
                 raise HTTPException(413, f"the body has {declared[:_MAX_LENGTH_DIGITS]} bytes; the limit is {limit}")
             try:
@@ -107,12 +111,20 @@ class BodyMiddleware:
         return limited
 
 
+def _is_multipart(headers: Headers) -> bool:
+    return headers.get("content-type", "").lower().startswith("multipart/")
+
+
 async def read_body(request: Request, reserved: Reservation, copies: int = 1) -> bytes:
     """Return a request's body; the memory of so many copies of it is added to `reserved` as it arrives.
 
     Raises:
-        ProblemError: The memory budget is used up (429, 503).
+        ProblemError: The body is a form (415), or the memory budget is used up (429, 503).
     """
+    if _is_multipart(request.headers):
+        rule = "send the bytes alone, not a form (curl: --data-binary @FILE)"
+        value = request.headers["content-type"]
+        raise ProblemError("unsupported-media-type", rule, field="Content-Type", value=value, rule=rule)
     chunks: list[bytes] = []
     async for chunk in request.stream():
         reserved.add(copies * len(chunk))
@@ -129,7 +141,7 @@ async def read_frame(request: Request, reserved: Reservation) -> bytes:
         ProblemError: The multipart body cannot be parsed or is not UTF-8 (400), or the memory budget is used up (503).
     """
     content_type = request.headers.get("content-type", "")
-    if not content_type.startswith("multipart/form-data"):
+    if not content_type.lower().startswith("multipart/form-data"):
         return await read_body(request, reserved)
     charset = parse_options_header(content_type)[1].get(b"charset", b"utf-8").decode("latin-1")
     if charset.lower() not in _CHARSETS:  # Starlette decodes with any of Python's codecs, some of which raise
@@ -140,10 +152,19 @@ async def read_frame(request: Request, reserved: Reservation) -> bytes:
             parts: dict[str, bytes] = {}
             for name, value in form.multi_items():
                 reserved.add(2 * (value.size or 0) if isinstance(value, UploadFile) else len(value))
+                if name in parts:
+                    raise ProblemError("bad-request", f"the part {name[:100]!r} is given twice", field=name[:100])
+                if isinstance(value, str) and name in _FILES:  # as text its bytes are damaged
+                    raise ProblemError("bad-request", f"the part {name} {_AS_FILE}", field=name, rule=_AS_FILE)
                 parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode()
-    except (MultiPartException, FormParserError) as error:  # Starlette converts some of the parser's errors
+    except (MultiPartException, FormParserError) as error:
         reason = error.message if isinstance(error, MultiPartException) else str(error)
         raise ProblemError("bad-request", f"the multipart body cannot be parsed: {reason}") from error
+    except HTTPException as error:  # Starlette's conversion of most of the parser's errors
+        if error.status_code != 400:
+            raise
+        detail = f"the multipart body cannot be parsed: {error.detail}; each of {', '.join(_FILES)} {_AS_FILE}"
+        raise ProblemError("bad-request", detail) from error
     try:
         return _from_parts(parts)
     except WireError as error:
@@ -151,13 +172,12 @@ async def read_frame(request: Request, reserved: Reservation) -> bytes:
 
 
 def _from_parts(parts: dict[str, bytes]) -> bytes:
-    """Build a frame message from the parts `header`, `colour`, `depth` and optionally `confidence`.
+    """Build a frame message from the parts `header`, `colour` and, if the header has them, `depth` and `confidence`.
 
     Lengths that the header leaves out are filled in.
     """
-    required = {"header", "colour", "depth"}
-    if not required <= parts.keys() <= required | {"confidence"}:
-        rule = "the parts must be header, colour, depth and optionally confidence"
+    if not {"header", "colour"} <= parts.keys() <= {"header", *_FILES}:
+        rule = "the parts must be header, colour and optionally depth and confidence"
         raise WireError("bad-frame", field="", value=", ".join(sorted(parts)), rule=rule)
     if len(parts["header"]) > MAX_HEADER_BYTES:
         rule = f"at most {MAX_HEADER_BYTES} bytes"
@@ -168,12 +188,14 @@ def _from_parts(parts: dict[str, bytes]) -> bytes:
         raise WireError(
             "bad-frame", field="header", value=f"{len(parts['header'])} bytes", rule=f"must be JSON ({error})"
         ) from error
-    for name in ("colour", "depth", "confidence"):
+    for name in _FILES:
         part = header.get(name) if isinstance(header, dict) else None
         if isinstance(part, dict) and name in parts:
             part.setdefault("bytes", len(parts[name]))
+        elif isinstance(part, dict):
+            raise WireError("bad-frame", field=name, value="no such part", rule="is in the header, must be a part too")
     try:
         checked = FrameHeader.model_validate_json(json.dumps(header))
     except ValidationError as error:
         raise to_wire_error(error, kind="bad-frame") from error
-    return pack(checked, parts["colour"], parts["depth"], parts.get("confidence"))
+    return pack(checked, parts["colour"], parts.get("depth"), parts.get("confidence"))

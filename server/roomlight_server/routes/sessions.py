@@ -27,7 +27,7 @@ _FRAME_BODY: Final[dict[str, Any]] = {
             "multipart/form-data": {
                 "schema": {
                     "type": "object",
-                    "required": ["header", "colour", "depth"],
+                    "required": ["header", "colour"],
                     "additionalProperties": False,
                     "properties": {
                         "header": {"type": "string", "contentMediaType": "application/json"},

@@ -6,6 +6,7 @@ connection stays open. Only a message that is neither binary nor text closes the
 """
 
 import asyncio
+import json
 import logging
 from collections.abc import AsyncGenerator, Generator, Sequence
 from contextlib import asynccontextmanager, contextmanager
@@ -184,7 +185,9 @@ class _Connection:
         try:
             message = _MESSAGES.validate_json(text)
         except ValidationError as error:
-            raise ProblemError.from_wire(to_wire_error(error, kind="invalid")) from error
+            async with self._answering_errors(request=_stated_request(text)):
+                raise ProblemError.from_wire(to_wire_error(error, kind="invalid")) from error
+            return
         self._count("received", message.type)
         if self._live.lease is not None:
             await self._live.lease.check()
@@ -270,6 +273,16 @@ class _Connection:
         with _ending_when_closed():
             await self._websocket.close(code, reason)
         raise _ConnectionEndedError
+
+
+def _stated_request(text: str) -> str | None:
+    """Return the `request` in a message even if the message is otherwise invalid, as `stated_index` does for frames."""
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    request = message.get("request") if isinstance(message, dict) else None
+    return request if isinstance(request, str) else None
 
 
 @contextmanager

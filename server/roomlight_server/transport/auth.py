@@ -7,7 +7,6 @@ import logging
 import re
 from collections.abc import Iterable
 from typing import Final
-from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -15,6 +14,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError, problem_response
 from roomlight_server.base.request_context import Flow, current_flow
+from roomlight_server.base.web_origins import host_name
 from roomlight_server.transport.guard import TRANSPORT, ConnectionGuard
 from roomlight_server.transport.phones import Phones
 
@@ -126,7 +126,7 @@ class AuthMiddleware:
 
     def _check(self, scope: Scope, headers: Headers) -> ProblemError | None:
         host, origin = headers.get("host", ""), headers.get("origin")
-        if self._hosts and _host_name(host) not in self._hosts:
+        if self._hosts and host_name(host) not in self._hosts:
             rule = f"must be one of {', '.join(self._hosts)}"
             detail = f"the server does not answer for the host {host[:100]!r}; add it to allow_hosts if it is yours"
             return ProblemError("forbidden-origin", detail, field="Host", value=host, rule=rule)
@@ -173,14 +173,6 @@ def _host_problem(scope: Scope, headers: Headers) -> ProblemError | None:
         return None
     rule = "a request must have exactly one header Host"
     return ProblemError("bad-request", f"{len(hosts)} headers Host: {rule}", field="Host", value=hosts, rule=rule)
-
-
-def _host_name(host: str) -> str | None:
-    """Return the name or address in a header `Host`; None if the header is malformed."""
-    try:
-        return urlsplit(f"//{host}").hostname
-    except ValueError:  # unbalanced brackets
-        return None
 
 
 def _is_open(path: str) -> bool:
