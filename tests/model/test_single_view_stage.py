@@ -186,3 +186,15 @@ def test_without_held_out_rooms_nothing_is_scored(tmp_path):
     assert stage.scores(stage.network()) == {}
     stage.draw(stage.network(), tmp_path / "rows.png")
     assert not (tmp_path / "rows.png").exists()
+
+
+def test_a_weight_of_another_height_is_blended_as_in_training():
+    """The network at the panoramas' own height gives the same panoramas by both ways."""
+    example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
+    batch = collate([example], volume_shape=SHAPE, panorama_height=24)
+    torch.manual_seed(0)
+    model = SingleModel(TINY)
+    sglv = model(batch.volume)
+    _, trained = predict_panoramas(model, sglv, batch, bf16=False)
+    _, validated = predict_panoramas(model, sglv, batch, weight_height=24, bf16=False)
+    torch.testing.assert_close(validated, trained, rtol=1e-4, atol=1e-5)

@@ -192,7 +192,11 @@ def test_an_allowed_origin_opens_a_session():
 
 def test_an_unknown_method_is_answered_with_the_allowed_ones(server):
     answer = server.call("PATCH", "/v1/sessions/room")
-    assert (answer.status, answer.kind, answer.headers["allow"]) == (405, "method-not-allowed", "DELETE, GET, HEAD, PUT")
+    assert (answer.status, answer.kind, answer.headers["allow"]) == (
+        405,
+        "method-not-allowed",
+        "DELETE, GET, HEAD, PUT",
+    )
 
 
 def test_the_document_describes_problems_and_messages(server):

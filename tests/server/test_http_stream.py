@@ -1,6 +1,9 @@
 """The WebSocket over a real socket: frames, their outcomes, light, and errors that keep the connection open."""
 
+import gc
 import json
+import logging
+import threading
 from contextlib import contextmanager
 from typing import Any
 
@@ -8,7 +11,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from http_servers import HeldSession, RunningServer, frame
+from http_servers import HeldSession, InThread, RunningServer, frame
 from roomlight.engine.session import Session
 from roomlight.wire.light_message import parse_light
 from roomlight.wire.messages import LightAnswer, LightingUpdate
@@ -282,3 +285,36 @@ def test_a_stream_needs_a_token_and_an_allowed_origin(server):
             streaming(locked, subprotocols=["roomlight.v1", "bearer.wrong"]),
         ):
             pass
+
+
+def test_a_client_that_disconnects_while_it_tracks_leaves_no_nameless_probe(server, monkeypatch):
+    """The cancelled task left a probe in the engine that every frame paid for and nobody could delete."""
+    entered, gate, original = threading.Event(), threading.Event(), Session.track
+
+    def held(self, position):
+        entered.set()
+        assert gate.wait(60)
+        return original(self, position)
+
+    monkeypatch.setattr(Session, "track", held)
+    server.open("left")
+    with streaming(server, "left") as stream:
+        stream.send({"type": "track", "name": "table", "position": POINT})
+        assert entered.wait(60)
+    gate.set()
+    server.wait_until(lambda: "table" in server.state("left")["probes"])
+    assert server.call("DELETE", "/v1/sessions/left/probes/table").status == 204
+
+
+def test_a_session_that_is_deleted_during_a_frame_logs_no_error(monkeypatch, caplog):
+    HeldSession.reset()
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    with RunningServer() as server:
+        server.open()
+        pushed = InThread(server.push, 0)
+        HeldSession.wait_entered()
+        assert server.call("DELETE", "/v1/sessions/room").status == 204
+        HeldSession.release()
+        assert pushed.result().status == 410
+    gc.collect()
+    assert [record for record in caplog.records if record.levelno >= logging.ERROR] == []

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from roomlight.errors import ModelError, OptionError
-from roomlight_model.accumulate import blend
+from roomlight_model.accumulate import blend, fill_in
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.config import ModelConfig
 from roomlight_model.networks import SingleModel
@@ -266,7 +266,7 @@ def predict_panoramas(
     hdr = render_panoramas(sglv, batch, height=batch.truth.shape[-2])
     panels = hdr.flatten(0, 1), batch.partial.flatten(0, 1), batch.mask.flatten(0, 1)
     with torch.autocast(hdr.device.type, dtype=torch.bfloat16, enabled=bf16):
-        if weight_height is None or weight_height == hdr.shape[-2]:
+        if weight_height is None:
             blended, _ = model.blend(*panels)
         else:
             blended = _blended_at(model, *panels, height=weight_height)
@@ -288,7 +288,7 @@ def _blended_at(
     small_hdr, small_ldr = (functional.interpolate(panel, size=size, mode="area") for panel in (hdr, ldr))
     _, weight = model.blend(small_hdr, small_ldr, functional.interpolate(mask, size=size, mode="nearest-exact"))
     weight = functional.interpolate(weight, size=mask.shape[-2:], mode="bilinear")
-    return blend(hdr, ldr, weight)
+    return blend(fill_in(hdr, ldr, mask, weight=weight), ldr, weight * mask)
 
 
 def train_only(model: nn.Module, stage: str, *, volume: tuple[nn.Module, ...], panorama: tuple[nn.Module, ...]) -> None:

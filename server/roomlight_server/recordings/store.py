@@ -209,8 +209,9 @@ class RecordingStore:
         if count is not None and job.first >= count:
             rule = f"must be below {count}, the frames that a film of it can have"
             raise ProblemError("invalid", f"first: {rule}", field="first", value=job.first, rule=rule)
+        old_bytes = 0 if recording.film is None else recording.film.reserved_bytes
+        folder = self._room_for(recording.owner, MAX_FILM_BYTES - old_bytes) / f"{recording.id}-film"
         self._remove_film(recording)
-        folder = self._room_for(recording.owner, MAX_FILM_BYTES) / f"{recording.id}-film"
         file, timeout_s = folder / "film.mp4", self._settings.composite_timeout_s
         recording.film = FilmMaker(recording.files.folder, file, job, timeout_s=timeout_s)
         recording.film_task = asyncio.create_task(self._run_film(recording, recording.film))

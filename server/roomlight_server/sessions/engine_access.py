@@ -14,7 +14,8 @@ class EngineAccess:
         engine_lock: One engine call at a time (push, track, untrack), in the order of arrival;
             held while this session waits behind others for a slot of the engine's threads.
         state_lock: The engine's state and the named probes; held only while they change. Reading the light of named
-            probes takes this lock alone, so it never waits for a slot; late points take it for a view of the engine.
+            probes takes this lock alone: it waits for a frame in the engine, and not for a slot; late points take it
+            for a view of the engine.
         engine: The engine; None after the end.
         ended: The reason why the session has ended, or None.
         journal: What is unsaved; None if sessions are not saved.

@@ -208,8 +208,9 @@ class LiveSession:
             entry.fail(ProblemError("engine-failed", f"frame {entry.index}: {type(error).__name__}; {advice}"))
             self._end(ProblemError("session-failed", f"the engine failed on frame {entry.index}; {advice}"))
         else:
+            if entry.message is None:  # the session has ended meanwhile, and with it the frame
+                return
             self.lighting.frame = entry.index
-            assert entry.message is not None
             self._latest = LatestFrame(entry.index, entry.message, frame.depth_m if estimated else None)
             if self.journal is not None:
                 self.journal.processed(entry.index, entry.message, keyframe=report.keyframe)

@@ -1,5 +1,6 @@
 """The sessions of a server by owner and id: their limit, and the expiry of idle ones."""
 
+import asyncio
 import json
 import logging
 import math
@@ -47,6 +48,7 @@ class Registry:
         self._restorer = None if states is None else Restorer(workers)
         self._settings, self._workers, self._metrics, self._clock = settings, workers, metrics, clock
         self._sessions: dict[tuple[str, str], LiveSession] = {}
+        self._opening = asyncio.Lock()
         self._quotas = Quotas(settings, self._sessions_of)
         metrics.late_points.set_function(lambda: self._quotas.late_points)
         self._limits = Limits(
@@ -105,6 +107,12 @@ class Registry:
         existing = self._current(owner, name)  # another request may have opened it in the meantime
         if existing is not None:
             return self._reopen(existing, request), False
+        async with self._opening:  # until it is added: sessions that are opened at once count each other
+            return await self._open_counted(owner, name, request, graphs)
+
+    async def _open_counted(
+        self, owner: str, name: str, request: SessionRequest, graphs: LightingGraphs | None
+    ) -> tuple[LiveSession, bool]:
         self._check_capacity()
         await self._check_disk(owner)
         self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
@@ -149,6 +157,7 @@ class Registry:
             graphs = await self._graphs_of(reading.values.request)
             engine, state = await self._restorer.restore(reading, graphs)
             live = self._live(name, reading.values.request, engine, graphs)
+            self._check_capacity()  # others may have been opened while it was read
             self._check_size(owner, live)
             live.resume(state)
             live.journal, live.lease = self._states.restored(reading), lease

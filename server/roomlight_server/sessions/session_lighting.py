@@ -1,5 +1,6 @@
 """Named probes of one session, and its light at these probes and at other points. Used on the event loop."""
 
+import asyncio
 from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import Final
@@ -39,7 +40,10 @@ class SessionLighting:
         Raises:
             ProblemError: There are too many probes, the position is unusable, or the session has ended.
         """
-        position = _position(at)
+        # a client that disconnects meanwhile must not leave a probe in the engine that has no name
+        return await asyncio.shield(asyncio.ensure_future(self._track(name, _position(at))))
+
+    async def _track(self, name: str, position: Position) -> bool:
         async with self._access.engine_lock:
             engine, old = self._access.live(), self._named.get(name)
             if old is not None and old.position == position:

@@ -119,7 +119,8 @@ class PanoramaState:
 
     def coverage(self) -> float:
         """Return the share of the sphere that was observed, by solid angle, in [0, 1]."""
-        return float((self.observed * panorama_solid_angles(self.observed.shape[0])).sum() / (4 * np.pi))
+        share = (self.observed * panorama_solid_angles(self.observed.shape[0])).sum() / (4 * np.pi)
+        return min(1.0, float(share))
 
 
 def accumulate(
