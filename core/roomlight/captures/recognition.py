@@ -76,7 +76,7 @@ def recognised(path: Path) -> str:
         return "nerfstudio"
     elif has(stray_scanner.ODOMETRY, stray_scanner.MATRIX):
         return "stray-scanner"
-    elif has("metadata", "metadata.json"):
+    elif record3d.is_record3d(source):
         return "record3d"
     elif has("groundtruth.txt") or (has("rgb.txt") and has("depth.txt")):
         return "tum"
@@ -94,6 +94,8 @@ def recognised(path: Path) -> str:
         return "colmap"
     elif is_scanner_app(source):
         return "3d-scanner-app"
+    elif record3d.layout_of(source) is not None:  # its reader says what the index lacks
+        return "record3d"
     if reason := _known_otherwise(path):
         raise UnknownFormatError(f"{path}: {reason}")
     known = "; ".join(f"{name}: {', '.join(parts).replace('|', ' or ')}" for name, parts in _PARTS.items())
@@ -160,8 +162,4 @@ def is_record3d_archive(path: Path) -> bool:
     """Whether a file is a zip archive with Record3D's files, which are read in place."""
     if not zipfile.is_zipfile(path):
         return False
-    members = list(ZipSource(path).names())
-    return any(
-        index in members and any(name.startswith(f"{folder}/") for name in members)
-        for index, folder in record3d.LAYOUTS
-    )
+    return record3d.layout_of(ZipSource(path)) is not None

@@ -32,7 +32,7 @@ from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import decode_depth_map, read_picture
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.source import MAX_FRAMES, Source, ZipSource, read_index
+from roomlight.captures.source import MAX_FRAMES, MAX_INDEX_BYTES, Source, ZipSource, read_index
 from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
@@ -43,6 +43,27 @@ LAYOUTS: Final = (("metadata", "rgbd"), ("metadata.json", "rgb"))
 """Index and folder of colour images, of a `.r3d` and of an export."""
 
 _COLOUR: Final = re.compile(r"(?:rgbd|rgb)/(\d{1,9})\.(?:jpg|jpeg|png)", re.IGNORECASE)
+
+
+def layout_of(source: Source) -> tuple[str, str] | None:
+    """Return the index, a file, and the folder of images that are there; None without both."""
+
+    def filled(name: str) -> bool:
+        return next(iter(source.names(name)), None) is not None
+
+    for index, images in LAYOUTS:
+        if source.has(index) and not filled(index) and filled(images):
+            return index, images
+    return None
+
+
+def is_record3d(source: Source) -> bool:
+    """Whether the files are Record3D's: images and an index with their poses."""
+    layout = layout_of(source)
+    try:
+        return layout is not None and b'"poses"' in source.read(layout[0], max_bytes=MAX_INDEX_BYTES)
+    except FrameError:
+        return False
 
 
 class Record3DReader:
@@ -56,8 +77,8 @@ class Record3DReader:
         self._unit_m = options.depth_unit_m
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []
-        self._packed = self._source.has("metadata")
-        index_name, folder = LAYOUTS[0 if self._packed else 1]
+        index_name, folder = layout_of(self._source) or LAYOUTS[0 if self._source.has("metadata") else 1]
+        self._packed = folder == "rgbd"
         self._label = self._source.label(index_name)
         self._metadata = fields.parse_json(read_index(self._source, index_name), self._label)
         self.notes += unread_keys(self._label, keys_of_use(self._metadata))
