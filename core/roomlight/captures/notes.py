@@ -31,7 +31,8 @@ def scaled_poses(name: str, metres: float, height_m: float) -> Note:
 
 def unread_depth(path: Path) -> Note | None:
     """Make the note for files or folders of depth in a recording whose format or index leads to none; else None."""
-    names = sorted(entry.name for entry in path.iterdir() if "depth" in entry.name.lower()) if path.is_dir() else []
+    entries = [*path.iterdir(), *path.glob("rgbd/*"), *path.glob("keyframes/*")] if path.is_dir() else []
+    names = sorted(entry.relative_to(path).as_posix() for entry in entries if "depth" in entry.name.lower())
     if not names:
         return None
     listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

@@ -29,6 +29,7 @@ from roomlight.captures.formats.tum import TumReader
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.recognition import is_record3d_archive, recognised
 from roomlight.errors import CaptureError, OptionError, UnknownFormatError
+from roomlight.notes import Note
 
 _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
     "roomlight": NativeReader,
@@ -49,6 +50,10 @@ _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
 }
 _FILES: Final = ("record3d", "scannet", "ros-bag", "video")
 """Formats that are one file."""
+_INDICES: Final = {native.INDEX: "roomlight", nerfstudio.INDEX: "nerfstudio"}
+"""Files that stand for the folder they are in."""
+_MEASURED: Final = ("record3d", "polycam")
+"""Formats that are read in place of a `transforms.json` without depth."""
 
 
 FORMATS: Final = tuple(_READERS)
@@ -98,18 +103,23 @@ def _opened(path: Path, chosen: CaptureOptions) -> Capture:
     try:
         if not path.exists():
             raise CaptureError(f"{path}: there is no such file or folder")
-        if path.is_file() and path.name in (native.INDEX, nerfstudio.INDEX):
-            path = path.parent
-        if chosen.format is None:
+        stated = chosen.format
+        if path.is_file() and path.name in _INDICES:
+            path, stated = path.parent, stated or _INDICES[path.name]
+        if stated is None:
             path = _innermost(path)
-        name = chosen.format or recognised(path)
+        name = stated or recognised(path)
         if path.is_file() and name not in _FILES:
             raise CaptureError(f"{path}: is a file; the {name} format is a folder")
     except (OSError, ValueError) as error:  # a name too long, no permission, a NUL byte
         raise CaptureError(f"{path}: cannot be opened ({error})") from error
     if chosen.fov_deg is not None and name != "video":
         raise OptionError(f"fov_deg is for videos without poses; a recording of the {name} format states its lens")
-    return Capture(path, _READERS[name](path, chosen), chosen)
+    reader = _READERS[name](path, chosen)
+    if stated is None and name in _MEASURED and (path / nerfstudio.INDEX).is_file():
+        text = f"{path / nerfstudio.INDEX}: it leads to no depth"
+        reader.notes.append(Note(text, f"the {name} recording beside it is read", "open the file itself to read it"))
+    return Capture(path, reader, chosen)
 
 
 def _unpacked(archive: Path) -> Path:

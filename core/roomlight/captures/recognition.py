@@ -73,7 +73,7 @@ def recognised(path: Path) -> str:
     elif has(scannetpp.INDEX):
         return "scannetpp"
     elif has(nerfstudio.INDEX):
-        return "nerfstudio"
+        return _beside_index(source) or "nerfstudio"
     elif has(stray_scanner.ODOMETRY, stray_scanner.MATRIX):
         return "stray-scanner"
     elif record3d.is_record3d(source):
@@ -103,6 +103,12 @@ def recognised(path: Path) -> str:
         f"{path}: no capture format recognised. {_nearest(path)}{_bare_images(path)}Set `format` to force one. "
         f"Known are .r3d (record3d), .sens (scannet), .bag (ros-bag) and video files, and folders of {known}"
     )
+
+
+def _beside_index(source: FolderSource) -> str | None:
+    """Return the format of the recording that a trainer's `transforms.json` without depth was made from; else None."""
+    name = "record3d" if record3d.is_record3d(source) else "polycam" if is_polycam(source) else None
+    return None if name is None or nerfstudio.leads_to_depth(source) else name
 
 
 def _nearest(path: Path) -> str:

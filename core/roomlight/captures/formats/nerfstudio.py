@@ -74,6 +74,15 @@ _HARMLESS: Final = frozenset(  # what trainers of radiance fields need, and name
 )
 
 
+def leads_to_depth(source: FolderSource) -> bool:
+    """Whether a frame of the index has a key of depth; also of a broken index, whose reader says what is wrong."""
+    try:
+        index = fields.parse_json(read_index(source, INDEX), INDEX)
+        return any("depth" in key for frame in fields.objects(index.get("frames"), "frames") for key in frame)
+    except (CaptureError, ValueError):
+        return True
+
+
 class NerfstudioReader:
     """Reads a folder with a `transforms.json`."""
 
