@@ -6,6 +6,7 @@ import shutil
 import unicodedata
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -524,6 +525,23 @@ def test_polycam_without_loops_and_in_its_other_layout(tmp_path: Path) -> None:
         assert open_capture(path).format == "polycam"
         assert (next(iter(open_capture(path))).camera_to_world[0, 3] == 99.0) != corrected
     np.testing.assert_allclose(next(iter(open_capture(path))).camera_to_world, VIEWS[0].pose, atol=1e-9)
+
+
+def test_the_black_border_of_polycams_undistortion_is_not_seen(tmp_path: Path) -> None:
+    views = [replace(view, srgb8=np.full((24, 32, 3), 90, np.uint8)) for view in VIEWS[:2]]
+    views[0].srgb8[:, 0] = views[0].srgb8[12, 16] = 0
+    path = formats.polycam(tmp_path / "capture", views)
+    for picture in (path / "keyframes/corrected_images").iterdir():
+        picture.with_suffix(".png").write_bytes(formats.image(".png", views[picture.stem != "5000000"].srgb8))
+        picture.unlink()
+    bordered, whole = capture = open_capture(path)
+    assert bordered.seen is not None
+    assert not bordered.seen[:, :3].any()
+    assert bordered.seen[:, 3:].all()  # black inside is a black thing
+    assert not bordered.depth_m[:, 0].any()
+    assert whole.seen is None
+    (note,) = capture.notes
+    assert "black pixels at the edges" in note.left_out
 
 
 def test_names_of_the_scanner_app_in_capitals_keep_their_depth(tmp_path: Path) -> None:

@@ -1,23 +1,35 @@
 """Polycam's raw data: `keyframes/{images,cameras,depth,confidence}/TIME.*`.
 
 Polycam writes `corrected_images` and `corrected_cameras` beside them once it has closed loops; these are read where
-they exist. Exports of other versions have the four folders without `keyframes`.
+they exist; what their undistortion left black at the edges is not seen. Exports of other versions have the four folders
+without `keyframes`.
 
 Conventions: `t_00` to `t_23` are the rows of the camera-to-world pose, ARKit's (OpenGL camera, world y-up). Intrinsics
 `fx fy cx cy` are for `width` x `height` and used unchanged. Depth is uint16 millimetres of any size, confidence 0, 127
 and 255. The files' names are times in microseconds.
 """
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
 
 from roomlight.captures import fields
 from roomlight.captures.capture import RawFrame
-from roomlight.captures.decoding import read_rgbd
+from roomlight.captures.decoding import read_rgbd, with_mask
 from roomlight.captures.formats.listed import ListedReader, files_of, first_folder
 from roomlight.captures.options import CaptureOptions
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
+from roomlight.images import ColourImage
+from roomlight.notes import Note
 
+_BORDER: Final = 0.05
+"""Widest border that undistortion leaves, as a share of a side."""
+_BLACK: Final = 0.004
+"""Linear; what JPEG makes of black beside a picture."""
 _IMAGES = ("keyframes/corrected_images", "keyframes/images", "corrected_images", "images")
 
 
@@ -43,6 +55,7 @@ class PolycamReader(ListedReader):
         if not files_of(source, self._cameras, (".json",)):
             raise CaptureError(f"{source.label(self._cameras)}: has no camera; export Polycam's raw data")
         super().__init__(folder, options, colour, expected="keyframes/images/TIME.jpg")
+        self._border_noted = False
 
     def timestamps(self) -> list[float | None]:
         """Return the numbers that name the files, in microseconds."""
@@ -61,4 +74,20 @@ class PolycamReader(ListedReader):
             intrinsics = fields.camera(camera)
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         confidence = self._confidence(f"{self._root}confidence/{stem}.png")
+        if "corrected" in self._cameras:
+            read = replace(read, picture=self._without_border(read.picture, self.name_of(index)))
         return self._raw_frame(index, read, depth_name, intrinsics, pose, confidence)
+
+    def _without_border(self, picture: ColourImage, label: str) -> ColourImage:
+        """Return the picture without black pixels near its edges, and what blends with them."""
+        height, width = picture.image.shape[:2]
+        rows, columns = max(1, round(height * _BORDER)), max(1, round(width * _BORDER))
+        black = np.asarray(picture.image).max(axis=-1) < _BLACK
+        black[rows:-rows, columns:-columns] = False
+        if not black.any():
+            return picture
+        if not self._border_noted:
+            self._border_noted = True
+            effect = "they are taken for what undistortion leaves, and not seen"
+            self.notes.append(Note(f"{label}: black pixels at the edges", effect, "nothing to do"))
+        return with_mask(picture, cv2.dilate(black.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0)
