@@ -103,8 +103,20 @@ def test_depth_of_another_aspect_and_confidence_of_another_size(native: Path) ->
 
 def test_intrinsics_without_a_size_must_suit_the_image(tmp_path: Path) -> None:
     path = formats.seven_scenes(tmp_path / "capture", VIEWS)
-    (path / "camera-intrinsics.txt").unlink()  # the default is for 640 x 480
+    (path / "camera-intrinsics.txt").write_text("585 0 320\n0 585 240\n0 0 1\n")
     with pytest.raises(CaptureError, match=r"32 x 24.*for another size"):
+        list(open_capture(path))
+
+
+@pytest.mark.parametrize(("kind", "focal"), [("seven-scenes", 585), ("tum", 525)])
+def test_a_data_sets_own_camera_is_scaled_to_its_aspect_alone(tmp_path: Path, kind: str, focal: float) -> None:
+    path = BUILDERS[kind](tmp_path / "capture", VIEWS)
+    (path / "camera-intrinsics.txt").unlink()
+    camera = next(iter(open_capture(path))).intrinsics
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((focal / 20, focal / 20, 16, 12))
+    for picture in path.rglob("*.color.jpg" if kind == "seven-scenes" else "rgb/*.png"):
+        picture.write_bytes(formats.image(".png", VIEWS[0].srgb8[:18]))
+    with pytest.raises(CaptureError, match=r"32 x 18.*640 x 480.*write camera-intrinsics\.txt"):
         list(open_capture(path))
 
 

@@ -4,7 +4,7 @@ Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera
 the opposite of `gravity-direction.txt` (three numbers); without that file the world is assumed to be an upright
 OpenCV camera's, up = -y. Depth is uint16 millimetres, 0 and 65535 unknown. K is used unchanged, with pixel centres at
 half integers: the data set's default of 585, 585, 320, 240 for 640 x 480 puts the principal point at the centre of the
-image. K is stored without a size and must fit the image.
+image; it is scaled to images of that aspect, and none other. A K of a file has no size and must fit the image.
 """
 
 import re
@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
@@ -27,7 +28,7 @@ from roomlight.notes import Note
 INTRINSICS: Final = "camera-intrinsics.txt"
 GRAVITY: Final = "gravity-direction.txt"
 _RECORD: Final = re.compile(r"(frame-\d{1,9})\.(color|depth|pose)\.(png|jpg|jpeg|txt)")
-_DEFAULT_K: Final = np.array([[585.0, 0.0, 320.0], [0.0, 585.0, 240.0], [0.0, 0.0, 1.0]])
+_DEFAULT_CAMERA: Final = Intrinsics(585.0, 585.0, 320.0, 240.0, 640, 480)
 
 
 class SevenScenesReader(ListedReader):
@@ -43,9 +44,9 @@ class SevenScenesReader(ListedReader):
         self._has_depth = any(match[2] == "depth" for match in matches)
         names = [colour.get(stem, f"{stem}.color.png") for stem in self._stems]
         super().__init__(folder, options, names, expected="frame-XXXXXX.color.png, .depth.png and .pose.txt")
-        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_K
-        if self._matrix is _DEFAULT_K:
-            self.notes.append(assumed_camera(folder, _DEFAULT_K))
+        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_CAMERA
+        if isinstance(self._matrix, Intrinsics):
+            self.notes.append(assumed_camera(folder, self._matrix))
         self.conventions = PoseConventions("opencv", "camera-to-world", self._up())
 
     def _read(self, index: int) -> RawFrame:
@@ -60,7 +61,7 @@ class SevenScenesReader(ListedReader):
         read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
-            intrinsics = intrinsics_without_size(self._matrix, width=width, height=height)
+            intrinsics = intrinsics_of(self._matrix, width=width, height=height)
         return self._raw_frame(index, read, depth_name, intrinsics, pose)
 
     def _up(self) -> tuple[float, float, float]:
@@ -76,9 +77,27 @@ class SevenScenesReader(ListedReader):
         return x, y, z
 
 
-def assumed_camera(folder: Path, matrix: Float[np.ndarray, "3 3"]) -> Note:
+def intrinsics_of(
+    known: Float[np.ndarray, "3 3"] | Intrinsics, *, width: int, height: int, shift: float = 0.0
+) -> Intrinsics:
+    """Return the camera of an image of this size by the K of a file, or the data set's own at another size.
+
+    Raises:
+        ValueError: K is for another size, or the data set's pictures have another aspect.
+    """
+    if not isinstance(known, Intrinsics):
+        return intrinsics_without_size(known, width=width, height=height, shift=shift)
+    if abs(width * known.height - height * known.width) > known.width:
+        raise ValueError(
+            f"the image is {width} x {height}, and the data set's own focal length is for {known.width} x "
+            f"{known.height} and its aspect alone; write {INTRINSICS}, 3 x 3, with this camera's"
+        )
+    return known.resized(width, height)
+
+
+def assumed_camera(folder: Path, camera: Intrinsics) -> Note:
     """Make the note for a data set's own K in place of one that no file states."""
-    text = f"a focal length of {matrix[0, 0]:g} pixels is assumed, the data set's own"
+    text = f"a focal length of {camera.fx:g} pixels for a width of {camera.width} is assumed, the data set's own"
     return Note(f"{folder}: no {INTRINSICS}", text, f"write {INTRINSICS}, 3 x 3, for another camera")
 
 

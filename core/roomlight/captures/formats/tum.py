@@ -6,21 +6,19 @@ ORB-SLAM3 writes them, are recognised by their steps. Without a `depth.txt` dept
 
 Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
 `camera-intrinsics.txt` (3 x 3) if it exists, else the data set's default of 525, 525, 319.5, 239.5 for
-640 x 480. K has pixel centres at whole numbers, so that half a pixel is added here.
+640 x 480, scaled to images of that aspect. K has pixel centres at whole numbers, so that half a pixel is added here.
 """
 
 import re
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
-from roomlight.camera import pose_from_quaternion
+from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
-from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
+from roomlight.captures.decoding import read_rgbd
 from roomlight.captures.formats.listed import ListedReader
-from roomlight.captures.formats.seven_scenes import INTRINSICS, assumed_camera, read_matrix
+from roomlight.captures.formats.seven_scenes import INTRINSICS, assumed_camera, intrinsics_of, read_matrix
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.captures.times import in_seconds, nearest
@@ -31,7 +29,7 @@ from roomlight.notes import Note
 MAX_GAP_S: Final = 0.02
 """Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
 
-_DEFAULT_K: Final = np.array([[525.0, 0.0, 319.5], [0.0, 525.0, 239.5], [0.0, 0.0, 1.0]])
+_DEFAULT_CAMERA: Final = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
 
 
 class TumReader(ListedReader):
@@ -48,9 +46,9 @@ class TumReader(ListedReader):
         self._poses = _stream(source, "groundtruth.txt", notes, most=50 * MAX_FRAMES)
         super().__init__(folder, options, [name for _, name in self._times], expected="rgb.txt")
         self.notes.extend(notes)
-        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_K
-        if self._matrix is _DEFAULT_K:
-            self.notes.append(assumed_camera(folder, _DEFAULT_K))
+        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_CAMERA
+        if isinstance(self._matrix, Intrinsics):
+            self.notes.append(assumed_camera(folder, self._matrix))
 
     def timestamps(self) -> list[float | None]:
         """Return the colour images' times."""
@@ -66,7 +64,7 @@ class TumReader(ListedReader):
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m, integer_m=1 / 5000)
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
-            intrinsics = intrinsics_without_size(self._matrix, width=width, height=height, shift=0.5)
+            intrinsics = intrinsics_of(self._matrix, width=width, height=height, shift=0.5)
         return self._raw_frame(index, read, depth_name, intrinsics, pose)
 
 
