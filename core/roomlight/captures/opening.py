@@ -28,6 +28,7 @@ from roomlight.captures.formats.stray_scanner import StrayScannerReader
 from roomlight.captures.formats.tum import TumReader
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.recognition import is_record3d_archive, recognised
+from roomlight.captures.video import DEMUXERS
 from roomlight.errors import CaptureError, OptionError, UnknownFormatError
 from roomlight.notes import Note
 
@@ -48,6 +49,7 @@ _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
     "colmap": ColmapReader,
     "video": BareVideoReader,
 }
+_RECORDED: Final = (".r3d", ".sens", ".bag")
 _FILES: Final = ("record3d", "scannet", "ros-bag", "video")
 """Formats that are one file."""
 _INDICES: Final = {native.INDEX: "roomlight", nerfstudio.INDEX: "nerfstudio"}
@@ -91,8 +93,10 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     unpacked = _unpacked(path)
     try:
         capture = _opened(_innermost(unpacked), chosen)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(unpacked.parent, ignore_errors=True)
+        if isinstance(error, CaptureError):
+            raise type(error)(str(error).replace(str(unpacked), str(path))) from error
         raise
     capture.path = path
     weakref.finalize(capture, shutil.rmtree, unpacked.parent, ignore_errors=True)
@@ -146,18 +150,18 @@ def _unpacked(archive: Path) -> Path:
 
 
 def _innermost(path: Path) -> Path:
-    """Return the capture's folder: `path`, or the only folder of captures below it, as archives unpack to.
+    """Return the capture: `path`, or the only folder or file of a capture below it, as archives unpack to.
 
     Raises:
-        UnknownFormatError: Several folders below it hold captures.
+        UnknownFormatError: Several below it are captures.
     """
     outer = path
     for _ in range(_NESTED):
         if not path.is_dir() or _is_capture(path):
             return path
-        entries = islice(sorted(path.iterdir()), _LISTED)
+        entries = list(islice(sorted(path.iterdir()), _LISTED))
         inner = [entry for entry in entries if entry.is_dir() and entry.name[0] not in "._"]
-        captures = [folder for folder in inner if _is_capture(folder)]
+        captures = [folder for folder in inner if _is_capture(folder)] or _recorded_files(entries)
         if len(captures) > 1:
             listed = ", ".join(folder.name for folder in captures[:6])
             raise UnknownFormatError(f"{path}: holds {len(captures)} captures ({listed}); open one of them")
@@ -165,6 +169,14 @@ def _innermost(path: Path) -> Path:
             return outer
         path = captures[0] if captures else inner[0]
     return path if _is_capture(path) else outer
+
+
+def _recorded_files(entries: list[Path]) -> list[Path]:
+    """Return the files among a folder's entries that are recordings; of videos only where nothing else is there."""
+    shown = [entry for entry in entries if entry.name[0] not in "._"]
+    files = [entry for entry in shown if entry.suffix.lower() in _RECORDED]
+    videos = all(entry.suffix.lower() in DEMUXERS for entry in shown)
+    return [entry for entry in files or (shown if videos else []) if entry.is_file()]
 
 
 def _is_capture(path: Path) -> bool:

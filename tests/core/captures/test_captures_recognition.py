@@ -1,6 +1,9 @@
 """Folders with files of several programs: the recording is found, whatever lies beside it."""
 
 import json
+import re
+import shutil
+import zipfile
 from pathlib import Path
 
 import formats
@@ -9,7 +12,7 @@ import pytest
 from builders import BUILDERS, FORMAT_OF
 
 from roomlight.captures import open_capture
-from roomlight.errors import CaptureError
+from roomlight.errors import CaptureError, UnknownFormatError
 
 VIEWS = formats.scene()
 
@@ -58,3 +61,33 @@ def test_a_trainers_index_does_not_hide_the_recording_with_depth(tmp_path: Path,
     frame["depth_file_path"] = "depth/0.png"
     formats.save(path / "transforms.json", json.dumps(index).encode())
     assert open_capture(path).format == "nerfstudio"
+
+
+@pytest.mark.parametrize("kind", ["record3d", "scannet"])
+def test_a_folder_or_zip_with_one_recorded_file(tmp_path: Path, kind: str) -> None:
+    recorded = BUILDERS[kind](tmp_path / "scans/scene0000_00/scene0000_00", VIEWS[:2])
+    formats.save(recorded.with_name("scene0000_00.txt"), b"axisAlignment = 1")
+    capture, zipped = open_capture(tmp_path / "scans"), tmp_path / "a.ZIP"
+    assert (capture.format, capture.path, len(list(capture))) == (kind, recorded, 2)
+    with zipfile.ZipFile(zipped, "w") as archive:
+        archive.write(recorded, f"scan/{recorded.name}")
+    assert len(list(open_capture(zipped))) == 2
+    shutil.copy(recorded, recorded.with_stem("b"))
+    with pytest.raises(UnknownFormatError, match=r"holds 2 captures \(b\.\w+, scene0000_00\.\w+\); open one of them"):
+        open_capture(recorded.parent)
+
+
+def test_a_folder_with_nothing_but_a_video(tmp_path: Path) -> None:
+    formats.video(tmp_path / "walk/IMG_1.MOV", [view.srgb8 for view in VIEWS])
+    formats.save(tmp_path / "walk/.DS_Store", b"x")
+    assert open_capture(tmp_path / "walk").format == "video"
+    formats.save(tmp_path / "walk/depth/000000.png", b"x")  # a part of something else
+    with pytest.raises(UnknownFormatError, match="no capture format recognised"):
+        open_capture(tmp_path / "walk")
+
+
+def test_errors_of_a_zip_name_the_zip(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr("scene.sens", b"no recording")
+    with pytest.raises(CaptureError, match=f"^{re.escape(str(tmp_path))}/a.zip/scene.sens: is "):
+        open_capture(tmp_path / "a.zip")
