@@ -24,7 +24,7 @@ _PARTS: Final[dict[str, tuple[str, ...]]] = {
     "stray-scanner": (stray_scanner.VIDEO, stray_scanner.ODOMETRY, stray_scanner.MATRIX),
     "record3d": ("metadata|metadata.json", "rgbd|rgb"),
     "tum": ("rgb.txt", "depth.txt", "groundtruth.txt"),
-    "seven-scenes": ("frame-*.color.*", "frame-*.depth.png", "frame-*.pose.txt"),
+    "seven-scenes": ("frame-*.color.*", "frame-*.depth.*", "frame-*.pose.txt"),
     "polycam": ("keyframes/images|images", "keyframes/cameras|cameras"),
     "3d-scanner-app": ("frame_*.jpg", "frame_*.json"),
     "arkitscenes": ("lowres_wide", "lowres_depth", "lowres_wide_intrinsics", TRAJECTORY),

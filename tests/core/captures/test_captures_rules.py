@@ -544,6 +544,18 @@ def test_the_black_border_of_polycams_undistortion_is_not_seen(tmp_path: Path) -
     assert "black pixels at the edges" in note.left_out
 
 
+def test_names_of_seven_scenes_in_capitals_keep_their_depth(tmp_path: Path) -> None:
+    path = formats.seven_scenes(tmp_path / "capture", VIEWS)
+    for file in path.glob("frame-*"):
+        file.rename(file.with_suffix(file.suffix.upper()))
+    for frame, view in zip(open_capture(path), VIEWS, strict=True):
+        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=1e-6)
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+    depth = path / "frame-000000.depth.PNG"
+    depth.rename(depth.with_suffix(".pgm")).write_bytes(formats.image(".pgm", formats.millimetres(VIEWS[0])))
+    one_skipped(path, 0, "frame-000000.depth.pgm", "16-bit grey PNG")
+
+
 def test_names_of_the_scanner_app_in_capitals_keep_their_depth(tmp_path: Path) -> None:
     path = formats.scanner_app(tmp_path / "capture", VIEWS)
     for file in list(path.iterdir()):

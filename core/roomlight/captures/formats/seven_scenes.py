@@ -1,4 +1,4 @@
-"""7-Scenes: `frame-XXXXXX.color.png|jpg`, `.depth.png`, `.pose.txt`, optionally `camera-intrinsics.txt`.
+"""7-Scenes: `frame-XXXXXX.color.png|jpg`, `.depth.png|pgm`, `.pose.txt`, optionally `camera-intrinsics.txt`.
 
 Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera's or another fit's. Up is
 the opposite of `gravity-direction.txt` (three numbers); without that file the world is assumed to be an upright
@@ -27,7 +27,7 @@ from roomlight.notes import Note
 
 INTRINSICS: Final = "camera-intrinsics.txt"
 GRAVITY: Final = "gravity-direction.txt"
-_RECORD: Final = re.compile(r"(frame-\d{1,9})\.(color|depth|pose)\.(png|jpg|jpeg|txt)")
+_RECORD: Final = re.compile(r"(frame-\d{1,9})\.(color|depth|pose)\.(png|jpg|jpeg|pgm|txt)", re.IGNORECASE)
 _DEFAULT_CAMERA: Final = Intrinsics(585.0, 585.0, 320.0, 240.0, 640, 480)
 
 
@@ -40,8 +40,9 @@ class SevenScenesReader(ListedReader):
         source = FolderSource(folder)
         matches = [match for match in map(_RECORD.fullmatch, source.names()) if match]
         self._stems = sorted({match[1] for match in matches}, key=lambda stem: int(stem[6:]))
-        colour = {match[1]: match[0] for match in matches if match[2] == "color"}
-        self._has_depth = any(match[2] == "depth" for match in matches)
+        colour, self._depth = (
+            {match[1]: match[0] for match in matches if match[2].lower() == kind} for kind in ("color", "depth")
+        )
         names = [colour.get(stem, f"{stem}.color.png") for stem in self._stems]
         super().__init__(folder, options, names, expected="frame-XXXXXX.color.png, .depth.png and .pose.txt")
         self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_CAMERA
@@ -51,7 +52,7 @@ class SevenScenesReader(ListedReader):
 
     def _read(self, index: int) -> RawFrame:
         stem, label = self._stems[index], self.name_of(index)
-        depth_name, pose_name = f"{stem}.depth.png" if self._has_depth else None, f"{stem}.pose.txt"
+        depth_name, pose_name = self._depth.get(stem, f"{stem}.depth.png") if self._depth else None, f"{stem}.pose.txt"
         pose_label = self._source.label(pose_name)
         pose_data = self._source.read(pose_name, max_bytes=65536)
         with fields.naming(pose_label, FrameError):
