@@ -21,6 +21,7 @@ class ZipSource:
     """A zip archive read in place: nothing is extracted, so that member names cannot write anywhere.
 
     Names are relative to `prefix`, the folder that holds all members: programs that pack a folder again put it there.
+    A name that is not there as written is looked for in another case; two members that fit are an error.
     """
 
     def __init__(self, path: Path) -> None:
@@ -31,6 +32,9 @@ class ZipSource:
             listed = [info for info in archive.infolist() if not info.is_dir() and not _is_litter(info.filename)]
         self.prefix = _common_folder([info.filename for info in listed])
         self._members = {info.filename[len(self.prefix) :].replace("\\", "/"): info for info in listed}
+        self._folded: dict[str, list[str]] = {}
+        for name in self._members:
+            self._folded.setdefault(name.casefold(), []).append(name)
 
     @contextmanager
     def opened(self) -> Generator[zipfile.ZipFile]:
@@ -51,19 +55,25 @@ class ZipSource:
         return f"{self.root}:{self.prefix}{name}"
 
     def has(self, name: str) -> bool:
-        """Whether the archive has this member."""
-        return name in self._members
+        """Whether the archive has this member. Several that fit count: reading it names them."""
+        return bool(self._fitting(name))
 
     def names(self, folder: str = "") -> Iterator[str]:
         """Yield the names of a folder's members, or of all members."""
-        prefix = f"{folder}/" if folder else ""
-        yield from sorted(name for name in self._members if name.startswith(prefix))
+        prefix = f"{folder}/".casefold() if folder else ""
+        yield from sorted(name for name in self._members if name.casefold().startswith(prefix))
+
+    def _fitting(self, name: str) -> list[str]:
+        return [name] if name in self._members else self._folded.get(name.casefold(), [])
 
     def read(self, name: str, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
         """Read a member. Raises FrameError if it is missing, empty, over `max_bytes`, or not of its declared size."""
-        info = self._members.get(name)
-        if info is None:
+        fitting = self._fitting(name)
+        if not fitting:
             raise FrameError(f"{self.label(name)}: is not in the archive")
+        if len(fitting) > 1:
+            raise FrameError(f"{self.label(name)}: is there only as {' and '.join(fitting)}; rename one")
+        info = self._members[fitting[0]]
         if info.file_size > max_bytes:
             raise FrameError(f"{self.label(name)}: declares {info.file_size} bytes; up to {max_bytes} are read")
         try:

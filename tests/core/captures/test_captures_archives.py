@@ -57,6 +57,18 @@ def test_members_with_other_names_are_ignored(tmp_path: Path) -> None:
     assert not (tmp_path.parent / "outside.jpg").exists()
 
 
+def test_members_are_found_in_another_case(tmp_path: Path) -> None:
+    def upper(members: dict[str, bytes]) -> None:
+        for name in list(members):
+            members[name.upper()] = members.pop(name)
+
+    path = repacked(tmp_path / "a.r3d", upper)
+    for frame, view in zip(open_capture(path), VIEWS, strict=True):
+        np.testing.assert_array_equal(frame.depth_m == 0, view.confidence == 0)
+    path = repacked(tmp_path / "b.r3d", lambda m: (upper(m), m.update({"RGBD/1.Depth": b"x"})))
+    one_skipped(path, 1, "rgbd/1.depth", "only as RGBD/1.DEPTH and RGBD/1.Depth")
+
+
 def test_archives_without_metadata_or_pictures(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"metadata\.json: is not in the archive"):
         open_capture(repacked(tmp_path / "a.r3d", lambda members: members.pop("metadata")))
