@@ -24,6 +24,9 @@ from roomlight.errors import CaptureError, FrameError, RoomLightError
 _DECIMAL_COMMA: Final = re.compile(r"(?=.*,)[-+]?\d*(,\d+)?(e[-+]?\d+)?(\s++[-+]?\d*(,\d+)?(e[-+]?\d+)?)+", re.I)
 """A line of numbers between blanks. Linear in its length."""
 
+_COMMENT: Final = re.compile(r'("(?:[^"\\]|\\.)*+"?)|//[^\n]*|/\*.*?(?:\*/|\Z)', re.DOTALL)
+"""A string of JSON, or a comment as C has them. Linear in the text's length."""
+
 
 @contextmanager
 def naming(label: str, error: type[CaptureError] | type[FrameError]) -> Generator[None]:
@@ -37,13 +40,14 @@ def naming(label: str, error: type[CaptureError] | type[FrameError]) -> Generato
 
 
 def parse_json(data: bytes, label: str) -> dict[str, Any]:
-    """Parse a JSON object. Raises CaptureError, which says where the JSON breaks."""
+    """Parse a JSON object, also one with comments. Raises CaptureError, which says where the JSON breaks."""
     try:
         data = data.removeprefix(codecs.BOM_UTF8)
         try:
-            value: Any = json.loads(data)
+            text = data.decode(json.detect_encoding(data), "surrogatepass")
         except UnicodeDecodeError:  # programs of Windows write names in the code page
-            value = json.loads(data.decode("latin-1"))
+            text = data.decode("latin-1")
+        value = _json_value(text)
     except RecursionError as error:
         raise CaptureError(f"{label}: the JSON is nested too deeply to be a capture's index") from error
     except ValueError as error:  # JSONDecodeError, UnicodeDecodeError, integers of thousands of digits
@@ -51,6 +55,16 @@ def parse_json(data: bytes, label: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise CaptureError(f"{label}: holds a {type(value).__name__} where an object with keys is expected")
     return value
+
+
+def _json_value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        bare = _COMMENT.sub(lambda match: match[1] or " ", text)
+        if bare == text:
+            raise
+        return json.loads(bare)
 
 
 def parse_text(data: bytes, label: str) -> list[str]:

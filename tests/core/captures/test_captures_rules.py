@@ -368,6 +368,29 @@ def test_angles_of_view_that_differ_give_pixels_that_are_not_square(transforms: 
     assert camera.fy == pytest.approx(camera.height / 2 / np.tan(0.25))
 
 
+def test_what_instant_ngp_reads_besides_is_read(transforms: Path) -> None:
+    """Angles in degrees, comments, a BMP without its suffix."""
+
+    def change(index: dict) -> None:
+        for key in ("fl_x", "fl_y"):
+            del index[key]
+        index.update(x_fov=60.0, y_fov=48.0, note='a "//" /* b')
+        index["frames"][0]["file_path"] = "images/frame_00001"
+
+    edit(transforms / "transforms.json", change)
+    text = (transforms / "transforms.json").read_text()
+    (transforms / "transforms.json").write_text("// written by hand\n/* also\nthis */" + text + "/* open")
+    formats.save(transforms / "images/frame_00001.bmp", formats.image(".bmp", VIEWS[0].srgb8))
+    (transforms / "images/frame_00001.png").unlink()
+    frame, *_ = frames = list(open_capture(transforms))
+    assert len(frames) == 4
+    assert frame.intrinsics.fx == pytest.approx(16 / np.tan(np.pi / 6))
+    assert frame.intrinsics.fy == pytest.approx(12 / np.tan(np.radians(24)))
+    (transforms / "transforms.json").write_text(text.replace("60.0", "180.0"))
+    with pytest.raises(CaptureError, match=r"x_fov is 180\.0; it must be below 180 degrees"):
+        list(open_capture(transforms))
+
+
 def test_an_index_in_a_code_page_of_windows(transforms: Path) -> None:
     (transforms / "images/frame_00001.png").rename(transforms / "images/fläche.png")
     path = transforms / "transforms.json"

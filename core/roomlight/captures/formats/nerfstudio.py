@@ -1,7 +1,8 @@
 """Captures described by a `transforms.json`: nerfstudio, instant-ngp, nerf-synthetic, NeRFCapture, ScanNet++.
 
 Schema: `frames: [{file_path, depth_file_path | depth_path, transform_matrix, timestamp?, intrinsics?, mask_path?,
-is_bad?}]`; intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x`. Colour names may lack their suffix.
+is_bad?}]`; intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x` (rad), or
+instant-ngp's `x_fov` (degrees). Colour names may lack their suffix.
 Pixels of a mask that are 0 are not seen; instant-ngp's `dynamic_mask_NAME.png` beside an image is the other way round;
 nor are pixels farther than `fisheye_crop_radius` from the centre of the image.
 Frames that are marked `is_bad` are skipped.
@@ -44,7 +45,8 @@ from roomlight.notes import Note, unread_keys
 
 INDEX: Final = "transforms.json"
 _DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
-_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic", ".webp", ".tif", ".tiff")
+_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic", ".webp", ".tif", ".tiff", ".bmp")
+_LENS_KEYS: Final = ("fl_x", "camera_angle_x", "x_fov")
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
 _READ: Final = frozenset(
     {
@@ -58,6 +60,8 @@ _READ: Final = frozenset(
             "h",
             "camera_angle_x",
             "camera_angle_y",
+            "x_fov",
+            "y_fov",
             "world_up",
             "depth_unit_scale_factor",
             "applied_scale",
@@ -191,17 +195,17 @@ class NerfstudioReader:
         width = image_width if stated_w is None else fields.pixels(stated_w, "w")
         height = image_height if stated_h is None else fields.pixels(stated_h, "h")
         fl_x = fields.first_of(entry, self._shared, "fl_x")
-        angle = fields.first_of(entry, self._shared, "camera_angle_x")
+        angle = self._angle(entry, "x")
         if fl_x is not None:
             fx = fields.positive(fl_x, "fl_x")
         elif angle is not None:
-            fx = 0.5 * width / math.tan(0.5 * _angle(angle))
+            fx = 0.5 * width / math.tan(0.5 * angle)
         else:
-            raise ValueError("has neither fl_x nor camera_angle_x")
-        fl_y, high = (fields.first_of(entry, self._shared, key) for key in ("fl_y", "camera_angle_y"))
+            raise ValueError("has neither fl_x nor camera_angle_x nor x_fov")
+        fl_y, high = fields.first_of(entry, self._shared, "fl_y"), self._angle(entry, "y")
         fy = fx if fl_y is None else fields.positive(fl_y, "fl_y")
         if fl_y is None and fl_x is None and high is not None:
-            fy = 0.5 * height / math.tan(0.5 * _angle(high, "camera_angle_y"))
+            fy = 0.5 * height / math.tan(0.5 * high)
         cx, cy = (fields.first_of(entry, self._shared, key) for key in ("cx", "cy"))
         return Intrinsics(
             fx,
@@ -211,6 +215,16 @@ class NerfstudioReader:
             width,
             height,
         )
+
+    def _angle(self, entry: dict[str, Any], axis: str) -> float | None:
+        """Return the stated angle of view in radians; None without one."""
+        for key, radians, limit in ((f"camera_angle_{axis}", 1.0, "pi"), (f"{axis}_fov", math.pi / 180, "180 degrees")):
+            if (stated := fields.first_of(entry, self._shared, key)) is not None:
+                angle = fields.positive(stated, key)
+                if angle * radians >= math.pi:
+                    raise ValueError(f"{key} is {angle}; it must be below {limit}")
+                return angle * radians
+        return None
 
     def _refuse_broken_lens(self) -> None:
         """Refuse the capture if its global intrinsics are invalid and some frame needs them."""
@@ -222,9 +236,9 @@ class NerfstudioReader:
                 if self._shared.get(key) is not None and not all(key in frame for frame in self._frames):
                     fields.pixels(self._shared[key], key)
             if self.count and not any(
-                fields.first_of(frame, self._shared, "fl_x", "camera_angle_x") is not None for frame in self._frames
+                fields.first_of(frame, self._shared, *_LENS_KEYS) is not None for frame in self._frames
             ):
-                raise ValueError("has no intrinsics: neither fl_x nor camera_angle_x, globally or in any frame")
+                raise ValueError("has no intrinsics: neither fl_x nor camera_angle_x nor x_fov, globally or in a frame")
 
     def _world_up(self) -> tuple[float, float, float]:
         stated: Any = self._shared.get("world_up")
@@ -258,13 +272,6 @@ class NerfstudioReader:
             hint = f"its frames have {names}; set depth_key" if present else "depth=auto estimates it"
             raise CaptureError(f"{self._label}: no frame has {' or '.join(keys)}; {hint}")
         return keys
-
-
-def _angle(value: object, what: str = "camera_angle_x") -> float:
-    angle = fields.positive(value, what)
-    if angle >= math.pi:
-        raise ValueError(f"{what} is {angle} rad; it must be below pi")
-    return angle
 
 
 def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
