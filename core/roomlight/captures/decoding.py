@@ -141,7 +141,8 @@ def intrinsics_without_size(
     if not (0.2 * width <= cx <= 0.8 * width and 0.2 * height <= cy <= 0.8 * height):
         raise ValueError(
             f"the image is {width} x {height} but its principal point would be ({cx:g}, {cy:g}): "
-            "the intrinsics are for another size"
+            "the intrinsics are for another size; scale fx and cx with the width, fy and cy with the height, "
+            "or give the pictures that they are for"
         )
     return Intrinsics(float(matrix[0, 0]), float(matrix[1, 1]), cx, cy, width, height)
 

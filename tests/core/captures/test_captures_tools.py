@@ -105,6 +105,22 @@ def test_depth_of_another_camera_is_projected_into_the_colour_image(tmp_path: Pa
     assert np.isin(np.round(frame.depth_m, 3), [0.0, 1.0, 2.0]).all()
 
 
+def test_scannets_frames_resized_beside_the_k_of_the_whole(tmp_path: Path) -> None:
+    path = tool_formats.scannet_frames(tmp_path / "capture", VIEWS[:2])
+    whole = f"{2 * formats.FX} 0 {2 * formats.CX} 0\n0 {2 * formats.FY} {2 * formats.CY} 0\n0 0 1 0\n0 0 0 1\n"
+    (path / "intrinsic/intrinsic_color.txt").write_text(whole)
+    with pytest.raises(CaptureError, match=r"for another size; scale fx and cx with the width.*or give the pictures"):
+        list(open_capture(path))
+
+
+@pytest.mark.parametrize("build", [tool_formats.scannet_frames, tool_formats.rtabmap])
+def test_pictures_called_jpeg_are_read(tmp_path: Path, build: Callable[..., Path]) -> None:
+    path = build(tmp_path / "capture", VIEWS)
+    for picture in path.rglob("*.jpg"):
+        picture.rename(picture.with_suffix(".jpeg"))
+    assert len(list(open_capture(path))) == 4
+
+
 # RTAB-Map
 
 

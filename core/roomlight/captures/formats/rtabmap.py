@@ -54,7 +54,7 @@ class RtabmapReader(ListedReader):
         poses_name = None if prefix is None else _poses_name(source, prefix)
         if prefix is None or poses_name is None:
             raise CaptureError(f"{folder}: has no rgb, calib and camera_poses.txt of rtabmap-export")
-        colour = files_of(source, f"{prefix}rgb", (".jpg", ".png"))
+        colour = files_of(source, f"{prefix}rgb", (".jpg", ".jpeg", ".png"))
         super().__init__(folder, options, colour, expected=f"{prefix}rgb/*.jpg")
         self._prefix, self._robot = prefix, not poses_name.endswith(_CAMERA_POSES)
         self._by_number: dict[int, tuple[float, Float[np.ndarray, "4 4"] | str]] = {}

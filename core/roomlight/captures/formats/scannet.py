@@ -218,7 +218,7 @@ class ScanNetFramesReader(ListedReader):
         self._depth_k = self._stated(source, depth_name, 3)
         poses = [self._stated(source, file, 4) for file in (extrinsic, extrinsic.replace("color", "depth"))]
         self._depth_to_colour = _between(*(np.eye(4) if pose is None else pose for pose in poses))
-        super().__init__(folder, options, files_of(source, "color", (".jpg", ".png")), expected="color/0.jpg")
+        super().__init__(folder, options, files_of(source, "color", (".jpg", ".jpeg", ".png")), expected="color/0.jpg")
 
     @staticmethod
     def _stated(source: FolderSource, name: str, size: int) -> Float[np.ndarray, "{size} {size}"] | None:
