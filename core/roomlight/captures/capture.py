@@ -29,7 +29,7 @@ from roomlight.captures.notes import (
 from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
-from roomlight.depth import DEPTH_MEDIAN_M, without_unseen
+from roomlight.depth import DEPTH_MEDIAN_M, MAX_DEPTH_M, without_unseen
 from roomlight.errors import CaptureError, FrameError, ImageError, ModelError, RoomLightError
 from roomlight.frame import Frame, hidden
 from roomlight.images import ColourImage, read_panorama
@@ -469,7 +469,11 @@ class Capture:
         assert raw.depth_name is not None
         known = depth_m > 0
         if not known.any():
-            raise FrameError(f"{raw.depth_name}: no pixel has a known depth")
+            raise FrameError(
+                f"{raw.depth_name}: no pixel has a known depth, above 0 and up to {MAX_DEPTH_M:g} m; unless the file "
+                "is empty, the depth unit looks wrong; set depth_unit_m, the metres for one stored unit "
+                "(0.001 for millimetres)"
+            )
         median_m = float(np.median(depth_m[known]))
         low, high = DEPTH_MEDIAN_M
         if not low <= median_m <= high:

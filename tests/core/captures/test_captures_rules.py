@@ -438,6 +438,15 @@ def test_a_curve_that_no_camera_writes_is_refused(tmp_path: Path) -> None:
         list(open_capture(path))
 
 
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_unit_upside_down_is_named(transforms: Path, stated: bool) -> None:
+    if stated:
+        edit(transforms / "transforms.json", lambda index: index.update(depth_unit_scale_factor=1000))
+    capture = open_capture(transforms, CaptureOptions(depth_unit_m=None if stated else 1000.0))
+    with pytest.raises(CaptureError, match=r"up to 100000 m; unless.*the depth unit looks wrong; set depth_unit_m"):
+        list(capture)
+
+
 def test_exif_orientation_of_a_capture_is_said_and_not_applied(transforms: Path) -> None:
     from PIL import ExifTags, Image
 
