@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
+from roomlight.errors import FrameError
 from roomlight.images import ColourImage
 from roomlight.notes import Note
 
@@ -73,9 +74,18 @@ def fitted(picture: ColourImage, intrinsics: Intrinsics, name: str) -> tuple[Col
     """Return the camera at the picture's size if that is the same view resampled, and note it.
 
     Trainers keep halves and quarters of their pictures beside the intrinsics of the whole ones.
+
+    Raises:
+        FrameError: It is the view of the picture turned, as EXIF may show it.
     """
     height, width = picture.image.shape[:2]
     stated = intrinsics.width, intrinsics.height
+    if width != height and stated == (height, width):
+        exif = next((note.left_out for note in picture.notes if ": EXIF orientation" in note.left_out), name)
+        raise FrameError(
+            f"{exif}: the image is stored as {width} x {height} but its intrinsics are for {height} x {width}, the "
+            "image turned; turn its pixels (and depth), or give the intrinsics and the pose of the stored image"
+        )
     difference = abs(width * stated[1] - height * stated[0])
     if (width, height) == stated or difference > max(stated) or max(stated) > _MOST_RESAMPLED * max(width, height):
         return picture, intrinsics

@@ -462,6 +462,16 @@ def test_exif_orientation_of_a_capture_is_said_and_not_applied(transforms: Path)
     assert any("orientation 3" in note.left_out for note in capture.notes)
 
 
+def test_intrinsics_of_the_upright_view_name_the_orientation(transforms: Path) -> None:
+    from PIL import ExifTags, Image
+
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    Image.fromarray(VIEWS[1].srgb8).save(transforms / "images/frame_00002.png", exif=exif)
+    edit(transforms / "transforms.json", lambda index: index["frames"][1].update(w=24, h=32))
+    one_skipped(transforms, 1, "EXIF orientation 6: the image is stored as 32 x 24", "for 24 x 32", "turn its pixels")
+
+
 # What is marked, unread, nested, guessed
 
 
