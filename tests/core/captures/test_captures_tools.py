@@ -267,6 +267,65 @@ def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
     assert error.mean() < (0.03 if encoding == "bayer_rggb8" else 0.012)
 
 
+def other_image(view: formats.View, topic: str, frame: str, encoding: str, value: int) -> tuple[str, str, float, bytes]:
+    shape, dtype = ((24, 32, 3), np.uint8) if encoding == "bgr8" else ((24, 32), np.uint16)
+    data = tool_formats.image_message(view.time_s, frame, encoding, np.full(shape, value, dtype))
+    return topic, "sensor_msgs/msg/Image", view.time_s + 0.01, data
+
+
+def test_depth_is_that_of_the_colours_camera(tmp_path: Path) -> None:
+    """A second camera has aligned depth; the first has depth of its own frame, and no word `aligned`."""
+    names = {
+        "/camera/color/image_raw": "/cam1/color/image_raw",
+        "/camera/color/camera_info": "/cam1/color/camera_info",
+        "/camera/aligned_depth_to_color/image_raw": "/cam1/depth/image_rect_raw",
+    }
+    messages = [(names.get(topic, topic), *rest) for topic, *rest in tool_formats.ros_messages(VIEWS)]
+    info = tool_formats.camera_message("cam2_optical")
+    messages.append(("/cam2/color/camera_info", "sensor_msgs/msg/CameraInfo", 5.0, info))
+    for view in VIEWS:
+        messages.append(other_image(view, "/cam2/color/image_raw", "cam2_optical", "bgr8", 99))
+        messages.append(other_image(view, "/cam2/aligned_depth_to_color/image_raw", "cam2_optical", "16UC1", 9000))
+    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
+    for frame, view in zip(capture, VIEWS, strict=True):
+        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=6e-4)
+    (note,) = [str(note) for note in capture.notes if "alone is read" in str(note)]
+    assert "/cam2/color" in note
+    assert "/cam1/color/image_raw" in note
+
+
+def test_aligned_depth_of_another_frame_is_projected_or_noted(tmp_path: Path) -> None:
+    """The name `aligned` does not say to which camera."""
+    topic = "/camera/aligned_depth_to_infra1/image_raw"
+    messages = [message for message in tool_formats.ros_messages(VIEWS) if "aligned" not in message[0]]
+    messages += [other_image(view, topic, "infra1_optical", "16UC1", 2000) for view in VIEWS]
+    capture = open_capture(tool_formats.ros2_bag(tmp_path / "untold", messages))
+    assert next(iter(capture)).depth_m.shape == (24, 32)
+    assert any("infra1_optical" in note.left_out for note in capture.notes)
+    beside = np.eye(4)
+    beside[0, 3] = 0.4
+    tf = tool_formats.transforms_message(0.0, "camera_color_optical_frame", "infra1_optical", beside)
+    messages.append(("/tf_static", "tf2_msgs/msg/TFMessage", 5.0, tf))
+    info = tool_formats.camera_message("infra1_optical")
+    messages.append(("/camera/aligned_depth_to_infra1/camera_info", "sensor_msgs/msg/CameraInfo", 5.0, info))
+    depth_m = next(iter(open_capture(tool_formats.ros2_bag(tmp_path / "told", messages)))).depth_m
+    assert not depth_m[:, :3].any()
+    assert depth_m[:, -3:].all()
+
+
+def test_pictures_of_other_programs_are_no_camera_and_no_depth(tmp_path: Path) -> None:
+    messages = tool_formats.ros_messages(VIEWS)
+    for view in VIEWS:
+        messages.append(other_image(view, "/a_detections/color_image", "x", "bgr8", 0))
+        messages.append(other_image(view, "/camera/aligned_depth_colormap/image", "x", "bgr8", 0))
+    for frame, view in zip(open_capture(tool_formats.ros2_bag(tmp_path / "a", messages)), VIEWS, strict=True):
+        np.testing.assert_allclose(frame.image, srgb8_to_linear(view.srgb8), atol=1e-6)
+        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=6e-4)
+    coloured = [message for message in messages if "depth_to" not in message[0]]
+    notes = open_capture(tool_formats.ros2_bag(tmp_path / "b", coloured)).notes
+    assert any("depth_colormap/image holds colours" in str(note).replace(":", "") for note in notes)
+
+
 # Refused by name
 
 

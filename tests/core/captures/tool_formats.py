@@ -166,7 +166,8 @@ def image_message(time_s: float, frame: str, encoding: str, pixels: np.ndarray) 
 def camera_message(frame: str, *, shift: float = 0.0) -> bytes:
     k = (FX, 0, CX - 0.5 + shift, 0, FY, CY - 0.5, 0, 0, 1)
     cdr = Cdr().header(0.0, frame).put("I", HEIGHT, WIDTH).text("plumb_bob").put("I", 5).put("d", *[0.0] * 5)
-    cdr.put("d", *k).put("d", *np.eye(3).reshape(-1)).put("d", *np.eye(3, 4).reshape(-1))
+    p = np.hstack([np.reshape(k, (3, 3)), np.zeros((3, 1))])
+    cdr.put("d", *k).put("d", *np.eye(3).reshape(-1)).put("d", *p.reshape(-1))
     return cdr.put("I", 0, 0, 0, 0, 0, 0).put("B", 0).bytes()
 
 

@@ -1,8 +1,9 @@
 """Bags of ROS 1 and 2 (`.bag`, or a folder or file of `.db3` or `.mcap`), by the extra `rosbags`.
 
 A record is a colour image with the depth image nearest in time. Topics are chosen by their type and name: colour by
-`color` or `rgb`, depth by `depth`, `aligned` or `registered` first. Depth of another camera is projected into the
-colour image by the fixed transforms of tf.
+`color` or `rgb`, those with a CameraInfo first; depth by `depth` and its encoding, that of the colour's namespace
+first, then `aligned` or `registered`. Depth of another frame is projected into the colour image by the fixed transforms
+of tf.
 
 Conventions: the pose is that of the colour image's frame in the root of tf; without one there, Odometry, PoseStamped or
 TransformStamped messages carry it. Optical frames are OpenCV's, the world is z-up (REP 103). Pixel centres are at whole
@@ -28,6 +29,7 @@ from roomlight.captures.formats.ros.images import (
     camera_of,
     decode_colour_image,
     decode_depth_image,
+    is_colour,
     pose_values,
     seconds,
 )
@@ -42,6 +44,8 @@ from roomlight.notes import Note
 SUFFIXES: Final = (".bag", ".db3", ".mcap")
 MAX_GAP_S: Final = 0.025
 _IMAGES: Final = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_COLOUR: Final = ("color", "rgb", "image")
+_NO_COLOUR: Final = ("depth", "infra", "fisheye", "mask", "conf")
 _INFO: Final = "sensor_msgs/msg/CameraInfo"
 _POSES: Final = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 _TREES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -73,10 +77,8 @@ class RosBagReader:
         self._entries: dict[str, list[_Entry]] = {}
         with self._opened() as bag:
             topics = {connection.topic: connection.msgtype for connection in bag.connections}
-            self._colour = self._topic(topics, ("color", "rgb", "image"), ("depth", "infra", "fisheye", "mask", "conf"))
-            words = ("aligned", "registered", "depth")
-            has_depth = any("depth" in topic.lower() for topic, kind in topics.items() if kind in _IMAGES)
-            self._depth = self._topic(topics, words, (), "depth") if has_depth else None
+            self._colour = self._colour_topic(topics)
+            self._depth = self._depth_topic(bag, topics)
             self._index(bag, topics)
         self.count = len(self._entries.get(self._colour, []))
         if self.count > MAX_FRAMES:
@@ -122,16 +124,47 @@ class RosBagReader:
         finally:
             bag.close()
 
-    def _topic(self, topics: dict[str, str], words: tuple[str, ...], without: tuple[str, ...], needed: str = "") -> str:
-        """Return the image topic whose name fits best. Raises CaptureError with what there is."""
-        images = [topic for topic, kind in sorted(topics.items()) if kind in _IMAGES and needed in topic.lower()]
-        fitting = [topic for topic in images if not any(word in topic.lower() for word in without)]
-        for word in words:
-            for topic in sorted(fitting, key=lambda topic: "compressed" in topic):
-                if word in topic.lower():
-                    return topic
-        listed = ", ".join(sorted(topics)[:12]) or "nothing"
-        raise CaptureError(f"{self._path}: has no topic of {needed or 'colour'} images; its topics are {listed}")
+    def _colour_topic(self, topics: dict[str, str]) -> str:
+        """Return the topic of colour whose name fits best; others are noted. Raises CaptureError with what there is."""
+        images = [topic for topic, kind in topics.items() if kind in _IMAGES and _rank(topic, _COLOUR) < len(_COLOUR)]
+        images = [topic for topic in images if _rank(topic, _NO_COLOUR) == len(_NO_COLOUR)]
+        if not images:
+            listed = ", ".join(sorted(topics)[:12]) or "nothing"
+            raise CaptureError(f"{self._path}: has no topic of colour images; its topics are {listed}")
+        cameras = {_space(topic) for topic, kind in topics.items() if kind == _INFO}
+        images.sort(
+            key=lambda topic: (_space(topic) not in cameras, _rank(topic, _COLOUR), "compressed" in topic, topic)
+        )
+        spaces = dict.fromkeys(_space(topic) for topic in images if _space(topic) in cameras)
+        if others := [space for space in spaces if space != _space(images[0])]:
+            left = f"{self._path}: the cameras {', '.join(others[:4])}"
+            self.notes.append(Note(left, f"{images[0]} alone is read", "leave it out of the bag to read another"))
+        return images[0]
+
+    def _depth_topic(self, bag: Any, topics: dict[str, str]) -> str | None:
+        """Return the topic of depth nearest to the colour's by name; None without one, noted if colour is called so."""
+        named = sorted(topic for topic, kind in topics.items() if kind in _IMAGES and "depth" in topic.lower())
+        depths = [topic for topic in named if self._may_be_depth(bag, topic)]
+        if named and not depths:
+            left = f"{self._path}: {', '.join(named[:4])}"
+            self.notes.append(Note(left, "holds colours, so that no depth is read", "record depth (16UC1 or 32FC1)"))
+        own = self._colour.split("/")
+
+        def order(topic: str) -> tuple[int, int, bool]:
+            parts = enumerate(zip(topic.split("/"), own, strict=False))
+            shared = next((at for at, (part, other) in parts if part != other), len(own))
+            return -shared, _rank(topic, ("aligned", "registered")), "compressed" in topic
+
+        return min(depths, key=order, default=None)
+
+    def _may_be_depth(self, bag: Any, topic: str) -> bool:
+        """Whether the first image of a topic is of no encoding of colours."""
+        connections = [connection for connection in bag.connections if connection.topic == topic]
+        try:
+            connection, _, raw = next(bag.messages(connections=connections))
+            return not is_colour(bag.deserialize(raw, connection.msgtype))
+        except Exception:  # an empty or damaged one is found when it is read
+            return True
 
     def _index(self, bag: Any, topics: dict[str, str]) -> None:
         """Take the poses and cameras, and the times of the images."""
@@ -232,12 +265,14 @@ class RosBagReader:
     ) -> Float[np.ndarray, "dh dw"]:
         """Project depth of another camera into the colour image."""
         frame, info = self._frames.get(topic, ""), self._cameras.get(topic)
-        if frame == self._frame_id or any(word in topic for word in ("aligned", "registered")) or info is None:
+        if frame.lstrip("/") == self._frame_id.lstrip("/"):
             return depth_m
         between = self._tree.between(self._frame_id, frame)
-        if between is None:
+        if between is None or info is None:
+            lacking = "no fixed transform from" if between is None else "no CameraInfo of"
             text = "taken for depth of the colour camera"
-            note = Note(f"{self._path}: no fixed transform from {frame!r}", text, "record tf_static, or aligned depth")
+            way = "record tf_static and camera_info, or aligned depth"
+            note = Note(f"{self._path}: {lacking} {frame!r}", text, way)
             if note not in self.notes:
                 self.notes.append(note)
             return depth_m
@@ -249,6 +284,11 @@ def is_bag(path: Path) -> bool:
     if path.is_file():
         return path.suffix.lower() in SUFFIXES
     return (path / "metadata.yaml").is_file() and any(file.suffix in SUFFIXES for file in path.iterdir())
+
+
+def _rank(topic: str, words: tuple[str, ...]) -> int:
+    """Return the place of the first of these words that a topic has; their number without one."""
+    return next((at for at, word in enumerate(words) if word in topic.lower()), len(words))
 
 
 def _space(topic: str) -> str:

@@ -79,6 +79,13 @@ def decode_colour_image(message: Any, label: str) -> ColourImage:
     return ColourImage(srgb8_to_linear(rgb), clipped_pixels(rgb))
 
 
+def is_colour(message: Any) -> bool:
+    """Whether an Image or a CompressedImage has an encoding of colours."""
+    if hasattr(message, "format"):
+        return any(word in message.format.lower() for word in ("rgb", "bgr", "mono8", "8uc"))
+    return message.encoding.lower() in (*_ORDERS, *_CONVERSIONS)
+
+
 def decode_depth_image(message: Any, label: str, unit_m: float | None) -> Float[np.ndarray, "h w"]:
     """Return depth in metres of an Image or a CompressedImage (compressedDepth). Raises ValueError and ImageError."""
     if hasattr(message, "format"):  # 12 bytes of parameters, then a PNG
