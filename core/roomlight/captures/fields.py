@@ -76,10 +76,15 @@ def parse_text(data: bytes, label: str) -> list[str]:
     data = data.removeprefix(codecs.BOM_UTF8)
     if b"\0" in data and data[:2] not in (b"\xff\xfe", b"\xfe\xff"):
         raise CaptureError(f"{label}: is not text (a zero at byte {data.index(0)})")
+    return decoded(data).splitlines()
+
+
+def decoded(data: bytes) -> str:
+    """Return bytes as text, by the rule of `parse_text`."""
     try:
-        return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8").splitlines()
+        return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8")
     except UnicodeDecodeError:
-        return data.decode("latin-1").splitlines()
+        return data.decode("latin-1")
 
 
 def parse_table(data: bytes, label: str) -> list[list[str]]:

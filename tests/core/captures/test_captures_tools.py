@@ -184,6 +184,50 @@ def test_colmaps_own_depth_maps(tmp_path: Path) -> None:
     one_skipped(path, 1, "COLMAP map of 32 x 24")
 
 
+def workspace(path: Path) -> Path:
+    """COLMAP's automatic reconstruction: the model has a lens, the undistorted images are larger."""
+    shutil.rmtree(formats.colmap(path, VIEWS) / "depth")
+    data = bytearray((path / "sparse/0/cameras.bin").read_bytes())
+    parameters = struct.pack("<8d", formats.FX, formats.FY, formats.CX, formats.CY, -0.2, 0, 0, 0)
+    (path / "sparse/0/cameras.bin").write_bytes(data[:12] + struct.pack("<i", 4) + data[16:32] + parameters)
+    dense = formats.colmap(path / "dense/0", VIEWS)
+    (dense / "sparse/0/cameras.bin").rename(dense / "sparse/cameras.bin")
+    (dense / "sparse/0/images.bin").rename(dense / "sparse/images.bin")
+    shutil.rmtree(dense / "depth")
+    for index, view in enumerate(VIEWS):
+        depth = f"{formats.WIDTH}&{formats.HEIGHT}&1&".encode() + view.depth_m.astype("<f4").tobytes()
+        formats.save(dense / f"stereo/depth_maps/frame_{index + 1:05d}.png.geometric.bin", depth)
+        black = np.zeros((formats.HEIGHT, formats.WIDTH, 3), np.uint8)
+        formats.save(path / f"images/frame_{index + 1:05d}.png", formats.image(".png", black))
+    return path
+
+
+def test_depth_of_colmaps_dense_folder_is_read_with_its_images(tmp_path: Path) -> None:
+    path = workspace(tmp_path / "capture")
+    formats.save(path / "masks/frame_00001.png", formats.image(".png", np.zeros((24, 32), np.uint8)))
+    capture = open_capture(path)
+    for frame, view in zip(capture, VIEWS, strict=True):
+        np.testing.assert_allclose(frame.image, srgb8_to_linear(view.srgb8), atol=1e-6)
+        np.testing.assert_allclose(frame.depth_m, view.depth_m, rtol=1e-6)
+        assert frame.seen is None
+    assert any("/masks" in note.left_out for note in capture.notes)
+    assert not any("the models" in note.left_out for note in capture.notes)
+    shutil.copytree(path / "dense/0", path / "dense/1")
+    assert any("the models dense/1/sparse" in note.left_out for note in open_capture(path).notes)
+    shutil.rmtree(path / "dense/0/images")
+    assert any("dense/0/ lacks" in note.effect for note in open_capture(path).notes)
+
+
+def test_names_of_a_windows_code_page_in_a_binary_model(tmp_path: Path) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    data = (path / "sparse/0/images.bin").read_bytes()
+    (path / "sparse/0/images.bin").write_bytes(data.replace(b"frame_00002", "K\xfcche_00002".encode("latin-1")))
+    for folder in ("images", "depth"):
+        (path / folder / "frame_00002.png").rename(path / folder / "K\xfcche_00002.png")
+    capture = open_capture(path)
+    assert len(list(capture)) == len(VIEWS)
+
+
 # ROS
 
 

@@ -3,7 +3,8 @@
 COLMAP knows neither metres nor gravity: a capture must have been scaled to metres, unless camera_height_m is given, and
 its up direction is assumed to be -y, that of a camera held level; both are noted. Depth maps lie in `depth`, `depths`
 or `depth_maps`, named like the image, in the model's unit (integers: a thousandth of it); or COLMAP's own,
-`stereo/depth_maps/NAME.geometric.bin`. Pixels that are 0 in `masks/NAME.png` are not seen.
+`stereo/depth_maps/NAME.geometric.bin`. Those of a folder `dense` are read with its `sparse` and `images`, which are
+undistorted. Pixels that are 0 in `masks/NAME.png` are not seen.
 
 Conventions: world-to-camera quaternions (w, x, y, z), OpenCV camera. Principal points have pixel centres at half
 integers and are used unchanged. Lens models are those of `roomlight.captures.lenses`.
@@ -86,7 +87,15 @@ class ColmapReader(ListedReader):
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
         source = FolderSource(folder)
-        model = model_folder(source)
+        self._depth = next((name for name in _DEPTH if next(iter(source.names(name)), None)), None)
+        self._base, lacking = "", list[Note]()
+        if self._depth is not None and self._depth.startswith("dense/"):
+            self._base = self._depth.removesuffix("stereo/depth_maps")
+            if model_folder(source, f"{self._base}sparse") is None or not source.has(f"{self._base}images"):
+                text = f"is not read: it is of undistorted images, and {self._base} lacks sparse or images"
+                lacking = [Note(source.label(self._depth), text, "copy all of that folder")]
+                self._base, self._depth = "", None
+        model = model_folder(source, f"{self._base}sparse") if self._base else model_folder(source)
         if model is None:
             raise CaptureError(f"{folder}: has no COLMAP model (sparse/0/cameras.bin and images.bin, or .txt)")
         prefix = f"{model}/" if model else ""
@@ -102,17 +111,21 @@ class ColmapReader(ListedReader):
         except (struct.error, UnicodeDecodeError) as error:
             raise CaptureError(f"{label}: the model is truncated or damaged ({error})") from error
         self._images = sorted(listed, key=lambda image: fields.natural_key(image.name))
-        root = next((name for name in ("images", "colmap/images", "dense/images") if source.has(name)), "")
+        roots = (f"{self._base}images", "images", "colmap/images", "dense/images")
+        root = next(filter(source.has, roots), "")
         colour = [f"{root}/{image.name}" if root else image.name for image in self._images]
         super().__init__(folder, options, colour, expected=f"image in {label}")
-        self._depth = next((name for name in _DEPTH if next(iter(source.names(name)), None)), None)
         note = Note(
             f"{folder}: COLMAP's scale and up direction",
             "the model is taken for metres, and up for the opposite of its y axis",
             "state world_up, and camera_height_m (--camera-height) or scale the model to metres",
         )
-        self.notes = [note]
-        others = [name for name in source.names("sparse") if name != model and model_folder(source, name) is not None]
+        self.notes = [note, *lacking]
+        if self._base and source.has("masks"):
+            effect = "are not read: the images read are the undistorted ones"
+            self.notes.append(Note(source.label("masks"), effect, f"undistort them into {self._base}masks"))
+        models = [f"{name}/sparse" for name in source.names("dense")] if self._base else source.names("sparse")
+        others = [name for name in models if name != model and model_folder(source, name) is not None]
         if others:
             text = f"{folder}: the models {', '.join(others[:4])}"
             self.notes.append(Note(text, f"{model or folder} alone is read", "name one model, or merge them"))
@@ -136,7 +149,7 @@ class ColmapReader(ListedReader):
                 raise ValueError(camera)
         read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
         picture, depth_m = read.picture, read.depth_m
-        for mask in (f"masks/{image.name}.png", f"masks/{stem}.png"):
+        for mask in (f"{self._base}masks/{image.name}.png", f"{self._base}masks/{stem}.png"):
             if self._source.has(mask):
                 picture = with_mask(picture, read_mask(self._source, mask))
                 break
@@ -233,7 +246,7 @@ def _images_of_bytes(data: bytes) -> list[_Image]:
     for _ in range(min(count, MAX_FRAMES + 1)):
         values = struct.unpack_from("<i7di", data, at)
         end = data.index(b"\0", at + 64)
-        name = data[at + 64 : end].decode()
+        name = fields.decoded(data[at + 64 : end])
         (points,) = struct.unpack_from("<Q", data, end + 1)
         images.append(_Image(name, values[8], _pose(list(values[1:5]), list(values[5:8]))))
         at = end + 9 + 24 * points
