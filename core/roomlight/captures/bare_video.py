@@ -8,6 +8,7 @@ World: that of the first camera, turned so that y is up; with `world_up`, its ax
 """
 
 import math
+import re
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -21,6 +22,7 @@ from roomlight.captures.options import CaptureOptions
 from roomlight.captures.video import VideoFrames
 from roomlight.conventions import linear_to_srgb
 from roomlight.errors import CaptureError, FrameError, OptionError
+from roomlight.frame import ASPECT_TOLERANCE
 from roomlight.monocular.motion import SIDE, CameraMotion, CameraPath, Lost, Still
 from roomlight.notes import Note
 from roomlight.threads import read_ahead
@@ -33,6 +35,8 @@ DEFAULT_FOV_DEG: Final = 64.0
 """Field of view along the longer side without any better knowledge: of phones' main cameras, 60 to 68 degrees."""
 USUAL_FOV_DEG: Final = (42.0, 90.0)
 """Along the longer side, of phones' main cameras and their videos, which may be cropped."""
+_BENDING: Final = re.compile(r"fish.?eye|gopro|insta360|theta", re.IGNORECASE)
+"""Names of lenses that see so much that no pinhole stands for them."""
 _FILM_WIDTH_MM: Final = 34.6
 """Width of a 4:3 picture of the diagonal of 36 x 24 mm film: videos have the photos' width."""
 _UNUSED: Final = ("camera_convention", "pose_direction", "depth_unit_m", "depth_key", "min_confidence")
@@ -55,6 +59,7 @@ class BareVideoReader:
         self.notes: list[Note] = []
         with self._opened() as video:
             self._times_s, self._focal_35mm = video.times_s, video.focal_35mm
+            self.notes += bending_lens(str(path), *video.stated)
         self._numbers: list[int] = []
         for number, time_s in enumerate(self._times_s):
             if time_s >= len(self._numbers) / RATE - 1e-3:
@@ -101,16 +106,21 @@ class BareVideoReader:
         """Yield what the pictures show, and what places them; `unread` takes those that do not decode, and why."""
         from roomlight.monocular.stream import metric_model  # onnxruntime takes a while to import
 
-        model, motion = metric_model(self._options.depth_model), None
+        model, motion, first = metric_model(self._options.depth_model), None, 0.0
         for index, number in enumerate(self._numbers):
             try:
                 image = video.frame(number, longest=SIDE).image
             except FrameError as error:
                 unread[index] = str(error)
                 continue
+            aspect = image.shape[1] / image.shape[0]
             if motion is None:
+                first = aspect
                 lens, known = self._lens(image.shape[1], image.shape[0])
                 motion = CameraMotion(model, lens, focal_is_known=known)
+            if abs(aspect - first) > ASPECT_TOLERANCE * first:
+                unread[index] = f"its aspect is {aspect:.3g}, the first picture's {first:.3g}; cut the video there"
+                continue
             yield motion, motion.described(index, linear_to_srgb(np.minimum(image, 1)).astype(np.float32))
 
     @contextmanager
@@ -206,6 +216,15 @@ class BareVideoReader:
                     "cut the video to one take, move slowly in good light, or give poses in a transforms.json",
                 )
             )
+
+
+def bending_lens(source: str, *stated: str) -> list[Note]:
+    """Return the note for a camera, named in a file's metadata, whose lens bends lines; nothing for others."""
+    camera = next((text.strip()[:60] for text in stated if _BENDING.search(text)), None)
+    if camera is None:
+        return []
+    text = f"{source}: its camera is {camera}, whose lens bends lines"
+    return [Note(text, "it is read as the picture of a pinhole camera", "undistort it, and state fov_deg")]
 
 
 def panorama_like(source: str, width: int, height: int) -> Note | None:

@@ -6,7 +6,6 @@ far it looks up or down is told by the room's straight lines.
 """
 
 import math
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -16,7 +15,7 @@ from annotated_types import Interval
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
-from roomlight.captures.bare_video import DEFAULT_FOV_DEG, panorama_like, unsure_horizon
+from roomlight.captures.bare_video import DEFAULT_FOV_DEG, bending_lens, panorama_like, unsure_horizon
 from roomlight.captures.decoding import decode_depth_map
 from roomlight.captures.notes import unlikely_depth
 from roomlight.captures.options import up_vector
@@ -38,8 +37,6 @@ DepthOrientation = Literal["auto", "upright", "stored"]
 """Whether the depth map is upright as viewers show the photo, or has the photo's stored rows and columns."""
 FovSource = Literal["option", "exif", "depth", "default"]
 
-_BENDING: Final = re.compile(r"fish.?eye|gopro|insta360|theta", re.IGNORECASE)
-"""Names of lenses that see so much that no pinhole stands for them."""
 _FARTHEST_M: Final = 1000.0
 """A median depth past this is in another unit."""
 
@@ -147,9 +144,7 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
         text = f"{image}: a digital zoom of {exif.zoom:.3g}"
         effect = f"its field of view of {fov_deg:.0f} degrees is taken to include it"
         notes = (*notes, Note(text, effect, "state fov_deg (--fov) if it is too wide"))
-    if _BENDING.search(exif.lens):
-        text = f"{image}: its camera is {exif.lens}, whose lens bends lines"
-        notes = (*notes, Note(text, "it is read as the picture of a pinhole camera", "undistort it, and state fov_deg"))
+    notes = (*notes, *bending_lens(str(image), exif.lens))
     if picture.seen is not None:
         colour, depth_m = hidden(colour, depth_m, picture.seen)
     focal = 0.5 * width / math.tan(math.radians(fov_deg) / 2)

@@ -51,7 +51,8 @@ class VideoFrames:
     """The frames of the first video stream of an MP4 or Matroska file, numbered in order of presentation.
 
     Packets are numbered by presentation time before decoding, so that a packet that does not decode loses only its
-    own frame and does not shift the numbers of later frames.
+    own frame and does not shift the numbers of later frames. Packets that an edit list cuts off, which only help to
+    decode others, have no number.
     """
 
     def __init__(self, path: Path, label: str, *, upright: bool = False) -> None:
@@ -70,8 +71,10 @@ class VideoFrames:
             self._kind = _demuxer(path)
             with av.open(str(path), format=self._kind) as container:
                 stream, self._notes = _main_stream(container, label)
-                times = sorted({packet.pts for packet in container.demux(stream) if packet.pts is not None})
-                self.focal_35mm = _stated_focal({**container.metadata, **stream.metadata})
+                shown = (packet.pts for packet in container.demux(stream) if not packet.is_discard)
+                times = sorted({pts for pts in shown if pts is not None})
+                stated = {**container.metadata, **stream.metadata}
+                self.focal_35mm, self.stated = _stated_focal(stated), tuple(stated.values())
                 self.times_s = [float((pts - times[0]) * (stream.time_base or 1)) for pts in times]
             self._number_of = {pts: number for number, pts in enumerate(times)}
             self._open()

@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -122,6 +123,65 @@ def test_pictures_that_do_not_fit_the_others_are_pointed_out(
     monkeypatch.setattr(motion, "MISFIT_PX", 1e-6)
     said = said_of(video, CaptureOptions(depth_model=model, fov_deg=FOV_DEG))
     assert "5 of 6 pictures, from 0.2 to 1.0 s, do not fit the others" in said
+
+
+def test_frames_before_a_cut_without_encoding_are_not_counted(tmp_path: Path) -> None:
+    """As `ffmpeg -ss -c copy` leaves it: packets before the cut are there to decode others, marked by an edit list."""
+    pictures = [np.full((64, 96, 3), 20 * k, np.uint8) for k in range(10)]
+    whole = written(tmp_path / "whole.mp4", pictures)
+    with av.open(str(whole)) as source, av.open(str(tmp_path / "cut.mp4"), "w") as container:
+        old = source.streams.video[0]
+        stream = container.add_stream_from_template(old)
+        for packet in source.demux(old):
+            if packet.pts is not None and packet.dts is not None and packet.time_base is not None:
+                packet.pts -= int(0.8 / packet.time_base)
+                packet.dts -= int(0.8 / packet.time_base)
+                packet.stream = stream
+                container.mux(packet)
+    with VideoFrames(tmp_path / "cut.mp4", "cut") as frames:
+        assert frames.times_s == pytest.approx([0.2 * k for k in range(6)])
+        levels = [linear_to_srgb8(frames.frame(k).image).mean() for k in range(6)]
+    assert levels == pytest.approx([20 * k for k in range(4, 10)], abs=3)
+
+
+def test_pictures_of_another_aspect_than_the_first_are_skipped(
+    tmp_path: Path, model: Path, pictures: list[np.ndarray]
+) -> None:
+    """A browser's recorder goes on with the other size when the phone is turned."""
+    path = tmp_path / "turned.webm"
+    turned = [np.ascontiguousarray(np.rot90(picture)) for picture in pictures[:1]]
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libvpx", rate=5, options={"cpu-used": "8", "deadline": "realtime"})
+        stream.width, stream.height, stream.pix_fmt = 320, 240, "yuv420p"
+        for size, part, start in (((320, 240), pictures[:2], 0), ((240, 320), turned, 2)):
+            encoder = av.CodecContext.create("libvpx", "w")
+            encoder.width, encoder.height, encoder.pix_fmt = *size, "yuv420p"
+            encoder.time_base, encoder.options = Fraction(1, 5), {"cpu-used": "8", "deadline": "realtime"}
+            for number, rgb in enumerate(part):
+                picture = av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(format="yuv420p")
+                picture.pts, picture.time_base = start + number, Fraction(1, 5)
+                packets = encoder.encode(picture) + (encoder.encode(None) if number == len(part) - 1 else [])
+                for packet in packets:
+                    packet.stream, packet.time_base = stream, Fraction(1, 5)
+                    container.mux(packet)
+    capture = open_capture(path, CaptureOptions(depth_model=model, fov_deg=FOV_DEG))
+    assert {frame.image.shape for frame in capture} == {(240, 320, 3)}
+    assert [skipped.index for skipped in capture.skipped] == [2]
+    assert "its aspect is 0.75, the first picture's 1.33" in capture.skipped[0].reason
+
+
+def test_a_camera_whose_lens_bends_lines_is_pointed_out(tmp_path: Path) -> None:
+    path = tmp_path / "GX010001.MP4"
+    formats.video(path, [view.srgb8 for view in formats.scene(1)])
+    assert open_capture(path).notes == ()
+    with av.open(str(path)) as source, av.open(str(tmp_path / "named.mp4"), "w") as container:
+        stream = container.add_stream_from_template(source.streams.video[0])
+        stream.metadata["handler_name"] = "\tGoPro AVC  "
+        for packet in source.demux(source.streams.video[0]):
+            if packet.dts is not None:
+                packet.stream = stream
+                container.mux(packet)
+    assert any("GoPro AVC, whose lens bends" in note.left_out for note in open_capture(tmp_path / "named.mp4").notes)
 
 
 def test_a_lens_that_hardly_a_phone_has_is_pointed_out(
