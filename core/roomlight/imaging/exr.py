@@ -30,7 +30,7 @@ _PASSES: Final = re.compile(
 )
 """Layers of renderers that are a part of the picture, or none."""
 _NO_DEPTH: Final = re.compile(
-    r"mist|alpha|index|mask|confid|dispar|inv|norm|crypto|shadow|luminance|(^|\.)(a|ao|x|u|g|b)$"
+    r"mist|alpha|index|mask|confid|dispar|inv|norm|crypto|shadow|luminance|denois|(^|\.)(a|ao|x|u|g|b)$"
 )
 _DEEPEST: Final = 65504.0
 """Half's largest value: it and beyond, and infinity, mean that nothing was hit."""
@@ -125,13 +125,14 @@ class ExrChannels:
         names = [key for key in self.channels if not _NO_DEPTH.search(key.lower())]
         for key in names:
             layer, _, last = key.rpartition(".")
-            vector = f"{layer}.X" if layer else "X"
+            vector, called = f"{layer}.X" if layer else "X", _last(f"{layer}.")
+            inexact = int(called != "depth")
             if last.lower() in ("z", "depth") and vector not in self.channels:
-                ranked.setdefault(0 if layer == "" else 1 if "depth" in _last(f"{layer}.") else 3, []).append(key)
-            elif last.lower() in ("v", "y") and "depth" in _last(f"{layer}."):
-                ranked.setdefault(1 if last.lower() == "v" else 2, []).append(key)
-            elif last == "R" and "depth" in _last(f"{layer}.") and self._is_grey(f"{layer}."):
-                ranked.setdefault(2, []).append(key)
+                ranked.setdefault(0 if layer == "" else 1 + inexact if "depth" in called else 5, []).append(key)
+            elif last.lower() in ("v", "y") and "depth" in called:
+                ranked.setdefault((1 if last.lower() == "v" else 3) + inexact, []).append(key)
+            elif last == "R" and "depth" in called and self._is_grey(f"{layer}."):
+                ranked.setdefault(3 + inexact, []).append(key)
         if ranked:
             return ranked[min(ranked)]
         if len(self.channels) == 1:

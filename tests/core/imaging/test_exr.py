@@ -37,8 +37,10 @@ def layer(name: str, **channels: np.ndarray) -> dict[str, np.ndarray]:
         {"Y": DEPTH},
         {"R": DEPTH, "G": DEPTH, "B": DEPTH},
         {**layer("RenderLayer", **PLANE), **layer("RenderLayer", Z=DEPTH)},
+        {**layer("ViewLayer.Denoising Depth", Z=DEPTH * 2), **layer("ViewLayer.Depth", Z=DEPTH)},
+        {**layer("ViewLayer.Depth raw", Z=DEPTH * 2), **layer("ViewLayer.Depth", Z=DEPTH)},
     ],
-    ids=["rgbz", "blender", "compositor", "normals", "mist", "V", "Y", "grey", "old blender"],
+    ids=["rgbz", "blender", "compositor", "normals", "mist", "V", "Y", "grey", "old blender", "denoising", "exact"],
 )
 def test_depth_is_found_by_its_name(tmp_path: Path, channels: dict[str, np.ndarray]) -> None:
     np.testing.assert_array_equal(decode_depth(written(tmp_path / "d.exr", channels), "d.exr"), DEPTH)
