@@ -56,6 +56,20 @@ def test_scannetpp_as_downloaded(tmp_path: Path, kind: str) -> None:
     assert all("depth.bin" in skipped.reason for skipped in capture.skipped)
 
 
+@pytest.mark.parametrize(("kind", "unit_m"), [("stream", 2.0), ("deflate", 2.0), ("lz4", 0.002)])
+def test_a_stated_unit_is_that_of_the_packed_values(tmp_path: Path, kind: str, unit_m: float) -> None:
+    """Floats are stored in metres, integers in millimetres; the largest integer is unknown as in a PNG."""
+    path = tool_formats.scannetpp(tmp_path / "iphone", VIEWS[:1])
+    shutil.rmtree(path / "depth")
+    depth_m = np.full((192, 256), 1.5, np.float32)
+    if kind == "lz4":
+        depth_m[:8] = 65.535
+    (path / "depth.bin").write_bytes(tool_formats.packed_depth([depth_m], kind))
+    (frame,) = open_capture(path, CaptureOptions(depth_unit_m=unit_m))
+    np.testing.assert_allclose(frame.depth_m[8:], 3.0, rtol=1e-6)
+    assert frame.depth_m[:8].max() == pytest.approx(0.0 if kind == "lz4" else 3.0)
+
+
 @pytest.mark.parametrize("data", [b"", b"\x00\x00", b"\xf0\xff\xff", b"\x10A\x05\x00", b"\x1fA\x01\x00" + b"\xff" * 99])
 def test_damaged_lz4_is_refused(data: bytes) -> None:
     with pytest.raises((ValueError, IndexError)):

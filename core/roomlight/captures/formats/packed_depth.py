@@ -17,7 +17,7 @@ _VALUES: Final = SHAPE[0] * SHAPE[1]
 
 
 class DepthMaps:
-    """The maps of `depth.bin` in metres, by number."""
+    """The maps of `depth.bin` by number."""
 
     def __init__(self, path: Path) -> None:
         """Find where each map lies. Raises OSError."""
@@ -25,8 +25,8 @@ class DepthMaps:
         self._spans = _spans(path)
         self._stream: _Stream | None = None
 
-    def read(self, number: int) -> Float[np.ndarray, " n"]:
-        """Return a map. Raises ValueError and OSError."""
+    def read(self, number: int) -> tuple[Float[np.ndarray, " n"], float]:
+        """Return a map as stored, 0 where unknown, and the metres of its unit. Raises ValueError and OSError."""
         if self._spans:
             if number >= len(self._spans):
                 raise ValueError(f"there are {len(self._spans)} maps")
@@ -38,7 +38,7 @@ class DepthMaps:
             self._stream = _Stream(self._path.read_bytes())
         while self._stream.next < number:
             self._stream.read()
-        return self._stream.read()
+        return self._stream.read(), 1.0
 
 
 class _Stream:
@@ -78,11 +78,12 @@ def _spans(path: Path) -> list[tuple[int, int]]:
     return spans
 
 
-def _map_of(data: bytes) -> Float[np.ndarray, " n"]:
+def _map_of(data: bytes) -> tuple[Float[np.ndarray, " n"], float]:
     try:
-        return np.frombuffer(lz4_block(data, 2 * _VALUES), "<u2").astype(np.float32) * np.float32(0.001)
+        stored = np.frombuffer(lz4_block(data, 2 * _VALUES), "<u2")
     except (ValueError, IndexError):
-        return _Stream(data).read()
+        return _Stream(data).read(), 1.0
+    return np.where(stored == 65535, 0, stored).astype(np.float32), 0.001
 
 
 def lz4_block(data: bytes, size: int) -> bytes:

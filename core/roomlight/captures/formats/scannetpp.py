@@ -121,9 +121,8 @@ class ScanNetPPReader(ListedReader):
         elif self._source.has("depth.bin"):
             depth_label = f"{self._source.label('depth.bin')} ({stem})"
             with fields.naming(depth_label, FrameError):
-                metres = self._maps().read(self._number(index))
-            scale = 1.0 if self._unit_m is None else self._unit_m / 0.001
-            depth_m = clean_depth((metres * np.float32(scale)).reshape(SHAPE))
+                stored, unit_m = self._maps().read(self._number(index))
+            depth_m = clean_depth((stored * np.float32(self._unit_m or unit_m)).reshape(SHAPE))
         return RawFrame(label, picture, depth_m, depth_label, intrinsics, pose)
 
     def _maps(self) -> DepthMaps:
