@@ -6,6 +6,7 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import av
@@ -17,7 +18,7 @@ from capture_checks import edit, one_skipped
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.photo import PhotoOptions, read_photo
-from roomlight.errors import UnknownFormatError
+from roomlight.errors import CaptureError, UnknownFormatError
 from roomlight.frame import Frame
 from roomlight.images import write_png
 from roomlight.sample import sample_capture
@@ -77,6 +78,42 @@ def test_tum_lists_with_tabs(tmp_path: Path) -> None:
     for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
         (path / name).write_text((path / name).read_text().replace(" ", "\t"))
     assert len(list(open_capture(path))) == 4
+
+
+@pytest.mark.parametrize("point", [".", ","])
+def test_tum_lists_with_semicolons(tmp_path: Path, point: str) -> None:
+    path = formats.tum(tmp_path / "tum", VIEWS)
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        lines = [re.sub(r"[ ,]+", ";", line) for line in (path / name).read_text().splitlines()]
+        number = re.compile(r"(?<![^;])(-?\d+)\.(?=\d)")  # names hold a point too
+        (path / name).write_text("\n".join(number.sub(rf"\1{point}", line) for line in lines))
+    for frame, view in zip(open_capture(path), VIEWS, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-4)
+
+
+def test_tum_lists_with_dates(tmp_path: Path) -> None:
+    path = formats.tum(tmp_path / "tum", VIEWS)
+
+    def dated(time: re.Match[str]) -> str:
+        return datetime.fromtimestamp(float(time[0]), UTC).isoformat()
+
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        (path / name).write_text(re.sub(r"^[\d.]+", dated, (path / name).read_text(), flags=re.MULTILINE))
+    capture = open_capture(path)
+    assert len(list(capture)) == 4
+    assert not any("timestamps" in note.left_out for note in capture.notes)
+    (path / "rgb.txt").write_text("yesterday rgb/0.png")
+    with pytest.raises(CaptureError, match=r"rgb\.txt: line 1: starts with 'yesterday', not with a time"):
+        open_capture(path)
+
+
+def test_times_of_stray_scanner_that_are_no_numbers_are_noted(stray: Path) -> None:
+    lines = (stray / "odometry.csv").read_text().splitlines()
+    lines[2] = re.sub(r"^[^,]*", "x", lines[2])
+    (stray / "odometry.csv").write_text("\n".join(lines))
+    capture = open_capture(stray)
+    assert [frame.timestamp_s is None for frame in capture] == [False, True, False, False]
+    assert any("1 timestamps are no numbers" in note.left_out for note in capture.notes)
 
 
 def test_tum_lists_in_nanoseconds(tmp_path: Path) -> None:

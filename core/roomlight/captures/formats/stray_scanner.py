@@ -85,13 +85,8 @@ class StrayScannerReader:
 
     def timestamps(self) -> list[float | None]:
         """Return the times of the odometry's rows."""
-        times: list[float | None] = []
-        for row in self._rows:
-            try:
-                times.append(self._value(row, "timestamp"))
-            except ValueError:
-                times.append(None)
-        return times
+        at = self._at["timestamp"]
+        return [fields.time(row[at]) if at < len(row) else None for row in self._rows]
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:

@@ -9,6 +9,7 @@ Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth 
 640 x 480, scaled to images of that aspect. K has pixel centres at whole numbers, so that half a pixel is added here.
 """
 
+import math
 import re
 from pathlib import Path
 from typing import Final
@@ -76,13 +77,12 @@ def _stream(source: FolderSource, name: str, notes: list[Note], *, most: int = M
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         with fields.naming(f"{label}: line {row}", CaptureError):
-            line = re.sub(r"^(\s*\d+),(\d+\s)", r"\1.\2", line)  # a decimal comma
-            first, rest = [*re.split(r"[\s,]+", line.strip(), maxsplit=1), ""][:2]
-            try:
-                time_s = float(first)
-            except ValueError:
-                raise ValueError(f"starts with {first[:40]!r}, not with a time") from None
-            entries.append((fields.number(time_s, "the time"), fields.text(rest.strip(), "what follows the time")))
+            line = re.sub(r"^(\s*\d+),(\d+[\s;])", r"\1.\2", line)  # a decimal comma
+            first, rest = [*re.split(r"[\s,;]+", line.strip(), maxsplit=1), ""][:2]
+            time_s = fields.time(first)
+            if time_s is None or math.isnan(time_s):
+                raise ValueError(f"starts with {first[:40]!r}, not with a time")
+            entries.append((time_s, fields.text(rest.strip(), "what follows the time")))
     if len(entries) > most:
         raise CaptureError(f"{label}: lists {len(entries)} entries; up to {most} are read")
     if not entries:
