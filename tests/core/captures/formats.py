@@ -299,7 +299,7 @@ def arkit_scenes(path: Path, views: list[View]) -> Path:
         save(path / f"lowres_wide_intrinsics/41069021_{view.time_s + 0.001:.3f}.pincam", pincam.encode())
         inverse = np.linalg.inv(Y_UP_TO_Z_UP @ view.pose @ FLIP)
         angle = cv2.Rodrigues(inverse[:3, :3])[0].reshape(-1)
-        lines.append(" ".join(str(value) for value in [view.time_s + 0.002, *angle, *inverse[:3, 3]]))
+        lines.append(" ".join(str(value) for value in [view.time_s, *angle, *inverse[:3, 3]]))
     save(path / "lowres_wide.traj", "\n".join(lines).encode())
     return path
 

@@ -616,7 +616,19 @@ def test_arkitscenes_without_a_pose_near_in_time(tmp_path: Path) -> None:
     (path / "lowres_wide.traj").write_text(lines[0])
     capture = open_capture(path)
     assert [frame.index for frame in capture] == [0, 1]
-    assert "the nearest pose is" in capture.skipped[0].reason
+    assert "the pose nearest in time is 0.067 s away" in capture.skipped[0].reason
+
+
+def test_poses_of_arkitscenes_are_interpolated(tmp_path: Path) -> None:
+    """The trajectory has 10 poses a second, the images of the raw data 60: here each second pose is left out."""
+    path = formats.arkit_scenes(tmp_path / "capture", VIEWS[:3])
+    lines = (path / "lowres_wide.traj").read_text().splitlines()
+    (path / "lowres_wide.traj").write_text("\n".join(lines[::2]))
+    first, between, last = (frame.camera_to_world for frame in open_capture(path))
+    turns = [cv2.Rodrigues(a[:3, :3].T @ b[:3, :3])[0] for a, b in ((first, between), (between, last))]
+    np.testing.assert_allclose(turns[0], turns[1], atol=1e-4)
+    assert np.linalg.norm(turns[0]) > 0.01
+    np.testing.assert_allclose(between[:3, 3], (first[:3, 3] + last[:3, 3]) / 2, atol=1e-4)
 
 
 def test_a_truncated_sens_keeps_its_whole_frames(tmp_path: Path) -> None:

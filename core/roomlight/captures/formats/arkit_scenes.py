@@ -1,8 +1,8 @@
 """ARKitScenes: `lowres_wide/ID_TIME.png`, `lowres_depth`, `confidence`, `lowres_wide_intrinsics/ID_TIME.pincam` and
 `lowres_wide.traj`.
 
-Each image takes the pose nearest in time, at most 0.05 s away, and the intrinsics nearest in time: their names differ
-by a millisecond.
+Each image takes the pose at its time, interpolated between those at most 0.5 s apart, and the intrinsics nearest in
+time: their names differ by a millisecond.
 
 Conventions: a line of the trajectory is `time, axis-angle, translation` of the world-to-camera transform, OpenCV axes,
 world z-up. A `.pincam` holds `width height fx fy cx cy`, used unchanged. Depth is in uint16 millimetres, confidence is
@@ -15,19 +15,19 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.camera import Intrinsics
+from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import read_rgbd
 from roomlight.captures.formats.listed import ListedReader, files_of
 from roomlight.captures.options import CaptureOptions
+from roomlight.captures.poses import pose_at
 from roomlight.captures.source import read_index
 from roomlight.captures.times import nearest
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
 
 TRAJECTORY = "lowres_wide.traj"
-MAX_GAP_S = 0.05
 
 
 class ArkitScenesReader(ListedReader):
@@ -50,6 +50,7 @@ class ArkitScenesReader(ListedReader):
         self._poses.sort(key=lambda pose: pose[0])
         if not self._poses:
             raise CaptureError(f"{label}: has no pose")
+        self._times = [time for time, _ in self._poses]
         pincams = files_of(source, "lowres_wide_intrinsics", (".pincam",))
         self._pincams = sorted((time, name) for name in pincams if (time := _time_of(name)) is not None)
 
@@ -65,13 +66,10 @@ class ArkitScenesReader(ListedReader):
             time_s = _time_of(colour_name)
             if time_s is None:
                 raise ValueError("its name has no time (ID_TIME.png)")
-            at = nearest([pose[0] for pose in self._poses], time_s)
-            gap_s = abs(self._poses[at][0] - time_s)
-            if gap_s > MAX_GAP_S:
-                raise ValueError(f"the nearest pose is {gap_s:.3f} s away; at most {MAX_GAP_S} s is allowed")
-            pose = _transform(self._poses[at][1])
+            inverse = pose_at(self._times, lambda at: rigid_inverse(_transform(self._poses[at][1])), time_s, "the pose")
         intrinsics = self._intrinsics(time_s, label)
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        pose = rigid_inverse(inverse)
         return self._raw_frame(index, read, depth_name, intrinsics, pose, self._confidence(f"confidence/{file}"))
 
     def _intrinsics(self, time_s: float, label: str) -> Intrinsics:

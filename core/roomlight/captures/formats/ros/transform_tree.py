@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import pose_from_quaternion, rigid_inverse
+from roomlight.captures.poses import pose_at
 
-MAX_GAP_S: Final = 0.5
-"""Longest time between two poses that are interpolated."""
 _MAX_FRAMES: Final = 1000
 
 
@@ -82,22 +81,7 @@ class TransformTree:
         times, poses = self._times[frame], self._poses[frame]
         if frame in self._fixed:
             return _matrix(poses[-1])
-        after = bisect.bisect_left(times, time_s)
-        if after < len(times) and times[after] - time_s < 1e-4:
-            return _matrix(poses[after])
-        before = after - 1
-        gap_s = times[after] - times[before] if 0 < after < len(times) else np.inf
-        if gap_s > MAX_GAP_S:
-            nearest = min(range(max(0, before), min(len(times), after + 1)), key=lambda at: abs(times[at] - time_s))
-            if abs(times[nearest] - time_s) > 0.05:
-                raise ValueError(
-                    f"the pose of {frame[:60]!r} nearest in time is {abs(times[nearest] - time_s):.3f} s away"
-                )
-            return _matrix(poses[nearest])
-        share = (time_s - times[before]) / gap_s
-        a, b = poses[before], poses[after]
-        b = np.concatenate([b[:3], b[3:] * (1.0 if a[3:] @ b[3:] >= 0 else -1.0)])
-        return _matrix(a + share * (b - a))  # normalised: a slerp to 1e-3 degrees for the turns within a step
+        return pose_at(times, lambda at: _matrix(poses[at]), time_s, f"the pose of {frame[:60]!r}")
 
 
 def _matrix(pose: Float[np.ndarray, "7"]) -> Float[np.ndarray, "4 4"]:
