@@ -173,7 +173,7 @@ def test_an_unknown_field_of_view_and_a_point_behind_the_camera_get_warnings(roo
     result = roomlight("light", *files, "--probe", "0,0,3", "--probe", "0,-0.2,-1.5", cwd=room[0])
     assert result.code == 0, result.err
     assert f"field of view {DEFAULT_FOV_DEG:.1f} degrees, horizontal: the default" in result.out
-    assert "warning: the photo does not state its focal length; give --fov" in result.out
+    assert "warning: the photo does not state its field of view; give --fov" in result.out
     behind, ahead = result.out.split("(0.00, -0.20, -1.50) m:")
     assert "warning: this point is behind the camera" in behind
     assert "this point is behind" not in ahead

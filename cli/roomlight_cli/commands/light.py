@@ -125,7 +125,7 @@ def _print_field_of_view(photo: Photo) -> None:
     }
     say(f"field of view {photo.fov_deg:.1f} degrees, horizontal: {sources[photo.fov_source]}")
     if photo.fov_source == "default":
-        text = "the photo does not state its focal length; give --fov, or distances are distorted"
+        text = "the photo does not state its field of view; give --fov, or distances are distorted"
         remark("warning:", text, terminal)
 
 

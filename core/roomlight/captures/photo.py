@@ -136,6 +136,14 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     if fov_deg is None:
         half = math.tan(math.radians(DEFAULT_FOV_DEG) / 2) * width / max(width, height)
         fov_deg, source = math.degrees(2 * math.atan(half)), "default"
+    if source == "exif" and exif.focal_mm is not None:
+        text = f"{image}: its focal length of {exif.focal_mm:.3g} mm, with the sensor's size by EXIF's focal plane"
+        effect = f"gives a field of view of {fov_deg:.0f} degrees"
+        notes = (*notes, Note(text, effect, "state fov_deg (--fov) if the picture was cropped or shrunk since"))
+    elif source == "default" and exif.focal_mm is not None:
+        text = f"{image}: its focal length of {exif.focal_mm:.3g} mm"
+        effect = "is not used, because the sensor's size is not stated"
+        notes = (*notes, Note(text, effect, "state fov_deg (--fov)"))
     aspect = max(width, height) / min(width, height)
     if source == "exif" and exif.aspect is not None and abs(exif.aspect / aspect - 1) > ASPECT_TOLERANCE:
         text = f"{image}: it is cropped, by its EXIF from an aspect of {exif.aspect:.3g} to {aspect:.3g}"

@@ -4,13 +4,17 @@ import io
 import math
 import warnings
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Shaped
 from PIL import ExifTags, Image
 
 _FILM_DIAGONAL_MM: Final = math.hypot(36, 24)
+_PLANE_UNITS_MM: Final = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+"""Of EXIF's FocalPlaneResolutionUnit, an inch by default."""
+_SENSORS_MM: Final = (3.0, 80.0)
+"""Diagonals of cameras' sensors."""
 _INTEROPERABILITY_INDEX: Final = 1
 
 ADOBE_RGB, UNCALIBRATED = 2, 65535
@@ -22,7 +26,9 @@ class ExifCamera:
     """What a photo's EXIF states about its camera.
 
     Attributes:
-        focal_35mm: Focal length in millimetres, equivalent on 36 x 24 mm film; None if not stated.
+        focal_35mm: Focal length in millimetres, equivalent on 36 x 24 mm film; None if neither it nor the sensor's size
+            is stated.
+        focal_mm: The lens's own focal length; None where the equivalent one is stated, or none.
         orientation: EXIF's orientation tag, 1 to 8. 1 is upright, 3 upside down; the stored pixels must be rotated
             by 90 degrees clockwise for 6 and counter-clockwise for 8; 2, 4, 5 and 7 are mirrored.
         no_orientation: What is stated as orientation and is none; 0, EXIF's "unknown", is left out.
@@ -34,6 +40,7 @@ class ExifCamera:
     """
 
     focal_35mm: float | None = None
+    focal_mm: float | None = None
     orientation: int = 1
     no_orientation: int | None = None
     adobe_rgb: bool = False
@@ -68,15 +75,19 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         orientation = 1 if upright else exif.get(ExifTags.Base.Orientation)
         details = exif.get_ifd(ExifTags.IFD.Exif)
         interoperability = exif.get_ifd(ExifTags.IFD.Interop).get(_INTEROPERABILITY_INDEX)
-        width, height, zoom, focal = (
+        width, height, zoom, focal, focal_mm = (
             _positive(details.get(tag))
             for tag in (
                 ExifTags.Base.ExifImageWidth,
                 ExifTags.Base.ExifImageHeight,
                 ExifTags.Base.DigitalZoomRatio,
                 ExifTags.Base.FocalLengthIn35mmFilm,
+                ExifTags.Base.FocalLength,
             )
         )
+        focal_mm = focal_mm if focal is None else None
+        if focal_mm is not None and (diagonal_mm := _sensor_mm(details)) is not None:
+            focal = focal_mm * _FILM_DIAGONAL_MM / diagonal_mm
         names = (exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model), details.get(ExifTags.Base.LensModel))
         lens = " ".join(str(name).strip("\0 ") for name in names if name)
         adobe = details.get(ExifTags.Base.ColorSpace) == ADOBE_RGB or interoperability in ("R03", b"R03\0", "R03\0")
@@ -86,6 +97,7 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
     known = 1 <= stated <= 8
     return ExifCamera(
         focal_35mm=focal,
+        focal_mm=focal_mm,
         orientation=stated if known else 1,
         no_orientation=stated if stated and not known else None,
         adobe_rgb=adobe,
@@ -94,6 +106,24 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         zoom=max(zoom or 1.0, 1.0),
         lens=lens[:80],
     )
+
+
+def _sensor_mm(details: dict[int, Any]) -> float | None:
+    """Return the sensor's diagonal by the pixels of the picture and of a unit of the focal plane; None without."""
+    unit_mm = _PLANE_UNITS_MM.get(details.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
+    width, across, height, down = (
+        _positive(details.get(tag))
+        for tag in (
+            ExifTags.Base.ExifImageWidth,
+            ExifTags.Base.FocalPlaneXResolution,
+            ExifTags.Base.ExifImageHeight,
+            ExifTags.Base.FocalPlaneYResolution,
+        )
+    )
+    if unit_mm is None or width is None or height is None or across is None:
+        return None
+    diagonal_mm = math.hypot(width / across, height / (down or across)) * unit_mm
+    return diagonal_mm if _SENSORS_MM[0] <= diagonal_mm <= _SENSORS_MM[1] else None
 
 
 def _positive(stated: object) -> float | None:

@@ -261,6 +261,31 @@ def test_a_zoom_and_a_lens_that_exif_names_are_pointed_out(
         assert says in " ".join(map(str, notes))
 
 
+@pytest.mark.parametrize(
+    ("plane", "fov_deg", "says"),
+    [
+        ({"X": 6000 * 25.4 / 36, "Y": 4000 * 25.4 / 24}, 73.7, "gives a field of view of 74 degrees"),
+        ({"X": 6000 / 36, "Y": 4000 / 24, "Unit": 4}, 73.7, "gives a field of view of 74 degrees"),
+        ({"X": 6000 / 3.6}, 64.0, "because the sensor's size is not stated"),
+        ({}, 64.0, "because the sensor's size is not stated"),
+    ],
+    ids=["inch", "millimetre", "no sensor", "unknown"],
+)
+def test_a_focal_length_counts_on_a_sensor_of_known_size(
+    tmp_path: Path, plane: dict[str, float], fov_deg: float, says: str
+) -> None:
+    """As cameras write it that state no equivalent one: 24 mm on 36 x 24 mm."""
+    tags, exif = ExifTags.Base, Image.Exif()
+    stated: dict[int, Any] = {tags.FocalLength: 24, tags.ExifImageWidth: 6000, tags.ExifImageHeight: 4000}
+    names = {"X": tags.FocalPlaneXResolution, "Y": tags.FocalPlaneYResolution, "Unit": tags.FocalPlaneResolutionUnit}
+    exif[ExifTags.IFD.Exif] = {**stated, **{names[key]: value for key, value in plane.items()}}
+    Image.fromarray(np.zeros((80, 120, 3), np.uint8)).save(tmp_path / "photo.jpg", exif=exif)
+    formats.save(tmp_path / "depth.png", formats.image(".png", np.full((80, 120), 1500, np.uint16)))
+    photo = read_photo(tmp_path / "photo.jpg", tmp_path / "depth.png")
+    assert photo.fov_deg == pytest.approx(fov_deg, abs=0.1)
+    assert any("24 mm" in note.left_out and says in note.effect for note in photo.notes)
+
+
 @pytest.mark.parametrize(("size", "cropped"), [((128, 96), False), ((96, 128), False), ((80, 96), True)])
 def test_a_crop_whose_exif_states_the_whole_picture_is_pointed_out(
     tmp_path: Path, size: tuple[int, int], cropped: bool
