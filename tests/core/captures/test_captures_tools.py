@@ -338,7 +338,7 @@ def test_depth_is_that_of_the_colours_camera(tmp_path: Path) -> None:
         "/camera/color/camera_info": "/cam1/color/camera_info",
         "/camera/aligned_depth_to_color/image_raw": "/cam1/depth/image_rect_raw",
     }
-    messages = [(names.get(topic, topic), *rest) for topic, *rest in tool_formats.ros_messages(VIEWS)]
+    messages = [(names.get(message[0], message[0]), *message[1:]) for message in tool_formats.ros_messages(VIEWS)]
     info = tool_formats.camera_message("cam2_optical")
     messages.append(("/cam2/color/camera_info", "sensor_msgs/msg/CameraInfo", 5.0, info))
     for view in VIEWS:
