@@ -15,7 +15,7 @@ from roomlight.compositing.objects.limits import ObjectLimits, plain_text
 from roomlight.compositing.objects.materials import Material, diffuse
 from roomlight.compositing.objects.mtl import MtlReader
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
-from roomlight.compositing.objects.shading import joined_corners, with_vertex_colours
+from roomlight.compositing.objects.shading import agreeing_corners, joined_corners, with_vertex_colours
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.conventions import srgb_to_linear
 from roomlight.errors import ObjectError
@@ -69,6 +69,8 @@ def read_obj(
     at = triangles.reshape(-1)
     faces = corners[at, 0].reshape(-1, 3)
     normals = _normals(content, points, faces, corners[at, 2], np.array(content.groups, np.int32)[owner])
+    order, normals, turned = agreeing_corners(points[corners[at, 0]], normals, name)
+    at = at[order]
     uvs = np.zeros((len(at), 2), np.float32)
     stated = corners[at, 1] >= 0
     if stated.any():
@@ -90,7 +92,7 @@ def read_obj(
             mesh, material, _ = with_vertex_colours(mesh, kept, material)
         parts.append((mesh, material))
     limits.check("parts", len(parts), name)
-    return tuple(parts), notes
+    return tuple(parts), (*notes, *turned)
 
 
 def _by_material(used: Int64[np.ndarray, " f"], apart: bool) -> Iterator[tuple[int, Bool[np.ndarray, " f"]]]:

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int64
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import Material, diffuse
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
-from roomlight.compositing.objects.shading import joined_corners, with_vertex_colours
+from roomlight.compositing.objects.shading import agreeing_corners, joined_corners, with_vertex_colours
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.conventions import srgb_to_linear
 from roomlight.errors import ObjectError
@@ -76,7 +76,8 @@ def read_ply(
         alpha = rows["vertex"].scalars.get("alpha") if "vertex" in rows else None
         if alpha is not None and len(alpha) and alpha.min() < _largest(alpha):
             notes = (*notes, Note(f"{name}: its alpha", "the surface is opaque", "export as GLB"))
-        return _object(rows, name, limits), (*notes, *_unread(elements, name))
+        parts, turned = _object(rows, name, limits)
+        return parts, (*notes, *_unread(elements, name), *turned)
     except ObjectError as error:
         message = str(error)
         raise ObjectError(message if message.startswith(name) else f"{name}: {message}") from error
@@ -295,7 +296,9 @@ class _BinarySource:
             raise ObjectError(f"{self._name}: the PLY header is damaged ({str(error)[:80]})") from error
 
 
-def _object(rows: dict[str, _Rows], name: str, limits: ObjectLimits) -> tuple[tuple[TriangleMesh, Material], ...]:
+def _object(
+    rows: dict[str, _Rows], name: str, limits: ObjectLimits
+) -> tuple[tuple[tuple[TriangleMesh, Material], ...], tuple[Note, ...]]:
     vertex, face = rows.get("vertex"), rows["face"]
     listed = next((face.lists[key] for key in _INDICES if key in face.lists), None)
     if vertex is None or listed is None or not {"x", "y", "z"} <= vertex.scalars.keys():
@@ -313,10 +316,11 @@ def _object(rows: dict[str, _Rows], name: str, limits: ObjectLimits) -> tuple[tu
     if len(triangles) == 0:
         raise ObjectError(f"{name}: has no face of three corners or more; there is no surface to light")
     at = triangles.reshape(-1)
-    polygon = np.repeat(np.arange(len(sizes)), sizes)[at]
-    faces = corners[at].reshape(-1, 3)
     normals = _columns(vertex, ("nx", "ny", "nz"))
-    shading = corner_normals(points, faces) if normals is None else normals[corners[at]]
+    shading = corner_normals(points, corners[at].reshape(-1, 3)) if normals is None else normals[corners[at]]
+    order, shading, turned = agreeing_corners(points[corners[at]], shading, name)
+    at = at[order]
+    polygon = np.repeat(np.arange(len(sizes)), sizes)[at]
     uvs = _corner_uvs(vertex, face, sizes, corners, at)
     colours = _corner_colours(vertex, face, corners[at], polygon)
     with np.errstate(over="ignore"):
@@ -324,7 +328,7 @@ def _object(rows: dict[str, _Rows], name: str, limits: ObjectLimits) -> tuple[tu
     material = diffuse()
     if kept is not None:
         mesh, material, _ = with_vertex_colours(mesh, kept, diffuse((1.0, 1.0, 1.0)))
-    return ((mesh, material),)
+    return ((mesh, material),), turned
 
 
 def _columns(rows: _Rows, names: tuple[str, ...]) -> Float[np.ndarray, "n c"] | None:

@@ -4,15 +4,47 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int64
 
 from roomlight.compositing.objects.materials import TEXTURES, Material, colour_of
 from roomlight.compositing.objects.polygons import row_keys
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
 from roomlight.compositing.objects.virtual_object import TriangleMesh
+from roomlight.notes import Note
 
 _SAME = 1 / 512
 _TEXELS = 16
+_OPPOSED = 0.01
+
+
+def agreeing_corners(
+    points: Float[np.ndarray, "c 3"], normals: Float[np.ndarray, "c 3"], label: str
+) -> tuple[Int64[np.ndarray, " c"], Float[np.ndarray, "c 3"], tuple[Note, ...]]:
+    """Make the corners of triangles agree with their normals, where all three of a triangle oppose the order.
+
+    Such triangles are turned round if they enclose a negative volume (a scale of -1 that was applied), else their
+    normals are: glass goes by the order.
+
+    Returns:
+        The corners in order, their normals, and a note if more than `_OPPOSED` of the triangles are turned.
+    """
+    p, n, order = points.reshape(-1, 3, 3), normals.reshape(-1, 3, 3).copy(), np.arange(len(points)).reshape(-1, 3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        p = p - points.mean(axis=0)
+        areas = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        opposed = (np.einsum("fa,fca->fc", areas, n) < 0).all(axis=1)
+        inward = float((areas[opposed] * p[opposed, 0]).sum()) < 0
+    if inward:
+        order[opposed] = order[opposed, ::-1]
+        n[opposed] = n[opposed, ::-1]
+    else:
+        n[opposed] *= -1
+    notes: tuple[Note, ...] = ()
+    if opposed.sum() > _OPPOSED * len(opposed):
+        left_out = f"{label}: {int(opposed.sum())} triangles whose normals oppose the order of their corners"
+        effect = f"their {'corners' if inward else 'normals'} are turned round"
+        notes = (Note(left_out, effect, "nothing to do if it looks right"),)
+    return order.reshape(-1), n.reshape(-1, 3), notes
 
 
 def joined_corners(
