@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from gltf_files import face_normals, ply
+from gltf_files import GltfFile, face_normals, ply
 
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.virtual_object import TriangleMesh
+from roomlight.errors import ObjectError
 
 OCTAHEDRON = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
 OUTWARD = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
@@ -42,3 +43,44 @@ def test_normals_that_oppose_the_order_of_corners_are_made_to_agree(
     (note,) = found.notes
     assert note.effect == f"their {turned} are turned round"
     assert not load_object(octahedron(kind, 1, 1.0), kind).notes  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("distance", [1e7, 3.4028235e38])
+def test_a_distance_that_stands_for_infinity_attenuates_nothing(distance: float) -> None:
+    volume = {"thicknessFactor": 0.2, "attenuationDistance": distance, "attenuationColor": [0.25, 0.5, 1.0]}
+    glass = {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": volume}
+    ((_, material),) = load_object(GltfFile().quad(extensions=glass).glb()).parts
+    np.testing.assert_allclose(material.base_colour, [1, 1, 1], atol=1e-6)
+
+
+def skinned_quad(joints: list[int], weights: list[float]) -> GltfFile:
+    """A quad whose vertices have these joints and weights; joint 0 moves by 5, joint 1 by 9."""
+    file = GltfFile().quad()
+    file.attribute("JOINTS_0", np.tile(np.array(joints, np.uint8), (4, 1)), "VEC4", 5121)
+    file.attribute("WEIGHTS_0", np.tile(np.array(weights, np.float32), (4, 1)), "VEC4")
+    file.tree["nodes"][0] |= {"skin": 0, "translation": [2, 0, 0]}
+    file.tree["skins"] = [{"joints": [file.node(translation=[5, 0, 0]), file.node(translation=[9, 0, 0])]}]
+    return file
+
+
+def test_vertices_without_weights_follow_their_first_joint() -> None:
+    found = load_object(skinned_quad([1, 0, 0, 0], [0, 0, 0, 0]).glb())
+    assert found.bounds()[0, 0] == 9
+    assert "4 vertices whose weights are 0" in found.notes[0].left_out
+    for weight in (-1, np.nan):
+        with pytest.raises(ObjectError, match="negative or not finite"):
+            load_object(skinned_quad([1, 0, 0, 0], [weight, 0, 0, 0]).glb())
+
+
+def test_a_skin_without_joints_of_the_vertices_is_left_out() -> None:
+    file = skinned_quad([0, 0, 0, 0], [1, 0, 0, 0])
+    del file.primitive["attributes"]["JOINTS_0"]
+    found = load_object(file.glb())
+    assert found.bounds()[0, 0] == 2
+    assert "its skin" in found.notes[0].left_out
+
+
+def test_variants_show_the_default_materials() -> None:
+    file = GltfFile().quad()
+    file.tree["extensionsUsed"] = ["KHR_materials_variants"]
+    assert load_object(file.glb()).notes[0].effect == "its default materials are shown"

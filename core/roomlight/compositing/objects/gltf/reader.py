@@ -55,7 +55,7 @@ _EFFECTS: Final = {
     "KHR_materials_anisotropy": "highlights are round",
     "KHR_materials_dispersion": "glass does not split colours",
     "KHR_materials_diffuse_transmission": "thin surfaces let no light through",
-    "KHR_materials_variants": "the first variant is shown",
+    "KHR_materials_variants": "its default materials are shown",
     "KHR_lights_punctual": "its lamps give no light",
 }
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -215,8 +215,15 @@ class _PrimitiveReader:
         arrays = self._arrays(primitive, surface, label)
         points, normals = self._morphed(arrays, primitive, placed.weights, label)
         transform, notes = placed.transform, list[Note]()
-        if placed.joints is not None:
-            blended = self._blended(primitive, placed.joints, arrays, label)
+        skinned = placed.joints is not None and {"JOINTS_0", "WEIGHTS_0"} <= primitive.attributes.keys()
+        if placed.joints is not None and not skinned:
+            effect = "it stands where its node is"
+            notes.append(Note(f"{label}: its skin, without joints of the vertices", effect, "export it anew"))
+        if placed.joints is not None and skinned:
+            blended, lost = self._blended(primitive, placed.joints, arrays, label)
+            if lost:
+                effect = "they follow the first joint that they name"
+                notes.append(Note(f"{label}: {lost} vertices whose weights are 0", effect, "weight them"))
             points = np.einsum("nij,nj->ni", blended[:, :3, :3], points) + blended[:, :3, 3]
             normals = None if normals is None else _skinned_normals(blended, normals)
             transform = np.eye(4)
@@ -313,10 +320,10 @@ class _PrimitiveReader:
 
     def _blended(
         self, primitive: Primitive, joints: Float[np.ndarray, "j 4 4"], arrays: _Arrays, label: str
-    ) -> Float[np.ndarray, "n 4 4"]:
-        """Return what the joints do to each vertex."""
+    ) -> tuple[Float[np.ndarray, "n 4 4"], int]:
+        """Return what the joints do to each vertex, and how many have no weight and follow their first joint."""
         count, packed = len(arrays.points), arrays.packed
-        total, share = np.zeros((count, 4, 4)), np.zeros(count)
+        total, share, first = np.zeros((count, 4, 4)), np.zeros(count), np.zeros(count, np.int64)
         for index in range(8):
             if f"JOINTS_{index}" not in primitive.attributes or f"WEIGHTS_{index}" not in primitive.attributes:
                 break
@@ -328,12 +335,15 @@ class _PrimitiveReader:
                 weights = self._accessors.floats(stated_weights, "VEC4", count, f"{label}: weights")
             if which.shape != weights.shape or int(which.max(initial=0)) >= len(joints):
                 raise ObjectError(f"{label}: a vertex names joint {int(which.max(initial=0))} of {len(joints)}")
+            first = which[:, 0].astype(np.int64) if index == 0 else first
             for corner in range(which.shape[1]):
                 total += weights[:, corner, None, None] * joints[which[:, corner].astype(np.int64)]
                 share += weights[:, corner]
-        if not np.isfinite(total).all() or not (share > 0).all():
-            raise ObjectError(f"{label}: a vertex of a skin has no joint")
-        return total / share[:, None, None]
+        if not np.isfinite(total).all() or (share < 0).any():
+            raise ObjectError(f"{label}: a vertex of a skin has weights that are negative or not finite numbers")
+        free = share == 0
+        total[free], share[free] = joints[first[free]], 1
+        return total / share[:, None, None], int(free.sum())
 
 
 def _flat(

@@ -187,7 +187,7 @@ class Volume(_Model):
 
     thicknessFactor: Positive = 0.0  # noqa: N815
     thicknessTexture: TextureInfo | None = None  # noqa: N815
-    attenuationDistance: Positive = 0.0  # noqa: N815
+    attenuationDistance: Annotated[float, Field(ge=0)] = 0.0  # noqa: N815
     attenuationColor: tuple[Share, Share, Share] = (1.0, 1.0, 1.0)  # noqa: N815
 
 
