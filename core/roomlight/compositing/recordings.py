@@ -49,7 +49,7 @@ def scene_of_object(
     from roomlight.compositing.loading import load_object  # the loader's libraries are slow to import
 
     shape = str(source) if str(source) in SHAPE_SIZE_M else None
-    spec: dict[str, Any] = {"name": Path(source).stem, "pixel": list(pixel), "yaw_degrees": yaw_degrees, "up": up}
+    spec: dict[str, Any] = {"name": Path(source).stem[:100], "pixel": list(pixel), "yaw_degrees": yaw_degrees, "up": up}
     spec |= {"file": str(source)} if shape is None else {"shape": shape}
     spec |= {} if size_m is None else {"size_m": size_m}
     spec |= {} if material is None else {"material": {"kind": material}}

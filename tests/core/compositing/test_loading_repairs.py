@@ -1,11 +1,16 @@
 """What files state wrongly or loosely and has one meaning is mended, and said."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from gltf_files import GltfFile, face_normals, ply
 
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.virtual_object import TriangleMesh
+from roomlight.compositing.placement.scene import load_scene
+from roomlight.compositing.recordings import scene_of_object
 from roomlight.errors import ObjectError
 
 OCTAHEDRON = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
@@ -84,3 +89,30 @@ def test_variants_show_the_default_materials() -> None:
     file = GltfFile().quad()
     file.tree["extensionsUsed"] = ["KHR_materials_variants"]
     assert load_object(file.glb()).notes[0].effect == "its default materials are shown"
+
+
+def test_an_object_of_a_long_file_name_has_its_beginning_as_name(tmp_path: Path) -> None:
+    path = tmp_path / f"{'a' * 120}.glb"
+    path.write_bytes(GltfFile().quad().glb())
+    assert scene_of_object(path, (1.0, 1.0)).objects[0].name == "a" * 100
+
+
+def test_scenes_find_files_as_captures_do(tmp_path: Path) -> None:
+    scene = tmp_path / "scenes" / "scene.json"
+    glb = GltfFile().quad().glb()
+    for name in ("scenes/models/My Cup.glb", "beside.glb"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(glb)
+    for spelled in (
+        r"models\My Cup.glb",
+        "Models/my cup.GLB",
+        "models/My%20Cup.glb",
+        "../beside.glb",
+        str(tmp_path / "beside.glb"),
+    ):
+        scene.write_text(json.dumps({"objects": [{"name": "cup", "file": spelled, "pixel": [1, 1]}]}))
+        assert load_scene(scene).objects[0].geometry.triangles == 2
+    (tmp_path / "scenes/models/my cup.glb").write_bytes(glb)
+    scene.write_text(json.dumps({"objects": [{"name": "cup", "file": "models/MY CUP.glb", "pixel": [1, 1]}]}))
+    with pytest.raises(ObjectError, match="rename one"):
+        load_scene(scene)

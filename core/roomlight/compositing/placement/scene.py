@@ -26,7 +26,8 @@ from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.teapot import teapot
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.compositing.placement.places import Anchor, Box
-from roomlight.errors import ObjectError, SceneError
+from roomlight.errors import FrameError, ObjectError, SceneError
+from roomlight.files import FolderSource
 
 Z_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Turns an object whose z axis points up: z becomes y, x stays."""
@@ -289,8 +290,16 @@ def load_scene(path: str | Path) -> Scene:
         text = path.read_bytes()
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from error
+    folder = FolderSource(path.parent)
+
+    def load(name: str) -> VirtualObject:
+        try:
+            return load_object(path.parent / folder.actual(name))
+        except FrameError as error:
+            raise ObjectError(str(error)) from error
+
     try:
-        return parse_scene(text, load=lambda name: load_object(path.parent / name))
+        return parse_scene(text, load=load)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from error
 
