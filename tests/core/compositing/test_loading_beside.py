@@ -102,16 +102,27 @@ def test_what_lies_not_beside_an_obj_is_noted(tmp_path: Path) -> None:
     assert "export as GLB" in note.advice
 
 
-@pytest.mark.parametrize(
-    ("materials", "message"),
-    [
-        ("newmtl Dark wood\nmap_Kd my room.mtl\n", "is neither PNG, JPEG, WebP nor AVIF"),
-        ("".join(f"newmtl m{number}\n" for number in range(300)), "materials are limited to 256"),
-    ],
-)
-def test_damaged_materials_are_refused(tmp_path: Path, materials: str, message: str) -> None:
-    with pytest.raises(ObjectError, match=message):
+def test_too_many_materials_are_refused(tmp_path: Path) -> None:
+    materials = "".join(f"newmtl m{number}\n" for number in range(300))
+    with pytest.raises(ObjectError, match="materials are limited to 256"):
         load_object(obj_folder(tmp_path, materials))
+
+
+@pytest.mark.parametrize("kind", ["bmp", "gif", "tga", "tif", "txt", "deep.tif"])
+def test_pictures_of_an_obj_are_read_in_older_formats_or_noted(tmp_path: Path, kind: str) -> None:
+    path = obj_folder(tmp_path, f"newmtl Dark wood\nmap_Kd wood.{kind}\n")
+    if kind == "txt":
+        (tmp_path / "wood.txt").write_text("wood")
+    else:
+        Image.fromarray(RED[..., 0].astype(np.uint16) if kind == "deep.tif" else RED).save(tmp_path / f"wood.{kind}")
+    found = load_object(path)
+    texture = found.parts[0][1].base_colour_texture
+    if kind in ("txt", "deep.tif"):
+        assert texture is None
+        assert ("is neither PNG" if kind == "txt" else "8 bits are read") in found.notes[0].left_out
+    else:
+        assert texture is not None
+        np.testing.assert_array_equal(texture.texels, Texture.from_srgb8(RED).texels)
 
 
 def test_odd_numbers_in_materials_keep_their_defaults(tmp_path: Path) -> None:

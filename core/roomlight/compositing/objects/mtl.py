@@ -150,18 +150,19 @@ class MtlReader:
             return None
         if name not in self._pictures:
             where = f"{label}, {key}"
-            try:
-                data: bytes | None = self._beside.read(name, where)
-            except ObjectError as error:
-                data = None
-                self.notes.append(Note(str(error), "its colour alone is used", "put it beside the object"))
             self._limits.check("images", len(self._pictures) + 1, self._name)
-            self._pictures[name] = None if data is None else self._decoded(data, where)
+            self._pictures[name], advice = None, "put it beside the object"
+            try:
+                data = self._beside.read(name, where)
+                advice = "save it as PNG"
+                self._pictures[name] = self._decoded(data, where, name.lower())
+            except ObjectError as error:
+                self.notes.append(Note(str(error), "its colour alone is used", advice))
         return self._pictures[name]
 
-    def _decoded(self, data: bytes, where: str) -> UInt8[np.ndarray, "h w c"]:
-        """Decode a picture to sRGB by its colour profile."""
-        pixels = self._reader.read(data, where)
+    def _decoded(self, data: bytes, where: str, name: str) -> UInt8[np.ndarray, "h w c"]:
+        """Decode a picture to sRGB by its colour profile. Nothing but its name tells TGA."""
+        pixels = self._reader.read(data, where, more=("BMP", "GIF", "TIFF", *(("TGA",) if name[-4:] == ".tga" else ())))
         with Image.open(io.BytesIO(data)) as image:
             profile = image.info.get("icc_profile")
         if profile:

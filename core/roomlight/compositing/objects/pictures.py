@@ -1,4 +1,4 @@
-"""Decode the pictures of an object's textures: PNG, JPEG, WebP and AVIF, within the limits."""
+"""Decode the pictures of an object's textures: PNG, JPEG, WebP, AVIF and what OBJ files name, within the limits."""
 
 import io
 
@@ -13,6 +13,7 @@ from roomlight.images import peek_size
 from roomlight.imaging.limits import check_png
 
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+_OTHERS = ("WebP", "AVIF")
 
 
 class PictureReader:
@@ -21,18 +22,19 @@ class PictureReader:
     def __init__(self, limits: ObjectLimits) -> None:
         self._limits, self._pixels = limits, 0
 
-    def read(self, data: bytes, label: str) -> UInt8[np.ndarray, "h w c"]:
-        """Return 8-bit RGB or RGBA; `label` begins every message. Raises ObjectError."""
+    def read(self, data: bytes, label: str, *, more: tuple[str, ...] = ()) -> UInt8[np.ndarray, "h w c"]:
+        """Return 8-bit RGB or RGBA; `label` begins every message, `more` are further formats. Raises ObjectError."""
+        formats = (*_OTHERS, *more)
         try:
             if data[:8] == _PNG:
                 check_png(data, label)
             width, height = (
-                peek_size(data, label) if data[:8] == _PNG or data[:3] == _JPEG else _other_size(data, label)
+                peek_size(data, label) if data[:8] == _PNG or data[:3] == _JPEG else _other_size(data, label, formats)
             )
         except ImageError as error:
             raise ObjectError(str(error)) from error
         self.count(width, height, label)
-        return _decode(data, label, (height, width))
+        return _decode(data, label, (height, width), formats)
 
     def count(self, width: int, height: int, label: str) -> None:
         """Count a picture's pixels before it is decoded. Raises ObjectError beyond the limits."""
@@ -43,20 +45,23 @@ class PictureReader:
         self._limits.check("total_pixels", self._pixels, label)
 
 
-def _other_size(data: bytes, label: str) -> tuple[int, int]:
-    """Read (width, height) of WebP or AVIF. Raises ObjectError for other files."""
+def _other_size(data: bytes, label: str, formats: tuple[str, ...]) -> tuple[int, int]:
+    """Read (width, height) of a picture in one of Pillow's formats. Raises ObjectError for other files."""
     try:
-        with Image.open(io.BytesIO(data), formats=("WEBP", "AVIF")) as image:
+        with Image.open(io.BytesIO(data), formats=formats) as image:
             return image.size
     except Exception as error:  # Pillow raises whatever the damaged bytes lead to
-        raise ObjectError(f"{label} is neither PNG, JPEG, WebP nor AVIF (it starts with {data[:4].hex()})") from error
+        known = f"PNG, JPEG, {', '.join(formats[:-1])} nor {formats[-1]}"
+        raise ObjectError(f"{label} is neither {known} (it starts with {data[:4].hex()})") from error
 
 
-def _decode(data: bytes, label: str, size: tuple[int, int]) -> UInt8[np.ndarray, "h w c"]:
+def _decode(data: bytes, label: str, size: tuple[int, int], formats: tuple[str, ...]) -> UInt8[np.ndarray, "h w c"]:
     if data[:8] != _PNG and data[:3] != _JPEG:
         try:
-            with Image.open(io.BytesIO(data)) as picture:
-                return np.asarray(picture.convert("RGBA" if "A" in picture.getbands() else "RGB"))
+            with Image.open(io.BytesIO(data), formats=formats) as picture:
+                if picture.mode[0] in "IF":  # more than 8 bits, which Pillow would clip
+                    raise ValueError(f"its values are {picture.mode}; 8 bits are read")
+                return np.asarray(picture.convert("RGBA" if picture.has_transparency_data else "RGB"))
         except Exception as error:  # as above
             raise ObjectError(f"{label} does not decode ({error})") from error
     try:
