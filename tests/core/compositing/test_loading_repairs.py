@@ -116,3 +116,20 @@ def test_scenes_find_files_as_captures_do(tmp_path: Path) -> None:
     scene.write_text(json.dumps({"objects": [{"name": "cup", "file": "models/MY CUP.glb", "pixel": [1, 1]}]}))
     with pytest.raises(ObjectError, match="rename one"):
         load_scene(scene)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+def test_georeferenced_objects_are_moved_to_the_origin(kind: str) -> None:
+    far = OCTAHEDRON / 4 + [450_000, 5_500_000, 80]
+    if kind == "obj":
+        faces = ["f " + " ".join(str(index + 1) for index in face) for face in OUTWARD]
+        data = "\n".join([f"v {x!r} {y!r} {z!r}" for x, y, z in far.tolist()] + faces).encode()
+    else:
+        data = ply(far, OUTWARD, "ascii").replace(b"property float", b"property double")
+    found = load_object(data, kind)  # pyright: ignore[reportArgumentType]
+    np.testing.assert_allclose(found.bounds(), [[-0.25] * 3, [0.25] * 3], atol=1e-7)
+    assert found.notes[0].left_out.endswith("its place at 450000, 5500000, 80")
+    far_quad = GltfFile().quad()
+    far_quad.tree["nodes"][0]["translation"] = [450_000, 5_500_000, 80]
+    with pytest.raises(ObjectError, match="georeferenced"):
+        load_object(far_quad.glb())

@@ -15,7 +15,7 @@ from roomlight.compositing.objects.limits import ObjectLimits, plain_text
 from roomlight.compositing.objects.materials import Material, diffuse
 from roomlight.compositing.objects.mtl import MtlReader
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
-from roomlight.compositing.objects.shading import agreeing_corners, joined_corners, with_vertex_colours
+from roomlight.compositing.objects.shading import agreeing_corners, joined_corners, near_origin, with_vertex_colours
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.conventions import srgb_to_linear
 from roomlight.errors import ObjectError
@@ -64,6 +64,7 @@ def read_obj(
         if absent.any():  # exporters and editors lose them
             content.left_out.add(f"{what} {int(corners[:, column].max()) + 1} of {len(content.values[key])}".encode())
             corners[absent, column] = -1
+    points, moved = near_origin(points, corners[:, 0], name)
     triangles = triangles_of(sizes, corners[:, 0], points)
     owner = np.repeat(np.arange(len(sizes)), sizes)[triangles[:, 0]]
     at = triangles.reshape(-1)
@@ -92,7 +93,7 @@ def read_obj(
             mesh, material, _ = with_vertex_colours(mesh, kept, material)
         parts.append((mesh, material))
     limits.check("parts", len(parts), name)
-    return tuple(parts), (*notes, *turned)
+    return tuple(parts), (*notes, *moved, *turned)
 
 
 def _by_material(used: Int64[np.ndarray, " f"], apart: bool) -> Iterator[tuple[int, Bool[np.ndarray, " f"]]]:

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int64
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import Material, diffuse
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
-from roomlight.compositing.objects.shading import agreeing_corners, joined_corners, with_vertex_colours
+from roomlight.compositing.objects.shading import agreeing_corners, joined_corners, near_origin, with_vertex_colours
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.conventions import srgb_to_linear
 from roomlight.errors import ObjectError
@@ -312,9 +312,10 @@ def _object(
     if not np.isfinite(points).all():
         raise ObjectError(f"{name}: every coordinate must be a finite number")
     limits.check("triangles", int(np.maximum(sizes - 2, 0).sum()), name)
-    triangles = triangles_of(sizes, corners, points)
-    if len(triangles) == 0:
+    if not (sizes >= 3).any():
         raise ObjectError(f"{name}: has no face of three corners or more; there is no surface to light")
+    points, moved = near_origin(points, corners, name)
+    triangles = triangles_of(sizes, corners, points)
     at = triangles.reshape(-1)
     normals = _columns(vertex, ("nx", "ny", "nz"))
     shading = corner_normals(points, corners[at].reshape(-1, 3)) if normals is None else normals[corners[at]]
@@ -328,7 +329,7 @@ def _object(
     material = diffuse()
     if kept is not None:
         mesh, material, _ = with_vertex_colours(mesh, kept, diffuse((1.0, 1.0, 1.0)))
-    return ((mesh, material),), turned
+    return ((mesh, material),), (*moved, *turned)
 
 
 def _columns(rows: _Rows, names: tuple[str, ...]) -> Float[np.ndarray, "n c"] | None:

@@ -15,6 +15,7 @@ from roomlight.notes import Note
 _SAME = 1 / 512
 _TEXELS = 16
 _OPPOSED = 0.01
+_FAR = 1000
 
 
 def agreeing_corners(
@@ -45,6 +46,21 @@ def agreeing_corners(
         effect = f"their {'corners' if inward else 'normals'} are turned round"
         notes = (Note(left_out, effect, "nothing to do if it looks right"),)
     return order.reshape(-1), n.reshape(-1, 3), notes
+
+
+def near_origin(
+    points: Float[np.ndarray, "n 3"], used: Int64[np.ndarray, " c"], label: str
+) -> tuple[Float[np.ndarray, "n 3"], tuple[Note, ...]]:
+    """Move georeferenced points, of which the used ones are `_FAR` sizes from the origin, to it: float32 would round
+    them there.
+    """
+    low, high = points[used].min(axis=0), points[used].max(axis=0)
+    centre = low / 2 + high / 2
+    with np.errstate(over="ignore"):
+        if not _FAR * (high - low).max() < np.abs(centre).max():
+            return points, ()
+    left_out = f"{label}: its place at {', '.join(f'{value:.10g}' for value in centre.tolist())}"
+    return points - centre, (Note(left_out, "it is moved to the origin", "nothing to do if it looks right"),)
 
 
 def joined_corners(

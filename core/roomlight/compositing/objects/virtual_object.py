@@ -50,7 +50,10 @@ class TriangleMesh:
                 raise ObjectError(f"{name}[{row}] is {values[row].tolist()}: every coordinate must be a finite number")
         reach = float(np.abs(self.vertices).max())
         if reach > MAX_COORDINATE_M:
-            raise ObjectError(f"a vertex is {reach:g} m from the origin; at most {MAX_COORDINATE_M:g}: check the unit")
+            raise ObjectError(
+                f"a vertex is {reach:g} m from the origin; at most {MAX_COORDINATE_M:g}: "
+                "check the unit; move georeferenced objects to the origin"
+            )
 
     @classmethod
     def build(
