@@ -1,6 +1,8 @@
 """What files state wrongly or loosely and has one meaning is mended, and said."""
 
 import json
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +10,9 @@ import pytest
 from gltf_files import GltfFile, face_normals, ply
 
 from roomlight.compositing.loading import load_object
+from roomlight.compositing.objects.gltf import materials
+from roomlight.compositing.objects.limits import ObjectLimits
+from roomlight.compositing.objects.pictures import PictureReader
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.compositing.placement.scene import load_scene
 from roomlight.compositing.recordings import scene_of_object
@@ -133,3 +138,32 @@ def test_georeferenced_objects_are_moved_to_the_origin(kind: str) -> None:
     far_quad.tree["nodes"][0]["translation"] = [450_000, 5_500_000, 80]
     with pytest.raises(ObjectError, match="georeferenced"):
         load_object(far_quad.glb())
+
+
+@pytest.mark.parametrize("depth", [2, 8, 16])
+def test_the_clear_value_of_a_grey_png_is_transparent(depth: int) -> None:
+    rows = {2: b"\0\x1b", 8: b"\0\0\1\2\3", 16: b"\0" + bytes([0, 0, 1, 1, 2, 2, 2, 3])}[depth]  # ends in 2, 3
+    stated = {2: 2, 8: 2, 16: 0x202}[depth]
+    chunks = ((b"IHDR", struct.pack(">IIBBBBB", 4, 1, depth, 0, 0, 0, 0)), (b"tRNS", struct.pack(">H", stated)),
+              (b"IDAT", zlib.compress(rows)), (b"IEND", b""))  # fmt: skip
+    data = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in chunks
+    )
+    pixels = PictureReader(ObjectLimits()).read(data, "grey")
+    assert pixels[0, :, 3].tolist() == [255, 255, 0, 255]
+    if depth == 2:
+        assert pixels[0, :, 0].tolist() == [0, 85, 170, 255]
+
+
+def test_mirrored_textures_are_reduced_before_they_are_mirrored(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(materials, "MAX_TEXTURE_SIZE", 8)
+    file = GltfFile()
+    pixels = np.zeros((16, 16, 3), np.uint8)
+    pixels[::2] = 255
+    file.quad(pbrMetallicRoughness={"baseColorTexture": {"index": file.image(pixels)}})
+    file.tree["samplers"] = [{"wrapS": 33648, "wrapT": 33648}]
+    file.tree["textures"][0]["sampler"] = 0
+    texture = load_object(file.glb()).parts[0][1].base_colour_texture
+    assert texture is not None
+    assert texture.texels.shape == (8, 8, 4)
+    np.testing.assert_allclose(texture.texels[..., 0] / 65535, 0.5, atol=0.01)  # the mean of light, not of sRGB

@@ -55,6 +55,15 @@ def _other_size(data: bytes, label: str, formats: tuple[str, ...]) -> tuple[int,
         raise ObjectError(f"{label} is neither {known} (it starts with {data[:4].hex()})") from error
 
 
+def _clear_grey(data: bytes) -> int | None:
+    """Return the decoded value that a grey PNG declares transparent (tRNS), which OpenCV does not say."""
+    at = data.find(b"\0\0\0\2tRNS", 0, data.find(b"IDAT"))
+    if data[:8] != _PNG or at < 0:
+        return None
+    depth, stated = data[24], int.from_bytes(data[at + 8 : at + 10], "big")
+    return stated * 255 // (2**depth - 1) if depth < 8 else stated
+
+
 def _decode(data: bytes, label: str, size: tuple[int, int], formats: tuple[str, ...]) -> UInt8[np.ndarray, "h w c"]:
     if data[:8] != _PNG and data[:3] != _JPEG:
         try:
@@ -70,12 +79,14 @@ def _decode(data: bytes, label: str, size: tuple[int, int], formats: tuple[str, 
         raise ObjectError(f"{label} does not decode ({error.err})") from error
     if image is None or image.shape[:2] != size:  # pyright: ignore[reportUnnecessaryComparison]  (the stub lacks None)
         raise ObjectError(f"{label} does not decode; the file is truncated or damaged")
+    clear = _clear_grey(data)
+    alpha = None if clear is None or image.ndim > 2 else np.where(image == clear, 0, 255).astype(np.uint8)
     if image.dtype == np.uint16:
         image = np.right_shift(image.astype(np.uint16), 8).astype(np.uint8)
     if image.dtype != np.uint8:
         raise ObjectError(f"{label} has values of {image.dtype}; 8 or 16 bits are read")
     if image.ndim == 2:
-        image = image[..., None]
+        image = image[..., None] if alpha is None else np.stack([image, alpha], axis=-1)
     channels = image.shape[2]
     if channels <= 2:
         grey = np.repeat(image[..., :1], 3, axis=2)

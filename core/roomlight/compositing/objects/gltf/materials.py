@@ -24,7 +24,7 @@ from roomlight.compositing.objects.gltf.schema import (
 )
 from roomlight.compositing.objects.materials import MAX_IOR, Material, colour_of
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
-from roomlight.conventions import LUMINANCE, srgb8_to_linear
+from roomlight.conventions import LUMINANCE, linear_to_srgb8, srgb8_to_linear
 from roomlight.notes import Note
 
 _DIELECTRIC = 0.04
@@ -124,6 +124,8 @@ class MaterialReader:
         moved = extension(TextureTransform, info, "KHR_texture_transform", where, self._clamped) or TextureTransform()
         uv_set = info.texCoord if moved.texCoord is None else moved.texCoord
         wraps, transform = self._images.wraps(info.index), _matrix(moved)
+        if MIRRORED in wraps:
+            pixels = _reduced(pixels, wraps, colour=key in ("base", "emissive"))
         for axis, wrap in zip((1, 0), wraps, strict=True):
             if wrap == MIRRORED:  # the texture beside its mirror image repeats
                 pixels = np.concatenate([pixels, np.flip(pixels, axis)], axis=axis)
@@ -327,6 +329,22 @@ def unlit_of(material: Material) -> Material:
         metallic_roughness_texture=None,
         normal_texture=None,
     )
+
+
+def _reduced(
+    pixels: UInt8[np.ndarray, "h w c"], wraps: tuple[int, int], *, colour: bool
+) -> UInt8[np.ndarray, "h2 w2 c"]:
+    """Reduce a texture so far that it has `MAX_TEXTURE_SIZE` beside its mirror image."""
+    height, width = pixels.shape[:2]
+    scale = MAX_TEXTURE_SIZE / max(width * (1 + (wraps[0] == MIRRORED)), height * (1 + (wraps[1] == MIRRORED)))
+    if scale >= 1:
+        return pixels
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    if colour:
+        linear = srgb8_to_linear(np.ascontiguousarray(pixels[..., :3]))
+        small[..., :3] = linear_to_srgb8(cv2.resize(linear, size, interpolation=cv2.INTER_AREA))
+    return small
 
 
 def _matrix(transform: TextureTransform) -> Float[np.ndarray, "3 3"]:
