@@ -167,3 +167,32 @@ def test_mirrored_textures_are_reduced_before_they_are_mirrored(monkeypatch: pyt
     assert texture is not None
     assert texture.texels.shape == (8, 8, 4)
     np.testing.assert_allclose(texture.texels[..., 0] / 65535, 0.5, atol=0.01)  # the mean of light, not of sRGB
+
+
+def test_names_in_another_encoding_refuse_no_gltf() -> None:
+    file = GltfFile().quad()
+    file.tree["nodes"][0]["name"] = "Tur"
+    assert load_object(file.glb().replace(b"Tur", b"T\xfcr")).triangles == 2
+
+
+def test_rounding_in_the_last_row_of_a_matrix_is_passed_over() -> None:
+    file = GltfFile().quad()
+    file.tree["nodes"][0]["matrix"] = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 1e-6, 3, 0, 0, 0.99999]
+    assert load_object(file.glb()).bounds()[0, 0] == 3
+
+
+def test_joints_may_stand_beside_the_scene() -> None:
+    file = skinned_quad([1, 0, 0, 0], [1, 0, 0, 0])
+    file.tree["scenes"][0]["nodes"] = [0]
+    assert load_object(file.glb()).bounds()[0, 0] == 9
+    file.tree["skins"][0]["joints"][1] = 7
+    with pytest.raises(ObjectError, match="a joint is not a node of the file"):
+        load_object(file.glb())
+
+
+def test_addresses_are_said_not_to_be_loaded(tmp_path: Path) -> None:
+    file = GltfFile().quad(pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
+    file.tree |= {"images": [{"uri": "https://a.b/x.png"}], "textures": [{"source": 0}]}
+    (tmp_path / "a.glb").write_bytes(file.glb())
+    with pytest.raises(ObjectError, match=r"https://a\.b/x\.png'; addresses are not loaded"):
+        load_object(tmp_path / "a.glb")

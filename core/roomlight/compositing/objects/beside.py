@@ -38,6 +38,8 @@ class FilesBeside:
         """
         if self._source is None:
             raise ObjectError(f"{label} is at {uri[:60]!r}, outside the file; export as one GLB file")
+        if "://" in uri:
+            raise ObjectError(f"{label} is at {uri[:60]!r}; addresses are not loaded: put the file beside the object")
         try:
             path = self._source.path(uri, max_bytes=None)
             self._bytes += path.stat().st_size

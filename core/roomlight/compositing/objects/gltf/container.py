@@ -56,6 +56,7 @@ def json_size(text: bytes) -> int:
 
 def parsed(text: bytes, name: str, clamped: list[str]) -> Gltf:
     """Parse and check the JSON; names of clamped values are added to `clamped`. Raises ObjectError."""
+    text = text.decode("utf-8", "replace").encode()  # names may be in another encoding
     try:
         gltf = Gltf.model_validate_json(text, context=clamped)
     except ValidationError as error:

@@ -11,6 +11,8 @@ from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.errors import ObjectError
 
 _INSTANCING = "EXT_mesh_gpu_instancing"
+_ROUNDING = 1e-3
+"""What exporters leave in a matrix's last row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +31,12 @@ def placed_meshes(gltf: Gltf, accessors: Accessors, name: str, limits: ObjectLim
     if gltf.scenes and gltf.scene >= len(gltf.scenes):
         raise ObjectError(f"{name}: scene {gltf.scene} of {len(gltf.scenes)} does not exist")
     children = {child for node in gltf.nodes for child in node.children}
-    roots = gltf.scenes[gltf.scene].nodes if gltf.scenes else sorted(set(range(len(gltf.nodes))) - children)
+    tops = sorted(set(range(len(gltf.nodes))) - children)
+    roots = gltf.scenes[gltf.scene].nodes if gltf.scenes else tops
     transforms, hidden = _transforms(gltf, roots, name, limits)
+    posed = transforms
+    if any(joint not in transforms for skin in gltf.skins for joint in skin.joints):  # joints beside the scene
+        posed = _transforms(gltf, tops, name, limits)[0] | transforms
     placed: list[Placed] = []
     for index, transform in transforms.items():
         node = gltf.nodes[index]
@@ -41,7 +47,7 @@ def placed_meshes(gltf: Gltf, accessors: Accessors, name: str, limits: ObjectLim
         weights = tuple(node.weights or gltf.meshes[node.mesh].weights)
         joints = None
         if node.skin is not None:
-            joints = _joint_matrices(gltf, accessors, node.skin, transforms, f"{name}: skin {node.skin}")
+            joints = _joint_matrices(gltf, accessors, node.skin, posed, f"{name}: skin {node.skin}")
         for instance in _instances(node, accessors, f"{name}: node {index}", limits):
             placed.append(Placed(node.mesh, transform @ instance, joints, weights))
     return placed
@@ -74,7 +80,10 @@ def _transforms(
 
 def _local(node: Node) -> Float[np.ndarray, "4 4"]:
     if node.matrix is not None:
-        return np.array(node.matrix, np.float64).reshape(4, 4).T
+        matrix = np.array(node.matrix, np.float64).reshape(4, 4).T
+        if np.abs(matrix[3] - [0, 0, 0, 1]).max() < _ROUNDING:
+            matrix[3] = [0, 0, 0, 1]
+        return matrix
     return _composed(np.array(node.translation), np.array(node.rotation), np.array(node.scale))
 
 
@@ -122,7 +131,7 @@ def _joint_matrices(
         raise ObjectError(f"{label} of {len(gltf.skins)} does not exist")
     skin = gltf.skins[index]
     if not skin.joints or any(joint not in transforms for joint in skin.joints):
-        raise ObjectError(f"{label}: a joint is not a node of the scene")
+        raise ObjectError(f"{label}: a joint is not a node of the file")
     matrices = np.stack([transforms[joint] for joint in skin.joints])
     if skin.inverseBindMatrices is None:
         return matrices
