@@ -47,3 +47,14 @@ def plain_text(data: bytes) -> bytes:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", "replace").encode()
     return data.removeprefix(b"\xef\xbb\xbf")
+
+
+def statement(line: bytes) -> tuple[str, str]:
+    """Return a line's keyword in small letters, and what follows it. Text that is not UTF-8 is read as Latin-1, which
+    keeps names of every code page apart."""
+    words = [*line.strip().split(None, 1), b"", b""]  # of bytes: a letter's second byte can look like a space
+    try:
+        keyword, rest = words[0].decode(), words[1].decode()
+    except UnicodeDecodeError:
+        keyword, rest = words[0].decode("latin-1"), words[1].decode("latin-1")
+    return keyword.lower(), rest

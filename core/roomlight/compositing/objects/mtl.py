@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from roomlight.compositing.objects.beside import FilesBeside
-from roomlight.compositing.objects.limits import ObjectLimits, plain_text
+from roomlight.compositing.objects.limits import ObjectLimits, plain_text, statement
 from roomlight.compositing.objects.materials import Colour, Material, colour_of
 from roomlight.compositing.objects.pictures import PictureReader
 from roomlight.compositing.objects.textures import Texture
@@ -77,9 +77,10 @@ class MtlReader:
     def _stated(self, text: bytes) -> dict[str, _Stated]:
         materials: dict[str, _Stated] = {}
         current = _Stated()
-        for raw in text.decode("utf-8", "replace").splitlines():
-            key, _, rest = raw.split("#", 1)[0].strip().partition(" ")
-            key, rest = key.strip().lower(), rest.strip()
+        for raw in text.splitlines():
+            key, rest = statement(raw)
+            if key != "newmtl" and not key.startswith("map_"):  # names may hold `#`, as 3ds Max's do
+                rest = rest.partition("#")[0].strip()
             if key == "newmtl":
                 current = materials.setdefault(rest, _Stated())
             elif key in _VALUES:
@@ -88,7 +89,7 @@ class MtlReader:
                     stated = numbers if len(numbers) == _VALUES[key] else numbers[:1] * _VALUES[key]
                     current.values[key] = self._in_range(key, stated)
                 else:
-                    self._left_out.add(f"the line {raw.strip()[:60]!r}")
+                    self._left_out.add(f"the line {raw.strip()[:60].decode('utf-8', 'replace')!r}")
             elif key in _PICTURES:
                 current.pictures[key] = file_of_map(rest)
                 if _MOVED.search(rest):

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from roomlight.compositing.objects.beside import FilesBeside
-from roomlight.compositing.objects.limits import ObjectLimits, plain_text
+from roomlight.compositing.objects.limits import ObjectLimits, plain_text, statement
 from roomlight.compositing.objects.materials import Material, diffuse
 from roomlight.compositing.objects.mtl import MtlReader
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
@@ -144,19 +144,14 @@ def _content(data: bytes, name: str, limits: ObjectLimits) -> _Content:
         elif keyword == b"s":
             group = int(words[1]) if len(words) > 1 and words[1].isdigit() and len(words[1]) < 9 else 0
             content.states_groups = True
-        elif keyword == b"mtllib" and len(words) > 1:
-            content.libraries.append(_rest(raw))
+        elif keyword == b"mtllib" and (library := statement(raw)[1]):
+            content.libraries.append(library)
             limits.check("materials", len(content.libraries), name)
         elif keyword == b"usemtl":
-            material = content.materials.setdefault(_rest(raw), len(content.materials))
+            material = content.materials.setdefault(statement(raw)[1], len(content.materials))
         elif keyword in _LEFT_OUT:
             content.left_out.add(_LEFT_OUT[keyword])
     return content
-
-
-def _rest(raw: bytes) -> str:
-    """Return what follows the keyword: names may hold spaces."""
-    return raw.split(b"#", 1)[0].strip().partition(b" ")[2].strip().decode("utf-8", "replace")
 
 
 def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list[float]:
