@@ -116,7 +116,7 @@ def test_ears_of_a_star() -> None:
     angle = np.arange(20) * np.pi / 10
     radius = np.where(np.arange(20) % 2, 0.4, 1.0)
     star = np.stack([radius * np.cos(angle), np.zeros(20), -radius * np.sin(angle)], axis=1)
-    triangles = star[ear_clipped(star)]
+    triangles = star[ear_clipped(star)[0]]
     areas = 0.5 * np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
     assert areas.sum() == pytest.approx(0.5 * 20 * 0.4 * np.sin(np.pi / 10))
     concave = np.array([[0, 0, 0], [2, 0, 0.0], [0.5, 0, -0.5], [0, 0, -2]])

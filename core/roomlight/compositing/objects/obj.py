@@ -65,7 +65,10 @@ def read_obj(
             content.left_out.add(f"{what} {int(corners[:, column].max()) + 1} of {len(content.values[key])}".encode())
             corners[absent, column] = -1
     points, moved = near_origin(points, corners[:, 0], name)
-    triangles = triangles_of(sizes, corners[:, 0], points)
+    try:
+        triangles = triangles_of(sizes, corners[:, 0], points)
+    except ObjectError as error:
+        raise ObjectError(f"{name}: {error}") from error
     owner = np.repeat(np.arange(len(sizes)), sizes)[triangles[:, 0]]
     at = triangles.reshape(-1)
     faces = corners[at, 0].reshape(-1, 3)
