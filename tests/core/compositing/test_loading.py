@@ -285,7 +285,7 @@ def test_damaged_json_is_refused(text: bytes) -> None:
         (OBJ + b"f 0 1 2\n", "line 11"),
         (OBJ + b"f -1 -2 -9\n", "line 11"),
         (OBJ + b"f 1 2\n", "has no face"),
-        (b"v 0 nan 0\n" + OBJ_FACE, "line 1"),
+        (b"v 0 nan 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "v 1 is"),
         (b"v 1e999 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
         (PLY.replace(b"vertex 3", b"vertex 999999999"), "limited|declares"),
         (PLY.replace(b"vertex 3", b"vertex 1400000"), "truncated"),

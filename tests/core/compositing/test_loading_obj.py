@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gltf_files import png
+from gltf_files import QUAD as CORNERS
+from gltf_files import QUAD_FACES, GltfFile, area, face_normals, ply, png
 
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.materials import Material
@@ -92,3 +93,71 @@ def test_the_normals_of_many_faces_are_near_those_of_few() -> None:
         faces = np.stack([0 * turn, 1 + np.roll(np.arange(count), -1), 1 + np.arange(count)], axis=1).astype(np.int64)
         tips.append(float(corner_normals(points, faces).reshape(-1, 3, 3)[:, 0, 1].mean()))
     assert tips[1] == pytest.approx(tips[0], abs=0.02)
+
+
+# Numbers
+
+
+@pytest.mark.parametrize("line", ["vn nan nan nan", "vn -nan(ind) 0 1", "vt nan nan", "v inf 0 0", "v -nan(ind) 0 0"])
+def test_numbers_that_are_not_finite_are_not_stated(line: str) -> None:
+    key = line.split()[0]
+    face = {"vn": "f 1//1 2//1 3//1 4//1\n", "vt": "f 1/5 2/2 3/3 4/4\n", "v": "f 1 2 3 4\n"}[key]
+    found = load_object((QUAD + line + "\n" + face).encode(), "obj")
+    ((mesh, _),) = found.parts
+    np.testing.assert_array_equal(mesh.normals, [[0, 0, 1]] * 4)
+    assert area(found) == pytest.approx(1)
+    assert ["not finite" in note for note in notes_of(found)] == [True] * (key != "v")
+    with pytest.raises(ObjectError, match=r"v 5 is .* a face needs finite numbers"):
+        load_object((QUAD + "v 0 nan 0\nf 1 2 3 5\n").encode(), "obj")
+
+
+NORMALS = "property float nx\nproperty float ny\nproperty float nz\n"
+UVS = "property float s\nproperty float t\n"
+COLOURS = "property float red\nproperty float green\nproperty float blue\n"
+
+
+@pytest.mark.parametrize("odd", ["nan", "-nan(ind)", "inf"])
+@pytest.mark.parametrize(("extra", "row"), [(NORMALS, [0, 0, 1]), (UVS, [0.5, 1]), (COLOURS, [0, 0, 0])])
+def test_numbers_of_a_ply_that_are_not_finite_are_not_stated(odd: str, extra: str, row: list[int]) -> None:
+    points = np.array([*CORNERS, [9, 9, 9]], object)
+    points[4] = odd
+    found = load_object(ply(points, [[0, 1, 2, 3]], "ascii", extra, [[odd] * len(row), *[row] * 4]), "ply")
+    ((mesh, material),) = found.parts
+    np.testing.assert_array_equal(mesh.normals, [[0, 0, 1]] * 4)
+    assert extra != COLOURS or material.base_colour == (0, 0, 0)
+    assert ["not finite" in note for note in notes_of(found)] == [True]
+    with pytest.raises(ObjectError, match=r"vertex 4 is .* a face needs finite numbers"):
+        load_object(ply(points, [[0, 1, 2, 4]], "ascii"), "ply")
+
+
+@pytest.mark.parametrize(("key", "kind"), [("NORMAL", "VEC3"), ("TEXCOORD_0", "VEC2"), ("TANGENT", "VEC4")])
+def test_numbers_of_a_gltf_that_are_not_finite_are_not_stated(key: str, kind: str) -> None:
+    file = GltfFile()
+    normals = {"normals": [[0, 0, 1]] * 4} if key == "TANGENT" else {}
+    file.node(mesh=file.mesh(CORNERS, QUAD_FACES, **normals))
+    values = np.array([[0, 0, 1, 1][: int(kind[-1])]] * 4, np.float32)
+    values[1, 0] = np.nan
+    file.attribute(key, values, kind)
+    found = load_object(file.glb())
+    np.testing.assert_array_equal(found.parts[0][0].normals, [[0, 0, 1]] * len(found.parts[0][0].normals))
+    assert [key in note for note in notes_of(found)] == [True]
+
+
+def test_normals_of_a_ply_that_are_all_zero_are_not_stated() -> None:
+    points = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    ((mesh, _),) = load_object(ply(points, quads, "ascii", NORMALS, [[0, 0, 0]] * 8), "ply").parts
+    np.testing.assert_allclose(mesh.normals[mesh.faces[:, 0]], face_normals(mesh), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("colour", "red", "note"),
+    [((1.00001, 0, 0), 1, True), ((-0.001, 0, 0), 0, True), ((255, 0, 0), 1, False), ((1, 0, 0), 1, False)],
+)
+def test_vertex_colours_beside_their_range_are_clipped(colour: tuple[float, ...], red: float, note: bool) -> None:
+    words = " ".join(map(str, colour))
+    text = "".join(f"v {x} {y} {z} {words}\n" for x, y, z in CORNERS) + "f 1 2 3 4\n"
+    for data in (text.encode(), ply(np.array(CORNERS), [[0, 1, 2, 3]], "ascii", COLOURS, [list(colour)] * 4)):
+        found = load_object(data, "ply" if data.startswith(b"ply") else "obj")
+        assert found.parts[0][1].base_colour == pytest.approx((red, 0, 0))
+        assert ["vertex colours from" in line for line in notes_of(found)] == [True] * note

@@ -1,8 +1,13 @@
 """Limits on the files of virtual objects, checked before memory is spent on what a file declares."""
 
+import re
 from dataclasses import dataclass
+from typing import Final
 
 from roomlight.errors import ObjectError
+
+NAN: Final = re.compile(rb"nan\([^()\s]*\)", re.IGNORECASE)
+"""As Windows writes it: `-nan(ind)`."""
 
 
 @dataclass(frozen=True)

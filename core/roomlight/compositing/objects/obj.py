@@ -8,14 +8,20 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Int32, Int64
 
 from roomlight.compositing.objects.beside import FilesBeside
-from roomlight.compositing.objects.limits import ObjectLimits, plain_text, statement
+from roomlight.compositing.objects.limits import NAN, ObjectLimits, plain_text, statement
 from roomlight.compositing.objects.materials import Material, diffuse
 from roomlight.compositing.objects.mtl import MtlReader
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
-from roomlight.compositing.objects.shading import agreeing_corners, joined_corners, near_origin, with_vertex_colours
+from roomlight.compositing.objects.shading import (
+    agreeing_corners,
+    colours_in_range,
+    joined_corners,
+    near_origin,
+    with_vertex_colours,
+)
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.conventions import srgb_to_linear
 from roomlight.errors import ObjectError
@@ -44,6 +50,7 @@ class _Content:
     materials: dict[str, int] = field(default_factory=dict)
     used: list[int] = field(default_factory=list)
     left_out: set[bytes] = field(default_factory=set)
+    notes: list[Note] = field(default_factory=list[Note])
 
 
 def read_obj(
@@ -54,16 +61,28 @@ def read_obj(
     if not content.sizes:
         raise ObjectError(f"{name}: has no face; a point cloud has no surface to light")
     limits.check("triangles", sum(content.sizes) - 2 * len(content.sizes), name)
-    points = np.array([row[:3] for row in content.values[b"v"]], np.float64).reshape(-1, 3)
+    points, texture, given = (
+        np.array([[*row, 0.0][:width] for row in content.values[key]], np.float64).reshape(-1, width)
+        for key, width in ((b"v", 3), (b"vt", 2), (b"vn", 3))
+    )
     corners = np.array(content.corners, np.int64)
     sizes = np.array(content.sizes, np.int64)
-    for column, (key, what) in enumerate(zip(_VALUES, ("", "texture coordinates", "normals"), strict=True)):
-        absent = corners[:, column] >= len(content.values[key])
+    stated_values = (points, "v"), (texture, "texture coordinates"), (given, "normals")
+    for column, (values, what) in enumerate(stated_values):
+        absent = corners[:, column] >= len(values)
         if absent.any() and column == 0:
             raise ObjectError(f"{name}: faces point at v {int(corners[:, 0].max()) + 1} of {len(points)}")
         if absent.any():  # exporters and editors lose them
-            content.left_out.add(f"{what} {int(corners[:, column].max()) + 1} of {len(content.values[key])}".encode())
+            content.left_out.add(f"{what} {int(corners[:, column].max()) + 1} of {len(values)}".encode())
             corners[absent, column] = -1
+        odd = np.append(~np.isfinite(values).all(axis=1), False)[corners[:, column]]
+        if odd.any() and column == 0:
+            number = int(corners[odd, 0][0])
+            raise ObjectError(f"{name}: v {number + 1} is {points[number].tolist()}: a face needs finite numbers")
+        if odd.any():
+            content.left_out.add(f"{what} that are not finite numbers".encode())
+            corners[odd, column] = -1
+    points[~np.isfinite(points).all(axis=1)] = 0  # of no face
     points, moved = near_origin(points, corners[:, 0], name)
     try:
         triangles = triangles_of(sizes, corners[:, 0], points)
@@ -72,13 +91,13 @@ def read_obj(
     owner = np.repeat(np.arange(len(sizes)), sizes)[triangles[:, 0]]
     at = triangles.reshape(-1)
     faces = corners[at, 0].reshape(-1, 3)
-    normals = _normals(content, points, faces, corners[at, 2], np.array(content.groups, np.int32)[owner])
+    groups = np.array(content.groups, np.int32)[owner] if content.states_groups else None
+    normals = _normals(given, points, faces, corners[at, 2], groups)
     order, normals, turned = agreeing_corners(points[corners[at, 0]], normals, name)
     at = at[order]
     uvs = np.zeros((len(at), 2), np.float32)
     stated = corners[at, 1] >= 0
     if stated.any():
-        texture = np.array([[*row, 0.0][:2] for row in content.values[b"vt"]], np.float64)
         uvs[stated] = texture[corners[at, 1][stated]] * [1, -1] + [0, 1]  # v grows downward here
     colours = _colours(content, name)
     materials, notes = _materials(content, beside, limits, name)
@@ -124,6 +143,7 @@ def _materials(
     missing = sorted(key for key, number in content.materials.items() if key not in read and number in used)
     if missing and not notes:
         notes.append(Note(f"{name}: materials {', '.join(missing)[:60]}", "these parts are grey", "export as GLB"))
+    notes.extend(content.notes)
     notes.extend(
         Note(f"{name}: {kind.decode()}", "they are missing", "export polygons, with materials as GLB")
         for kind in sorted(content.left_out)
@@ -161,14 +181,14 @@ def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list
     try:
         values = [float(word.replace(b",", b".")) for word in words[1:8]]
     except ValueError:
+        if NAN.search(line := b" ".join(words)):
+            return _numbers(NAN.sub(b"nan", line).split(), keyword, name, number)
         values = []
     if len(values) < _VALUES[keyword]:
         text = b" ".join(words)[:60].decode("utf-8", "replace")
         raise ObjectError(
             f"{name}: line {number} is not {_VALUES[keyword]} numbers after {words[0].decode()}: {text!r}"
         )
-    if not all(abs(value) < np.inf for value in values[: _VALUES[keyword]]):
-        raise ObjectError(f"{name}: line {number}: every coordinate must be a finite number")
     return values
 
 
@@ -201,18 +221,17 @@ def _add_face(content: _Content, words: list[bytes], group: int, material: int, 
 
 
 def _normals(
-    content: _Content,
+    given: Float[np.ndarray, "m 3"],
     points: Float[np.ndarray, "n 3"],
     faces: Int64[np.ndarray, "f 3"],
     stated: Int64[np.ndarray, " c"],
-    groups: np.ndarray,
+    groups: Int32[np.ndarray, " f"] | None,
 ) -> Float[np.ndarray, "c 3"]:
     """Return a normal for each corner: as stated, else by smoothing groups, else by creases."""
-    given = np.array([row[:3] for row in content.values[b"vn"]], np.float64).reshape(-1, 3)
     has = stated >= 0
     if has.all():
         return given[stated]
-    normals = corner_normals(points, faces, groups=groups if content.states_groups else None)
+    normals = corner_normals(points, faces, groups=groups)
     if has.any():
         normals[has] = given[stated[has]]
     return normals
@@ -227,8 +246,6 @@ def _colours(content: _Content, name: str) -> Float[np.ndarray, "n 4"] | None:
             content.left_out.add(b"colours of %d of %d vertices" % (coloured, len(rows)))
         return None
     encoded = np.array([row[3:6] for row in rows], np.float64)
-    if encoded.max(initial=0) > 1:
-        encoded = encoded / 255
-    if encoded.min(initial=0) < 0 or encoded.max(initial=0) > 1:
-        raise ObjectError(f"{name}: a vertex colour is outside 0 to 255")
+    encoded, notes = colours_in_range(encoded, name)
+    content.notes.extend(notes)
     return np.concatenate([srgb_to_linear(encoded), np.ones((len(rows), 1))], axis=1)

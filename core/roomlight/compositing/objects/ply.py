@@ -9,14 +9,20 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int64
 
-from roomlight.compositing.objects.limits import ObjectLimits
+from roomlight.compositing.objects.limits import NAN, ObjectLimits
 from roomlight.compositing.objects.materials import Material, diffuse
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
-from roomlight.compositing.objects.shading import agreeing_corners, joined_corners, near_origin, with_vertex_colours
+from roomlight.compositing.objects.shading import (
+    agreeing_corners,
+    colours_in_range,
+    joined_corners,
+    near_origin,
+    with_vertex_colours,
+)
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.conventions import srgb_to_linear
 from roomlight.errors import ObjectError
-from roomlight.notes import Note
+from roomlight.notes import Note, distinct
 
 _HEADER_BYTES: Final = 65_536
 _TYPES: Final = {
@@ -76,8 +82,8 @@ def read_ply(
         alpha = rows["vertex"].scalars.get("alpha") if "vertex" in rows else None
         if alpha is not None and len(alpha) and alpha.min() < _largest(alpha):
             notes = (*notes, Note(f"{name}: its alpha", "the surface is opaque", "export as GLB"))
-        parts, turned = _object(rows, name, limits)
-        return parts, (*notes, *_unread(elements, name), *turned)
+        more = list(notes)
+        return _object(rows, name, limits, more), (*distinct(more), *_unread(elements, name))
     except ObjectError as error:
         message = str(error)
         raise ObjectError(message if message.startswith(name) else f"{name}: {message}") from error
@@ -160,7 +166,7 @@ class _TextSource:
 
     def __init__(self, body: bytes, name: str) -> None:
         try:
-            self._values = np.array(body.split(), np.float64)
+            self._values = np.array(NAN.sub(b"nan", body).split(), np.float64)
         except ValueError as error:
             raise ObjectError(f"{name}: the PLY is damaged ({str(error)[:80]})") from error
         self._at, self._name = 0, name
@@ -297,8 +303,9 @@ class _BinarySource:
 
 
 def _object(
-    rows: dict[str, _Rows], name: str, limits: ObjectLimits
-) -> tuple[tuple[tuple[TriangleMesh, Material], ...], tuple[Note, ...]]:
+    rows: dict[str, _Rows], name: str, limits: ObjectLimits, notes: list[Note]
+) -> tuple[tuple[TriangleMesh, Material], ...]:
+    """Make the mesh; what is changed is added to `notes`."""
     vertex, face = rows.get("vertex"), rows["face"]
     listed = next((face.lists[key] for key in _INDICES if key in face.lists), None)
     if vertex is None or listed is None or not {"x", "y", "z"} <= vertex.scalars.keys():
@@ -309,50 +316,64 @@ def _object(
         raise ObjectError(
             f"{name}: faces point at vertices {corners.min()} to {corners.max()}, there are {len(points)}"
         )
-    if not np.isfinite(points).all():
-        raise ObjectError(f"{name}: every coordinate must be a finite number")
+    odd = ~np.isfinite(points).all(axis=1)
+    if odd[corners].any():
+        number = int(corners[odd[corners]][0])
+        raise ObjectError(f"{name}: vertex {number} is {points[number].tolist()}: a face needs finite numbers")
+    points[odd] = 0
     limits.check("triangles", int(np.maximum(sizes - 2, 0).sum()), name)
     if not (sizes >= 3).any():
         raise ObjectError(f"{name}: has no face of three corners or more; there is no surface to light")
     points, moved = near_origin(points, corners, name)
     triangles = triangles_of(sizes, corners, points)
     at = triangles.reshape(-1)
-    normals = _columns(vertex, ("nx", "ny", "nz"))
-    shading = corner_normals(points, corners[at].reshape(-1, 3)) if normals is None else normals[corners[at]]
+    faces = corners[at].reshape(-1, 3)
+    normals = _columns(vertex, ("nx", "ny", "nz"), name, notes)
+    shading = np.zeros((len(at), 3)) if normals is None else normals[corners[at]]
+    stated = shading.any(axis=1, keepdims=True)
+    shading = shading if stated.all() else np.where(stated, shading, corner_normals(points, faces))
     order, shading, turned = agreeing_corners(points[corners[at]], shading, name)
+    notes += [*moved, *turned]
     at = at[order]
     polygon = np.repeat(np.arange(len(sizes)), sizes)[at]
-    uvs = _corner_uvs(vertex, face, sizes, corners, at)
-    colours = _corner_colours(vertex, face, corners[at], polygon)
+    uvs = _corner_uvs((vertex, face), (sizes, corners, at), name, notes)
+    colours = _corner_colours((vertex, face), (corners[at], polygon), name, notes)
     with np.errstate(over="ignore"):
         mesh, kept = joined_corners(points[corners[at]], uvs, shading, colours)
     material = diffuse()
     if kept is not None:
         mesh, material, _ = with_vertex_colours(mesh, kept, diffuse((1.0, 1.0, 1.0)))
-    return ((mesh, material),), (*moved, *turned)
+    return ((mesh, material),)
 
 
-def _columns(rows: _Rows, names: tuple[str, ...]) -> Float[np.ndarray, "n c"] | None:
-    """Return finite columns of these names; None if one is missing or not finite."""
+def _columns(rows: _Rows, names: tuple[str, ...], name: str, notes: list[Note]) -> Float[np.ndarray, "n c"] | None:
+    """Return columns of these names, None if one is missing; rows that are not finite are 0."""
     if not all(key in rows.scalars for key in names):
         return None
-    columns = np.stack([rows.scalars[key].astype(np.float64) for key in names], axis=1)
-    return columns if np.isfinite(columns).all() else None
+    return _finite(np.stack([rows.scalars[key].astype(np.float64) for key in names], axis=1), name, notes)
+
+
+def _finite(rows: Float[np.ndarray, "n c"], name: str, notes: list[Note]) -> Float[np.ndarray, "n c"]:
+    odd = ~np.isfinite(rows).all(axis=1, keepdims=True)
+    if not odd.any():
+        return rows
+    left_out = f"{name}: normals, texture coordinates or colours that are not finite numbers"
+    notes.append(Note(left_out, "normals are made from the faces, others are 0", "export it anew"))
+    return np.where(odd, 0.0, rows)
 
 
 def _corner_uvs(
-    vertex: _Rows,
-    face: _Rows,
-    sizes: Int64[np.ndarray, " p"],
-    corners: Int64[np.ndarray, " c"],
-    at: Int64[np.ndarray, " t"],
+    rows: tuple[_Rows, _Rows], polygons: tuple[np.ndarray, np.ndarray, np.ndarray], name: str, notes: list[Note]
 ) -> Float[np.ndarray, "t 2"]:
     """Return coordinates of the triangles' corners, v downward: the faces' own (MeshLab), else the vertices'."""
+    vertex, face = rows
+    sizes, corners, at = polygons
     lengths, values = face.lists.get("texcoord", (np.zeros(0), np.zeros(0)))
-    if len(lengths) == len(sizes) and (lengths == 2 * sizes).all() and np.isfinite(values).all():
-        uvs = values.astype(np.float64).reshape(-1, 2)[at]
+    if len(lengths) == len(sizes) and (lengths == 2 * sizes).all():
+        uvs = _finite(values.astype(np.float64).reshape(-1, 2), name, notes)[at]
     else:
-        vertex_uvs = next((uv for names in _UVS if (uv := _columns(vertex, names)) is not None), None)
+        stated = (_columns(vertex, names, name, notes) for names in _UVS)
+        vertex_uvs = next((uvs for uvs in stated if uvs is not None), None)
         if vertex_uvs is None:
             return np.zeros((len(at), 2))
         uvs = vertex_uvs[corners[at]]
@@ -367,21 +388,22 @@ def _largest(values: np.ndarray) -> float:
 
 
 def _corner_colours(
-    vertex: _Rows, face: _Rows, vertices: Int64[np.ndarray, " t"], polygons: Int64[np.ndarray, " t"]
+    elements: tuple[_Rows, _Rows], corners: tuple[np.ndarray, np.ndarray], name: str, notes: list[Note]
 ) -> Float[np.ndarray, "t 4"] | None:
     """Return linear colours of the triangles' corners: of their vertices, or of their faces where those of the vertices
     are missing or all alike (CAD); None without any."""
     colours: Float[np.ndarray, "t 4"] | None = None
-    for rows, which in ((vertex, vertices), (face, polygons)):
+    for rows, which in zip(elements, corners, strict=True):
         for names in _COLOURS:
-            encoded = _columns(rows, names)
+            encoded = _columns(rows, names, name, notes)
             if encoded is None or len(encoded) == 0:
                 continue
             largest = _largest(rows.scalars[names[0]])
             if largest != 1:
                 encoded = encoded / largest
-            elif encoded.max() > 1:
-                encoded = encoded / 255
+            else:
+                encoded, clipped = colours_in_range(encoded, name)
+                notes.extend(clipped)
             linear = srgb_to_linear(np.clip(encoded, 0, 1))
             colours = np.concatenate([linear, np.ones((len(linear), 1))], axis=1)[which]
             if (encoded != encoded[0]).any():

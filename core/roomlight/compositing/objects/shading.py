@@ -85,6 +85,15 @@ def joined_corners(
     return mesh, None if colours is None else kept[:, 8:]
 
 
+def colours_in_range(encoded: Float[np.ndarray, "n c"], name: str) -> tuple[Float[np.ndarray, "n c"], list[Note]]:
+    """Return colours of floats from 0 to 1: of 255 if one is above 2, else clipped, with a note."""
+    encoded = np.nan_to_num(encoded / 255 if encoded.max(initial=0) > 2 else encoded)
+    low, high = float(encoded.min(initial=0)), float(encoded.max(initial=0))
+    lost = f"{name}: vertex colours from {low:g} to {high:g}"
+    notes = [Note(lost, "clamped to 0 to 1", "nothing to do if it looks right")] if low < 0 or high > 1 else []
+    return np.clip(encoded, 0, 1), notes
+
+
 def with_vertex_colours(
     mesh: TriangleMesh, colours: Float32[np.ndarray, "n 4"], material: Material
 ) -> tuple[TriangleMesh, Material, bool]:

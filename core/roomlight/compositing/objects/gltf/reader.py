@@ -74,6 +74,7 @@ class _Arrays:
     uvs: Float32[np.ndarray, "n 2"] | None
     colours: Float32[np.ndarray, "n 4"] | None
     packed: dict[str, np.ndarray]
+    notes: list[Note]
 
 
 def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside) -> tuple[Parts, tuple[Note, ...]]:
@@ -214,7 +215,7 @@ class _PrimitiveReader:
         """Return a primitive as it stands in the scene, with its material. Raises ObjectError."""
         arrays = self._arrays(primitive, surface, label)
         points, normals = self._morphed(arrays, primitive, placed.weights, label)
-        transform, notes = placed.transform, list[Note]()
+        transform, notes = placed.transform, list(arrays.notes)
         skinned = placed.joints is not None and {"JOINTS_0", "WEIGHTS_0"} <= primitive.attributes.keys()
         if placed.joints is not None and not skinned:
             effect = "it stands where its node is"
@@ -269,13 +270,20 @@ class _PrimitiveReader:
                 return None
             return read(primitive.attributes[attribute], kind, count, f"{label}: {attribute}")
 
+        def finite(attribute: str, rows: Float32[np.ndarray, "n c"] | None) -> Float32[np.ndarray, "n c"] | None:
+            if rows is None or np.isfinite(rows).all():
+                return rows
+            effect = "normals and tangents are made from the faces, coordinates are 0"
+            notes.append(Note(f"{label}: values of {attribute} that are not finite numbers", effect, "export it anew"))
+            return np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, np.float32(0))
+
+        notes = list[Note]()
         points = values("POSITION", "VEC3")
         assert points is not None
-        normals, tangents = values("NORMAL", "VEC3"), values("TANGENT", "VEC4")
-        if normals is not None and not np.isfinite(normals).all():
-            raise ObjectError(f"{label}: a normal is not a finite number")
+        normals, tangents = finite("NORMAL", values("NORMAL", "VEC3")), values("TANGENT", "VEC4")
+        tangents = tangents if finite("TANGENT", tangents) is tangents else None
         normals = normals if normals is None or normals.any() else None  # none are stated
-        uvs = values(f"TEXCOORD_{surface.uv_set}", "VEC2")
+        uvs = finite(f"TEXCOORD_{surface.uv_set}", values(f"TEXCOORD_{surface.uv_set}", "VEC2"))
         if uvs is not None:
             uvs = (uvs @ surface.uv_transform[:, :2].T + surface.uv_transform[:, 2]).astype(np.float32)
         colours = values("COLOR_0", ("VEC3", "VEC4"))
@@ -285,7 +293,7 @@ class _PrimitiveReader:
         faces = packed["faces"].astype(np.int64) if packed is not None else self._faces(primitive, count, label)
         if len(faces) and int(faces.max()) >= count:
             raise ObjectError(f"{label}: an index points at vertex {int(faces.max())} of {count}")
-        self._decoded[key] = _Arrays(points, faces, normals, tangents, uvs, colours, packed or {})
+        self._decoded[key] = _Arrays(points, faces, normals, tangents, uvs, colours, packed or {}, notes)
         return self._decoded[key]
 
     def _faces(self, primitive: Primitive, count: int, label: str) -> Int64[np.ndarray, "f 3"]:
