@@ -161,3 +161,31 @@ def test_vertex_colours_beside_their_range_are_clipped(colour: tuple[float, ...]
         found = load_object(data, "ply" if data.startswith(b"ply") else "obj")
         assert found.parts[0][1].base_colour == pytest.approx((red, 0, 0))
         assert ["vertex colours from" in line for line in notes_of(found)] == [True] * note
+
+
+# Materials
+
+
+@pytest.mark.parametrize(("colours", "noted"), [(("1 1 1",) * 4, 0), (("1 0 0",) * 4, 1), (("1 0 0", "0 1 0") * 2, 1)])
+def test_vertex_colours_do_not_darken_a_texture(tmp_path: Path, colours: tuple[str, ...], noted: int) -> None:
+    (tmp_path / "red.png").write_bytes(png(RED))
+    path = quad_of(tmp_path, "newmtl m\nmap_Kd red.png\nnewmtl n\nmap_Kd red.png\n", names=("m", "n"))
+    rows = zip(QUAD.splitlines()[:4], colours, strict=True)
+    coloured = "".join(f"{row} {colour}\n" for row, colour in rows)
+    path.write_text(path.read_text().replace("".join(QUAD.splitlines(keepends=True)[:4]), coloured))
+    found = load_object(path)
+    assert [material.base_colour for _, material in found.parts] == [(1, 1, 1)] * 2
+    assert ["vertex colours" in note for note in notes_of(found)] == [True] * noted
+
+
+def test_missing_materials_are_noted_beside_other_notes(tmp_path: Path) -> None:
+    path = quad_of(tmp_path, "newmtl m\nmap_Bump a.png\n", names=("m", "lost"))
+    assert ["materials lost" in note for note in notes_of(load_object(path))] == [False, True]
+    (tmp_path / "a.mtl").unlink()
+    assert ["materials lost" in note for note in notes_of(load_object(path))] == [False]
+
+
+@pytest.mark.parametrize("line", ["d 0", "Tr 1.0"])
+def test_invisible_parts_are_noted(tmp_path: Path, line: str) -> None:
+    (note,) = notes_of(load_object(quad_of(tmp_path, f"newmtl m\n{line}\nnewmtl unused\nd 0\n")))
+    assert "of m: these parts are invisible" in note

@@ -49,7 +49,7 @@ class _Stated:
 
 
 class MtlReader:
-    """Reads one object's materials; textures are decoded once."""
+    """Reads one object's materials; textures are decoded once. `missing`: a library was not there."""
 
     def __init__(self, beside: FilesBeside, limits: ObjectLimits, name: str) -> None:
         self._beside, self._limits, self._name = beside, limits, name
@@ -57,6 +57,7 @@ class MtlReader:
         self._pictures: dict[str, UInt8[np.ndarray, "h w c"] | None] = {}
         self._left_out: set[str] = set()
         self.notes: list[Note] = []
+        self.missing = False
 
     def materials(self, library: str) -> dict[str, Material]:
         """Return a library's materials by name. One that is missing is noted; damage raises ObjectError."""
@@ -64,6 +65,7 @@ class MtlReader:
         try:
             data = self._beside.read(library, label)
         except ObjectError as error:
+            self.missing = True
             self.notes.append(Note(str(error), "the object is grey", "put it beside the object"))
             return {}
         stated = self._stated(plain_text(data))

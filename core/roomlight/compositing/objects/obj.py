@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int32, Int64
 
 from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.limits import NAN, ObjectLimits, plain_text, statement
-from roomlight.compositing.objects.materials import Material, diffuse
+from roomlight.compositing.objects.materials import TEXTURES, Material, diffuse
 from roomlight.compositing.objects.mtl import MtlReader
 from roomlight.compositing.objects.polygons import corner_normals, triangles_of
 from roomlight.compositing.objects.shading import (
@@ -102,6 +102,7 @@ def read_obj(
     colours = _colours(content, name)
     materials, notes = _materials(content, beside, limits, name)
     parts: list[tuple[TriangleMesh, Material]] = []
+    lost = Note(f"{name}: vertex colours beside a texture", "the texture alone is shown", "bake them into it")
     for number, chosen in _by_material(np.array(content.used, np.int64)[owner], bool(materials)):
         part = np.repeat(chosen, 3)
         tints = None if colours is None else colours[corners[at[part], 0]]
@@ -111,7 +112,9 @@ def read_obj(
             except ObjectError as error:
                 raise ObjectError(f"{name}: {error}") from error
         material = materials.get(number, diffuse() if kept is None else diffuse((1.0, 1.0, 1.0)))
-        if kept is not None:
+        if kept is not None and any(getattr(material, f"{key}_texture") is not None for key in TEXTURES):
+            notes = notes if (kept == 1).all() or lost in notes else (*notes, lost)
+        elif kept is not None:
             mesh, material, _ = with_vertex_colours(mesh, kept, material)
         parts.append((mesh, material))
     limits.check("parts", len(parts), name)
@@ -136,13 +139,18 @@ def _materials(
         for library in content.libraries:
             read |= reader.materials(library)
         notes.extend(reader.notes)
-    elif content.libraries:
+        unread = reader.missing
+    elif unread := bool(content.libraries):
         place = f"{name}: its materials in {content.libraries[0][:60]}"
         notes.append(Note(place, "the object is grey", "export as GLB, or state a material"))
     used = set(content.used)
     missing = sorted(key for key, number in content.materials.items() if key not in read and number in used)
-    if missing and not notes:
+    if missing and not unread:
         notes.append(Note(f"{name}: materials {', '.join(missing)[:60]}", "these parts are grey", "export as GLB"))
+    clear = [key for key, number in content.materials.items() if number in used and key in read]
+    if clear := sorted(key for key in clear if read[key].opacity == 0):
+        place = f"{name}: the opacity of 0 (d, Tr) of {', '.join(clear)[:60]}"
+        notes.append(Note(place, "these parts are invisible", "write d 1 if they are not"))
     notes.extend(content.notes)
     notes.extend(
         Note(f"{name}: {kind.decode()}", "they are missing", "export polygons, with materials as GLB")
