@@ -1,5 +1,6 @@
 """OBJ with MTL, and PLY, as programs write them: names, paths, numbers and colours that other readers take."""
 
+import os
 import time
 from pathlib import Path
 
@@ -189,3 +190,57 @@ def test_missing_materials_are_noted_beside_other_notes(tmp_path: Path) -> None:
 def test_invisible_parts_are_noted(tmp_path: Path, line: str) -> None:
     (note,) = notes_of(load_object(quad_of(tmp_path, f"newmtl m\n{line}\nnewmtl unused\nd 0\n")))
     assert "of m: these parts are invisible" in note
+
+
+# Files beside
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        "C:\\\\Users\\me\\01 red.png",
+        "/home/me/01 red.png",
+        "..\\textures\\01 red.png",
+        "-imfchan m -type sphere 01 red.png",
+        "-s 1 1 1 01 red.png",
+        "-clamp off -bm 0.5 01 red.png",
+        "01 red.png # of wood",
+        '-blendu on "01 red.png"',
+    ],
+)
+def test_textures_are_found_under_the_addresses_of_other_computers(tmp_path: Path, stated: str) -> None:
+    (tmp_path / "01 red.png").write_bytes(png(RED))
+    found = load_object(quad_of(tmp_path, f"newmtl m\nmap_Kd {stated}\n"))
+    assert found.parts[0][1].base_colour_texture is not None
+    says = "beside the object is read" if "me" in stated or ".." in stated else "-imfchan"
+    assert [says in note for note in notes_of(found)] == [True] * (says != "-imfchan" or says in stated)
+
+
+@pytest.mark.parametrize(
+    "stated", ['"a.mtl"', "C:\\me\\a.mtl", "a.mtl b.mtl", "b.mtl a.mtl", "a.mtl # made", "../a.mtl"]
+)
+def test_libraries_are_found_as_programs_name_them(tmp_path: Path, stated: str) -> None:
+    path = quad_of(tmp_path, "newmtl m\nKd 1 0 0\n")
+    (tmp_path / "b.mtl").write_text("newmtl n\nKd 0 0 1\n")
+    path.write_text(path.read_text().replace("mtllib a.mtl", f"mtllib {stated}"))
+    found = load_object(path)
+    assert found.parts[0][1].base_colour == (1, 0, 0)
+    assert ["beside the object is read" in note for note in notes_of(found)] == [True] * (
+        "me" in stated or ".." in stated
+    )
+
+
+@pytest.mark.parametrize("stored", ["\u7ea2.png", b"\xba\xec.png"], ids=["as UTF-8", "as bytes"])
+def test_a_texture_is_found_under_a_name_of_another_code_page(tmp_path: Path, stored: str | bytes) -> None:
+    target = os.path.join(os.fsencode(tmp_path), os.fsencode(stored))  # noqa: PTH118  (bytes)
+    with open(target, "wb") as file:  # noqa: PTH123
+        file.write(png(RED))
+    path = quad_of(tmp_path, "newmtl m\nmap_Kd \u7ea2.png\n", code="gbk")
+    assert material_of(path).base_colour_texture is not None
+
+
+def test_libraries_on_a_line_are_limited(tmp_path: Path) -> None:
+    path = quad_of(tmp_path, "newmtl m\n")
+    path.write_text(path.read_text().replace("mtllib a.mtl", "mtllib a.mtl" + " b" * 300))
+    with pytest.raises(ObjectError, match="materials are limited to 256"):
+        load_object(path)

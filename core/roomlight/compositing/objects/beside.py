@@ -1,10 +1,18 @@
 """Files that an object's file names: glTF's buffers and images, OBJ's materials and their textures."""
 
+import contextlib
+import os
+import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.errors import FrameError, ObjectError
 from roomlight.files import FolderSource
+
+_CODE_PAGES: Final = ("gb18030", "cp932", "big5", "cp949", "cp1251")
+"""That names of files may be in, beside UTF-8 and Latin-1."""
 
 
 class FilesBeside:
@@ -25,6 +33,21 @@ class FilesBeside:
     def exists(self) -> bool:
         """Whether there is a folder to read from."""
         return self._source is not None
+
+    def near(self, stated: str) -> str | None:
+        """Return the name under which a file that another computer names lies here, None if it does not.
+
+        Args:
+            stated: Its name, text that is not UTF-8 as Latin-1; or its address there, of which the last part counts; a
+                comment may follow.
+        """
+        if self._source is None:
+            return None
+        for name in _spellings(stated):
+            with contextlib.suppress(FrameError):
+                self._source.path(name, max_bytes=None)
+                return name
+        return None
 
     def read(self, uri: str, label: str) -> bytes:
         """Return a file's content.
@@ -47,3 +70,17 @@ class FilesBeside:
             return path.read_bytes()
         except (FrameError, OSError) as error:
             raise ObjectError(f"{label}: {error}; put it into the object's folder, or export as GLB") from error
+
+
+def _spellings(stated: str) -> Iterator[str]:
+    """Yield what a name may be here: as it stands, its last part alone, both in other code pages and uncommented."""
+    for name in dict.fromkeys((stated, stated.partition(" #")[0].strip())):
+        names = [name]
+        with contextlib.suppress(UnicodeEncodeError):
+            raw = b"" if name.isascii() else name.encode("latin-1")
+            names.append(os.fsdecode(raw))
+            for page in _CODE_PAGES:
+                with contextlib.suppress(UnicodeDecodeError):
+                    names.append(raw.decode(page))
+        yield from names
+        yield from (re.split(r"[/\\]", name)[-1] for name in names)

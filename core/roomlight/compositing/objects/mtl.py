@@ -37,6 +37,14 @@ _MOVED: Final = re.compile(
 )
 """Options of a texture that change something: a scale other than 1, an offset other than 0."""
 
+_NUMBER: Final = r"\s+[-+]?[\d.,]+(?:e[-+]?\d+)?(?=\s)"
+_OPTION: Final = re.compile(
+    rf"-(?:(?:imfchan|type|colorspace)\s+\S+|mm(?:{_NUMBER}){{0,2}}|[ost](?:{_NUMBER}){{0,3}}"
+    rf"|\w+(?:\s+(?:on|off)(?=\s)|{_NUMBER})?)\s+(?=\S)",
+    re.IGNORECASE,
+)
+"""An option of a texture with its own values; what follows may begin with a number too."""
+_UNREAD: Final = re.compile(r"(?:^| )-(?:imfchan|type|colorspace(?! +srgb)) ", re.IGNORECASE)
 _GAIN: Final = re.compile(r"(?:^| )-mm +(?!0(?:\.0*)? +1(?:\.0*)?(?: |$))")
 
 
@@ -63,7 +71,7 @@ class MtlReader:
         """Return a library's materials by name. One that is missing is noted; damage raises ObjectError."""
         label = f"{self._name}: its materials in {library[:60]}"
         try:
-            data = self._beside.read(library, label)
+            data = self._read(library, label)
         except ObjectError as error:
             self.missing = True
             self.notes.append(Note(str(error), "the object is grey", "put it beside the object"))
@@ -75,6 +83,17 @@ class MtlReader:
             Note(f"{label}: {kind}", "it is missing", "export as GLB if it matters") for kind in sorted(self._left_out)
         )
         return materials
+
+    def _read(self, stated: str, label: str) -> bytes:
+        """Return the content of a file that lies here under its name, or under the last part of its address."""
+        name = self._beside.near(stated) or stated
+        if re.search(r"[/\\]", stated) and not re.search(r"[/\\]", name):
+            left_out, effect = (
+                f"{label}: its address {stated[:60]!r}",
+                "the file of this name beside the object is read",
+            )
+            self.notes.append(Note(left_out, effect, "nothing to do if it is that"))
+        return self._beside.read(name, label)
 
     def _stated(self, text: bytes) -> dict[str, _Stated]:
         materials: dict[str, _Stated] = {}
@@ -93,10 +112,14 @@ class MtlReader:
                 else:
                     self._left_out.add(f"the line {raw.strip()[:60].decode('utf-8', 'replace')!r}")
             elif key in _PICTURES:
+                rest = rest.replace("\t", " ")
                 current.pictures[key] = file_of_map(rest)
-                if _MOVED.search(rest):
+                options = rest[: rest.rfind(current.pictures[key])]
+                if _MOVED.search(options):
                     self._left_out.add("scale, offset and clamping of textures (-s, -o, -clamp)")
-                if _GAIN.search(rest):
+                if _UNREAD.search(options):
+                    self._left_out.add("channel, kind and colour space of textures (-imfchan, -type, -colorspace)")
+                if _GAIN.search(options):
                     self._left_out.add("brightness and contrast of textures (-mm)")
             elif key in _LEFT_OUT:
                 self._left_out.add(_LEFT_OUT[key])
@@ -156,7 +179,7 @@ class MtlReader:
             self._limits.check("images", len(self._pictures) + 1, self._name)
             self._pictures[name], advice = None, "put it beside the object"
             try:
-                data = self._beside.read(name, where)
+                data = self._read(name, where)
                 advice = "save it as PNG"
                 self._pictures[name] = self._decoded(data, where, name.lower())
             except ObjectError as error:
@@ -177,12 +200,10 @@ class MtlReader:
 
 def file_of_map(rest: str) -> str:
     """Return the file of a map line: options such as `-s 1 1 1` may precede it, and it may hold spaces."""
-    words = rest.split(" ")
-    while len(words) > 1 and words[0].startswith("-"):
-        words = words[1:]
-        while len(words) > 1 and (words[0] in ("on", "off", "") or _finite(words[:1])):
-            words = words[1:]
-    return " ".join(words).strip('"')
+    start = 0
+    while option := _OPTION.match(rest, start):
+        start = option.end()
+    return rest[start:].strip('"')
 
 
 def _finite(words: list[str]) -> tuple[float, ...]:

@@ -137,7 +137,10 @@ def _materials(
     reader, read, notes = MtlReader(beside, limits, name), dict[str, Material](), list[Note]()
     if beside.exists:
         for library in content.libraries:
-            read |= reader.materials(library)
+            pieces = library.split() if beside.near(library) is None else []
+            limits.check("materials", len(pieces), name)
+            for piece in pieces if any(map(beside.near, pieces)) else [library]:
+                read |= reader.materials(piece)
         notes.extend(reader.notes)
         unread = reader.missing
     elif unread := bool(content.libraries):
@@ -176,7 +179,7 @@ def _content(data: bytes, name: str, limits: ObjectLimits) -> _Content:
             group = int(words[1]) if len(words) > 1 and words[1].isdigit() and len(words[1]) < 9 else 0
             content.states_groups = True
         elif keyword == b"mtllib" and (library := statement(raw)[1]):
-            content.libraries.append(library)
+            content.libraries.append(library.strip('"'))
             limits.check("materials", len(content.libraries), name)
         elif keyword == b"usemtl":
             material = content.materials.setdefault(statement(raw)[1], len(content.materials))
