@@ -134,8 +134,8 @@ def test_numbers_of_a_ply_that_are_not_finite_are_not_stated(odd: str, extra: st
 @pytest.mark.parametrize(("key", "kind"), [("NORMAL", "VEC3"), ("TEXCOORD_0", "VEC2"), ("TANGENT", "VEC4")])
 def test_numbers_of_a_gltf_that_are_not_finite_are_not_stated(key: str, kind: str) -> None:
     file = GltfFile()
-    normals = {"normals": [[0, 0, 1]] * 4} if key == "TANGENT" else {}
-    file.node(mesh=file.mesh(CORNERS, QUAD_FACES, **normals))
+    normals = [[0, 0, 1]] * 4 if key == "TANGENT" else None
+    file.node(mesh=file.mesh(CORNERS, QUAD_FACES, normals=normals))
     values = np.array([[0, 0, 1, 1][: int(kind[-1])]] * 4, np.float32)
     values[1, 0] = np.nan
     file.attribute(key, values, kind)
@@ -212,7 +212,7 @@ def test_textures_are_found_under_the_addresses_of_other_computers(tmp_path: Pat
     (tmp_path / "01 red.png").write_bytes(png(RED))
     found = load_object(quad_of(tmp_path, f"newmtl m\nmap_Kd {stated}\n"))
     assert found.parts[0][1].base_colour_texture is not None
-    says = "beside the object is read" if "me" in stated or ".." in stated else "-imfchan"
+    says = "beside it is read" if "me" in stated or ".." in stated else "-imfchan"
     assert [says in note for note in notes_of(found)] == [True] * (says != "-imfchan" or says in stated)
 
 
@@ -225,9 +225,7 @@ def test_libraries_are_found_as_programs_name_them(tmp_path: Path, stated: str) 
     path.write_text(path.read_text().replace("mtllib a.mtl", f"mtllib {stated}"))
     found = load_object(path)
     assert found.parts[0][1].base_colour == (1, 0, 0)
-    assert ["beside the object is read" in note for note in notes_of(found)] == [True] * (
-        "me" in stated or ".." in stated
-    )
+    assert ["beside it is read" in note for note in notes_of(found)] == [True] * ("me" in stated or ".." in stated)
 
 
 @pytest.mark.parametrize("stored", ["\u7ea2.png", b"\xba\xec.png"], ids=["as UTF-8", "as bytes"])

@@ -90,7 +90,7 @@ class MtlReader:
         if re.search(r"[/\\]", stated) and not re.search(r"[/\\]", name):
             left_out, effect = (
                 f"{label}: its address {stated[:60]!r}",
-                "the file of this name beside the object is read",
+                "the file of this name beside it is read",
             )
             self.notes.append(Note(left_out, effect, "nothing to do if it is that"))
         return self._beside.read(name, label)

@@ -316,7 +316,7 @@ def _object(
         raise ObjectError(
             f"{name}: faces point at vertices {corners.min()} to {corners.max()}, there are {len(points)}"
         )
-    odd = ~np.isfinite(points).all(axis=1)
+    odd = np.asarray(~np.isfinite(points).all(axis=1))
     if odd[corners].any():
         number = int(corners[odd[corners]][0])
         raise ObjectError(f"{name}: vertex {number} is {points[number].tolist()}: a face needs finite numbers")

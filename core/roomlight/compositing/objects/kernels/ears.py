@@ -1,12 +1,14 @@
 # pyright: reportMissingParameterType=false
 """Ears of polygons: corners whose triangle holds no other corner."""
 
+from typing import Any
+
 from numba import njit
 
 from roomlight.kernels.common import JIT, KERNEL
 
-_EXACT = KERNEL | {"fastmath": False}
-_INLINED = JIT | {"fastmath": False}
+_EXACT: dict[str, Any] = KERNEL | {"fastmath": False}
+_INLINED: dict[str, Any] = JIT | {"fastmath": False}
 
 
 @njit(**_INLINED)
