@@ -241,7 +241,6 @@ def test_a_multipart_frame_needs_no_depth(server):
     assert (answer.kind, answer.json["field"], answer.json["value"]) == ("bad-frame", "depth", "no such part")
     del header["depth"]
     body, headers = multipart({"header": json.dumps(header).encode(), "colour": parts["colour"]})
-    headers["Content-Type"] = headers["Content-Type"].replace("multipart/form-data", "Multipart/Form-Data")
     answer = server.push(0, body, name="curl-flat", headers=headers)
     assert (answer.json["status"], answer.json["depth_estimated"]) == ("processed", True)
 
