@@ -78,10 +78,10 @@ class BodyMiddleware:
             labels.observe(time.perf_counter() - start_s)
 
     def _limited(self, scope: Scope, receive: Receive, limit: int) -> Receive:
-        declared = Headers(scope=scope).get("content-length", "")
+        headers = Headers(scope=scope)
+        declared, encoding = headers.get("content-length", ""), headers.get("content-encoding", "").strip().lower()
         # Python converts at most 4,300 digits to an integer
         too_long = declared.isdecimal() and (len(declared) > _MAX_LENGTH_DIGITS or int(declared) > limit)
-        encoding = Headers(scope=scope).get("content-encoding", "").strip().lower()
         received, names, done = 0, 0, False
         deadline = time.monotonic() + self._timeout_s
 

@@ -1,10 +1,11 @@
-"""7-Scenes: `frame-XXXXXX.color.png|jpg`, `.depth.png|pgm`, `.pose.txt`, optionally `camera-intrinsics.txt`.
+"""7-Scenes: `frame-XXXXXX.color.png|jpg`, `.depth.png`, `.pose.txt`, optionally `camera-intrinsics.txt`.
 
 Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera's or another fit's. Up is
 the opposite of `gravity-direction.txt` (three numbers); without that file the world is assumed to be an upright
 OpenCV camera's, up = -y. Depth is uint16 millimetres, 0 and 65535 unknown. K is used unchanged, with pixel centres at
 half integers: the data set's default of 585, 585, 320, 240 for 640 x 480 puts the principal point at the centre of the
 image; it is scaled to images of that aspect, and none other. A K of a file has no size and must fit the image.
+A `.depth.pgm`, as 3RScan has it, is refused and not taken for missing depth.
 """
 
 import re
