@@ -113,6 +113,7 @@ class Session:
         self._next_handle = 0
         self.frames = 0
         self._last_index = NO_FRAME
+        self._last_number = NO_FRAME  # of the last frame, among those that are kept
 
     @property
     def model(self) -> str:
@@ -146,9 +147,10 @@ class Session:
 
     @property
     def meshes(self) -> list[tuple[int, FrameMesh]]:
-        """Frame index and mesh of every keyframe in order of time, then of the last frame if it is no keyframe.
+        """Number and mesh of every keyframe in order of time, then of the last frame if it is no keyframe.
 
-        They are of the room that the camera is in.
+        They are of the room that the camera is in. A number is the frame's index; where indices begin again, as in a
+        second recording, the number of the frame before and 1.
         """
         return [] if self._room is None else [(index, mesh.passing()) for index, mesh in self._room.meshes]
 
@@ -220,14 +222,15 @@ class Session:
         with clock.stage("mesh"):
             mesh = prepared.mesh()
             mesh.gain = drift.gain
+        number = max(frame.index, self._last_number + 1)  # a second recording may begin at 0 again
         with clock.stage("keyframes"):
-            is_keyframe = room.keep(frame.index, mesh)
+            is_keyframe = room.keep(number, mesh)
         for handle, position in self._pending.items():
             self._probes[handle] = Probe.fresh(position, room, height=options.height)
         self._pending.clear()
         self._push_to_probes(mesh, clock)
         mesh.forget()
-        self._last_index, self._drift = frame.index, drift
+        self._last_index, self._last_number, self._drift = frame.index, number, drift
         self.frames += 1
         coverage = tuple(probe.panorama.coverage() for probe in self._probes.values())
         return FrameReport(frame.index, clock.stage_ms, is_keyframe, coverage)
@@ -433,6 +436,7 @@ class Session:
     def _restore(self, snapshot: SessionSnapshot) -> None:
         self.frames, self._last_index, self._next_handle = snapshot.frames, snapshot.last_index, snapshot.next_handle
         self._pending = dict(snapshot.pending)
+        self._last_number = max([snapshot.last_index, *(frame.index for frame in snapshot.kept)])
         if snapshot.grid is None:
             return
         room = self._room = self._new_room(snapshot.grid)

@@ -126,6 +126,19 @@ def test_every_rule_for_unknown_depth_is_restored(unknown_depth):
     assert _bits(loaded) == _bits(whole)
 
 
+def test_a_second_recording_that_begins_at_frame_0_keeps_the_first_ones_frames():
+    whole = Session(CLASSICAL)
+    second = [dataclasses.replace(FRAMES[4 + index], index=index) for index in range(3)]
+    _run(whole, [*FRAMES[:3], *second])
+    kept = [one.index for one in whole.snapshot().kept]
+    assert len(set(kept)) == len(kept) >= 4
+    loaded = Session.from_snapshot(saved_session(pack_records(records_of_snapshot(whole.snapshot())), "room").snapshot())
+    assert _bits(loaded) == _bits(whole)
+    again = [dataclasses.replace(FRAMES[8], index=0), dataclasses.replace(FRAMES[10], index=1)]
+    assert _run(loaded, again) == _run(whole, again)
+    assert _bits(loaded) == _bits(whole)
+
+
 def test_another_image_for_a_kept_frame_is_refused(saved):
     file = pack_records(records_of_snapshot(saved[0].snapshot(), elsewhere=range(99)))
     found = saved_session(file, "room.state")
