@@ -63,7 +63,7 @@ class Probe:
         meshes = distinct([mesh for _, mesh in room.meshes])
         groups = [meshes[n * len(meshes) // _GROUPS : (n + 1) * len(meshes) // _GROUPS] for n in range(_GROUPS)]
         cameras = np.array([mesh.camera_to_world[:3, 3] for _, mesh in room.meshes])
-        at_once = max(1, min(2 * thread_count(), _PIXELS_AT_ONCE // (2 * height**2)))
+        at_once = max(1, min(4 * thread_count(), _PIXELS_AT_ONCE // (2 * height**2)))
         for start in range(0, len(positions), at_once):
             probes = [cls.fresh(position, room, height=height) for position in positions[start : start + at_once]]
             cls._show(probes, groups, cameras)

@@ -1,7 +1,7 @@
 """A canvas for pictures of results: tone-mapped panoramas, spheres, lines and labels on dark grey.
 
-Tone mapping: radiance x 2^exposure_ev, clipped to [0, 1], sRGB-encoded. Frames are encoded the same way, so a panorama
-at exposure 0 looks as the room does in them. Positions are (column, row) from the top left, in pixels. Text is set in
+Tone mapping: radiance clipped to [0, 1], sRGB-encoded. Frames are encoded the same way, so a panorama looks as the room
+does in them. Positions are (column, row) from the top left, in pixels. Text is set in
 Inter (data/fonts, SIL Open Font License).
 """
 
@@ -45,24 +45,16 @@ _SUBPIXEL_BITS: Final = 4
 class Canvas:
     """An sRGB-encoded picture [height, width, 3]; sizes are rounded up to even numbers, which video needs."""
 
-    def __init__(self, width: int, height: int, *, exposure_ev: float = 0.0) -> None:
+    def __init__(self, width: int, height: int) -> None:
         self._pixels = np.full((height + height % 2, width + width % 2, 3), BACKGROUND, np.float32)
-        self._gain = np.float32(2.0**exposure_ev)
 
     @property
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
         """The picture as 8-bit sRGB."""
         return np.rint(self._pixels * 255).astype(np.uint8)
 
-    def picture(
-        self,
-        at: tuple[int, int],
-        image: Float[np.ndarray, "h w 3"],
-        *,
-        size: tuple[int, int],
-        exposed: bool = True,
-    ) -> None:
-        """Draw a linear picture resampled to `size` (columns, rows); `exposed=False` leaves the exposure out.
+    def picture(self, at: tuple[int, int], image: Float[np.ndarray, "h w 3"], *, size: tuple[int, int]) -> None:
+        """Draw a linear picture resampled to `size` (columns, rows).
 
         Raises:
             ValueError: It does not fit the canvas.
@@ -70,9 +62,7 @@ class Canvas:
         width, height = size
         if image.shape[:2] != (height, width):
             # clipped before it is shrunk: one lamp pixel must not whiten all of its neighbours
-            image = _resampled(np.clip(image * (self._gain if exposed else 1), 0, 1).astype(np.float32), size)
-        elif exposed:
-            image = image * self._gain
+            image = _resampled(np.clip(image, 0, 1).astype(np.float32), size)
         self._part(at, size)[:] = linear_to_srgb(image.astype(np.float32))
 
     def sphere(
@@ -88,7 +78,7 @@ class Canvas:
             ValueError: It does not fit the canvas.
         """
         part = self._part(at, (spheres.size, spheres.size))
-        lit = linear_to_srgb(spheres.render(panorama, material) * self._gain)
+        lit = linear_to_srgb(spheres.render(panorama, material))
         share = spheres.coverage[..., None]
         part[:] = share * lit + (1 - share) * part
 

@@ -132,7 +132,8 @@ def test_a_second_recording_that_begins_at_frame_0_keeps_the_first_ones_frames()
     _run(whole, [*FRAMES[:3], *second])
     kept = [one.index for one in whole.snapshot().kept]
     assert len(set(kept)) == len(kept) >= 4
-    loaded = Session.from_snapshot(saved_session(pack_records(records_of_snapshot(whole.snapshot())), "room").snapshot())
+    file = pack_records(records_of_snapshot(whole.snapshot()))
+    loaded = Session.from_snapshot(saved_session(file, "room").snapshot())
     assert _bits(loaded) == _bits(whole)
     again = [dataclasses.replace(FRAMES[8], index=0), dataclasses.replace(FRAMES[10], index=1)]
     assert _run(loaded, again) == _run(whole, again)

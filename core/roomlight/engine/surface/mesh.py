@@ -38,7 +38,7 @@ _EVERY: Final = 2
 _SAME_RATIO: Final = 0.02
 _SAME_M: Final = 0.03
 """Two meshes show one surface if they are less than 3 cm and 2 % of the depth apart."""
-MAX_VERTICES = 160 * 120
+MAX_VERTICES: Final = 160 * 120
 """Most vertices of a mesh. Against the 153,000 triangles of all pixels the mask of a 120 x 240 panorama is wrong in
 2.4 % of its pixels; a mesh of 107 x 80 would be wrong in 4.7 %."""
 
@@ -139,7 +139,6 @@ class FrameMesh:
         *,
         sensor_depth_m: Float[np.ndarray, "dh dw"] | None = None,
         sensor_clipped: Bool[np.ndarray, "h w"] | None = None,
-        max_vertices: int = MAX_VERTICES,
     ) -> None:
         """Triangulate. A frame without depth has no triangle, and is seen from nowhere.
 
@@ -149,7 +148,7 @@ class FrameMesh:
         """
         sensor_depth_m = frame.depth_m if sensor_depth_m is None else sensor_depth_m
         clipped = frame.clipped if sensor_clipped is None else sensor_clipped
-        grid = MeshGrid.of(frame.depth_m, sensor_depth_m, max_vertices)
+        grid = MeshGrid.of(frame.depth_m, sensor_depth_m, MAX_VERTICES)
         self._take(Texture.of(frame), frame.intrinsics, frame.camera_to_world, grid)
         self.sensor_clipped = clipped if clipped.any() else None
         self._made = self._triangulated()
