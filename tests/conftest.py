@@ -66,6 +66,15 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files whose tests state a time limit of their own: a long one at the end would run alone."""
+    limits: dict[Path, float] = {}
+    for item in items:
+        mark = item.get_closest_marker("timeout")
+        limits[item.path] = max(limits.get(item.path, 0.0), float(mark.args[0]) if mark else 0.0)
+    items.sort(key=lambda item: -limits[item.path])
+
+
 @given(none())
 def _nothing(_: None) -> None:
     """Let Hypothesis register its random numbers, whose holders it does not find once they are frozen."""

@@ -2,7 +2,7 @@
 
 import { RoomLightError, type Light, type Lights, type Position, type Session, type Stream, type StreamStatus } from "roomlight";
 import type { History } from "./lib/answers";
-import { sessionPath, type Api } from "./lib/api";
+import { isAway, sessionPath, type Api } from "./lib/api";
 import { FORMS, probeLight } from "./lib/light_data";
 import { latestOnly } from "./lib/signal";
 import type { ProbeLight, State } from "./state";
@@ -246,6 +246,13 @@ export class LiveSession {
     }
   }
 
+  /** Show the state of the stream, after the server was not reachable otherwise. */
+  showConnection(): void {
+    if (this.stream) {
+      this.showStatus(this.stream.status);
+    }
+  }
+
   private showStatus({ state, delay_s }: StreamStatus): void {
     if (this.closed) {
       return;
@@ -275,7 +282,7 @@ export class LiveSession {
     try {
       await work();
     } catch (error) {
-      const isExpected = error instanceof RoomLightError && (error.status === 0 || error.status === 404);
+      const isExpected = error instanceof RoomLightError && (isAway(error) || error.status === 404);
       if (!this.closed && !isExpected) {
         this.report(error);
       }

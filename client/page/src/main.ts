@@ -1,7 +1,7 @@
 // The live page: lists the sessions, joins the selected one, and connects the panels.
 
 import { RoomLightError, type Position } from "roomlight";
-import { Api } from "./lib/api";
+import { Api, isAway } from "./lib/api";
 import { LiveSession } from "./live";
 import type { SessionSummary } from "./lib/answers";
 import { PlacedObjects } from "./objects";
@@ -25,15 +25,16 @@ const POLL_MS = 2000;
 const PROBE_ABOVE_M = 0.15; // distance of a new probe from the surface that was clicked
 
 const api = new Api();
+const wanted = new URLSearchParams(location.hash.slice(1)); // before `showAddress` writes it
 const state = new State();
 let live: LiveSession | null = null;
 
-const objects = new PlacedObjects(state, () => live?.session ?? null, reportError);
+const objects = new PlacedObjects(state, () => live?.session ?? null, (file) => api.uploadGlb(file), reportError);
 const shared = new SharedScene(api, state, objects, reportError);
 
 sessionsPanel(state, { onDelete: (id) => void removeSession(id), onRename: (session) => void renameSession(session) });
 dialogs(api);
-const cancelUploads = uploadsPanel(api, (session) => (state.selected.value = session), (session) => void discard(session));
+const uploads = uploadsPanel(api, (session) => (state.selected.value = session), (session) => void discard(session));
 cameraPanel(api, state, objects);
 timelinePanel(api, state);
 processingPanel(state);
@@ -58,9 +59,9 @@ state.selected.watch((id) => {
   showAddress();
 });
 state.selectedProbe.watch(showAddress);
-const wanted = new URLSearchParams(location.hash.slice(1));
 state.selected.value = wanted.get("session");
 state.wantedProbe = wanted.get("probe");
+addEventListener("hashchange", () => location.reload()); // another address was given to this tab
 void poll();
 // A page with a connection is not kept for the Back button.
 addEventListener("pagehide", () => live?.close());
@@ -84,7 +85,7 @@ async function removeSession(id: string): Promise<void> {
     return;
   }
   try {
-    cancelUploads(id);
+    uploads.cancelOf(id);
     await api.deleteSession(id);
     if (state.selected.value === id) {
       state.selected.value = null;
@@ -180,17 +181,21 @@ async function poll(): Promise<void> {
 async function readSessions(): Promise<void> {
   try {
     const { sessions } = await api.sessions();
+    if (state.sessions.value === null) {
+      uploads.resume().catch(reportError);
+    }
     state.sessions.value = sessions;
     shared.read();
     if (state.selected.value === null || state.ended.value !== null) {
       state.connection.value = { state: "live", text: "Connected" };
     }
+    live?.showConnection();
     follow(sessions);
   } catch (error) {
     if (error instanceof RoomLightError && error.status === 401) {
       return askForToken(api);
     }
-    if (error instanceof RoomLightError && error.status === 0) {
+    if (error instanceof RoomLightError && isAway(error)) {
       state.connection.value = { state: "disconnected", text: "Server not reachable" };
       return;
     }

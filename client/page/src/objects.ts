@@ -51,21 +51,26 @@ export class PlacedObjects {
   readonly selected = new Signal<string | null>(null);
   quality: Quality = "preview";
   private cleared = 0;
+  /** Files that the server no longer has, nor this page. */
+  private readonly lost = new Set<string | undefined>();
   private past: (readonly PlacedObject[])[] = [];
   private undone: (readonly PlacedObject[])[] = [];
 
   constructor(
     private readonly state: State,
     private readonly session: () => Session | null,
+    private readonly upload: (file: Blob) => Promise<unknown>,
     private readonly report: (error: unknown) => void,
   ) {}
 
   add(object: Omit<PlacedObject, "name" | "pose">): void {
+    const kind = object.file ? plainName(object.file.name) : object.shape;
     let number = 1;
-    while (this.list.value.some(({ name }) => name === `${object.shape}-${number}`)) {
+    while (this.list.value.some(({ name }) => name === `${kind}-${number}`)) {
       number++;
     }
-    this.change([...this.list.value, { ...object, name: `${object.shape}-${number}`, pose: null }]);
+    this.lost.delete(object.file?.id);
+    this.change([...this.list.value, { ...object, name: `${kind}-${number}`, pose: null }]);
   }
 
   /** Show what others have placed. */
@@ -170,7 +175,7 @@ export class PlacedObjects {
 
   private async render(): Promise<void> {
     const session = this.session();
-    const shown = this.list.value.filter((object) => isInView(object, this.state.camera.value));
+    const shown = this.list.value.filter((object) => !this.lost.has(object.file?.id) && isInView(object, this.state.camera.value));
     if (!session || shown.length === 0) {
       return this.showComposite(null);
     }
@@ -190,15 +195,18 @@ export class PlacedObjects {
       this.showComposite({ blob: data, frame });
     } catch (error) {
       if (cleared === this.cleared) {
-        this.refused(error);
+        await this.refused(error);
       }
     } finally {
       this.busy.value = false;
     }
   }
 
-  /** Take back an object that the server cannot place there. */
-  private refused(error: unknown): void {
+  /** Take back an object that the server cannot place there; send a file again that it has no more. */
+  private async refused(error: unknown): Promise<void> {
+    if (error instanceof RoomLightError && error.kind === "object-not-found") {
+      return this.restoreFile(error);
+    }
     if (error instanceof RoomLightError && error.kind === "composite-running") {
       return this.update(); // one that this page or another one asked for
     }
@@ -218,9 +226,29 @@ export class PlacedObjects {
     this.report(error);
   }
 
+  private async restoreFile({ value }: RoomLightError): Promise<void> {
+    const { name, file } = this.list.value.find(({ file }) => file?.id === value) ?? {};
+    try {
+      if (!file?.data) {
+        throw new Error(`The server no longer has the file of ${name}, which is not shown: choose the file again and place it.`);
+      }
+      await this.upload(file.data);
+    } catch (error) {
+      this.lost.add(String(value));
+      this.report(error);
+    }
+    this.update();
+  }
+
   private showComposite(picture: Picture | null): void {
     this.composite.value = picture;
   }
+}
+
+/** The name of a file without its ending, in letters that an object's name may have. */
+function plainName(file: string): string {
+  const plain = file.replace(/\.\w+$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^-+|-+$/g, "");
+  return plain.slice(0, 40) || "file";
 }
 
 /** Half the width, bottom and top of a shape about its origin, relative to its size. */

@@ -20,7 +20,7 @@ export interface Upload {
 }
 
 const PIECE_BYTES = 4 * 2 ** 20;
-const PIECE_ATTEMPTS = 4;
+const PIECE_ATTEMPTS = 10; // within 20 s
 const PARALLEL_FILES = 4;
 const POLL_MS = 500;
 const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/;
@@ -47,6 +47,14 @@ export class RecordingUpload {
     return new RecordingUpload(api, "Sample room", [], true);
   }
 
+  /** One that is on the server already, such as one of this page before it was loaded again. */
+  static of(api: Api, recording: Recording): RecordingUpload {
+    const upload = new RecordingUpload(api, recording.name, []);
+    const error = recording.problem ? RoomLightError.fromProblem(recording.problem).message : null;
+    upload.show({ bytes: recording.bytes, sent: recording.received, recording, error });
+    return upload;
+  }
+
   get isDone(): boolean {
     const { recording, error } = this.state.value;
     return error !== null || recording?.status === "finished" || recording?.status === "failed";
@@ -70,6 +78,14 @@ export class RecordingUpload {
       if (!this.stopped.signal.aborted) {
         this.show({ error: error instanceof Error ? error.message : String(error) });
       }
+    }
+  }
+
+  /** Follow it to its end if it is played; other requests would only keep it on the server. */
+  async watch(): Promise<void> {
+    const { recording } = this.state.value;
+    if (recording?.status === "playing") {
+      await this.follow(recording.id).catch((error: Error) => this.show({ error: error.message }));
     }
   }
 

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { after, before, beforeEach, test } from "node:test";
-import { control, difference, launch, openPage, pixelsOf, waitForChange, waitForFrame, waitForLight, waitForState } from "./support.mjs";
+import { control, difference, launch, openPage, PAGE_URL, pixelsOf, waitForChange, waitForFrame, waitForLight, waitForState } from "./support.mjs";
 
 let browser, page, errors;
 
@@ -138,7 +138,53 @@ test("a session is renamed, and its address is shared", async () => {
   await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
   await page.click("#share");
   await page.waitForSelector(".notice.calm");
-  assert.match(await page.evaluate(() => navigator.clipboard.readText()), /#session=room&probe=probe-1$/);
+  const address = await page.evaluate(() => navigator.clipboard.readText());
+  assert.match(address, /#session=room&probe=probe-1$/);
+
+  await control("push", { session: "newer", count: 2 }); // the list begins with it
+  await page.waitForSelector('[data-session="newer"]');
+  const { page: other } = await openPage(browser, { url: address });
+  await waitForLight(other);
+  assert.equal(await other.title(), "room · RoomLight");
+  assert.equal(other.url(), address);
+  await other.evaluate(() => (location.hash = "#session=newer"));
+  await other.waitForFunction(() => document.title === "newer · RoomLight");
+  await other.close();
+  const { page: lost } = await openPage(browser, { url: address.replace("room", "no-such") });
+  await lost.waitForSelector("#ended:not([hidden])");
+  await lost.close();
+  await page.evaluate(() => fetch("v1/sessions/newer", { method: "DELETE" }));
+});
+
+test("a finger drags an object, and a size has limits", async () => {
+  const context = await browser.newContext({ viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true });
+  const phone = await context.newPage();
+  await phone.goto(PAGE_URL);
+  await waitForLight(phone);
+  const before = await pixelsOf(phone, "#picture-image");
+  await phone.fill("#object-size", "400");
+  await phone.press("#object-size", "Tab");
+  assert.equal(await phone.inputValue("#object-size"), "300");
+  await phone.fill("#object-size", "20");
+  await phone.locator("#picture-button").scrollIntoViewIfNeeded();
+  const { x, y, width, height } = await phone.locator("#picture-image").boundingBox();
+  await phone.touchscreen.tap(x + 0.5 * width, y + 0.75 * height);
+  await waitForChange(phone, "#picture-image", before);
+  const placed = async () => (await control("scene")).objects[0]?.pose;
+  await phone.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects.length === 1);
+  const first = await placed();
+  const devtools = await context.newCDPSession(phone);
+  const touch = (type, ...touchPoints) => devtools.send("Input.dispatchTouchEvent", { type, touchPoints });
+  await touch("touchStart", { x: x + 0.5 * width, y: y + 0.775 * height });
+  for (let step = 1; step <= 6; step++) {
+    await touch("touchMove", { x: x + (0.5 - 0.025 * step) * width, y: y + 0.775 * height });
+  }
+  await touch("touchEnd");
+  await phone.waitForFunction(
+    async (first) => (await (await fetch("v1/sessions/room/scene")).json()).objects[0].pose[12] !== first[12],
+    first,
+  );
+  await context.close();
 });
 
 /** Vertices in meshopt's codec of attributes: for each byte of a vertex a group of raw differences, then a first vertex of zeros. */
@@ -200,8 +246,42 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   assert.equal(await page.inputValue("#object-material"), "own");
   await page.click("#object-notes summary");
   assert.match(await page.locator("#object-notes li").innerText(), /animations: the object stands in its pose at rest; export the pose you want/);
-  await page.waitForFunction(() => globalThis.roomlightPage.litObjects.includes("file-1"));
+  await page.waitForFunction(() => globalThis.roomlightPage.litObjects.includes("corner-1"));
   await noNotices();
+
+  // a server that was started again has lost the file: the page that has it sends it again
+  const deleteFile = () => page.evaluate(async () => {
+    const { objects } = await (await fetch("v1/objects")).json();
+    await Promise.all(objects.map(({ id }) => fetch(`v1/objects/${id}`, { method: "DELETE" })));
+  });
+  let before = await pixelsOf(page, "#picture-image");
+  await deleteFile();
+  await page.click("#objects .chip-name");
+  await page.fill("#object-size", "60");
+  await page.press("#object-size", "Tab");
+  before = await waitForChange(page, "#picture-image", before);
+  await noNotices();
+
+  // another page says what is missing, and places other objects
+  await page.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects[0]?.size_m === 0.6);
+  await page.close();
+  ({ page, errors } = await openPage(browser));
+  await waitForLight(page);
+  await page.waitForSelector("#objects .chip");
+  assert.equal(await page.isVisible("#object-right"), true);
+  const saved = page.waitForEvent("download");
+  await page.getByRole("button", { name: "Scene", exact: true }).click();
+  assert.equal(JSON.parse(readFileSync(await (await saved).path(), "utf8")).objects[0].file, "corner-1.glb");
+  assert.match(await page.locator(".notice.calm p").innerText(), /names corner-1.glb: put the files of these objects beside it/);
+  await deleteFile();
+  await page.click("#objects .chip-name");
+  await page.click("#object-right");
+  await page.waitForFunction(() => document.getElementById("notices").textContent.includes("no longer has the file of corner-1"));
+  await page.click("#objects .chip-name");
+  before = await pixelsOf(page, "#picture-image");
+  const { width, height } = await page.locator("#picture-image").boundingBox();
+  await page.click("#picture-button", { position: { x: 0.35 * width, y: 0.8 * height } });
+  await waitForChange(page, "#picture-image", before);
 });
 
 /** Upload a GLB file and place it on the floor. */

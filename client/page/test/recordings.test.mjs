@@ -30,6 +30,7 @@ test("the sample room is played", async () => {
   const { page: other } = await openPage(browser, { url: page.url() });
   await waitForLight(other);
   assert.equal(await other.title(), await page.title());
+  await other.locator(".upload", { hasText: "Sample room" }).waitFor(); // listed for other pages and after a reload
   await other.close();
 });
 

@@ -17,6 +17,11 @@ test("the page asks for the token, and again for a wrong one", async () => {
   await page.fill("#token-input", "a wrong token");
   await page.keyboard.press("Enter");
   await page.waitForFunction(() => document.getElementById("token-error").textContent !== "");
+  await page.fill("#token-input", "secret…");
+  await page.keyboard.press("Enter");
+  assert.match(await page.locator("#token-error").innerText(), /plain letters/);
+  await page.keyboard.press("Escape");
+  await page.keyboard.press("Escape");
   await page.fill("#token-input", process.env.PAGE_TOKEN);
   await page.keyboard.press("Enter");
   await waitForLight(page);

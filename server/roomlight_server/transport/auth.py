@@ -133,7 +133,9 @@ class AuthMiddleware:
         if _is_open(scope["path"]) and (self._metrics_open or scope["path"] != METRICS_PATH):
             return None
         if origin is not None and not self._allowed(origin, host):
-            return ProblemError("forbidden-origin", f"{origin[:100]} is not in allow_origins", field="Origin")
+            detail = f"{origin[:100]} is not in allow_origins, and this server is {host[:100]} to its clients"
+            rule = "a proxy must pass Host as it came, with its port"
+            return ProblemError("forbidden-origin", detail, field="Origin", value=origin, rule=rule)
         if origin is None and not self._origins and headers.get("sec-fetch-site") in ("cross-site", "same-site"):
             # browsers send no Origin with a GET for <img>, <script> or a link
             return ProblemError("forbidden-origin", "a page of another site sent this request", field="Sec-Fetch-Site")

@@ -1,6 +1,6 @@
 // The endpoints that only the page uses; sessions, light and composites go through our client (`roomlight`).
 
-import { RoomLight, RoomLightError, type Problem } from "roomlight";
+import { RoomLight, RoomLightError, type ObjectInfo, type Problem } from "roomlight";
 import type { CameraState, FilmRequest, History, PairedPhone, Pairing, Recording, RecordingList, SessionList, SessionScene } from "./answers";
 
 const TOKEN_KEY = "roomlight-token";
@@ -33,6 +33,9 @@ export class Api {
       history.replaceState(null, "", `${location.pathname}${location.search}${given.size > 0 ? `#${given}` : ""}`);
     }
     this.tokenValue ??= sessionStorage.getItem(TOKEN_KEY) ?? localStorage.getItem(TOKEN_KEY);
+    if (this.tokenValue !== null && !isToken(this.tokenValue)) {
+      this.tokenValue = null; // no header can have it
+    }
   }
 
   /** Get a token for this phone with the code of the address, if it has one. The browser keeps the token. */
@@ -62,6 +65,10 @@ export class Api {
   client(retries = 1): RoomLight {
     // longer than the server's own limits, whose answers say more: the first composite of a server compiles its kernels
     return new RoomLight(this.base, { retries, timeout_s: 150, ...(this.tokenValue ? { token: this.tokenValue } : {}) });
+  }
+
+  async uploadGlb(file: Blob): Promise<ObjectInfo> {
+    return this.client().upload(new Uint8Array(await file.arrayBuffer()), { kind: "glb" });
   }
 
   sessions(): Promise<SessionList> {
@@ -176,6 +183,16 @@ export class Api {
     }
     return response;
   }
+}
+
+/** Whether a text can be a token in a header. */
+export function isToken(text: string): boolean {
+  return /^[\x20-\x7e]+$/.test(text);
+}
+
+/** Whether there was no answer, or that of a proxy whose server is away. */
+export function isAway({ status, kind }: RoomLightError): boolean {
+  return status === 0 || (kind === "" && [502, 503, 504].includes(status));
 }
 
 export function sessionPath(id: string): string {

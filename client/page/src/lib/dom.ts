@@ -29,6 +29,16 @@ export function element<K extends keyof HTMLElementTagNameMap>(
   return made;
 }
 
+/** Replace the children of a list; a button that had the focus, or the one that stands for it now, has it again. */
+export function replaceKeepingFocus(list: HTMLElement, children: readonly Node[]): void {
+  const nameOf = (button: Element | null) => ["aria-label", "data-name"].map((name) => button?.getAttribute(name)).find(Boolean);
+  const focused = list.contains(document.activeElement) ? nameOf(document.activeElement) : undefined;
+  list.replaceChildren(...children);
+  if (focused !== undefined) {
+    [...list.querySelectorAll("button")].find((button) => nameOf(button) === focused)?.focus();
+  }
+}
+
 /** The value of a custom property of the page's theme, e.g. "--accent". */
 export function themeColour(name: string): string {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();

@@ -1,6 +1,6 @@
 // The camera's picture with the virtual objects: a click or Enter places another one.
 
-import { byId, element } from "../lib/dom";
+import { byId, element, replaceKeepingFocus } from "../lib/dom";
 import { sessionPath, type Api } from "../lib/api";
 import { PictureView } from "../lib/picture";
 import { latestOnly } from "../lib/signal";
@@ -146,8 +146,8 @@ function objectTools(objects: PlacedObjects): void {
   const size = byId<HTMLInputElement>("object-size");
   const show = () => {
     const selected = objects.selected.value;
-    byId("objects").replaceChildren(...objects.list.value.map((object) => chip(object, objects)));
-    byId("object-tools").hidden = !objects.canUndo && !objects.canRedo;
+    replaceKeepingFocus(byId("objects"), objects.list.value.map((object) => chip(object, objects)));
+    byId("object-tools").hidden = !objects.canUndo && !objects.canRedo && objects.list.value.length === 0;
     for (const id of ["object-left", "object-right"]) {
       byId<HTMLButtonElement>(id).disabled = selected === null;
     }
@@ -185,7 +185,12 @@ function objectTools(objects: PlacedObjects): void {
       size.value = String(usual.size_cm);
     }
   });
-  size.addEventListener("change", () => objects.selected.value && objects.resize(objects.selected.value, chosen().size_m!));
+  size.addEventListener("change", () => {
+    size.value = String(Math.round(1000 * chosen().size_m!) / 10); // within its limits
+    if (objects.selected.value) {
+      objects.resize(objects.selected.value, chosen().size_m!);
+    }
+  });
   material.addEventListener("change", () => objects.selected.value && objects.setMaterial(objects.selected.value, material.value as Surface));
 }
 
@@ -202,15 +207,16 @@ function listenToFile(api: Api): void {
     input.value = "";
     try {
       if (file) {
-        const { id, notes = [] } = await api.client().upload(new Uint8Array(await file.arrayBuffer()), { kind: "glb" });
+        const { id, size_m, notes = [] } = await api.uploadGlb(file);
         chosenFile = { id, name: file.name, data: file };
         option.textContent = file.name;
         byId<HTMLSelectElement>("object-material").value = "own";
+        byId<HTMLInputElement>("object-size").value = String(inLimits(Math.round(100 * Math.max(...size_m))));
         shape.value = "file";
         showNotes(byId<HTMLDetailsElement>("object-notes"), file.name, notes);
       }
     } catch (error) {
-      reportError(error);
+      reportError(file && error instanceof Error ? new Error(`${file.name}: ${file.size === 0 ? "is empty" : error.message}`) : error);
       without();
     }
   });
@@ -225,7 +231,7 @@ export function chosen(): Pick<PlacedObject, "shape" | "file" | "material" | "si
     shape: shape === "file" && !chosenFile ? "sphere" : shape,
     file: shape === "file" ? chosenFile : null,
     material: value("object-material") as Surface,
-    size_m: size_cm >= 1 && size_cm <= 300 ? size_cm / 100 : 0.2,
+    size_m: inLimits(size_cm || USUAL[shape].size_cm || 20) / 100,
   };
 }
 
@@ -237,10 +243,15 @@ function chip({ name, material }: PlacedObject, objects: PlacedObjects): HTMLLIE
     type: "button",
     "aria-pressed": String(isSelected),
     title: "Select it to move or turn it",
+    "data-name": name,
     click: () => (objects.selected.value = isSelected ? null : name),
   };
   const remove = { type: "button", "aria-label": `Remove ${label}`, click: () => objects.remove(name) };
   return element("li", { class: "chip" }, element("button", select, label), element("button", remove, "×"));
+}
+
+function inLimits(size_cm: number): number {
+  return Math.min(300, Math.max(1, size_cm));
 }
 
 function clamp(value: number): number {

@@ -1,6 +1,6 @@
 // Dialogs: a recording, a phone, the token.
 
-import type { Api } from "../lib/api";
+import { isToken, type Api } from "../lib/api";
 import { byId, element } from "../lib/dom";
 import { reportError } from "./notices";
 
@@ -21,22 +21,31 @@ export function dialogs(api: Api): void {
   }
 }
 
+let asking: Promise<void> | null = null;
+
 /** Ask for the token until the visitor gives one. */
 export function askForToken(api: Api): Promise<void> {
   const dialog = byId<HTMLDialogElement>("token-dialog");
   const input = byId<HTMLInputElement>("token-input");
-  byId("token-error").textContent = input.value ? "The server does not know this token." : "";
-  dialog.addEventListener("cancel", (event) => event.preventDefault());
-  dialog.showModal();
-  return new Promise((resolve) => {
-    const submit = (event: Event) => {
+  const error = byId("token-error");
+  asking ??= new Promise<void>((resolve) => {
+    error.textContent = input.value ? "The server does not know this token." : "";
+    byId("token-form").onsubmit = (event) => {
       event.preventDefault();
-      api.token = input.value.trim();
+      const token = input.value.trim();
+      if (!isToken(token)) {
+        error.textContent = "A token has plain letters, digits and signs alone (ASCII).";
+        return;
+      }
+      api.token = token;
+      asking = null;
       dialog.close();
       resolve();
     };
-    byId("token-form").addEventListener("submit", submit, { once: true });
+    dialog.onclose = () => asking && dialog.showModal(); // a browser closes it at the second Escape
+    dialog.showModal();
   });
+  return asking;
 }
 
 async function showPairing(api: Api): Promise<void> {

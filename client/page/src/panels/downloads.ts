@@ -62,6 +62,10 @@ export function downloadsPanel(api: Api, state: State, objects: PlacedObjects): 
   function saveScene(): void {
     const text = JSON.stringify({ objects: objects.list.value.map(sceneObject) }, null, 2);
     offer(new Blob([text], { type: "application/json" }), `${state.selected.value}.scene.json`);
+    const files = objects.list.value.flatMap(({ file }) => (file && !file.data ? [file.name] : []));
+    if (files.length > 0) {
+      notify(`The scene names ${files.join(", ")}: put the files of these objects beside it, by these names.`, true);
+    }
   }
   objects.list.watch((list) => (scene.disabled = list.length === 0 || list.some(({ pose }) => pose === null)));
   state.selected.watch((id) => (byId<HTMLButtonElement>("share").disabled = id === null));

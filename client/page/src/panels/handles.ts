@@ -7,7 +7,6 @@ import type { State } from "../state";
 
 type Point = readonly [x: number, y: number];
 
-
 const HIDDEN = 0.3; // an object of which less is visible gets an outline
 const CLICK_PX = 5; // a shorter movement is a click
 
@@ -47,15 +46,20 @@ export function objectHandles(state: State, objects: PlacedObjects): { isClick: 
       }),
     );
   };
-  const pointOf = ({ clientX, clientY }: PointerEvent): Point => {
+  const pointOf = ({ clientX, clientY }: PointerEvent | Touch): Point => {
     const { left, top, width, height } = image.getBoundingClientRect();
     return [(clientX - left) / width, (clientY - top) / height];
   };
 
+  const outlineAt = (point: Point) => outlines().filter(({ corners }) => isInside(point, corners)).at(-1);
+
+  // a finger on an object drags it; elsewhere it scrolls the page
+  const keepFinger = (event: TouchEvent) => event.touches.length === 1 && outlineAt(pointOf(event.touches[0]!)) && event.preventDefault();
+  button.addEventListener("touchstart", keepFinger, { passive: false });
   button.addEventListener("pointerdown", (event) => {
     taken = false;
     const from = pointOf(event);
-    const under = outlines().filter(({ corners }) => isInside(from, corners)).at(-1);
+    const under = outlineAt(from);
     if (event.button === 0 && under) {
       const base = under.corners.slice(0, 4);
       const start = [0, 1].map((axis) => base.reduce((sum, corner) => sum + corner[axis]! / 4, 0)) as unknown as Point;
@@ -69,8 +73,7 @@ export function objectHandles(state: State, objects: PlacedObjects): { isClick: 
       drag.by = [x - drag.from[0], y - drag.from[1]];
       show();
     } else {
-      const at = pointOf(event);
-      button.classList.toggle("over", outlines().some(({ corners }) => isInside(at, corners)));
+      button.classList.toggle("over", outlineAt(pointOf(event)) !== undefined);
     }
   });
   button.addEventListener("pointerup", () => {

@@ -1,7 +1,7 @@
 // The list of sessions, and which message stands in place of the panels.
 
 import type { SessionSummary } from "../lib/answers";
-import { byId, element } from "../lib/dom";
+import { byId, element, replaceKeepingFocus } from "../lib/dom";
 import type { State } from "../state";
 
 export interface SessionEvents {
@@ -20,11 +20,8 @@ export function sessionsPanel(state: State, events: SessionEvents): void {
       return;
     }
     shown = content;
-    const focused = document.activeElement?.getAttribute("data-session");
-    list.replaceChildren(...sessions.map((session) => element("li", { class: "session-row" }, button(session, state), ...tools(session, events))));
-    if (focused) {
-      list.querySelector<HTMLElement>(`[data-session="${CSS.escape(focused)}"]`)?.focus();
-    }
+    const row = (session: SessionSummary) => element("li", { class: "session-row" }, button(session, state), ...tools(session, events));
+    replaceKeepingFocus(list, sessions.map(row));
     byId("sessions-none").hidden = sessions.length > 0;
   };
   state.sessions.watch(show);
@@ -53,6 +50,7 @@ function button(session: SessionSummary, state: State): HTMLButtonElement {
       class: "session",
       type: "button",
       "data-session": id,
+      "data-name": id,
       "aria-current": isCurrent ? "true" : null,
       click: () => (state.selected.value = id),
     },

@@ -8,11 +8,15 @@ import { notify, reportError } from "./notices";
 
 const OBJECT = /\.(glb|gltf|obj|ply|usdz|fbx)$/i;
 
-/**
- * `opened` is called with the session that a recording plays into, `failed` if not even a frame of it could be played.
- * Returns what cancels the recordings that play into a session.
- */
-export function uploadsPanel(api: Api, opened: (session: string) => void, failed: (session: string) => void): (session: string) => void {
+export interface Uploads {
+  /** Show the recordings that are on the server already. */
+  readonly resume: () => Promise<void>;
+  /** Delete the recordings that play into a session. */
+  readonly cancelOf: (session: string) => void;
+}
+
+/** `opened` is called with the session that a recording plays into, `failed` if not even a frame of it could be played. */
+export function uploadsPanel(api: Api, opened: (session: string) => void, failed: (session: string) => void): Uploads {
   const uploads = new Map<RecordingUpload, HTMLElement>();
   const start = (found: { name: string; files: NamedFile[] } | null) => {
     byId<HTMLDialogElement>("recording-dialog").close();
@@ -22,14 +26,18 @@ export function uploadsPanel(api: Api, opened: (session: string) => void, failed
     if (found.files.every(({ path }) => OBJECT.test(path))) {
       return notify(`${found.name} is a 3D object, not a recording of a room. In an open session, choose “GLB file” under Object.`);
     }
-    play(new RecordingUpload(api, found.name, found.files));
+    void play(new RecordingUpload(api, found.name, found.files));
   };
-  const play = (upload: RecordingUpload) => {
+  const list = (upload: RecordingUpload) => {
     const item = element("li", { class: "upload" });
     byId("uploads").append(item);
     uploads.set(upload, item);
     upload.state.watch((state) => showUpload(item, state, upload));
-    void upload.run(opened).then(() => {
+    return item;
+  };
+  const play = (upload: RecordingUpload) => {
+    const item = list(upload);
+    return upload.run(opened).then(() => {
       const { recording, error } = upload.state.value;
       item.scrollIntoView({ block: "nearest", inline: "nearest" }); // the strip of a phone
       if (error !== null && recording?.session && recording.frame === 0) {
@@ -45,9 +53,21 @@ export function uploadsPanel(api: Api, opened: (session: string) => void, failed
       files.value = "";
     });
   }
-  byId("play-sample").addEventListener("click", () => play(RecordingUpload.ofSample(api)));
+  const sample = byId<HTMLButtonElement>("play-sample");
+  sample.addEventListener("click", () => {
+    sample.disabled = true; // a double click plays it once
+    void play(RecordingUpload.ofSample(api)).finally(() => (sample.disabled = false));
+  });
   listenToDrops((transfer) => void droppedFiles(transfer).then(start, reportError));
-  return (session) => {
+  const resume = async () => {
+    const known = new Set([...uploads.keys()].map(({ state }) => state.value.recording?.id));
+    for (const recording of (await api.recordings()).recordings.filter(({ id }) => !known.has(id))) {
+      const upload = RecordingUpload.of(api, recording);
+      list(upload);
+      void upload.watch();
+    }
+  };
+  const cancelOf = (session: string) => {
     for (const [upload, item] of uploads) {
       if (upload.state.value.recording?.session === session) {
         uploads.delete(upload);
@@ -56,6 +76,7 @@ export function uploadsPanel(api: Api, opened: (session: string) => void, failed
       }
     }
   };
+  return { resume, cancelOf };
 }
 
 function showUpload(item: HTMLElement, state: Upload, upload: RecordingUpload): void {
@@ -69,7 +90,8 @@ function showUpload(item: HTMLElement, state: Upload, upload: RecordingUpload): 
   const isPlaying = recording !== null && ["playing", "finished"].includes(recording.status);
   const [done, all] = isPlaying ? [recording.frame, recording.frames ?? 0] : [state.sent, state.bytes];
   const bar = element("progress", { max: Math.max(1, all), value: Math.min(done, Math.max(1, all)), "aria-label": name });
-  const text = recording?.status === "finished" ? finishedText(state) : isPlaying ? `Frame ${done} of ${all || "?"}` : uploadText(state);
+  const status = isPlaying ? `Frame ${done} of ${all || "?"}` : uploadText(state);
+  const text = recording?.status === "finished" ? finishedText(state) : status;
   const label = upload.isDone ? "Clear" : "Cancel";
   const button = element("button", { class: "button quiet", type: "button", "aria-label": `${label} ${name}`, click: remove }, label);
   const hadFocus = item.contains(document.activeElement);
@@ -92,8 +114,8 @@ function failure(error: string): HTMLElement {
   return detail === "" ? element("span", { class: "error" }, line) : element("details", { class: "error" }, element("summary", {}, line), element("p", {}, detail));
 }
 
-function uploadText({ sent, bytes }: Upload): string {
-  return `Uploading ${(sent / 2 ** 20).toFixed(1)} of ${(bytes / 2 ** 20).toFixed(1)} MB`;
+function uploadText({ sent, bytes, recording }: Upload): string {
+  return recording?.status === "ready" ? "Uploaded" : `Uploading ${(sent / 2 ** 20).toFixed(1)} of ${(bytes / 2 ** 20).toFixed(1)} MB`;
 }
 
 function finishedText({ recording }: Upload): string {

@@ -27,6 +27,12 @@ export interface ObjectEvents {
   report: (error: unknown) => void;
 }
 
+/** Whether two objects differ in their poses alone. */
+function isAlike(one: PlacedObject, other: PlacedObject): boolean {
+  const isSameFile = one.file?.id === other.file?.id && !one.file?.data === !other.file?.data;
+  return isSameFile && one.shape === other.shape && one.material === other.material && one.size_m === other.size_m;
+}
+
 export class RoomObjects {
   private readonly shown = new Map<string, Shown>();
   private readonly refresh = latestOnly(() => this.build());
@@ -84,7 +90,7 @@ export class RoomObjects {
     }
     for (const object of placed) {
       const before = this.shown.get(object.name);
-      if (before && before.object.material === object.material) {
+      if (before && isAlike(before.object, object)) {
         if (before.object !== object) {
           before.object = object;
           before.etag = "";
