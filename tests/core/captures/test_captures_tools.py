@@ -273,17 +273,55 @@ def test_a_bag_without_poses_colour_or_camera_says_so(tmp_path: Path) -> None:
         open_capture(tmp_path / "d.bag")
 
 
-def test_a_pose_topic_stands_in_for_tf(tmp_path: Path) -> None:
-    messages = [message for message in tool_formats.ros_messages(VIEWS) if not message[0].startswith("/tf")]
+def without_tf() -> list[tuple[str, str, float, bytes]]:
+    return [message for message in tool_formats.ros_messages(VIEWS) if not message[0].startswith("/tf")]
+
+
+def poses_of(topic: str, child: str | None = None, *, beside: float = 0.0) -> list[tuple[str, str, float, bytes]]:
+    """Poses of the camera, or `beside` it: Odometry of `child`, PoseStamped for None."""
+    messages: list[tuple[str, str, float, bytes]] = []
     for view in VIEWS:
         pose = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP
-        cdr = tool_formats.Cdr().header(view.time_s, "map")
+        pose[0, 3] += beside
+        cdr = tool_formats.Cdr().header(view.time_s, "odom" if beside else "map")
+        if child is not None:
+            cdr.text(child)
         cdr.put("d", *pose[:3, 3], *tool_formats.quaternion_of_any(pose[:3, :3]))
-        messages.append(("/slam/pose", "geometry_msgs/msg/PoseStamped", view.time_s, cdr.bytes()))
-    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
+        if child is not None:
+            cdr.put("d", *[0.0] * 78)  # covariance, twist, its covariance
+        kind = "geometry_msgs/msg/PoseStamped" if child is None else "nav_msgs/msg/Odometry"
+        messages.append((topic, kind, view.time_s, cdr.bytes()))
+    return messages
+
+
+def test_a_pose_topic_stands_in_for_tf(tmp_path: Path) -> None:
+    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", without_tf() + poses_of("/slam/pose")))
     for frame, view in zip(capture, VIEWS, strict=True):
         np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
-    assert "PoseStamped" in capture.notes[0].left_out
+    assert "the PoseStamped messages of /slam/pose" in capture.notes[0].left_out
+
+
+@pytest.mark.parametrize(
+    ("poses", "others"),
+    [
+        (poses_of("/z_slam/pose") + poses_of("/goal_pose", beside=5)[:1], "/goal_pose"),
+        (poses_of("/vins/camera_pose", "") + poses_of("/vins/body", "", beside=5), "/vins/body"),
+        (
+            poses_of("/odom", "camera_color_optical_frame")
+            + poses_of("/camera_pose", beside=5)
+            + poses_of("/gps", "gps_link", beside=7)
+            + poses_of("/odom/filtered", "camera_color_optical_frame", beside=9)[1:],
+            "/odom/filtered, /camera_pose, /gps",
+        ),
+    ],
+)
+def test_one_of_several_pose_topics_is_read(
+    tmp_path: Path, poses: list[tuple[str, str, float, bytes]], others: str
+) -> None:
+    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", poses[::-1] + without_tf()))
+    for frame, view in zip(capture, VIEWS, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+    assert f"the poses of {others}: those of {poses[0][0]} are read" in str(capture.notes[0])
 
 
 def test_poses_between_two_of_tf_are_interpolated(tmp_path: Path) -> None:

@@ -5,9 +5,9 @@ A record is a colour image with the depth image nearest in time. Topics are chos
 first, then `aligned` or `registered`. Depth of another frame is projected into the colour image by the fixed transforms
 of tf.
 
-Conventions: the pose is that of the colour image's frame in the root of tf; without one there, Odometry, PoseStamped or
-TransformStamped messages carry it. Optical frames are OpenCV's, the world is z-up (REP 103). Pixel centres are at whole
-numbers (`CameraInfo`), so that half a pixel is added. 16UC1 is millimetres, 32FC1 metres.
+Conventions: the pose is that of the colour image's frame in the root of tf; without one there, TransformStamped, or one
+topic of Odometry or PoseStamped, carries it. Optical frames are OpenCV's, the world is z-up (REP 103). Pixel centres
+are at whole numbers (`CameraInfo`), so that half a pixel is added. 16UC1 is millimetres, 32FC1 metres.
 """
 
 import importlib
@@ -57,6 +57,17 @@ class _Entry:
 
     time_s: float
     logged: int
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """A pose of an Odometry or a PoseStamped message, which names no `child`."""
+
+    kind: str
+    parent: str
+    child: str
+    values: Float[np.ndarray, "7"]
+    time_s: float
 
 
 class RosBagReader:
@@ -171,7 +182,7 @@ class RosBagReader:
         wanted = (*_TREES, *_POSES, _INFO)
         images = {self._colour} if self._depth is None else {self._colour, self._depth}
         chosen = [c for c in bag.connections if topics[c.topic] in wanted or c.topic in images]
-        loose: list[tuple[str, str, Float[np.ndarray, 7], float]] = []
+        loose: dict[str, list[_Pose]] = {}
         try:
             for connection, logged, raw in bag.messages(connections=chosen):
                 kind, topic = connection.msgtype, connection.topic
@@ -191,19 +202,41 @@ class RosBagReader:
                 else:
                     pose = message.pose.pose if kind.endswith("Odometry") else message.pose
                     values, time_s = pose_values(pose.position, pose.orientation), seconds(message.header)
-                    loose.append((message.header.frame_id, getattr(message, "child_frame_id", ""), values, time_s))
+                    parent, child = message.header.frame_id, getattr(message, "child_frame_id", "").lstrip("/")
+                    loose.setdefault(topic, []).append(_Pose(kind.split("/")[-1], parent, child, values, time_s))
         except RoomLightError:
             raise
         except Exception as error:  # rosbags raises whatever the damaged bytes lead to
             raise CaptureError(f"{self._path}: is damaged ({error})") from error
-        frame = self._frames.get(self._colour, "")
-        if loose and not self._tree.moves(frame):
-            top = self._tree.root(frame)
-            for parent, child, values, time_s in loose:
-                self._tree.add(parent or "world", child or top, values, time_s=time_s)
-            if not any(child for _, child, _, _ in loose):
-                text = f"taken for the poses of {top or 'the camera'}"
-                self.notes.append(Note(f"{self._path}: PoseStamped messages", text, "record tf to be sure"))
+        if loose and not self._tree.moves(self._frames.get(self._colour, "")):
+            self._add_poses(loose)
+
+    def _add_poses(self, topics: dict[str, list[_Pose]]) -> None:
+        """Take the poses of the topic that fits best; others are noted.
+
+        It is one whose child is the camera's, else one without a child that is called after a camera; Odometry before
+        PoseStamped, then the one with most messages while images were taken.
+        """
+        top = self._tree.root(self._frames.get(self._colour, ""))
+        times = [entry.time_s for entry in self._entries.get(self._colour, [])] or [0.0]
+        start, stop = min(times) - MAX_GAP_S, max(times) + MAX_GAP_S
+
+        def order(topic: str) -> tuple[bool, bool, bool, bool, bool, int, str]:
+            first, count = topics[topic][0], sum(start <= pose.time_s <= stop for pose in topics[topic])
+            other, named = first.child not in ("", top), bool(first.child)
+            unlike = not named and "cam" not in topic.lower()
+            return other, not count, not named, unlike, first.kind != "Odometry", -count, topic
+
+        best, *others = sorted(topics, key=order)
+        for pose in topics[best]:
+            self._tree.add(pose.parent or "world", pose.child or top, pose.values, time_s=pose.time_s)
+        if others:
+            left = f"{self._path}: the poses of {', '.join(others[:4])}"
+            self.notes.append(Note(left, f"those of {best} are read", "leave it out of the bag to read others"))
+        if not topics[best][0].child:
+            text = f"taken for the poses of {top or 'the camera'}"
+            left = f"{self._path}: the {topics[best][0].kind} messages of {best}"
+            self.notes.append(Note(left, text, "record tf to be sure"))
 
     def _add_image(self, bag: Any, topic: str, kind: str, raw: Any, logged: int) -> None:
         """Keep where an image lies; a damaged one is found when it is read."""
