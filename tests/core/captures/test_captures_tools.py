@@ -363,6 +363,46 @@ def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
     assert error.mean() < (0.03 if encoding == "bayer_rggb8" else 0.012)
 
 
+def with_info(path: Path, info: bytes) -> Path:
+    messages = [m if "camera_info" not in m[0] else (*m[:3], info) for m in tool_formats.ros_messages(VIEWS)]
+    return tool_formats.ros2_bag(path, messages)
+
+
+@pytest.mark.parametrize(
+    ("model", "d"),
+    [
+        ("double_sphere", (-0.2, 0.6)),
+        ("fov", (0.9,)),
+        ("mei", (1.2, -0.1, 0.05, 0.0, 0.0)),
+        ("", (0.1, 0.0, 0.0, 0.0, 0.0)),
+        ("rational_polynomial", (*[0.0] * 8, 0.08, 0.0, 0.08, 0.0)),
+        ("equidistant", (0.1, 0.0, 0.0, 0.0, 0.02)),
+    ],
+)
+def test_lenses_of_a_camera_info_that_are_not_read(tmp_path: Path, model: str, d: tuple[float, ...]) -> None:
+    path = with_info(tmp_path / "bag", tool_formats.camera_message("camera_color_optical_frame", model=model, d=d))
+    with pytest.raises(CaptureError, match=f"beside /camera/color/image_raw: distortion_model '{model}' with D of"):
+        open_capture(path)
+
+
+@pytest.mark.parametrize(
+    ("model", "d"), [("", ()), ("Inverse Brown Conrady", (0.0,) * 5), ("rational_polynomial", (0.0,) * 14)]
+)
+def test_names_of_no_lens(tmp_path: Path, model: str, d: tuple[float, ...]) -> None:
+    path = with_info(tmp_path / "bag", tool_formats.camera_message("camera_color_optical_frame", model=model, d=d))
+    assert next(iter(open_capture(path))).intrinsics.fx == formats.FX
+
+
+@pytest.mark.parametrize(("binning", "roi"), [(2, None), (0, (5, 20)), (2, (6, 20))])
+def test_the_camera_of_a_part_of_the_sensor(tmp_path: Path, binning: int, roi: tuple[int, int] | None) -> None:
+    info = tool_formats.camera_message("camera_color_optical_frame", binning=binning, roi=roi)
+    capture = open_capture(with_info(tmp_path / "bag", info))
+    camera = next(iter(capture)).intrinsics
+    assert (camera.fx, camera.fy, camera.width, camera.height) == (formats.FX, formats.FY, 32, 24)
+    np.testing.assert_allclose((camera.cx, camera.cy), (formats.CX, formats.CY))
+    assert not capture.notes
+
+
 def other_image(view: formats.View, topic: str, frame: str, encoding: str, value: int) -> tuple[str, str, float, bytes]:
     shape, dtype = ((24, 32, 3), np.uint8) if encoding == "bgr8" else ((24, 32), np.uint16)
     data = tool_formats.image_message(view.time_s, frame, encoding, np.full(shape, value, dtype))

@@ -4,6 +4,7 @@ import json
 import sqlite3
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -163,12 +164,24 @@ def image_message(time_s: float, frame: str, encoding: str, pixels: np.ndarray) 
     return cdr.put("I", pixels.strides[0]).raw(pixels.tobytes()).bytes()
 
 
-def camera_message(frame: str, *, shift: float = 0.0) -> bytes:
-    k = (FX, 0, CX - 0.5 + shift, 0, FY, CY - 0.5, 0, 0, 1)
-    cdr = Cdr().header(0.0, frame).put("I", HEIGHT, WIDTH).text("plumb_bob").put("I", 5).put("d", *[0.0] * 5)
+def camera_message(
+    frame: str,
+    *,
+    shift: float = 0.0,
+    model: str = "plumb_bob",
+    d: Sequence[float] = (0.0,) * 5,
+    binning: int = 0,
+    roi: tuple[int, int] | None = None,
+) -> bytes:
+    """A CameraInfo of the scene's camera; `roi` is where its images lie on a sensor of twice their size."""
+    bins, (x, y) = max(binning, 1), roi or (0, 0)
+    k = (FX * bins, 0, CX * bins - 0.5 + x + shift, 0, FY * bins, CY * bins - 0.5 + y, 0, 0, 1)
+    sides = HEIGHT * bins, WIDTH * bins
+    whole = sides if roi is None else (2 * sides[0], 2 * sides[1])
+    cdr = Cdr().header(0.0, frame).put("I", *whole).text(model).put("I", len(d)).put("d", *d)
     p = np.hstack([np.reshape(k, (3, 3)), np.zeros((3, 1))])
     cdr.put("d", *k).put("d", *np.eye(3).reshape(-1)).put("d", *p.reshape(-1))
-    return cdr.put("I", 0, 0, 0, 0, 0, 0).put("B", 0).bytes()
+    return cdr.put("I", binning, binning, x, y, *((0, 0) if roi is None else sides)).put("B", 0).bytes()
 
 
 def transforms_message(time_s: float, parent: str, child: str, pose: np.ndarray) -> bytes:

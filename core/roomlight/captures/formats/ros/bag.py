@@ -30,11 +30,12 @@ from roomlight.captures.formats.ros.images import (
     decode_colour_image,
     decode_depth_image,
     is_colour,
+    lens_of_raw,
     pose_values,
     seconds,
 )
 from roomlight.captures.formats.ros.transform_tree import TransformTree
-from roomlight.captures.lenses import straightened
+from roomlight.captures.lenses import Lens, fitted, straightened
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES
 from roomlight.captures.times import nearest
@@ -96,6 +97,8 @@ class RosBagReader:
             raise CaptureError(f"{path}: has {self.count} frames; up to {MAX_FRAMES} are read")
         if self._colour not in self._cameras:
             raise CaptureError(f"{path}: has no CameraInfo beside {self._colour}; record its camera_info too")
+        with fields.naming(f"{path}: the CameraInfo beside {self._colour}", CaptureError):
+            self._lens = self._lens_of(self._colour)
         self._frame_id = self._frames.get(self._colour, "")
         if self.count and not self._tree.moves(self._frame_id):
             raise CaptureError(
@@ -232,7 +235,7 @@ class RosBagReader:
             self._tree.add(pose.parent or "world", pose.child or top, pose.values, time_s=pose.time_s)
         if others:
             left = f"{self._path}: the poses of {', '.join(others[:4])}"
-            self.notes.append(Note(left, f"those of {best} are read", "leave it out of the bag to read others"))
+            self.notes.append(Note(left, f"those of {best} are read", f"leave {best} out of the bag to read others"))
         if not topics[best][0].child:
             text = f"taken for the poses of {top or 'the camera'}"
             left = f"{self._path}: the {topics[best][0].kind} messages of {best}"
@@ -262,12 +265,14 @@ class RosBagReader:
         with fields.naming(label, FrameError):
             pose = self._tree.pose(self._frame_id, entry.time_s)
             picture = decode_colour_image(self._message(bag, self._colour, entry), label)
-            camera, lens = camera_of(self._cameras[self._colour], raw="rect" not in self._colour)
+            height, width = picture.image.shape[:2]
+            camera = camera_of(self._cameras[self._colour], (width, height), raw=_is_raw(self._colour))
+            picture, camera = fitted(picture, camera, label)
             depth_m = np.zeros(picture.image.shape[:2], np.float32)
             if self._depth is not None:
                 depth_m = self._in_colour(self._depth_near(entry.time_s, self._depth, bag, label), self._depth, camera)
-            if not lens.straight and picture.image.shape[:2] == (camera.height, camera.width):
-                picture, depth_m, camera = straightened(picture, depth_m, camera, lens)
+            if not self._lens.straight and (width, height) == (camera.width, camera.height):
+                picture, depth_m, camera = straightened(picture, depth_m, camera, self._lens)
         depth_name = None if self._depth is None else f"{self._path}: {self._depth}"
         return RawFrame(label, picture, depth_m, depth_name, camera, pose)
 
@@ -309,7 +314,11 @@ class RosBagReader:
             if note not in self.notes:
                 self.notes.append(note)
             return depth_m
-        return registered(depth_m, camera_of(info, raw=False)[0], colour, between)
+        return registered(depth_m, camera_of(info, depth_m.shape[::-1], raw=_is_raw(topic)), colour, between)
+
+    def _lens_of(self, topic: str) -> Lens:
+        """Return the lens of a topic's camera. Raises ValueError."""
+        return lens_of_raw(self._cameras[topic]) if _is_raw(topic) else Lens()
 
 
 def is_bag(path: Path) -> bool:
@@ -317,6 +326,11 @@ def is_bag(path: Path) -> bool:
     if path.is_file():
         return path.suffix.lower() in SUFFIXES
     return (path / "metadata.yaml").is_file() and any(file.suffix in SUFFIXES for file in path.iterdir())
+
+
+def _is_raw(topic: str) -> bool:
+    """Whether images are as the lens shows them."""
+    return "rect" not in topic
 
 
 def _rank(topic: str, words: tuple[str, ...]) -> int:

@@ -35,6 +35,9 @@ _CONVERSIONS: Final = {  # OpenCV names Bayer patterns by their second row
     "yuyv": cv2.COLOR_YUV2RGB_YUY2,
 }
 _PLUMB_BOB: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_FISHEYES: Final = ("equidistant", "fisheye")
+_STRAIGHT: Final = ("", "none", "pinhole", "brown conrady", "inverse brown conrady", "modified brown conrady")
+"""Names that stand beside a D of zeros, librealsense's among them."""
 
 
 def seconds(header: Any) -> float:
@@ -48,18 +51,43 @@ def pose_values(position: Any, turn: Any) -> Float[np.ndarray, "7"]:
     return fields.coordinates(numbers, "a pose")
 
 
-def camera_of(info: Any, *, raw: bool) -> tuple[Intrinsics, Lens]:
-    """Return camera and lens: K and D of raw images, P of rectified ones."""
-    k, d, p = (np.asarray(getattr(info, key, getattr(info, key.upper(), ()))).tolist() for key in "kdp")
+def camera_of(info: Any, size: tuple[int, int], *, raw: bool) -> Intrinsics:
+    """Return the camera of images of this width and height: K of raw ones, P of rectified ones. Raises ValueError.
+
+    Both are of the whole sensor: where an image has the size of `roi` after binning, the camera is that part's.
+    """
+    k, p = _matrix(info, "k"), _matrix(info, "p")
     fx, fy, cx, cy = (k[0], k[4], k[2], k[5]) if raw or not p[0] else (p[0], p[5], p[2], p[6])
     camera = Intrinsics(fx, fy, cx + 0.5, cy + 0.5, int(info.width), int(info.height))
-    keys = ("k1", "k2", "k3", "k4") if info.distortion_model in ("equidistant", "fisheye") else _PLUMB_BOB
-    stated: dict[str, Any] = dict(zip(keys, d, strict=False)) if raw else {}
+    roi = info.roi
+    window = int(roi.width) or camera.width, int(roi.height) or camera.height
+    binned = window[0] // max(1, int(info.binning_x)), window[1] // max(1, int(info.binning_y))
+    if size != binned:
+        return camera
+    return Intrinsics(fx, fy, camera.cx - roi.x_offset, camera.cy - roi.y_offset, *window).resized(*binned)
+
+
+def lens_of_raw(info: Any) -> Lens:
+    """Return the lens of raw images: D. Raises ValueError for a model that is not read, by name."""
+    d, model = _matrix(info, "d"), info.distortion_model.strip().lower()
+    keys = ("k1", "k2", "k3", "k4") if model in _FISHEYES else _PLUMB_BOB
+    known = model in (*_FISHEYES, "plumb_bob", "rational_polynomial") or (model in _STRAIGHT and not any(d))
+    if not known or any(d[len(keys) :]):
+        raise ValueError(
+            f"distortion_model {info.distortion_model[:40]!r} with D of {len(d)} values is not read, but plumb_bob, "
+            "rational_polynomial of 8 and equidistant of 4; rectify the images (image_proc), or calibrate it as such"
+        )
+    stated: dict[str, Any] = dict(zip(keys, d, strict=False))
     if len(keys) == 4 and stated:
         stated["camera_model"] = "OPENCV_FISHEYE"
-    elif len(d) > 5 and stated:
+    elif len(d) > 5:
         stated["camera_model"] = "FULL_OPENCV"
-    return camera, lens_of(stated, {})
+    return lens_of(stated, {})
+
+
+def _matrix(info: Any, key: str) -> list[float]:
+    """Return K, D or P, whose names ROS 2 writes in small letters."""
+    return np.asarray(getattr(info, key, getattr(info, key.upper(), ()))).tolist()
 
 
 def decode_colour_image(message: Any, label: str) -> ColourImage:
