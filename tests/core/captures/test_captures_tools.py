@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import av
+import cv2
 import formats
 import numpy as np
 import pytest
@@ -460,6 +461,60 @@ def test_pictures_of_other_programs_are_no_camera_and_no_depth(tmp_path: Path) -
     coloured = [message for message in messages if "depth_to" not in message[0]]
     notes = open_capture(tool_formats.ros2_bag(tmp_path / "b", coloured)).notes
     assert any("depth_colormap/image holds colours" in str(note).replace(":", "") for note in notes)
+
+
+def test_depth_that_is_not_called_so(tmp_path: Path) -> None:
+    """As an OAK records it; its confidence is no depth, and neither is another colour camera."""
+    name = "/camera/aligned_depth_to_color/image_raw"
+    messages = [("/oak/stereo/image_raw" if m[0] == name else m[0], *m[1:]) for m in tool_formats.ros_messages(VIEWS)]
+    for topic in ("/oak/stereo/camera_info", "/oak/confidence/camera_info"):
+        messages.append((topic, "sensor_msgs/msg/CameraInfo", 5.0, tool_formats.camera_message("oak")))
+    frame = "camera_color_optical_frame"
+    messages += [other_image(view, "/oak/confidence/image_raw", frame, "16UC1", 900) for view in VIEWS]
+    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
+    for found, view in zip(capture, VIEWS, strict=True):
+        np.testing.assert_allclose(found.depth_m, view.depth_m, atol=6e-4)
+    (note,) = capture.notes
+    assert "/oak/stereo/image_raw, of 16UC1: taken for depth" in str(note)
+
+
+def test_depth_of_the_colours_frame_comes_before_the_nearest_name(tmp_path: Path) -> None:
+    name, tof = "/camera/aligned_depth_to_color/image_raw", "/camera/color/depth/image_raw"
+    messages = tool_formats.ros_messages(VIEWS) + [other_image(view, tof, "tof", "16UC1", 9000) for view in VIEWS]
+    messages = [("/depth_to_rgb/image_raw" if message[0] == name else message[0], *message[1:]) for message in messages]
+    for frame, view in zip(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS, strict=True):
+        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=6e-4)
+
+
+@pytest.mark.parametrize("bent", ["color", "depth"])
+def test_lenses_of_colour_and_of_another_cameras_depth(tmp_path: Path, bent: str) -> None:
+    """An edge of depth stays where it is, whichever of the two cameras has the lens."""
+    d = (0.5, -0.3, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+    y, x = np.mgrid[:96, :128].astype(np.float64) + 0.5
+    pixels, k = np.stack([x, y], axis=-1).reshape(-1, 1, 2), np.diag([4 * formats.FX, 4 * formats.FY, 1.0])
+    k[:2, 2] = 4 * formats.CX, 4 * formats.CY
+    tangents = cv2.undistortPoints(pixels, k, np.array(d if bent == "depth" else [0.0] * 4)).reshape(96, 128, 2)
+    stored = np.where(tangents[..., 0] > 0.4, 1000, 3000).astype(np.uint16)
+    messages = [message for message in tool_formats.ros_messages(VIEWS[:1]) if "aligned" not in message[0]]
+    tf = tool_formats.transforms_message(0.0, "camera_color_optical_frame", "tof", np.eye(4))
+    image = tool_formats.image_message(VIEWS[0].time_s, "tof", "16UC1", stored)
+    messages += [
+        ("/tf_static", "tf2_msgs/msg/TFMessage", 5.0, tf),
+        ("/camera/depth/camera_info", "sensor_msgs/msg/CameraInfo", 5.0, b""),
+        ("/camera/depth/image_raw", "sensor_msgs/msg/Image", VIEWS[0].time_s, image),
+    ]
+    infos = {
+        f"/camera/{part}/camera_info": tool_formats.camera_message(
+            "x", model="rational_polynomial", d=d if part == bent else [0.0] * 8
+        )
+        for part in ("color", "depth")
+    }
+    messages = [(*message[:3], infos.get(message[0], message[3])) for message in messages]
+    (frame,) = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
+    height, width = frame.depth_m.shape
+    row = frame.depth_m[height // 2]
+    edge = (np.flatnonzero((row > 0) & (row < 2)).min() / width * 32 - frame.intrinsics.cx) / frame.intrinsics.fx
+    assert abs(edge - 0.4) < 0.01
 
 
 # Refused by name

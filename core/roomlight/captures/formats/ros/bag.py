@@ -1,9 +1,9 @@
 """Bags of ROS 1 and 2 (`.bag`, or a folder or file of `.db3` or `.mcap`), by the extra `rosbags`.
 
 A record is a colour image with the depth image nearest in time. Topics are chosen by their type and name: colour by
-`color` or `rgb`, those with a CameraInfo first; depth by `depth` and its encoding, that of the colour's namespace
-first, then `aligned` or `registered`. Depth of another frame is projected into the colour image by the fixed transforms
-of tf.
+`color` or `rgb`, those with a CameraInfo first; depth by `depth`, else by its encoding, that of the colour's frame
+first, then of its namespace, then `aligned` or `registered`. Depth of another frame is projected into the colour image
+by the fixed transforms of tf.
 
 Conventions: the pose is that of the colour image's frame in the root of tf; without one there, TransformStamped, or one
 topic of Odometry or PoseStamped, carries it. Optical frames are OpenCV's, the world is z-up (REP 103). Pixel centres
@@ -12,12 +12,14 @@ are at whole numbers (`CameraInfo`), so that half a pixel is added. 16UC1 is mil
 
 import importlib
 import importlib.util
+import re
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -30,12 +32,13 @@ from roomlight.captures.formats.ros.images import (
     decode_colour_image,
     decode_depth_image,
     is_colour,
+    is_range,
     lens_of_raw,
     pose_values,
     seconds,
 )
 from roomlight.captures.formats.ros.transform_tree import TransformTree
-from roomlight.captures.lenses import Lens, fitted, straightened
+from roomlight.captures.lenses import Lens, fitted, straightened, undistorted
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES
 from roomlight.captures.times import nearest
@@ -47,6 +50,11 @@ MAX_GAP_S: Final = 0.025
 _IMAGES: Final = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _COLOUR: Final = ("color", "rgb", "image")
 _NO_COLOUR: Final = ("depth", "infra", "fisheye", "mask", "conf")
+_NO_DEPTH: Final = re.compile("conf|disparity")
+_NO_RANGE: Final = re.compile(
+    r"conf|disparity|infra|mask|label|therm|intens|ampli|noise|gr[ae]y|mono|signal|reflec|range_|(^|[/_])ir([/_]|$)"
+)
+"""Names of 16-bit and float images that are no depth, where `depth` is not in the name."""
 _INFO: Final = "sensor_msgs/msg/CameraInfo"
 _POSES: Final = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 _TREES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -89,8 +97,9 @@ class RosBagReader:
         self._entries: dict[str, list[_Entry]] = {}
         with self._opened() as bag:
             topics = {connection.topic: connection.msgtype for connection in bag.connections}
-            self._colour = self._colour_topic(topics)
-            self._depth = self._depth_topic(bag, topics)
+            firsts = {topic: _first(bag, topic) for topic, kind in topics.items() if kind in _IMAGES}
+            self._colour = self._colour_topic(topics, firsts)
+            self._depth = self._depth_topic(firsts)
             self._index(bag, topics)
         self.count = len(self._entries.get(self._colour, []))
         if self.count > MAX_FRAMES:
@@ -138,9 +147,9 @@ class RosBagReader:
         finally:
             bag.close()
 
-    def _colour_topic(self, topics: dict[str, str]) -> str:
+    def _colour_topic(self, topics: dict[str, str], firsts: dict[str, Any]) -> str:
         """Return the topic of colour whose name fits best; others are noted. Raises CaptureError with what there is."""
-        images = [topic for topic, kind in topics.items() if kind in _IMAGES and _rank(topic, _COLOUR) < len(_COLOUR)]
+        images = [topic for topic in firsts if _rank(topic, _COLOUR) < len(_COLOUR) and not is_range(firsts[topic])]
         images = [topic for topic in images if _rank(topic, _NO_COLOUR) == len(_NO_COLOUR)]
         if not images:
             listed = ", ".join(sorted(topics)[:12]) or "nothing"
@@ -155,30 +164,31 @@ class RosBagReader:
             self.notes.append(Note(left, f"{images[0]} alone is read", "leave it out of the bag to read another"))
         return images[0]
 
-    def _depth_topic(self, bag: Any, topics: dict[str, str]) -> str | None:
-        """Return the topic of depth nearest to the colour's by name; None without one, noted if colour is called so."""
-        named = sorted(topic for topic, kind in topics.items() if kind in _IMAGES and "depth" in topic.lower())
-        depths = [topic for topic in named if self._may_be_depth(bag, topic)]
-        if named and not depths:
-            left = f"{self._path}: {', '.join(named[:4])}"
-            self.notes.append(Note(left, "holds colours, so that no depth is read", "record depth (16UC1 or 32FC1)"))
-        own = self._colour.split("/")
+    def _depth_topic(self, firsts: dict[str, Any]) -> str | None:
+        """Return the topic of depth of the colour's frame, or nearest to its name; None without one.
 
-        def order(topic: str) -> tuple[int, int, bool]:
+        Noted are colours that are called depth, and depth that is not.
+        """
+        named = sorted(topic for topic in firsts if "depth" in topic.lower() and not _NO_DEPTH.search(topic.lower()))
+        depths = [topic for topic in named if firsts[topic] is None or not is_colour(firsts[topic])]
+        if not depths:
+            depths = [topic for topic in firsts if is_range(firsts[topic]) and not _NO_RANGE.search(topic.lower())]
+            if named and not depths:
+                left, text = f"{self._path}: {', '.join(named[:4])}", "holds colours, so that no depth is read"
+                self.notes.append(Note(left, text, "record depth (16UC1 or 32FC1)"))
+        own, frame = self._colour.split("/"), _frame_of(firsts[self._colour])
+
+        def order(topic: str) -> tuple[bool, int, int, bool, str]:
             parts = enumerate(zip(topic.split("/"), own, strict=False))
             shared = next((at for at, (part, other) in parts if part != other), len(own))
-            return -shared, _rank(topic, ("aligned", "registered")), "compressed" in topic
+            other = _frame_of(firsts[topic]) != frame
+            return other, -shared, _rank(topic, ("aligned", "registered")), "compressed" in topic, topic
 
-        return min(depths, key=order, default=None)
-
-    def _may_be_depth(self, bag: Any, topic: str) -> bool:
-        """Whether the first image of a topic is of no encoding of colours."""
-        connections = [connection for connection in bag.connections if connection.topic == topic]
-        try:
-            connection, _, raw = next(bag.messages(connections=connections))
-            return not is_colour(bag.deserialize(raw, connection.msgtype))
-        except Exception:  # an empty or damaged one is found when it is read
-            return True
+        best = min(depths, key=order, default=None)
+        if best is not None and best not in named:
+            text = f"{self._path}: {best}, of {firsts[best].encoding}"
+            self.notes.append(Note(text, "taken for depth, which its name does not say", "leave it out if it is not"))
+        return best
 
     def _index(self, bag: Any, topics: dict[str, str]) -> None:
         """Take the poses and cameras, and the times of the images."""
@@ -268,11 +278,14 @@ class RosBagReader:
             height, width = picture.image.shape[:2]
             camera = camera_of(self._cameras[self._colour], (width, height), raw=_is_raw(self._colour))
             picture, camera = fitted(picture, camera, label)
-            depth_m = np.zeros(picture.image.shape[:2], np.float32)
+            depth_m, between = np.zeros((height, width), np.float32), None
             if self._depth is not None:
-                depth_m = self._in_colour(self._depth_near(entry.time_s, self._depth, bag, label), self._depth, camera)
+                depth_m, between = self._depth_near(entry.time_s, self._depth, bag, label), self._between(self._depth)
+            other_m = depth_m
             if not self._lens.straight and (width, height) == (camera.width, camera.height):
                 picture, depth_m, camera = straightened(picture, depth_m, camera, self._lens)
+            if self._depth is not None and between is not None:
+                depth_m = self._in_colour(other_m, self._depth, camera, between)
         depth_name = None if self._depth is None else f"{self._path}: {self._depth}"
         return RawFrame(label, picture, depth_m, depth_name, camera, pose)
 
@@ -298,23 +311,31 @@ class RosBagReader:
             raise FrameError(f"{self._path}: {topic} does not decode ({error})") from error
         raise FrameError(f"{self._path}: {topic} has no message of {entry.time_s:.3f} s")
 
-    def _in_colour(
-        self, depth_m: Float[np.ndarray, "h w"], topic: str, colour: Intrinsics
-    ) -> Float[np.ndarray, "dh dw"]:
-        """Project depth of another camera into the colour image."""
-        frame, info = self._frames.get(topic, ""), self._cameras.get(topic)
+    def _between(self, topic: str) -> Float[np.ndarray, "4 4"] | None:
+        """Return the transform from depth of another camera; None for that of the colour's, or taken for it."""
+        frame = self._frames.get(topic, "")
         if frame.lstrip("/") == self._frame_id.lstrip("/"):
-            return depth_m
+            return None
         between = self._tree.between(self._frame_id, frame)
-        if between is None or info is None:
-            lacking = "no fixed transform from" if between is None else "no CameraInfo of"
-            text = "taken for depth of the colour camera"
-            way = "record tf_static and camera_info, or aligned depth"
-            note = Note(f"{self._path}: {lacking} {frame!r}", text, way)
-            if note not in self.notes:
-                self.notes.append(note)
-            return depth_m
-        return registered(depth_m, camera_of(info, depth_m.shape[::-1], raw=_is_raw(topic)), colour, between)
+        if between is not None and topic in self._cameras:
+            return between
+        lacking = "no fixed transform from" if between is None else "no CameraInfo of"
+        text = "taken for depth of the colour camera"
+        way = "record tf_static and camera_info, or aligned depth"
+        note = Note(f"{self._path}: {lacking} {frame!r}", text, way)
+        if note not in self.notes:
+            self.notes.append(note)
+        return None
+
+    def _in_colour(
+        self, depth_m: Float[np.ndarray, "h w"], topic: str, colour: Intrinsics, between: Float[np.ndarray, "4 4"]
+    ) -> Float[np.ndarray, "dh dw"]:
+        """Project depth of another camera into the colour image, without the distortion of either."""
+        height, width = depth_m.shape
+        camera, lens = camera_of(self._cameras[topic], (width, height), raw=_is_raw(topic)), self._lens_of(topic)
+        if not lens.straight:
+            (depth_m,), camera = undistorted([(depth_m, cv2.INTER_NEAREST)], camera, lens)
+        return registered(depth_m, camera, colour, between)
 
     def _lens_of(self, topic: str) -> Lens:
         """Return the lens of a topic's camera. Raises ValueError."""
@@ -326,6 +347,20 @@ def is_bag(path: Path) -> bool:
     if path.is_file():
         return path.suffix.lower() in SUFFIXES
     return (path / "metadata.yaml").is_file() and any(file.suffix in SUFFIXES for file in path.iterdir())
+
+
+def _first(bag: Any, topic: str) -> Any:
+    """Return the first image of a topic; None for an empty or a damaged one, which is found when it is read."""
+    try:
+        connection, _, raw = next(bag.messages(connections=[c for c in bag.connections if c.topic == topic]))
+        return bag.deserialize(raw, connection.msgtype)
+    except Exception:  # rosbags raises whatever the damaged bytes lead to
+        return None
+
+
+def _frame_of(message: Any) -> str | None:
+    """Return the frame of an image; None without one."""
+    return None if message is None else message.header.frame_id.lstrip("/")
 
 
 def _is_raw(topic: str) -> bool:

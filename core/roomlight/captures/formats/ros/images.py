@@ -114,6 +114,11 @@ def is_colour(message: Any) -> bool:
     return message.encoding.lower() in (*_ORDERS, *_CONVERSIONS)
 
 
+def is_range(message: Any) -> bool:
+    """Whether a message is an Image of an encoding that distances have."""
+    return getattr(message, "encoding", "").lower() in ("16uc1", "32fc1")
+
+
 def decode_depth_image(message: Any, label: str, unit_m: float | None) -> Float[np.ndarray, "h w"]:
     """Return depth in metres of an Image or a CompressedImage (compressedDepth). Raises ValueError and ImageError."""
     if hasattr(message, "format"):  # 12 bytes of parameters, then a PNG
