@@ -274,6 +274,29 @@ def test_a_bag_without_poses_colour_or_camera_says_so(tmp_path: Path) -> None:
         open_capture(tmp_path / "d.bag")
 
 
+def as_zstd(data: bytes) -> bytes:
+    """A frame of Zstandard in raw blocks."""
+    parts = [data[at : at + 100_000] for at in range(0, len(data), 100_000)]
+    heads = [(int(part is parts[-1]) | len(part) << 3).to_bytes(3, "little") for part in parts]
+    blocks = b"".join(head + part for head, part in zip(heads, parts, strict=True))
+    return b"\x28\xb5\x2f\xfd\xa0" + struct.pack("<I", len(data)) + blocks
+
+
+def test_a_bag_of_compressed_files(tmp_path: Path) -> None:
+    """As `ros2 bag record --compression-mode file` writes it."""
+    path = tool_formats.ros_bag(tmp_path / "bag", VIEWS)
+    stored = path / "bag_0.db3"
+    (path / "bag_0.db3.zstd").write_bytes(as_zstd(stored.read_bytes()))
+    stored.unlink()
+    text = (path / "metadata.yaml").read_text().replace("bag_0.db3", "bag_0.db3.zstd")
+    for key, value in (("format", "zstd"), ("mode", "FILE")):
+        text = text.replace(f'"compression_{key}": ""', f'"compression_{key}": "{value}"')
+    (path / "metadata.yaml").write_text(text)
+    assert len(list(open_capture(path))) == len(VIEWS)
+    with pytest.raises(CaptureError, match="is a compressed part of a bag; open its folder"):
+        open_capture(path / "bag_0.db3.zstd")
+
+
 def without_tf() -> list[tuple[str, str, float, bytes]]:
     return [message for message in tool_formats.ros_messages(VIEWS) if not message[0].startswith("/tf")]
 

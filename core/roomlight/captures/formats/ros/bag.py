@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and 2 (`.bag`, or a folder or file of `.db3` or `.mcap`), by the extra `rosbags`.
+"""Bags of ROS 1 and 2 (`.bag`, or a folder or file of `.db3` or `.mcap`, a folder also of `.zstd`), by `rosbags`.
 
 A record is a colour image with the depth image nearest in time. Topics are chosen by their type and name: colour by
 `color` or `rgb`, those with a CameraInfo first; depth by `depth`, else by its encoding, that of the colour's frame
@@ -45,7 +45,7 @@ from roomlight.captures.times import nearest
 from roomlight.errors import CaptureError, FrameError, RoomLightError
 from roomlight.notes import Note
 
-SUFFIXES: Final = (".bag", ".db3", ".mcap")
+_SUFFIXES: Final = (".bag", ".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
 MAX_GAP_S: Final = 0.025
 _IMAGES: Final = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _COLOUR: Final = ("color", "rgb", "image")
@@ -88,6 +88,8 @@ class RosBagReader:
     def __init__(self, path: Path, options: CaptureOptions) -> None:
         if importlib.util.find_spec("rosbags") is None:
             raise CaptureError(f"{path}: is a ROS bag, which needs pip install 'roomlight[rosbag]'")
+        if path.suffix.lower() == ".zstd":
+            raise CaptureError(f"{path}: is a compressed part of a bag; open its folder, with metadata.yaml")
         self._path, self._unit_m = path, options.depth_unit_m
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []
@@ -345,8 +347,8 @@ class RosBagReader:
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a file of its endings, or ROS 2's folder."""
     if path.is_file():
-        return path.suffix.lower() in SUFFIXES
-    return (path / "metadata.yaml").is_file() and any(file.suffix in SUFFIXES for file in path.iterdir())
+        return path.name.lower().endswith(_SUFFIXES)
+    return (path / "metadata.yaml").is_file() and any(file.name.endswith(_SUFFIXES) for file in path.iterdir())
 
 
 def _first(bag: Any, topic: str) -> Any:
