@@ -348,6 +348,16 @@ def test_one_of_several_pose_topics_is_read(
     assert f"the poses of {others}: those of {poses[0][0]} are read" in str(capture.notes[0])
 
 
+def test_a_second_parent_in_tf_is_noted(tmp_path: Path) -> None:
+    messages = tool_formats.ros_messages(VIEWS)
+    data = tool_formats.transforms_message(VIEWS[0].time_s, "odom", "base_link", np.eye(4))
+    messages.append(("/tf", "tf2_msgs/msg/TFMessage", VIEWS[1].time_s, data))
+    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
+    (note,) = capture.notes
+    assert "poses of base_link in odom beside those in map: those in map, which come first, are read" in str(note)
+    np.testing.assert_allclose(next(iter(capture)).camera_to_world, VIEWS[0].pose, atol=1e-6)
+
+
 def test_poses_between_two_of_tf_are_interpolated(tmp_path: Path) -> None:
     messages = tool_formats.ros_messages(VIEWS)
     moved = [message for message in messages if message[0] != "/tf"]

@@ -225,6 +225,11 @@ class RosBagReader:
             raise CaptureError(f"{self._path}: is damaged ({error})") from error
         if loose and not self._tree.moves(self._frames.get(self._colour, "")):
             self._add_poses(loose)
+        for child, kept, other in self._tree.conflicts(self._frames.get(self._colour, "")):
+            left = f"{self._path}: poses of {child} in {other} beside those in {kept}"
+            self.notes.append(
+                Note(left, f"those in {kept}, which come first, are read", "record one of them to be sure")
+            )
 
     def _add_poses(self, topics: dict[str, list[_Pose]]) -> None:
         """Take the poses of the topic that fits best; others are noted.

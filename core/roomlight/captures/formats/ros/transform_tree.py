@@ -20,13 +20,16 @@ class TransformTree:
         self._fixed: set[str] = set()
         self._times: dict[str, list[float]] = {}
         self._poses: dict[str, list[Float[np.ndarray, 7]]] = {}
+        self._others: dict[str, str] = {}
 
     def add(self, parent: str, child: str, pose: Float[np.ndarray, "7"], *, time_s: float, fixed: bool = False) -> None:
-        """Add a pose of `child` in `parent`: translation and quaternion (x, y, z, w)."""
+        """Add a pose of `child` in `parent`: translation and quaternion (x, y, z, w). A second parent is left out."""
         parent, child = parent.lstrip("/"), child.lstrip("/")
-        if parent == child or self._parents.get(child, parent) != parent or len(self._parents) >= _MAX_FRAMES:
-            return  # a second parent would make the tree ambiguous; tf keeps the first too
-        self._parents[child] = parent
+        if parent == child or len(self._parents) >= _MAX_FRAMES:
+            return
+        if self._parents.setdefault(child, parent) != parent:
+            self._others.setdefault(child, parent)
+            return
         if fixed:
             self._fixed.add(child)
         at = bisect.bisect_right(self._times.setdefault(child, []), time_s)
@@ -40,6 +43,10 @@ class TransformTree:
     def root(self, frame: str) -> str:
         """Return the frame above all others."""
         return self._chain(frame)[-1]
+
+    def conflicts(self, frame: str) -> list[tuple[str, str, str]]:
+        """Return child, parent and second parent, which is left out, of the frames above one and of itself."""
+        return [(name, self._parents[name], self._others[name]) for name in self._chain(frame) if name in self._others]
 
     def moves(self, frame: str) -> bool:
         """Whether a frame moves against its root."""
