@@ -427,6 +427,14 @@ def test_names_of_no_lens(tmp_path: Path, model: str, d: tuple[float, ...]) -> N
     assert next(iter(open_capture(path))).intrinsics.fx == formats.FX
 
 
+def test_librealsenses_names_of_lenses(tmp_path: Path) -> None:
+    focal: list[float] = []
+    for model in ("plumb_bob", "Inverse Brown Conrady"):
+        info = tool_formats.camera_message("camera_color_optical_frame", model=model, d=(-0.2, 0.05, 0.0, 0.0, 0.0))
+        focal.append(next(iter(open_capture(with_info(tmp_path / model, info)))).intrinsics.fx)
+    assert focal[0] == focal[1] != formats.FX
+
+
 @pytest.mark.parametrize(("binning", "roi"), [(2, None), (0, (5, 20)), (2, (6, 20))])
 def test_the_camera_of_a_part_of_the_sensor(tmp_path: Path, binning: int, roi: tuple[int, int] | None) -> None:
     info = tool_formats.camera_message("camera_color_optical_frame", binning=binning, roi=roi)

@@ -35,9 +35,11 @@ _CONVERSIONS: Final = {  # OpenCV names Bayer patterns by their second row
     "yuyv": cv2.COLOR_YUV2RGB_YUY2,
 }
 _PLUMB_BOB: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_FISHEYES: Final = ("equidistant", "fisheye")
-_STRAIGHT: Final = ("", "none", "pinhole", "brown conrady", "inverse brown conrady", "modified brown conrady")
-"""Names that stand beside a D of zeros, librealsense's among them."""
+_BROWN: Final = ("brown conrady", "inverse brown conrady", "modified brown conrady")
+"""Librealsense's names; its code projects points by the same polynomial as plumb_bob."""
+_FISHEYES: Final = ("equidistant", "fisheye", "kannala brandt4")
+_STRAIGHT: Final = ("", "none", "pinhole")
+"""Names that stand beside a D of zeros."""
 
 
 def seconds(header: Any) -> float:
@@ -71,7 +73,7 @@ def lens_of_raw(info: Any) -> Lens:
     """Return the lens of raw images: D. Raises ValueError for a model that is not read, by name."""
     d, model = _matrix(info, "d"), info.distortion_model.strip().lower()
     keys = ("k1", "k2", "k3", "k4") if model in _FISHEYES else _PLUMB_BOB
-    known = model in (*_FISHEYES, "plumb_bob", "rational_polynomial") or (model in _STRAIGHT and not any(d))
+    known = model in (*_FISHEYES, *_BROWN, "plumb_bob", "rational_polynomial") or (model in _STRAIGHT and not any(d))
     if not known or any(d[len(keys) :]):
         raise ValueError(
             f"distortion_model {info.distortion_model[:40]!r} with D of {len(d)} values is not read, but plumb_bob, "
