@@ -241,6 +241,39 @@ def test_a_camera_that_no_file_states_is_said(tmp_path: Path) -> None:
         assert any(f"focal length of {focal} pixels" in note.effect for note in open_capture(path).notes)
 
 
+BUNDLE_FUSION = """m_versionNumber = 4
+m_colorWidth = 64
+m_colorHeight = 48
+m_depthWidth = 32
+m_depthHeight = 24
+m_depthShift = 5000
+m_calibrationColorIntrinsic = 56 0 32.5 0 0 54 23 0 0 0 1 0 0 0 0 1
+m_calibrationColorExtrinsic = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1
+m_calibrationDepthIntrinsic = 28 0 16 0 0 27 11.25 0 0 0 1 0 0 0 0 1
+m_calibrationDepthExtrinsic = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1
+m_frames.size = 4
+"""
+
+
+@pytest.mark.parametrize("name", ["data/info.txt", "data/_info.txt", "info.txt"])
+def test_cameras_of_bundle_fusions_info_are_read(tmp_path: Path, name: str) -> None:
+    path = formats.seven_scenes(tmp_path / "data", VIEWS)
+    (path / "camera-intrinsics.txt").unlink()
+    (tmp_path / name).write_text(BUNDLE_FUSION)
+    frames = list(capture := open_capture(path, CaptureOptions(depth="file")))
+    assert not [note for note in capture.notes if "focal length" in note.effect]
+    camera = frames[0].intrinsics
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (28, 27, 16.5, 11.75)
+    np.testing.assert_allclose(frames[0].depth_m, VIEWS[0].depth_m / 5, atol=1e-6)
+    (tmp_path / name).write_text(BUNDLE_FUSION.replace("= 28 0 16 0 0 27", "= 26.25 0 15 0 0 26.25"))
+    assert next(iter(open_capture(path))).depth_m.shape != VIEWS[0].depth_m.shape  # projected into the colour image
+    (tmp_path / name).write_text(BUNDLE_FUSION.replace("= 56 0", "= x 0"))
+    with pytest.raises(CaptureError, match=r"info\.txt: m_calibrationColorIntrinsic holds a word"):
+        open_capture(path)
+    (tmp_path / name).write_text("my room")
+    assert any("585" in note.effect for note in open_capture(path).notes)
+
+
 def test_exposure_that_is_not_applied_is_noted(tmp_path: Path) -> None:
     path = formats.scanner_app(tmp_path / "capture", VIEWS)
     edit(path / "frame_00000.json", lambda stated: stated.update(exposureDuration=0.01))

@@ -101,7 +101,7 @@ class ScanNetReader:
         file.read(name_bytes)
         matrices = np.frombuffer(file.read(256), "<f4").reshape(4, 4, 4).astype(np.float64)
         self._k, self._depth_k = matrices[0], matrices[2]
-        self._depth_to_colour = _between(matrices[1], matrices[3])
+        self._depth_to_colour = between(matrices[1], matrices[3])
         values = struct.unpack("<2i4IfQ", file.read(36))
         self._colour_kind, self._depth_kind = values[:2]
         self._colour_size, self._depth_size = values[2:4], values[4:6]
@@ -115,7 +115,7 @@ class ScanNetReader:
             for width, height in (self._colour_size, self._depth_size):
                 if not 0 < width * height <= MAX_PIXELS:
                     raise ValueError(f"declares images of {width} x {height} pixels")
-            self._intrinsics = _camera(self._k, self._colour_size)
+            self._intrinsics = camera_of(self._k, self._colour_size)
 
     def _listed(self, file: BinaryIO, size: int) -> list[_Entry]:
         entries: list[_Entry] = []
@@ -143,7 +143,7 @@ class ScanNetReader:
         return RawFrame(
             name=label,
             picture=decode_picture(colour, label, as_stored=True),
-            depth_m=_in_colour(self._depth(depth, label), self._depth_k, self._intrinsics, self._depth_to_colour),
+            depth_m=in_colour(self._depth(depth, label), self._depth_k, self._intrinsics, self._depth_to_colour),
             depth_name=label,
             intrinsics=self._intrinsics,
             pose=pose,
@@ -168,17 +168,18 @@ class ScanNetReader:
         return clean_depth(metres)
 
 
-def _camera(k: Float[np.ndarray, "n n"], size: tuple[int, int]) -> Intrinsics:
+def camera_of(k: Float[np.ndarray, "n n"], size: tuple[int, int]) -> Intrinsics:
+    """Return the camera of a K with pixel centres at whole numbers."""
     return Intrinsics(float(k[0, 0]), float(k[1, 1]), float(k[0, 2]) + 0.5, float(k[1, 2]) + 0.5, *size)
 
 
-def _between(colour: Float[np.ndarray, "4 4"], depth: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+def between(colour: Float[np.ndarray, "4 4"], depth: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """Return what takes points of the depth camera to the colour camera; the identity where a pose is none."""
     known = all(np.isfinite(pose).all() and abs(np.linalg.det(pose)) > 0.5 for pose in (colour, depth))
     return np.linalg.inv(colour) @ depth if known else np.eye(4)
 
 
-def _in_colour(
+def in_colour(
     depth_m: Float[np.ndarray, "h w"],
     depth_k: Float[np.ndarray, "n n"],
     colour: Intrinsics,
@@ -188,7 +189,7 @@ def _in_colour(
     if not np.isfinite(depth_k).all() or depth_k[0, 0] <= 0:
         return depth_m
     size = depth_m.shape[1], depth_m.shape[0]
-    near, same = _camera(depth_k, size), colour.resized(*size)
+    near, same = camera_of(depth_k, size), colour.resized(*size)
     off = max(abs(getattr(near, key) - getattr(same, key)) for key in ("fx", "fy", "cx", "cy"))
     if off < 0.01 * same.fx and np.abs(depth_to_colour - np.eye(4)).max() < 0.005:
         return depth_m
@@ -217,7 +218,7 @@ class ScanNetFramesReader(ListedReader):
         depth_name, extrinsic = (name.replace(*pair) for pair in (("color", "depth"), ("intrinsic_", "extrinsic_")))
         self._depth_k = self._stated(source, depth_name, 3)
         poses = [self._stated(source, file, 4) for file in (extrinsic, extrinsic.replace("color", "depth"))]
-        self._depth_to_colour = _between(*(np.eye(4) if pose is None else pose for pose in poses))
+        self._depth_to_colour = between(*(np.eye(4) if pose is None else pose for pose in poses))
         super().__init__(folder, options, files_of(source, "color", (".jpg", ".jpeg", ".png")), expected="color/0.jpg")
 
     @staticmethod
@@ -240,5 +241,5 @@ class ScanNetFramesReader(ListedReader):
         depth_label = depth_name and self._source.label(depth_name)
         depth_m = read.depth_m
         if depth_name is not None and self._depth_k is not None:
-            depth_m = _in_colour(depth_m, self._depth_k, intrinsics, self._depth_to_colour)
+            depth_m = in_colour(depth_m, self._depth_k, intrinsics, self._depth_to_colour)
         return RawFrame(label, read.picture, depth_m, depth_label, intrinsics, pose)

@@ -1,14 +1,19 @@
-"""7-Scenes: `frame-XXXXXX.color.png|jpg`, `.depth.png`, `.pose.txt`, optionally `camera-intrinsics.txt`.
+"""7-Scenes, and BundleFusion's and 12-Scenes' recordings, which have `info.txt` beside or above the frames.
+
+Files are `frame-XXXXXX.color.png|jpg`, `.depth.png`, `.pose.txt`, optionally `camera-intrinsics.txt`.
 
 Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera's or another fit's. Up is
 the opposite of `gravity-direction.txt` (three numbers); without that file the world is assumed to be an upright
 OpenCV camera's, up = -y. Depth is uint16 millimetres, 0 and 65535 unknown. K is used unchanged, with pixel centres at
 half integers: the data set's default of 585, 585, 320, 240 for 640 x 480 puts the principal point at the centre of the
 image; it is scaled to images of that aspect, and none other. A K of a file has no size and must fit the image.
+`info.txt`, in 3RScan `_info.txt`, is the header of a `.sens` as text: both cameras, their sizes and the unit of depth
+are read as ScanNet's; `camera-intrinsics.txt` goes before its K.
 A `.depth.pgm`, as 3RScan has it, is refused and not taken for missing depth.
 """
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -18,8 +23,9 @@ from jaxtyping import Float
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
-from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
+from roomlight.captures.decoding import Rgbd, intrinsics_without_size, read_rgbd
 from roomlight.captures.formats.listed import ListedReader
+from roomlight.captures.formats.scannet import between, camera_of, in_colour
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import read_index
 from roomlight.errors import CaptureError, FrameError
@@ -30,6 +36,17 @@ INTRINSICS: Final = "camera-intrinsics.txt"
 GRAVITY: Final = "gravity-direction.txt"
 _RECORD: Final = re.compile(r"(frame-\d{1,9})\.(color|depth|pose)\.(png|jpg|jpeg|pgm|txt)", re.IGNORECASE)
 _DEFAULT_CAMERA: Final = Intrinsics(585.0, 585.0, 320.0, 240.0, 640, 480)
+_COLOUR_K: Final = "m_calibrationColorIntrinsic"
+
+
+@dataclass(frozen=True)
+class _Sensor:
+    """What `info.txt` states; NaN in the K of a depth camera that it does not."""
+
+    colour: Intrinsics
+    depth_k: Float[np.ndarray, "4 4"]
+    depth_to_colour: Float[np.ndarray, "4 4"]
+    depth_unit_m: float
 
 
 class SevenScenesReader(ListedReader):
@@ -46,9 +63,14 @@ class SevenScenesReader(ListedReader):
         )
         names = [colour.get(stem, f"{stem}.color.png") for stem in self._stems]
         super().__init__(folder, options, names, expected="frame-XXXXXX.color.png, .depth.png and .pose.txt")
-        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_CAMERA
-        if isinstance(self._matrix, Intrinsics):
-            self.notes.append(assumed_camera(folder, self._matrix))
+        self._sensor = _read_sensor(folder)
+        self._matrix = _DEFAULT_CAMERA if self._sensor is None else self._sensor.colour
+        if self._sensor is not None and self._unit_m is None:
+            self._unit_m = self._sensor.depth_unit_m
+        if source.has(INTRINSICS):
+            self._matrix = read_matrix(source)
+        elif self._sensor is None:
+            self.notes.append(assumed_camera(folder, _DEFAULT_CAMERA))
         self.conventions = PoseConventions("opencv", "camera-to-world", self._up())
 
     def _read(self, index: int) -> RawFrame:
@@ -64,6 +86,9 @@ class SevenScenesReader(ListedReader):
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_of(self._matrix, width=width, height=height)
+        if depth_name is not None and (sensor := self._sensor) is not None:
+            depth_m = in_colour(read.depth_m, sensor.depth_k, intrinsics, sensor.depth_to_colour)
+            read = Rgbd(read.picture, depth_m)
         return self._raw_frame(index, read, depth_name, intrinsics, pose)
 
     def _up(self) -> tuple[float, float, float]:
@@ -91,10 +116,43 @@ def intrinsics_of(
         return intrinsics_without_size(known, width=width, height=height, shift=shift)
     if abs(width * known.height - height * known.width) > known.width:
         raise ValueError(
-            f"the image is {width} x {height}, and the data set's own focal length is for {known.width} x "
-            f"{known.height} and its aspect alone; write {INTRINSICS}, 3 x 3, with this camera's"
+            f"the image is {width} x {height}, and the data set's focal length is for {known.width} x {known.height} "
+            f"and its aspect alone; write {INTRINSICS}, 3 x 3, with this camera's"
         )
     return known.resized(width, height)
+
+
+def _read_sensor(folder: Path) -> _Sensor | None:
+    """Read `info.txt` or `_info.txt`, or 12-Scenes' one above the folder `data`; None without a camera in it."""
+    sources = [FolderSource(folder), *([FolderSource(folder.parent)] if folder.name == "data" else [])]
+    for source, name in ((source, name) for source in sources for name in ("info.txt", "_info.txt")):
+        if not source.has(name):
+            continue
+        label = source.label(name)
+        pairs = (line.partition("=") for line in fields.parse_text(read_index(source, name), label))
+        stated = {key.strip(): value for key, _, value in pairs}
+        if _COLOUR_K in stated:
+            with fields.naming(label, CaptureError):
+                return _sensor(stated)
+    return None
+
+
+def _sensor(stated: dict[str, str]) -> _Sensor:
+    def values(key: str, count: int, default: str = "") -> list[float]:
+        return fields.numbers_of_line(stated.get(key, default), count, key)
+
+    def matrix(name: str) -> Float[np.ndarray, "4 4"]:
+        key = f"m_calibration{name}"
+        return fields.coordinates(values(key, 16, "nan " * 16), key).reshape(4, 4)
+
+    width, height = (fields.pixels(values(key, 1)[0], key) for key in ("m_colorWidth", "m_colorHeight"))
+    shift = fields.positive(values("m_depthShift", 1, "1000")[0], "m_depthShift")
+    return _Sensor(
+        camera_of(matrix("ColorIntrinsic"), (width, height)),
+        matrix("DepthIntrinsic"),
+        between(matrix("ColorExtrinsic"), matrix("DepthExtrinsic")),
+        fields.unit(1 / shift, "1 / m_depthShift"),
+    )
 
 
 def assumed_camera(folder: Path, camera: Intrinsics) -> Note:
