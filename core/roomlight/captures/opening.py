@@ -28,6 +28,7 @@ from roomlight.captures.formats.stray_scanner import StrayScannerReader
 from roomlight.captures.formats.tum import TumReader
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.recognition import is_record3d_archive, recognised
+from roomlight.captures.source import member_name
 from roomlight.captures.video import DEMUXERS
 from roomlight.errors import CaptureError, OptionError, UnknownFormatError
 from roomlight.notes import Note
@@ -139,7 +140,7 @@ def _unpacked(archive: Path) -> Path:
             if size > free:
                 raise ValueError(f"it holds {size} bytes, and {root.parent} has {free} free")
             for member in members.infolist():
-                member.filename = member.filename.replace("\\", "/")  # as old programs of Windows write them
+                member.filename = member_name(member)
                 members.extract(member, root / archive.name)
     except BaseException as error:
         shutil.rmtree(root, ignore_errors=True)

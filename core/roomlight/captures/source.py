@@ -3,7 +3,7 @@
 import zipfile
 import zlib
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +15,8 @@ MAX_INDEX_BYTES: Final = 64 * 1024 * 1024
 
 MAX_FRAMES: Final = 200_000
 """Longest capture: an hour at 55 frames a second; a longer index is damaged or hostile."""
+
+_UTF8_NAMES: Final = 0x800
 
 
 class ZipSource:
@@ -29,9 +31,10 @@ class ZipSource:
         self.root = path
         self._archive: zipfile.ZipFile | None = None
         with self.opened() as archive:
-            listed = [info for info in archive.infolist() if not info.is_dir() and not _is_litter(info.filename)]
-        self.prefix = _common_folder([info.filename for info in listed])
-        self._members = {info.filename[len(self.prefix) :].replace("\\", "/"): info for info in listed}
+            named = [(member_name(info), info) for info in archive.infolist() if not info.is_dir()]
+        listed = {name: info for name, info in named if not _is_litter(name)}
+        self.prefix = _common_folder(list(listed))
+        self._members = {name[len(self.prefix) :]: info for name, info in listed.items()}
         self._folded: dict[str, list[str]] = {}
         for name in self._members:
             self._folded.setdefault(name.casefold(), []).append(name)
@@ -93,6 +96,16 @@ class ZipSource:
 
 
 Source = FolderSource | ZipSource
+
+
+def member_name(member: zipfile.ZipInfo) -> str:
+    """Return a member's name with slashes; macOS writes names in UTF-8 without the flag that says so."""
+    name = member.filename.replace("\\", "/")  # as old programs of Windows write them
+    if member.flag_bits & _UTF8_NAMES:
+        return name
+    with suppress(UnicodeError):
+        return name.encode("cp437").decode("utf-8")
+    return name
 
 
 def _is_litter(name: str) -> bool:

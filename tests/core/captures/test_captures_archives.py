@@ -132,3 +132,25 @@ def test_a_zip_of_something_else_is_refused_and_leaves_nothing(tmp_path: Path, m
         open_capture(tmp_path / "d.zip")
     assert not any(temporary.iterdir())
     assert not (tmp_path / "out.txt").exists()
+
+
+@pytest.mark.parametrize("name", ["a.zip", "a.r3d"])
+def test_names_in_utf8_without_the_flag_are_read(tmp_path: Path, name: str) -> None:
+    """As macOS packs; where the bytes are no UTF-8, they are those of DOS."""
+    files = formats.record3d_members(VIEWS[:1])
+    if name == "a.zip":
+        formats.nerfstudio(folder := tmp_path / "folder", VIEWS[:1])
+        renamed = (folder / "images/frame_00001.png").rename(folder / "images/Küche.png")
+        index = (folder / "transforms.json").read_bytes().replace(b"frame_00001.png", "Küche.png".encode(), 1)
+        (folder / "transforms.json").write_bytes(index)
+        assert renamed.is_file()
+        files = {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    archive = zipped(tmp_path / name, {f"Küche/{member}": data for member, data in files.items()})
+    data = bytearray(archive.read_bytes())
+    for mark, flags in ((b"PK\x03\x04", 7), (b"PK\x01\x02", 9)):
+        at = -1
+        while (at := data.find(mark, at + 1)) >= 0:
+            data[at + flags] &= ~8
+    archive.write_bytes(data)
+    (frame,) = open_capture(archive)
+    assert "Küche" in frame.source
