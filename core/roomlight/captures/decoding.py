@@ -30,13 +30,19 @@ class Rgbd:
 
 
 def read_rgbd(
-    source: FolderSource, colour_name: str, depth_name: str | None, *, unit_m: float | None, integer_m: float = 0.001
+    source: FolderSource,
+    colour_name: str,
+    depth_name: str | None,
+    *,
+    unit_m: float | None,
+    integer_m: float = 0.001,
+    pictures: FolderSource | None = None,
 ) -> Rgbd:
     """Read one record's picture, as stored, and its depth; units as `decode_depth_map` takes them.
 
-    Without a file of depth (None) no pixel's depth is known.
+    Without a file of depth (None) no pixel's depth is known. Pictures may have a folder of their own.
     """
-    picture = read_picture(source, colour_name)
+    picture = read_picture(pictures or source, colour_name)
     if depth_name is None:
         return Rgbd(picture, np.zeros(picture.image.shape[:2], np.float32))
     depth_m = decode_depth_map(source.read(depth_name), source.label(depth_name), unit_m=unit_m, integer_m=integer_m)

@@ -163,6 +163,8 @@ def _innermost(path: Path) -> Path:
         entries = list(islice(sorted(path.iterdir()), _LISTED))
         inner = [entry for entry in entries if entry.is_dir() and entry.name[0] not in "._"]
         captures = [folder for folder in inner if _is_capture(folder)] or _recorded_files(entries)
+        if [folder.name for folder in captures] == ["colmap", "nerfstudio"]:  # ScanNet++ writes its poses twice
+            captures = captures[1:]
         if len(captures) > 1:
             listed = ", ".join(folder.name for folder in captures[:6])
             raise UnknownFormatError(f"{path}: holds {len(captures)} captures ({listed}); open one of them")

@@ -1,5 +1,6 @@
 """Recordings without depth: read with estimated depth, or refused where the user wants files."""
 
+import json
 import shutil
 import zipfile
 from pathlib import Path
@@ -130,3 +131,40 @@ def test_a_capture_whose_frames_are_all_bad_has_no_scale(tmp_path: Path) -> None
         picture.write_bytes(b"no picture")
     with pytest.raises(CaptureError, match="none of 2 frames can be used to find the scale"):
         list(open_capture(folder, CaptureOptions(camera_height_m=1.4)))
+
+
+def scannetpp_dslr(path: Path, pictures: str, masks: str) -> Path:
+    """The frames of a scene's DSLR: poses twice, pictures and masks in folders that no file names."""
+    mask = np.full((24, 32), 255, np.uint8)
+    mask[:6] = 0
+    frames, lines = [], []
+    for at, view in enumerate(VIEWS):
+        formats.save(path / pictures / f"DSC{at}.JPG", formats.image(".jpg", view.srgb8))
+        formats.save(path / masks / f"DSC{at}.png", formats.image(".png", mask))
+        matrix = (formats.Y_UP_TO_Z_UP @ view.pose).tolist()
+        frames.append({"file_path": f"DSC{at}.JPG", "mask_path": f"DSC{at}.png", "transform_matrix": matrix})
+        lines += [f"{at + 1} 1 0 0 0 0 0 0 1 DSC{at}.JPG", ""]
+    index = {"fl_x": formats.FX, "w": 32, "h": 24, "camera_model": "PINHOLE", "frames": frames, "has_mask": True}
+    formats.save(path / "nerfstudio/transforms.json", json.dumps(index).encode())
+    formats.save(path / "colmap/cameras.txt", b"1 PINHOLE 32 24 28 27 16.5 11.75\n")
+    formats.save(path / "colmap/images.txt", "\n".join(lines).encode())
+    return path
+
+
+@pytest.mark.parametrize("opened", ["", "nerfstudio", "nerfstudio/transforms.json"])
+def test_pictures_of_scannetpps_dslr_lie_beside_the_index(tmp_path: Path, opened: str) -> None:
+    model = write_depth_model(tmp_path / "metric.onnx", {"depth": cv2.resize(VIEWS[0].depth_m, SIZE[::-1])[None]})
+    folders = ("images", "masks") if opened else ("resized_images", "resized_anon_masks")
+    path = scannetpp_dslr(tmp_path / "dslr", *folders)
+    capture = open_capture(path / opened, CaptureOptions(depth_model=model))
+    frames = list(capture)
+    assert (capture.format, capture.skipped) == ("nerfstudio", [])
+    assert frames[0].source == f"{path}/{folders[0]}/DSC0.JPG"
+    for read, view in zip(frames, VIEWS, strict=True):
+        np.testing.assert_allclose(read.camera_to_world, view.pose, atol=1e-9)
+        assert read.seen is not None
+        assert not read.seen[:6].any()
+    assert [folder for folder in folders for note in capture.notes if f"{path}/{folder} is read" in str(note)]
+    shutil.rmtree(path / folders[1])
+    edit(path / "nerfstudio/transforms.json", lambda index: index.update(has_mask=False))
+    assert next(iter(open_capture(path / opened, CaptureOptions(depth_model=model)))).seen is None

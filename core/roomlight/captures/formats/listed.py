@@ -1,5 +1,6 @@
 """What readers of formats with one file of each kind a frame share: a list of names, read one by one."""
 
+import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -99,6 +100,12 @@ def probes_of(index: dict[str, Any], key: str, source: FolderSource, label: str)
             raise CaptureError(f"{label}: a probe's panorama: {error}") from error
         probes.append((position, name))
     return probes
+
+
+def beside(folder: Path, names: list[str], *relative: str) -> FolderSource | None:
+    """Return the first of the folders, given relative to `folder`, that has one of these files; None without one."""
+    sources = [FolderSource(Path(os.path.normpath(folder.absolute() / name))) for name in relative]
+    return next((source for source in sources if any(map(source.has, names))), None)
 
 
 def first_folder(source: FolderSource, *folders: str) -> str:

@@ -18,7 +18,7 @@ script); without them integers are millimetres and floats metres. NeRFCapture's 
 
 Frames are put in order of `timestamp` if all have one, else of the numbers in their file names, as
 nerfstudio does. `probes: [{position, file_path}]` are ground-truth panoramas in the same world. Lenses are those of
-`roomlight.captures.lenses`.
+`roomlight.captures.lenses`. Pictures and masks of ScanNet++ lie in folders beside the index's.
 """
 
 import math
@@ -34,7 +34,7 @@ from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, ReadRecord
 from roomlight.captures.decoding import read_mask, read_rgbd, with_mask
-from roomlight.captures.formats.listed import probes_of
+from roomlight.captures.formats.listed import beside, probes_of
 from roomlight.captures.lenses import MODEL_KEYS, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.captures.source import MAX_FRAMES, read_index
@@ -46,6 +46,8 @@ from roomlight.notes import Note, unread_keys
 INDEX: Final = "transforms.json"
 _DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic", ".webp", ".tif", ".tiff", ".bmp")
+_PICTURE_FOLDERS: Final = ("../images", "../resized_images", "../resized_undistorted_images")
+_MASK_FOLDERS: Final = ("../masks", "../resized_anon_masks", "../resized_undistorted_masks")
 _LENS_KEYS: Final = ("fl_x", "camera_angle_x", "x_fov")
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
 _READ: Final = frozenset(
@@ -112,11 +114,13 @@ class NerfstudioReader:
         self._depth_keys = self._choose_depth(options)
         self._refuse_broken_lens()
         self.notes = self._unread_keys()
+        self._pictures = self._source_of("file_path", _PICTURE_FOLDERS)
+        self._masks = self._source_of("mask_path", _MASK_FOLDERS)
 
     def name_of(self, index: int) -> str:
         """Return the colour file as the index names it."""
         name = self._frames[index].get("file_path")
-        return self._source.label(name[:300]) if isinstance(name, str) else f"{self._label}: frame {index}"
+        return self._pictures.label(name[:300]) if isinstance(name, str) else f"{self._label}: frame {index}"
 
     def timestamps(self) -> list[float | None]:
         """Return the frames' timestamps."""
@@ -137,7 +141,7 @@ class NerfstudioReader:
             scale = fields.first_of(entry, self._shared, "applied_scale")
             pose[:3, 3] /= 1.0 if scale is None else fields.positive(scale, "applied_scale")
             unit_m = self._stated_unit_m or self._depth_unit(entry)
-            colour_name = self._source.with_suffix(fields.text(entry.get("file_path"), "file_path"), _SUFFIXES)
+            colour_name = self._pictures.with_suffix(fields.text(entry.get("file_path"), "file_path"), _SUFFIXES)
             depth_name = fields.first_of(entry, {}, *self._depth_keys)
             if depth_name is None and self._depth_keys:
                 raise FrameError(f"{where}: has no depth ({' or '.join(self._depth_keys)})")
@@ -145,8 +149,8 @@ class NerfstudioReader:
                 depth_name = fields.text(depth_name, "the depth file's name")
                 depth_name = self._source.with_suffix(depth_name, (".png", ".exr", ".npy"))
             lens = lens_of(entry, self._shared)
-        colour_label = self._source.label(colour_name)
-        read = read_rgbd(self._source, colour_name, depth_name, unit_m=unit_m)
+        colour_label = self._pictures.label(colour_name)
+        read = read_rgbd(self._source, colour_name, depth_name, unit_m=unit_m, pictures=self._pictures)
         picture, depth_m = self._masked(entry, read.picture, where), read.depth_m
         with fields.naming(f"{where} ({colour_label})", FrameError):
             intrinsics = self._intrinsics(entry, picture.image.shape[1], picture.image.shape[0])
@@ -164,10 +168,10 @@ class NerfstudioReader:
 
     def _masked(self, entry: dict[str, Any], picture: ColourImage, where: str) -> ColourImage:
         stated = fields.first_of(entry, self._shared, "mask_path")
-        if stated is not None:
+        if stated is not None and fields.first_of(entry, self._shared, "has_mask") is not False:
             with fields.naming(where, FrameError):
-                name = self._source.with_suffix(fields.text(stated, "mask_path"), _SUFFIXES)
-            picture = with_mask(picture, read_mask(self._source, name))
+                name = self._masks.with_suffix(fields.text(stated, "mask_path"), _SUFFIXES)
+            picture = with_mask(picture, read_mask(self._masks, name))
         radius = fields.first_of(entry, self._shared, "fisheye_crop_radius")
         if radius is not None:
             with fields.naming(where, FrameError):
@@ -180,7 +184,21 @@ class NerfstudioReader:
             picture = with_mask(picture, off_centre <= inside)
         path = PurePosixPath(str(entry["file_path"]).replace("\\", "/"))
         moving = str(path.with_name(f"dynamic_mask_{path.stem}.png"))
-        return with_mask(picture, ~read_mask(self._source, moving)) if self._source.has(moving) else picture
+        return with_mask(picture, ~read_mask(self._pictures, moving)) if self._pictures.has(moving) else picture
+
+    def _source_of(self, key: str, folders: tuple[str, ...]) -> FolderSource:
+        """Return where a key's files are: the index's folder, or one beside it, as ScanNet++ has them; that is noted.
+
+        ScanNet++ names pictures without their folder.
+        """
+        names = [name for frame in self._frames if isinstance(name := frame.get(key), str) and "/" not in name]
+        if not names or any(map(self._source.has, names)):
+            return self._source
+        found = beside(self._source.root, names, *folders)
+        if found is None:
+            return self._source
+        self.notes.append(Note(f"{self._label}: {names[0]} is not beside it", f"{found.root} is read", "name folders"))
+        return found
 
     def _unread_keys(self) -> list[Note]:
         keys = {key for entry in (self._shared, *self._frames) for key in entry} - _READ - _HARMLESS
