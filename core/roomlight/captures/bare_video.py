@@ -39,6 +39,8 @@ _BENDING: Final = re.compile(r"fish.?eye|gopro|insta360|theta", re.IGNORECASE)
 """Names of lenses that see so much that no pinhole stands for them."""
 _FILM_WIDTH_MM: Final = 34.6
 """Width of a 4:3 picture of the diagonal of 36 x 24 mm film: videos have the photos' width."""
+_RGBD: Final = "rangeOfEncodedDepth"
+_TAIL_BYTES: Final = 65536
 _UNUSED: Final = ("camera_convention", "pose_direction", "depth_unit_m", "depth_key", "min_confidence")
 
 
@@ -59,6 +61,7 @@ class BareVideoReader:
         self.notes: list[Note] = []
         with self._opened() as video:
             self._times_s, self._focal_35mm = video.times_s, video.focal_35mm
+            _refuse_rgbd(path, video.stated)
             self.notes += bending_lens(str(path), *video.stated)
         self._numbers: list[int] = []
         for number, time_s in enumerate(self._times_s):
@@ -216,6 +219,17 @@ class BareVideoReader:
                     "cut the video to one take, move slowly in good light, or give poses in a transforms.json",
                 )
             )
+
+
+def _refuse_rgbd(path: Path, stated: tuple[str, ...]) -> None:
+    """Raise CaptureError for Record3D's RGBD video, whose JSON is metadata or the end of the file."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - _TAIL_BYTES))
+        tail = file.read()
+    if _RGBD.encode() in tail or any(_RGBD in value for value in stated):
+        raise CaptureError(
+            f"{path}: is Record3D's RGBD video, whose left half is depth as hues; export the recording as .r3d"
+        )
 
 
 def bending_lens(source: str, *stated: str) -> list[Note]:

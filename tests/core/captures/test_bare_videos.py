@@ -371,6 +371,24 @@ def test_what_is_no_video_is_named(tmp_path: Path) -> None:
         open_capture(tmp_path / "walk.mov")
 
 
+@pytest.mark.parametrize("at_end", [True, False])
+def test_record3ds_rgbd_video_is_refused(tmp_path: Path, at_end: bool) -> None:
+    """Its left half is depth as hues; its JSON is at the end of the file, or a comment before the pictures."""
+    path, stated = tmp_path / "walk.mp4", '{"rangeOfEncodedDepth": [0, 3], "intrinsicMatrix": [9]}'
+    picture = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
+    with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
+        if not at_end:
+            container.metadata["comment"] = stated
+        stream = container.add_stream("libx264", rate=5, options={"crf": "0"})
+        stream.width, stream.height, stream.pix_fmt = 320, 240, "yuv420p"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    if at_end:
+        path.write_bytes(path.read_bytes() + stated.encode())
+    with pytest.raises(CaptureError, match=r"walk\.mp4: is Record3D's RGBD video.*export the recording as \.r3d"):
+        open_capture(path)
+
+
 def test_a_stated_focal_length_is_taken(tmp_path: Path) -> None:
     path = tmp_path / "phone.mov"
     with av.open(str(path), "w", format="mov", options={"movflags": "use_metadata_tags"}) as container:
