@@ -145,7 +145,11 @@ class Reader(Protocol):
     conventions: PoseConventions
     count: int
     probes: list[RawProbe]
-    notes: list[Note]
+
+    @property
+    def notes(self) -> list[Note]:
+        """What was left out, guessed or changed so far."""
+        ...
 
     def name_of(self, index: int) -> str:
         """Return the file to name when record `index` fails."""

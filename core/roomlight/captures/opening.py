@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from roomlight.captures.bare_video import BareVideoReader
-from roomlight.captures.capture import Capture, Reader
+from roomlight.captures.capture import Capture, Preparing, Reader
 from roomlight.captures.formats import native, nerfstudio
 from roomlight.captures.formats.arkit_scenes import ArkitScenesReader
 from roomlight.captures.formats.colmap import ColmapReader
@@ -29,6 +29,7 @@ from roomlight.captures.formats.tum import TumReader
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.recognition import is_record3d_archive, recognised
 from roomlight.captures.source import member_name
+from roomlight.captures.unpacked import UnpackedReader, UnpackedVideo, renaming
 from roomlight.captures.video import DEMUXERS
 from roomlight.errors import CaptureError, OptionError, UnknownFormatError
 from roomlight.notes import Note
@@ -90,21 +91,21 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     if chosen.format is not None and chosen.format not in _READERS:
         raise OptionError(f"format is {chosen.format!r}; it must be one of {', '.join(FORMATS)}")
     if path.suffix.lower() != ".zip" or not path.is_file() or is_record3d_archive(path):
-        return _opened(path, chosen)
+        return Capture(*_opened(path, chosen), chosen)
     unpacked = _unpacked(path)
     try:
-        capture = _opened(_innermost(unpacked), chosen)
-    except BaseException as error:
+        with renaming(str(unpacked), str(path)):
+            _, reader = _opened(_innermost(unpacked), chosen)
+        kind = UnpackedVideo if isinstance(reader, Preparing) else UnpackedReader
+        capture = Capture(path, kind(reader, unpacked, path), chosen)
+    except BaseException:
         shutil.rmtree(unpacked.parent, ignore_errors=True)
-        if isinstance(error, CaptureError):
-            raise type(error)(str(error).replace(str(unpacked), str(path))) from error
         raise
-    capture.path = path
     weakref.finalize(capture, shutil.rmtree, unpacked.parent, ignore_errors=True)
     return capture
 
 
-def _opened(path: Path, chosen: CaptureOptions) -> Capture:
+def _opened(path: Path, chosen: CaptureOptions) -> tuple[Path, Reader]:
     try:
         if not path.exists():
             raise CaptureError(f"{path}: there is no such file or folder")
@@ -124,7 +125,7 @@ def _opened(path: Path, chosen: CaptureOptions) -> Capture:
     if stated is None and name in _MEASURED and (path / nerfstudio.INDEX).is_file():
         text = f"{path / nerfstudio.INDEX}: it leads to no depth"
         reader.notes.append(Note(text, f"the {name} recording beside it is read", "open the file itself to read it"))
-    return Capture(path, reader, chosen)
+    return path, reader
 
 
 def _unpacked(archive: Path) -> Path:

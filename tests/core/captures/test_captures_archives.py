@@ -1,5 +1,6 @@
 """Archives of Record3D, and zipped folders: a damaged member skips its frame, what is foreign is refused by name."""
 
+import re
 import shutil
 import struct
 import tempfile
@@ -13,10 +14,11 @@ import numpy as np
 import pytest
 from builders import BUILDERS, FORMAT_OF
 from capture_checks import one_skipped
+from PIL import ExifTags, Image
 
 from roomlight.captures import open_capture
 from roomlight.captures.formats.record3d import _declared_size
-from roomlight.errors import CaptureError, UnknownFormatError
+from roomlight.errors import CaptureError, FrameError, UnknownFormatError
 
 VIEWS = formats.scene()
 
@@ -154,3 +156,32 @@ def test_names_in_utf8_without_the_flag_are_read(tmp_path: Path, name: str) -> N
     archive.write_bytes(data)
     (frame,) = open_capture(archive)
     assert "Küche" in frame.source
+
+
+def test_what_is_said_of_a_zip_names_the_zip(tmp_path: Path) -> None:
+    folder = formats.seven_scenes(tmp_path / "folder", VIEWS)
+    (folder / "camera-intrinsics.txt").unlink()
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 3
+    Image.fromarray(VIEWS[0].srgb8).save(folder / "frame-000000.color.jpg", exif=exif)
+    (folder / "frame-000008.color.jpg").write_bytes(b"x")
+    archive = zipped(tmp_path / "a.zip", {f"scan/{file.name}": file.read_bytes() for file in folder.iterdir()})
+    frames = list(capture := open_capture(archive))
+    with pytest.raises(FrameError) as refused:
+        capture.frame_at(2)
+    (skipped,) = capture.skipped
+    said = [skipped.file, skipped.reason, str(refused.value), *(frame.source for frame in frames)]
+    notes = [note.left_out for note in capture.notes]
+    assert all(text.startswith(f"{archive}/scan") for text in [*said, *notes])
+    assert any("585 pixels" in note.effect for note in capture.notes)
+    assert any("orientation 3" in text for text in notes)
+
+
+def test_what_is_said_of_a_zipped_video_names_the_zip(tmp_path: Path) -> None:
+    formats.video(tmp_path / "walk.mp4", [np.zeros((24, 32, 3), np.uint8)] * 3)
+    archive = zipped(tmp_path / "a.zip", {"walk.mp4": (tmp_path / "walk.mp4").read_bytes()})
+    capture = open_capture(archive)
+    with pytest.raises(CaptureError, match=f"the first is {re.escape(str(archive))}/walk.mp4: frame 0"):
+        list(capture)
+    assert capture.notes
+    assert all(note.left_out.startswith(f"{archive}/walk.mp4") for note in capture.notes)
