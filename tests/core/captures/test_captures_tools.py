@@ -233,6 +233,31 @@ def test_depth_of_colmaps_dense_folder_is_read_with_its_images(tmp_path: Path) -
     assert any("dense/0/ lacks" in note.effect for note in open_capture(path).notes)
 
 
+@pytest.mark.parametrize("opened", ["sparse/0", "sparse"])
+def test_a_colmap_model_is_read_with_the_pictures_above_it(tmp_path: Path, opened: str) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS[:2])
+    frames = list(capture := open_capture(path / opened))
+    for frame, view in zip(frames, VIEWS[:2], strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=1e-6)
+    assert any(f"read from {path}" in note.effect for note in capture.notes)
+    workspace(path)
+    capture = open_capture(path / opened)
+    assert any("sparse/0 is of others" in note.effect for note in capture.notes)
+    assert next(iter(capture)).image.shape == (24, 32, 3)
+
+
+def test_small_pictures_of_a_colmap_model_are_read(tmp_path: Path) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS[:1])
+    formats.save(path / "images_2/frame_00001.png", formats.image(".png", VIEWS[0].srgb8[::2, ::2]))
+    shutil.rmtree(path / "images")
+    (frame,) = open_capture(path)
+    assert (frame.intrinsics.width, frame.intrinsics.fx) == (16, formats.FX / 2)
+    shutil.rmtree(path / "images_2")
+    with pytest.raises(CaptureError, match=r"capture: has no pictures \(images, images_2, .*copy frame_00001\.png"):
+        open_capture(path)
+
+
 def test_names_of_a_windows_code_page_in_a_binary_model(tmp_path: Path) -> None:
     path = formats.colmap(tmp_path / "capture", VIEWS)
     data = (path / "sparse/0/images.bin").read_bytes()

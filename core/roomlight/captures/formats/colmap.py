@@ -40,6 +40,8 @@ _DEPTH: Final = (
     "dense/stereo/depth_maps",
     "dense/0/stereo/depth_maps",
 )
+_PICTURES: Final = ("images", "images_2", "images_4", "images_8", "colmap/images", "dense/images", "resized_images")
+_OF_MODELS: Final = (".bin", ".txt", ".ply", ".ini")
 _MODELS: Final = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -79,6 +81,20 @@ def model_folder(source: FolderSource, *folders: str) -> str | None:
     return None
 
 
+def _workspace(folder: Path) -> tuple[Path, str | None]:
+    """Return the folder of the pictures, and the model's in it; None where that is to be looked for.
+
+    A folder with nothing but a model (`sparse/0`) is part of the first above it that has pictures.
+    """
+    source, whole = FolderSource(folder), folder.absolute()
+    if model_folder(source, "") is None or any(not name.lower().endswith(_OF_MODELS) for name in source.names()):
+        return folder, None
+    above = whole.parents[: 2 if whole.parent.name == "sparse" else 1]
+    found = (parent for parent in above if any(map(FolderSource(parent).has, _PICTURES)))
+    parent = next(found, None)
+    return (folder, None) if parent is None else (parent, whole.relative_to(parent).as_posix())
+
+
 class ColmapReader(ListedReader):
     """Reads a folder with a COLMAP model, its images and depth maps."""
 
@@ -86,16 +102,26 @@ class ColmapReader(ListedReader):
     conventions = PoseConventions("opencv", "world-to-camera", (0.0, -1.0, 0.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        opened, (folder, stated) = folder, _workspace(folder)
         source = FolderSource(folder)
         self._depth = next((name for name in _DEPTH if next(iter(source.names(name)), None)), None)
         self._base, lacking = "", list[Note]()
+        if stated is not None:
+            text = f"pictures and depth are read from {folder}"
+            lacking.append(Note(f"{opened}: it is a model alone", text, "open that folder"))
         if self._depth is not None and self._depth.startswith("dense/"):
             self._base = self._depth.removesuffix("stereo/depth_maps")
-            if model_folder(source, f"{self._base}sparse") is None or not source.has(f"{self._base}images"):
-                text = f"is not read: it is of undistorted images, and {self._base} lacks sparse or images"
-                lacking = [Note(source.label(self._depth), text, "copy all of that folder")]
+            whole = model_folder(source, f"{self._base}sparse") is not None and source.has(f"{self._base}images")
+            if not whole or stated is not None:
+                other = f"{stated} is of others" if whole else f"{self._base} lacks sparse or images"
+                text = f"is not read: it is of undistorted images, and {other}"
+                advice = f"open {folder}" if whole else "copy all of that folder"
+                lacking.append(Note(source.label(self._depth), text, advice))
                 self._base, self._depth = "", None
-        model = model_folder(source, f"{self._base}sparse") if self._base else model_folder(source)
+        if stated is not None:
+            model = stated
+        else:
+            model = model_folder(source, f"{self._base}sparse") if self._base else model_folder(source)
         if model is None:
             raise CaptureError(f"{folder}: has no COLMAP model (sparse/0/cameras.bin and images.bin, or .txt)")
         prefix = f"{model}/" if model else ""
@@ -111,9 +137,12 @@ class ColmapReader(ListedReader):
         except (struct.error, UnicodeDecodeError) as error:
             raise CaptureError(f"{label}: the model is truncated or damaged ({error})") from error
         self._images = sorted(listed, key=lambda image: fields.natural_key(image.name))
-        roots = (f"{self._base}images", "images", "colmap/images", "dense/images")
-        root = next(filter(source.has, roots), "")
+        root = next(filter(source.has, (f"{self._base}images", *_PICTURES)), "")
         colour = [f"{root}/{image.name}" if root else image.name for image in self._images]
+        if not root and colour and not any(map(source.has, colour)):
+            raise CaptureError(
+                f"{folder}: has no pictures ({', '.join(_PICTURES)}); copy {colour[0]} and the others there"
+            )
         super().__init__(folder, options, colour, expected=f"image in {label}")
         note = Note(
             f"{folder}: COLMAP's scale and up direction",
