@@ -17,6 +17,8 @@ from roomlight.errors import FrameError, OutputError
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
 """Largest image, depth map or archive member: a 48-megapixel float EXR is 576 MB raw, half of that compressed."""
 
+_ABSOLUTE: Final = re.compile(r"[/\\]|[A-Za-z]:[/\\]")
+
 
 def write_atomic(path: Path, data: bytes) -> None:
     """Write bytes under a temporary name, then rename: a reader never sees half a file. Makes missing folders.
@@ -107,7 +109,7 @@ class FolderSource:
             FrameError: There is no such file, it is outside the folder, not a regular file, or over `max_bytes`.
         """
         label = self.label(name[:300].replace("\0", "\\0"))
-        if not name or "\0" in name or re.match(r"[/\\]|[A-Za-z]:[/\\]", name):
+        if not name or "\0" in name or _ABSOLUTE.match(name):
             raise FrameError(f"{label}: not a path inside the folder; paths must be relative to it")
         try:
             full = (self._resolved / self.actual(name)).resolve()
@@ -125,6 +127,20 @@ class FolderSource:
         if max_bytes is not None and status.st_size > max_bytes:
             raise FrameError(f"{label}: holds {status.st_size} bytes; up to {max_bytes} are read")
         return full
+
+    def within(self, name: str) -> str:
+        """Return an absolute path as a name in the folder: where it is inside, or by its longest end that is there.
+
+        Relative names, and those of which no end is there, come back unchanged.
+        """
+        if not _ABSOLUTE.match(name):
+            return name
+        path = PurePosixPath(name.replace("\\", "/"))
+        for root in (self.root.absolute(), self._resolved):
+            if path.is_relative_to(root.as_posix()) and ".." not in path.parts:
+                return str(path.relative_to(root.as_posix()))
+        ends = ("/".join(path.parts[at:]) for at in range(1, len(path.parts)))
+        return next((end for end in ends if ".." not in path.parts and self.has(end)), name)
 
     def has(self, name: str) -> bool:
         """Whether the folder has an entry of this name. A broken link counts, so that reading it reports an error."""

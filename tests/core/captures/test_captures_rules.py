@@ -228,6 +228,23 @@ def test_names_of_other_systems_are_found(transforms: Path, stored: str, named: 
     assert capture.skipped == []
 
 
+@pytest.mark.parametrize("root", ["", "/home/me/scan", "D:\\scans"])
+def test_absolute_paths_of_files_in_the_folder_are_read(transforms: Path, root: str) -> None:
+    def change(index: dict) -> None:
+        for frame, key in ((frame, key) for frame in index["frames"] for key in ("file_path", "depth_file_path")):
+            frame[key] = f"{root or transforms}/{frame[key]}"
+        index["frames"][1]["file_path"] = "/etc/passwd"
+        index["frames"][2]["file_path"] = str(transforms / "images/none.png")
+
+    edit(transforms / "transforms.json", change)
+    frames = list(capture := open_capture(transforms))
+    assert {frame.source for frame in frames} == {f"{transforms}/images/frame_0000{at}.png" for at in (1, 4)}
+    reasons = "; ".join(skipped.reason for skipped in capture.skipped)
+    assert "/etc/passwd: not a path inside the folder" in reasons
+    assert f"{transforms}/images/none.png: cannot be read" in reasons
+    assert [note.effect.split("/")[0] for note in capture.notes] == ([] if not root else ["depth"])
+
+
 def test_two_files_of_another_case_are_ambiguous(transforms: Path) -> None:
     (transforms / "images/A.png").write_bytes((transforms / "images/frame_00001.png").read_bytes())
     shutil.move(transforms / "images/frame_00001.png", transforms / "images/a.png")

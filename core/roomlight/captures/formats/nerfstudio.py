@@ -113,7 +113,7 @@ class NerfstudioReader:
         self.count = len(self._frames)
         self._depth_keys = self._choose_depth(options)
         self._refuse_broken_lens()
-        self.notes = self._unread_keys()
+        self.notes = [*self._unread_keys(), *self._made_relative()]
         self._pictures = self._source_of("file_path", _PICTURE_FOLDERS)
         self._masks = self._source_of("mask_path", _MASK_FOLDERS)
 
@@ -185,6 +185,20 @@ class NerfstudioReader:
         path = PurePosixPath(str(entry["file_path"]).replace("\\", "/"))
         moving = str(path.with_name(f"dynamic_mask_{path.stem}.png"))
         return with_mask(picture, ~read_mask(self._pictures, moving)) if self._pictures.has(moving) else picture
+
+    def _made_relative(self) -> list[Note]:
+        """Make absolute paths names in the folder; one of another folder is noted."""
+        guessed: list[tuple[str, str]] = []
+        for frame in self._frames:
+            for key in ("file_path", "mask_path", *self._depth_keys):
+                if isinstance(stated := frame.get(key), str):
+                    frame[key] = self._source.within(stated)
+                    if frame[key] != stated and str(self._source.root.absolute()) not in stated:
+                        guessed.append((stated, frame[key]))
+        if not guessed:
+            return []
+        text = f"{self._label}: {guessed[0][0][:200]} is a path of another folder"
+        return [Note(text, f"{guessed[0][1]} in this folder is read, others likewise", "write relative paths")]
 
     def _source_of(self, key: str, folders: tuple[str, ...]) -> FolderSource:
         """Return where a key's files are: the index's folder, or one beside it, as ScanNet++ has them; that is noted.
