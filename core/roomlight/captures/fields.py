@@ -49,7 +49,7 @@ def parse_json(data: bytes, label: str) -> dict[str, Any]:
             text = data.decode("latin-1")
         value = _json_value(text)
     except RecursionError as error:
-        raise CaptureError(f"{label}: the JSON is nested too deeply to be a capture's index") from error
+        raise CaptureError(f"{label}: the JSON is nested too deeply") from error
     except ValueError as error:  # JSONDecodeError, UnicodeDecodeError, integers of thousands of digits
         raise CaptureError(f"{label}: is not valid JSON ({_short(error)}); the file is truncated or damaged") from error
     if not isinstance(value, dict):

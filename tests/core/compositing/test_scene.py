@@ -78,6 +78,14 @@ def test_damaged_json_is_refused(text):
         parse_scene(text, load=lambda _: cube(1.0))
 
 
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-8-sig"])
+def test_a_scene_in_another_encoding_and_with_comments_is_read(tmp_path, encoding):
+    text = json.dumps({"objects": [{**BALL, "name": "Krügel"}]}, ensure_ascii=False)
+    (tmp_path / "scene.json").write_text(f"// one ball\r\n{text} /* no more */", encoding)
+    (ball,) = load_scene(tmp_path / "scene.json").objects
+    assert ball.name == "Krügel"
+
+
 def test_scenes_with_wrong_names_counts_and_files_are_refused(tmp_path):
     with pytest.raises(SceneError, match=r"objects\[1\]\.name: 'ball' is used twice"):
         scene_of(BALL, BALL)

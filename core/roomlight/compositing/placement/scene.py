@@ -26,7 +26,7 @@ from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.teapot import teapot
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.compositing.placement.places import Anchor, Box
-from roomlight.errors import FrameError, ObjectError, SceneError
+from roomlight.errors import CaptureError, FrameError, ObjectError, SceneError
 from roomlight.files import FolderSource
 
 Z_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -305,17 +305,20 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(document: str | bytes | dict[str, Any], *, load: LoadObject) -> Scene:
-    """Make a scene from JSON text, or from its decoded object; `load` opens the objects named in `file`.
+    """Make a scene from JSON text, also with comments, or its decoded object; `load` opens what `file` names.
 
     Raises:
         SceneError: the JSON is damaged, or a field is refused; the message names it.
         ObjectError: an object is refused.
     """
     if not isinstance(document, dict):
+        from roomlight.captures.fields import parse_json  # the readers' libraries are slow to import
+
         try:
-            document = json.loads(document)
-        except (ValueError, RecursionError) as error:
-            raise SceneError(f"the scene is not JSON: {error}") from error
+            data = document.encode("utf-8", "surrogatepass") if isinstance(document, str) else document
+            document = parse_json(data, "the scene")
+        except CaptureError as error:
+            raise SceneError(str(error)) from error
     try:
         spec = SceneSpec.model_validate(document)
     except ValidationError as error:
