@@ -13,6 +13,7 @@ from roomlight.captures.formats.ros.bag import is_bag
 from roomlight.captures.formats.rtabmap import export_name
 from roomlight.captures.formats.scanner_app import is_scanner_app
 from roomlight.captures.formats.scannet import intrinsics_file
+from roomlight.captures.formats.tum import pose_file
 from roomlight.captures.source import ZipSource
 from roomlight.captures.video import DEMUXERS
 from roomlight.errors import UnknownFormatError
@@ -23,7 +24,7 @@ _PARTS: Final[dict[str, tuple[str, ...]]] = {
     "nerfstudio": (nerfstudio.INDEX,),
     "stray-scanner": (stray_scanner.VIDEO, stray_scanner.ODOMETRY, stray_scanner.MATRIX),
     "record3d": ("metadata|metadata.json", "rgbd|rgb"),
-    "tum": ("rgb.txt", "depth.txt", "groundtruth.txt"),
+    "tum": ("rgb.txt|associations.txt", "depth.txt|associations.txt", "groundtruth.txt|*.gt.freiburg"),
     "seven-scenes": ("frame-*.color.*", "frame-*.depth.*", "frame-*.pose.txt"),
     "polycam": ("keyframes/images|images", "keyframes/cameras|cameras"),
     "3d-scanner-app": ("frame_*.jpg", "frame_*.json"),
@@ -78,7 +79,7 @@ def recognised(path: Path) -> str:
         return "stray-scanner"
     elif record3d.is_record3d(source):
         return "record3d"
-    elif has("groundtruth.txt") or (has("rgb.txt") and has("depth.txt")):
+    elif has(pose_file(source)) or (has("rgb.txt") and has("depth.txt")):
         return "tum"
     elif any(path.glob("frame-*.*.*")):
         return "seven-scenes"

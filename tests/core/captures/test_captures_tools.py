@@ -136,6 +136,33 @@ def test_pictures_called_jpeg_are_read(tmp_path: Path, build: Callable[..., Path
     assert len(list(open_capture(path))) == 4
 
 
+# ICL-NUIM, in TUM's form
+
+
+def test_icl_nuims_pairs_and_left_handed_poses(tmp_path: Path) -> None:
+    path, y_turned = formats.tum(tmp_path / "capture", VIEWS), np.diag([1.0, -1.0, 1.0, 1.0])
+    pairs, poses = ["# pairs"], []
+    for number, view in enumerate(VIEWS):
+        name = f"{view.time_s:.6f}.png"
+        pairs.append(f"{number} depth/{name} {number} rgb/{name}")
+        pose = y_turned @ formats.FLIP @ view.pose @ formats.FLIP @ y_turned
+        poses.append(" ".join(map(str, (number, *pose[:3, 3], *formats.quaternion(pose[:3, :3])))))
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt", "camera-intrinsics.txt"):
+        (path / name).unlink()
+    (path / "associations.txt").write_text("\n".join(pairs))
+    (path / "livingRoom0.gt.freiburg").write_text("\n".join(poses))
+    frames = list(capture := open_capture(path))
+    assert (capture.format, capture.frames_per_second) == ("tum", pytest.approx(30))
+    for frame, view in zip(frames, VIEWS, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=2e-4)
+        assert frame.intrinsics.fx == pytest.approx(481.2 / 20)
+    assert any("focal length of 481.2 pixels" in note.effect for note in capture.notes)
+    (path / "associations.txt").write_text("0 depth/0.png 0")
+    with pytest.raises(CaptureError, match=r"associations\.txt: line 1: is '0 depth/0\.png 0', not a time"):
+        open_capture(path)
+
+
 # RTAB-Map
 
 

@@ -65,8 +65,8 @@ class SevenScenesReader(ListedReader):
         super().__init__(folder, options, names, expected="frame-XXXXXX.color.png, .depth.png and .pose.txt")
         self._sensor = _read_sensor(folder)
         self._matrix = _DEFAULT_CAMERA if self._sensor is None else self._sensor.colour
-        if self._sensor is not None and self._unit_m is None:
-            self._unit_m = self._sensor.depth_unit_m
+        if self._sensor is not None:
+            self._unit_m = options.depth_unit_m or self._sensor.depth_unit_m
         if source.has(INTRINSICS):
             self._matrix = read_matrix(source)
         elif self._sensor is None:

@@ -2,7 +2,12 @@
 
 The three streams have clocks of their own: each colour image takes the depth and the pose nearest in time, at
 most 0.02 s away (the data set's own tool does the same); without them it is a bad frame. Times in nanoseconds, as
-ORB-SLAM3 writes them, are recognised by their steps. Without a `depth.txt` depth is estimated.
+ORB-SLAM3 writes them, are recognised by their steps. Without a `depth.txt` depth is estimated. Without a `rgb.txt`
+both are the lines of `associations.txt` (`time file time file`, colour or depth first).
+
+ICL-NUIM names its poses `NAME.gt.freiburg`. They are those of a world with y up and a camera with y up (a left-handed
+system), while its pictures are stored from the top: the y axes are turned round here. Its K is 481.2, 480, 319.5,
+239.5, and its times are numbers of frames, 30 a second.
 
 Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
 `camera-intrinsics.txt` (3 x 3) if it exists, else the data set's default of 525, 525, 319.5, 239.5 for
@@ -13,6 +18,8 @@ import math
 import re
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
@@ -30,7 +37,18 @@ from roomlight.notes import Note
 MAX_GAP_S: Final = 0.02
 """Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
 
+PAIRS: Final = "associations.txt"
+ICL_POSES: Final = ".gt.freiburg"
 _DEFAULT_CAMERA: Final = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
+_ICL_CAMERA: Final = Intrinsics(481.2, 480.0, 320.0, 240.0, 640, 480)
+_ICL_RATE: Final = 30
+_Y_TURNED: Final = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+def pose_file(source: FolderSource) -> str:
+    """Return the file of poses; `groundtruth.txt` where there is none."""
+    stated = [] if source.has("groundtruth.txt") else source.names()
+    return next((name for name in stated if name.endswith(ICL_POSES)), "groundtruth.txt")
 
 
 class TumReader(ListedReader):
@@ -42,26 +60,35 @@ class TumReader(ListedReader):
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
         source = FolderSource(folder)
         notes: list[Note] = []
-        self._times = _stream(source, "rgb.txt", notes)
-        self._depth = _stream(source, "depth.txt", notes) if source.has("depth.txt") else None
-        self._poses = _stream(source, "groundtruth.txt", notes, most=50 * MAX_FRAMES)
+        if source.has("rgb.txt") or not source.has(PAIRS):
+            self._times = _stream(source, "rgb.txt", notes)
+            self._depth = _stream(source, "depth.txt", notes) if source.has("depth.txt") else None
+        else:
+            self._times, self._depth = (_stream(source, PAIRS, notes, half=half) for half in (0, 1))
+        self._pose_file = pose_file(source)
+        self._poses = _stream(source, self._pose_file, notes, most=50 * MAX_FRAMES)
         super().__init__(folder, options, [name for _, name in self._times], expected="rgb.txt")
-        self.notes.extend(notes)
-        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _DEFAULT_CAMERA
+        self.notes.extend(dict.fromkeys(notes))
+        self._icl = self._pose_file.endswith(ICL_POSES)
+        if self._icl:
+            self.conventions = PoseConventions("opencv", "camera-to-world", (0.0, -1.0, 0.0))
+        default = _ICL_CAMERA if self._icl else _DEFAULT_CAMERA
+        self._matrix = read_matrix(source) if source.has(INTRINSICS) else default
         if isinstance(self._matrix, Intrinsics):
             self.notes.append(assumed_camera(folder, self._matrix))
 
     def timestamps(self) -> list[float | None]:
         """Return the colour images' times."""
-        return [time for time, _ in self._times]
+        return [time / _ICL_RATE if self._icl else time for time, _ in self._times]
 
     def _read(self, index: int) -> RawFrame:
         (time_s, colour_name), label = self._times[index], self.name_of(index)
         depth_name = None if self._depth is None else _nearest(self._depth, time_s, f"{label}: depth (depth.txt)")
-        pose_line = _nearest(self._poses, time_s, f"{label}: pose (groundtruth.txt)")
-        with fields.naming(f"{self._source.label('groundtruth.txt')}: near {time_s}", FrameError):
+        pose_line = _nearest(self._poses, time_s, f"{label}: pose ({self._pose_file})")
+        with fields.naming(f"{self._source.label(self._pose_file)}: near {time_s}", FrameError):
             values = fields.coordinates(fields.numbers_of_line(pose_line, 7, "the pose"), "the pose")
             pose = pose_from_quaternion(values[3:], values[:3])
+            pose = _Y_TURNED @ pose @ _Y_TURNED if self._icl else pose
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m, integer_m=1 / 5000)
         height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
@@ -69,8 +96,13 @@ class TumReader(ListedReader):
         return self._raw_frame(index, read, depth_name, intrinsics, pose)
 
 
-def _stream(source: FolderSource, name: str, notes: list[Note], *, most: int = MAX_FRAMES) -> list[tuple[float, str]]:
-    """Return (seconds, rest of the line) for each line that is not a comment, in order of time."""
+def _stream(
+    source: FolderSource, name: str, notes: list[Note], *, most: int = MAX_FRAMES, half: int | None = None
+) -> list[tuple[float, str]]:
+    """Return (seconds, rest of the line) for each line that is not a comment, in order of time.
+
+    Of pairs, `half` is 0 for colour, 1 for depth.
+    """
     label = source.label(name)
     entries: list[tuple[float, str]] = []
     for row, line in enumerate(fields.parse_text(read_index(source, name), label), start=1):
@@ -78,6 +110,8 @@ def _stream(source: FolderSource, name: str, notes: list[Note], *, most: int = M
             continue
         with fields.naming(f"{label}: line {row}", CaptureError):
             line = re.sub(r"^(\s*\d+),(\d+[\s;])", r"\1.\2", line)  # a decimal comma
+            if half is not None:
+                line = _half(line, half)
             first, rest = [*re.split(r"[\s,;]+", line.strip(), maxsplit=1), ""][:2]
             time_s = fields.time(first)
             if time_s is None or math.isnan(time_s):
@@ -90,6 +124,13 @@ def _stream(source: FolderSource, name: str, notes: list[Note], *, most: int = M
     entries.sort()
     times = in_seconds([time for time, _ in entries], label, notes)
     return list(zip(times, [rest for _, rest in entries], strict=True))
+
+
+def _half(line: str, half: int) -> str:
+    words = re.split(r"[\s,;]+", line.strip())
+    if len(words) < 4:
+        raise ValueError(f"is {line[:60]!r}, not a time and a file of colour and of depth")
+    return " ".join(sorted((words[:2], words[2:4]), key=lambda pair: "depth" in pair[1].lower())[half])
 
 
 def _nearest(entries: list[tuple[float, str]], time_s: float, what: str) -> str:
