@@ -52,6 +52,8 @@ _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
     "video": BareVideoReader,
 }
 _RECORDED: Final = (".r3d", ".sens", ".bag")
+_SIDECARS: Final = (".aae", ".thm", ".lrv", ".srt")
+"""What phones and action cameras write beside a video: edits, a thumbnail, a small copy, captions."""
 _FILES: Final = ("record3d", "scannet", "ros-bag", "video")
 """Formats that are one file."""
 _INDICES: Final = {native.INDEX: "roomlight", nerfstudio.INDEX: "nerfstudio"}
@@ -177,7 +179,7 @@ def _innermost(path: Path) -> Path:
 
 def _recorded_files(entries: list[Path]) -> list[Path]:
     """Return the files among a folder's entries that are recordings; of videos only where nothing else is there."""
-    shown = [entry for entry in entries if entry.name[0] not in "._"]
+    shown = [entry for entry in entries if entry.name[0] not in "._" and entry.suffix.lower() not in _SIDECARS]
     files = [entry for entry in shown if entry.suffix.lower() in _RECORDED]
     videos = all(entry.suffix.lower() in DEMUXERS for entry in shown)
     return [entry for entry in files or (shown if videos else []) if entry.is_file()]

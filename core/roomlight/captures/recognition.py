@@ -37,8 +37,10 @@ _PARTS: Final[dict[str, tuple[str, ...]]] = {
 }
 """Files and folders that each format needs; `|` stands between alternatives."""
 
-_IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr", ".heic", ".webp", ".tif", ".tiff", ".bmp")
-_VIDEOS: Final = (*DEMUXERS, ".avi", ".wmv", ".3gp", ".mts")
+_IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr", ".heic", ".heif", ".avif", ".webp", ".tif", ".tiff", ".bmp")
+_VIDEOS: Final = (*DEMUXERS, ".avi", ".wmv", ".3gp", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg", ".hevc", ".gif", ".lrv")
+_PANORAMAS: Final = (".insv", ".360", ".insp")
+_ARCHIVES: Final = (".tar", ".gz", ".tgz", ".7z", ".rar", ".xz", ".bz2")
 _MODELS: Final = (
     *(".usdz", ".usda", ".usdc", ".glb", ".gltf", ".obj", ".ply", ".fbx", ".stl", ".dae"),
     *(".spz", ".splat", ".ksplat", ".las", ".laz", ".e57", ".pts", ".xyz"),
@@ -146,6 +148,12 @@ def _known_otherwise(path: Path) -> str:
         return "is RTAB-Map's database; export it: rtabmap-export --images --poses_camera FILE.db"
     if path.is_file() and path.suffix.lower() in _VIDEOS:
         return f"is a video of a kind that is not read; convert it to {', '.join(DEMUXERS)} (ffmpeg -i IN OUT.mp4)"
+    if path.is_file() and path.suffix.lower() in _PANORAMAS:
+        return "is a camera's recording of all directions; export a reframed, flat video or picture with its program"
+    if path.is_file() and path.suffix.lower() in _ARCHIVES:
+        return "is an archive of a kind that is not read; unpack it and open what it holds, or pack it as .zip"
+    if path.is_file() and path.suffix.lower() == ".dng":
+        return "is a raw photo; export it as JPEG, TIFF or EXR, which `roomlight light IMAGE` lights"
     if path.is_file() and path.suffix.lower() in _IMAGES:
         return "is one photo; `roomlight light IMAGE` lights it"
     return ""

@@ -79,7 +79,8 @@ def test_a_folder_or_zip_with_one_recorded_file(tmp_path: Path, kind: str) -> No
 
 def test_a_folder_with_nothing_but_a_video(tmp_path: Path) -> None:
     formats.video(tmp_path / "walk/IMG_1.MOV", [view.srgb8 for view in VIEWS])
-    formats.save(tmp_path / "walk/.DS_Store", b"x")
+    for name in (".DS_Store", "IMG_1.AAE", "IMG_1.THM"):
+        formats.save(tmp_path / "walk" / name, b"x")
     assert open_capture(tmp_path / "walk").format == "video"
     formats.save(tmp_path / "walk/depth/000000.png", b"x")  # a part of something else
     with pytest.raises(UnknownFormatError, match="no capture format recognised"):

@@ -620,6 +620,14 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
         ("map.db", "rtabmap-export --images --poses_camera"),
         ("walk.avi", "a video of a kind that is not read"),
         ("photo.heic", "one photo"),
+        ("photo.AVIF", "one photo"),
+        ("photo.dng", "a raw photo; export it"),
+        ("walk.ts", "a video of a kind that is not read"),
+        ("walk.LRV", "a video of a kind that is not read"),
+        ("walk.insv", "all directions; export a reframed"),
+        ("walk.360", "all directions"),
+        ("scan.tar.gz", "an archive of a kind that is not read; unpack it"),
+        ("scan.7z", "an archive"),
     ):
         (tmp_path / name).write_bytes(b"x" * 99)
         with pytest.raises(UnknownFormatError, match=words):
@@ -627,6 +635,9 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
     formats.save(tmp_path / "scan/scene.glb", b"x")
     with pytest.raises(UnknownFormatError, match=r"scene\.glb is a model"):
         open_capture(tmp_path / "scan")
+    formats.save(tmp_path / "other/capture.json", b'{"resolution": [640, 480]}')
+    with pytest.raises(CaptureError, match=r"it states no format.* another program's; write its frames into a trans"):
+        open_capture(tmp_path / "other")
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,11 @@ class NativeReader:
         self._label = self._source.label(INDEX)
         index = fields.parse_json(read_index(self._source, INDEX), self._label)
         if index.get("format") != FORMAT:
-            raise CaptureError(f"{self._label}: its format is {str(index.get('format'))[:40]!r}, not {FORMAT!r}")
+            stated = f"its format is {str(index['format'])[:40]!r}" if "format" in index else "it states no format"
+            raise CaptureError(
+                f"{self._label}: {stated}, not {FORMAT!r}: it is another program's; write its frames into a "
+                "transforms.json, or set `format` if the folder is of another one"
+            )
         if index.get("version") != VERSION:
             raise CaptureError(f"{self._label}: is version {str(index.get('version'))[:20]}; version {VERSION} is read")
         with fields.naming(self._label, CaptureError):
