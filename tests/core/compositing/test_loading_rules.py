@@ -399,6 +399,22 @@ def test_skins_stand_in_the_pose_of_their_joints() -> None:
         load_object(file.glb())
 
 
+@pytest.mark.parametrize(("binds", "unused"), [(3, 0), (1, 255)])
+def test_more_bind_matrices_than_joints_and_unused_joints_are_no_fault(binds: int, unused: int) -> None:
+    file = GltfFile()
+    mesh = file.mesh(CUBE, CUBE_FACES)
+    file.attribute("JOINTS_0", np.tile(np.array([0, unused, 0, unused], np.uint8), (8, 1)), "VEC4", 5121)
+    file.attribute("WEIGHTS_0", np.tile(np.array([1, 0, 0, 0], np.float32), (8, 1)), "VEC4")
+    bind = np.tile(np.eye(4, dtype=np.float32).reshape(1, 16), (binds, 1))
+    file.tree["skins"] = [{"joints": [1], "inverseBindMatrices": file.accessor(bind, "MAT4", 5126)}]
+    file.node(mesh=mesh, skin=0)
+    file.node(translation=[0, 5, 0])
+    np.testing.assert_allclose(load_object(file.glb()).bounds(), [[0, 5, 0], [1, 6, 1]], atol=1e-5)
+    file.tree["skins"][0]["joints"] = [1] * (binds + 1)
+    with pytest.raises(ObjectError, match=rf"holds {binds} matrices for {binds + 1} joints"):
+        load_object(file.glb())
+
+
 def test_morph_targets_and_instances_and_strips() -> None:
     file = cube_gltf()
     file.primitive["targets"] = [{"POSITION": file.accessor(np.full((8, 3), 2, np.float32), "VEC3", 5126)}]

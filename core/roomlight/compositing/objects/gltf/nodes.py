@@ -135,5 +135,9 @@ def _joint_matrices(
     matrices = np.stack([transforms[joint] for joint in skin.joints])
     if skin.inverseBindMatrices is None:
         return matrices
-    binds = accessors.floats(skin.inverseBindMatrices, "MAT4", len(skin.joints), f"{label}: inverseBindMatrices")
+    label = f"{label}: inverseBindMatrices"
+    held, needed = accessors.declared(skin.inverseBindMatrices, label).count, len(skin.joints)
+    if held < needed:
+        raise ObjectError(f"{label} holds {held} matrices for {needed} joints; export the skin again")
+    binds = accessors.floats(skin.inverseBindMatrices, "MAT4", held, label)[:needed]
     return matrices @ binds.astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)

@@ -341,8 +341,11 @@ class _PrimitiveReader:
                 which = self._accessors.integers(primitive.attributes[f"JOINTS_{index}"], "VEC4", f"{label}: joints")
                 stated_weights = primitive.attributes[f"WEIGHTS_{index}"]
                 weights = self._accessors.floats(stated_weights, "VEC4", count, f"{label}: weights")
-            if which.shape != weights.shape or int(which.max(initial=0)) >= len(joints):
-                raise ObjectError(f"{label}: a vertex names joint {int(which.max(initial=0))} of {len(joints)}")
+            if which.shape != weights.shape:
+                raise ObjectError(f"{label}: {which.shape} joints have {weights.shape} weights; both need one shape")
+            if (highest := int(which[weights != 0].max(initial=0))) >= len(joints):
+                raise ObjectError(f"{label}: a vertex names joint {highest} of {len(joints)}")
+            which = np.where(which < len(joints), which, 0)  # exporters fill places of weight 0 with any number
             first = which[:, 0].astype(np.int64) if index == 0 else first
             for corner in range(which.shape[1]):
                 total += weights[:, corner, None, None] * joints[which[:, corner].astype(np.int64)]
