@@ -1,9 +1,11 @@
 """300 damaged files: each is read or refused with ObjectError, without a crash or memory beyond the file's own."""
 
+import base64
 import json
 import tracemalloc
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from gltf_files import QUAD, GltfFile, packed, textured_quad
@@ -87,20 +89,46 @@ def test_changed_declarations_are_read_or_refused(seed: int) -> None:
     assert refused > 5
 
 
+def test_a_buffer_that_ends_past_the_file_is_refused() -> None:
+    file = textured_quad()
+    file.glb()
+    file.tree["buffers"][0] |= {"byteLength": 10_000}
+    with pytest.raises(ObjectError, match="buffer 0 declares 10000 bytes, "):
+        load_object(file.glb())
+
+
+BMP = "data:image/bmp;base64," + base64.b64encode(cv2.imencode(".bmp", np.zeros((2, 2, 3), np.uint8))[1]).decode()
+
+
 @pytest.mark.parametrize(
     ("part", "change", "message"),
     [
-        ("buffers", {"byteLength": 10_000}, "buffer 0 declares 10000 bytes, "),
-        ("textures", {"source": 99}, "texture 0 has no image"),
-        ("images", {"bufferView": 99}, "bufferViews.99 of "),
+        ("textures", [], "texture 0 of 0 does not exist"),
+        ("textures", [{}], "texture 0 has no image"),
+        ("textures", [{"source": 99}], "texture 0 has no image"),
+        ("textures", [{"extensions": {"MSFT_texture_dds": {"source": 0}}}], "texture 0 has no image"),
+        ("images", [{"bufferView": 99}], "images.0: bufferViews.99 of "),
+        ("images", [{"uri": "textures/a.png"}], "images.0 is at 'textures/a.png', outside the file"),
+        ("images", [{"uri": "file:///a.png"}], "images.0 is at 'file:///a.png'"),
+        ("images", [{"uri": BMP}], "images.0 is neither PNG, JPEG"),
     ],
 )
-def test_what_points_past_the_end_is_refused(part: str, change: dict[str, int], message: str) -> None:
-    file = textured_quad()
-    file.glb()
-    file.tree[part][0] |= change
-    with pytest.raises(ObjectError, match=message):
-        load_object(file.glb())
+def test_a_texture_that_cannot_be_read_is_noted(part: str, change: list[dict], message: str) -> None:
+    file = GltfFile().quad(
+        pbrMetallicRoughness={"baseColorTexture": {"index": 0}, "baseColorFactor": [0.5, 0.25, 1, 1]},
+        emissiveTexture={"index": 0},
+        emissiveFactor=[1, 1, 1],
+    )
+    file.image(np.zeros((2, 2, 3), np.uint8))
+    file.tree[part] = change
+    one = load_object(file.glb())
+    ((_, material),) = one.parts
+    assert material.base_colour_texture is None
+    assert material.base_colour == pytest.approx((0.5, 0.25, 1))
+    assert material.emissive == (0, 0, 0)
+    told = {note.effect: note.left_out for note in one.notes if note.effect != "it is not read"}
+    assert told.keys() == {"the factor alone is used", "it does not glow"}
+    assert all(message in text for text in told.values())
 
 
 @pytest.mark.parametrize("last", [3, 4])

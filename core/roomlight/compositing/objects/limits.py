@@ -10,6 +10,10 @@ NAN: Final = re.compile(rb"nan\([^()\s]*\)", re.IGNORECASE)
 """As Windows writes it: `-nan(ind)`."""
 
 
+class PassedLimitError(ObjectError):
+    """A limit is passed, which refuses the object also where damage would be noted."""
+
+
 @dataclass(frozen=True)
 class ObjectLimits:
     """The most that a file may hold.
@@ -41,10 +45,10 @@ class ObjectLimits:
     total_pixels: int = 4 * 4096 * 4096
 
     def check(self, field: str, value: int, name: str) -> None:
-        """Raise ObjectError if `value` passes the limit `field`; the message begins with `name`."""
+        """Raise PassedLimitError if `value` passes the limit `field`; the message begins with `name`."""
         limit = getattr(self, field)
         if value > limit:
-            raise ObjectError(f"{name}: {field.replace('_', ' ')} are limited to {limit}, the file has {value}")
+            raise PassedLimitError(f"{name}: {field.replace('_', ' ')} are limited to {limit}, the file has {value}")
 
 
 def plain_text(data: bytes) -> bytes:

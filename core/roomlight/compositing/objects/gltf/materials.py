@@ -22,9 +22,11 @@ from roomlight.compositing.objects.gltf.schema import (
     Transmission,
     Volume,
 )
+from roomlight.compositing.objects.limits import PassedLimitError
 from roomlight.compositing.objects.materials import MAX_IOR, Material, colour_of
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
 from roomlight.conventions import LUMINANCE, linear_to_srgb8, srgb8_to_linear
+from roomlight.errors import ObjectError
 from roomlight.notes import Note
 
 _DIELECTRIC = 0.04
@@ -70,6 +72,7 @@ class MaterialReader:
 
     def __init__(self, images: Images, clamped: list[str]) -> None:
         self._images, self._clamped = images, clamped
+        self._unread: dict[int, str] = {}
         self._textures: dict[tuple[int, str], tuple[np.ndarray, Texture]] = {}
         self._edged: dict[tuple[Texture, tuple[bool, bool]], Texture] = {}
 
@@ -90,12 +93,14 @@ class MaterialReader:
         for key, slot in slots.items():
             pixels[key], means[key] = _brought(slot, uv_set, transform, label, notes)
         material = self._factors(stated, label, notes)
+        if stated.emissiveTexture is not None and slots["emissive"] is None:
+            material = replace(material, emissive=(0.0, 0.0, 0.0))  # else all of it would glow
         if glossy is not None:
             material = self._from_glossy(material, glossy, pixels, means)
         else:
             material = self._from_metallic(material, stated, pixels, means)
         if material.transmission > 0:
-            material = self._tinted_by_depth(material, stated, label)
+            material = self._tinted_by_depth(material, stated, label, notes)
         material = self._with_edges(self._rest(material, stated, pixels, means), slots)
         if stated.occlusionTexture is not None:
             file = label.rpartition(":")[0]  # one note for all its materials
@@ -115,11 +120,9 @@ class MaterialReader:
         if info is None:
             return None
         where = f"{label}, {key} texture"
-        pixels = self._images.pixels(info.index, where)
+        effect = "it does not glow" if key == "emissive" else "the factor alone is used"
+        pixels = self._pixels(info, where, notes, effect)
         if pixels is None:
-            extra = "" if ktx2_available() else "pip install 'roomlight[ktx2]', or "
-            remedy = f"{extra}export it as PNG, JPEG or WebP"
-            notes.append(Note(f"{where}: its KTX2 image", "the factor alone is used", remedy))
             return None
         moved = extension(TextureTransform, info, "KHR_texture_transform", where, self._clamped) or TextureTransform()
         uv_set = info.texCoord if moved.texCoord is None else moved.texCoord
@@ -132,9 +135,26 @@ class MaterialReader:
                 transform[1 - axis] /= 2
         return _Slot(key, pixels, uv_set, transform, (wraps[0] == CLAMPED, wraps[1] == CLAMPED))
 
+    def _pixels(
+        self, info: TextureInfo, where: str, notes: list[Note], effect: str = "the factor alone is used"
+    ) -> UInt8[np.ndarray, "h w c"] | None:
+        """Return a texture's picture; None, with a note, if it cannot be read. Raises ObjectError beyond the limits."""
+        try:
+            pixels = None if info.index in self._unread else self._images.pixels(info.index, where)
+        except PassedLimitError:
+            raise
+        except ObjectError as error:
+            pixels, self._unread[info.index] = None, str(error)
+        if pixels is None and info.index in self._unread:
+            notes.append(Note(self._unread[info.index], effect, "put a PNG or JPEG beside it, or export as GLB"))
+        elif pixels is None:
+            extra = "" if ktx2_available() else "pip install 'roomlight[ktx2]', or "
+            notes.append(Note(f"{where}: its KTX2 image", effect, f"{extra}export it as PNG, JPEG or WebP"))
+        return pixels
+
     def _mean(self, info: TextureInfo | None, label: str, notes: list[Note]) -> Float[np.ndarray, "4"]:
         """Return the mean of a texture that is read as a factor; linear RGB, and alpha."""
-        pixels = None if info is None else self._images.pixels(info.index, label)
+        pixels = None if info is None else self._pixels(info, label, notes)
         if pixels is None:
             return np.ones(4)
         notes.append(Note(label, "its mean is used everywhere", "bake it into the base colour if it matters"))
@@ -183,13 +203,13 @@ class MaterialReader:
             metallic_roughness_texture=self._texture(pixels["rough"], "values"),
         )
 
-    def _tinted_by_depth(self, material: Material, stated: GltfMaterial, label: str) -> Material:
+    def _tinted_by_depth(self, material: Material, stated: GltfMaterial, label: str, notes: list[Note]) -> Material:
         """Tint glass by its stated thickness: half of it at each of the two surfaces that light passes."""
         volume = extension(Volume, stated, "KHR_materials_volume", label, self._clamped)
         if volume is None or volume.attenuationDistance == 0:
             return material
         texture = volume.thicknessTexture
-        pixels = None if texture is None else self._images.pixels(texture.index, f"{label}.thicknessTexture")
+        pixels = None if texture is None else self._pixels(texture, f"{label}.thicknessTexture", notes)
         thickness = volume.thicknessFactor * (1.0 if pixels is None else float(pixels[..., 1].mean()) / 255)
         share = np.array(volume.attenuationColor) ** (thickness / volume.attenuationDistance / 2)
         return replace(material, base_colour=colour_of(np.array(material.base_colour) * share))
