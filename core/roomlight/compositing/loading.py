@@ -103,4 +103,6 @@ def _kind(data: bytes, ending: str, label: str) -> str:
     if ending in get_args(ObjectKind):
         return ending
     advice = f"export the .{ending} as GLB" if ending else "give kind='obj' if it is an OBJ file"
+    if ending in ("zip", "7z", "rar", "tar", "gz", "tgz"):
+        advice = f"unpack the .{ending}, and open the model in it"
     raise ObjectError(f"{label}: neither GLB, glTF nor PLY by its content; {advice}")

@@ -29,9 +29,11 @@ _PICTURES: Final = ("map_kd", "map_ke", "map_d")
 _LEFT_OUT: Final = {
     **dict.fromkeys(("map_bump", "bump", "norm", "disp", "map_disp"), "relief"),
     **dict.fromkeys(("map_ks", "map_ns", "map_pr", "map_pm", "refl"), "textures of gloss, metal and reflection"),
-    **dict.fromkeys(("pc", "pcr", "ps", "aniso", "anisor", "map_pc", "map_ps"), "clear coat, sheen and brushed metal"),
+    **dict.fromkeys(("pc", "ps", "aniso", "map_pc", "map_ps"), "clear coat, sheen and brushed metal"),
     "tf": "coloured glass",
 }
+_DEFAULTS: Final = {"pc": 0, "ps": 0, "aniso": 0, "tf": 1}
+"""Values with which these keys change nothing; `pcr` and `anisor` only say how."""
 _MOVED: Final = re.compile(
     r"(?:^| )-(?:s(?: +1(?:\.0*)?)*(?= +-?[\d.])(?! +1(?:\.0*)?(?: |$))|o(?: +-?[0.]+)* +-?[0.]*[1-9]|clamp +on)"
 )
@@ -122,6 +124,8 @@ class MtlReader:
                 if _GAIN.search(options):
                     self._left_out.add("brightness and contrast of textures (-mm)")
             elif key in _LEFT_OUT:
+                if key in _DEFAULTS and set(_finite(rest.split())) == {_DEFAULTS[key]}:
+                    continue
                 self._left_out.add(_LEFT_OUT[key])
             elif key == "map_ka":
                 current.pictures[key] = rest

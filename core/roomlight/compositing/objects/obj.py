@@ -167,6 +167,8 @@ def _content(data: bytes, name: str, limits: ObjectLimits) -> _Content:
     for number, raw in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
         words = raw.split(b"#", 1)[0].split()
         if not words:
+            if raw.startswith(b"#MRGB"):
+                content.left_out.add(b"colours of its vertices in ZBrush's comments (#MRGB)")
             continue
         keyword = words[0].lower()
         if keyword in _VALUES:
