@@ -158,6 +158,9 @@ def test_unreadable_paths_are_refused(tmp_path: Path) -> None:
     (tmp_path / "chair.stl").write_text("solid chair")
     with pytest.raises(ObjectError, match=r"nor PLY by its content; export the \.stl as GLB"):
         load_object(tmp_path / "chair.stl")
+    (tmp_path / "chair.zip").write_bytes(b"PK\3\4")
+    with pytest.raises(ObjectError, match=r"by its content; unpack the \.zip, and open the model in it"):
+        load_object(tmp_path / "chair.zip")
 
 
 @pytest.mark.parametrize(

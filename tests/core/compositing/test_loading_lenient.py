@@ -137,6 +137,11 @@ def test_obj_that_others_read(data: bytes) -> None:
     assert {note.left_out.partition(": ")[2] for note in found.notes} == (kinds if b"usemtl" in data else set())
 
 
+def test_colours_in_zbrushs_comments_are_noted() -> None:
+    (note,) = load_object(f"#MRGB FFFF0000FF00FF00\n# a chair\n{OBJ}".encode(), "obj").notes
+    assert "#MRGB" in note.left_out
+
+
 @pytest.mark.parametrize(
     ("kind", "values", "red"),
     [
