@@ -4,13 +4,15 @@ import shutil
 import tempfile
 import weakref
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Final
 
 from roomlight.captures.bare_video import BareVideoReader
-from roomlight.captures.capture import Capture, Preparing, Reader
+from roomlight.captures.capture import Capture, Preparing, RawFrame, Reader, ReadRecord
 from roomlight.captures.formats import native, nerfstudio
 from roomlight.captures.formats.arkit_scenes import ArkitScenesReader
 from roomlight.captures.formats.colmap import ColmapReader
@@ -29,9 +31,8 @@ from roomlight.captures.formats.tum import TumReader
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.recognition import is_record3d_archive, recognised
 from roomlight.captures.source import member_name
-from roomlight.captures.unpacked import UnpackedReader, UnpackedVideo, renaming
 from roomlight.captures.video import DEMUXERS
-from roomlight.errors import CaptureError, OptionError, UnknownFormatError
+from roomlight.errors import CaptureError, OptionError, RoomLightError, UnknownFormatError
 from roomlight.notes import Note
 
 _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
@@ -96,9 +97,9 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
         return Capture(*_opened(path, chosen), chosen)
     unpacked = _unpacked(path)
     try:
-        with renaming(str(unpacked), str(path)):
+        with _renaming(str(unpacked), str(path)):
             _, reader = _opened(_innermost(unpacked), chosen)
-        kind = UnpackedVideo if isinstance(reader, Preparing) else UnpackedReader
+        kind = _UnpackedVideo if isinstance(reader, Preparing) else _UnpackedReader
         capture = Capture(path, kind(reader, unpacked, path), chosen)
     except BaseException:
         shutil.rmtree(unpacked.parent, ignore_errors=True)
@@ -191,3 +192,66 @@ def _is_capture(path: Path) -> bool:
     except UnknownFormatError:
         return False
     return True
+
+
+class _UnpackedReader:
+    """Reads by the format's reader of the unpacked files; its notes, names and errors name the archive."""
+
+    def __init__(self, reader: Reader, unpacked: Path, archive: Path) -> None:
+        self._reader, self._paths = reader, (str(unpacked), str(archive))
+        self.format, self.conventions = reader.format, reader.conventions
+        self.count, self.probes = reader.count, reader.probes
+
+    @property
+    def notes(self) -> list[Note]:
+        """The notes so far."""
+        return list(map(self._renamed, self._reader.notes))
+
+    def name_of(self, index: int) -> str:
+        """Return the file in the archive."""
+        return self._shown(self._reader.name_of(index))
+
+    def timestamps(self) -> list[float | None]:
+        """Return the stored times."""
+        return self._reader.timestamps()
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Open the files of one pass."""
+        with _renaming(*self._paths), self._reader.records() as read:
+            yield lambda index: self._record(read, index)
+
+    def _record(self, read: ReadRecord, index: int) -> RawFrame:
+        with _renaming(*self._paths):
+            raw = read(index)
+        picture = replace(raw.picture, notes=tuple(map(self._renamed, raw.picture.notes)))
+        depth_name = None if raw.depth_name is None else self._shown(raw.depth_name)
+        return replace(raw, name=self._shown(raw.name), depth_name=depth_name, picture=picture)
+
+    def _shown(self, text: str) -> str:
+        return text.replace(*self._paths)
+
+    def _renamed(self, note: Note) -> Note:
+        return Note(*map(self._shown, (note.left_out, note.effect, note.advice)))
+
+
+class _UnpackedVideo(_UnpackedReader):
+    """As `_UnpackedReader`, of a reader that looks at the whole recording first."""
+
+    def prepare(self, watch: Callable[[int, int], object]) -> None:
+        """Look at the recording."""
+        assert isinstance(self._reader, Preparing)
+        with _renaming(*self._paths):
+            self._reader.prepare(watch)
+
+
+@contextmanager
+def _renaming(unpacked: str, archive: str) -> Generator[None]:
+    """Raise errors of the block with the archive's path in place of the unpacked one's."""
+    try:
+        yield
+    except RoomLightError as error:
+        shown = str(error).replace(unpacked, archive)
+        if shown == str(error):
+            raise
+        raise type(error)(shown) from error

@@ -87,11 +87,12 @@ def _workspace(folder: Path) -> tuple[Path, str | None]:
     A folder with nothing but a model (`sparse/0`) is part of the first above it that has pictures.
     """
     source, whole = FolderSource(folder), folder.absolute()
-    if model_folder(source, "") is None or any(not name.lower().endswith(_OF_MODELS) for name in source.names()):
+    others = (name for name in source.names() if name[0] != "." and not name.lower().endswith(_OF_MODELS))
+    if model_folder(source, "") is None or any(others):
         return folder, None
     above = whole.parents[: 2 if whole.parent.name == "sparse" else 1]
-    found = (parent for parent in above if any(map(FolderSource(parent).has, _PICTURES)))
-    parent = next(found, None)
+    holders = (parent for parent in above if any(map(FolderSource(parent).has, _PICTURES)))
+    parent = next(holders, None)
     return (folder, None) if parent is None else (parent, whole.relative_to(parent).as_posix())
 
 

@@ -208,11 +208,13 @@ class NerfstudioReader:
         names = [name for frame in self._frames if isinstance(name := frame.get(key), str) and "/" not in name]
         if not names or any(map(self._source.has, names)):
             return self._source
-        found = beside(self._source.root, names, *folders)
-        if found is None:
+        sibling = beside(self._source.root, names, *folders)
+        if sibling is None:
             return self._source
-        self.notes.append(Note(f"{self._label}: {names[0]} is not beside it", f"{found.root} is read", "name folders"))
-        return found
+        self.notes.append(
+            Note(f"{self._label}: {names[0]} is not beside it", f"{sibling.root} is read", "name folders")
+        )
+        return sibling
 
     def _unread_keys(self) -> list[Note]:
         keys = {key for entry in (self._shared, *self._frames) for key in entry} - _READ - _HARMLESS

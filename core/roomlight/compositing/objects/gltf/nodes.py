@@ -136,8 +136,8 @@ def _joint_matrices(
     if skin.inverseBindMatrices is None:
         return matrices
     label = f"{label}: inverseBindMatrices"
-    held, needed = accessors.declared(skin.inverseBindMatrices, label).count, len(skin.joints)
-    if held < needed:
-        raise ObjectError(f"{label} holds {held} matrices for {needed} joints; export the skin again")
-    binds = accessors.floats(skin.inverseBindMatrices, "MAT4", held, label)[:needed]
+    stated, needed = accessors.declared(skin.inverseBindMatrices, label).count, len(skin.joints)
+    if stated < needed:
+        raise ObjectError(f"{label} holds {stated} matrices for {needed} joints; export the skin again")
+    binds = accessors.floats(skin.inverseBindMatrices, "MAT4", stated, label)[:needed]
     return matrices @ binds.astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
