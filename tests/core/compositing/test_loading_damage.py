@@ -97,7 +97,10 @@ def test_a_buffer_that_ends_past_the_file_is_refused() -> None:
         load_object(file.glb())
 
 
-BMP = "data:image/bmp;base64," + base64.b64encode(cv2.imencode(".bmp", np.zeros((2, 2, 3), np.uint8))[1]).decode()
+BMP = (
+    "data:image/bmp;base64,"
+    + base64.b64encode(cv2.imencode(".bmp", np.zeros((2, 2, 3), np.uint8))[1].tobytes()).decode()
+)
 
 
 @pytest.mark.parametrize(
