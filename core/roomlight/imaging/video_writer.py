@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
+from typing import Final
 
 import av
 import numpy as np
@@ -12,6 +13,11 @@ from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from roomlight.errors import OptionError, OutputError
+
+_BT709: Final = 1
+_SRGB: Final = 13
+_LIMITED: Final = 1
+"""H.273's codes of primaries and matrix, and of the transfer curve; FFmpeg's of the range 16 to 235."""
 
 
 class VideoWriter:
@@ -59,11 +65,15 @@ class VideoWriter:
                 self._stream = self._container.add_stream("libx264", rate=self._rate, options=self._options)
                 self._stream.width, self._stream.height = width, height
                 self._stream.pix_fmt = "yuv420p"
+                codec = self._stream.codec_context
+                codec.colorspace, codec.color_primaries = _BT709, _BT709
+                codec.color_trc, codec.color_range = _SRGB, _LIMITED
             if (self._stream.width, self._stream.height) != (width, height):
                 size = f"{self._stream.width} x {self._stream.height}"
                 raise ValueError(f"the video is {size}, this picture {width} x {height}")
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
-            self._container.mux(self._stream.encode(frame))
+            encoded = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+            self._container.mux(self._stream.encode(encoded))
         except OSError as error:  # PyAV's errors of files and codecs are OSErrors too
             raise OutputError(f"{self.path}: cannot be written ({error})") from error
 

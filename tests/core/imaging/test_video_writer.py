@@ -4,8 +4,10 @@ import av
 import numpy as np
 import pytest
 
+from roomlight.captures.video import VideoFrames
+from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import OptionError, OutputError
-from roomlight.imaging.video_writer import VideoWriter
+from roomlight.imaging.video_writer import VideoWriter, join_videos
 
 
 def picture(value: int, height: int = 48, width: int = 64) -> np.ndarray:
@@ -37,6 +39,19 @@ def test_a_video_plays_back_what_was_written(tmp_path: Path) -> None:
     assert [frame.shape for frame in frames] == [(48, 64, 3)] * len(levels)
     # grey through limited-range YUV and back at crf 18 moves by a few levels
     assert [float(frame.mean()) for frame in frames] == pytest.approx(levels, abs=4)
+
+
+def test_colours_are_those_of_the_tags_also_of_a_joined_video(tmp_path: Path) -> None:
+    red, part = (200, 40, 40), tmp_path / "part.mp4"
+    write_video(part, np.full((48, 64, 3), red, np.uint8))
+    join_videos([part, part], tmp_path / "whole.mp4")
+    for path in (part, tmp_path / "whole.mp4"):
+        with av.open(str(path)) as container:
+            for frame in container.decode(video=0):
+                assert (frame.colorspace, frame.color_primaries, frame.color_trc, frame.color_range) == (1, 1, 13, 1)
+        with VideoFrames(path, path.name) as read:
+            linear = read.frame(0).image.mean(axis=(0, 1))
+            assert linear_to_srgb8(linear).tolist() == pytest.approx(red, abs=2)
 
 
 def test_an_old_video_stays_until_the_new_one_is_complete(tmp_path: Path) -> None:
