@@ -1,6 +1,7 @@
 """Replays: what is written, and what is refused."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -192,6 +193,13 @@ def test_only_the_same_finished_replay_counts_as_done(capture, tmp_path):
         assert finished_report(copy, out, options) is not None
     (out / "report.json").unlink()
     assert finished_report(copy, out, options) is None
+
+
+def test_names_that_are_not_utf8_are_replayed_and_known_again(capture, tmp_path):
+    copy = edited_copy(capture, tmp_path / os.fsdecode(b"caf\xe9"), lambda _: None)
+    out, options = tmp_path / os.fsdecode(b"th\xe9"), replace(ONE, capture=CaptureOptions(max_frames=1))
+    assert finished_report(copy, out, options) is None
+    assert replay(copy, out, options) == finished_report(copy, out, options)
 
 
 def test_a_finished_replay_is_not_run_again(capture, tmp_path, monkeypatch, roomlight):

@@ -137,7 +137,8 @@ def _digest(files: list[Path]) -> str:
     for file in files:
         try:
             state = file.stat()
-            digest.update(f"{file.resolve()}\0{state.st_size}\0{state.st_mtime_ns}\n".encode())
+            line = f"{file.resolve()}\0{state.st_size}\0{state.st_mtime_ns}\n"
         except OSError:
-            digest.update(f"{file}\0missing\n".encode())
+            line = f"{file}\0missing\n"
+        digest.update(line.encode("utf-8", "surrogateescape"))  # a name need not be UTF-8
     return digest.hexdigest()

@@ -174,7 +174,8 @@ def read_exr(data: bytes, name: str) -> ExrChannels:
     """Decode all channels of a file whose size has been checked. Raises ImageError."""
     path = Path(name)
     own_copy = None
-    if not path.is_file() or path.stat().st_size != len(data):  # bytes from an archive or the network
+    named = name.encode(errors="ignore").decode() == name  # the library takes names in UTF-8 alone
+    if not named or not path.is_file() or path.stat().st_size != len(data):  # bytes from an archive or the network
         handle, own_name = tempfile.mkstemp(suffix=".exr")
         os.close(handle)
         own_copy = path = Path(own_name)
