@@ -15,7 +15,7 @@ from roomlight.compositing.placement.scene import Scene, load_scene
 from roomlight.compositing.recordings import composite_capture, scene_of_object
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError, OutputError
-from roomlight.files import write_atomic
+from roomlight.files import check_writable, write_atomic
 from roomlight.frame import Frame
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.rules import check_options
@@ -107,7 +107,12 @@ class CompositeOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-        path = self.out
+        try:
+            self._check_out(self.out)
+        except OSError as error:  # a name too long, a folder that may not be entered
+            raise OutputError(f"{self.out}: cannot be used for output ({error.strerror or error})") from error
+
+    def _check_out(self, path: Path) -> None:
         if path.suffix.lower() in (".mov", ".mkv", ".avi", ".webm", ".gif"):
             raise OutputError(f"{path}: films are written as .mp4; anything else is a folder of pictures")
         if self.is_film and self.layers:
@@ -139,6 +144,7 @@ def composite_recording(
         SceneError: A place is refused.
         OutputError: A file cannot be written.
     """
+    check_writable(options.out if options.is_film else options.out / "000000.png")
     capture, count = open_capture(path, reading), 0
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
     with ExitStack() as stack:

@@ -37,6 +37,27 @@ def write_atomic(path: Path, data: bytes) -> None:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
+def check_writable(path: Path) -> None:
+    """Check before long work that a file can be written, missing folders included; leaves nothing behind.
+
+    Raises:
+        OutputError: it cannot.
+    """
+    missing: list[Path] = []
+    tried = path.with_name(f".{path.name}.test")  # as long as temporary names are
+    try:
+        missing.extend(folder for folder in path.absolute().parents if not folder.exists())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tried.touch()
+        tried.unlink()
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        for folder in missing:
+            with contextlib.suppress(OSError):  # it may not have been made
+                folder.rmdir()
+
+
 def write_durable(path: Path, data: bytes) -> None:
     """Write bytes that survive a loss of power, readable by this user only (0600); otherwise as `write_atomic`.
 

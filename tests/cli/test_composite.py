@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from present import present
+from roomlight_cli import compositing
 from roomlight_cli.progress import Progress
 from rooms import BoxRoom, camera_at
 from written_captures import write_capture
@@ -93,6 +94,24 @@ def test_a_wrong_call_writes_nothing(roomlight, capture, tmp_path, arguments, me
     assert done.code != 0
     assert message in " ".join(done.err.replace("\u2502", " ").split())
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("out", "reason"),
+    [
+        ("held.txt/a/film.mp4", "Not a directory"),
+        ("held.txt/a", "Not a directory"),
+        ("new/" + "a" * 246 + ".mp4", "File name too long"),
+        ("a" * 256, "File name too long"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before_the_room_is_read(roomlight, capture, tmp_path, monkeypatch, out, reason):
+    monkeypatch.setattr(compositing, "open_capture", lambda *_: pytest.fail("the recording was opened"))
+    (tmp_path / "held.txt").write_text("held")
+    done = roomlight("composite", capture, *BALL, *FAST, "--out", tmp_path / out)
+    assert done.code == 1
+    assert f"({reason})" in done.err
+    assert [path.name for path in tmp_path.iterdir()] == ["held.txt"]
 
 
 def test_a_scene_that_is_wrong_is_told_by_the_names_of_its_fields(roomlight, capture, tmp_path):

@@ -1,5 +1,6 @@
 """Videos: H.264 in MP4, which browsers and phones play."""
 
+import contextlib
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -91,7 +92,8 @@ class VideoWriter:
         except OSError as problem:
             raise OutputError(f"{self.path}: cannot be written ({problem})") from problem
         finally:
-            self._temporary.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # the file may not exist, or its name be refused
+                self._temporary.unlink()
 
 
 def join_videos(parts: Sequence[Path], path: Path) -> None:
@@ -119,4 +121,5 @@ def join_videos(parts: Sequence[Path], path: Path) -> None:
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error})") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink()

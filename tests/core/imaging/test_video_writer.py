@@ -75,3 +75,8 @@ def test_what_makes_no_video_is_refused_and_leaves_no_file(tmp_path: Path) -> No
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match=r"replay\.mp4"):
         write_video(tmp_path / "file" / "replay.mp4", picture(10))
+    for name in ("a" * 252 + ".mp4", "a" * 246 + ".mp4"):  # the temporary name is too long as well
+        with pytest.raises(OutputError, match="name too long"):
+            write_video(tmp_path / name, picture(10))
+        with pytest.raises(OutputError, match="cannot be written"):
+            join_videos([tmp_path / "none.mp4"], tmp_path / name)
