@@ -9,7 +9,13 @@ from typing import Annotated, Final, Literal
 from annotated_types import Interval
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
-from roomlight.compositing.picture.layer_files import PICTURE_ENDINGS, PictureFormat, encode_layers, encode_picture
+from roomlight.compositing.picture.layer_files import (
+    LAYER_FILES,
+    PICTURE_ENDINGS,
+    PictureFormat,
+    encode_layers,
+    encode_picture,
+)
 from roomlight.compositing.picture.layers import Composite
 from roomlight.compositing.placement.scene import Scene, load_scene
 from roomlight.compositing.recordings import composite_capture, scene_of_object
@@ -17,6 +23,7 @@ from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError, OutputError
 from roomlight.files import check_writable, write_atomic
 from roomlight.frame import Frame
+from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.rules import check_options
 from roomlight_cli.console import print_notes
@@ -25,6 +32,7 @@ from roomlight_cli.progress import Progress
 
 DEFAULT_RATE: Final = 30.0
 """Frames a second of the film of a recording without timestamps."""
+_STEM: Final = "[0-9]" * 6
 
 
 @dataclass(frozen=True)
@@ -155,12 +163,15 @@ def composite_recording(
         film = None
         if options.is_film:
             film = stack.enter_context(VideoWriter(options.out, frames_per_second=options.rate(capture)))
+        rate = None if capture.frames_per_second is None else capture.frames_per_second * reading.every
         for picture in made:
             if film is not None:
                 height, width = (side - side % 2 for side in picture.image.shape[:2])
                 film.write(picture.image[:height, :width])
             else:
-                _write_pictures(picture, options)
+                if not count:
+                    _clear(options.out, picture.frame)
+                _write_pictures(picture, options, rate)
             count += 1
     print_notes(capture.notes)
     skipped = f", {len(capture.skipped)} skipped" if capture.skipped else ""
@@ -182,10 +193,31 @@ class _Watched:
             self._report(name, number, total)
 
 
-def _write_pictures(picture: Composite, options: CompositeOptions) -> None:
-    stem = f"{picture.frame.index:06d}"
-    name = f"{stem}.{PICTURE_ENDINGS[options.picture]}"
-    write_atomic(options.out / name, encode_picture(picture, options.picture))
+def _clear(out: Path, frame: Frame) -> None:
+    """Remove the pictures and layers of an earlier run, which may have had more frames; other files stay.
+
+    Raises:
+        OutputError: A file cannot be removed, or `out` holds the recording's own pictures.
+    """
+    source = Path(frame.source)
+    try:
+        if source.match(f"{_STEM}.*") and source.parent.resolve() == out.resolve():
+            raise OutputError(f"{out}: holds the recording's own pictures; choose another --out")
+        for name in (*(f".{ending}" for ending in PICTURE_ENDINGS.values()), *(f"/{layer}" for layer in LAYER_FILES)):
+            for file in out.glob(_STEM + name):
+                file.unlink()
+        for folder in out.glob(_STEM):
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
+
+
+def _write_pictures(picture: Composite, options: CompositeOptions, rate: float | None) -> None:
+    index = picture.frame.index
+    metadata = None if rate is None else sequence_metadata(index, rate)
+    name = f"{index:06d}.{PICTURE_ENDINGS[options.picture]}"
+    write_atomic(options.out / name, encode_picture(picture, options.picture, metadata=metadata))
     if options.layers:
-        for layer, data in encode_layers(picture).items():
-            write_atomic(options.out / stem / layer, data)
+        for layer, data in encode_layers(picture, metadata=metadata).items():
+            write_atomic(options.out / f"{index:06d}" / layer, data)

@@ -252,16 +252,28 @@ def encode_exr(image: Float[np.ndarray, "h w 3"], *, metadata: Mapping[str, obje
     Raises:
         OutputError: The image cannot be encoded.
     """
-    half = np.clip(image, -65504, 65504).astype(np.float16)
+    return _encode_exr("RGB", np.clip(image, -65504, 65504).astype(np.float16), metadata)
+
+
+def encode_depth_exr(depth_m: Float[np.ndarray, "h w"], *, metadata: Mapping[str, object] | None = None) -> bytes:
+    """Encode depth as compositing programs look for it: the channel Z, in floats.
+
+    Raises:
+        OutputError: The depth cannot be encoded.
+    """
+    return _encode_exr("Z", depth_m.astype(np.float32), metadata)
+
+
+def _encode_exr(channels: str, pixels: Float[np.ndarray, "h w *c"], metadata: Mapping[str, object] | None) -> bytes:
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     header.update(metadata or {})
     try:
         with tempfile.TemporaryDirectory() as folder:  # the library writes into memory from 3.5 on only
             path = Path(folder) / "image.exr"
-            OpenEXR.File(header, {"RGB": np.ascontiguousarray(half)}).write(str(path))
+            OpenEXR.File(header, {channels: np.ascontiguousarray(pixels)}).write(str(path))
             return path.read_bytes()
     except (OSError, RuntimeError) as error:
-        raise OutputError(f"an EXR of {image.shape[1]} x {image.shape[0]} cannot be encoded ({error})") from error
+        raise OutputError(f"an EXR of {pixels.shape[1]} x {pixels.shape[0]} cannot be encoded ({error})") from error
 
 
 def write_exr(path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: Mapping[str, object] | None = None) -> None:

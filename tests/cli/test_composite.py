@@ -1,10 +1,12 @@
 """`roomlight composite` on a small recording: pictures, layers, a film, and every refusal."""
 
+import dataclasses
 import json
 
 import av
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 
 from present import present
@@ -41,6 +43,34 @@ def test_pictures_and_layers_are_written(roomlight, capture, tmp_path):
     alpha = picture(tmp_path / "out/000000/alpha.png")
     assert alpha.dtype == np.uint16
     assert alpha.max() > 60_000
+
+
+def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(roomlight, tmp_path):
+    frame = ROOM.frame(camera_at((0.2, 1.4, 1.4), 0.0, -30), width=64, height=48)
+    timed = [dataclasses.replace(frame, index=index, timestamp_s=0.1 * index) for index in range(4)]
+    recording, out = write_capture(tmp_path / "timed", timed), tmp_path / "out"
+    options = ("--picture", "exr", "--layers", "--online", "--every", "3")
+    assert roomlight("composite", recording, *BALL, *FAST, *options, "--out", out).code == 0
+    for name in ("000003.exr", "000003/objects.exr", "000003/shadow.exr", "000003/depth.exr"):
+        header = OpenEXR.File(str(out / name)).header()
+        assert (header["framesPerSecond"], header["timeCode"].frame) == (10, 3)
+    channels = OpenEXR.File(str(out / "000003/depth.exr")).channels()
+    assert list(channels) == ["Z"]
+    assert channels["Z"].pixels.dtype == np.float32
+    assert 1.0 < channels["Z"].pixels.max() < 3.0
+
+
+def test_overwrite_leaves_no_picture_of_an_earlier_run(roomlight, capture, tmp_path):
+    out, command = tmp_path / "out", ("composite", capture, *BALL, *FAST, "--online", "--out", tmp_path / "out")
+    assert roomlight(*command, "--layers", "--max-frames", "2").code == 0
+    (out / "notes.txt").write_text("held")
+    (out / "000001" / "notes.txt").write_text("held")
+    assert roomlight(*command, "--overwrite", "--picture", "jpeg", "--max-frames", "1").code == 0
+    left = {str(path.relative_to(out)) for path in out.rglob("*.*")}
+    assert left == {"000000.jpg", "notes.txt", "000001/notes.txt"}
+    own = roomlight(*command[:-1], capture / "colour", "--overwrite", "--picture", "jpeg")
+    assert "holds the recording's own pictures" in own.err
+    assert len(list((capture / "colour").iterdir())) == 3
 
 
 def test_a_film_shows_the_moving_object(roomlight, capture, tmp_path):

@@ -1,5 +1,6 @@
 """Composited frames as files: one picture, or the layers apart."""
 
+from collections.abc import Mapping
 from typing import Final, Literal
 
 import cv2
@@ -7,21 +8,26 @@ import numpy as np
 
 from roomlight.compositing.picture.layers import Composite
 from roomlight.errors import OutputError
-from roomlight.images import encode_exr, encode_png
+from roomlight.images import encode_depth_exr, encode_exr, encode_png
 
 PictureFormat = Literal["png", "jpeg", "exr"]
 PICTURE_ENDINGS: Final[dict[PictureFormat, str]] = {"png": "png", "jpeg": "jpg", "exr": "exr"}
+LAYER_FILES: Final = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr")
 _JPEG_QUALITY: Final = 95
 
 
-def encode_picture(made: Composite, picture_format: PictureFormat) -> bytes:
+def encode_picture(
+    made: Composite, picture_format: PictureFormat, *, metadata: Mapping[str, object] | None = None
+) -> bytes:
     """Encode the composite: png and jpeg are 8-bit sRGB, exr is linear radiance without added noise (half floats).
+
+    `metadata` goes into the header of an EXR file.
 
     Raises:
         OutputError: The picture cannot be encoded.
     """
     if picture_format == "exr":
-        return encode_exr(made.radiance)
+        return encode_exr(made.radiance, metadata=metadata)
     if picture_format == "png":
         return encode_png(made.image)
     ok, data = cv2.imencode(
@@ -32,16 +38,19 @@ def encode_picture(made: Composite, picture_format: PictureFormat) -> bytes:
     return data.tobytes()
 
 
-def encode_layers(made: Composite) -> dict[str, bytes]:
+def encode_layers(made: Composite, *, metadata: Mapping[str, object] | None = None) -> dict[str, bytes]:
     """Encode the layers by file name; `frame x shadow x (1 - alpha) + objects` is the composite in linear radiance.
+
+    Depth is the channel Z in floats. `metadata` goes into the headers of EXR files.
 
     Raises:
         OutputError: A layer cannot be encoded.
     """
-    return {
-        "image.png": encode_png(made.image),
-        "objects.exr": encode_exr(made.objects),
-        "alpha.png": encode_png(np.rint(np.clip(made.alpha, 0, 1) * 65535).astype(np.uint16)),
-        "shadow.exr": encode_exr(made.shadow),
-        "depth.exr": encode_exr(np.repeat(made.depth_m[..., None], 3, axis=-1)),
-    }
+    layers = (
+        encode_png(made.image),
+        encode_exr(made.objects, metadata=metadata),
+        encode_png(np.rint(np.clip(made.alpha, 0, 1) * 65535).astype(np.uint16)),
+        encode_exr(made.shadow, metadata=metadata),
+        encode_depth_exr(made.depth_m, metadata=metadata),
+    )
+    return dict(zip(LAYER_FILES, layers, strict=True))
