@@ -15,8 +15,8 @@ from annotated_types import Interval
 from roomlight.conventions import Position
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.errors import OptionError
-from roomlight.files import write_json
+from roomlight.errors import OptionError, OutputError
+from roomlight.files import check_writable, write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr, write_png
 from roomlight.imaging.drawing import LABEL_ROWS, Canvas
@@ -28,6 +28,7 @@ from roomlight.spheres import Material, SphereRenderer, view_toward
 
 _SPHERE: Final = 256
 _GAP: Final = 16
+_REPORT: Final = "light.json"
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,7 @@ def light_photo(
         ModelError: The weights cannot be used.
         OutputError: `out` cannot be written.
     """
+    check_writable(out / _REPORT)
     session = Session(options, graphs=graphs)
     first: Frame | None = None
     for frame in frames:
@@ -135,6 +137,7 @@ def light_photo(
     assert session.grid is not None
     assert first is not None
     lights: list[PhotoLight] = []
+    _forget(out)
     for number, position in enumerate(positions):
         light = session.light_at(position)
         files = (f"probe-{number:02d}.exr", f"probe-{number:02d}.png", f"probe-{number:02d}-spheres.png")
@@ -152,8 +155,25 @@ def light_photo(
         "intrinsics": asdict(first.intrinsics),
         "camera_to_world": first.camera_to_world.tolist(),
     }
-    write_json(out / "light.json", report | {"probes": [light.to_json() for light in lights]})
+    write_json(out / _REPORT, report | {"probes": [light.to_json() for light in lights]})
     return lights
+
+
+def _forget(out: Path) -> None:
+    """Remove what an earlier run left, which may have had more points; other files stay.
+
+    Raises:
+        OutputError: A file cannot be removed.
+    """
+    endings = {".png", "-spheres.png", *ENDINGS.values()}
+    try:
+        if (out / _REPORT).is_file():
+            for name in ("probe-" + digits + end for digits in ("[0-9]" * 2, "[0-9]" * 3) for end in endings):
+                for file in out.glob(name):
+                    file.unlink()
+            (out / _REPORT).unlink()
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
 
 
 def _spheres(light: Light, view: tuple[float, float, float]) -> np.ndarray:

@@ -16,7 +16,7 @@ from roomlight.captures import open_capture
 from roomlight.captures.photo import DEFAULT_FOV_DEG, PhotoOptions, read_photo
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
-from roomlight.errors import FrameError, OptionError, ProbeError
+from roomlight.errors import FrameError, OptionError, OutputError, ProbeError
 from roomlight.images import read_panorama, write_exr
 from roomlight.imaging.exif import oriented
 from roomlight.imaging.video_writer import VideoWriter
@@ -86,6 +86,20 @@ def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
         assert probe["files"]["usdz"].endswith(".usdz")
     assert read_panorama(folder / "out" / "probe-00.exr").shape == (120, 240, 3)
     assert (folder / "out" / "probe-01.glb").read_bytes().startswith(b"glTF")
+
+
+def test_files_of_an_earlier_run_with_more_points_do_not_stay(room):
+    frame, out = frame_of(room), room[0] / "out"
+    light_photo([frame], [(0.0, -0.2, -1.5), (0.2, -0.2, -1.5)], out, options=CLASSICAL, forms=("glb",))
+    (out / "probe-01-notes.txt").write_text("held")
+    light_photo([frame], [(0.0, -0.2, -1.5)], out, options=CLASSICAL)
+    names = {"light.json", "probe-00.exr", "probe-00.png", "probe-00-spheres.png", "probe-01-notes.txt"}
+    assert {path.name for path in out.iterdir()} == names
+
+
+def test_an_output_that_cannot_be_written_is_told_before_any_work(room):
+    with pytest.raises(OutputError, match="cannot be written"):
+        light_photo([], [(0.0, -0.2, -1.5)], room[0] / "photo.png" / "out", options=CLASSICAL)
 
 
 def test_the_exr_holds_the_engine_s_light_with_the_lamp_ahead_above_and_in_view(room):
