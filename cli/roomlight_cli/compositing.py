@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
+import typer
 from annotated_types import Interval
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
@@ -26,8 +27,9 @@ from roomlight.frame import Frame
 from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.rules import check_options
-from roomlight_cli.console import print_notes
+from roomlight_cli.console import err, print_notes
 from roomlight_cli.options import Flag
+from roomlight_cli.probe_notes import counted
 from roomlight_cli.progress import Progress
 
 DEFAULT_RATE: Final = 30.0
@@ -151,28 +153,34 @@ def composite_recording(
         CaptureError: The recording cannot be read.
         SceneError: A place is refused.
         OutputError: A file cannot be written.
+        typer.Exit: Ctrl-C stopped it (code 130).
     """
     check_writable(options.out if options.is_film else options.out / "000000.png")
     capture, count = open_capture(path, reading), 0
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
-    with ExitStack() as stack:
-        progress = stack.enter_context(Progress(passes[0]))
-        frames = _Watched(capture, passes, progress.count_of)
-        made = composite_capture(frames, scene, quality=options.quality, online=options.online, options=light)
-        capture.prepare(progress.count_of)
-        film = None
-        if options.is_film:
-            film = stack.enter_context(VideoWriter(options.out, frames_per_second=options.rate(capture)))
-        rate = None if capture.frames_per_second is None else capture.frames_per_second * reading.every
-        for picture in made:
-            if film is not None:
-                height, width = (side - side % 2 for side in picture.image.shape[:2])
-                film.write(picture.image[:height, :width])
-            else:
-                if not count:
-                    _clear(options.out, picture.frame)
-                _write_pictures(picture, options, rate)
-            count += 1
+    try:
+        with ExitStack() as stack:
+            progress = stack.enter_context(Progress(passes[0]))
+            frames = _Watched(capture, passes, progress.count_of)
+            made = composite_capture(frames, scene, quality=options.quality, online=options.online, options=light)
+            capture.prepare(progress.count_of)
+            film = None
+            if options.is_film:
+                film = stack.enter_context(VideoWriter(options.out, frames_per_second=options.rate(capture)))
+            rate = None if capture.frames_per_second is None else capture.frames_per_second * reading.every
+            for picture in made:
+                if film is not None:
+                    height, width = (side - side % 2 for side in picture.image.shape[:2])
+                    film.write(picture.image[:height, :width])
+                else:
+                    if not count:
+                        _clear(options.out, picture.frame)
+                    _write_pictures(picture, options, rate)
+                count += 1
+    except KeyboardInterrupt:
+        kept = f"{options.out} keeps {counted(count, 'picture')}" if count else "nothing was written"
+        err.print(f"stopped; {'no film was written' if options.is_film else kept}", soft_wrap=True, markup=False)
+        raise typer.Exit(130) from None
     print_notes(capture.notes)
     skipped = f", {len(capture.skipped)} skipped" if capture.skipped else ""
     kind = "film" if options.is_film else "pictures"

@@ -73,6 +73,21 @@ def test_overwrite_leaves_no_picture_of_an_earlier_run(roomlight, capture, tmp_p
     assert len(list((capture / "colour").iterdir())) == 3
 
 
+@pytest.mark.parametrize(
+    ("out", "said"), [("out", "stopped; out keeps 3 pictures"), ("a.mp4", "stopped; no film was written")]
+)
+def test_ctrl_c_says_what_is_kept(roomlight, capture, tmp_path, monkeypatch, out, said):
+    def stop(_, __, done, total):
+        if done == total:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Progress, "count_of", stop)
+    stopped = roomlight("composite", capture, *BALL, *FAST, "--online", "--out", out, cwd=tmp_path)
+    assert stopped.code == 130
+    assert said in stopped.err
+    assert not list(tmp_path.glob("*.mp4*"))
+
+
 def test_a_film_shows_the_moving_object(roomlight, capture, tmp_path):
     motion = {"unit": "frames", "keys": [{"at": 0}, {"at": 2, "offset_m": [0.6, 0, 0]}]}
     ball = {"name": "ball", "shape": "sphere", "size_m": 0.4, "pixel": [20, 36], "motion": motion}

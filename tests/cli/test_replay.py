@@ -12,11 +12,12 @@ import pytest
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, OptionError, OutputError, ProbeError
+from roomlight.files import write_json
 from roomlight.images import read_panorama
 from roomlight.placement import point_at_pixel
 from roomlight_cli.replays import replay_run
 from roomlight_cli.replays.replay import replay
-from roomlight_cli.replays.replay_folder import finished_report
+from roomlight_cli.replays.replay_folder import describe_intent, finished_report
 from roomlight_cli.replays.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
 from written_captures import edited_copy, write_capture
@@ -154,6 +155,14 @@ def test_other_files_are_never_mixed_with_a_replay(capture, tmp_path):
     assert read_panorama(stale).shape == (16, 32, 3)
     assert (foreign / "thesis.tex").read_text() == "precious"
     assert (foreign / "probe-00" / "notes.txt").read_text() == "precious too"
+
+
+def test_what_differs_is_written_as_options_are(roomlight, capture, tmp_path):
+    there = replace(ONE, forms=("exr", "hdr"), probes=(*PROBES,))
+    write_json(tmp_path / "replay.json", describe_intent(capture, "classical", there))
+    done = roomlight("replay", capture, "--out", tmp_path, "--model", "classical", "--height", "16")
+    assert "--form exr, hdr there, none here" in done.err
+    assert "--probe 0.4,1.2,-0.3, -0.8,1.0,0.6 there, none here" in done.err
 
 
 def test_a_refused_command_leaves_the_folder_as_it_was(capture, tmp_path):

@@ -90,7 +90,16 @@ def _differing(there: Any, here: Any, name: str = "") -> str:
     if isinstance(there, dict) and isinstance(here, dict):
         parts = [_differing(there.get(key), here.get(key), key) for key in {**here, **there}]
         return "; ".join(part for part in parts if part)
-    return "" if there == here else f"{name}={there!r} there, {here!r} here" if name else f"its {INTENT} is damaged"
+    if there == here:
+        return ""
+    return f"{name}={_shown(there)} there, {_shown(here)} here" if name else f"its {INTENT} is damaged"
+
+
+def _shown(value: Any, between: str = ", ") -> str:
+    """Return a value as a command's options are written: `exr, hdr`, points as `0.4,1.2,-0.3`, `none`."""
+    if isinstance(value, list):
+        return between.join(part if isinstance(part, str) else _shown(part, ",") for part in value) or "none"
+    return "none" if value is None else repr(value)
 
 
 def claim(out: Path, intent: dict[str, Any]) -> None:
