@@ -37,6 +37,25 @@ def write_atomic(path: Path, data: bytes) -> None:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
+def move_folder(partial: Path, out: Path, *, last: str) -> None:
+    """Rename a finished folder to `out`; into an empty folder, where a shell may be, its entries are moved.
+
+    Args:
+        partial: The folder.
+        out: Absent or an empty folder.
+        last: The entry without which a reader takes `out` for unfinished.
+
+    Raises:
+        OSError: An entry cannot be moved.
+    """
+    if not out.exists():
+        partial.replace(out)
+        return
+    for entry in sorted(partial.iterdir(), key=lambda entry: entry.name == last):
+        entry.replace(out / entry.name)
+    partial.rmdir()
+
+
 def check_writable(path: Path) -> None:
     """Check before long work that a file can be written, missing folders included; leaves nothing behind.
 

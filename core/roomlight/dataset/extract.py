@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from roomlight.dataset.loader import Dataset
+from roomlight.dataset.sequence_files import CAPTURE
 from roomlight.errors import OutputError
-from roomlight.files import write_atomic
+from roomlight.files import move_folder, write_atomic
 
 
 def extract(dataset: Dataset, name: str, out: Path) -> None:
@@ -25,14 +26,15 @@ def write_capture(files: Mapping[str, bytes | memoryview], out: Path) -> None:
     Raises:
         OutputError: `out` is not empty, or cannot be written.
     """
-    partial = out.with_name(f".{out.name}.part")
+    target = out.absolute()  # `.` has no name
+    partial = target.with_name(f".{target.name}.part")
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise OutputError(f"{out}: exists already; choose another folder or delete it")
         shutil.rmtree(partial, ignore_errors=True)
         for file, data in files.items():
             write_atomic(partial / file, bytes(data))
-        partial.replace(out)
+        move_folder(partial, target, last=CAPTURE)
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
         raise OutputError(f"{out}: cannot be written ({error.strerror or error})") from error

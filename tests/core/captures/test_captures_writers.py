@@ -1,5 +1,6 @@
 """Writers and readers round-trip, and a partial capture is never read as a complete one."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -128,3 +129,16 @@ def test_invalid_input_to_the_native_writer_is_refused(tmp_path: Path) -> None:
         add(writer, whole)
         writer.close()  # closing early is closing once
     assert open_capture(tmp_path / "b").frame_count == 1
+
+
+def test_a_capture_is_written_by_its_name_or_into_the_empty_folder_where_one_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    for path in (".", str(tmp_path / "there")):
+        with CaptureWriter(path) as writer:
+            add_all(writer)
+        check(Path(path), pose_tolerance=1e-12)
+    assert json.loads(Path("capture.json").read_text())["name"] == "here"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["here", "there"]

@@ -2,6 +2,7 @@
 
 from collections.abc import Generator
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -150,3 +151,13 @@ def test_an_extracted_sequence_is_a_capture(folder, tmp_path, one_damaged):
     with pytest.raises(OutputError, match="cannot be written"):
         extract(dataset, "train-000007", tmp_path / "file" / "below")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["room"]
+
+
+def test_a_sequence_is_extracted_into_the_empty_folder_where_one_is(folder, tmp_path, monkeypatch):
+    (tmp_path / "room").mkdir()
+    monkeypatch.chdir(tmp_path / "room")
+    extract(Dataset(folder), "train-000006", Path())
+    assert len(list(open_capture("."))) == 4
+    assert [path.name for path in tmp_path.iterdir()] == ["room"]
+    with pytest.raises(OutputError, match="exists already"):
+        extract(Dataset(folder), "train-000006", Path())

@@ -41,7 +41,7 @@ from roomlight.captures.formats.listed import probes_of
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError, OutputError
-from roomlight.files import FolderSource, write_atomic
+from roomlight.files import FolderSource, move_folder, write_atomic
 from roomlight.images import write_exr
 from roomlight.notes import Note, unread_keys
 
@@ -147,15 +147,16 @@ class CaptureWriter:
     An exception removes the partial folder, so that the capture is either complete or absent.
     """
 
-    def __init__(self, path: Path, *, name: str = "") -> None:
+    def __init__(self, path: str | Path, *, name: str = "") -> None:
         """Create the partial folder.
 
         Raises:
             OutputError: `path` exists and is not an empty folder, or the folder cannot be created.
         """
-        self.path = path
-        self._name = name or path.name
-        self._partial = path.with_name(f".{path.name}.part")
+        self.path = path = Path(path)
+        self._target = target = path.absolute()  # `.` has no name
+        self._name = name or target.name
+        self._partial = target.with_name(f".{target.name}.part")
         self._frames: list[dict[str, Any]] = []
         self._probes: list[dict[str, Any]] = []
         self._closed = False
@@ -259,7 +260,7 @@ class CaptureWriter:
         }
         write_atomic(self._partial / INDEX, json.dumps(index).encode())
         try:
-            self._partial.replace(self.path)
+            move_folder(self._partial, self._target, last=INDEX)
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written ({error.strerror or error})") from error
         self._closed = True
