@@ -65,6 +65,8 @@ def check_writable(path: Path) -> None:
     missing: list[Path] = []
     tried = path.with_name(f".{path.name}.test")  # as long as temporary names are
     try:
+        if path.parent.exists() and not path.parent.is_dir():
+            raise OutputError(f"{path.parent}: is a file; the output needs a folder")
         missing.extend(folder for folder in path.absolute().parents if not folder.exists())
         path.parent.mkdir(parents=True, exist_ok=True)
         tried.touch()

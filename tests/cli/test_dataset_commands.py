@@ -15,6 +15,7 @@ from rich.console import Console
 
 import stub_rooms
 from roomlight.captures import open_capture
+from roomlight.dataset.loader import Dataset
 from roomlight.dataset.shards import read_index
 from roomlight.images import encode_exr
 from roomlight_cli.commands import dataset as dataset_commands
@@ -127,6 +128,26 @@ def test_a_folder_without_a_dataset_is_one_line(arguments, tmp_path, run):
     result = run(arguments[0], "no", *arguments[1:], cwd=tmp_path)
     assert result.code == 1
     assert "error: no: is not a dataset" in result.err
+
+
+@pytest.mark.parametrize("command", ["preview", "stats --against real", "prior --out prior"])
+def test_a_split_without_sequences_is_named(command, made, run):
+    name, *options = command.split()
+    result = run(name, "set [x]", *options, "--split", "test", cwd=made[0])
+    assert (result.code, result.out) == (1, "")
+    assert "error: set [x]: has no sequence of the split test; give another --split" in result.err
+
+
+def test_a_prior_is_written_if_its_folder_can_be(made, tmp_path, run, monkeypatch):
+    (tmp_path / "file").write_text("held")
+    with monkeypatch.context() as patch:
+        patch.setattr(Dataset, "read", lambda *_, **__: pytest.fail("the dataset was read"))
+        refused = run("prior", "set [x]", "--out", str(tmp_path / "file"), cwd=made[0])
+    assert refused.code == 1
+    assert "file: is a file; the output needs a folder" in refused.err
+    fitted = run("prior", "set [x]", "--out", str(tmp_path / "new" / "prior"), cwd=made[0])
+    assert fitted.code == 0, fitted.err
+    assert {path.name for path in (tmp_path / "new" / "prior").iterdir()} == {"prior.npz", "model.json"}
 
 
 def test_ctrl_c_stops_and_the_same_command_continues(tmp_path, monkeypatch, run):

@@ -98,8 +98,9 @@ def test_files_of_an_earlier_run_with_more_points_do_not_stay(room):
 
 
 def test_an_output_that_cannot_be_written_is_told_before_any_work(room):
-    with pytest.raises(OutputError, match="cannot be written"):
-        light_photo([], [(0.0, -0.2, -1.5)], room[0] / "photo.png" / "out", options=CLASSICAL)
+    for out, message in (("photo.png", "is a file; the output needs a folder"), ("photo.png/out", "cannot be written")):
+        with pytest.raises(OutputError, match=message):
+            light_photo([], [(0.0, -0.2, -1.5)], room[0] / out, options=CLASSICAL)
 
 
 def test_the_exr_holds_the_engine_s_light_with_the_lamp_ahead_above_and_in_view(room):

@@ -19,7 +19,7 @@ from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording, Split
 from roomlight.dataset.verify import verify as verify_dataset
 from roomlight.errors import DatasetError, FurnitureError
-from roomlight.files import write_json
+from roomlight.files import check_writable, write_json
 from roomlight_cli import console
 from roomlight_cli.console import APP_OPTIONS, run, say
 from roomlight_cli.generation import cost_text, show_generation
@@ -138,7 +138,7 @@ def preview(
         out: Folder for the pictures.
         rooms: Rooms to show, evenly spread; 8 per picture.
     """
-    dataset = Dataset(folder, split)
+    dataset = _not_empty(folder, split)
     with Progress("drawing rooms") as progress:
         written = write_previews(dataset, out, rooms=rooms, progress=progress.count)
     for path in written:
@@ -161,7 +161,7 @@ def stats(
         json: Also write the figures as JSON.
     """
     with Progress("measuring") as progress:
-        figures = compare_light(Dataset(folder, split), against, limit=sequences, progress=progress.count)
+        figures = compare_light(_not_empty(folder, split), against, limit=sequences, progress=progress.count)
     print_light(console.out, figures)
     if json:
         write_json(json, figures.to_json())
@@ -224,7 +224,8 @@ def prior(
     from roomlight.engine.networks.graphs import DESCRIPTION  # onnxruntime, which generating does without
     from roomlight.engine.panorama.prior import FILE, PanoramaPrior
 
-    datasets = [Dataset(folder, split) for folder in folders]
+    datasets = [_not_empty(folder, split) for folder in folders]
+    check_writable(out / FILE)
     total, count = sum(map(len, datasets)), 0
 
     def panoramas(progress: Progress) -> Iterator[Float32[np.ndarray, "h w 3"]]:
@@ -237,11 +238,19 @@ def prior(
 
     with Progress("fitting") as progress:
         fitted = PanoramaPrior.fit(panoramas(progress))
-    out.mkdir(parents=True, exist_ok=True)
     fitted.save(out / FILE)
     card = {"panoramas": count, "rooms": total, "split": split, "command": "roomlight dataset prior"}
     write_json(out / DESCRIPTION, {"form": "prior", "card": card})
     say(f"{out}: fitted to {count} panoramas of {total} sequences")
+
+
+def _not_empty(folder: Path, split: Split | None) -> Dataset:
+    """Open a dataset. Raises DatasetError if it has no sequence, or none of the split."""
+    dataset = Dataset(folder, split)
+    if not len(dataset):
+        missing = f" of the split {split}; give another --split, or" if split else ";"
+        raise DatasetError(f"{folder}: has no sequence{missing} make some with `roomlight dataset generate`")
+    return dataset
 
 
 def _probes_of(dataset: Dataset) -> Iterator[Recording]:

@@ -15,6 +15,7 @@ Fitted on the ground-truth panoramas of a dataset (`roomlight dataset prior`), i
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Final
 
@@ -25,6 +26,7 @@ from jaxtyping import Bool, Float, Float32
 from roomlight.engine.kernels.cholesky import multiply, solve_in_place
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import ModelError
+from roomlight.files import write_atomic
 
 ROWS: Final = 16
 COLUMNS: Final = 2 * ROWS
@@ -121,8 +123,10 @@ class PanoramaPrior:
         return np.ascontiguousarray(pairs.transpose(0, 2, 1, 3).reshape(ROWS * COLUMNS, ROWS * COLUMNS))
 
     def save(self, path: Path) -> None:
-        """Write the arrays to a file of NumPy's."""
-        np.savez_compressed(path, mean=self.mean, covariance=self.covariance)
+        """Write the arrays to a file of NumPy's, atomically. Raises OutputError."""
+        buffer = BytesIO()
+        np.savez_compressed(buffer, mean=self.mean, covariance=self.covariance)
+        write_atomic(path, buffer.getvalue())
 
     @classmethod
     def load(cls, path: Path) -> "PanoramaPrior":
