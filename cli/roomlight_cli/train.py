@@ -147,6 +147,8 @@ def _generation(recipe: Recipe, name: str, data: Path) -> GenerateOptions | None
     if unknown:
         raise OptionError(f"{where}: there is no option {unknown[0]}")
     options = read_options(GenerateOptions, values, where)
+    if options.split != "train":
+        raise OptionError(f"{where}: split is {options.split!r}; stages learn from the split train: leave it out")
     return options if options.panoramas is None else replace(options, panoramas=data / options.panoramas)
 
 

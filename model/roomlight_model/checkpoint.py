@@ -118,6 +118,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
         ModelError: The file is not a checkpoint, is damaged, or does not fit; the message names file and fault.
     """
     raw = _read(path)
+    if isinstance(raw, dict) and "optimizer" in raw:
+        raise ModelError(f"{path}: is what a training run resumes from; its weights are model.pt and best.pt beside it")
     if not isinstance(raw, dict) or raw.get("format") is None:
         raise ModelError(f"{path}: not a RoomLight checkpoint (it has no 'format')")
     if raw["format"] != FORMAT:

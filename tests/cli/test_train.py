@@ -148,6 +148,11 @@ def test_a_stopped_run_continues_and_a_finished_one_is_kept(
         (("", ""), "recipe.toml --set steps=soon", "steps is 'soon': Input should be a valid integer"),
         (("", ""), "recipe.toml --device cuda", "use 'cpu'"),
         (("sequences = 6", "sequences = 0"), "recipe.toml", "data lamps: sequences is 0: Input should be"),
+        (
+            ("sequences = 6", 'sequences = 6\nsplit = "test"'),
+            "recipe.toml",
+            "data lamps: split is 'test'; stages",
+        ),
         (("sequences = 6", "rooms = 6"), "recipe.toml", "data lamps: there is no option rooms"),
         (("sequences = 6", 'sequences = "6"'), "recipe.toml", "data lamps: sequences is '6': Input should be"),
         (("steps = 3", 'start_from = "shipped/cats"'), "recipe.toml", "stage run: start_from is 'shipped/cats', but"),

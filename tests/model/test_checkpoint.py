@@ -99,6 +99,9 @@ def test_refuses_files_that_are_not_checkpoints(tmp_path):
     torch.save([1, 2], tmp_path / "list.pt")
     with pytest.raises(ModelError, match="not a RoomLight checkpoint"):
         load_checkpoint(tmp_path / "list.pt")
+    torch.save({"step": 1, "network": {}, "optimizer": {}}, tmp_path / "last.pt")
+    with pytest.raises(ModelError, match=r"last\.pt: .* resumes from; its weights are model\.pt and best\.pt"):
+        load_checkpoint(tmp_path / "last.pt")
     whole = (tmp_path / "good.pt").read_bytes()
     for keep in (10, len(whole) // 2, len(whole) - 100):
         (tmp_path / "cut.pt").write_bytes(whole[:keep])

@@ -219,7 +219,7 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path):
 
 
 def test_too_few_examples_are_refused(tmp_path):
-    with pytest.raises(ModelError, match="6 examples are fewer than a batch of 7"):
+    with pytest.raises(ModelError, match=r"stage clipping has 6 examples, fewer than its batch of 7; give"):
         Run(SmallStage(replace(SMALL, batch=7)), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

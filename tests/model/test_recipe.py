@@ -4,10 +4,14 @@ import json
 from typing import Any
 
 import pytest
+import torch
 
+import stub_rooms
 from roomlight.engine.networks.graphs import SHIPPED
-from roomlight.errors import OptionError
-from roomlight_model.training.recipe import RECIPES, read_recipe
+from roomlight.errors import DatasetError, OptionError
+from roomlight_generator.generate import GenerateOptions, generate
+from roomlight_model.training.clipping import ClippingOptions
+from roomlight_model.training.recipe import RECIPES, StageRecipe, build_stage, read_recipe
 from roomlight_model.training.single_view import SingleViewOptions
 from roomlight_model.training.video import VideoOptions
 
@@ -156,3 +160,19 @@ def test_a_missing_recipe_names_the_shipped_ones(tmp_path) -> None:
         read_recipe("cats")
     with pytest.raises(OptionError, match=r"none\.toml: cannot be read"):
         read_recipe(str(tmp_path / "none.toml"))
+
+
+@pytest.mark.parametrize(
+    ("split", "stage", "message"),
+    [
+        ("test", "clipping", "rooms: has no sequence of the split train"),
+        ("train", "video-joint", "rooms: its walks have 1 frame; stage video-joint needs 2 or more"),
+    ],
+)
+def test_data_without_what_a_stage_learns_from_is_named(split, stage, message, tmp_path) -> None:
+    rooms = GenerateOptions(2, split=split, shard_size=2, sequences_per_room=1, frames=1, renderer=stub_rooms.NAME)
+    generate(tmp_path / "rooms", rooms, workers=1)
+    options = VideoOptions(stage=stage) if stage == "video-joint" else ClippingOptions()
+    recipe, device = StageRecipe("run", options, ("rooms",)), torch.device("cpu")
+    with pytest.raises(DatasetError, match=message):
+        build_stage(recipe, [tmp_path / "rooms"], tmp_path / "run", start_from=None, device=device)

@@ -132,7 +132,10 @@ class Run:
         """
         options = stage.options
         if len(stage) < options.batch:
-            raise ModelError(f"{len(stage)} examples are fewer than a batch of {options.batch}")
+            raise ModelError(
+                f"{out}: stage {options.stage} has {len(stage)} examples, fewer than its batch of {options.batch}; "
+                "give more data, or a smaller `batch`"
+            )
         self.stage, self.folder = stage, RunFolder(out)
         self.network = stage.network()
         self._parameters = [weight for weight in self.network.parameters() if weight.requires_grad]

@@ -33,7 +33,7 @@ import torch
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from roomlight.dataset.loader import Dataset
-from roomlight.errors import OptionError, RoomLightError
+from roomlight.errors import DatasetError, OptionError, RoomLightError
 from roomlight.rules import rules_of
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.depth.stage import DepthFrames, DepthOptions, DepthStage
@@ -205,6 +205,11 @@ def build_stage(
     """
     opened = {folder: Dataset(folder, "train") for folder in folders}
     datasets, options = [opened[folder] for folder in folders], recipe.options
+    for folder, dataset in opened.items():
+        if not len(dataset):
+            raise DatasetError(f"{folder}: has no sequence of the split train, which stages learn from; generate some")
+        if isinstance(options, VideoOptions) and dataset.manifest.settings.frames < 2:
+            raise DatasetError(f"{folder}: its walks have 1 frame; stage {options.stage} needs 2 or more")
     data = describe(datasets)
     if isinstance(options, SingleViewOptions):
         training, held_out = train_val_split(datasets, options.held_out)
