@@ -163,7 +163,7 @@ def test_a_failed_replay_leaves_no_output(native, server, tmp_path, options, err
 def test_local_and_remote_replays_do_not_share_a_folder(native, server, tmp_path):
     options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, probes=PROBES[:1])
     replay(native, tmp_path / "out", options)
-    with pytest.raises(OutputError, match=r"another replay .*server=None there"):
+    with pytest.raises(OutputError, match=r"another replay .*server=none there"):
         replay(native, tmp_path / "out", replace(options, server=server))
 
 
