@@ -109,12 +109,12 @@ def _row(canvas: Canvas, top: int, recording: Recording, width: int, times: int)
     left += (times - len(pictures)) * (_TILE[0] + _GAP)
     pictures += [depth_colours(recording.depth_mm[0]), _surface_colours(recording)]
     for picture in pictures:
-        canvas.picture((left, row), picture, size=_TILE, exposed=False)
+        canvas.picture((left, row), picture, size=_TILE)
         left += _TILE[0] + _GAP
     for panorama in recording.probe_panoramas[:_PROBES]:
-        canvas.picture((left, row), panorama, size=_PROBE, exposed=False)
+        canvas.picture((left, row), panorama, size=_PROBE)
         under = (panorama * np.float32(2.0**under_ev)).astype(np.float32)
-        canvas.picture((left, row + _PROBE[1] + _GAP), _peaks(under), size=_PROBE, exposed=False)
+        canvas.picture((left, row + _PROBE[1] + _GAP), _peaks(under), size=_PROBE)
         left += _PROBE[0] + _GAP
 
 
