@@ -39,6 +39,11 @@ class Intrinsics:
     height: int
 
     def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            if int(value) != value:
+                raise ValueError(f"image {name} is a whole number of pixels, got {value}")
+            object.__setattr__(self, name, int(value))
         if self.width < 1 or self.height < 1:
             raise ValueError(f"image size must be positive, got {self.width} x {self.height}")
         low, high = FOCAL_LENGTH

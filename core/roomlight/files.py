@@ -26,7 +26,7 @@ def write_atomic(path: Path, data: bytes) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.part")
+    temporary = _beside(path, ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.write_bytes(data)
@@ -63,7 +63,7 @@ def check_writable(path: Path) -> None:
         OutputError: it cannot.
     """
     missing: list[Path] = []
-    tried = path.with_name(f".{path.name}.test")  # as long as temporary names are
+    tried = _beside(path, ".test")  # as long as temporary names are
     try:
         if path.parent.exists() and not path.parent.is_dir():
             raise OutputError(f"{path.parent}: is a file; the output needs a folder")
@@ -87,7 +87,7 @@ def write_durable(path: Path, data: bytes) -> None:
     Raises:
         OutputError: the file cannot be written; a file that was there is unchanged.
     """
-    temporary = path.with_name(f".{path.name}.part")
+    temporary = _beside(path, ".part")
     try:
         temporary.unlink(missing_ok=True)
         with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
@@ -100,6 +100,13 @@ def write_durable(path: Path, data: bytes) -> None:
         with contextlib.suppress(OSError):  # the temporary file may not exist
             temporary.unlink()
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def _beside(path: Path, ending: str) -> Path:
+    """Return a name for a temporary file. Raises OutputError where the path names no file."""
+    if not path.name:
+        raise OutputError(f"{str(path)!r} names no file to write")
+    return path.with_name(f".{path.name}{ending}")
 
 
 def sync_folder(folder: Path) -> None:

@@ -1,11 +1,12 @@
 """A frame: colour, depth and camera. Readers yield frames, sessions take them."""
 
+import operator
 from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8, UInt16
+from jaxtyping import Bool, Float, Float32, Shaped, UInt8, UInt16
 
 from roomlight.camera import Intrinsics, check_rigid
 from roomlight.conventions import linear_to_srgb8
@@ -31,7 +32,7 @@ ASPECT_TOLERANCE: Final = 0.03
 """Largest relative difference between the aspect ratios of depth and image."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """An RGB-D image with a pose, in RoomLight's conventions (`roomlight.conventions`).
 
@@ -81,6 +82,10 @@ class Frame:
 
     def __post_init__(self) -> None:
         name = self.source or f"frame {self.index}"
+        try:
+            object.__setattr__(self, "index", operator.index(self.index))
+        except TypeError as error:
+            raise FrameError(f"{name}: the index is {self.index!r}, not a whole number") from error
         if self.image.dtype.kind != "f" or self.image.ndim != 3 or self.image.shape[2] != 3:
             raise FrameError(
                 f"{name}: the image is {self.image.dtype} of shape {self.image.shape}, not linear float RGB [h, w, 3]; "
@@ -97,12 +102,15 @@ class Frame:
                 f"{name}: the image is {width} x {height} but its intrinsics are for "
                 f"{self.intrinsics.width} x {self.intrinsics.height}"
             )
-        if self.clipped.shape != (height, width):
-            raise FrameError(f"{name}: the clipping mask {self.clipped.shape} does not fit the image")
-        if self.guessed is not None and self.guessed.shape != (height, width):
-            raise FrameError(f"{name}: the estimated luminance {self.guessed.shape} does not fit the image")
-        if self.seen is not None and self.seen.shape != (height, width):
-            raise FrameError(f"{name}: the mask of seen pixels {self.seen.shape} does not fit the image")
+        object.__setattr__(self, "clipped", _checked_mask(self.clipped, (height, width), f"{name}: the clipping mask"))
+        if self.seen is not None:
+            mask = _checked_mask(self.seen, (height, width), f"{name}: the mask of seen pixels")
+            object.__setattr__(self, "seen", mask)
+        if self.guessed is not None:
+            if self.guessed.shape != (height, width) or not (np.isfinite(self.guessed) & (self.guessed >= 0)).all():
+                what = f"{self.guessed.dtype} of shape {self.guessed.shape}"
+                raise FrameError(f"{name}: the estimated luminance, {what}, must fit the image and be 0 or more")
+            object.__setattr__(self, "guessed", np.ascontiguousarray(self.guessed, np.float32))
         depth_height, depth_width = self.depth_m.shape
         if min(depth_height, depth_width) < 2:
             raise FrameError(f"{name}: depth of {depth_width} x {depth_height} is too small; 2 x 2 is the least")
@@ -189,6 +197,13 @@ def hidden(
         filled = np.where(share[..., None] > 1e-3, near, filled)
     colour = np.where(seen[..., None], image, np.maximum(filled, 0)).astype(np.float32)
     return colour, without_unseen(depth_m, seen)
+
+
+def _checked_mask(mask: Shaped[np.ndarray, "*size"], size: tuple[int, int], what: str) -> Bool[np.ndarray, "h w"]:
+    """Return a mask as bool; of whole numbers, as OpenCV's masks are, those but 0 count."""
+    if mask.shape != size or mask.dtype.kind not in "bui":
+        raise FrameError(f"{what} is {mask.dtype} of shape {mask.shape}; it must be bool of shape {size}")
+    return np.ascontiguousarray(mask if mask.dtype == np.bool_ else mask != 0)
 
 
 def _checked_image(image: Float[np.ndarray, "h w 3"], name: str) -> Float32[np.ndarray, "h w 3"]:

@@ -16,8 +16,11 @@ import types
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
 from annotated_types import Ge, GroupedMetadata, Gt, Le, Lt
 
 from roomlight.errors import OptionError
@@ -70,14 +73,29 @@ class Rule:
                 return getattr(note, type(note).__name__.lower())
         return None
 
+    def misfit(self, value: Any) -> str:
+        """Return what a value of another type should be, e.g. "a whole number"; empty for one that fits."""
+        types_and_words = _TYPES.get(self.kind)
+        if types_and_words is None or value is None:
+            return ""
+        allowed, words = types_and_words
+        is_number = self.kind in (int, float)
+        return "" if isinstance(value, allowed) and not (is_number and isinstance(value, bool)) else words
+
+    def plain(self, value: Any) -> Any:
+        """Return an allowed value in the rule's own type: numbers of NumPy as Python's, text as a path."""
+        return self.kind(value) if self.kind in _TYPES and value is not None else value
+
     def allows(self, value: Any) -> bool:
         """Return whether a value obeys the rule. NaN is within no range."""
         if value is None:
             return self.optional
+        if self.misfit(value):
+            return False
         if (inner := self.inner) is not None:
             return all(inner.allows(item) for item in value)
         low, above, high, below = self.bound(Ge), self.bound(Gt), self.bound(Le), self.bound(Lt)
-        return (
+        return bool(
             (not self.choices or value in self.choices)
             and (low is None or value >= low)
             and (above is None or value > above)
@@ -100,6 +118,15 @@ class Rule:
         return f"{lower} or more" if low is not None else f"{upper} or less" if high is not None else lower or upper
 
 
+_TYPES: Final[dict[Any, tuple[tuple[type, ...], str]]] = {
+    int: ((Integral,), "a whole number"),
+    float: ((Real,), "a number"),
+    str: ((str,), "text"),
+    bool: ((bool, np.bool_), "True or False"),
+    Path: ((str, Path), "a path"),
+}
+
+
 @cache
 def rules_of(options: type) -> dict[str, Rule]:
     """Return the rules of a dataclass's fields, by name."""
@@ -108,7 +135,7 @@ def rules_of(options: type) -> dict[str, Rule]:
 
 
 def check_options(options: Any) -> None:
-    """Refuse a dataclass whose values break the rules that its fields' types state.
+    """Refuse a dataclass whose values break the rules that its fields' types state; others get their plain types.
 
     Raises:
         OptionError: The first such field, its value and the rule.
@@ -116,4 +143,5 @@ def check_options(options: Any) -> None:
     for name, rule in rules_of(type(options)).items():
         value = getattr(options, name)
         if not rule.allows(value):
-            raise OptionError(f"{name} is {value!r}; it must be {rule.text}")
+            raise OptionError(f"{name} is {value!r}; it must be {rule.misfit(value) or rule.text}")
+        object.__setattr__(options, name, rule.plain(value))

@@ -41,6 +41,15 @@ def _helpers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max(1, thread_count() - 1), thread_name_prefix="roomlight")
 
 
+def in_forks(change: Callable[[], object]) -> None:
+    """Call `change` in each process that is forked from this one; Windows has none."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=change)
+
+
+in_forks(_helpers.cache_clear)  # its threads are the parent's
+
+
 @contextmanager
 def pausing(pause: Callable[[], object]) -> Generator[None]:
     """Call `pause` on this thread before each parallel loop inside the context, so that long work can give way.

@@ -3,6 +3,7 @@
 import inspect
 import io
 import json
+import pickle
 
 import cv2
 import numpy as np
@@ -164,6 +165,22 @@ def test_a_light_is_computed_when_it_is_asked_for_and_once_for_each_use():
     assert (mirrored.panorama == 2 * light.panorama).all()
     assert (light.reflection == mirrored.panorama).all()
     assert source.runs == ["reflection", "lighting"]
+
+
+def test_a_light_is_pickled_with_what_was_computed():
+    light = Light((1.0, 0.5, -2.0), ROOM, OBSERVED, frame=7)
+    assert light.main_light.intensity.any()
+    other = pickle.loads(pickle.dumps(light))
+    assert other.to_json() == light.to_json()
+    assert other.main_light != light.main_light
+    np.testing.assert_array_equal(other.panorama, ROOM)
+
+
+def test_a_panorama_is_checked():
+    with pytest.raises(ValueError, match=r"shape \(H, 2H, 3\), got \(24, 48, 4\)"):
+        inspect.unwrap(Light.__init__)(object.__new__(Light), (0.0, 0.0, 0.0), np.ones((24, 48, 4), np.float32))
+    with pytest.raises(ValueError, match="finite numbers only, got"):
+        Light((0.0, 0.0, 0.0), np.full((24, 48, 3), np.nan, np.float32))
 
 
 def test_forms_are_of_lighting_but_for_pictures():

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import pytest
 from annotated_types import Ge, Gt, Interval, Le, Lt
 
@@ -37,6 +38,11 @@ class Options:
         ({"fps": math.nan}, "fps is nan; it must be above 0 and below 100"),
         ({"quality": "best"}, "quality is 'best'; it must be one of good, final"),
         ({"counts": (1, 0)}, "counts is (1, 0); it must be 1 or more"),
+        ({"height": 16.0}, "height is 16.0; it must be a whole number"),
+        ({"height": True}, "height is True; it must be a whole number"),
+        ({"height": "64"}, "height is '64'; it must be a whole number"),
+        ({"fps": "8"}, "fps is '8'; it must be a number"),
+        ({"folder": 3}, "folder is 3; it must be a path"),
     ],
 )
 def test_a_value_outside_its_rule_is_refused(changed, message):
@@ -69,3 +75,8 @@ def test_values_at_the_limits_are_accepted_and_none_where_the_type_says_so():
 
 def test_every_field_has_a_rule():
     assert rules_of(CaptureOptions).keys() == {field.name for field in fields(CaptureOptions)}
+
+
+def test_values_get_the_types_of_their_fields() -> None:
+    options = Options(height=np.int64(64), fps=np.float32(8), folder="rooms")  # type: ignore[arg-type]
+    assert (type(options.height), type(options.fps), options.folder) == (int, float, Path("rooms"))

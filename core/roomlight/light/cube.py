@@ -20,7 +20,7 @@ DEFAULT_SIZE: Final = 32
 """A face of 16 shows next to nothing in a mirror; 32 (3 degrees a texel) is the resolution of 120 panorama rows."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CubeMap:
     """Faces +X -X +Y -Y +Z -Z, [6, s, s, 3] float32 linear RGB; row 0 is stored first (OpenGL's t = 0).
 

@@ -19,7 +19,7 @@ requested; what it did not send is computed from the panorama if that was sent. 
 import hashlib
 import io
 from copy import copy
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -29,7 +29,7 @@ from jaxtyping import Float
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.errors import OptionError, RoomLightError
 from roomlight.files import write_atomic, write_json
-from roomlight.light.checks import MAX_ROWS, MIN_ROWS
+from roomlight.light.checks import MAX_ROWS, MIN_ROWS, check_panorama
 from roomlight.light.coverage import confidence_png
 from roomlight.light.coverage import coverage as coverage_of
 from roomlight.light.cube import DEFAULT_SIZE, CubeMap, observed_cube
@@ -39,6 +39,7 @@ from roomlight.light.ktx2 import panorama_ktx2
 from roomlight.light.main_light import MainLight, TrackedLights, find_lights, no_light
 from roomlight.light.prefilter import SpecularMips, prefilter
 from roomlight.light.sources import (
+    ComputedOnce,
     FileFormat,
     FormReader,
     GivenPanorama,
@@ -127,7 +128,8 @@ class Light:
             source: computes the panorama of each use once, when it is needed.
 
         Raises:
-            ValueError: none of `panorama`, `forms` and `source` is given.
+            ValueError: none of `panorama`, `forms` and `source` is given, or the panorama is not [H, 2H, 3] of finite
+                numbers.
         """
         if panorama is None and forms is None and source is None:
             raise ValueError("a light is made from a panorama, from forms or from a source; got none of them")
@@ -135,13 +137,14 @@ class Light:
             observed = np.ones(panorama.shape[:2], np.float32)
         if coverage is None:
             coverage = 0.0 if observed is None else coverage_of(observed)
-        self.position: Final = position
+        x, y, z = (float(value) for value in position)  # JSON has no numbers of NumPy
+        self.position: Final = (x, y, z)
         self.coverage: Final = coverage
         self.frame, self.name, self.etag = frame, name, etag
         self.use: LightUse = "lighting"
         self._forms = forms
-        self._source = source if panorama is None else GivenPanorama(panorama)
-        self._compute = None if self._source is None else cache(self._source.panorama)  # once for each use
+        self._source = source if panorama is None else GivenPanorama(check_panorama(panorama))
+        self._compute = None if self._source is None else ComputedOnce(self._source)
         self._received: dict[LightUse, Float[np.ndarray, "h w 3"]] = {}
         self._observed = observed
 

@@ -48,7 +48,7 @@ _BELOW: Final = 8.0  # factor of both limits below the horizon
 _BELOW_SINE: Final = 0.3  # sine of the angle below the horizon at which the factor is full
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MainLight:
     """One light: where it is, how strong, how large.
 

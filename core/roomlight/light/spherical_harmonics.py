@@ -45,7 +45,7 @@ _COSINE_LOBE: Final = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4], [1, 3, 5])
 _AZIMUTHS: Final = 8  # enough to separate 1, cos, sin, cos 2, sin 2 of the azimuth
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SphericalHarmonics:
     """Coefficients [9, 3] (RGB), with their phase, quantity and kind.
 

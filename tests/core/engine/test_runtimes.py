@@ -1,5 +1,6 @@
 """Graphs in OpenVINO, in bf16 or on a GPU where there is one: ONNX Runtime's numbers, in the caller's buffers."""
 
+import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -133,3 +134,33 @@ assert "openvino" in sys.modules
 assert not [name for name in sys.modules if "telemetry" in name or name.startswith("openvino.tools")]
 """
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
+def test_a_fork_of_a_process_that_uses_openvino_has_onnx_runtime():
+    code = """
+import multiprocessing, sys
+from roomlight.engine.networks.graphs import SHIPPED
+from roomlight.engine.networks.openvino_runtime import OpenVinoGraph
+from roomlight.engine.networks.providers import open_graphs
+
+path = SHIPPED / "objects" / "objects.onnx"
+
+def work():
+    (graph,) = open_graphs([path], "any", "auto")
+    outputs = graph.new_outputs()
+    graph.bind(graph.new_inputs(), outputs).run()
+    try:
+        open_graphs([path], "any", "openvino")
+    except Exception as error:
+        print(error)
+
+OpenVinoGraph.open(path, "openvino")
+child = multiprocessing.get_context("fork").Process(target=work)
+child.start()
+child.join()
+sys.exit(child.exitcode)
+"""
+    environment = os.environ | {"ROOMLIGHT_PROVIDER": "auto"}
+    ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=100)
+    assert ran.returncode == 0, ran.stderr
+    assert 'start processes by "spawn", or use provider="cpu"' in ran.stdout

@@ -8,6 +8,7 @@ import importlib
 import importlib.metadata
 import importlib.util
 import sys
+import threading
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any, Final, Literal
 
 from roomlight.engine.networks.runtime import Buffers, RuntimeName, Shapes
 from roomlight.errors import ModelError
-from roomlight.threads import thread_count
+from roomlight.threads import in_forks, thread_count
 
 TOLERANCE: Final = 1e-4
 """Largest difference from ONNX Runtime's output, relative to the output's largest value."""
@@ -59,6 +60,17 @@ def _core() -> Any:
         },
     )
     return core
+
+
+_of_parent = threading.Event()
+
+
+def lost_by_fork() -> bool:
+    """Return whether this process was forked from one that had used OpenVINO: compiling a graph would never end."""
+    return _of_parent.is_set()
+
+
+in_forks(lambda: _core.cache_info().currsize > 0 and _of_parent.set())
 
 
 @cache

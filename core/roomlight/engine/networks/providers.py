@@ -2,7 +2,8 @@
 
 `auto` measures the runtimes on the CPU once and keeps the answer in a file of the cache folder: `NUMBA_CACHE_DIR`, else
 `~/.cache/roomlight`. Processes that start together take the answer that was written first, so that all sessions of a
-machine compute the same bits. `ROOMLIGHT_PROVIDER` decides instead.
+machine compute the same bits. `ROOMLIGHT_PROVIDER` decides instead. A process that was forked from one that uses
+OpenVINO has ONNX Runtime alone.
 """
 
 import hashlib
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, cast, get_args
 
 from roomlight.engine.networks.graph import BoundGraph, Graph
-from roomlight.engine.networks.openvino_runtime import OpenVinoGraph, computes_in_bf16, openvino_version
+from roomlight.engine.networks.openvino_runtime import OpenVinoGraph, computes_in_bf16, lost_by_fork, openvino_version
 from roomlight.engine.networks.runtime import CUDA, OnnxRuntimeGraph, RuntimeName, ort
 from roomlight.errors import ModelError
 from roomlight.threads import processor_name, thread_count
@@ -75,12 +76,17 @@ def _opened(paths: Sequence[Path], runtime: RuntimeName) -> list[Graph]:
 
 
 def _requested(provider: Provider) -> RuntimeName | None:
-    """Return the runtime that is asked for, and the only one where OpenVINO is not installed; None: the faster one."""
+    """Return the runtime that is asked for, and the only one where OpenVINO cannot be used; None: the faster one."""
     wanted = os.environ.get(VARIABLE, "auto") if provider == "auto" else provider
     if wanted not in get_args(Provider):
         raise ModelError(f"{VARIABLE} must be one of {', '.join(get_args(Provider))}; got {wanted!r}")
     if wanted in ("openvino", "openvino-bf16") and openvino_version() is None:
         raise ModelError(f'provider="{wanted}": OpenVINO is not installed (pip install openvino); use provider="cpu"')
+    if wanted in ("openvino", "openvino-bf16") and lost_by_fork():
+        raise ModelError(
+            f'provider="{wanted}": this process was forked from one that uses OpenVINO, which compiles nothing here; '
+            'start processes by "spawn", or use provider="cpu"'
+        )
     if wanted == "openvino-bf16" and not computes_in_bf16():
         raise ModelError('provider="openvino-bf16": this processor does not compute in bf16; use provider="openvino"')
     if wanted == "cuda" and CUDA not in ort.get_available_providers():
@@ -89,7 +95,7 @@ def _requested(provider: Provider) -> RuntimeName | None:
             "'onnxruntime-gpu[cuda,cudnn]'); use provider=\"cpu\""
         )
     if wanted == "auto":
-        return "cpu" if openvino_version() is None else None
+        return "cpu" if openvino_version() is None or lost_by_fork() else None
     return cast("RuntimeName", wanted)
 
 

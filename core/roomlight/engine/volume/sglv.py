@@ -51,9 +51,12 @@ def check_position(position_world: tuple[float, float, float]) -> Float[np.ndarr
     Raises:
         ProbeError: it is not three finite numbers within 1 km of the origin.
     """
-    position = np.asarray(position_world, np.float64)
+    try:
+        position = np.array([float(value) for value in position_world])
+    except (TypeError, ValueError, OverflowError):
+        position = np.empty(0)
     if position.shape != (3,) or not np.isfinite(position).all() or np.abs(position).max() > 1000:
-        raise ProbeError(f"probe position {position_world} must be three finite numbers in metres, within 1 km")
+        raise ProbeError(f"probe position {position_world!r} must be three finite numbers in metres, within 1 km")
     return position
 
 
