@@ -23,6 +23,7 @@ from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.errors import ServerError
 from roomlight_server.app import create_app
 from roomlight_server.base.logs import configure_logging, native_lines_logged
+from roomlight_server.base.problems import ProblemError
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.routes.context import Context
 from roomlight_server.transport.http_protocol import HttpProtocol
@@ -144,6 +145,17 @@ class GracefulServer(uvicorn.Server):
                 break
             await asyncio.sleep(0.02)
         await super().shutdown(sockets)
+
+
+def _phone_link(context: Context, address: str) -> str | None:
+    """Return the address that pairs a phone; None where phones do not reach the server, or too many are paired."""
+    if not context.settings.on_lan or not context.settings.tokens:
+        return None
+    try:
+        return phone_url(address, context.phones.link(context.tokens.owners[0]))
+    except ProblemError as error:
+        _log.warning("no phone can be paired: %s (the page lists them)", error)
+        return None
 
 
 def _limit_stop() -> None:
@@ -288,9 +300,7 @@ def serve(
                 address = address_of(settings, bound.getsockname()[1])
                 context.public_url = address if settings.on_lan else None
                 _log.info("serving", extra={"url": address})
-                on_lan = settings.on_lan and settings.tokens
-                phone = phone_url(address, context.phones.link(context.tokens.owners[0])) if on_lan else None
-                listening(address, phone)
+                listening(address, _phone_link(context, address))
                 server = make_server(settings, app, when_stopping=_limit_stop, read_tokens=read_tokens)
                 server.run(sockets=[bound, *local])
         finally:

@@ -334,6 +334,15 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
         assert 'roomlight_sessions_ended_total{reason="saved"} 1.0' in text
 
 
+def test_sessions_of_the_default_model_on_disk_are_listed(tmp_path):
+    with server_on(tmp_path, model="auto") as server:
+        assert server.call("PUT", "/v1/sessions/room", {"height": 16}).json["model"] == "single"
+        server.push(0, frame(YAWS[0]))
+    with server_on(tmp_path, model="auto") as server:
+        (listed,) = server.call("GET", "/v1/sessions").json["sessions"]
+        assert (listed["model"], listed["status"]) == ("single", "saved")
+
+
 def test_sessions_on_disk_are_listed(saved, tmp_path):
     tokens = ("first-token-of-this-test", "second-token-of-this-test")
     folder = copied(saved[0], tmp_path / "state")

@@ -1,9 +1,11 @@
 """Phones on real sockets: a code pairs one phone, each has sessions of its own, and who paired them sees all."""
 
+import inspect
 import json
 import os
 import signal
 import stat
+from types import SimpleNamespace
 
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -12,6 +14,7 @@ from websockets.sync.client import connect
 from http_servers import SMALL, RunningServer, frame, metric
 from roomlight.errors import ServerError
 from roomlight_server.base.problems import ProblemError
+from roomlight_server.serving import _phone_link
 from roomlight_server.transport.phones import LINK_S, MAX_PHONES, Phones
 from server_processes import BOUND_S, Process
 
@@ -180,13 +183,18 @@ def test_a_token_of_a_phone_expires():
     assert phones.owners("operator") == [phone.owner]
 
 
-def test_the_number_of_phones_is_limited():
+def test_the_number_of_phones_is_limited_and_a_server_starts_all_the_same(caplog):
     phones = Phones(None, expiry_s=DAY_S)
     phone, _ = [phones.pair(phones.link("operator")) for _ in range(MAX_PHONES)][-1]
     with pytest.raises(ProblemError, match="remove one first"):
         phones.link("operator")
+    settings = SimpleNamespace(on_lan=True, tokens=("a token",))
+    context = SimpleNamespace(settings=settings, phones=phones, tokens=SimpleNamespace(owners=["operator"]))
+    with caplog.at_level("WARNING"):
+        assert inspect.unwrap(_phone_link)(context, "https://box.lan:8090") is None
+    assert "no phone can be paired: at most 64 phones are paired; remove one first" in caplog.text
     phones.revoke("operator", phone.id)
-    phones.link("operator")
+    assert "/phone#pair=" in inspect.unwrap(_phone_link)(context, "https://box.lan:8090")
 
 
 def test_a_damaged_file_of_phones_is_named(tmp_path):

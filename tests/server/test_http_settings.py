@@ -110,6 +110,13 @@ def test_a_loopback_address_needs_no_token(host):
         ("ALLOW_ORIGINS", "http://a.example/page", "no web origin"),
         ("ALLOW_ORIGINS", '["http://a.example"]', "no web origin"),
         ("FRAMES_INFLIGHT", "4", "ROOMLIGHT_FRAMES_INFLIGHT: unknown.*ROOMLIGHT_FRAMES_IN_FLIGHT"),
+        ("LAN", "1", "ROOMLIGHT_LAN: unknown environment variable; there is only the flag --lan"),
+        ("XYZ", "1", "ROOMLIGHT_XYZ: unknown environment variable; roomlight serve --help names those"),
+        (
+            "PORT",
+            "tcp://10.96.0.1:8090",
+            "ROOMLIGHT_PORT is tcp://10.96.0.1:8090, which .*enableServiceLinks",
+        ),
     ],
 )
 def test_an_invalid_variable_is_named_with_its_rule(monkeypatch, name, value, message):
@@ -118,6 +125,13 @@ def test_an_invalid_variable_is_named_with_its_rule(monkeypatch, name, value, me
         load_settings()
     assert "\n" not in str(caught.value)
     assert "short" not in str(caught.value)  # a token stays secret
+
+
+def test_what_kubernetes_and_docker_set_beside_a_service_of_this_name_is_passed_over(monkeypatch):
+    for name in ("SERVICE_HOST", "SERVICE_PORT_HTTP", "PORT_8090_TCP", "PORT_8090_TCP_ADDR", "NAME", "ENV_LANG"):
+        monkeypatch.setenv(f"ROOMLIGHT_{name}", "tcp://10.96.0.1:8090")
+    monkeypatch.setenv("ROOMLIGHT_PORT", "tcp://10.96.0.1:8090")
+    assert load_settings(port=0).port == 0
 
 
 def test_an_invalid_option_is_named_with_its_rule():

@@ -62,8 +62,8 @@ def serve(
 ) -> None:
     """Serve lighting sessions over HTTP and WebSocket: frames in, light out.
 
-    Every flag can be set in the environment as ROOMLIGHT_NAME, for example ROOMLIGHT_MAX_SESSIONS; a flag wins over
-    its variable.
+    Every flag but --lan, --ray and --replicas can be set in the environment as ROOMLIGHT_NAME, for example
+    ROOMLIGHT_MAX_SESSIONS; a flag wins over its variable.
 
     Args:
         settings: Of the server.
@@ -134,20 +134,21 @@ def _announce(address: str) -> None:
 
 
 def _print_lan(address: str, phone: str | None, settings: ServerSettings) -> None:
-    """Print addresses, the fingerprint of the certificate and the QR code for a phone; elsewhere, log them."""
-    assert phone is not None
+    """Print addresses, the fingerprint of the certificate and the QR code for a phone (None: no more can be paired).
+
+    Without a terminal they are logged.
+    """
     token = settings.tokens[0]
     if not err.is_terminal:
         certificate = None if settings.tls_cert is None else fingerprint(settings.tls_cert)
         fields = {"url": f"{address}/#token={token}", "phone": phone, "fingerprint": certificate}
         logging.getLogger("roomlight.server").info("on this network", extra=fields)
         return
-    err.file.write(qr_text(phone))
-    lines = [
-        f"On this network: {address}/#token={token}",
-        f"On a phone, once within {LINK_S / 60:g} minutes: {phone}",
-        "For further phones, the page shows further codes.",
-    ]
+    lines = [f"On this network: {address}/#token={token}"]
+    if phone is not None:
+        err.file.write(qr_text(phone))
+        lines.append(f"On a phone, once within {LINK_S / 60:g} minutes: {phone}")
+        lines.append("For further phones, the page shows further codes.")
     if settings.tls_cert is not None:
         lines.append(f"Fingerprint (SHA-256) of the certificate: {fingerprint(settings.tls_cert)}")
         lines.append("A browser warns once of a certificate that no authority has signed: compare the fingerprint.")

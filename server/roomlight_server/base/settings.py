@@ -3,6 +3,7 @@
 import difflib
 import math
 import os
+import re
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -22,6 +23,11 @@ from roomlight_server.base.web_origins import checked_host, checked_origin
 PREFIX: Final = "ROOMLIGHT_"
 OTHER_VARIABLES: Final = ("ROOMLIGHT_THREADS", "ROOMLIGHT_FURNITURE", "ROOMLIGHT_TOKEN", "ROOMLIGHT_SERVER")
 """Variables with the same prefix that belong to the engine, the generator and clients."""
+_FLAGS_ALONE: Final = ("ROOMLIGHT_LAN", "ROOMLIGHT_RAY", "ROOMLIGHT_REPLICAS")
+_OF_LAN: Final = {"ROOMLIGHT_ON_LAN", "ROOMLIGHT_PHONES_FILE"}
+"""Variables that `--lan` makes needless."""
+_OF_LINKS: Final = re.compile(r"ROOMLIGHT_(SERVICE_(HOST|PORT)|PORT_[0-9]+_|NAME$|ENV_)")
+"""What Kubernetes and Docker set in containers beside one that is called roomlight."""
 _LISTS: Final = ("tokens", "allow_origins", "allow_hosts")
 
 WordList = Annotated[tuple[str, ...], NoDecode]
@@ -276,8 +282,8 @@ def load_settings(**options: Any) -> ServerSettings:
         ServerError: A value is invalid, an environment variable `ROOMLIGHT_*` is unknown, the token file cannot be
             read, the certificate cannot be used, or the address is not loopback and there is no token.
     """
-    _check_variables()
     given = {name: value for name, value in options.items() if value not in (None, ())}
+    _check_variables(given)
     try:
         settings = ServerSettings(**given)
     except ValidationError as error:
@@ -294,12 +300,20 @@ def load_settings(**options: Any) -> ServerSettings:
     return settings
 
 
-def _check_variables() -> None:
+def _check_variables(given: dict[str, Any]) -> None:
     known = {PREFIX + name.upper() for name in ServerSettings.model_fields}
     for name in sorted(os.environ):
-        if name.startswith(PREFIX) and name not in known | set(OTHER_VARIABLES):
-            nearest = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.0)[0]
-            raise ServerError(f"{name}: unknown environment variable; the nearest known one is {nearest}")
+        if name.startswith(PREFIX) and name not in known | set(OTHER_VARIABLES) and not _OF_LINKS.match(name):
+            near = difflib.get_close_matches(name, sorted(known - _OF_LAN), n=1, cutoff=0.8)
+            advice = f"the nearest known one is {near[0]}" if near else "roomlight serve --help names those that exist"
+            if name in _FLAGS_ALONE:
+                advice = f"there is only the flag --{name.removeprefix(PREFIX).lower()}"
+            raise ServerError(f"{name}: unknown environment variable; {advice}")
+    if "port" not in given and os.environ.get(PREFIX + "PORT", "").startswith("tcp://"):
+        raise ServerError(
+            f"{PREFIX}PORT is {os.environ[PREFIX + 'PORT'][:100]}, which Kubernetes sets for a Service of the name "
+            "roomlight; set enableServiceLinks: false in the pod, or name the Service otherwise"
+        )
 
 
 def _describe(error: ValidationError, given: dict[str, Any]) -> str:

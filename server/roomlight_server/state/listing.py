@@ -68,6 +68,6 @@ class SavedList:
             values, model = None, ""
             with contextlib.suppress(StateError, ValidationError, LookupError, TypeError):
                 server, engine = read_first_records(path, _RECORDS)
-                values, model = SavedValues.model_validate(server.values), str(engine.values["options"]["model"])
+                values, model = SavedValues.model_validate(server.values), str(engine.values["networks"]["model"])
             self._known[folder.name] = (version, values, model)
         return stat.st_mtime
