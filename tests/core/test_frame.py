@@ -74,6 +74,7 @@ def test_masks_of_whole_numbers_and_numpys_index_become_plain():
     frame.__post_init__()
     assert type(frame.index) is int
     for found in (frame.clipped, frame.seen):
+        assert found is not None
         assert found.dtype == bool
         np.testing.assert_array_equal(found, mask > 0)
     assert frame != FRAME
