@@ -8,10 +8,12 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from roomlight.conventions import Position
+from roomlight.errors import RoomLightError
 from roomlight.frame import Frame
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat
 from roomlight_client.calls import DEFAULT_FORMS, PositionOrName
+from roomlight_client.errors import UnreachableError
 from roomlight_client.light import Light
 from roomlight_client.stream import AsyncStream
 from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamStatus
@@ -22,7 +24,8 @@ T = TypeVar("T")
 class Stream:
     """The WebSocket of a session, made by `Session.stream`. A `with` statement closes it.
 
-    It connects again by itself: `on_status` reports when, and `status` that it gave up (`closed`).
+    It connects again by itself: `on_status` reports when, and `status` that it gave up (`closed`). Its handlers may
+    call `submit` and `status`; the other methods wait for the thread that calls the handlers, and raise there.
 
     Raises:
         GoneError: If the session is missing.
@@ -32,11 +35,12 @@ class Stream:
     def __init__(self, link: StreamLink, handlers: StreamHandlers) -> None:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="roomlight-stream", daemon=True)
+        self._lock, self._closed = threading.Lock(), False
         self._thread.start()
         try:
             self._stream = self._run(AsyncStream.open(link, handlers))
         except BaseException:
-            self._stop()
+            self._stop(None)
             raise
 
     def __enter__(self) -> "Stream":
@@ -56,7 +60,7 @@ class Stream:
         self, frame: Frame | CameraFrame, index: int | None = None, *, colour: FrameEncoding = "exact"
     ) -> "Future[FrameResult]":
         """Send a frame and return at once; the future becomes its result. See `AsyncStream.push`."""
-        return asyncio.run_coroutine_threadsafe(self._stream.push(frame, index, colour=colour), self._loop)
+        return self._begin(self._stream.push(frame, index, colour=colour))
 
     def push(
         self, frame: Frame | CameraFrame, index: int | None = None, *, colour: FrameEncoding = "exact"
@@ -93,15 +97,53 @@ class Stream:
 
     def close(self) -> None:
         """Close the connection; calls that wait for an answer fail. The session continues to exist."""
-        if self._thread.is_alive():
-            self._run(self._stream.close())
-            self._stop()
+        self._check_thread()
+        self._stop(self._stream)
 
     def _run(self, work: Coroutine[Any, Any, T]) -> T:
-        return asyncio.run_coroutine_threadsafe(work, self._loop).result()
+        try:
+            self._check_thread()
+        except RoomLightError:
+            work.close()
+            raise
+        return self._begin(work).result()
 
-    def _stop(self) -> None:
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.run_until_complete(self._loop.shutdown_default_executor())
-        self._loop.close()
+    def _check_thread(self) -> None:
+        if threading.current_thread() is self._thread:
+            raise RoomLightError(
+                "a handler of a stream called a method of it that waits for an answer, which the stream's own thread "
+                "cannot: call it in another thread; `submit` and `status` work in handlers"
+            )
+
+    def _begin(self, work: Coroutine[Any, Any, T]) -> "Future[T]":
+        with self._lock:
+            if not self._closed:
+                return asyncio.run_coroutine_threadsafe(work, self._loop)
+        work.close()
+        raise UnreachableError("the stream was closed")
+
+    def _stop(self, stream: AsyncStream | None) -> None:
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            ended = asyncio.run_coroutine_threadsafe(_end(stream), self._loop)
+        try:
+            ended.result()
+        finally:
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join()
+            self._loop.close()
+
+
+async def _end(stream: AsyncStream | None) -> None:
+    """Close the stream and end all work of this event loop; `None`: it did not open."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    if stream is not None:
+        await stream.close()
+    else:
+        for task in others:
+            task.cancel()
+    if others:
+        await asyncio.wait(others)
+    await asyncio.get_running_loop().shutdown_default_executor()

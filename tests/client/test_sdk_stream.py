@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import queue
 from typing import Any
 from unittest import mock
 
@@ -12,11 +13,11 @@ from websockets.asyncio.server import serve
 
 import roomlight_client as sdk
 from present import present
-from roomlight.errors import OptionError
+from roomlight.errors import OptionError, RoomLightError
 from roomlight.wire.frame_message import parse
 from roomlight.wire.light_message import pack_light
 from roomlight.wire.messages import FrameResult, LightingUpdate
-from roomlight_client import AsyncClient, BufferLimits, Retry, _waiting
+from roomlight_client import AsyncClient, BufferLimits, Client, Retry, _waiting
 from roomlight_client.memory import FrameBuffer
 from roomlight_client.recovery import is_server_lost
 from rooms import BoxRoom, pan
@@ -305,12 +306,15 @@ def test_a_saved_state_that_cannot_be_used_is_deleted():
     play(work)
 
 
+def light_update(form: dict[str, Any]) -> bytes:
+    one = {"position": [0, 0, 0], "name": "table", "coverage": 1.0, "etag": "e", "forms": [form]}
+    return pack_light(LightingUpdate.model_validate({"frame": 2, "results": [one]}), [bytes(form["bytes"])])
+
+
 def test_updates_and_malformed_messages_reach_their_handlers():
     async def work(room, _, stream):
         cube = {"format": "cube", "media_type": "m", "bytes": 2}
-        one = {"position": [0, 0, 0], "name": "table", "coverage": 1.0, "etag": "e", "forms": [cube]}
-        update = LightingUpdate.model_validate({"frame": 2, "results": [one]})
-        room.answers[0] = [pack_light(update, [b"\x05\x06"])]
+        room.answers[0] = [light_update(cube)]
         room.silent = set()
         pushed = asyncio.create_task(stream.push(FRAMES[0]))
         await room.logged("frame 0")
@@ -336,6 +340,83 @@ def test_closing_a_stream_ends_its_calls():
             await stream.track("table", (0.0, 0.0, 0.0))
 
     play(work)
+
+
+# --- the blocking stream ----------------------------------------------------------------------------------------
+
+
+def play_blocking(work) -> None:
+    """Run `work(room, session)` in a thread, with a session of a blocking client to a scripted server."""
+
+    async def main() -> None:
+        room = Room()
+        async with serve(room._serve, "127.0.0.1", 0) as server:
+            url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+            with Client(url, transport=httpx.MockTransport(room._respond)) as client:
+                await asyncio.wait_for(asyncio.to_thread(work, room, client.open("room")), 60)
+
+    asyncio.run(main())
+
+
+WAITING_CALLS = (
+    lambda stream: stream.push(FRAMES[1]),
+    lambda stream: stream.light_at((0.0, 0.0, 0.0)),
+    lambda stream: stream.subscribe(["sh"]),
+    lambda stream: stream.track("table", (0.0, 0.0, 0.0)),
+)
+
+
+def test_calls_in_a_handler_that_would_wait_for_themselves_are_refused():
+    def work(room, session):
+        seen = queue.Queue()
+
+        def on_lighting(_):
+            for call in (*WAITING_CALLS, lambda stream: stream.close()):
+                with pytest.raises(RoomLightError, match="in another thread") as refused:
+                    call(stream)
+                seen.put(refused.value)
+            seen.put(stream.submit(FRAMES[1]))
+
+        room.answers[0] = [light_update({"format": "cube", "media_type": "m", "bytes": 2})]
+        with session.stream(on_lighting=on_lighting) as stream:
+            stream.submit(FRAMES[0])
+            for _ in range(5):
+                seen.get(timeout=30)
+            assert seen.get(timeout=30).result(30).status == "processed"
+            assert stream.push(FRAMES[2]).status == "processed"
+
+    play_blocking(work)
+
+
+def test_a_blocking_stream_closes_where_an_event_loop_runs():
+    def work(room, session):
+        async def cell():
+            with session.stream() as stream:
+                assert stream.push(FRAMES[0]).status == "processed"
+            room.lose()
+            with pytest.raises(sdk.GoneError):
+                session.stream()
+
+        asyncio.run(cell())
+
+    play_blocking(work)
+
+
+@pytest.mark.parametrize("call", [*WAITING_CALLS, lambda stream: stream.submit(FRAMES[1])])
+@pytest.mark.filterwarnings("error")
+def test_a_closed_blocking_stream_says_so(call):
+    def work(room, session):
+        room.silent.add(0)
+        stream = session.stream()
+        waiting = stream.submit(FRAMES[0])
+        stream.close()
+        stream.close()
+        with pytest.raises(sdk.UnreachableError, match="the stream was closed"):
+            waiting.result(30)
+        with pytest.raises(sdk.UnreachableError, match="the stream was closed"):
+            call(stream)
+
+    play_blocking(work)
 
 
 # --- the buffer -------------------------------------------------------------------------------------------------
