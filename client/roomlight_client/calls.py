@@ -4,15 +4,17 @@ A `Call` is a request and the parser of its response; `Attempt` counts the attem
 `async_client` only send, wait and return.
 """
 
+import operator
 import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from ipaddress import ip_address
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar, cast
 from urllib.parse import urlsplit
 
 import httpx
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from roomlight.conventions import Position
@@ -20,6 +22,7 @@ from roomlight.errors import OptionError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.compositing import CompositeRequest, ObjectInfo, ObjectList
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding, pack_camera_frame, pack_frame
+from roomlight.wire.frame_header import MAX_INDEX, as_whole_number
 from roomlight.wire.frame_message import FrameLimits, pack, parse, to_wire_error
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight.wire.messages import (
@@ -214,9 +217,13 @@ class SessionCalls:
         """Return the index to send a frame under: the argument, a `Frame`'s own, or the next one.
 
         The index counts as used even if the call fails: a frame whose response is lost may have arrived.
+
+        Raises:
+            WireError: If it is no index.
         """
         if index is None:
             index = frame.index if isinstance(frame, Frame) else self.next_index
+        index = _as_index(index)
         self.next_index = max(self.next_index, index + 1)
         return index
 
@@ -344,8 +351,9 @@ def as_form(form: LightFormat | LightForm) -> LightForm:
 
 def session_request(**options: Any) -> SessionRequest:
     """Return the request that opens a session. Raises WireError if an option is invalid; with field, value and rule."""
+    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in options.items()}
     try:
-        return SessionRequest.model_validate(options)
+        return SessionRequest.model_validate(plain)
     except ValidationError as error:
         raise to_wire_error(error, kind="invalid") from error
 
@@ -367,6 +375,17 @@ def _with_index(body: bytes, index: int) -> bytes:
     header = message.header.model_copy(update={"index": index})
     planes = (None if part is None else bytes(part) for part in (message.depth, message.confidence))
     return pack(header, bytes(message.colour), *planes)
+
+
+def _as_index(value: object) -> int:
+    """Return an index of any integer type, or of a float without a fraction, as the wire format allows it."""
+    try:
+        index = operator.index(cast("int", as_whole_number(value)))
+    except TypeError:
+        index = -1
+    if not 0 <= index <= MAX_INDEX:
+        raise WireError("invalid", field="index", value=repr(value), rule=f"must be a whole number, 0 to {MAX_INDEX}")
+    return index
 
 
 def _ignore_body(_: Reply) -> None:

@@ -5,8 +5,10 @@ import base64
 import inspect
 import io
 import json
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import httpx
@@ -18,13 +20,17 @@ from sdk_scripts import OPENED, STATE, Script, problem
 
 import roomlight_client as sdk
 from roomlight.errors import OptionError, RoomLightError, WireError
+from roomlight.wire.frame_message import parse
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight_client import AsyncClient, AsyncSession, Client, Retry, Session, Timeouts
+from roomlight_client.calls import SessionCalls, session_request
 from roomlight_client.errors import refusal
 from roomlight_client.retry import parse_retry_after
+from rooms import BoxRoom, pan
 
 BOTH = pytest.mark.parametrize("kind", ["sync", "async"])
 ORIGIN = (0.0, 0.0, 0.0)
+FRAME = pan(BoxRoom(), 1, width=16, height=12)[0]
 
 
 def ask_state(session):
@@ -280,6 +286,42 @@ def test_invalid_requests_are_not_sent(kind, work):
     error = refused(script, kind, work)
     assert not isinstance(error, sdk.RemoteError)
     assert len(script.requests) == 1
+
+
+def frame_of(index):
+    """Return a frame with an index of any type, unchecked as in an app."""
+    frame = replace(FRAME)
+    object.__setattr__(frame, "index", index)
+    return frame
+
+
+@pytest.mark.parametrize("given", [5, 5.0, np.int64(5)])
+@pytest.mark.filterwarnings("error")
+def test_an_index_of_any_whole_type_is_sent_as_an_integer(given):
+    session_calls = SessionCalls("room")
+    index = session_calls.reserve(frame_of(given), None)
+    assert (type(index), session_calls.next_index) == (int, 6)
+    call = session_calls.push(FRAME, index, colour="exact", wait=True)
+    assert call.path.endswith("/frames/5")
+    assert parse(call.content or b"").header.index == 5
+
+
+@BOTH
+@pytest.mark.parametrize("index", [-1, 1.5, "5", 2**53, float("nan")])
+def test_what_is_no_index_is_refused_and_not_used_up(kind, index):
+    async def work(session):
+        with pytest.raises(WireError, match=rf"index: must be a whole number, 0 to .*; got {re.escape(repr(index))}"):
+            await session.push(frame_of(index))
+        assert session.next_index == 0
+
+    script = Script(OPENED)
+    run(script, kind, work)
+    assert len(script.requests) == 1
+
+
+def test_options_may_be_numpy_scalars():
+    request = session_request(height=np.int64(64), min_confidence=np.uint8(2), use_limited_tracking=np.bool_(True))
+    assert (request.height, request.min_confidence, request.use_limited_tracking) == (64, 2, True)
 
 
 async def open_with(kind, session_id="room", **options):
