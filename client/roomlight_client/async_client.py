@@ -35,7 +35,7 @@ from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamOptio
 
 
 class AsyncClient:
-    """`Client` for asyncio, with the same arguments and errors. Calls of several tasks run concurrently."""
+    """`Client` for asyncio, with the same arguments and errors, for one event loop. Calls of tasks run concurrently."""
 
     def __init__(
         self,
@@ -51,6 +51,7 @@ class AsyncClient:
     ) -> None:
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.AsyncClient(transport=transport, **arguments)
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._retry, self._url = retry or Retry(), url
         self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
         self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT)
@@ -117,6 +118,8 @@ class AsyncClient:
         """Send a call and return its result; see `Client.run`."""
         attempt = Attempt(call, retry or self._retry, self._url)
         while True:
+            self._check_loop()
+            calls.check_open(closed=self._http.is_closed)
             try:
                 response = await self._http.request(**calls.request_arguments(call))
             except httpx.HTTPError as error:
@@ -144,6 +147,14 @@ class AsyncClient:
                     step = steps.send(value)
         except StopIteration as end:
             return end.value
+
+    def _check_loop(self) -> None:
+        """Raise RemoteError in another event loop than before: the connections belong to that one."""
+        self._loop = self._loop or asyncio.get_running_loop()
+        if self._loop is not asyncio.get_running_loop():
+            raise RemoteError(
+                "this AsyncClient was used in another event loop: make one in each asyncio.run, or do everything in one"
+            )
 
     async def _take(self, step: Send | Pause) -> Any:
         if isinstance(step, Pause):

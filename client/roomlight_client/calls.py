@@ -38,7 +38,7 @@ from roomlight.wire.messages import (
 )
 from roomlight_client import _waiting
 from roomlight_client.compositing import CompositeFile, parse_composite
-from roomlight_client.errors import RETRIED, BadReplyError, UnreachableError, refusal
+from roomlight_client.errors import RETRIED, BadReplyError, RemoteError, UnreachableError, refusal
 from roomlight_client.light import Light, LightFile, parse_lights
 from roomlight_client.retry import Retry, Timeouts, parse_retry_after
 
@@ -156,6 +156,12 @@ def client_arguments(url: str, *, token: str | None, timeouts: Timeouts) -> dict
     limits = httpx.Timeout(timeouts.read_s, connect=timeouts.connect_s, write=timeouts.write_s)
     # Proxies set in the environment do not apply to this machine itself.
     return {"base_url": url.rstrip("/"), "headers": headers, "timeout": limits, "trust_env": not is_loopback(host)}
+
+
+def check_open(*, closed: bool) -> None:
+    """Raise RemoteError if the client was closed; not UnreachableError, which is waited for."""
+    if closed:
+        raise RemoteError("the client was closed: make a new one, or close it after its last call")
 
 
 def request_arguments(call: Call[Any]) -> dict[str, Any]:

@@ -169,10 +169,11 @@ class Client:
         """Send a call and return its result. `retry` replaces the client's policy.
 
         Raises:
-            RemoteError: If no attempt succeeds.
+            RemoteError: If no attempt succeeds, or the client was closed.
         """
         attempt = Attempt(call, retry or self._retry, self._url)
         while True:
+            calls.check_open(closed=self._http.is_closed)
             try:
                 response = self._http.request(**calls.request_arguments(call))
             except httpx.HTTPError as error:

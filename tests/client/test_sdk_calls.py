@@ -240,6 +240,29 @@ def test_invalid_timeouts_and_retries_are_rejected(kind, value, message):
         kind(**value)
 
 
+@BOTH
+@pytest.mark.parametrize("work", [ask_state, lambda session: session.push(FRAME), lambda session: session.stream()])
+def test_a_closed_client_says_so_at_once(kind, work):
+    script = Script(OPENED)
+
+    async def main():
+        async with script.client(kind) as client:
+            session = await client.open("room")
+        with pytest.raises(sdk.RemoteError, match="the client was closed"):
+            await work(session)
+
+    asyncio.run(main())
+    assert len(script.requests) == 1
+    assert not script.waits_s
+
+
+def test_an_async_client_names_its_event_loop():
+    client = AsyncClient("http://room.test", transport=httpx.MockTransport(lambda _: httpx.Response(200)))
+    assert asyncio.run(client.ready())
+    with pytest.raises(sdk.RemoteError, match=r"another event loop: make one in each asyncio\.run"):
+        asyncio.run(client.ready())
+
+
 # --- requests ---------------------------------------------------------------------------------------------------
 
 
