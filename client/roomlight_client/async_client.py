@@ -23,7 +23,7 @@ from roomlight.wire.compositing import (
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionRequest, SessionState
 from roomlight_client import _waiting, calls
-from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
+from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, Forms, PositionOrName, Result, SessionCalls, T
 from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
@@ -211,13 +211,11 @@ class AsyncSession:
         repeat = retry if isinstance(retry, str) else "always" if retry else "never"
         return await self._client.follow(self._recovery.push(call, index, repeat=repeat))
 
-    async def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
+    async def light_at(self, probe: PositionOrName, forms: Forms = DEFAULT_FORMS) -> Light:
         """Return the light at a point or a tracked probe; see `Session.light_at`."""
         return (await self.lights_at([probe], forms))[0]
 
-    async def lights_at(
-        self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS
-    ) -> list[Light]:
+    async def lights_at(self, probes: Sequence[PositionOrName], forms: Forms = DEFAULT_FORMS) -> list[Light]:
         """Return the light at up to 64 probes in one call; see `Session.lights_at`."""
         return await self._client.follow(self._recovery.call(self._calls.lights(probes, forms)))
 

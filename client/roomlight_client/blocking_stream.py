@@ -11,8 +11,8 @@ from roomlight.conventions import Position
 from roomlight.errors import RoomLightError
 from roomlight.frame import Frame
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
-from roomlight.wire.messages import FrameResult, LightForm, LightFormat
-from roomlight_client.calls import DEFAULT_FORMS, PositionOrName
+from roomlight.wire.messages import FrameResult
+from roomlight_client.calls import DEFAULT_FORMS, Forms, PositionOrName
 from roomlight_client.errors import UnreachableError
 from roomlight_client.light import Light
 from roomlight_client.stream import AsyncStream
@@ -73,17 +73,15 @@ class Stream:
         """
         return self._run(self._stream.push(frame, index, colour=colour))
 
-    def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
+    def light_at(self, probe: PositionOrName, forms: Forms = DEFAULT_FORMS) -> Light:
         """Return the light at a point or a tracked probe; see `Session.light_at`."""
         return self._run(self._stream.light_at(probe, forms))
 
-    def lights_at(
-        self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS
-    ) -> list[Light]:
+    def lights_at(self, probes: Sequence[PositionOrName], forms: Forms = DEFAULT_FORMS) -> list[Light]:
         """Return the light at up to 64 probes after one and the same frame; see `Session.lights_at`."""
         return self._run(self._stream.lights_at(probes, forms))
 
-    def subscribe(self, forms: Sequence[LightFormat | LightForm]) -> None:
+    def subscribe(self, forms: Forms) -> None:
         """Receive the light of the tracked points in `on_lighting`, now and after each frame; no forms: unsubscribe."""
         self._run(self._stream.subscribe(forms))
 

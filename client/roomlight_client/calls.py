@@ -48,6 +48,9 @@ _Model = TypeVar("_Model", bound=BaseModel)
 PositionOrName = Position | str
 """A point in world metres (y up), or the name of a tracked probe."""
 
+Forms = Sequence[LightFormat | LightForm] | LightFormat | LightForm
+"""Forms of light, or a single one."""
+
 DEFAULT_FORMS: Final[tuple[LightFormat | LightForm, ...]] = (
     "npy",
     LightForm(format="npy", use="reflection"),
@@ -255,7 +258,7 @@ class SessionCalls:
         headers = {"Content-Type": FRAME_MEDIA_TYPE} | ({} if wait else {"Prefer": "respond-async"})
         return self._call("PUT", f"/frames/{index}", _parser(FrameResult), content=body, headers=headers)
 
-    def lights(self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm]) -> Call[list[Light]]:
+    def lights(self, probes: Sequence[PositionOrName], forms: Forms) -> Call[list[Light]]:
         """Get the light at several probes after one and the same frame.
 
         Raises:
@@ -265,8 +268,8 @@ class SessionCalls:
 
         def read(reply: Reply) -> list[Light]:
             lights = parse_lights(reply.body, reply.headers.get("content-type", ""))
-            if len(lights) != len(probes):
-                raise BadReplyError(f"requested light at {len(probes)} probes, the answer has {len(lights)}")
+            if len(lights) != len(request.probes):
+                raise BadReplyError(f"requested light at {len(request.probes)} probes, the answer has {len(lights)}")
             return lights
 
         return self._call("POST", "/probes", read, json=request, headers={"Accept": MEDIA_TYPE})
@@ -335,16 +338,24 @@ class SessionCalls:
         return Call(method, address, read, all_headers, content, params or {}, expected)
 
 
-def light_request(probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm]) -> LightRequest:
-    """Return the request for the light at several probes.
+def light_request(probes: Sequence[PositionOrName], forms: Forms) -> LightRequest:
+    """Return the request for the light at several probes; a name by itself is one of them.
 
     Raises:
         WireError: If a position, a name or a form is invalid.
     """
+    listed = [probes] if isinstance(probes, str) else probes
     try:
-        return LightRequest(probes=[_probe_query(probe) for probe in probes], forms=[as_form(form) for form in forms])
+        return LightRequest(probes=[_probe_query(probe) for probe in listed], forms=as_forms(forms))
     except ValidationError as error:
         raise to_wire_error(error, kind="invalid") from error
+
+
+def as_forms(forms: Forms) -> list[LightForm]:
+    """Return the forms as a list. Raises WireError if there is no such format."""
+    if isinstance(forms, str | LightForm):
+        return [as_form(forms)]
+    return [as_form(form) for form in forms]
 
 
 def as_form(form: LightFormat | LightForm) -> LightForm:

@@ -24,7 +24,7 @@ from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionRequest, SessionState
 from roomlight_client import _waiting, calls
 from roomlight_client.blocking_stream import Stream
-from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
+from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, Forms, PositionOrName, Result, SessionCalls, T
 from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
@@ -275,7 +275,7 @@ class Session:
         repeat = retry if isinstance(retry, str) else "always" if retry else "never"
         return self._client.follow(self._recovery.push(call, index, repeat=repeat))
 
-    def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
+    def light_at(self, probe: PositionOrName, forms: Forms = DEFAULT_FORMS) -> Light:
         """Return the light at a point or a tracked probe; the prior before the first frame (`Light.is_prior`).
 
         Raises:
@@ -284,9 +284,7 @@ class Session:
         """
         return self.lights_at([probe], forms)[0]
 
-    def lights_at(
-        self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS
-    ) -> list[Light]:
+    def lights_at(self, probes: Sequence[PositionOrName], forms: Forms = DEFAULT_FORMS) -> list[Light]:
         """Return the light at up to 64 probes after one and the same frame, in one call.
 
         Raises:

@@ -24,8 +24,6 @@ from roomlight.wire.messages import (
     FrameResult,
     LightAnswer,
     LightCall,
-    LightForm,
-    LightFormat,
     LightingUpdate,
     ProblemEvent,
     SessionState,
@@ -37,8 +35,9 @@ from roomlight.wire.messages import (
 from roomlight_client import _waiting
 from roomlight_client.calls import (
     DEFAULT_FORMS,
+    Forms,
     PositionOrName,
-    as_form,
+    as_forms,
     light_request,
 )
 from roomlight_client.errors import BadReplyError, RefusedError, RemoteError, UnreachableError, refusal
@@ -132,13 +131,11 @@ class AsyncStream:
             answer = self._enqueue(index, call.content or b"")
         return cast("FrameResult", await answer)
 
-    async def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
+    async def light_at(self, probe: PositionOrName, forms: Forms = DEFAULT_FORMS) -> Light:
         """Return the light at a point or a tracked probe; see `Session.light_at`."""
         return (await self.lights_at([probe], forms))[0]
 
-    async def lights_at(
-        self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS
-    ) -> list[Light]:
+    async def lights_at(self, probes: Sequence[PositionOrName], forms: Forms = DEFAULT_FORMS) -> list[Light]:
         """Return the light at up to 64 probes after one and the same frame; see `Session.lights_at`."""
         self._requests += 1
         name = f"r{self._requests}"
@@ -149,9 +146,9 @@ class AsyncStream:
         self._send(message)
         return cast("list[Light]", await answer)
 
-    async def subscribe(self, forms: Sequence[LightFormat | LightForm]) -> None:
+    async def subscribe(self, forms: Forms) -> None:
         """Receive the light of the tracked points in `on_lighting`, now and after each frame; no forms: unsubscribe."""
-        self._memory.forms = tuple(as_form(form) for form in forms)
+        self._memory.forms = tuple(as_forms(forms))
         self._send(Subscribe(type="subscribe", forms=list(self._memory.forms)))
 
     async def track(self, name: str, position: Position) -> None:

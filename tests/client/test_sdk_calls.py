@@ -22,6 +22,7 @@ import roomlight_client as sdk
 from roomlight.errors import OptionError, RoomLightError, WireError
 from roomlight.wire.frame_message import parse
 from roomlight.wire.light_message import MEDIA_TYPE
+from roomlight.wire.messages import LightForm
 from roomlight_client import AsyncClient, AsyncSession, Client, Retry, Session, Timeouts
 from roomlight_client.calls import SessionCalls, session_request
 from roomlight_client.errors import refusal
@@ -435,6 +436,20 @@ def test_a_malformed_form_raises_when_it_is_accessed(kind, form, read):
 def test_answers_that_do_not_match_the_request(kind, answer):
     error = refused(Script(OPENED, answer), kind, lambda session: session.light_at((0.0, 1.0, 2.0)))
     assert isinstance(error, sdk.BadReplyError)
+
+
+@BOTH
+def test_a_name_by_itself_is_one_form_or_one_probe(kind):
+    async def work(session):
+        assert len(await session.lights_at("table", "sh")) == 1
+        await session.light_at(ORIGIN, LightForm(format="sh"))
+
+    script = Script(OPENED, light_json())
+    run(script, kind, work)
+    named, placed = (json.loads(request.content) for request in script.requests[1:])
+    assert [probe["name"] for probe in named["probes"]] == ["table"]
+    for sent in (named, placed):
+        assert [form["format"] for form in sent["forms"]] == ["sh"]
 
 
 # --- both clients are one ---------------------------------------------------------------------------------------

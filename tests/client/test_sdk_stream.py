@@ -151,7 +151,7 @@ def frames_of(room: Room) -> list[str]:
 def test_a_lost_connection_is_resumed_and_nothing_sent_twice():
     async def work(room, _, stream):
         await stream.track("table", (1.0, 2.0, 3.0))
-        await stream.subscribe(["sh"])
+        await stream.subscribe("sh")  # by itself, it is one form
         await stream.push(FRAMES[0])
         room.answers[1] = ["cut"]
         lost = await stream.push(FRAMES[1])
