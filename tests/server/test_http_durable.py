@@ -1,5 +1,6 @@
 """Sessions on disk: restored with the same bits after a restart; damaged, foreign and unwritable ones stay apart."""
 
+import asyncio
 import errno
 import os
 import shutil
@@ -10,8 +11,10 @@ import pytest
 from http_servers import SMALL, HeldSession, InThread, RunningServer, frame, wait_until
 from roomlight.engine.state.records import FORMAT
 from roomlight.errors import ServerError
+from roomlight.wire.frame_message import parse
 from roomlight_server.app import create_app
 from roomlight_server.base.settings import ServerSettings
+from roomlight_server.sessions.frame_queue import Entry, FrameQueue
 from roomlight_server.state import session_folder, store
 from roomlight_server.state.ages import SavedAges
 
@@ -451,6 +454,19 @@ def test_a_waiting_frame_is_left_to_the_client(tmp_path, monkeypatch):
         assert later[2].result().json["status"] == "processed"
         assert live._queue.saved().last_index == 5
         assert live._queue.saved().counts["gaps"] == 1
+
+
+def test_gaps_after_a_first_frame_that_waits_are_left_to_the_client():
+    async def main():
+        queue = FrameQueue()
+        for index, message in ((3, parse(frame(0))), (6, None), (8, None)):
+            queue.accept(Entry(index, b"", message=message))
+        return queue.counts(), queue.saved()
+
+    counts, saved = asyncio.run(main())
+    assert (counts.gaps, counts.skipped) == (3, 2)
+    assert saved.last_index is None
+    assert (saved.counts["gaps"], saved.counts["skipped"]) == (0, 0)
 
 
 def _wait_for_last_index(server, index):

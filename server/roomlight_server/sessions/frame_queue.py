@@ -182,9 +182,9 @@ class FrameQueue:
         counts, last = dict(self._counts), self._last
         if self._waiting is not None and last is not None:
             skipped, before = self._skipped_after_waiting, self._before_waiting
-            gaps = 0 if before is None else last.index - before.index
+            since = self._waiting.index - 1 if before is None else before.index  # none counts before the very first
             counts["skipped"] -= skipped
-            counts["gaps"] -= max(0, gaps - 1 - skipped)
+            counts["gaps"] -= max(0, last.index - since - 1 - skipped)
             last = before
         if last is None:
             return SavedQueue(last_index=None, digest="", result=None, counts=counts)
