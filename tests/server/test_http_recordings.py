@@ -10,6 +10,7 @@ import pytest
 
 from http_servers import InThread, RunningServer
 from roomlight import sample_capture
+from roomlight.errors import ServerError
 from roomlight.wire.recordings import RecordingRequest
 from roomlight_server.base.problems import ProblemError
 from roomlight_server.recordings import player as recording_player
@@ -198,6 +199,34 @@ def test_a_disk_that_fails_during_a_piece_keeps_the_file_as_it_was(server, monke
         assert (answer.status, answer.kind) == (503, "recording-memory")
         assert "No space left" in answer.json["detail"]
     assert put(server, url, "a", b"34", offset=2).json["status"] == "ready"
+
+
+def test_a_folder_that_cannot_be_used_is_named_at_the_start(tmp_path):
+    """The server was ready, and each upload was answered 500."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ServerError, match=r"recordings_folder: .*/file: cannot be used \(File exists\)"):
+        RunningServer(recordings_folder=tmp_path / "file")
+    RunningServer(recordings_folder=tmp_path / "new" / "folder")
+    assert (tmp_path / "new" / "folder").stat().st_mode & 0o777 == 0o700
+
+
+def test_a_folder_that_is_removed_while_the_server_runs_is_made_again(tmp_path):
+    """Programs remove old files of the folder for temporary files."""
+    with RunningServer(recordings_folder=tmp_path / "uploads") as server:
+        url = announce(server, 4)
+        shutil.rmtree(tmp_path / "uploads")
+        for path in (url, f"{url}/replay"):
+            assert server.call("DELETE", path).kind == "recording-not-found"
+        assert put(server, announce(server, 4), "a", b"1234").json["status"] == "ready"
+        assert len(server.call("GET", URL).json["recordings"]) == 1
+        shutil.rmtree(tmp_path / "uploads")
+        (tmp_path / "uploads").write_text("")
+        for answer in (
+            server.call("POST", URL, {"name": "b", "bytes": 4, "files": 1}),
+            server.call("POST", "/v1/sample-recording"),
+        ):
+            assert (answer.status, answer.kind) == (503, "recording-memory")
+            assert "File exists; retry later" in answer.json["detail"]
 
 
 def test_a_failed_piece_is_overwritten(tmp_path):

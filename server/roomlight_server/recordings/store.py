@@ -4,10 +4,12 @@ import asyncio
 import logging
 import secrets
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, Literal
 
+from roomlight.errors import ServerError
 from roomlight.sample import sample_capture
 from roomlight.wire.messages import SessionRequest
 from roomlight.wire.recordings import Recording, RecordingList, RecordingRequest, ReplayRequest
@@ -72,17 +74,24 @@ class RecordingStore:
     """All recordings. Each owner has a separate set and a quota, and finds those of its phones."""
 
     def __init__(self, settings: ServerSettings, registry: Registry, clock: Callable[[], float]) -> None:
-        """Create an empty store; its folder is made with the first recording."""
+        """Create an empty store; its folder is made with the first recording.
+
+        Raises:
+            ServerError: The folder for recordings of the settings cannot be used.
+        """
         self._settings, self._registry, self._clock = settings, registry, clock
         self._recordings: dict[str, StoredRecording] = {}
         self._root: LockedFolder | None = None
         remove_left_folders(settings.recordings_folder)
+        if settings.recordings_folder is not None:
+            _check_folder(settings.recordings_folder)
 
     def add(self, owner: str, announced: RecordingRequest) -> Recording:
         """Begin an upload.
 
         Raises:
-            ProblemError: It is too large (422), or the quota of the token (409) or of the server (503) is used up.
+            ProblemError: It is too large (422), the quota of the token (409) or of the server (503) is used up, or the
+                folder cannot be used (503).
         """
         settings = self._settings
         for field, value, most in (
@@ -93,7 +102,8 @@ class RecordingStore:
                 rule = f"at most {most} {field}"
                 raise ProblemError("invalid", f"{field}: {rule} in a recording", field=field, value=value, rule=rule)
         root = self._room_for(owner, announced.bytes, MAX_RECORDINGS - 1)
-        files = RecordingFiles(root / f"r-{secrets.token_hex(8)}", announced)
+        with _on_disk():
+            files = RecordingFiles(root / f"r-{secrets.token_hex(8)}", announced)
         recording = StoredRecording(owner, files, self._clock())
         self._recordings[recording.id] = recording
         return self.describe(recording)
@@ -102,7 +112,8 @@ class RecordingStore:
         """Add the sample recording of the package, complete.
 
         Raises:
-            ProblemError: The quota of the token (409) or of the server (503) is used up.
+            ProblemError: The quota of the token (409) or of the server (503) is used up, or the folder cannot be used
+                (503).
         """
         folder = sample_capture()
         contents = {
@@ -111,7 +122,7 @@ class RecordingStore:
         announced = RecordingRequest(name="Sample room", bytes=sum(map(len, contents.values())), files=len(contents))
         recording = self.find(owner, self.add(owner, announced).id)
         for path, data in contents.items():
-            with recording.files.piece(path, 0, len(data)) as file:
+            with _on_disk(), recording.files.piece(path, 0, len(data)) as file:
                 await asyncio.to_thread(append, file, 0, data)
         return self.describe(recording)
 
@@ -249,11 +260,13 @@ class RecordingStore:
             rule = f"at most {limit} bytes in {MAX_RECORDINGS} recordings of one token"
             detail = f"{len(own)} recordings take {_reserved(own)} bytes: {rule}; delete one first"
             raise ProblemError("too-many-recordings", detail, field="bytes", value=wanted, rule=rule)
-        root = self._folder()
+        with _on_disk():
+            root = self._folder()
+            disk_bytes = shutil.disk_usage(root).free
         total = _reserved(self._recordings.values())
         uploads = [recording.files for recording in self._recordings.values()]
         missing = sum(files.announced.bytes - files.received for files in uploads)
-        free = shutil.disk_usage(root).free - SPARE_DISK_BYTES - missing
+        free = disk_bytes - SPARE_DISK_BYTES - missing
         if wanted > min(settings.max_all_recording_bytes - total, free):
             rule = f"at most {settings.max_all_recording_bytes} bytes of all recordings, and what the disk has free"
             detail = f"the server has no room for {wanted} bytes: {rule}; retry later"
@@ -268,14 +281,16 @@ class RecordingStore:
         await asyncio.to_thread(recording.files.delete)
 
     def expire(self) -> None:
-        """Delete the recordings that are unused for too long."""
+        """Delete the recordings that are unused for too long, or whose files another program removed."""
         limit_s = self._clock() - self._settings.recording_expiry_s
         for recording in tuple(self._recordings.values()):
-            if not (recording.playing or recording.filming) and recording.last_used_s < limit_s:
+            removed = not recording.files.folder.is_dir()
+            if not (recording.playing or recording.filming) and (removed or recording.last_used_s < limit_s):
                 del self._recordings[recording.id]
                 self._remove_film(recording)
                 recording.files.delete()
-                _log.info("recording deleted", extra={"recording": recording.id, "reason": "expired"})
+                reason = "its files were removed" if removed else "expired"
+                _log.info("recording deleted", extra={"recording": recording.id, "reason": reason})
 
     async def close(self) -> None:
         """Stop all replays and films and delete all files."""
@@ -288,9 +303,37 @@ class RecordingStore:
             self._root = None
 
     def _folder(self) -> Path:
+        """Return the folder of all recordings; make it, also again if another program removed it."""
+        if self._root is not None and not self._root.path.is_dir():
+            self._root.remove()
+            self._root = None
         if self._root is None:
-            self._root = LockedFolder(self._settings.recordings_folder)
+            parent = self._settings.recordings_folder
+            if parent is not None:
+                parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._root = LockedFolder(parent)
         return self._root.path
+
+
+def _check_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        LockedFolder(folder).remove()
+    except OSError as error:
+        advice = "choose another folder"
+        raise ServerError(f"recordings_folder: {folder}: cannot be used ({error.strerror}); {advice}") from error
+
+
+@contextmanager
+def _on_disk() -> Generator[None]:
+    """Turn an error of the disk inside the context into a problem (503)."""
+    try:
+        yield
+    except OSError as error:
+        _log.error("uploads cannot be stored: %s", error)
+        reason = error.strerror or type(error).__name__
+        detail = f"the server cannot store recordings now: {reason}; retry later"
+        raise ProblemError("recording-memory", detail, retry_after_s=60) from error
 
 
 async def _cancelled(task: asyncio.Task[None] | None) -> None:
