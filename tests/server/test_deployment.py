@@ -101,18 +101,28 @@ def test_compose_names_only_what_it_declares():
     assert compose["services"]["roomlight"]["networks"] == ["inside"]
 
 
+def manager_of_envoy():
+    listener = yaml.safe_load(text("envoy.yaml"))["static_resources"]["listeners"][0]
+    return listener["filter_chains"][0]["filters"][0]["typed_config"]
+
+
 def test_proxies_choose_the_server_by_session():
-    nginx, envoy = text("nginx.conf"), yaml.safe_load(text("envoy.yaml"))
+    nginx = text("nginx.conf")
     assert "hash $session consistent;" in nginx
     assert "$http_x_session_id" in nginx
-    listener = envoy["static_resources"]["listeners"][0]["filter_chains"][0]["filters"][0]["typed_config"]
-    routes = listener["route_config"]["virtual_hosts"][0]["routes"]
+    routes = manager_of_envoy()["route_config"]["virtual_hosts"][0]["routes"]
     policies = [route["route"]["hash_policy"] for route in routes if "route" in route]
     assert [policy[0]["header"]["header_name"] for policy in policies] == [":path", "x-session-id"]
     rewrite = policies[0][0]["header"]["regex_rewrite"]
     pattern, substitution = rewrite["pattern"]["regex"], rewrite["substitution"]
     paths = ("/v1/sessions/room-1", "/v1/sessions/room-1/frames/7", "/v1/sessions/room-1/probe?x=1&y=/v1/sessions/z")
     assert {re.sub(pattern, substitution, path) for path in paths} == {"room-1"}
+
+
+def test_the_address_of_a_client_is_not_what_it_writes():
+    """The log has the address of a wrong token, and named the one that the client wrote."""
+    assert "proxy_set_header X-Forwarded-For $remote_addr;" in text("nginx.conf")
+    assert manager_of_envoy()["use_remote_address"] is True
 
 
 def test_the_entry_point_starts_with_a_writable_cache(tmp_path):
