@@ -214,7 +214,7 @@ def _add_middleware(app: FastAPI, context: Context) -> None:
         AuthMiddleware,
         tokens=context.tokens,
         origins=settings.allow_origins,
-        hosts=settings.allow_hosts if settings.tokens else (*LOOPBACK_HOSTS, *settings.allow_hosts),
+        hosts=settings.allow_hosts if settings.tokens else _hosts_without_token(settings),
         metrics=metrics,
         wrong_token_delay_s=settings.wrong_token_delay_s,
         guard=context.guard,
@@ -232,6 +232,11 @@ def _add_middleware(app: FastAPI, context: Context) -> None:
     app.add_middleware(StopMiddleware, stopping=lambda: context.registry.stopping)
     app.add_middleware(HeadMiddleware)
     app.add_middleware(RequestIdMiddleware)  # answers of all others carry the id
+
+
+def _hosts_without_token(settings: ServerSettings) -> tuple[str, ...]:
+    own = (settings.host.strip("[]"),) if settings.is_loopback else ()
+    return tuple(dict.fromkeys((*LOOPBACK_HOSTS, *own, *settings.allow_hosts)))
 
 
 def _operation_id(route: Any) -> str:  # an APIRoute, or FastAPI's private context of one

@@ -1,6 +1,7 @@
 """Running a server: uvicorn, its options, a graceful stop."""
 
 import asyncio
+import errno
 import gc
 import logging
 import os
@@ -204,7 +205,7 @@ def listen(settings: ServerSettings) -> socket.socket:
     """Return a socket that listens on the address of the settings; port 0 takes a free port.
 
     Raises:
-        ServerError: The host is not an address of this machine, or the port is in use.
+        ServerError: The host is not an address of this machine, or the port is in use or needs more rights.
     """
     host = settings.host.strip("[]")
     try:
@@ -220,10 +221,15 @@ def listen(settings: ServerSettings) -> socket.socket:
         bound.listen()  # two sockets can bind to one address but only one can listen: report that here
     except OSError as error:
         bound.close()
-        raise ServerError(
-            f"port: cannot listen on {settings.host}:{settings.port} ({os.strerror(error.errno or 0)}); stop the "
-            "process that listens there, or choose another --port"
-        ) from error
+        reason = os.strerror(error.errno or 0)
+        if error.errno == errno.EADDRNOTAVAIL:
+            problem = f"host: {settings.host!r} is not an address of this machine ({reason}); choose another --host"
+        else:
+            advice = "stop the process that listens there, or choose another --port"
+            if error.errno in (errno.EACCES, errno.EPERM):
+                advice = "use a --port from 1024 on"
+            problem = f"port: cannot listen on {settings.host}:{settings.port} ({reason}); {advice}"
+        raise ServerError(problem) from error
     return bound
 
 

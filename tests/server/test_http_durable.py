@@ -481,6 +481,15 @@ def test_without_a_directory_nothing_is_durable():
         assert "state" not in server.call("GET", "/readyz").json
 
 
+def test_a_directory_without_locks_is_not_said_to_be_used(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with pytest.raises(ServerError, match=r"state: cannot be locked \(No locks available\); choose a folder"):
+        server_on(tmp_path / "state")
+
+
 def test_two_servers_do_not_share_a_directory(tmp_path):
     with (
         server_on(tmp_path / "state"),

@@ -12,6 +12,9 @@ import cv2
 import numpy as np
 import pytest
 from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.x509.oid import NameOID
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -254,10 +257,26 @@ def test_the_state_folder_follows_the_xdg_variable(monkeypatch, tmp_path):
     assert lan.state_folder() == tmp_path / ".local" / "state" / "roomlight"
 
 
+def short_certificate():
+    """Return a certificate of a key of 1,024 bits, and its key."""
+    key, today = rsa.generate_private_key(65_537, 1024), datetime.datetime.now(datetime.UTC)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "short")])
+    made = x509.CertificateBuilder(name, name, key.public_key(), 1, today, today + datetime.timedelta(days=1))
+    pem, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    return made.sign(key, hashes.SHA256()).public_bytes(pem) + key.private_bytes(
+        pem, form, serialization.NoEncryption()
+    )
+
+
 def test_certificates_are_checked_at_the_start(files, tmp_path):
     other, _ = tls.ensure_certificate(tmp_path, NAMES)
-    with pytest.raises(ServerError, match="cannot be used"):
+    with pytest.raises(ServerError, match="does not belong to the file's first certificate; the server's own must"):
         load_settings(tls_cert=other, tls_key=files[1])
+    with pytest.raises(ServerError, match=r"without a tls_key: cannot be used .* give the key with --tls-key"):
+        load_settings(tls_cert=other)
+    (tmp_path / "short.pem").write_bytes(short_certificate())
+    with pytest.raises(ServerError, match=r"too short; RSA needs 2,048 bits"):
+        load_settings(tls_cert=tmp_path / "short.pem")
     with pytest.raises(ServerError, match="cannot be used"):
         load_settings(tls_cert=tmp_path / "none.pem")
     with pytest.raises(ServerError, match="needs a certificate"):

@@ -1,8 +1,11 @@
 """Settings: environment, flags, token files, and the address that needs a token."""
 
+import contextlib
+import http.client
 import json
 import logging
 import os
+import socket
 import sys
 
 import pytest
@@ -87,9 +90,49 @@ def test_an_address_beyond_loopback_needs_a_token(monkeypatch, host):
     assert load_settings(host=host).host == host
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "::1", "[::1]", "localhost"])
+@pytest.mark.parametrize(
+    "host", ["127.0.0.1", "127.1.2.3", "::1", "[::1]", "localhost", "LOCALHOST", "::ffff:127.0.0.1", "::FFFF:7f00:1"]
+)
 def test_a_loopback_address_needs_no_token(host):
     assert load_settings(host=host).is_loopback
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8090", "[::1]:8090", "localhost:", "http://127.0.0.1", "127.0.0.1/"])
+def test_a_host_with_a_port_or_a_scheme_is_refused_as_such(host):
+    """It was said to be reached from other machines."""
+    with pytest.raises(
+        ServerError, match=r"--host: .*: give a name or an address, without scheme and path; --port has"
+    ):
+        load_settings(host=host)
+
+
+def test_a_server_answers_for_the_loopback_address_that_it_listens_on():
+    with RunningServer(host="127.1.2.3") as server:
+        for host, status in (("127.1.2.3:8090", 200), ("127.0.0.1", 200), ("127.1.2.4", 403)):
+            connection = http.client.HTTPConnection("127.1.2.3", server.port)
+            with contextlib.closing(connection):
+                connection.request("GET", "/v1/sessions", headers={"Host": host})
+                assert connection.getresponse().status == status
+
+
+def test_a_token_that_is_given_twice_is_one(monkeypatch, tmp_path):
+    """The limits of a token were halved, as if there were two."""
+    path = tmp_path / "tokens"
+    path.write_text(f"{TOKEN}\n{TOKEN}\n")
+    monkeypatch.setenv("ROOMLIGHT_TOKENS", TOKEN)
+    settings = load_settings(token_file=path)
+    assert settings.tokens == (TOKEN,)
+    assert not settings.several_owners
+
+
+def test_a_token_file_is_read_as_editors_write_it(tmp_path):
+    path = tmp_path / "tokens"
+    path.write_text(f"\ufeff{TOKEN}\n{TOKEN}#2 # the second\n\t# none\n", "utf-8")
+    assert load_settings(token_file=path).tokens == (TOKEN, f"{TOKEN}#2")
+    path.write_text(f"# ours\n{TOKEN}\n{TOKEN} two\n")
+    with pytest.raises(ServerError, match=r"tokens, line 3: a token must be 16 to 512 .* without spaces") as caught:
+        load_settings(token_file=path)
+    assert TOKEN not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -151,6 +194,16 @@ def test_unusable_weights_are_reported_before_listening(untrained_video):
         serve(ServerSettings(model="video", weights=untrained_video, port=0), listening=print)
 
 
+def test_a_port_that_needs_rights_is_not_said_to_be_in_use(monkeypatch):
+    class Denied(socket.socket):
+        def bind(self, _):
+            raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("roomlight_server.serving.socket.socket", Denied)
+    with pytest.raises(ServerError, match=r"127\.0\.0\.1:80 \(Permission denied\); use a --port from 1024 on"):
+        listen(ServerSettings(port=80))
+
+
 def test_an_unusable_address_is_named():
     free = ServerSettings(port=0)
     with listen(free) as first:
@@ -158,7 +211,7 @@ def test_an_unusable_address_is_named():
         assert address_of(free, port) == f"http://127.0.0.1:{port}"
         with pytest.raises(ServerError, match=rf"127\.0\.0\.1:{port}.*Address already in use.*--port"):
             listen(ServerSettings(port=port))
-    with pytest.raises(ServerError, match=r"192\.0\.2\.1"):  # an address kept for documentation
+    with pytest.raises(ServerError, match=r"host: '192\.0\.2\.1' is not an address of .*--host"):  # of documentation
         listen(ServerSettings(host="192.0.2.1", port=0))
     with pytest.raises(ServerError, match="not an address"):
         listen(ServerSettings(host="no such host", port=0))

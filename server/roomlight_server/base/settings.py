@@ -28,6 +28,7 @@ _OF_LAN: Final = {"ROOMLIGHT_ON_LAN", "ROOMLIGHT_PHONES_FILE"}
 """Variables that `--lan` makes needless."""
 _OF_LINKS: Final = re.compile(r"ROOMLIGHT_(SERVICE_(HOST|PORT)|PORT_[0-9]+_|NAME$|ENV_)")
 """What Kubernetes and Docker set in containers beside one that is called roomlight."""
+_TOKEN_RULE: Final = "a token must be 16 to 512 printable ASCII characters without spaces"
 _LISTS: Final = ("tokens", "allow_origins", "allow_hosts")
 
 WordList = Annotated[tuple[str, ...], NoDecode]
@@ -41,7 +42,8 @@ class ServerSettings(BaseSettings):
         host: Address to listen on. Any but loopback needs a token.
         port: Port; 0 takes any free one.
         tokens: Bearer tokens. A session belongs to the token that opened it. Without tokens: loopback only.
-        token_file: File of more bearer tokens, one per line; `#` starts a comment. Or set ROOMLIGHT_TOKENS.
+        token_file: File of more bearer tokens, one per line; `#` starts a comment, but not in a token. Or set
+            ROOMLIGHT_TOKENS.
         allow_origins: Web origin whose pages may use the server (CORS and WebSocket), or *. Repeatable.
         allow_hosts: Name or address that the header `Host` may have. Repeatable. Default: any. Without a token
             those of loopback are allowed besides, and by default no other.
@@ -195,13 +197,20 @@ class ServerSettings(BaseSettings):
             prepared["tokens"] = (*prepared.get("tokens", ()), *_read_tokens(Path(prepared["token_file"])))
         return prepared
 
+    @field_validator("host")
+    @classmethod
+    def _check_host(cls, host: str) -> str:
+        if "/" in host or re.fullmatch(r"[^:]*:\d*|\[.*\]:\d*", host):
+            raise ValueError("give a name or an address, without scheme and path; --port has the port")
+        return host.lower()
+
     @field_validator("tokens")
     @classmethod
     def _check_tokens(cls, tokens: tuple[str, ...]) -> tuple[str, ...]:
         for token in tokens:
-            if not 16 <= len(token) <= 512 or not token.isascii() or not token.isprintable() or " " in token:
-                raise ValueError("a token must be 16 to 512 printable ASCII characters without spaces")
-        return tokens
+            if not _is_token(token):
+                raise ValueError(_TOKEN_RULE)
+        return tuple(dict.fromkeys(tokens))
 
     @field_validator("allow_origins")
     @classmethod
@@ -270,7 +279,8 @@ class ServerSettings(BaseSettings):
     def is_loopback(self) -> bool:
         """Whether only this machine can reach the address."""
         try:
-            return ip_address(self.host.strip("[]")).is_loopback
+            address = ip_address(self.host.strip("[]"))
+            return (getattr(address, "ipv4_mapped", None) or address).is_loopback
         except ValueError:
             return self.host == "localhost"
 
@@ -326,12 +336,19 @@ def _describe(error: ValidationError, given: dict[str, Any]) -> str:
     return f"{source}: {ascii(first['input'])[:100]}: {rule_text(first['msg'])}"
 
 
+def _is_token(token: str) -> bool:
+    return 16 <= len(token) <= 512 and token.isascii() and token.isprintable() and " " not in token
+
+
 def _read_tokens(path: Path) -> list[str]:
     try:
-        lines = path.read_text().splitlines()
+        lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ServerError(f"{path}: cannot read the token file ({error})") from error
-    tokens = [line.partition("#")[0].strip() for line in lines]
+    tokens = [re.sub(r"(^|\s)#.*", "", line).strip() for line in lines]
     if not any(tokens):
         raise ServerError(f"{path}: the token file contains no token; write one per line, 16 characters or more")
+    for number, token in enumerate(tokens, 1):
+        if token and not _is_token(token):
+            raise ServerError(f"{path}, line {number}: {_TOKEN_RULE}")
     return [token for token in tokens if token]

@@ -24,6 +24,12 @@ KEY, CERTIFICATE = "lan-key.pem", "lan-certificate.pem"
 DAYS: Final = 397
 """Longest life of a certificate that browsers accept (CA/Browser Forum, ballot SC31)."""
 RENEWAL_DAYS: Final = 30
+_RULES: Final = {
+    "KEY_VALUES_MISMATCH": "the key does not belong to the file's first certificate; the server's own must come first, "
+    "then the one that signed it",
+    "EE_KEY_TOO_SMALL": "the key of the certificate is too short; RSA needs 2,048 bits",
+}
+"""What must hold, by OpenSSL's reason."""
 _SKEW: Final = datetime.timedelta(days=1)  # a phone's clock may be behind
 
 
@@ -152,6 +158,10 @@ def check_certificate(certificate: Path, key: Path | None) -> None:
         ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate, key, password="")
     except (OSError, ValueError) as error:  # SSLError is an OSError
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
-        files = f"tls_cert {certificate} with tls_key {key or certificate}"
-        rule = "both must be PEM files, the key not encrypted"
-        raise ServerError(f"{files}: cannot be used ({reason}); {rule}") from error
+        if key is None:
+            files = f"tls_cert {certificate} without a tls_key"
+            rule = "give the key with --tls-key; or the PEM file must have the key too, not encrypted"
+        else:
+            files = f"tls_cert {certificate} with tls_key {key}"
+            rule = "both must be PEM files, the key not encrypted"
+        raise ServerError(f"{files}: cannot be used ({reason}); {_RULES.get(str(reason), rule)}") from error

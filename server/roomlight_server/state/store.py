@@ -386,6 +386,9 @@ def _locked(root: Path, sessions: Path, shared: bool) -> int:
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError as error:
         os.close(descriptor)
+        if not isinstance(error, BlockingIOError):
+            advice = "choose a folder of a file system that has locks"
+            raise ServerError(f"state_dir: {root}: cannot be locked ({error.strerror}); {advice}") from error
         advice = "stop it, choose another folder, or set state_shared for all of them"
         raise ServerError(f"state_dir: {root}: is used by another server; {advice}") from error
     return descriptor
