@@ -15,15 +15,24 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar, cast
 
+from roomlight.errors import OptionError
+
 _Item = TypeVar("_Item")
 _pauses = threading.local()
 
 
 def thread_count() -> int:
-    """Return the threads used for one request: `ROOMLIGHT_THREADS`, or the cores of this process, at most 8."""
-    setting = os.environ.get("ROOMLIGHT_THREADS", "")
+    """Return the threads used for one request: `ROOMLIGHT_THREADS`, or the cores of this process, at most 8.
+
+    Raises:
+        OptionError: The variable is no whole number above 0.
+    """
+    setting = os.environ.get("ROOMLIGHT_THREADS", "").strip()
     if setting.isdecimal() and int(setting) > 0:
         return int(setting)
+    if setting:
+        rule = "must be a whole number from 1 on; without it, the cores of this process count"
+        raise OptionError(f"ROOMLIGHT_THREADS: {ascii(setting)[:100]}: {rule}")
     return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 

@@ -26,6 +26,7 @@ from roomlight_server.app import create_app
 from roomlight_server.base.logs import configure_logging, native_lines_logged
 from roomlight_server.base.problems import ProblemError
 from roomlight_server.base.settings import ServerSettings
+from roomlight_server.base.tls import warn_if_expired
 from roomlight_server.routes.context import Context
 from roomlight_server.transport.http_protocol import HttpProtocol
 from roomlight_server.transport.lan import phone_url
@@ -294,6 +295,8 @@ def serve(
         configure_logging(settings.log_level)
         sys.setswitchinterval(SWITCH_S)
         allow_files(settings.max_connections)
+        if settings.tls_cert is not None:
+            warn_if_expired(settings.tls_cert)
         app = create_app(settings, when_ready=freeze_garbage_collector)
         context: Context = app.state.context
         context.workers.load(graphs)

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomlight import threads
+from roomlight.errors import OptionError
 from roomlight.threads import parallel_for, read_ahead, thread_count
 
 
@@ -126,14 +127,21 @@ def test_loops_share_a_helper_piece_by_piece():
     held.end()
 
 
-def test_the_environment_sets_the_thread_count_unless_it_is_invalid(monkeypatch):
+def test_the_environment_sets_the_thread_count(monkeypatch):
     monkeypatch.delenv("ROOMLIGHT_THREADS", raising=False)
     default = thread_count()
     assert 1 <= default <= 8
-    valid = {"3": 3, "1": 1, "64": 64}
-    for variable, count in (valid | dict.fromkeys(("", "0", "-2", "many", "²"), default)).items():
+    for variable, count in {"3": 3, "1": 1, " 64 ": 64, "": default}.items():
         monkeypatch.setenv("ROOMLIGHT_THREADS", variable)
         assert thread_count() == count
+
+
+@pytest.mark.parametrize("threads", ["0", "-2", "1.5", "many", "²"])
+def test_a_thread_count_that_is_none_is_refused(monkeypatch, threads):
+    """It was ignored."""
+    monkeypatch.setenv("ROOMLIGHT_THREADS", threads)
+    with pytest.raises(OptionError, match=r"ROOMLIGHT_THREADS: '.*': must be a whole number from 1 on; without it"):
+        thread_count()
 
 
 @pytest.mark.parametrize("threads", ["1", "2"])

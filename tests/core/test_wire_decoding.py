@@ -180,6 +180,16 @@ def test_depth_of_low_confidence_becomes_unknown(encoding):
         assert (frame.depth_m[0] > 0).sum() == known
 
 
+@pytest.mark.parametrize("encoding", ["raw", "zstd", "png"])
+def test_a_confidence_beyond_high_is_refused(encoding):
+    """255 counted as high."""
+    levels = np.ones((HEIGHT, WIDTH), np.uint8)
+    levels[7, 9] = 255
+    data = {"raw": levels.tobytes(), "zstd": compress(levels.tobytes()), "png": png(levels)}[encoding]
+    with pytest.raises(WireError, match=r"must be 0 \(low\), 1 \(medium\) or 2 \(high\); got a pixel of 255"):
+        decode_frame(message(confidence=(encoding, data)), 0)
+
+
 def test_exposure_drifts_where_nothing_states_it():
     linear = ("linear_f32", np.ones((HEIGHT, WIDTH, 3), "<f4").tobytes() + bytes(HEIGHT * WIDTH))
     assert decode_frame(message(), 0).auto_exposed

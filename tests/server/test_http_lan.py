@@ -257,6 +257,17 @@ def test_the_state_folder_follows_the_xdg_variable(monkeypatch, tmp_path):
     assert lan.state_folder() == tmp_path / ".local" / "state" / "roomlight"
 
 
+@pytest.mark.parametrize(("days", "warnings"), [(-500, 1), (-30, 0), (30, 1)])
+def test_a_certificate_that_is_not_valid_now_is_named_at_the_start(tmp_path, capfd, days, warnings):
+    """Clients refused it, and the server said nothing."""
+    made = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=days)
+    certificate, key = tls.ensure_certificate(tmp_path, NAMES, now=made)
+    settings = load_settings(tls_cert=certificate, tls_key=key, recordings_folder=certificate)
+    with pytest.raises(ServerError, match="recordings_folder"):  # it does not start
+        serving.serve(settings, listening=print)
+    assert capfd.readouterr().err.count("the certificate is not valid now") == warnings
+
+
 def short_certificate():
     """Return a certificate of a key of 1,024 bits, and its key."""
     key, today = rsa.generate_private_key(65_537, 1024), datetime.datetime.now(datetime.UTC)

@@ -116,6 +116,8 @@ def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh 
     if message.confidence is None or message.header.confidence is None:
         return depth_m
     confidence = _confidence(message.header.confidence, message.confidence)
+    if (highest := confidence.max()) > 2:
+        raise _error("confidence", f"a pixel of {highest}", "each pixel must be 0 (low), 1 (medium) or 2 (high)")
     trusted = np.where(confidence >= min_confidence, depth_m, np.float32(0))
     if not trusted.any():
         rule = f"at least one pixel with known depth must have a confidence of {min_confidence} or more"

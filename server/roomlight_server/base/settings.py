@@ -15,7 +15,8 @@ from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.engine.networks.providers import Provider
 from roomlight.engine.options import ModelName, SessionOptions
 from roomlight.engine.surface.keyframes import DEFAULT_KEYFRAMES
-from roomlight.errors import ServerError
+from roomlight.errors import OptionError, ServerError
+from roomlight.threads import thread_count
 from roomlight.wire.frame_message import FrameLimits, rule_text
 from roomlight_server.base.tls import check_certificate
 from roomlight_server.base.web_origins import checked_host, checked_origin
@@ -49,7 +50,8 @@ class ServerSettings(BaseSettings):
             those of loopback are allowed besides, and by default no other.
         tls_cert: Certificate chain in PEM; the server then speaks HTTPS. Default with --lan: made and kept.
         tls_key: Private key of the certificate in PEM.
-        public_url: Address by which a phone reaches the server; `/v1/pairing` returns it.
+        public_url: Address by which a phone reaches the server, as `https://light.example.org:8090`; `/v1/pairing`
+            returns it.
         on_lan: The host is the address by which phones reach the server; listen on loopback besides.
         phones_file: File of the paired phones. Default: they are known until the server stops; with --lan: kept.
         phone_expiry_s: Time for which the token of a paired phone is valid.
@@ -222,6 +224,15 @@ class ServerSettings(BaseSettings):
     def _check_hosts(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(map(checked_host, hosts))
 
+    @field_validator("public_url")
+    @classmethod
+    def _check_public_url(cls, url: str | None) -> str | None:
+        if url is None:
+            return None
+        if url.partition("://")[0].lower() not in ("http", "https"):
+            raise ValueError("must begin with https:// or http://, as https://light.example.org")
+        return checked_origin(url)
+
     @property
     def session_options(self) -> SessionOptions:
         """Options of the engine on which those of each session are based."""
@@ -324,6 +335,10 @@ def _check_variables(given: dict[str, Any]) -> None:
             f"{PREFIX}PORT is {os.environ[PREFIX + 'PORT'][:100]}, which Kubernetes sets for a Service of the name "
             "roomlight; set enableServiceLinks: false in the pod, or name the Service otherwise"
         )
+    try:
+        thread_count()
+    except OptionError as error:
+        raise ServerError(str(error)) from error
 
 
 def _describe(error: ValidationError, given: dict[str, Any]) -> str:

@@ -6,6 +6,7 @@ trusting it. The certificate is made again shortly before it expires, and when a
 """
 
 import datetime
+import logging
 import os
 import ssl
 from collections.abc import Iterable
@@ -20,6 +21,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from roomlight.errors import ServerError
 
+_log = logging.getLogger("roomlight.server")
 KEY, CERTIFICATE = "lan-key.pem", "lan-certificate.pem"
 DAYS: Final = 397
 """Longest life of a certificate that browsers accept (CA/Browser Forum, ballot SC31)."""
@@ -146,6 +148,15 @@ def fingerprint(certificate: Path) -> str:
     except (OSError, ValueError) as error:
         raise ServerError(f"tls_cert: {certificate} is not a readable certificate ({error})") from error
     return first.fingerprint(hashes.SHA256()).hex(":").upper()
+
+
+def warn_if_expired(certificate: Path) -> None:
+    """Log a warning if a certificate has expired, or is not valid yet."""
+    first = x509.load_pem_x509_certificate(certificate.read_bytes())
+    began, ends = first.not_valid_before_utc, first.not_valid_after_utc
+    if not began <= datetime.datetime.now(datetime.UTC) <= ends:
+        valid = {"file": str(certificate), "valid_from": began.isoformat(), "valid_to": ends.isoformat()}
+        _log.warning("the certificate is not valid now: clients will refuse it; renew it", extra=valid)
 
 
 def check_certificate(certificate: Path, key: Path | None) -> None:

@@ -24,6 +24,7 @@ from roomlight.errors import OutputError, ServerError
 from roomlight.files import write_durable
 from roomlight_server.base.logs import configure_logging
 from roomlight_server.base.settings import ServerSettings
+from roomlight_server.base.tls import warn_if_expired
 from roomlight_server.serving import KEEP_ALIVE_S, STOP_S, address_of, listen
 
 _log = logging.getLogger("roomlight.server")
@@ -71,6 +72,8 @@ def serve_on_ray(settings: ServerSettings, *, replicas: int, listening: Callable
         _set_token(settings.state_dir)
     ray, serve = load_ray()
     configure_logging(settings.log_level)
+    if settings.tls_cert is not None:
+        warn_if_expired(settings.tls_cert)
     port = _free_port(settings)
     settings = settings.model_copy(update={"port": port})
     stopped = threading.Event()
