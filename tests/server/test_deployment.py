@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import tomllib
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from http_servers import RunningServer
 from present import present
 from roomlight_server.base.settings import ServerSettings, load_settings
 
@@ -75,6 +77,19 @@ def test_the_dockerfile_parses_and_finds_its_files():
     assert json.loads(health[health.index("[") :])[:2] == ["python", "-c"]
 
 
+def test_the_health_check_does_not_ask_a_proxy():
+    """With `HTTP_PROXY` set, as for downloads, each container was unhealthy."""
+    health = next(rest for word, rest in instructions("Dockerfile") if word == "HEALTHCHECK")
+    code = json.loads(health[health.index("[") :])[2]
+    with RunningServer() as server, socket.create_server(("127.0.0.1", 0)) as closed:
+        proxy = f"http://127.0.0.1:{closed.getsockname()[1]}"
+        command = [sys.executable, "-c", code.replace("8090", str(server.port)).replace("timeout=2", "timeout=60")]
+        environment = {key: value for key, value in os.environ.items() if key.lower() != "no_proxy"}
+        environment |= {"http_proxy": proxy, "HTTP_PROXY": proxy}
+        closed.close()  # nobody listens there
+        subprocess.run(command, env=environment, check=True)
+
+
 def test_the_image_gets_every_package():
     """Only what `.dockerignore` names is copied into the build."""
     named = {line.removeprefix("!") for line in text("Dockerfile.dockerignore").splitlines() if line.startswith("!")}
@@ -123,6 +138,10 @@ def test_the_address_of_a_client_is_not_what_it_writes():
     """The log has the address of a wrong token, and named the one that the client wrote."""
     assert "proxy_set_header X-Forwarded-For $remote_addr;" in text("nginx.conf")
     assert manager_of_envoy()["use_remote_address"] is True
+
+
+def test_paths_are_compared_as_the_server_reads_them():
+    assert manager_of_envoy()["normalize_path"] is True  # `/v1/../metrics` was no `/metrics`; nginx does it by itself
 
 
 def test_the_entry_point_starts_with_a_writable_cache(tmp_path):
