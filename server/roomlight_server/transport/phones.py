@@ -4,12 +4,15 @@ The operator is who has a token of the server's settings. A phone's owner is the
 so that a phone has sessions of its own and the operator finds them. Only digests of tokens are stored.
 """
 
+import fcntl
 import hashlib
 import json
 import logging
+import os
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -70,13 +73,7 @@ class Phones:
         """
         self._file, self._expiry_s, self._clock, self._now = file, expiry_s, clock, now
         self._links: dict[str, tuple[str, float]] = {}  # operator and expiry, by the code's digest
-        self._phones: dict[str, Phone] = {}
-        if file is not None and file.exists():
-            try:
-                self._phones = _FILE.validate_json(file.read_bytes())
-            except (OSError, ValidationError) as error:
-                advice = "delete it, and pair the phones again"
-                raise ServerError(f"{file}: is no list of phones ({str(error)[:200]}); {advice}") from error
+        self._phones = {} if file is None else _read(file)
 
     def link(self, operator: str) -> str:
         """Return a code that pairs one phone within `LINK_S`.
@@ -114,7 +111,6 @@ class Phones:
             paired_s=now_s,
             expires_s=now_s + self._expiry_s,
         )
-        self._phones = {key: kept for key, kept in self._phones.items() if now_s < kept.expires_s + _KEPT_S}
         self._phones[phone.id] = phone
         self._save()
         _log.info("phone paired", extra={"phone": phone.id})
@@ -153,13 +149,45 @@ class Phones:
         return bool(phone.digest) and self._now() < phone.expires_s
 
     def _save(self) -> None:
+        """Store the phones besides those that another server has stored; one that either has removed stays removed."""
         if self._file is None:
+            self._add({})
             return
-        values = {key: phone.model_dump() for key, phone in self._phones.items()}
         try:
-            write_private(self._file, json.dumps(values, indent=1).encode())
-        except ServerError as error:  # a full disk: phones are as stored before when the server starts again
+            with _locked(self._file.parent):
+                self._add(_read(self._file))
+                values = {key: phone.model_dump() for key, phone in self._phones.items()}
+                write_private(self._file, json.dumps(values, indent=1).encode())
+        except (OSError, ServerError) as error:  # a full disk: as stored before when the server starts again
             _log.error("the phones are not stored: %s", error)
+
+    def _add(self, stored: dict[str, Phone]) -> None:
+        removed = {key: phone for key, phone in self._phones.items() if not phone.digest}
+        phones, now_s = self._phones | stored | removed, self._now()
+        self._phones = {key: phone for key, phone in phones.items() if now_s < phone.expires_s + _KEPT_S}
+
+
+def _read(file: Path) -> dict[str, Phone]:
+    if not file.exists():
+        return {}
+    try:
+        return _FILE.validate_json(file.read_bytes())
+    except (OSError, ValidationError) as error:
+        advice = "delete it, and pair the phones again"
+        raise ServerError(f"{file}: is no list of phones ({str(error)[:200]}); {advice}") from error
+
+
+@contextmanager
+def _locked(folder: Path) -> Generator[None]:
+    """Keep other servers from the files of a folder meanwhile, if its file system has locks."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def check_operator(owner: str) -> None:
