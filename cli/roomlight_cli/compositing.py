@@ -174,7 +174,7 @@ def composite_recording(
                     film.write(picture.image[:height, :width])
                 else:
                     if not count:
-                        _clear(options.out, picture.frame)
+                        _clear(options.out, picture.frame, capture.path)
                     _write_pictures(picture, options, rate)
                 count += 1
     except KeyboardInterrupt:
@@ -201,8 +201,10 @@ class _Watched:
             self._report(name, number, total)
 
 
-def _clear(out: Path, frame: Frame) -> None:
+def _clear(out: Path, frame: Frame, recording: Path) -> None:
     """Remove the pictures and layers of an earlier run, which may have had more frames; other files stay.
+
+    Within the recording's folder all stay, which may be its own.
 
     Raises:
         OutputError: A file cannot be removed, or `out` holds the recording's own pictures.
@@ -211,6 +213,8 @@ def _clear(out: Path, frame: Frame) -> None:
     try:
         if source.match(f"{_STEM}.*") and source.parent.resolve() == out.resolve():
             raise OutputError(f"{out}: holds the recording's own pictures; choose another --out")
+        if out.resolve().is_relative_to(recording.resolve()):
+            return
         for name in (*(f".{ending}" for ending in PICTURE_ENDINGS.values()), *(f"/{layer}" for layer in LAYER_FILES)):
             for file in out.glob(_STEM + name):
                 file.unlink()

@@ -52,6 +52,7 @@ class AsyncClient:
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.AsyncClient(transport=transport, **arguments)
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._has_own_transport = transport is None
         self._retry, self._url = retry or Retry(), url
         self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
         self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT)
@@ -151,7 +152,7 @@ class AsyncClient:
     def _check_loop(self) -> None:
         """Raise RemoteError in another event loop than before: the connections belong to that one."""
         self._loop = self._loop or asyncio.get_running_loop()
-        if self._loop is not asyncio.get_running_loop():
+        if self._has_own_transport and self._loop is not asyncio.get_running_loop():
             raise RemoteError(
                 "this AsyncClient was used in another event loop: make one in each asyncio.run, or do everything in one"
             )

@@ -71,6 +71,11 @@ def test_overwrite_leaves_no_picture_of_an_earlier_run(roomlight, capture, tmp_p
     own = roomlight(*command[:-1], capture / "colour", "--overwrite", "--picture", "jpeg")
     assert "holds the recording's own pictures" in own.err
     assert len(list((capture / "colour").iterdir())) == 3
+    masks = capture / "masks"
+    masks.mkdir()
+    (masks / "000002.png").write_bytes(b"")
+    assert roomlight(*command[:-1], masks, "--overwrite", "--picture", "jpeg", "--max-frames", "1").code == 0
+    assert {path.name for path in masks.iterdir()} == {"000000.jpg", "000002.png"}
 
 
 @pytest.mark.parametrize(

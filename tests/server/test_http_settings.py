@@ -175,7 +175,15 @@ def test_an_invalid_variable_is_named_with_its_rule(monkeypatch, name, value, me
 
 
 def test_what_kubernetes_and_docker_set_beside_a_service_of_this_name_is_passed_over(monkeypatch):
-    for name in ("SERVICE_HOST", "SERVICE_PORT_HTTP", "PORT_8090_TCP", "PORT_8090_TCP_ADDR", "NAME", "ENV_LANG"):
+    for name in (
+        "SERVICE_HOST",
+        "SERVICE_PORT_HTTP",
+        "PORT_8090_TCP",
+        "PORT_8090_TCP_ADDR",
+        "NAME",
+        "REDIS_PORT",
+        "SERVER_SERVICE_HOST",
+    ):
         monkeypatch.setenv(f"ROOMLIGHT_{name}", "tcp://10.96.0.1:8090")
     monkeypatch.setenv("ROOMLIGHT_PORT", "tcp://10.96.0.1:8090")
     assert load_settings(port=0).port == 0

@@ -257,11 +257,12 @@ export class LiveSession {
     if (this.closed) {
       return;
     }
-    if (state === "open") {
-      this.state.connection.value = { state: "live", text: "Live" };
+    const { connection } = this.state;
+    if (state === "open" && connection.value.text !== "Live") {
+      connection.value = { state: "live", text: "Live" }; // once: a screen reader says it each time
     } else if (state === "reconnecting") {
       const text = delay_s >= 1 ? `Reconnecting in ${Math.round(delay_s)} s` : "Reconnecting";
-      this.state.connection.value = { state: "reconnecting", text };
+      connection.value = { state: "reconnecting", text };
     }
   }
 

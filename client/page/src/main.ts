@@ -61,7 +61,12 @@ state.selected.watch((id) => {
 state.selectedProbe.watch(showAddress);
 state.selected.value = wanted.get("session");
 state.wantedProbe = wanted.get("probe");
-addEventListener("hashchange", () => location.reload()); // another address was given to this tab
+addEventListener("hashchange", () => {
+  const given = new URLSearchParams(location.hash.slice(1));
+  if (["session", "probe", "token"].some((key) => given.has(key))) {
+    location.reload(); // another address was given to this tab; the link to the panels is none
+  }
+});
 void poll();
 // A page with a connection is not kept for the Back button.
 addEventListener("pagehide", () => live?.close());

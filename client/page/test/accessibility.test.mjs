@@ -19,6 +19,17 @@ const VIEWS = [
   { width: 844, height: 390, colorScheme: "light" },
 ];
 
+test("the first link leads the keyboard to the panels, and the page stays", async () => {
+  const { page } = await openPage(browser);
+  await page.waitForSelector("#empty:not([hidden])");
+  await page.evaluate(() => (globalThis.isSamePage = true));
+  await page.keyboard.press("Tab");
+  await page.keyboard.press("Enter");
+  await page.waitForFunction(() => location.hash === "#main" && document.activeElement.id === "main");
+  assert.ok(await page.evaluate(() => globalThis.isSamePage));
+  await page.close();
+});
+
 test("the page without a session", async () => {
   for (const view of VIEWS) {
     const { page } = await openPage(browser, view);

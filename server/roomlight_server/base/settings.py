@@ -27,8 +27,8 @@ OTHER_VARIABLES: Final = ("ROOMLIGHT_THREADS", "ROOMLIGHT_FURNITURE", "ROOMLIGHT
 _FLAGS_ALONE: Final = ("ROOMLIGHT_LAN", "ROOMLIGHT_RAY", "ROOMLIGHT_REPLICAS")
 _OF_LAN: Final = {"ROOMLIGHT_ON_LAN", "ROOMLIGHT_PHONES_FILE"}
 """Variables that `--lan` makes needless."""
-_OF_LINKS: Final = re.compile(r"ROOMLIGHT_(SERVICE_(HOST|PORT)|PORT_[0-9]+_|NAME$|ENV_)")
-"""What Kubernetes and Docker set in containers beside one that is called roomlight."""
+_OF_LINKS: Final = re.compile(r"ROOMLIGHT_(\w+_)?(SERVICE_(HOST|PORT)|PORT_[0-9]+_|NAME$|ENV_)")
+"""What Kubernetes and Docker set in containers beside those whose names begin with roomlight."""
 _TOKEN_RULE: Final = "a token must be 16 to 512 printable ASCII characters without spaces"
 _LISTS: Final = ("tokens", "allow_origins", "allow_hosts")
 
@@ -324,7 +324,8 @@ def load_settings(**options: Any) -> ServerSettings:
 def _check_variables(given: dict[str, Any]) -> None:
     known = {PREFIX + name.upper() for name in ServerSettings.model_fields}
     for name in sorted(os.environ):
-        if name.startswith(PREFIX) and name not in known | set(OTHER_VARIABLES) and not _OF_LINKS.match(name):
+        linked = _OF_LINKS.match(name) or (name.endswith("_PORT") and "://" in os.environ[name])
+        if name.startswith(PREFIX) and name not in known | set(OTHER_VARIABLES) and not linked:
             near = difflib.get_close_matches(name, sorted(known - _OF_LAN), n=1, cutoff=0.8)
             advice = f"the nearest known one is {near[0]}" if near else "roomlight serve --help names those that exist"
             if name in _FLAGS_ALONE:

@@ -152,7 +152,10 @@ def fingerprint(certificate: Path) -> str:
 
 def warn_if_expired(certificate: Path) -> None:
     """Log a warning if a certificate has expired, or is not valid yet."""
-    first = x509.load_pem_x509_certificate(certificate.read_bytes())
+    try:
+        first = x509.load_pem_x509_certificate(certificate.read_bytes())
+    except ValueError:  # of a kind that OpenSSL alone reads, such as TRUSTED CERTIFICATE
+        return
     began, ends = first.not_valid_before_utc, first.not_valid_after_utc
     if not began <= datetime.datetime.now(datetime.UTC) <= ends:
         valid = {"file": str(certificate), "valid_from": began.isoformat(), "valid_to": ends.isoformat()}

@@ -472,19 +472,26 @@ def test_lenses_of_a_camera_info_that_are_not_read(tmp_path: Path, model: str, d
 
 
 @pytest.mark.parametrize(
-    ("model", "d"), [("", ()), ("Inverse Brown Conrady", (0.0,) * 5), ("rational_polynomial", (0.0,) * 14)]
+    ("model", "d"),
+    [
+        ("", ()),
+        ("Inverse Brown Conrady", (0.0,) * 5),
+        ("rational_polynomial", (0.0,) * 14),
+        ("perspective", (0.0,) * 5),
+    ],
 )
 def test_names_of_no_lens(tmp_path: Path, model: str, d: tuple[float, ...]) -> None:
     path = with_info(tmp_path / "bag", tool_formats.camera_message("camera_color_optical_frame", model=model, d=d))
     assert next(iter(open_capture(path))).intrinsics.fx == formats.FX
 
 
-def test_librealsenses_names_of_lenses(tmp_path: Path) -> None:
+def test_other_names_of_plumb_bob(tmp_path: Path) -> None:
     focal: list[float] = []
-    for model in ("plumb_bob", "Inverse Brown Conrady"):
+    for model in ("plumb_bob", "plumb bob", "radtan", "Inverse Brown Conrady"):
         info = tool_formats.camera_message("camera_color_optical_frame", model=model, d=(-0.2, 0.05, 0.0, 0.0, 0.0))
         focal.append(next(iter(open_capture(with_info(tmp_path / model, info)))).intrinsics.fx)
-    assert focal[0] == focal[1] != formats.FX
+    assert len(set(focal)) == 1
+    assert focal[0] != formats.FX
 
 
 @pytest.mark.parametrize(("binning", "roi"), [(2, None), (0, (5, 20)), (2, (6, 20))])

@@ -55,13 +55,19 @@ export function uploadsPanel(api: Api, opened: (session: string) => void, failed
   }
   const sample = byId<HTMLButtonElement>("play-sample");
   sample.addEventListener("click", () => {
-    sample.disabled = true; // a double click plays it once
-    void play(RecordingUpload.ofSample(api)).finally(() => (sample.disabled = false));
+    const upload = RecordingUpload.ofSample(api);
+    // a double click plays it once
+    upload.state.watch(({ recording, error }) => (sample.disabled = !recording?.session && error === null));
+    void play(upload);
   });
   listenToDrops((transfer) => void droppedFiles(transfer).then(start, reportError));
   const resume = async () => {
-    const known = new Set([...uploads.keys()].map(({ state }) => state.value.recording?.id));
-    for (const recording of (await api.recordings()).recordings.filter(({ id }) => !known.has(id))) {
+    const { recordings } = await api.recordings();
+    const own = [...uploads.keys()].map(({ state }) => state.value);
+    if (own.some(({ recording, error }) => recording === null && error === null)) {
+      return; // one of this page is among them, and does not know its id yet
+    }
+    for (const recording of recordings.filter(({ id }) => !own.some((upload) => upload.recording?.id === id))) {
       const upload = RecordingUpload.of(api, recording);
       list(upload);
       void upload.watch();

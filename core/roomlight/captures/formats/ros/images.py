@@ -1,5 +1,6 @@
 """Images and cameras of ROS messages."""
 
+import re
 from typing import Any, Final
 
 import cv2
@@ -35,11 +36,14 @@ _CONVERSIONS: Final = {  # OpenCV names Bayer patterns by their second row
     "yuyv": cv2.COLOR_YUV2RGB_YUY2,
 }
 _PLUMB_BOB: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_BROWN: Final = ("brown conrady", "inverse brown conrady", "modified brown conrady")
-"""Librealsense's names; its code projects points by the same polynomial as plumb_bob."""
-_FISHEYES: Final = ("equidistant", "fisheye", "kannala brandt4")
-_STRAIGHT: Final = ("", "none", "pinhole")
-"""Names that stand beside a D of zeros."""
+_MODELS: Final = (
+    *("plumb_bob", "radtan", "rational_polynomial"),
+    *("brown_conrady", "inverse_brown_conrady", "modified_brown_conrady"),
+)
+"""Names of OpenCV's polynomial; the last three are librealsense's, whose code projects points by it."""
+_FISHEYES: Final = ("equidistant", "fisheye", "kannala_brandt4")
+_BENDING: Final = re.compile("fish|equi|kannala|theta|omni|mei|atan|fov|sphere|unified")
+"""Words of models that bend lines even where all of D is 0."""
 
 
 def seconds(header: Any) -> float:
@@ -71,9 +75,9 @@ def camera_of(info: Any, size: tuple[int, int], *, raw: bool) -> Intrinsics:
 
 def lens_of_raw(info: Any) -> Lens:
     """Return the lens of raw images: D. Raises ValueError for a model that is not read, by name."""
-    d, model = _matrix(info, "d"), info.distortion_model.strip().lower()
+    d, model = _matrix(info, "d"), re.sub(r"[\s-]+", "_", info.distortion_model.strip().lower())
     keys = ("k1", "k2", "k3", "k4") if model in _FISHEYES else _PLUMB_BOB
-    known = model in (*_FISHEYES, *_BROWN, "plumb_bob", "rational_polynomial") or (model in _STRAIGHT and not any(d))
+    known = model in (*_FISHEYES, *_MODELS) or not (any(d) or _BENDING.search(model))
     if not known or any(d[len(keys) :]):
         raise ValueError(
             f"distortion_model {info.distortion_model[:40]!r} with D of {len(d)} values is not read, but plumb_bob, "
