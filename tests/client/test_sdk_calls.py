@@ -258,10 +258,14 @@ def test_a_closed_client_says_so_at_once(kind, work):
 
 
 def test_an_async_client_names_its_event_loop():
-    client = AsyncClient("http://room.test", transport=httpx.MockTransport(lambda _: httpx.Response(200)))
-    assert asyncio.run(client.ready())
+    client = AsyncClient("http://127.0.0.1:9", retry=sdk.Retry(attempts=1))
+    with pytest.raises(sdk.UnreachableError):
+        asyncio.run(client.ready())
     with pytest.raises(sdk.RemoteError, match=r"another event loop: make one in each asyncio\.run"):
         asyncio.run(client.ready())
+    own = AsyncClient("http://room.test", transport=httpx.MockTransport(lambda _: httpx.Response(200)))
+    assert asyncio.run(own.ready())
+    assert asyncio.run(own.ready())
 
 
 # --- requests ---------------------------------------------------------------------------------------------------

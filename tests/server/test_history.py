@@ -74,6 +74,21 @@ def test_pictures_count_from_when_they_are_made(workers, drawn):
     asyncio.run(run())
 
 
+def test_a_frame_that_was_wanted_before_the_history_was_full_is_left_out(workers, monkeypatch):
+    monkeypatch.setattr(history, "MAX_DRAWING", 0)
+
+    async def run():
+        kept = history.History(10_000, workers)
+        for index in range(5):
+            record(kept, index)
+        assert kept.next_handles({}) == {}  # the next frame, 5
+        kept._stride = 2  # pictures were made meanwhile
+        record(kept, 5)
+        assert 5 not in [entry.index for entry in kept.listed(-1).entries]
+
+    asyncio.run(run())
+
+
 def test_a_full_history_counts_what_is_left(workers, monkeypatch):
     monkeypatch.setattr(history, "MAX_DRAWING", 0)
 

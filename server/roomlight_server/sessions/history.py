@@ -86,8 +86,9 @@ class History:
             counts: Counts of the session's frames before this one.
             lights: Of the named probes, by `lights_for_history`; None: the frame is not recorded.
         """
+        between = self._frames % self._stride  # pictures may have filled the history since `next_handles`
         self._frames += 1
-        if lights is None:
+        if lights is None or between:
             return
         now_s = self._clock()
         if not self._moments:
