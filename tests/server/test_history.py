@@ -78,7 +78,7 @@ def test_a_frame_that_was_wanted_before_the_history_was_full_is_left_out(workers
     monkeypatch.setattr(history, "MAX_DRAWING", 0)
 
     async def run():
-        kept = history.History(10_000, workers)
+        kept = history.History(10_000_000, workers)
         for index in range(5):
             record(kept, index)
         assert kept.next_handles({}) == {}  # the next frame, 5
