@@ -150,6 +150,7 @@ def test_a_prior_is_written_if_its_folder_can_be(made, tmp_path, run, monkeypatc
     assert {path.name for path in (tmp_path / "new" / "prior").iterdir()} == {"prior.npz", "model.json"}
 
 
+@pytest.mark.slow
 def test_ctrl_c_stops_and_the_same_command_continues(tmp_path, monkeypatch, run):
     monkeypatch.setenv("STUB_ROOMS", str(tmp_path))
     (tmp_path / "steer.json").write_text(json.dumps({"gate": [1, 0]}))

@@ -253,6 +253,7 @@ def test_an_ambiguous_orientation_needs_an_option(room):
     assert (kept.depth_m == stored(shot.depth_m, 3)).all()
 
 
+@pytest.mark.slow
 def test_a_video_alone_is_lit_by_all_its_frames(tmp_path, roomlight):
     frames = list(islice(open_capture(sample_capture()), 6))
     with VideoWriter(tmp_path / "walk.mp4", frames_per_second=5.0) as writer:

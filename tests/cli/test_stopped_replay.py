@@ -142,6 +142,7 @@ def test_a_stopped_replay_goes_on_with_the_same_bits(capture, tmp_path, options)
     assert_same(out, tmp_path / "whole")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures", "no_pictures")
 def test_a_full_disk_stops_a_replay_that_goes_on_later(capture, tmp_path, monkeypatch):
     calls = []

@@ -106,6 +106,7 @@ def test_replay_folder(tmp_path: Path) -> None:
     assert printed.count("% of the directions observed") == 3
 
 
+@pytest.mark.slow
 def test_virtual_object(tmp_path: Path) -> None:
     printed = run_example("virtual_object", "--frames", 2, cwd=tmp_path)
     files = sorted((tmp_path / "out/virtual_object").iterdir())
@@ -118,6 +119,7 @@ def test_virtual_object(tmp_path: Path) -> None:
     assert all(0.5 < share < 30 for share in covered)
 
 
+@pytest.mark.slow
 def test_light_one_photo(tmp_path: Path) -> None:
     run_example("light_one_photo", cwd=tmp_path)
     out = tmp_path / "out/light_one_photo"

@@ -112,6 +112,7 @@ def test_augmented_panoramas_stay_consistent():
         assert torch.allclose(batch.panels[:, 6:9][known], batch.truth[known], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_it_learns_what_its_examples_show(tmp_path):
     stage = ObjectsStage(SHORT, half_rooms(6), half_rooms(2))
     run = Run(stage, tmp_path / "run")

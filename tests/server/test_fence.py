@@ -164,6 +164,7 @@ def test_each_request_finds_that_the_session_moved(pair, path):
     assert moved(second.call("GET", "/v1/sessions/room"))
 
 
+@pytest.mark.slow
 def test_lost_frames_are_asked_for_and_light_is_the_same(tmp_path):
     with RunningServer() as whole:
         filled(whole, 5)

@@ -132,6 +132,7 @@ def test_a_closed_stream_cancels_its_light(server, held_light):
     assert held_light.calls == 1
 
 
+@pytest.mark.slow
 def test_late_probes_of_an_owner_are_bounded(held_light):
     """Twenty posts of 64 points waited in the queue."""
     with RunningServer(max_owner_late_probes=128) as server:
@@ -451,6 +452,7 @@ def test_unread_answers_of_one_owner_leave_memory_for_others():
             connection.close()
 
 
+@pytest.mark.slow
 def test_unread_messages_stop_the_reading_of_a_stream():
     """15,000 messages whose answers nobody reads: the server stops reading, and others are served."""
     with RunningServer(tokens=(A, B)) as server:

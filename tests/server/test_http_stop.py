@@ -62,6 +62,7 @@ def test_a_stop_under_load_drains_saves_and_ends(tmp_path, number):
             assert light[0].headers["etag"] == light[1].headers["etag"]
 
 
+@pytest.mark.slow
 def test_a_request_that_the_stop_ends_is_told_so(monkeypatch, caplog):
     """It was a 500, and an error with a traceback in the log."""
     begun, free = threading.Event(), threading.Event()

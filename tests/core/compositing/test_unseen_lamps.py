@@ -96,6 +96,7 @@ def test_a_lamp_is_found_by_the_shadow_of_a_block(lit):
     assert np.degrees(np.arccos(brightest @ TOWARD)) < 25
 
 
+@pytest.mark.slow
 def test_no_lamp_is_found_without_a_shadow_or_by_a_pattern():
     for light in ({"lamp": 0.0}, {"lamp": 0.0, "pattern": 0.4}):
         assert lamps(*shown(**light)) is None

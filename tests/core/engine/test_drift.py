@@ -54,6 +54,7 @@ def _gain(*frames):
     return session.snapshot().drift.gain
 
 
+@pytest.mark.slow
 def test_light_is_as_without_drift():
     steady, error = _run([_exposed(frame) for frame in FRAMES])
     drifting = [_exposed(frame, gain) for frame, gain in zip(FRAMES, GAINS, strict=True)]

@@ -96,6 +96,7 @@ def test_a_panorama_needs_a_frame_and_a_handle():
         session.panorama_state(7)
 
 
+@pytest.mark.slow
 def test_learned_parts_run_without_torch(tmp_path):
     write_part(tmp_path / "clipping", "clipping", constant=1.0)
     write_part(tmp_path / "objects", "objects", constant=0.1)
