@@ -22,7 +22,7 @@ from roomlight.compositing.placement.scene import Scene, load_scene
 from roomlight.compositing.recordings import composite_capture, scene_of_object
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError, OutputError
-from roomlight.files import check_writable, write_atomic
+from roomlight.files import check_writable, remove_outputs, write_atomic
 from roomlight.frame import Frame
 from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.video_writer import VideoWriter
@@ -215,14 +215,10 @@ def _clear(out: Path, frame: Frame, recording: Path) -> None:
             raise OutputError(f"{out}: holds the recording's own pictures; choose another --out")
         if out.resolve().is_relative_to(recording.resolve()):
             return
-        for name in (*(f".{ending}" for ending in PICTURE_ENDINGS.values()), *(f"/{layer}" for layer in LAYER_FILES)):
-            for file in out.glob(_STEM + name):
-                file.unlink()
-        for folder in out.glob(_STEM):
-            if folder.is_dir() and not any(folder.iterdir()):
-                folder.rmdir()
     except OSError as error:
         raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
+    pictures = (f"{_STEM}.{ending}" for ending in PICTURE_ENDINGS.values())
+    remove_outputs(out, (*pictures, *(f"{_STEM}/{layer}" for layer in LAYER_FILES)), folders=_STEM)
 
 
 def _write_pictures(picture: Composite, options: CompositeOptions, rate: float | None) -> None:

@@ -15,8 +15,8 @@ from annotated_types import Interval
 from roomlight.conventions import Position
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.errors import OptionError, OutputError
-from roomlight.files import check_writable, write_json
+from roomlight.errors import OptionError
+from roomlight.files import check_writable, remove_outputs, write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr, write_png
 from roomlight.imaging.drawing import LABEL_ROWS, Canvas
@@ -165,15 +165,10 @@ def _forget(out: Path) -> None:
     Raises:
         OutputError: A file cannot be removed.
     """
-    endings = {".png", "-spheres.png", *ENDINGS.values()}
-    try:
-        if (out / _REPORT).is_file():
-            for name in ("probe-" + digits + end for digits in ("[0-9]" * 2, "[0-9]" * 3) for end in endings):
-                for file in out.glob(name):
-                    file.unlink()
-            (out / _REPORT).unlink()
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
+    if (out / _REPORT).is_file():
+        endings = {".png", "-spheres.png", *ENDINGS.values()}
+        files = ("probe-" + digits + end for digits in ("[0-9]" * 2, "[0-9]" * 3) for end in endings)
+        remove_outputs(out, (*files, _REPORT))
 
 
 def _spheres(light: Light, view: tuple[float, float, float]) -> np.ndarray:

@@ -7,7 +7,7 @@ import re
 import stat
 import unicodedata
 import urllib.parse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -26,7 +26,7 @@ def write_atomic(path: Path, data: bytes) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    temporary = _beside(path, ".part")
+    temporary = temporary_beside(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.write_bytes(data)
@@ -63,7 +63,7 @@ def check_writable(path: Path) -> None:
         OutputError: it cannot.
     """
     missing: list[Path] = []
-    tried = _beside(path, ".test")  # as long as temporary names are
+    tried = temporary_beside(path, ".test")  # as long as temporary names are
     try:
         if path.parent.exists() and not path.parent.is_dir():
             raise OutputError(f"{path.parent}: is a file; the output needs a folder")
@@ -79,6 +79,23 @@ def check_writable(path: Path) -> None:
                 folder.rmdir()
 
 
+def remove_outputs(out: Path, files: Iterable[str], *, folders: str | None = None) -> None:
+    """Remove what an earlier run left in a folder: files of these patterns, then folders of one that are empty.
+
+    Raises:
+        OutputError: one cannot be removed.
+    """
+    try:
+        for pattern in files:
+            for file in out.glob(pattern):
+                file.unlink()
+        for folder in out.glob(folders) if folders else ():
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
+
+
 def write_durable(path: Path, data: bytes) -> None:
     """Write bytes that survive a loss of power, readable by this user only (0600); otherwise as `write_atomic`.
 
@@ -87,7 +104,7 @@ def write_durable(path: Path, data: bytes) -> None:
     Raises:
         OutputError: the file cannot be written; a file that was there is unchanged.
     """
-    temporary = _beside(path, ".part")
+    temporary = temporary_beside(path)
     try:
         temporary.unlink(missing_ok=True)
         with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
@@ -102,8 +119,8 @@ def write_durable(path: Path, data: bytes) -> None:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
-def _beside(path: Path, ending: str) -> Path:
-    """Return a name for a temporary file. Raises OutputError where the path names no file."""
+def temporary_beside(path: Path, ending: str = ".part") -> Path:
+    """Return the name of a temporary file or folder beside a path. Raises OutputError where the path names nothing."""
     if not path.name:
         raise OutputError(f"{str(path)!r} names no file to write")
     return path.with_name(f".{path.name}{ending}")

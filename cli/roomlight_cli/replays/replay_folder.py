@@ -16,7 +16,7 @@ from roomlight import __version__
 from roomlight.captures import open_capture
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import OutputError
-from roomlight.files import write_json
+from roomlight.files import remove_outputs, write_json
 from roomlight_cli.replays.pictures import SUMMARY, VIDEO
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_cli.replays.saved_replay import forget_replay
@@ -110,17 +110,8 @@ def claim(out: Path, intent: dict[str, Any]) -> None:
     Raises:
         OutputError: A file cannot be removed or written.
     """
-    try:
-        for file in out.glob(_LIGHT):
-            file.unlink()
-        for folder in out.glob(_FOLDERS):
-            if folder.is_dir() and not any(folder.iterdir()):
-                folder.rmdir()
-        for name in (REPORT, SUMMARY, VIDEO):
-            (out / name).unlink(missing_ok=True)
-        forget_replay(out)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
+    remove_outputs(out, (_LIGHT, REPORT, SUMMARY, VIDEO), folders=_FOLDERS)
+    forget_replay(out)
     write_json(out / INTENT, intent)
 
 

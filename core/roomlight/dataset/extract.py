@@ -7,7 +7,7 @@ from pathlib import Path
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.sequence_files import CAPTURE
 from roomlight.errors import OutputError
-from roomlight.files import move_folder, write_atomic
+from roomlight.files import move_folder, temporary_beside, write_atomic
 
 
 def extract(dataset: Dataset, name: str, out: Path) -> None:
@@ -27,7 +27,7 @@ def write_capture(files: Mapping[str, bytes | memoryview], out: Path) -> None:
         OutputError: `out` is not empty, or cannot be written.
     """
     target = out.absolute()  # `.` has no name
-    partial = target.with_name(f".{target.name}.part")
+    partial = temporary_beside(target)
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise OutputError(f"{out}: exists already; choose another folder or delete it")

@@ -20,7 +20,7 @@ from typing import Any
 
 from roomlight.dataset.archive import end_of_archive
 from roomlight.errors import DatasetError, OutputError
-from roomlight.files import sync_folder
+from roomlight.files import sync_folder, temporary_beside
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def read_packed(tar: Path, entry: Entry) -> bytes:
 def replace_index(tar: Path, entries: Sequence[Entry]) -> None:
     """Replace a shard's index, atomically. Raises OutputError."""
     path = index_path(tar)
-    partial = path.with_name(f".{path.name}.part")
+    partial = temporary_beside(path)
     with _writing(path):
         with partial.open("wb") as file:
             file.writelines(entry.line() for entry in entries)

@@ -1,8 +1,8 @@
 """A canvas for pictures of results: tone-mapped panoramas, spheres, lines and labels on dark grey.
 
 Tone mapping: radiance clipped to [0, 1], sRGB-encoded. Frames are encoded the same way, so a panorama looks as the room
-does in them. Positions are (column, row) from the top left, in pixels. Text is set in
-Inter (data/fonts, SIL Open Font License).
+does in them. Positions are (column, row) from the top left, in pixels. Text is set in Inter (data/fonts, SIL Open Font
+License).
 """
 
 import unicodedata

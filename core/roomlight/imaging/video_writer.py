@@ -14,6 +14,7 @@ from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from roomlight.errors import OptionError, OutputError
+from roomlight.files import temporary_beside
 
 _BT709: Final = 1
 _SRGB: Final = 13
@@ -39,7 +40,7 @@ class VideoWriter:
         if not 0.1 <= frames_per_second <= 240:
             raise OptionError(f"frames_per_second is {frames_per_second}; it must be 0.1 to 240")
         self.path = path
-        self._temporary = path.with_name(f".{path.name}.part")
+        self._temporary = temporary_beside(path)
         self._rate = Fraction(frames_per_second).limit_denominator(1000)
         self._options = {"crf": str(crf), "preset": "medium"}
         self._container: OutputContainer | None = None
@@ -102,7 +103,7 @@ def join_videos(parts: Sequence[Path], path: Path) -> None:
     Raises:
         OutputError: A part cannot be read, or the file cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.part")
+    temporary = temporary_beside(path)
     try:
         with av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as whole:
             joined: VideoStream | None = None

@@ -17,7 +17,9 @@ class LockedFolder:
     """A new folder, readable by this user alone, and locked while this process lives."""
 
     def __init__(self, parent: Path | None) -> None:
-        """Make the folder in `parent`; by default in the system's folder for temporary files."""
+        """Make the folder in `parent`, which is made too; by default in the system's folder for temporary files."""
+        if parent is not None:
+            parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=parent))
         self._descriptor = os.open(made, os.O_RDONLY | os.O_DIRECTORY)
         fcntl.flock(self._descriptor, fcntl.LOCK_EX)

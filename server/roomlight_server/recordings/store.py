@@ -308,16 +308,12 @@ class RecordingStore:
             self._root.remove()
             self._root = None
         if self._root is None:
-            parent = self._settings.recordings_folder
-            if parent is not None:
-                parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            self._root = LockedFolder(parent)
+            self._root = LockedFolder(self._settings.recordings_folder)
         return self._root.path
 
 
 def _check_folder(folder: Path) -> None:
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         LockedFolder(folder).remove()
     except OSError as error:
         advice = "choose another folder"

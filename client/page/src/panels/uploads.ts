@@ -58,7 +58,7 @@ export function uploadsPanel(api: Api, opened: (session: string) => void, failed
     const upload = RecordingUpload.ofSample(api);
     // a double click plays it once
     upload.state.watch(({ recording, error }) => (sample.disabled = !recording?.session && error === null));
-    void play(upload);
+    void play(upload).finally(() => (sample.disabled = false)); // also after it was cancelled
   });
   listenToDrops((transfer) => void droppedFiles(transfer).then(start, reportError));
   const resume = async () => {

@@ -119,10 +119,7 @@ class ColmapReader(ListedReader):
                 advice = f"open {folder}" if whole else "copy all of that folder"
                 lacking.append(Note(source.label(self._depth), text, advice))
                 self._base, self._depth = "", None
-        if stated is not None:
-            model = stated
-        else:
-            model = model_folder(source, f"{self._base}sparse") if self._base else model_folder(source)
+        model = stated or (model_folder(source, f"{self._base}sparse") if self._base else model_folder(source))
         if model is None:
             raise CaptureError(f"{folder}: has no COLMAP model (sparse/0/cameras.bin and images.bin, or .txt)")
         prefix = f"{model}/" if model else ""

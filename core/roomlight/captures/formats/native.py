@@ -41,7 +41,7 @@ from roomlight.captures.formats.listed import probes_of
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError, OutputError
-from roomlight.files import FolderSource, move_folder, write_atomic
+from roomlight.files import FolderSource, move_folder, temporary_beside, write_atomic
 from roomlight.images import write_exr
 from roomlight.notes import Note, unread_keys
 
@@ -156,7 +156,7 @@ class CaptureWriter:
         self.path = path = Path(path)
         self._target = target = path.absolute()  # `.` has no name
         self._name = name or target.name
-        self._partial = target.with_name(f".{target.name}.part")
+        self._partial = temporary_beside(target)
         self._frames: list[dict[str, Any]] = []
         self._probes: list[dict[str, Any]] = []
         self._closed = False

@@ -97,6 +97,7 @@ class RosBagReader:
         self._cameras: dict[str, Any] = {}
         self._frames: dict[str, str] = {}
         self._entries: dict[str, list[_Entry]] = {}
+        self._frame_id = ""  # of colour
         with self._opened() as bag:
             topics = {connection.topic: connection.msgtype for connection in bag.connections}
             firsts = {topic: _first(bag, topic) for topic, kind in topics.items() if kind in _IMAGES}
@@ -110,7 +111,6 @@ class RosBagReader:
             raise CaptureError(f"{path}: has no CameraInfo beside {self._colour}; record its camera_info too")
         with fields.naming(f"{path}: the CameraInfo beside {self._colour}", CaptureError):
             self._lens = self._lens_of(self._colour)
-        self._frame_id = self._frames.get(self._colour, "")
         if self.count and not self._tree.moves(self._frame_id):
             raise CaptureError(
                 f"{path}: has no poses of {self._frame_id or 'the camera'} (tf, Odometry, PoseStamped); recordings of "
@@ -223,9 +223,10 @@ class RosBagReader:
             raise
         except Exception as error:  # rosbags raises whatever the damaged bytes lead to
             raise CaptureError(f"{self._path}: is damaged ({error})") from error
-        if loose and not self._tree.moves(self._frames.get(self._colour, "")):
+        self._frame_id = self._frames.get(self._colour, "")
+        if loose and not self._tree.moves(self._frame_id):
             self._add_poses(loose)
-        for child, kept, other in self._tree.conflicts(self._frames.get(self._colour, "")):
+        for child, kept, other in self._tree.conflicts(self._frame_id):
             left = f"{self._path}: poses of {child} in {other} beside those in {kept}"
             self.notes.append(
                 Note(left, f"those in {kept}, which come first, are read", "record one of them to be sure")
@@ -237,7 +238,7 @@ class RosBagReader:
         It is one whose child is the camera's, else one without a child that is called after a camera; Odometry before
         PoseStamped, then the one with most messages while images were taken.
         """
-        top = self._tree.root(self._frames.get(self._colour, ""))
+        top = self._tree.root(self._frame_id)
         times = [entry.time_s for entry in self._entries.get(self._colour, [])] or [0.0]
         start, stop = min(times) - MAX_GAP_S, max(times) + MAX_GAP_S
 
