@@ -11,6 +11,9 @@ export function notify(text: string, calm = false): void {
     return;
   }
   const notice = element("div", { class: calm ? "notice calm" : "notice" }, element("p", {}, text));
+  if (calm) {
+    list.querySelectorAll(".calm").forEach((earlier) => earlier.remove()); // nine downloads would hide their own buttons
+  }
   const close = element("button", { class: "button quiet", type: "button", click: () => notice.remove() }, "Close");
   notice.append(close);
   list.append(notice);
