@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from roomlight_cli import main as cli
 from roomlight_cli.commands.bench import BENCHMARKS
 from roomlight_cli.commands.evaluation import EVALUATIONS
 from roomlight_cli.lazy import CommandEntry, load_command
+from roomlight_evaluation.benchmark import benchmark_options
 from roomlight_evaluation.captures.evaluation import evaluate_predictions
 
 
@@ -223,7 +225,11 @@ def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_benchmark_makes_its_rooms_and_scores_them(tmp_path, roomlight):
+def test_the_benchmark_makes_its_rooms_and_scores_them(tmp_path, roomlight, monkeypatch):
+    def short_walks(*, rooms: int, seed: int):
+        return replace(benchmark_options(rooms=rooms, seed=seed), frames=3)
+
+    monkeypatch.setattr("roomlight_cli.commands.evaluation.rooms.benchmark_options", short_walks)
     command = ("eval", "benchmark", tmp_path / "rooms", "--rooms", 1, "--model", "classical", "--workers", 1)
     first = roomlight(*command, "--json", tmp_path / "scores.json")
     assert first.code == 0, first.err

@@ -7,8 +7,9 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from roomlight_bench.server import hostile
 from roomlight_bench.server.hostile import HostileOptions, run_hostile
-from roomlight_bench.server.hostile_client import ATTACKS
+from roomlight_bench.server.hostile_client import ATTACKS, FLOODS
 from roomlight_bench.server.hostile_report import AttackRow, HostileReport
 from roomlight_bench.server.server_report import Latencies
 from roomlight_cli.main import app
@@ -61,11 +62,13 @@ def test_an_unknown_attack_is_named():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_every_attack_reaches_the_server_and_the_neighbour_streams():
-    options = HostileOptions(minutes=len(ATTACKS) * 2.0 / 48, churn_minutes=0.001, model="classical", height=16)
+@pytest.mark.timeout(600)
+def test_every_attack_reaches_the_server_and_the_neighbour_streams(monkeypatch):
+    monkeypatch.setattr(hostile, "_SETTLE_S", 0.0)  # whether memory returns is judged by the benchmark, not here
+    attacks = tuple(attack for attack in ATTACKS if attack.removesuffix("-slow") not in FLOODS or attack in FLOODS)
+    options = HostileOptions(len(attacks) * 2.0 / 48, 0.001, attacks, model="classical", height=16)
     report = run_hostile(options)
-    assert [result.attack for result in report.attacks] == list(ATTACKS)
+    assert tuple(result.attack for result in report.attacks) == attacks
     for result in (report.alone, *report.attacks):
         assert result.due > 0
         assert 0 <= result.processed <= result.due
