@@ -60,6 +60,7 @@ def test_base_install_needs_no_training_extra():
     assert not loaded & TRAINING_EXTRA
 
 
+@pytest.mark.slow
 def test_what_is_imported_at_once_is_of_the_base_install():
     """An import of another distribution belongs into the function that needs its extra."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -78,6 +79,7 @@ def test_what_is_imported_at_once_is_of_the_base_install():
     assert others == {}
 
 
+@pytest.mark.slow
 def test_a_server_answers_before_it_imports_what_only_composites_and_recordings_need():
     code = "import sys, roomlight_server.serving; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=240)

@@ -51,12 +51,14 @@ def run(code: str, folder: Path) -> str:
     return subprocess.run([sys.executable, script], cwd=folder, capture_output=True, text=True, check=True).stdout
 
 
+@pytest.mark.slow
 def test_python_lines_of_the_readme_run(tmp_path: Path):
     (tmp_path / "my-capture").symlink_to(rl.sample_capture())
     assert "MainLight" in run(python_blocks(README)[0], tmp_path)
     assert (tmp_path / "light.exr").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_server_lines_of_the_readme_run(tmp_path: Path):
     (tmp_path / "my-capture").symlink_to(rl.sample_capture())
     with RunningServer(model="classical") as server:

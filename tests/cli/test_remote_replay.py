@@ -94,6 +94,7 @@ def replay_both(capture: Path, url: str, out: Path, options: ReplayOptions, remo
     return here, there
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pictures")
 def test_files_are_the_same_as_those_of_a_local_replay(native, server, tmp_path):
     here, there = replay_both(native, server, tmp_path, ReplayOptions(session=SMALL, probes=PROBES))

@@ -51,6 +51,7 @@ def a_sheet(times: int, *, truth: np.ndarray | None = None, probes: int = 1, uns
     )
 
 
+@pytest.mark.slow
 def test_the_sheet_shows_every_frame_and_panorama() -> None:
     sheet = compose_sheet(a_sheet(4, truth=flat(30, 60, 0.8)))
     assert sheet.dtype == np.uint8
@@ -64,6 +65,7 @@ def test_the_sheet_shows_every_frame_and_panorama() -> None:
     np.testing.assert_array_equal(sheet[0, 0], round(BACKGROUND * 255))
 
 
+@pytest.mark.slow
 def test_unseen_directions_are_tinted() -> None:
     seen, unseen = (compose_sheet(a_sheet(1, unseen=share)) for share in (0.0, 1.0))
     # without a truth, the panorama is shown once as it is and once tinted where nothing was seen
@@ -95,6 +97,7 @@ def test_times_are_spread_over_the_sequence(frames: int, expected: list[int]) ->
     assert sheet_times(frames) == expected
 
 
+@pytest.mark.slow
 def test_the_file_is_the_picture(tmp_path: Path) -> None:
     path = tmp_path / "out" / "summary.png"
     write_sheet(path, a_sheet(1))

@@ -164,6 +164,7 @@ def test_a_full_disk_stops_a_replay_that_goes_on_later(capture, tmp_path, monkey
     assert_same(tmp_path / "out", tmp_path / "whole")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures", "no_pictures")
 def test_what_differs_is_named_and_overwrite_begins_again(capture, tmp_path):
     out = tmp_path / "out"

@@ -168,6 +168,7 @@ def test_the_example_of_the_package_runs(server, tmp_path, monkeypatch, capsys):
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
+@pytest.mark.slow
 @BOTH
 def test_objects_are_uploaded_and_composited(server, kind, tmp_path):
     file = tmp_path / "tetra.obj"

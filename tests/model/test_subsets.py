@@ -56,6 +56,7 @@ def test_datasets_are_described(dataset):
     assert describe([dataset]) == [{"seed": 3, "frames": 2, "sequences": 8}]
 
 
+@pytest.mark.slow
 def test_test_splits_are_found_where_there_are_any(dataset, tmp_path):
     make(tmp_path / "both", 4)
     make(tmp_path / "both", 4, split="test")

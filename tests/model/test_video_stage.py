@@ -19,6 +19,7 @@ from tiny_stages import TINY, WALKS, dimmed, logged, single_view_weights, traine
 STAGES = ["video-sglv", "video-blend", "video-joint"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_stage_changes_only_its_own_networks(tmp_path, stage):
     run = Run(video_stage(replace(WALKS, stage=stage, steps=1, batch=1, frames=2)), tmp_path / "run")

@@ -172,6 +172,7 @@ def test_a_large_object_gets_fewer_paths_and_is_not_refused(monkeypatch):
     assert composites.make(engine, box_shot(0), scene, "good").picture.samples == 1
 
 
+@pytest.mark.slow
 def test_a_composite_that_needs_too_much_memory_is_refused_before_it_is_made(monkeypatch):
     monkeypatch.setattr(composites, "_TRIANGLE_BYTES", 2**24)  # as if the tetrahedron had many triangles
     with RunningServer(max_pending_bytes=2**27) as server:

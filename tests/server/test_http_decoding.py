@@ -76,6 +76,7 @@ def one_decoder():
         yield server, pid
 
 
+@pytest.mark.slow
 def test_a_frame_whose_decoder_is_killed_is_decoded_by_another(one_decoder, caplog):
     """It was refused with 422, as if its image had ended the decoder."""
     server, pid = one_decoder

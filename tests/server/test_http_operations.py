@@ -155,6 +155,7 @@ def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
             assert json.loads(stream.recv(timeout=60))["status"] == "processed"
 
 
+@pytest.mark.slow
 def test_a_stop_waits_no_longer_than_its_limit(monkeypatch):
     monkeypatch.setattr(serving, "DRAIN_LIMIT_S", 0.1)
     monkeypatch.setattr("roomlight_server.work.workers.STOP_S", 0.1)

@@ -95,6 +95,7 @@ def test_a_dark_video_is_refused_with_the_reason(tmp_path: Path, model: Path) ->
         list(open_capture(path, CaptureOptions(depth_model=model)))
 
 
+@pytest.mark.slow
 def test_a_cut_loses_frames_and_says_so(tmp_path: Path, model: Path, pictures: list[np.ndarray]) -> None:
     path = written(tmp_path / "cut.mp4", [*pictures, *(picture[:, ::-1].copy() for picture in pictures[:3])])
     capture = open_capture(path, CaptureOptions(depth_model=model))
@@ -117,6 +118,7 @@ def said_of(path: Path, options: CaptureOptions) -> str:
     return " ".join(str(note) for note in capture.notes)
 
 
+@pytest.mark.slow
 def test_pictures_that_do_not_fit_the_others_are_pointed_out(
     video: Path, model: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,6 +186,7 @@ def test_a_camera_whose_lens_bends_lines_is_pointed_out(tmp_path: Path) -> None:
     assert any("GoPro AVC, whose lens bends" in note.left_out for note in open_capture(tmp_path / "named.mp4").notes)
 
 
+@pytest.mark.slow
 def test_a_lens_that_hardly_a_phone_has_is_pointed_out(
     video: Path, model: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,6 +194,7 @@ def test_a_lens_that_hardly_a_phone_has_is_pointed_out(
     assert "fits the pictures best, which is hardly a phone's" in said_of(video, CaptureOptions(depth_model=model))
 
 
+@pytest.mark.slow
 def test_a_video_of_a_panorama_s_shape_is_pointed_out(tmp_path: Path, model: Path) -> None:
     wide = [linear_to_srgb8(frame(k, at).image)[:160] for k, at in enumerate(POSES)]
     assert "twice as wide as high" in said_of(written(tmp_path / "wide.mp4", wide), CaptureOptions(depth_model=model))

@@ -92,6 +92,7 @@ def test_interleaved_vertices_are_read() -> None:
     np.testing.assert_allclose(mesh.uvs, QUAD_UVS)
 
 
+@pytest.mark.slow
 def test_accessors_that_share_a_view_copy_only_their_values() -> None:
     """A file of 31 MiB, whose 25 accessors shared one view with a stride of 252 bytes, took 3.3 GB."""
 

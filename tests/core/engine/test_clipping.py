@@ -103,6 +103,7 @@ def test_height_of_rays_is_the_sine_of_their_elevation():
     assert view[0, 80, 10] > view[-1, 80, 10]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pitch", [-90, 90])
 def test_the_heading_is_continuous_straight_up_and_down(pitch):
     """A surface that slants against the image: its normal leans to or away from the heading."""

@@ -106,6 +106,7 @@ def test_a_session_saved_in_one_runtime_goes_on_in_the_other(tiny_video, tmp_pat
         assert np.abs(got - wanted).max() <= 10 * TOLERANCE * wanted.max()  # two frames of five graphs each
 
 
+@pytest.mark.slow
 @_on(["openvino-bf16"])
 @pytest.mark.parametrize("form", ["single", "video"])
 def test_the_light_of_shipped_networks_in_bf16_is_that_of_fp32(form, runtime):

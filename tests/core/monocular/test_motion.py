@@ -55,6 +55,7 @@ def _errors(path: CameraPath, poses: list[np.ndarray]) -> tuple[float, float]:
     return max(turns), max(places)
 
 
+@pytest.mark.slow
 def test_a_camera_that_turns_on_the_spot() -> None:
     poses = [pose(0, turn=0.1 * k) for k in range(8)]
     path = _path(poses, breathing=0.1)
@@ -64,6 +65,7 @@ def test_a_camera_that_turns_on_the_spot() -> None:
     assert place < 0.08
 
 
+@pytest.mark.slow
 def test_a_walk_has_the_network_s_metres() -> None:
     poses = [pose(0.1 * k, turn=0.02 * k) for k in range(8)]
     turn, place = _errors(_path(poses, breathing=0.05), poses)
@@ -71,6 +73,7 @@ def test_a_walk_has_the_network_s_metres() -> None:
     assert place < 0.06  # of 0.7 m
 
 
+@pytest.mark.slow
 def test_walls_whose_features_look_alike_are_followed() -> None:
     """Each feature has the looks of many others, so that none is recognised."""
     poses = [pose(0.03 * k, turn=0.08 * k) for k in range(10)]
@@ -117,6 +120,7 @@ def test_a_feature_keeps_its_track_while_it_is_followed() -> None:
     assert len(np.unique(pairs[:, 0])) == len(pairs) > len(same[0]) / 2
 
 
+@pytest.mark.slow
 def test_the_focal_length_follows_from_the_motion() -> None:
     poses = [pose(0, turn=0.12 * k) for k in range(8)]
     path = _path(poses, lens=replace(LENS, fx=0.88 * LENS.fx, fy=0.88 * LENS.fy), known=False)

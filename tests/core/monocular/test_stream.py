@@ -48,6 +48,7 @@ def _errors(model: WrongDepth) -> list[float]:
     return errors
 
 
+@pytest.mark.slow
 def test_a_stream_finds_the_scale_of_metric_depth_that_is_wrong() -> None:
     """The first frame has only the model's word, 1.4 times too far; parallax corrects the later ones."""
     breathing = [1.4, 1.35, 1.45, 1.3, 1.5, 1.4, 1.35, 1.45]
@@ -179,6 +180,7 @@ def test_a_field_of_errors_follows_the_picture_and_depth() -> None:
     assert not error_field(inverse, pixels[:0], samples[:0], np.ones(0)).any()
 
 
+@pytest.mark.slow
 def test_the_floor_in_view_mends_half_of_the_scale_until_features_tell_it() -> None:
     """The model's word is two thirds of the depth; the camera looks down from 1.4 m and turns, then walks."""
     walk = [pose(0.12 * max(0, k - 3), turn=0.05 * min(k, 3)).astype(np.float64) for k in range(8)]

@@ -94,6 +94,7 @@ def test_percentiles_of_nothing_are_none():
     assert Latencies.of([3.0]) == Latencies(1, 3.0, 3.0, 3.0, 3.0)
 
 
+@pytest.mark.slow
 def test_a_server_that_cannot_start_is_an_error_with_its_log(untrained_video):
     with pytest.raises(ServerError, match="--max-sessions"), ServerProcess(["--max-sessions", "-1"]):
         pass

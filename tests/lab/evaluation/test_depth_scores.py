@@ -35,6 +35,7 @@ def test_errors_count_known_pixels_alone() -> None:
     assert np.isnan(depth_errors(answer, np.zeros((4, 4), np.float32))).all()
 
 
+@pytest.mark.slow
 def test_light_by_exact_depth_is_what_light_is_compared_with(tmp_path: Path) -> None:
     """Of a capture with a true panorama and of a dataset's walks: a model that knows the depth changes no light."""
     shots = [frame(k, pose(0.02 * k), depth=True) for k in range(2)]

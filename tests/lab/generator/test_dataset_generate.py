@@ -117,6 +117,7 @@ def start(folder, workers):
 slow = pytest.mark.slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gate", [[2, 1], pytest.param([0, 0], marks=slow), pytest.param([5, 1], marks=slow)])
 def test_a_killed_run_continues_to_the_same_bytes(gate, undisturbed, tmp_path, steer):
     out = tmp_path / "killed"
@@ -187,6 +188,7 @@ def test_workers_that_keep_dying_are_an_error(tmp_path, steer):
     assert len(Dataset(tmp_path / "out")) == 4
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_an_error_and_the_run_can_continue(undisturbed, tmp_path, steer):
     first = index_path(next(iter(sorted(undisturbed.glob("*.tar"))))).read_text().splitlines()[2]
     steer(limit=json.loads(first)["offset"] + 1000)  # within the third sequence
@@ -202,6 +204,7 @@ def test_a_full_disk_is_an_error_and_the_run_can_continue(undisturbed, tmp_path,
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 1000
 
 
+@pytest.mark.slow
 def test_splits_share_a_folder_and_no_room(undisturbed, tmp_path):
     generate(tmp_path / "both", options(4), workers=1)
     generate(tmp_path / "both", options(4, split="test"), workers=1)
@@ -231,6 +234,7 @@ def test_other_settings_are_named_and_nothing_changes(change, says, undisturbed)
     assert bytes_of(undisturbed) == before
 
 
+@pytest.mark.slow
 def test_the_settings_include_the_furniture_by_its_content(tmp_path):
     library = tmp_path / "chairs.sh3f"
     library.write_bytes(b"chairs")
@@ -338,6 +342,7 @@ def test_damage_is_found_removed_and_made_again(damaged, undisturbed):
         assert (damaged / name).read_bytes() == (undisturbed / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_lost_line_of_the_index_is_repaired_too(damaged, undisturbed):
     index = damaged / "train-00000.jsonl"
     lines = index.read_bytes().splitlines(keepends=True)

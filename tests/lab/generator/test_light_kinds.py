@@ -80,6 +80,7 @@ def test_each_kind_has_about_its_share():
         assert least <= counts[kind] / rooms <= most, kind
 
 
+@pytest.mark.slow
 def test_rooms_lit_by_windows_have_no_lamp_on():
     for kind in ("windows alone", "sunbeams"):
         facts = first(kind).facts["light"]

@@ -135,6 +135,7 @@ def write_panoramas(folder: Path, count: int) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_dataset_is_compared_with_a_folder(tmp_path):
     options = GenerateOptions(4, seed=1, shard_size=2, sequences_per_room=2, frames=2, renderer=stub_rooms.NAME)
     generate(tmp_path / "data", options, workers=1)

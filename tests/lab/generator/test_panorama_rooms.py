@@ -209,6 +209,7 @@ def test_clipped_pixels_have_their_true_radiance(dataset):
     assert bright > 5
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_views")
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_the_same_room_gives_the_same_recording(folder, share, monkeypatch):

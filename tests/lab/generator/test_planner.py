@@ -208,6 +208,7 @@ def test_chairs_face_the_tables_they_stand_at() -> None:
     assert chairs > 20
 
 
+@pytest.mark.slow
 def test_beds_and_storage_have_their_backs_to_a_wall() -> None:
     counts: Counter[str] = Counter()
     for empty, placements in rooms("bedroom", "living_room", "children_room", "attic_room", seeds=7):

@@ -145,6 +145,7 @@ def test_a_sunlit_patch_has_the_suns_irradiance_and_its_outline():
     assert received[1].max() < 0.01
 
 
+@pytest.mark.slow
 def test_a_mirror_shows_its_surroundings_and_ends_depth():
     card = item("card", rectangle([0.35, 0.75, 0.2], [0.8, 0, 0], [0, 0.8, 0]), Material("c", emission=(0.0, 5.0, 0.0)))
     glass = item("mirror", rectangle([-1.5, 0.2, -1.45], [3, 0, 0], [0, 2, 0]), Material("m", mirror=0.9))
@@ -159,6 +160,7 @@ def test_a_mirror_shows_its_surroundings_and_ends_depth():
     assert view.surface[30, 40] == MIRROR
 
 
+@pytest.mark.slow
 def test_depth_is_exact_and_surfaces_are_classified():
     pane = item("pane", rectangle([-2, 1.0, -1.0], [1.2, 0, 0], [0, 1.0, 0]), Material("p", glass=True))
     lamp = item("lamp", rectangle([0.6, 1.0, -1.2], [0.8, 0, 0], [0, 0.8, 0]), Material("l", emission=(2.0, 2.0, 2.0)))
