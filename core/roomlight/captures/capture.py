@@ -110,7 +110,8 @@ class PoseConventions:
 class RawFrame:
     """One record as stored: picture decoded to linear RGB, depth in metres, pose in the file's conventions.
 
-    A record of a capture without depth has no `depth_name`. `auto_exposed` is as in `Frame`.
+    A record of a capture without depth has no `depth_name`. `stated` is the camera whose lens was removed, if one was.
+    `auto_exposed` is as in `Frame`.
     """
 
     name: str
@@ -120,6 +121,7 @@ class RawFrame:
     intrinsics: Intrinsics
     pose: Float[np.ndarray, "4 4"]
     confidence: UInt8[np.ndarray, "ch cw"] | None = None
+    stated: Intrinsics | None = None
     auto_exposed: bool = True
 
 
@@ -441,7 +443,7 @@ class Capture:
             upward = float(-frame.camera_to_world[1, 2])
             if np.abs(pose[:3, :3] - np.eye(3)).max() < 0.02 and abs(upward) > 0.99 and self._up_is_assumed:
                 self._notes[lying_camera(frame.source, self._camera_convention, upward)] = None
-            if (odd := odd_camera(frame.source, frame.intrinsics)) is not None:
+            if (odd := odd_camera(frame.source, raw.stated or frame.intrinsics)) is not None:
                 self._notes[odd] = None
 
     def _check_depth(self, depths: DepthCheck) -> None:

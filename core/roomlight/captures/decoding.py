@@ -144,7 +144,7 @@ def intrinsics_without_size(
         ValueError: The principal point is far from the image's centre, so K is for another size.
     """
     cx, cy = float(matrix[0, 2]) + shift, float(matrix[1, 2]) + shift
-    if not (0.2 * width <= cx <= 0.8 * width and 0.2 * height <= cy <= 0.8 * height):
+    if not (width <= 3 * cx <= 2 * width and height <= 3 * cy <= 2 * height):
         raise ValueError(
             f"the image is {width} x {height} but its principal point would be ({cx:g}, {cy:g}): "
             "the intrinsics are for another size; scale fx and cx with the width, fy and cy with the height, "

@@ -101,7 +101,7 @@ def wrong_poses(name: str, wrong: Disagreement, convention: str, direction: str)
 def odd_camera(name: str, camera: Intrinsics) -> Note | None:
     """Make the note for intrinsics that hardly a camera has, and another size or unit explains; else None."""
     x, y = camera.cx / camera.width, camera.cy / camera.height
-    if not (min(x, y) >= 0.2 and max(x, y) <= 0.8):
+    if not (min(x, y) >= 0.4 and max(x, y) <= 0.6):
         what = f"a principal point at ({camera.cx:g}, {camera.cy:g}) of {camera.width} x {camera.height}"
     elif not 0.25 <= camera.width / camera.fx <= 8:
         what = f"a focal length of {camera.fx:g} pixels for {camera.width} pixels"

@@ -120,9 +120,11 @@ def test_depth_of_another_camera_is_projected_into_the_colour_image(tmp_path: Pa
     assert np.isin(np.round(frame.depth_m, 3), [0.0, 1.0, 2.0]).all()
 
 
-def test_scannets_frames_resized_beside_the_k_of_the_whole(tmp_path: Path) -> None:
+@pytest.mark.parametrize("times", [2, 1.5, 0.5])
+def test_scannets_frames_resized_beside_the_k_of_the_whole(tmp_path: Path, times: float) -> None:
     path = tool_formats.scannet_frames(tmp_path / "capture", VIEWS[:2])
-    whole = f"{2 * formats.FX} 0 {2 * formats.CX} 0\n0 {2 * formats.FY} {2 * formats.CY} 0\n0 0 1 0\n0 0 0 1\n"
+    fx, fy, cx, cy = (times * value for value in (formats.FX, formats.FY, formats.CX, formats.CY))
+    whole = f"{fx} 0 {cx} 0\n0 {fy} {cy} 0\n0 0 1 0\n0 0 0 1\n"
     (path / "intrinsic/intrinsic_color.txt").write_text(whole)
     with pytest.raises(CaptureError, match=r"for another size; scale fx and cx with the width.*or give the pictures"):
         list(open_capture(path))

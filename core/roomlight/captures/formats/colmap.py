@@ -191,6 +191,7 @@ class ColmapReader(ListedReader):
             depth_name=depth_name and self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=image.pose,
+            stated=camera.intrinsics,
         )
 
 

@@ -155,6 +155,7 @@ class NerfstudioReader:
         with fields.naming(f"{where} ({colour_label})", FrameError):
             intrinsics = self._intrinsics(entry, picture.image.shape[1], picture.image.shape[0])
             picture, intrinsics = fitted(picture, intrinsics, colour_label)
+            stated = intrinsics
             if not lens.straight and (intrinsics.height, intrinsics.width) == picture.image.shape[:2]:
                 picture, depth_m, intrinsics = straightened(picture, depth_m, intrinsics, lens)
         return RawFrame(
@@ -164,6 +165,7 @@ class NerfstudioReader:
             depth_name=None if depth_name is None else self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
+            stated=stated,
         )
 
     def _masked(self, entry: dict[str, Any], picture: ColourImage, where: str) -> ColourImage:

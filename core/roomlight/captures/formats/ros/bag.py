@@ -289,13 +289,13 @@ class RosBagReader:
             depth_m, between = np.zeros((height, width), np.float32), None
             if self._depth is not None:
                 depth_m, between = self._depth_near(entry.time_s, self._depth, bag, label), self._between(self._depth)
-            other_m = depth_m
+            other_m, stated = depth_m, camera
             if not self._lens.straight and (width, height) == (camera.width, camera.height):
                 picture, depth_m, camera = straightened(picture, depth_m, camera, self._lens)
             if self._depth is not None and between is not None:
                 depth_m = self._in_colour(other_m, self._depth, camera, between)
         depth_name = None if self._depth is None else f"{self._path}: {self._depth}"
-        return RawFrame(label, picture, depth_m, depth_name, camera, pose)
+        return RawFrame(label, picture, depth_m, depth_name, camera, pose, stated=stated)
 
     def _depth_near(self, time_s: float, topic: str, bag: Any, label: str) -> Float[np.ndarray, "h w"]:
         """Return the depth image nearest in time. Raises ValueError if it is too far."""
