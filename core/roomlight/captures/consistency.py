@@ -6,6 +6,7 @@ poses and depth say; where the direction of the poses or the camera's axes are a
 convention says.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
@@ -47,6 +48,8 @@ _SHARE: Final = 0.3
 _FALLING, _ODD_RATIO = -0.6, 5.0
 """Correlation of depth and its estimate below which it is pointed out, and their ratio beyond which it is."""
 _LENGTHS: Final = (1e-3, 1e-2, 1e2, 1e3)
+_FINE: Final = tuple(10 ** (step / 4) for step in range(-14, 15))
+"""A power of ten is named only where it is clearly the best of these."""
 
 
 class Tracks(NamedTuple):
@@ -65,7 +68,7 @@ class Disagreement:
     Attributes:
         inverse: The poses map the other way.
         other_axes: The camera has the axes of the other convention.
-        length: Factor on positions that brings them together with depth.
+        length: Factor on positions that brings them together with depth; None if there is one, but not clearly which.
         w_first: Quaternions were written w first and read as x, y, z, w.
         known: Whether one of these explains it.
         axis: Axis of the stored world about which the cameras are level, if it is not the assumed up.
@@ -73,7 +76,7 @@ class Disagreement:
 
     inverse: bool = False
     other_axes: bool = False
-    length: float = 1.0
+    length: float | None = 1.0
     w_first: bool = False
     known: bool = True
     axis: str | None = None
@@ -129,7 +132,12 @@ class PoseCheck:
                 choices[Disagreement(inverse, other)] = error([pose @ flip for pose in poses])
         best = min(choices, key=lambda choice: choices[choice])
         if choices[best] < min(_LEAST_ERROR, _SHARE * assumed):
-            return best
+            if best.length == 1:
+                return best
+            errors = [error(stated, length) for length in _FINE]
+            finest = int(np.argmin(errors[1:-1])) + 1
+            clear = min(errors[finest - 1], errors[finest + 1]) > 2 * errors[finest]
+            return Disagreement(length=_FINE[finest] if clear and math.log10(_FINE[finest]).is_integer() else None)
         moved = np.median([np.median(np.linalg.norm(pair.end - pair.start, axis=1)) for pair in pairs])
         lost = assumed > max(4 * _LEAST_ERROR, float(moved) / self._views[0][0].shape[1])
         return Disagreement(known=False) if lost else lying

@@ -42,10 +42,11 @@ def unread_depth(path: Path) -> Note | None:
     )
 
 
-def wrong_scale(name: str, factor: float) -> Note:
-    """Make the note for depth whose unit is not that of the poses."""
+def wrong_scale(name: str, factor: float | None) -> Note:
+    """Make the note for depth whose unit is not that of the poses; `factor` on depth, None where it is not clear."""
+    scale = "at another scale" if factor is None else f"about {float(f'{factor:.2g}'):g} times as large"
     return Note(
-        f"{name}: depth contradicts the poses; they agree with depth about {float(f'{factor:.2g}'):g} times as large",
+        f"{name}: depth contradicts the poses; they agree with depth {scale}",
         "the unit of depth, or of the poses, seems wrong",
         "state depth_unit_m, the metres for one stored unit of depth, or scale the poses to metres",
     )
@@ -75,7 +76,7 @@ def wrong_poses(name: str, wrong: Disagreement, convention: str, direction: str)
             f"state world_up (--world-up {wrong.axis} or -{wrong.axis})",
         )
     if wrong.length != 1:
-        return wrong_scale(name, 1 / wrong.length)
+        return wrong_scale(name, None if wrong.length is None else 1 / wrong.length)
     if wrong.w_first:
         text = f"{name}: features of the pictures move as quaternions would that have w first"
         return Note(text, "light comes from wrong directions", "write them as qx qy qz qw")

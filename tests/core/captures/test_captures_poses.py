@@ -44,10 +44,9 @@ def written(path: Path, stored: Callable[[np.ndarray], np.ndarray], **keys: obje
     return path
 
 
-def in_millimetres(pose: np.ndarray) -> np.ndarray:
-    moved = pose.copy()
-    moved[:3, 3] *= 1000
-    return moved
+def in_unit(per_metre: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Poses of which a metre is so many units."""
+    return lambda pose: np.hstack([pose[:, :3], pose[:, 3:] * [[per_metre], [per_metre], [per_metre], [1]]])
 
 
 def with_w_first(pose: np.ndarray) -> np.ndarray:
@@ -68,11 +67,12 @@ def with_w_first(pose: np.ndarray) -> np.ndarray:
             "--camera-convention opencv) and pose_direction (--pose-direction world-to-camera",
         ),
         (with_w_first, {}, "write them as qx qy qz qw"),
-        (in_millimetres, {}, "about 1000 times as large"),
+        (in_unit(1000), {}, "about 1000 times as large"),
+        (in_unit(39.37), {}, "with depth at another scale"),
         (lambda pose: pose, {"world_up": "z"}, "--world-up y"),
         (lambda pose: pose @ np.diag([-1.0, -1, 1, 1]), {}, "move otherwise than poses and depth say"),
     ],
-    ids=["right", "opencv", "world-to-camera", "both", "w-first", "millimetres", "z-up", "upside down"],
+    ids=["right", "opencv", "world-to-camera", "both", "w-first", "millimetres", "inches", "z-up", "upside down"],
 )
 def test_conventions_that_contradict_the_pictures_are_pointed_out(
     tmp_path: Path, stored: Callable[[np.ndarray], np.ndarray], keys: dict, says: str | None
