@@ -180,10 +180,7 @@ class FolderSource:
         try:
             full = (self._resolved / self.actual(name)).resolve()
             if not full.is_relative_to(self._resolved):
-                raise FrameError(
-                    f"{label}: leads out of the folder (to {full}); "
-                    "copy what it points to into it, or open the folder that holds both"
-                )
+                raise FrameError(f"{label}: leads out of the folder (to {full}); copy what it points to into it")
             status = full.stat()
         except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a loop of links before Python 3.13
             reason = getattr(error, "strerror", None) or error
