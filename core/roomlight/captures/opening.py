@@ -29,7 +29,7 @@ from roomlight.captures.formats.seven_scenes import SevenScenesReader
 from roomlight.captures.formats.stray_scanner import StrayScannerReader
 from roomlight.captures.formats.tum import TumReader
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.recognition import is_record3d_archive, recognised
+from roomlight.captures.recognition import format_of, is_record3d_archive, recognised
 from roomlight.captures.source import member_name
 from roomlight.captures.video import DEMUXERS
 from roomlight.errors import CaptureError, OptionError, RoomLightError, UnknownFormatError
@@ -59,6 +59,8 @@ _FILES: Final = ("record3d", "scannet", "ros-bag", "video")
 """Formats that are one file."""
 _INDICES: Final = {native.INDEX: "roomlight", nerfstudio.INDEX: "nerfstudio"}
 """Files that stand for the folder they are in."""
+_VIDEOS: Final = ("rgb.mp4", "rgb.mkv")
+"""Videos beside which formats have poses and depth; they stand for the folder too."""
 _MEASURED: Final = ("record3d", "polycam")
 """Formats that are read in place of a `transforms.json` without depth."""
 
@@ -76,8 +78,8 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     """Open a capture for reading: its index is read and checked, no image is decoded.
 
     `path` is the capture's folder, a folder that holds nothing but it, its file (`.r3d`, `.sens`, `.bag`, a video), its
-    index (`transforms.json`, `capture.json`), or a `.zip` of the folder, which is unpacked for as long as the capture
-    is open.
+    index or video (`transforms.json`, `capture.json`, `rgb.mp4`), or a `.zip` of the folder, which is unpacked for as
+    long as the capture is open.
 
     Raises:
         OptionError: `options.format` is not one of `FORMATS`.
@@ -115,6 +117,8 @@ def _opened(path: Path, chosen: CaptureOptions) -> tuple[Path, Reader]:
         stated = chosen.format
         if path.is_file() and path.name in _INDICES:
             path, stated = path.parent, stated or _INDICES[path.name]
+        elif stated is None and path.name in _VIDEOS and format_of(path.parent) in ("stray-scanner", "scannetpp"):
+            path = path.parent
         if stated is None:
             path = _innermost(path)
         name = stated or recognised(path)
@@ -162,11 +166,11 @@ def _innermost(path: Path) -> Path:
     """
     outer = path
     for _ in range(_NESTED):
-        if not path.is_dir() or _is_capture(path):
+        if not path.is_dir() or format_of(path):
             return path
         entries = list(islice(sorted(path.iterdir()), _LISTED))
         inner = [entry for entry in entries if entry.is_dir() and entry.name[0] not in "._"]
-        captures = [folder for folder in inner if _is_capture(folder)] or _recorded_files(entries)
+        captures = [folder for folder in inner if format_of(folder)] or _recorded_files(entries)
         if [folder.name for folder in captures] == ["colmap", "nerfstudio"]:  # ScanNet++ writes its poses twice
             captures = captures[1:]
         if len(captures) > 1:
@@ -175,7 +179,7 @@ def _innermost(path: Path) -> Path:
         if not captures and len(inner) != 1:
             return outer
         path = captures[0] if captures else inner[0]
-    return path if _is_capture(path) else outer
+    return path if format_of(path) else outer
 
 
 def _recorded_files(entries: list[Path]) -> list[Path]:
@@ -184,14 +188,6 @@ def _recorded_files(entries: list[Path]) -> list[Path]:
     files = [entry for entry in shown if entry.suffix.lower() in _RECORDED]
     videos = all(entry.suffix.lower() in DEMUXERS for entry in shown)
     return [entry for entry in files or (shown if videos else []) if entry.is_file()]
-
-
-def _is_capture(path: Path) -> bool:
-    try:
-        recognised(path)
-    except UnknownFormatError:
-        return False
-    return True
 
 
 class _UnpackedReader:

@@ -1,6 +1,7 @@
 """Recognise a capture's format by the files in its folder, and say what the nearest format lacks."""
 
 import zipfile
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -55,6 +56,19 @@ def recognised(path: Path) -> str:
     Raises:
         UnknownFormatError: It is none that is known; says what the nearest one lacks.
     """
+    if name := format_of(path):
+        return name
+    if reason := _known_otherwise(path) or _part_of(path):
+        raise UnknownFormatError(f"{path}: {reason}")
+    known = "; ".join(f"{name}: {', '.join(parts).replace('|', ' or ')}" for name, parts in _PARTS.items())
+    raise UnknownFormatError(
+        f"{path}: no capture format recognised. {_nearest(path)}{_bare_images(path)}Set `format` to force one. "
+        f"Known are .r3d (record3d), .sens (scannet), .bag (ros-bag) and video files, and folders of {known}"
+    )
+
+
+def format_of(path: Path) -> str | None:
+    """Return the format's name by the files in the folder or the archive; None if it is none that is known."""
 
     def has(*names: str) -> bool:
         return any(source.has(name) for name in names)
@@ -99,13 +113,16 @@ def recognised(path: Path) -> str:
         return "3d-scanner-app"
     elif record3d.layout_of(source) is not None:  # its reader says what the index lacks
         return "record3d"
-    if reason := _known_otherwise(path):
-        raise UnknownFormatError(f"{path}: {reason}")
-    known = "; ".join(f"{name}: {', '.join(parts).replace('|', ' or ')}" for name, parts in _PARTS.items())
-    raise UnknownFormatError(
-        f"{path}: no capture format recognised. {_nearest(path)}{_bare_images(path)}Set `format` to force one. "
-        f"Known are .r3d (record3d), .sens (scannet), .bag (ros-bag) and video files, and folders of {known}"
-    )
+    return None
+
+
+def _part_of(path: Path) -> str:
+    """Say to which recording, one or two folders above, a file or a folder belongs; empty if to none."""
+    with suppress(OSError):
+        for folder in path.absolute().parents[:2]:
+            if name := format_of(folder):
+                return f"is part of the {name} recording {folder}; open that"
+    return ""
 
 
 def _beside_index(source: FolderSource) -> str | None:

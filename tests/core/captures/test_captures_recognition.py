@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from builders import BUILDERS, FORMAT_OF
 
-from roomlight.captures import open_capture
+from roomlight.captures import CaptureOptions, open_capture
 from roomlight.errors import CaptureError, UnknownFormatError
 
 VIEWS = formats.scene()
@@ -85,6 +85,17 @@ def test_a_folder_with_nothing_but_a_video(tmp_path: Path) -> None:
     formats.save(tmp_path / "walk/depth/000000.png", b"x")  # a part of something else
     with pytest.raises(UnknownFormatError, match="no capture format recognised"):
         open_capture(tmp_path / "walk")
+
+
+def test_a_part_of_a_recording_leads_to_the_whole(tmp_path: Path) -> None:
+    stray, tum = formats.stray_scanner(tmp_path / "stray", VIEWS[:2]), formats.tum(tmp_path / "tum", VIEWS[:2])
+    opened = open_capture(stray / "rgb.mp4")
+    assert (opened.format, opened.path) == ("stray-scanner", stray)
+    assert open_capture(stray / "rgb.mp4", CaptureOptions(format="video")).format == "video"
+    for part in (stray / "depth", stray / "odometry.csv", tum / "rgb", tum / "rgb.txt"):
+        whole = part.parent
+        with pytest.raises(UnknownFormatError, match=rf"is part of the [\w-]+ recording {whole}; open that$"):
+            open_capture(part)
 
 
 def test_errors_of_a_zip_name_the_zip(tmp_path: Path) -> None:
