@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import av
 import numpy as np
-from av.error import FFmpegError
+from av.error import FFmpegError, InvalidDataError
 from av.stream import Disposition
 from av.video.frame import VideoFrame
 
@@ -79,7 +79,9 @@ class VideoFrames:
             self._number_of = {pts: number for number, pts in enumerate(times)}
             self._open()
         except (FFmpegError, OSError, ValueError, IndexError) as error:
-            raise FrameError(f"{label}: is not a readable video ({error})") from error
+            damaged = "it is cut off, was never finished, or is none; copy or export it again"
+            reason = damaged if isinstance(error, InvalidDataError) else error
+            raise FrameError(f"{label}: is not a readable video ({reason})") from error
 
     def _open(self) -> None:
         self._container = av.open(str(self._path), format=self._kind)

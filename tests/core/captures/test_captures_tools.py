@@ -324,8 +324,11 @@ def test_a_bag_without_poses_colour_or_camera_says_so(tmp_path: Path) -> None:
         open_capture(with_messages(tmp_path / "realsense", renamed, drop="/tf"))
     assert len(list(open_capture(with_messages(tmp_path / "renamed", renamed)))) == 4
     (tmp_path / "d.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(99))
-    with pytest.raises(CaptureError, match=r"d\.bag: is not a readable ROS bag"):
+    with pytest.raises(CaptureError, match=r"d\.bag: is not a readable ROS bag .*; copy it again; rosbag reindex"):
         open_capture(tmp_path / "d.bag")
+    (tmp_path / "d.bag").rename(tmp_path / "d.BAG")
+    with pytest.raises(CaptureError, match=r"; rename it to end in \.bag"):
+        open_capture(tmp_path / "d.BAG")
 
 
 def as_zstd(data: bytes) -> bytes:

@@ -140,7 +140,10 @@ class RosBagReader:
             bag = highlevel.AnyReader([self._path], default_typestore=store)
             bag.open()
         except Exception as error:  # of the container, the index or the storage plugin
-            raise CaptureError(f"{self._path}: is not a readable ROS bag ({error})") from error
+            way = "copy it again; rosbag reindex (ros2 bag reindex) repairs one that was not closed"
+            if self._path.is_file() and self._path.suffix != (small := self._path.suffix.lower()):
+                way = f"rename it to end in {small}"
+            raise CaptureError(f"{self._path}: is not a readable ROS bag ({error}); {way}") from error
         try:
             names = [name for connection in bag.connections for name in (connection.topic, connection.msgtype)]
             if not all(isinstance(name, str) for name in names):
