@@ -10,16 +10,19 @@ import csv
 import json
 import math
 import re
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
 from roomlight.errors import CaptureError, FrameError, RoomLightError
+from roomlight.notes import Note
+
+_Parsed = TypeVar("_Parsed")
 
 _DECIMAL_COMMA: Final = re.compile(r"(?=.*,)[-+]?\d*(,\d+)?(e[-+]?\d+)?(\s++[-+]?\d*(,\d+)?(e[-+]?\d+)?)+", re.I)
 """A line of numbers between blanks. Linear in its length."""
@@ -77,6 +80,28 @@ def parse_text(data: bytes, label: str) -> list[str]:
     if b"\0" in data and data[:2] not in (b"\xff\xfe", b"\xfe\xff"):
         raise CaptureError(f"{label}: is not text (a zero at byte {data.index(0)})")
     return decoded(data).splitlines()
+
+
+def parsed_lines(data: bytes, label: str, parse: Callable[[str], _Parsed], notes: list[Note]) -> list[_Parsed]:
+    """Return what `parse` makes of each line that is neither empty nor a comment (#).
+
+    Lines for which it raises ValueError are left out and noted. Raises CaptureError where no other is there, and for
+    bytes that are not text.
+    """
+    values: list[_Parsed] = []
+    wrong: list[str] = []
+    for row, line in enumerate(parse_text(data, label), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                values.append(parse(line))
+            except (ValueError, OverflowError) as error:
+                wrong.append(f"{label}: line {row}: {error}")
+    if wrong and not values:
+        raise CaptureError(wrong[0])
+    if wrong:
+        more = f" (the first of {len(wrong)} such lines)" if len(wrong) > 1 else ""
+        notes.append(Note(f"{wrong[0]}{more}", "what cannot be read is left out", "write the file again"))
+    return values
 
 
 def decoded(data: bytes) -> str:

@@ -47,6 +47,19 @@ def test_an_invalid_pose_skips_the_frame(transforms: Path, matrix: object, says:
 
 
 @pytest.mark.parametrize(
+    ("kind", "name"),
+    [("tum", "rgb.txt"), ("arkitscenes", "lowres_wide.traj"), ("rtabmap", "room_camera_poses.txt")],
+)
+def test_a_line_that_was_cut_off_is_left_out(tmp_path: Path, kind: str, name: str) -> None:
+    path = BUILDERS[kind](tmp_path / "capture", VIEWS[:2])
+    (path / name).write_text((path / name).read_text().rstrip() + "\n1.5\n2.5\n")
+    frames = list(capture := open_capture(path))
+    assert len(frames) == 2
+    (note,) = capture.notes
+    assert re.search(rf"{name}: line \d+: .* \(the first of 2 such lines\)$", note.left_out)
+
+
+@pytest.mark.parametrize(
     ("change", "values", "word"),
     [
         (lambda frame, value: frame["intrinsics"].update(fx=value), [0, -28, NAN, 1e-3, 1e308, "28", None], "fx"),

@@ -206,9 +206,10 @@ def test_rtabmap_without_a_pose_or_a_camera(tmp_path: Path) -> None:
     capture = open_capture(path)
     assert len(list(capture)) == 4
     assert "distortion" in capture.notes[0].left_out
-    (path / "room_camera_poses.txt").write_text("1.0 2.0\n")
-    with pytest.raises(CaptureError, match=r"room_camera_poses\.txt: line 1.*--poses_format 11"):
-        open_capture(path)
+    for line in ("1.0 2.0", "1 0 0 0 0 1 0 0 0 0 1 0"):
+        (path / "room_camera_poses.txt").write_text(f"{line}\n")
+        with pytest.raises(CaptureError, match=r"room_camera_poses\.txt: line 1.*--poses_format 11"):
+            open_capture(path)
 
 
 # COLMAP

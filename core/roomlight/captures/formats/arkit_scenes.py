@@ -41,12 +41,7 @@ class ArkitScenesReader(ListedReader):
         colour = files_of(source, "lowres_wide", (".png", ".jpg"))
         super().__init__(folder, options, colour, expected="lowres_wide/*.png")
         label = source.label(TRAJECTORY)
-        self._poses: list[tuple[float, list[float]]] = []
-        for row, line in enumerate(fields.parse_text(read_index(source, TRAJECTORY), label), start=1):
-            if line.strip():
-                with fields.naming(f"{label}: line {row}", CaptureError):
-                    values = fields.numbers_of_line(line, 7, "the pose")
-                    self._poses.append((fields.number(values[0], "the time"), values[1:]))
+        self._poses = fields.parsed_lines(read_index(source, TRAJECTORY), label, _timed_pose, self.notes)
         self._poses.sort(key=lambda pose: pose[0])
         if not self._poses:
             raise CaptureError(f"{label}: has no pose")
@@ -89,6 +84,11 @@ def _time_of(name: str) -> float | None:
         return fields.number(float(Path(name).name.rpartition(".")[0].rpartition("_")[2]), "the time")
     except ValueError:
         return None
+
+
+def _timed_pose(line: str) -> tuple[float, list[float]]:
+    values = fields.numbers_of_line(line, 7, "the pose")
+    return fields.number(values[0], "the time"), values[1:]
 
 
 def _transform(values: list[float]) -> Float[np.ndarray, "4 4"]:

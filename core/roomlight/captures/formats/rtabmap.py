@@ -57,13 +57,11 @@ class RtabmapReader(ListedReader):
         colour = files_of(source, f"{prefix}rgb", (".jpg", ".jpeg", ".png"))
         super().__init__(folder, options, colour, expected=f"{prefix}rgb/*.jpg")
         self._prefix, self._robot = prefix, not poses_name.endswith(_CAMERA_POSES)
+        self._distortion_noted = False
         self._by_number: dict[int, tuple[float, Float[np.ndarray, "4 4"] | str]] = {}
         self._by_time: list[tuple[float, Float[np.ndarray, "4 4"] | str]] = []
         label = source.label(poses_name)
-        for row, line in enumerate(fields.parse_text(read_index(source, poses_name), label), start=1):
-            if line.strip() and not line.lstrip().startswith("#"):
-                with fields.naming(f"{label}: line {row}", CaptureError):
-                    self._add(line)
+        fields.parsed_lines(read_index(source, poses_name), label, self._add, self.notes)
         if not self._by_time:
             raise CaptureError(f"{label}: has no pose")
         self._by_time.sort(key=lambda entry: entry[0])
@@ -74,6 +72,8 @@ class RtabmapReader(ListedReader):
         return [None if node is None else node[0] for node in map(self._node, self._colour)]
 
     def _add(self, line: str) -> None:
+        if len(line.split()) == 12:
+            raise ValueError("the pose is a matrix without a time; export it with --poses_format 11")
         values = fields.numbers_of_line(line, 8, "the pose (export it with --poses_format 11)")
         time_s = fields.number(values[0], "the time")
         try:
@@ -115,7 +115,8 @@ class RtabmapReader(ListedReader):
             intrinsics = _intrinsics(text)
             pose = node[1] @ _local_transform(text) if self._robot else node[1]
         distorted = any(_matrix(text, "distortion_coefficients") or []) or _FISHEYE.search(text)
-        if distorted and not self.notes:
+        if distorted and not self._distortion_noted:
+            self._distortion_noted = True
             effect = "images are taken for rectified, as RTAB-Map stores them"
             self.notes.append(Note(f"{calib_label}: the lens distortion", effect, "undistort raw images first"))
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)

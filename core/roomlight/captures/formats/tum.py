@@ -103,20 +103,19 @@ def _stream(
 
     Of pairs, `half` is 0 for colour, 1 for depth.
     """
+
+    def entry(line: str) -> tuple[float, str]:
+        line = re.sub(r"^(\s*\d+),(\d+[\s;])", r"\1.\2", line)  # a decimal comma
+        if half is not None:
+            line = _half(line, half)
+        first, rest = [*re.split(r"[\s,;]+", line.strip(), maxsplit=1), ""][:2]
+        time_s = fields.time(first)
+        if time_s is None or math.isnan(time_s):
+            raise ValueError(f"starts with {first[:40]!r}, not with a time")
+        return time_s, fields.text(rest.strip(), "what follows the time")
+
     label = source.label(name)
-    entries: list[tuple[float, str]] = []
-    for row, line in enumerate(fields.parse_text(read_index(source, name), label), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        with fields.naming(f"{label}: line {row}", CaptureError):
-            line = re.sub(r"^(\s*\d+),(\d+[\s;])", r"\1.\2", line)  # a decimal comma
-            if half is not None:
-                line = _half(line, half)
-            first, rest = [*re.split(r"[\s,;]+", line.strip(), maxsplit=1), ""][:2]
-            time_s = fields.time(first)
-            if time_s is None or math.isnan(time_s):
-                raise ValueError(f"starts with {first[:40]!r}, not with a time")
-            entries.append((time_s, fields.text(rest.strip(), "what follows the time")))
+    entries = fields.parsed_lines(read_index(source, name), label, entry, notes)
     if len(entries) > most:
         raise CaptureError(f"{label}: lists {len(entries)} entries; up to {most} are read")
     if not entries:
