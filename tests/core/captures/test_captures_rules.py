@@ -601,6 +601,9 @@ def test_the_black_border_of_polycams_undistortion_is_not_seen(tmp_path: Path) -
     assert whole.seen is None
     (note,) = capture.notes
     assert "black pixels at the edges" in note.left_out
+    (path / "keyframes/corrected_images/5000000.png").unlink()
+    (note,) = open_capture(path).notes
+    assert "corrected_images: holds 1 of the 2 pictures that were taken" in note.left_out
 
 
 def test_names_of_seven_scenes_in_capitals_keep_their_depth(tmp_path: Path) -> None:

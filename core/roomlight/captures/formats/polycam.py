@@ -30,6 +30,7 @@ _BORDER: Final = 0.05
 """Widest border that undistortion leaves, as a share of a side."""
 _BLACK: Final = 0.004
 """Linear; what JPEG makes of black beside a picture."""
+_SUFFIXES: Final = (".jpg", ".jpeg", ".png")
 _IMAGES = ("keyframes/corrected_images", "keyframes/images", "corrected_images", "images")
 
 
@@ -51,11 +52,14 @@ class PolycamReader(ListedReader):
         images = first_folder(source, *_IMAGES)
         self._cameras = images.replace("images", "cameras")
         self._root = images.rpartition("/")[0] + "/" if "/" in images else ""
-        colour = files_of(source, images, (".jpg", ".jpeg", ".png"))
+        colour, taken = (files_of(source, at, _SUFFIXES) for at in (images, images.replace("corrected_", "")))
         if not files_of(source, self._cameras, (".json",)):
             raise CaptureError(f"{source.label(self._cameras)}: has no camera; export Polycam's raw data")
         super().__init__(folder, options, colour, expected="keyframes/images/TIME.jpg")
         self._border_noted = False
+        if len(taken) > len(colour):
+            what = f"{source.label(images)}: holds {len(colour)} of the {len(taken)} pictures that were taken"
+            self.notes.append(Note(what, "the others are not read", "nothing to do, if the app left them out"))
 
     def timestamps(self) -> list[float | None]:
         """Return the numbers that name the files, in microseconds."""
