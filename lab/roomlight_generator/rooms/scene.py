@@ -49,11 +49,6 @@ class Material:
     glass: bool = False
     emission: Rgb = (0.0, 0.0, 0.0)
 
-    @property
-    def emits(self) -> bool:
-        """Whether the material is a light source."""
-        return max(self.emission) > 0
-
 
 @dataclass(frozen=True, eq=False)
 class Mesh:

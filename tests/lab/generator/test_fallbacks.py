@@ -38,7 +38,7 @@ def test_a_mesh_is_valid_and_has_the_size_of_its_model(model: FurnitureModel) ->
     for material in mesh.materials:
         assert 0 < min(material.albedo) <= max(material.albedo) <= 0.95
         assert material.roughness is None or 0.03 <= material.roughness <= 0.6
-        assert not material.emits
+        assert not any(material.emission)
         assert material.name
 
 

@@ -38,7 +38,7 @@ def test_surface_albedos_and_roughness_are_in_range(rooms):
             assert all(0 < channel <= 0.95 for channel in material.albedo), name
             assert min(material.albedo) > 0.005, name
             assert material.roughness is None or 0.03 <= material.roughness <= 0.6, name
-            assert not material.emits
+            assert not any(material.emission)
             assert material.mirror == 0
 
 

@@ -76,7 +76,7 @@ def test_the_test_split_has_its_own_models_and_room_types(count):
 @pytest.mark.parametrize("index", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 12))])
 def test_no_room_is_dark(index):
     built = room(index)
-    shining = any(material.emits for item in built.scene.items for material in item.mesh.materials)
+    shining = any(any(material.emission) for item in built.scene.items for material in item.mesh.materials)
     assert shining or built.scene.openings
     assert built.facts["light"]["sources"]
     assert built.facts["triangles"] == built.scene.triangle_count()

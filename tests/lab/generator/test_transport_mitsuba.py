@@ -50,7 +50,9 @@ def mitsuba_shape(mi: ModuleType, mesh: Mesh, path: Path) -> dict[str, Any]:
         bsdf = {"type": "roughplastic", "distribution": "ggx", "alpha": material.roughness, "int_ior": 1.5}
         bsdf |= {"nonlinear": False, "diffuse_reflectance": rgb(material.albedo)}
     described = {"type": "ply", "filename": str(path), "face_normals": True, "bsdf": {"type": "twosided", "b": bsdf}}
-    return described | ({"emitter": {"type": "area", "radiance": rgb(material.emission)}} if material.emits else {})
+    return described | (
+        {"emitter": {"type": "area", "radiance": rgb(material.emission)}} if any(material.emission) else {}
+    )
 
 
 def rgb(value: tuple[float, ...]) -> dict[str, Any]:
