@@ -114,7 +114,8 @@ def _row(canvas: Canvas, top: int, recording: Recording, width: int, times: int)
     for panorama in recording.probe_panoramas[:_PROBES]:
         canvas.picture((left, row), panorama, size=_PROBE)
         under = (panorama * np.float32(2.0**under_ev)).astype(np.float32)
-        canvas.picture((left, row + _PROBE[1] + _GAP), _peaks(under), size=_PROBE)
+        peaks = cv2.dilate(under, np.ones((3, 3), np.uint8))  # a bulb of one pixel must survive the shrinking
+        canvas.picture((left, row + _PROBE[1] + _GAP), peaks, size=_PROBE)
         left += _PROBE[0] + _GAP
 
 
@@ -137,8 +138,3 @@ def _surface_colours(recording: Recording) -> Float[np.ndarray, "h w 3"]:
     for kind, tint in _TINTS.items():
         image[recording.surface[0] == kind] = tint
     return image
-
-
-def _peaks(panorama: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
-    """Return each pixel's brightest neighbour: a bulb of one pixel must survive when the picture is shrunk."""
-    return cv2.dilate(panorama, np.ones((3, 3), np.uint8))

@@ -106,7 +106,8 @@ def make_sky(
     if kind in ("dusk", "golden"):
         sky = _with_afterglow(sky, views, azimuth, rng, strength=2.5 if kind == "dusk" else 0.6)
     level = np.exp(rng.uniform(*np.log(parameters.sky_klx)))
-    sky = (sky * (level / _klx(sky, np.array([0.0, 1.0, 0.0])))).astype(np.float32)
+    klx = float(LUMINANCE @ _irradiance(sky, np.array([0.0, 1.0, 0.0])))
+    sky = (sky * (level / klx)).astype(np.float32)
     if parameters.sun_klx[1] > 0 and not hidden:
         # A low sun is weaker and redder: its light passes through more air.
         (lowest, highest), (weak, strong) = parameters.elevation, parameters.sun_klx
@@ -154,10 +155,6 @@ def _sun_irradiance(sun: Sun | None, normal: Float[np.ndarray, "3"]) -> Float[np
     if sun is None:
         return np.zeros(3)
     return np.array(sun.irradiance) * max(0.0, float(sun.direction @ normal))
-
-
-def _klx(panorama: Panorama, normal: Float[np.ndarray, "3"]) -> float:
-    return float(LUMINANCE @ _irradiance(panorama, normal))
 
 
 def _clear_dome(
@@ -231,7 +228,8 @@ def _with_ground(sky: Sky, views: Panorama, rng: np.random.Generator, *, dark: b
     # Surrounding houses and trees hide part of the sky from the ground.
     panorama = np.where((elevation < 0)[..., None], ground * (down * rng.uniform(0.6, 0.95) / np.pi), sky.panorama)
     behind = (elevation < skyline[None, :]) & (elevation > -0.06)
-    sides = np.stack([_facing(sky, float(angle)) for angle in bearing[::8] + np.pi])
+    facing = (_direction(float(angle), 0.0) for angle in bearing[::8] + np.pi)
+    sides = np.stack([vertical_irradiance(sky, outward, sun_share=1.0) for outward in facing])
     lit = np.stack(
         [np.interp(np.arange(len(bearing)), np.arange(0, len(bearing), 8), sides[:, k]) for k in range(3)], 1
     )
@@ -267,10 +265,6 @@ def _skyline(
         off = np.arccos(np.clip(np.cos(bearing - np.arctan2(sun.direction[2], sun.direction[0])), -1, 1))
         line = np.where(off < 0.35, np.minimum(line, max(top, 0.02)), line)
     return line, kind
-
-
-def _facing(sky: Sky, azimuth: float) -> Float[np.ndarray, "3"]:
-    return vertical_irradiance(sky, _direction(azimuth, 0.0), sun_share=1.0)
 
 
 def _ground_albedo(views: Panorama, rng: np.random.Generator) -> Panorama:

@@ -22,7 +22,7 @@ from roomlight_generator.rooms.planner import free_floor
 from roomlight_generator.sequences.exposure import Exposure, expose
 from roomlight_generator.sequences.probes import place_probes
 from roomlight_generator.sequences.sensor import Sensor, clipped_radiance, develop
-from roomlight_generator.sequences.walk import FreeSpace, camera_walk, phone_intrinsics, timestamps_s
+from roomlight_generator.sequences.walk import FRAME_INTERVAL_S, FreeSpace, camera_walk, phone_intrinsics
 from roomlight_generator.transport import FrameView, RoomLight, Tracer
 
 PROBES: Final = 3
@@ -195,7 +195,7 @@ def record(
         intrinsics=path.intrinsics,
         camera_to_world=rotation @ path.poses,
         exposure=exposure.relative,
-        timestamp_s=timestamps_s(len(path.poses)),
+        timestamp_s=np.arange(len(path.poses)) * FRAME_INTERVAL_S,
         probe_positions=path.probes @ rotation[:3, :3].T,
         probe_panoramas=np.roll(np.minimum(exposure.panorama(panoramas), _HALF_MAX), columns, 2).astype(np.float32),
         facts={**facts, **_facts(exposure, sensor, panoramas)},

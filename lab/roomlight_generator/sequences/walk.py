@@ -133,11 +133,6 @@ def motion_statistics(camera_to_world: Float[np.ndarray, "f 4 4"]) -> Motion:
     return Motion(translation_m=steps, rotation_degrees=np.degrees(angles))
 
 
-def timestamps_s(frames: int) -> Float[np.ndarray, " f"]:
-    """Return the times of `frames` frames, in seconds from the first."""
-    return np.arange(frames) * FRAME_INTERVAL_S
-
-
 def phone_intrinsics(rng: np.random.Generator, width: int = 320, height: int = 240) -> Intrinsics:
     """Draw a phone's main camera: square pixels, the principal point off the middle by about 1 % (at most 2 %)."""
     focal = width / 2 / np.tan(np.radians(rng.uniform(*FIELD_OF_VIEW_DEGREES)) / 2)
