@@ -99,11 +99,13 @@ class CompositeReport:
     def tables(self) -> list[Table]:
         """Return a table with a row per part, preset by preset and object by object; the criteria."""
         (width, height), (columns, rows) = self.image, self.depth
+        missing = "not installed: final stays as it was sampled"
+        denoiser = missing if self.denoiser == "none" else "installed: final is denoised"
         table = figure_table(
             f"A frame of {width} x {height} pixels with depth of {columns} x {rows}, milliseconds",
             ("median", "p95", "CPU median", "CPU p95", "CPU mean", "ratio"),
             caption="ratio: mean processor time / processor time of the engine's stage volume in the same run; "
-            + self.denoiser_note(),
+            f"Open Image Denoise is {denoiser}",
         )
         for row in self.times:
             table.add_section()
@@ -115,9 +117,3 @@ class CompositeReport:
             about = f"{row.frames} frames, {row.triangles} triangles, {row.pixels:.0f} pixels"
             table.add_row(f"[dim]{about}[/dim]")
         return [table, criteria_table(self.criteria())]
-
-    def denoiser_note(self) -> str:
-        """Say whether `final` denoises."""
-        if self.denoiser == "none":
-            return "Open Image Denoise is not installed: final stays as it was sampled"
-        return "Open Image Denoise is installed: final is denoised"

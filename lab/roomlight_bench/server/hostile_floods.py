@@ -97,10 +97,10 @@ async def _repeat(writer: asyncio.StreamWriter, unit: bytes, bytes_per_s: float 
             await asyncio.sleep(len(block) / bytes_per_s)
 
 
-def interleaved_glb(meshes: int = 5, megabytes: int = 31) -> bytes:
+def interleaved_glb() -> bytes:
     """Return a GLB whose accessors, four a mesh, share one view with the largest stride that glTF allows."""
-    stride = 252
-    count = megabytes * 2**20 // stride // 3 * 3
+    stride, meshes = 252, 5
+    count = 31 * 2**20 // stride // 3 * 3
     kinds = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC4", "TEXCOORD_0": "VEC2"}
     view = {"bufferView": 0, "componentType": 5126, "count": count}
     content = np.zeros((count, stride // 4), "<f4")

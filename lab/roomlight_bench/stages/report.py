@@ -90,7 +90,7 @@ class StagesReport:
                 _time_and_ratio(row, row.reference),
                 _time_and_ratio(row, row.torch),
                 "-" if largest is None else f"{largest:.1e}",
-                _giga(row.flops),
+                "-" if row.flops is None else short_number(row.flops / 1e9),
                 "-" if row.flops is None else f"{1e3 * row.flops / row.ours.least_ms / self.peak_flops_per_s:.0%}",
                 "-" if row.paper_ms is None else f"{row.paper_ms:g}",
             )
@@ -144,10 +144,6 @@ def _time_and_ratio(row: StageRow, timing: Timing | None) -> str:
     if timing is None or ratio is None:
         return "-"
     return f"{short_number(timing.least_ms)}\n[bold]{short_number(ratio)} x[/bold]"
-
-
-def _giga(value: float | None) -> str:
-    return "-" if value is None else short_number(value / 1e9)
 
 
 @dataclass(frozen=True)

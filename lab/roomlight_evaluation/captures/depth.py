@@ -8,7 +8,7 @@ out. At true panoramas, light by estimated depth is compared with light by exact
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -89,8 +89,7 @@ class DepthScores:
 
     def write(self, path: Path) -> None:
         """Write all scores as JSON. Raises OutputError."""
-        values: list[dict[str, Any]] = [asdict(score) for score in self.scores]
-        write_json(path, {"scores": values})
+        write_json(path, {"scores": [asdict(score) for score in self.scores]})
 
 
 def evaluate_depth(

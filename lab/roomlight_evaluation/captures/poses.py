@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -95,8 +95,7 @@ class PoseScores:
 
     def write(self, path: Path) -> None:
         """Write all scores as JSON. Raises OutputError."""
-        values: list[dict[str, Any]] = [asdict(score) for score in self.scores]
-        write_json(path, {"scores": values})
+        write_json(path, {"scores": [asdict(score) for score in self.scores]})
 
 
 def evaluate_poses(

@@ -206,14 +206,11 @@ def _places(
                 lit_room.light.tracer, path.intrinsics, pose, rng, radius_m=radius, height_m=height
             )
             if place is not None:
-                places.append((_off_centre(place, path.intrinsics), number, place))
+                off_centre = np.hypot(place.u / path.intrinsics.width - 0.5, place.v / path.intrinsics.height - 0.6)
+                places.append((float(off_centre), number, place))
         if places:
             _, number, place = min(places, key=lambda candidate: candidate[0])
             yield path, number, place
-
-
-def _off_centre(place: real.RestingPlace, lens: Intrinsics) -> float:
-    return float(np.hypot(place.u / lens.width - 0.5, place.v / lens.height - 0.6))
 
 
 def _recorded(
