@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from roomlight.rays import RayTree
 from roomlight_generator.rooms.colour import blackbody_rgb
 from roomlight_generator.rooms.plan import Placement, Shell
+from roomlight_generator.rooms.roles import LAMP_ROLES
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Rgb, Sky
 from roomlight_generator.rooms.shapes import block, sphere, with_material
 from roomlight_generator.rooms.sky import make_sky, vertical_irradiance
@@ -121,7 +122,8 @@ def light_room(
     scenario = _SCENARIOS[int(rng.choice(len(_SCENARIOS), p=_KIND_SCENARIOS[kind]))] if windows else "night"
     toward = _choose_outward_normal(shell, rng) if kind == "sunbeams" else None
     sky = make_sky(str(rng.choice(_SKIES[scenario])), rng, toward=toward, spread_degrees=_SUNBEAM_SPREAD_DEGREES)
-    lamps = [i for i, placement in enumerate(placements) if _is_lamp(placement)]
+    models = [placement.model for placement in placements]
+    lamps = [i for i, model in enumerate(models) if len(model.lights) or model.role in LAMP_ROLES]
     lit = set[int]()
     fixtures: list[Item] = []
     if kind in ("mixed", "bare bulbs") and rng.random() < _LAMPS_ON_PROBABILITY[scenario]:
@@ -220,11 +222,6 @@ def _without_shade(item: Item, placement: Placement) -> Item:
 def _has_windows(shell: Shell) -> bool:
     """Return whether daylight comes in, through an opening or translucent cloth over a fully covered window."""
     return bool(shell.openings) or any(_named(item.mesh, "daylit") for item in shell.items)
-
-
-def _is_lamp(placement: Placement) -> bool:
-    model = placement.model
-    return bool(model.lights) or model.role in ("ceiling_lamp", "floor_lamp", "table_lamp", "wall_lamp")
 
 
 def _choose_lamps(placements: Sequence[Placement], lamps: Sequence[int], rng: np.random.Generator) -> list[int]:

@@ -26,6 +26,8 @@ TOP_ROLES: Final = (
 )  # fmt: skip
 """Roles that stand on top of other furniture."""
 
+LAMP_ROLES: Final = ("ceiling_lamp", "floor_lamp", "table_lamp", "wall_lamp")
+
 FLAT_ROLES: Final = ("rug",)
 """Roles that lie flat on the floor and block nothing."""
 

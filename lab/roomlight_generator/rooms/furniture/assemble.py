@@ -16,7 +16,7 @@ from roomlight_generator.rooms.furniture.files.obj import MtlMaterial, Obj, pars
 from roomlight_generator.rooms.furniture.files.sh3f import LibraryEntry, WarningCallback
 from roomlight_generator.rooms.furniture.files.textures import MAX_IMAGE_BYTES, MAX_SIDE, TextureImage, decode_image
 from roomlight_generator.rooms.furniture.simplify import TriangleSoup, simplified, welded
-from roomlight_generator.rooms.roles import CEILING_ROLES, TOP_ROLES
+from roomlight_generator.rooms.roles import CEILING_ROLES, LAMP_ROLES, TOP_ROLES
 from roomlight_generator.rooms.scene import Material, Mesh, Texture
 
 TARGET_TRIANGLES: Final = 8_000
@@ -105,7 +105,7 @@ def _load_materials(
 
 
 def _is_shade(name: str, entry: LibraryEntry, role: str) -> bool:
-    lamp = role in ("ceiling_lamp", "floor_lamp", "table_lamp", "wall_lamp")
+    lamp = role in LAMP_ROLES
     return name in entry.glowing or (lamp and entry.id not in KIND_OF and looks_like_shade(name))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from roomlight.conventions import srgb_to_linear
 from roomlight_generator.rooms.furniture.files.obj import MtlMaterial
+from roomlight_generator.rooms.roles import LAMP_ROLES
 from roomlight_generator.rooms.scene import Material, Rgb, Texture
 
 ALBEDO: Final = (0.03, 0.88)
@@ -41,7 +42,6 @@ _SMOOTH_ROLES: Final = frozenset(
      "television", "wall_television", "electronics", "kitchen_appliance", "hood", "vase", "exercise", "toy"}
 )  # fmt: skip
 _SCREEN_ROLES: Final = frozenset({"television", "wall_television", "computer", "laptop", "tv_stand", "electronics"})
-_LAMP_ROLES: Final = frozenset({"ceiling_lamp", "floor_lamp", "table_lamp", "wall_lamp"})
 
 
 def make_material(
@@ -86,7 +86,7 @@ def _kind(words: str, mtl: MtlMaterial, texture: Texture | None, role: str) -> s
     if _MIRROR.search(words) and texture is None:
         return "mirror"
     clear = mtl.opacity < 0.5 or (mtl.opacity < 0.85 and _GLASS.search(words))
-    if clear and role in _LAMP_ROLES:
+    if clear and role in LAMP_ROLES:
         return "shade"
     if clear and role not in ("tableware", "food", "bathroom_thing", "stationery", "person", "pet", "curtain", "rug"):
         return "glass"
