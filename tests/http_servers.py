@@ -223,8 +223,10 @@ class HeldSession(Session):
     broken: ClassVar[dict[int, BaseException]] = {}
 
     @classmethod
-    def reset(cls):
+    def serve(cls, monkeypatch):
+        """Make it the engine of the sessions of servers."""
         cls.entered, cls.gate, cls.broken = threading.Semaphore(0), threading.Semaphore(0), {}
+        monkeypatch.setattr("roomlight_server.sessions.registry.Session", cls)
 
     @classmethod
     def wait_entered(cls):

@@ -120,8 +120,7 @@ def test_camera_frames_are_numbered(server, kind):
 
 def test_a_frame_with_a_lost_answer_is_processed_once(monkeypatch):
     """The connection breaks while the engine processes the frame; a later attempt gets the same result."""
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
-    HeldSession.reset()
+    HeldSession.serve(monkeypatch)
     pushing, released = [], []
 
     def wait(_):

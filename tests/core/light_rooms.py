@@ -10,6 +10,10 @@ def unit(x, y, z):
     return direction / np.linalg.norm(direction)
 
 
+def angle_deg(a, b):
+    return np.degrees(np.arccos(np.clip(np.dot(a, b), -1, 1)))
+
+
 def lit(height, lamps, level=0.0):
     """A uniform panorama with round lamps: (direction, radius in degrees, RGB or grey radiance added)."""
     directions = panorama_directions(height)

@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from light_rooms import cap_solid_angle, lit, mean_light, room, unit
+from light_rooms import angle_deg, cap_solid_angle, lit, mean_light, room, unit
 
 from roomlight.conventions import LUMINANCE, panorama_directions
 from roomlight.light.main_light import MAX_LIGHTS, TrackedLights, find_lights, main_light, relit
-
-
-def angle_deg(a, b):
-    return np.degrees(np.arccos(np.clip(np.dot(a, b), -1, 1)))
 
 
 @given(

@@ -213,8 +213,7 @@ def test_a_write_after_the_loss_is_refused(tmp_path):
 
 
 def test_a_frame_in_the_engine_is_not_answered_after_a_loss(tmp_path, monkeypatch):
-    HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    HeldSession.serve(monkeypatch)
     with server_on(tmp_path) as first:
         first.open()
         pushed = InThread(first.push, 0)

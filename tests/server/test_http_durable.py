@@ -431,8 +431,7 @@ def test_the_folder_of_a_session_is_not_followed_if_it_is_a_link(saved, tmp_path
 
 
 def test_a_waiting_frame_is_left_to_the_client(tmp_path, monkeypatch):
-    HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    HeldSession.serve(monkeypatch)
     with server_on(tmp_path / "state") as server:
         server.open()
         HeldSession.release()

@@ -18,8 +18,7 @@ from roomlight_server.sessions import live_session
 @pytest.fixture
 def held(monkeypatch):
     """Yield a server whose engine waits in every push."""
-    HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    HeldSession.serve(monkeypatch)
     with RunningServer(frames_in_flight=3, engine_threads=1) as running:
         running.open()
         yield running

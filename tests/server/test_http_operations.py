@@ -80,9 +80,8 @@ def test_log_lines_name_their_request(server, lines):
 
 def test_the_line_of_a_failed_frame_names_its_request(monkeypatch, lines):
     """The task that processes frames was started by an earlier request."""
-    HeldSession.reset()
+    HeldSession.serve(monkeypatch)
     HeldSession.broken = {1: RuntimeError("broke")}
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with RunningServer() as server:
         server.open()
         first = InThread(server.push, 0, headers={ID: "first"})
@@ -97,8 +96,7 @@ def test_the_line_of_a_failed_frame_names_its_request(monkeypatch, lines):
 
 
 def test_metrics_show_queues_refusals_and_memory(monkeypatch):
-    HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    HeldSession.serve(monkeypatch)
     with RunningServer(engine_threads=1) as server:
         server.open()
         server.open("other")
@@ -129,8 +127,7 @@ def test_metrics_show_queues_refusals_and_memory(monkeypatch):
 
 def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
     """The server closed its socket first: a load balancer saw no /readyz, and streams lost their frames."""
-    HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    HeldSession.serve(monkeypatch)
     with RunningServer(engine_threads=1) as server:
         server.open()
         server.open("streamed")
@@ -159,8 +156,7 @@ def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
 def test_a_stop_waits_no_longer_than_its_limit(monkeypatch):
     monkeypatch.setattr(serving, "DRAIN_LIMIT_S", 0.1)
     monkeypatch.setattr("roomlight_server.work.workers.STOP_S", 0.1)
-    HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    HeldSession.serve(monkeypatch)
     with RunningServer() as server:
         server.open()
         push = InThread(server.push, 0)

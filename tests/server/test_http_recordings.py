@@ -17,6 +17,7 @@ from roomlight_server.recordings import player as recording_player
 from roomlight_server.recordings import store as recording_store
 from roomlight_server.recordings.files import MAX_PIECE_BYTES, RecordingFiles, append, check_path
 from server_processes import Process
+from written_captures import edited_copy
 
 TOKEN, OTHER = "a-token-of-sixteen-or-more", "another-token-of-sixteen"
 URL = "/v1/recordings"
@@ -71,12 +72,7 @@ def finished(server, url, status="finished", **more):
 @pytest.fixture
 def short_sample(tmp_path):
     """The first six frames of the sample capture, without its probes' panoramas."""
-    folder = tmp_path / "sample"
-    shutil.copytree(sample_capture(), folder)
-    index = json.loads((folder / "capture.json").read_text())
-    index["frames"] = index["frames"][:6]
-    (folder / "capture.json").write_text(json.dumps(index))
-    return folder
+    return edited_copy(sample_capture(), tmp_path / "sample", lambda index: index.update(frames=index["frames"][:6]))
 
 
 def test_an_upload_arrives_in_pieces(server):

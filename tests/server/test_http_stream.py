@@ -212,8 +212,7 @@ def test_a_frame_is_answered_if_the_engine_breaks_after_it(monkeypatch):
 
 
 def test_a_dropped_connection_frees_its_frame_slots(monkeypatch):
-    HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    HeldSession.serve(monkeypatch)
     with RunningServer(frames_in_flight=2) as server:
         server.open()
         with streaming(server) as stream:
@@ -228,8 +227,7 @@ def test_a_dropped_connection_frees_its_frame_slots(monkeypatch):
 
 
 def test_the_newest_frame_of_a_stream_wins(monkeypatch):
-    HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    HeldSession.serve(monkeypatch)
     with RunningServer(frames_in_flight=3) as server:
         server.open()
         with streaming(server) as stream:
@@ -307,8 +305,7 @@ def test_a_client_that_disconnects_while_it_tracks_leaves_no_nameless_probe(serv
 
 
 def test_a_session_that_is_deleted_during_a_frame_logs_no_error(monkeypatch, caplog):
-    HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
+    HeldSession.serve(monkeypatch)
     with RunningServer() as server:
         server.open()
         pushed = InThread(server.push, 0)

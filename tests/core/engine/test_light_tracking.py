@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from light_rooms import lit, unit
+from light_rooms import angle_deg, lit, unit
 
 from roomlight.engine.panorama.light_tracking import (
     CHALLENGE_FRAMES,
@@ -16,10 +16,6 @@ from roomlight.engine.panorama.light_tracking import (
 from roomlight.light.main_light import NO_SOURCE, MainLight, TrackedLights, find_lights, no_light
 
 LEFT, RIGHT, BEHIND = unit(-1, 0.4, 0.2), unit(1, 0.4, 0.2), unit(0.1, 0.5, 1)
-
-
-def angle_deg(a, b):
-    return np.degrees(np.arccos(np.clip(np.dot(a, b), -1, 1)))
 
 
 def lamp(direction, strength=1.0):

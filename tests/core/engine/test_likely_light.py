@@ -2,17 +2,13 @@
 
 import numpy as np
 import pytest
-from light_rooms import lit, unit
+from light_rooms import angle_deg, lit, unit
 
 from roomlight.conventions import panorama_directions
 from roomlight.engine.panorama.likely_light import likely_lights
 from roomlight.light.main_light import NO_SOURCE, find_lights
 
 WALL, LAMP = unit(1, 0.1, 0), unit(-0.5, 0.8, 0.3)
-
-
-def angle_deg(a, b):
-    return np.degrees(np.arccos(np.clip(np.dot(a, b), -1, 1)))
 
 
 def glow(height, direction, strength, *, width=6.0):
