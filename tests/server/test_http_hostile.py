@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import zstandard
 from numpy.typing import DTypeLike
+from slow_images import chunk
 
 from http_servers import RunningServer, box_shot, frame, header_of, parts_of
 from roomlight.wire.frame_message import column_major
@@ -49,10 +50,6 @@ def with_parts(colour=None, depth=None, confidence=None, **changes):
 
 def png_bomb(width, height):
     """Return a valid PNG of a few hundred kilobytes that decodes to gigabytes."""
-
-    def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
     packer = zlib.compressobj(9)
     rows = b"".join(packer.compress(bytes(3 * width + 1)) for _ in range(200)) + packer.flush()
     ihdr = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)

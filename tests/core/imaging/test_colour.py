@@ -2,7 +2,6 @@
 
 import io
 import struct
-import zlib
 from collections.abc import Callable
 
 import cv2
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
+from slow_images import chunk
 
 from colour_profiles import matrix_profile
 from roomlight.errors import ImageError
@@ -24,10 +24,6 @@ P3_RED = np.array([[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.
     0.0212,
     0.0212,
 ]
-
-
-def chunk(kind: bytes, body: bytes) -> bytes:
-    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
 def png(pixels: np.ndarray, *chunks: bytes) -> bytes:
