@@ -4,7 +4,6 @@ import contextlib
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Final
 
 import av
@@ -79,9 +78,7 @@ class VideoWriter:
         except OSError as error:  # PyAV's errors of files and codecs are OSErrors too
             raise OutputError(f"{self.path}: cannot be written ({error})") from error
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         if self._container is None or self._stream is None:
             return
         try:

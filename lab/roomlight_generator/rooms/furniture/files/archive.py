@@ -3,7 +3,6 @@
 import zipfile
 import zlib
 from pathlib import Path
-from types import TracebackType
 from typing import Final
 from urllib.parse import unquote
 
@@ -42,9 +41,7 @@ class Archive:
     def __enter__(self) -> "Archive":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self._zip.close()
 
