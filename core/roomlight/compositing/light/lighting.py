@@ -277,14 +277,11 @@ def _sampling_tables(panorama: Float32[np.ndarray, "h w 3"]) -> SamplingTables:
     columns = np.concatenate([np.zeros((height, 1)), np.cumsum(weight, axis=1)], axis=1)
     columns /= np.maximum(columns[:, -1:], 1e-300)
     rows[-1] = columns[:, -1] = 1.0
-    cells, toward, bands = _cells(weight)
     return SamplingTables(
         (luminance / total).astype(np.float32),
         rows.astype(np.float32),
         columns.astype(np.float32),
-        cells,
-        toward,
-        bands,
+        *_cells(weight),
         np.cos(np.arange(height + 1) * (np.pi / height)),
     )
 
