@@ -165,7 +165,6 @@ class RoomCache:
     """
 
     table: PatchTable
-    patches: int
     base: Float32[np.ndarray, "rows 3"]
     lobe: Float32[np.ndarray, "rows 3"]
     sun_base: Float32[np.ndarray, "rows 3"]
@@ -419,18 +418,11 @@ def _with_fallbacks(
         whole = _means(column, visibility.material, count=visibility.materials, fill=True)
         nothing = np.zeros((1, column.shape[1]), np.float32)
         tables.append(np.concatenate([column, around, whole, nothing]).astype(np.float32))
-    base, lobe, sun_base, sun_lobe, indirect, indirect_coated = tables
     coarse = visibility.coarse
     return RoomCache(
         PatchTable(patches.fineness, table.keys, table.values, coarse.keys, coarse.values, count, count + wide),
-        count,
-        base,
-        lobe,
-        sun_base,
-        sun_lobe,
-        indirect,
-        indirect_coated,
-        np.concatenate([enclosed, np.zeros(len(indirect) - count, bool)]),
+        *tables,
+        enclosed=np.concatenate([enclosed, np.zeros(len(tables[0]) - count, bool)]),
     )
 
 
