@@ -108,12 +108,19 @@ export class Http {
       if (cause === timeout) {
         return [timeout, null];
       }
-      return [new RoomLightError(`${method} ${this.address(path)}: no connection`, 0, null, { cause }), null];
+      const reason = messageOf(cause);
+      return [new RoomLightError(`${method} ${this.address(path)}: no connection${reason}`, 0, null, { cause }), null];
     } finally {
       clearTimeout(timer);
       signal?.removeEventListener("abort", abort);
     }
   }
+}
+
+/** What a failed `fetch` says: Node has the reason, such as that of a refused certificate, one level down. */
+function messageOf(cause: unknown): string {
+  const { message, cause: inner } = cause as Error;
+  return message ? ` (${inner instanceof Error && inner.message ? inner.message : message})` : "";
 }
 
 async function errorOf(response: Response, request: string): Promise<RoomLightError> {

@@ -4,7 +4,7 @@
 import { RoomLightError } from "./errors.js";
 import type { Http, HttpRequest } from "./http.js";
 import type { SessionMemory } from "./memory.js";
-import { Backoff, isSessionGone } from "./reconnect.js";
+import { Backoff, isSessionGone, isTemporary } from "./reconnect.js";
 import { waiting } from "./waiting.js";
 import { FRAME_MEDIA_TYPE, type FrameResult, type Position, type SessionState } from "./wire.js";
 
@@ -119,7 +119,14 @@ export class SessionRequests {
       await this.http.send({ method: "DELETE", path: this.probePath(name), signal });
     }
     for (const [name, position] of probes.track) {
-      await this.http.send({ ...this.trackRequest(name, position), signal });
+      try {
+        await this.http.send({ ...this.trackRequest(name, position), signal });
+      } catch (error) {
+        if (!isRefused(error) || isTemporary(error)) {
+          throw error;
+        }
+        this.memory.probes.delete(name); // `onProblem` was told when the stream tracked it
+      }
     }
     const last = state.frames.last_index ?? -1;
     for (const { index, message } of [...this.memory.frames].filter((one) => one.state === "done" && one.index > last)) {
@@ -133,10 +140,10 @@ export class SessionRequests {
       const response = await this.http.send({ ...this.frameRequest(index, message), signal });
       this.memory.frames.settle((await response.json()) as FrameResult);
     } catch (error) {
-      if (!(error instanceof RoomLightError) || isServerLost(error) || isSessionGone(error)) {
+      if (!isRefused(error)) {
         throw error;
       }
-      this.memory.frames.remove(index); // refused, or already there
+      this.memory.frames.remove(index); // or already there
     }
   }
 
@@ -163,6 +170,10 @@ export class SessionRequests {
 /** No answer, or that of a proxy whose server is away. */
 function isServerLost({ status, kind }: RoomLightError): boolean {
   return status === 0 || status === 502 || status === 504 || (status === 503 && ["", "stopping", "session-moved"].includes(kind));
+}
+
+function isRefused(error: unknown): error is RoomLightError {
+  return error instanceof RoomLightError && !isServerLost(error) && !isSessionGone(error);
 }
 
 /** The server cannot use the state that it has saved. */

@@ -109,7 +109,7 @@ export class Stream {
     try {
       await stream.connect(false);
     } catch (cause) {
-      const error = signal?.aborted ? signal.reason : cause;
+      const error = signal?.aborted ? signal.reason : asError(cause);
       stream.finish(asError(error));
       throw error;
     }
@@ -430,7 +430,11 @@ export class Stream {
 function openSocket({ address, client }: SessionLink, signal: AbortSignal): Promise<WebSocket> {
   return new Promise((resolve, reject) => {
     signal.throwIfAborted();
-    const SocketClass = client.WebSocket ?? WebSocket;
+    const SocketClass = client.WebSocket ?? globalThis.WebSocket;
+    if (!SocketClass) {
+      const way = "start Node 20 with --experimental-websocket, use Node 22, or pass the option WebSocket";
+      throw new RoomLightError(`${address}: this runtime has no WebSocket; ${way}`, 0);
+    }
     // Browsers cannot set headers here: the token is sent as a second subprotocol, and the server accepts the first.
     const protocols = ["roomlight.v1", ...(client.token ? [`bearer.${client.token}`] : [])];
     const socket = new SocketClass(address, protocols);

@@ -304,6 +304,19 @@ test("HTTP pushes survive a server that lost the session", async (context) => {
   assert.equal((await session.state()).id, "room"); // opened again for any call
 });
 
+test("a point that the server refuses is given up, and pushes go on", async (context) => {
+  const room = new Room();
+  const { session, stream } = await room.stream(context);
+  stream.track("my lamp", [1, 2, 3]);
+  await session.push(plainFrame());
+  room.http = ({ path }) => (path.includes("/probes/") ? problem(422) : null);
+  for (const times of [1, 1]) {
+    room.lose();
+    assert.equal((await session.push(plainFrame())).status, "processed");
+    assert.equal(room.log.filter((entry) => entry === "PUT /probes/my%20lamp").length, times);
+  }
+});
+
 test("HTTP pushes wait for a server that is away", async (context) => {
   const room = new Room();
   const session = await room.session(context);

@@ -57,17 +57,22 @@ async function showPairing(api: Api): Promise<void> {
     return body.replaceChildren(
       element("p", {}, "This server can be reached from this computer only. Start it for the local network:"),
       element("p", { class: "address" }, element("code", {}, command)),
+      element("p", { class: "hint" }, "Behind a proxy, give it its public address instead: ROOMLIGHT_PUBLIC_URL."),
     );
   }
   const code = element("img", { alt: "QR code of the address below", width: 220, height: 220 });
   code.src = `data:image/svg+xml,${encodeURIComponent(qr_svg ?? "")}`;
   body.replaceChildren(
-    element("p", {}, "Scan this with an Android phone in the same network. Its Chrome sends what the camera sees."),
+    element("p", {}, "Scan this with a phone that reaches this address. Its browser sends what the camera sees."),
     element("p", { class: "hint" }, `The code is for one phone, within ${Math.round((expires_in_s ?? 0) / 60)} minutes.`),
     ...(qr_svg ? [code] : []),
     element("p", { class: "address" }, url),
-    element("p", { class: "hint" }, "The phone warns once, because this server made its own certificate."),
-    ...(fingerprint ? [element("p", { class: "hint address" }, `Certificate ${fingerprint}`)] : []),
+    ...(fingerprint
+      ? [
+          element("p", { class: "hint" }, "A phone that does not know the server's certificate warns once and shows it."),
+          element("p", { class: "hint address" }, `Certificate ${fingerprint}`),
+        ]
+      : []),
     await pairedPhones(api),
   );
 }

@@ -148,3 +148,4 @@ tokenForm.addEventListener("submit", (event) => {
   tokenField.value = problem.textContent = "";
   tokenForm.hidden = true;
 });
+addEventListener("hashchange", () => /pair=|token=/.test(location.hash) && location.reload()); // another code was scanned
