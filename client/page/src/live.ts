@@ -2,7 +2,7 @@
 
 import { RoomLightError, type Light, type Lights, type Position, type Session, type Stream, type StreamStatus } from "roomlight";
 import type { History } from "./lib/answers";
-import { isAway, sessionPath, type Api } from "./lib/api";
+import { isAway, isGone, sessionPath, type Api } from "./lib/api";
 import { FORMS, probeLight } from "./lib/light_data";
 import { latestOnly } from "./lib/signal";
 import type { ProbeLight, State } from "./state";
@@ -10,12 +10,16 @@ import type { ProbeLight, State } from "./state";
 const FIRST_PROBE = "probe-1";
 const MESH_PAUSE_MS = 1500; // a mesh changes with a keyframe, not with each frame
 const TOGETHER_MS = 100; // new light waits so long for the picture and the camera of its frame
+const REJOIN_MS = 250;
+const MISSING_MS = 3000; // a phone that sends photos replaces its session for each
 
 /** Joins a session, keeps the state up to date, and ends with `close`. */
 export class LiveSession {
   session: Session | null = null;
   private stream: Stream | null = null;
   private readonly stopped = new AbortController();
+  private missingSince: number | null = null;
+  private isReplaced = false; // what is shown is of an earlier session with this id, until a frame arrives
   private etags = { picture: "", mesh: "" };
   private held: string | null = null;
   private pendingMove: { name: string; position: Position } | null = null;
@@ -31,6 +35,7 @@ export class LiveSession {
     private readonly state: State,
     readonly id: string,
     private readonly report: (error: unknown) => void,
+    private readonly onMissing: () => void,
   ) {}
 
   /** Whether frames, light and errors of this session are no longer wanted. */
@@ -41,7 +46,13 @@ export class LiveSession {
   async open(): Promise<void> {
     try {
       const session = await this.api.client().join(this.id, { signal: this.stopped.signal });
+      const isBack = this.session !== null;
       this.session = session;
+      if (isBack) {
+        this.isReplaced = true;
+        this.etags = { picture: "", mesh: "" };
+        this.tracked = null;
+      }
       this.refresh();
       this.stream = await session.stream({
         signal: this.stopped.signal,
@@ -49,12 +60,16 @@ export class LiveSession {
         onProbes: (probes) => this.forgetProbes(Object.keys(probes)),
         onProblem: (error) => this.refused(error),
         onStatus: (status) => this.showStatus(status),
-        onClose: (error) => this.end(error),
+        onClose: (error) => this.stream && void this.end(error),
       });
+      this.missingSince = null;
+      if (isBack) {
+        this.state.liveProbes.value.forEach(({ name, position }) => this.stream?.track(name, position));
+      }
       this.stream.subscribe(FORMS);
       void this.guarded(() => this.addFirstProbe());
     } catch (error) {
-      this.end(error);
+      await this.end(error);
     }
   }
 
@@ -123,6 +138,9 @@ export class LiveSession {
   );
 
   private async receive(update: Lights): Promise<void> {
+    if (this.isReplaced && update.frame < 0) {
+      return;
+    }
     const order = ++this.received;
     const lights = await Promise.all(update.results.map((light) => probeLight(light.name ?? "", update.frame, light)));
     if (this.closed || order < this.shown) {
@@ -169,7 +187,7 @@ export class LiveSession {
 
   private forgetProbes(names: readonly string[]): void {
     this.tracked = new Set(names);
-    const kept = new Map([...this.state.liveProbes.value].filter(([name]) => names.includes(name)));
+    const kept = new Map([...this.state.liveProbes.value].filter(([name]) => this.isReplaced || names.includes(name)));
     if (kept.size !== this.state.liveProbes.value.size) {
       this.state.liveProbes.value = kept;
       this.selectShown();
@@ -189,15 +207,18 @@ export class LiveSession {
   }
 
   private async readFrame(): Promise<void> {
-    const last = this.state.history.value.at(-1)?.index ?? -1;
+    const { session } = this;
+    const last = this.isReplaced ? -1 : (this.state.history.value.at(-1)?.index ?? -1);
     const [camera, history] = await Promise.all([this.api.camera(this.id), this.api.history(this.id, last)]);
     const hasFrame = camera.camera_to_world !== null;
     const picture = hasFrame ? await this.api.file(`${sessionPath(this.id)}/colour`, this.etags.picture) : null;
-    if (this.closed) {
+    if (this.closed || session !== this.session) {
       return;
     }
     this.showArrived();
-    this.state.camera.value = camera;
+    if (hasFrame || !this.isReplaced) {
+      this.state.camera.value = camera;
+    }
     if (picture) {
       this.etags.picture = picture.etag;
       this.state.picture.value = { blob: picture.blob, frame: picture.frame };
@@ -211,7 +232,7 @@ export class LiveSession {
 
   private async addHistory(update: History): Promise<void> {
     let { entries } = update;
-    const known = this.state.history.value;
+    const known = this.isReplaced ? [] : this.state.history.value;
     if (update.stride !== this.stride && known.length > 0) {
       ({ entries } = await this.api.history(this.id, -1)); // entries were removed in between
       if (this.closed) {
@@ -220,6 +241,10 @@ export class LiveSession {
       this.state.shownEntry.value = null;
       this.state.history.value = entries;
     } else if (entries.length > 0) {
+      if (this.isReplaced) {
+        this.isReplaced = false;
+        this.state.shownEntry.value = null;
+      }
       this.state.history.value = [...known, ...entries];
     }
     this.stride = update.stride;
@@ -239,7 +264,7 @@ export class LiveSession {
   }
 
   private async readMesh(): Promise<void> {
-    const mesh = await unlessEmpty(this.api.file(`${sessionPath(this.id)}/mesh?triangles=${this.state.meshTriangles.value}`, this.etags.mesh));
+    const mesh = await this.api.file(`${sessionPath(this.id)}/mesh?triangles=${this.state.meshTriangles.value}`, this.etags.mesh);
     if (mesh && !this.closed) {
       this.etags.mesh = mesh.etag;
       this.state.mesh.value = await mesh.blob.arrayBuffer();
@@ -266,12 +291,20 @@ export class LiveSession {
     }
   }
 
-  private end(error: unknown): void {
+  /** Show why the session is not shown. Where it is missing, wait first whether it comes back. */
+  private async end(error: unknown): Promise<void> {
     if (this.closed) {
       return;
     }
+    const gone = error instanceof RoomLightError && (error.status === 404 || isGone(error));
+    this.stream = null;
+    this.missingSince ??= performance.now();
+    if (gone && performance.now() - this.missingSince < MISSING_MS) {
+      this.onMissing();
+      await new Promise((resolve) => setTimeout(resolve, REJOIN_MS));
+      return this.closed ? undefined : this.open();
+    }
     this.close();
-    const gone = error instanceof RoomLightError && (error.status === 404 || /session-(not-found|closed)|4404|4410/.test(error.message));
     const reason = String(error instanceof Error ? error.message : error);
     this.state.ended.value = gone
       ? { title: "The session has ended", text: "It was idle for too long, it was deleted, or the server was started again." }
@@ -283,22 +316,10 @@ export class LiveSession {
     try {
       await work();
     } catch (error) {
-      const isExpected = error instanceof RoomLightError && (isAway(error) || error.status === 404);
+      const isExpected = error instanceof RoomLightError && (isAway(error) || error.status === 404 || error.kind === "no-frame");
       if (!this.closed && !isExpected) {
         this.report(error);
       }
     }
-  }
-}
-
-/** The file, or null if there is no frame yet. */
-async function unlessEmpty<T>(file: Promise<T>): Promise<T | null> {
-  try {
-    return await file;
-  } catch (error) {
-    if (error instanceof RoomLightError && error.kind === "no-frame") {
-      return null;
-    }
-    throw error;
   }
 }

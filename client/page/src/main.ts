@@ -128,7 +128,7 @@ async function renameSession({ id, title }: SessionSummary): Promise<void> {
 }
 
 function join(id: string | null): void {
-  live = id === null ? null : new LiveSession(api, state, id, reportError);
+  live = id === null ? null : new LiveSession(api, state, id, reportError, () => shared.join(id));
   void live?.open();
 }
 

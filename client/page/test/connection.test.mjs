@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { control, launch, openPage, waitForLight } from "./support.mjs";
+import { control, launch, openPage, PAGE_URL, waitForFrame, waitForLight } from "./support.mjs";
 
 let browser, page;
 
@@ -72,6 +72,28 @@ test("a lost server is shown, and the page connects again", async () => {
   await connection("Live");
   assert.ok(await page.isHidden("#gone"));
   assert.match(await page.locator("#camera-frame").innerText(), /Frame 1/);
+});
+
+test("a session that is replaced stays on the screen until its next frame", async () => {
+  await waitForFrame(page, "#picture-image", 1);
+  await page.evaluate(() => {
+    globalThis.shown = new Set();
+    const observe = (id, what, options) => {
+      const element = document.getElementById(id);
+      new MutationObserver(() => globalThis.shown.add(what(element))).observe(element, options);
+    };
+    observe("workspace", ({ hidden }) => (hidden ? "ended" : "picture-image 2"), { attributeFilter: ["hidden"] });
+    observe("notices", ({ textContent }) => textContent, { childList: true });
+    for (const id of ["picture-image", "panorama-canvas"]) {
+      observe(id, ({ dataset }) => `${id} ${dataset.frame}`, { attributeFilter: ["data-frame"] });
+    }
+  });
+  await fetch(`${PAGE_URL}/v1/sessions/room`, { method: "DELETE" });
+  await control("push", { session: "room", count: 1 });
+  await waitForFrame(page, "#picture-image", 2);
+  await waitForFrame(page, "#panorama-canvas", 2);
+  assert.deepEqual(await page.evaluate(() => [...globalThis.shown].sort()), ["panorama-canvas 2", "picture-image 2"]);
+  await connection("Live");
 });
 
 test("an expired session leaves the page usable", async () => {

@@ -195,6 +195,11 @@ export function isAway({ status, kind }: RoomLightError): boolean {
   return status === 0 || (kind === "" && [502, 503, 504].includes(status));
 }
 
+/** Whether an error says that a session is missing or has ended. */
+export function isGone({ kind, message }: RoomLightError): boolean {
+  return /session-(not-found|closed)|4404|4410/.test(`${kind} ${message}`);
+}
+
 export function sessionPath(id: string): string {
   return `v1/sessions/${encodeURIComponent(id)}`;
 }

@@ -1,5 +1,7 @@
 // Short notices of errors and events; each can be closed, and the same text is shown once.
 
+import { RoomLightError } from "roomlight";
+import { isGone } from "../lib/api";
 import { byId, element } from "../lib/dom";
 
 const SHOWN_MS = 12_000;
@@ -20,9 +22,9 @@ export function notify(text: string, calm = false): void {
   setTimeout(() => notice.remove(), SHOWN_MS);
 }
 
-/** Show an error; what the visitor aborted is none. */
+/** Show an error; what the visitor aborted is none, and the page itself says that its session has ended. */
 export function reportError(error: unknown): void {
-  if (error instanceof DOMException && error.name === "AbortError") {
+  if ((error instanceof DOMException && error.name === "AbortError") || (error instanceof RoomLightError && isGone(error))) {
     return;
   }
   notify(error instanceof Error ? error.message : String(error));

@@ -1,6 +1,6 @@
 // The phone's connection: a session of its own, frames into it, and what came of them.
 
-import { findForm, type Frame, type LightForm, type Lights, type RoomLight, type Session, type Stream } from "roomlight";
+import { findForm, RoomLightError, type Frame, type LightForm, type Lights, type RoomLight, type Session, type Stream } from "roomlight";
 
 /** What the page shows of the connection. */
 export interface LinkView {
@@ -128,7 +128,11 @@ export class PhotoLink extends Link {
   /** Send a photo and show its light. Throws RoomLightError. */
   async send(photo: Frame, signal: AbortSignal): Promise<void> {
     this.update({ state: "Sending a photo", kind: "waiting" });
-    await this.session?.delete({ signal });
+    await this.session?.delete({ signal }).catch((error: unknown) => {
+      if (!(error instanceof RoomLightError && error.status === 404)) {
+        throw error; // a session that is missing needs no end
+      }
+    });
     this.session = await this.server.open({ id: this.id, signal });
     await this.session.track(PROBE, [0, 0, -1], { signal });
     this.update({ sent: this.view.sent + 1 });
