@@ -121,7 +121,7 @@ def test_a_local_server_says_how_a_phone_reaches_it():
     with RunningServer() as local:
         pairing = local.call("POST", "/v1/pairing").json
     assert (pairing["url"], pairing["qr_svg"], pairing["fingerprint"]) == (None, None, None)
-    assert "roomlight serve --lan" in pairing["advice"]
+    assert re.search("roomlight serve --lan.*ROOMLIGHT_PUBLIC_URL", pairing["advice"])
 
 
 def read_svg(svg):

@@ -221,6 +221,8 @@ test("a phone has a token and sessions of its own until it is removed", async ()
   await again.reload();
   await again.getByRole("button", { name: "Start" }).click();
   await again.getByText("The server does not know this phone").waitFor();
+  await again.goto(`${server}/phone#pair=${await link()}`); // another code in the same tab
+  await again.waitForFunction((own) => localStorage.getItem("roomlight-token") !== own, first.own);
   assert.equal((await call("GET", `/v1/sessions/${id}`)).id, id); // the operator still has what it saw
 });
 

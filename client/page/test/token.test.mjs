@@ -37,6 +37,7 @@ test("a phone that has been paired is listed and removed", async () => {
   const { page } = await openPage(browser, { url: `${PAGE_URL}/#token=${process.env.PAGE_TOKEN}` });
   await page.click("#open-phone");
   assert.match(await page.locator("#phone-body .address").first().innerText(), /\/phone#pair=/);
+  assert.doesNotMatch(await page.locator("#phone-body").innerText(), /certificate/); // not of this server
   await page.locator(".phones li", { hasText: id }).getByRole("button", { name: "Remove" }).click();
   await page.locator(".phones li", { hasText: id }).waitFor({ state: "detached" });
   assert.deepEqual((await (await fetch(`${PAGE_URL}/v1/phones`, { headers })).json()).phones, []);

@@ -18,7 +18,10 @@ from roomlight_server.transport.phones import LINK_S, Phone, check_operator
 
 _log = logging.getLogger("roomlight.server")
 router = APIRouter(tags=["page"])
-ADVICE = "this server is reached from this machine only; start it with: roomlight serve --lan (behind a proxy: ROOMLIGHT_PUBLIC_URL)"
+ADVICE = (
+    "this server is reached from this machine only; start it with: roomlight serve --lan, or, behind a proxy, set "
+    "ROOMLIGHT_PUBLIC_URL to the proxy's address"
+)
 _fingerprint = lru_cache(maxsize=4)(fingerprint)
 
 

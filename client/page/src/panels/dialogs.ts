@@ -51,28 +51,22 @@ export function askForToken(api: Api): Promise<void> {
 async function showPairing(api: Api): Promise<void> {
   const body = byId("phone-body");
   body.replaceChildren(element("p", { class: "hint" }, "Loading"));
-  const { url, qr_svg, fingerprint, expires_in_s, advice } = await api.pairing();
+  const { url, qr_svg, fingerprint, expires_in_s } = await api.pairing();
   if (!url) {
-    const [command] = /roomlight serve --\S+/.exec(advice ?? "") ?? ["roomlight serve --lan"];
     return body.replaceChildren(
       element("p", {}, "This server can be reached from this computer only. Start it for the local network:"),
-      element("p", { class: "address" }, element("code", {}, command)),
-      element("p", { class: "hint" }, "Behind a proxy, give it its public address instead: ROOMLIGHT_PUBLIC_URL."),
+      element("p", { class: "address" }, element("code", {}, "roomlight serve --lan")),
+      element("p", { class: "hint" }, "Behind a proxy, set ROOMLIGHT_PUBLIC_URL to its address, such as https://light.example.org."),
     );
   }
   const code = element("img", { alt: "QR code of the address below", width: 220, height: 220 });
   code.src = `data:image/svg+xml,${encodeURIComponent(qr_svg ?? "")}`;
   body.replaceChildren(
-    element("p", {}, "Scan this with a phone that reaches this address. Its browser sends what the camera sees."),
+    element("p", {}, "Scan this with a phone that reaches the address below. Its browser sends what the camera sees."),
     element("p", { class: "hint" }, `The code is for one phone, within ${Math.round((expires_in_s ?? 0) / 60)} minutes.`),
     ...(qr_svg ? [code] : []),
     element("p", { class: "address" }, url),
-    ...(fingerprint
-      ? [
-          element("p", { class: "hint" }, "A phone that does not know the server's certificate warns once and shows it."),
-          element("p", { class: "hint address" }, `Certificate ${fingerprint}`),
-        ]
-      : []),
+    ...(fingerprint ? [element("p", { class: "hint address" }, `If the phone warns, compare the certificate: ${fingerprint}`)] : []),
     await pairedPhones(api),
   );
 }

@@ -138,6 +138,12 @@ function failed(error: unknown): void {
       : String(error);
 }
 
+addEventListener("hashchange", () => {
+  const given = new URLSearchParams(location.hash.slice(1));
+  if (given.has("pair") || given.has("token")) {
+    location.reload(); // another link was opened in this tab
+  }
+});
 const augmented = hasAugmentedReality();
 build();
 const paired = api.pair().catch(failed);
@@ -148,4 +154,3 @@ tokenForm.addEventListener("submit", (event) => {
   tokenField.value = problem.textContent = "";
   tokenForm.hidden = true;
 });
-addEventListener("hashchange", () => /pair=|token=/.test(location.hash) && location.reload()); // another code was scanned
