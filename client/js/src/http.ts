@@ -44,12 +44,19 @@ const FIRST_DELAY_S = 0.25; // doubled after each attempt, with jitter so that p
 /** The connection to one server. */
 export class Http {
   readonly base: URL;
+  readonly options: ClientOptions;
   private readonly fetch: typeof fetch;
 
   constructor(
     url: string | URL,
-    readonly options: ClientOptions,
+    options: ClientOptions,
   ) {
+    const token = options.token?.trim() ?? "";
+    const [bad] = /[^\x21-\x7e]/u.exec(token) ?? [];
+    if (bad !== undefined) {
+      throw new RoomLightError(`the token must be ASCII without spaces, as a header has it; got one with ${JSON.stringify(bad)}`, 0);
+    }
+    this.options = { ...options, token };
     this.base = serverAddress(url);
     if (!this.base.pathname.endsWith("/")) {
       this.base.pathname += "/";
@@ -108,8 +115,8 @@ export class Http {
       if (cause === timeout) {
         return [timeout, null];
       }
-      const reason = messageOf(cause);
-      return [new RoomLightError(`${method} ${this.address(path)}: no connection${reason}`, 0, null, { cause }), null];
+      const reason = `no connection (${reasonOf(cause)})`;
+      return [new RoomLightError(`${method} ${this.address(path)}: ${reason}`, 0, null, { cause }), null];
     } finally {
       clearTimeout(timer);
       signal?.removeEventListener("abort", abort);
@@ -117,10 +124,10 @@ export class Http {
   }
 }
 
-/** What a failed `fetch` says: Node has the reason, such as that of a refused certificate, one level down. */
-function messageOf(cause: unknown): string {
-  const { message, cause: inner } = cause as Error;
-  return message ? ` (${inner instanceof Error && inner.message ? inner.message : message})` : "";
+/** Why there is no connection; Node has it in the cause of the error that it throws, without a text for several addresses. */
+function reasonOf(error: unknown): string {
+  const cause = (error as { cause?: { message?: string; code?: string } } | null)?.cause;
+  return cause?.message || cause?.code || (error instanceof Error ? error.message : String(error));
 }
 
 async function errorOf(response: Response, request: string): Promise<RoomLightError> {

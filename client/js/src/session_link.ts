@@ -119,14 +119,7 @@ export class SessionRequests {
       await this.http.send({ method: "DELETE", path: this.probePath(name), signal });
     }
     for (const [name, position] of probes.track) {
-      try {
-        await this.http.send({ ...this.trackRequest(name, position), signal });
-      } catch (error) {
-        if (!isRefused(error) || isTemporary(error)) {
-          throw error;
-        }
-        this.memory.probes.delete(name); // `onProblem` was told when the stream tracked it
-      }
+      await this.restoreTrack(name, position, signal);
     }
     const last = state.frames.last_index ?? -1;
     for (const { index, message } of [...this.memory.frames].filter((one) => one.state === "done" && one.index > last)) {
@@ -135,15 +128,26 @@ export class SessionRequests {
     this.unsure = false;
   }
 
+  private async restoreTrack(name: string, position: Position, signal: AbortSignal | undefined) {
+    try {
+      await this.http.send({ ...this.trackRequest(name, position), signal });
+    } catch (error) {
+      if (!(error instanceof RoomLightError) || isTemporary(error) || isSessionGone(error)) {
+        throw error;
+      }
+      this.memory.probes.delete(name); // refused, as over the stream
+    }
+  }
+
   private async resend(index: number, message: Uint8Array<ArrayBuffer>, signal: AbortSignal | undefined) {
     try {
       const response = await this.http.send({ ...this.frameRequest(index, message), signal });
       this.memory.frames.settle((await response.json()) as FrameResult);
     } catch (error) {
-      if (!isRefused(error)) {
+      if (!(error instanceof RoomLightError) || isServerLost(error) || isSessionGone(error)) {
         throw error;
       }
-      this.memory.frames.remove(index); // or already there
+      this.memory.frames.remove(index); // refused, or already there
     }
   }
 
@@ -170,10 +174,6 @@ export class SessionRequests {
 /** No answer, or that of a proxy whose server is away. */
 function isServerLost({ status, kind }: RoomLightError): boolean {
   return status === 0 || status === 502 || status === 504 || (status === 503 && ["", "stopping", "session-moved"].includes(kind));
-}
-
-function isRefused(error: unknown): error is RoomLightError {
-  return error instanceof RoomLightError && !isServerLost(error) && !isSessionGone(error);
 }
 
 /** The server cannot use the state that it has saved. */

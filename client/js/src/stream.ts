@@ -432,8 +432,7 @@ function openSocket({ address, client }: SessionLink, signal: AbortSignal): Prom
     signal.throwIfAborted();
     const SocketClass = client.WebSocket ?? globalThis.WebSocket;
     if (!SocketClass) {
-      const way = "start Node 20 with --experimental-websocket, use Node 22, or pass the option WebSocket";
-      throw new RoomLightError(`${address}: this runtime has no WebSocket; ${way}`, 0);
+      throw new RoomLightError("no WebSocket here: start Node 20 with --experimental-websocket, or give the option WebSocket", 0);
     }
     // Browsers cannot set headers here: the token is sent as a second subprotocol, and the server accepts the first.
     const protocols = ["roomlight.v1", ...(client.token ? [`bearer.${client.token}`] : [])];

@@ -189,8 +189,11 @@ test("a stream closes by a call or a signal, or fails to open", async (context) 
   await assert.rejects(second.push(plainFrame()));
   await assert.rejects(session.stream({ signal: aborted.signal }));
   assert.equal(second.status.state, "closed");
-  const silent = await new RoomLight("http://127.0.0.1:1", {
-    fetch: async () => new Response(JSON.stringify(STATE)),
-  }).open();
-  await assert.rejects(silent.stream(), RoomLightError);
+  for (const token of ["a-token", "no/subprotocol="]) {
+    const silent = await new RoomLight("http://127.0.0.1:1", {
+      token,
+      fetch: async () => new Response(JSON.stringify(STATE)),
+    }).open();
+    await assert.rejects(silent.stream(), RoomLightError);
+  }
 });
