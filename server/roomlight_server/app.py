@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any, Final
 
-from fastapi import Depends, FastAPI, Response
+from fastapi import Depends, FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
 from fastapi_offline import FastAPIOffline
@@ -44,7 +44,7 @@ from roomlight_server.state.store import StateStore
 from roomlight_server.transport.auth import DOCS_ASSETS, LOOPBACK_HOSTS, PHONES, AuthMiddleware, Tokens
 from roomlight_server.transport.guard import ConnectionGuard
 from roomlight_server.transport.head_requests import HeadMiddleware
-from roomlight_server.transport.phones import Phones
+from roomlight_server.transport.phones import Phones, check_operator
 from roomlight_server.transport.security_headers import SecurityHeadersMiddleware
 from roomlight_server.transport.stop_middleware import StopMiddleware
 from roomlight_server.transport.watchdog import Watchdog
@@ -290,8 +290,9 @@ def _add_health(app: FastAPI) -> None:
         return {"status": status, "state": "saved" if failing is None else f"not saved: {failing}"}
 
     @app.get("/metrics", tags=["server"], summary="Metrics for Prometheus", response_class=Response)
-    async def metrics(context: ContextDep) -> Response:  # pyright: ignore[reportUnusedFunction]
+    async def metrics(context: ContextDep, request: Request) -> Response:  # pyright: ignore[reportUnusedFunction]
         """Return counters and histograms. They contain no ids and no addresses."""
+        check_operator(getattr(request.state, "owner", ""))
         return Response(context.metrics.text(), media_type=CONTENT_TYPE)
 
 

@@ -24,7 +24,7 @@ DAY_S = 86_400.0
 
 @pytest.fixture
 def server(tmp_path):
-    with running(tmp_path) as made:
+    with running(tmp_path, on_lan=True) as made:
         yield made
 
 
@@ -131,7 +131,8 @@ def test_a_page_of_another_site_pairs_nothing(server):
 
 def test_phones_pair_and_list_none(server):
     phone, token = paired(server)
-    for method, path in (("POST", "/v1/pairing"), ("GET", "/v1/phones"), ("DELETE", f"/v1/phones/{phone}")):
+    paths = (("POST", "/v1/pairing"), ("GET", "/v1/phones"), ("DELETE", f"/v1/phones/{phone}"), ("GET", "/metrics"))
+    for method, path in paths:
         assert server.call(method, path, token=token).kind == "operator-only"
     assert [each["id"] for each in server.call("GET", "/v1/phones", token=OPERATOR).json["phones"]] == [phone]
     assert server.call("GET", "/v1/phones", token=OTHER).json == {"phones": []}
