@@ -3,8 +3,9 @@
     python examples/write_capture.py [--frames N] [--out FOLDER]
 
 `CaptureWriter` takes arrays: 8-bit sRGB colour, z-depth in metres, intrinsics and a camera-to-world pose in RoomLight's
-conventions (docs/conventions.md). Output: a capture in FOLDER (capture.json, colour/, depth/) that `rl.open_capture`
-and `roomlight replay FOLDER --out light` read. The arrays here come from the sample room; yours come from a camera.
+conventions (docs/conventions.md). Output: a capture in FOLDER, which must be new (capture.json, colour/, depth/), that
+`rl.open_capture` and `roomlight replay FOLDER --out light` read. The arrays here come from the sample room; yours come
+from a camera.
 """
 
 import argparse

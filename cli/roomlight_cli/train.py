@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import torch
+import typer
 from rich.console import Console
 
 from roomlight.dataset.folder import MANIFEST
@@ -38,7 +39,7 @@ def train_recipe(
         out: A folder with the run of each stage, and the exported model in `onnx`.
         data: A folder with the datasets by name; a dataset's `panoramas` are a folder in it.
         device: auto, cpu or cuda.
-        minutes: When to stop training; None runs to the last step.
+        minutes: Of training, after which it stops; None runs to the last step. Generating data does not count.
         console: Where progress is printed.
 
     Returns:
@@ -55,17 +56,22 @@ def train_recipe(
     wanted = {name: _generation(recipe, name, data) for name in recipe.data}
     for stage in recipe.stages:
         _start_path(recipe, stage, out)
-    ends = None if minutes is None else time.monotonic() + 60 * minutes
+        if not RunFolder(out / stage.name).is_finished(stage.options):
+            for name in stage.data:
+                _check_source(data / name, wanted[name])
     for stage in recipe.stages:
         if RunFolder(out / stage.name).is_finished(stage.options):
             console.print(f"{stage.name}: finished")
             continue
         for name in dict.fromkeys(stage.data):
             _complete_dataset(data / name, wanted[name], console)
-        left = None if ends is None else (ends - time.monotonic()) / 60
-        run = _train_stage(recipe, stage, out, data=data, device=chosen, minutes=left, console=console)
+        began = time.monotonic()
+        run = _train_stage(recipe, stage, out, data=data, device=chosen, minutes=minutes, console=console)
+        minutes = None if minutes is None else minutes - (time.monotonic() - began) / 60
         if run.step < stage.options.steps:
             console.print(f"{stage.name}: stopped at step {run.step}; the same command continues")
+            if run.stopped_by is not None:
+                raise typer.Exit(128 + run.stopped_by)
             return None
     with Progress("exporting and verifying the graphs", console) as progress:
         report = export_checkpoint(_shipped(recipe, out), out / "onnx", progress=progress.say)
@@ -152,15 +158,31 @@ def _generation(recipe: Recipe, name: str, data: Path) -> GenerateOptions | None
     return options if options.panoramas is None else replace(options, panoramas=data / options.panoramas)
 
 
-def _complete_dataset(folder: Path, options: GenerateOptions | None, console: Console) -> None:
-    """Generate a dataset, or the rest of it; a dataset with enough sequences is used as it is."""
-    if (folder / MANIFEST).exists() and (options is None or len(Dataset(folder, "train")) >= options.sequences):
+def _is_complete(folder: Path, options: GenerateOptions | None) -> bool:
+    return (folder / MANIFEST).exists() and (options is None or len(Dataset(folder, "train")) >= options.sequences)
+
+
+def _check_source(folder: Path, options: GenerateOptions | None) -> None:
+    """Refuse a dataset that is missing and cannot be generated before any work."""
+    if _is_complete(folder, options):
         return
     if options is None:
         raise DatasetError(f"{folder}: is no dataset, and the recipe does not say how to generate it")
+    if options.panoramas is not None and not options.panoramas.is_dir():
+        raise DatasetError(f"{options.panoramas}: is no folder; the dataset {folder.name} needs HDR panoramas there")
+
+
+def _complete_dataset(folder: Path, options: GenerateOptions | None, console: Console) -> None:
+    """Generate a dataset, or the rest of it; a dataset with enough sequences is used as it is."""
+    if options is None or _is_complete(folder, options):
+        return
     console.print(f"{folder}: generating {options.sequences} sequences", soft_wrap=True)
     with Progress("generating", console) as progress:
-        generate(folder, options, progress=show_generation(progress))
+        try:
+            generate(folder, options, progress=show_generation(progress))
+        except KeyboardInterrupt:
+            console.print("stopped; finished sequences are kept, and the same command continues", soft_wrap=True)
+            raise typer.Exit(130) from None
 
 
 def _choose_device(device: str) -> torch.device:

@@ -86,15 +86,15 @@ class Frame:
             object.__setattr__(self, "index", operator.index(self.index))
         except TypeError as error:
             raise FrameError(f"{name}: the index is {self.index!r}, not a whole number") from error
-        if self.image.dtype.kind != "f" or self.image.ndim != 3 or self.image.shape[2] != 3:
+        if not _is_float(self.image, 3) or self.image.shape[2] != 3:
             raise FrameError(
-                f"{name}: the image is {self.image.dtype} of shape {self.image.shape}, not linear float RGB [h, w, 3]; "
+                f"{name}: the image is {_kind_of(self.image)}, not linear float RGB [h, w, 3]; "
                 "roomlight.conventions.srgb8_to_linear decodes 8-bit sRGB"
             )
-        if self.depth_m.dtype.kind != "f" or self.depth_m.ndim != 2:
+        if not _is_float(self.depth_m, 2):
             raise FrameError(
-                f"{name}: the depth is {self.depth_m.dtype} of shape {self.depth_m.shape}, not float metres [h, w]; "
-                "multiply stored integers by their unit"
+                f"{name}: the depth is {_kind_of(self.depth_m)}, not float metres [h, w]; "
+                "multiply stored integers by their unit; 0 is unknown"
             )
         height, width = self.image.shape[:2]
         if (self.intrinsics.width, self.intrinsics.height) != (width, height):
@@ -197,6 +197,14 @@ def hidden(
         filled = np.where(share[..., None] > 1e-3, near, filled)
     colour = np.where(seen[..., None], image, np.maximum(filled, 0)).astype(np.float32)
     return colour, without_unseen(depth_m, seen)
+
+
+def _is_float(values: object, axes: int) -> bool:
+    return isinstance(values, np.ndarray) and values.dtype.kind == "f" and values.ndim == axes
+
+
+def _kind_of(values: object) -> str:
+    return f"{values.dtype} of shape {values.shape}" if isinstance(values, np.ndarray) else repr(values)[:80]
 
 
 def _checked_mask(mask: Shaped[np.ndarray, "*size"], size: tuple[int, int], what: str) -> Bool[np.ndarray, "h w"]:

@@ -22,9 +22,11 @@ class MeanWithInterval:
 
 
 def mean_cell(value: MeanWithInterval, digits: int = 3) -> str:
-    """Return a mean with its interval as a table shows it; a dash where it is not known."""
+    """Return a mean with its interval as a table shows it; a dash where it is not known, no interval for one value."""
     if not np.isfinite(value.mean):
         return "-"
+    if not np.isfinite(value.low):
+        return f"{value.mean:.{digits}f}"
     return f"{value.mean:.{digits}f} ({value.low:.{digits}f} to {value.high:.{digits}f})"
 
 

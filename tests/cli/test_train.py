@@ -122,7 +122,7 @@ def test_a_stopped_run_continues_and_a_finished_one_is_kept(
     with monkeypatch.context() as patched:
         patched.setattr(loop.Run, "advance", interrupt)
         stopped = roomlight("train", "recipe.toml", "--out", "out", cwd=tmp_path)
-    assert stopped.code == 0, stopped.err
+    assert stopped.code == 128 + signal.SIGTERM, stopped.err
     assert "run: stopped at step 2; the same command continues" in stopped.err
     assert not (tmp_path / "out" / "onnx").exists()
     continued = roomlight("train", "recipe.toml", "--out", "out", "--set", "steps=4", cwd=tmp_path)
@@ -154,6 +154,11 @@ def test_a_stopped_run_continues_and_a_finished_one_is_kept(
             "data lamps: split is 'test'; stages",
         ),
         (("sequences = 6", "rooms = 6"), "recipe.toml", "data lamps: there is no option rooms"),
+        (
+            ("sequences = 6", 'sequences = 6\npanoramas = "hdris"'),
+            "recipe.toml",
+            "data/hdris: is no folder; the dataset",
+        ),
         (("sequences = 6", 'sequences = "6"'), "recipe.toml", "data lamps: sequences is '6': Input should be"),
         (("steps = 3", 'start_from = "shipped/cats"'), "recipe.toml", "stage run: start_from is 'shipped/cats', but"),
         (("steps = 3", 'start_from = "run/best.pt"'), "recipe.toml", "stage run: start_from is 'run/best.pt', but"),

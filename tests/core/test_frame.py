@@ -40,6 +40,7 @@ def test_mismatched_parts_are_refused_with_the_frames_name(parts, message):
     [
         ({"image": np.zeros((120, 160, 3), np.uint8)}, "uint8 of shape .*srgb8_to_linear"),
         ({"image": np.zeros((120, 160, 4), np.float32)}, r"\(120, 160, 4\), not linear float RGB"),
+        ({"depth_m": None}, "the depth is None, not float metres"),
         ({"image": np.zeros((120, 160), np.float32)}, r"\(120, 160\), not linear float RGB"),
         ({"depth_m": np.full((60, 80), 2000, np.uint16)}, "uint16 of shape .* not float metres"),
         ({"depth_m": np.ones((60, 80, 1), np.float32)}, r"\(60, 80, 1\), not float metres"),

@@ -33,7 +33,7 @@ def train(
         out: Folder of the runs: a new one, or one to continue.
         data: Folder with the recipe's datasets by name; missing ones are generated. Default: OUT/data.
         changes: Change an option in every stage that has it, e.g. --set steps=100. Repeatable.
-        minutes: Stop after this many minutes; the same command continues.
+        minutes: Stop after this many minutes of training; generating data does not count. The same command continues.
     """
     read = read_recipe(recipe).changed(_parse_changes(changes))
     model = train_recipe(read, out, data=data or out / "data", device=device, minutes=minutes, console=console.err)

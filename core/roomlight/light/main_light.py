@@ -63,7 +63,8 @@ class MainLight:
         emitted: 1 where the light is brighter than any surface that the room's light could explain (a lamp, a window),
             toward 0 where it may be a bright surface.
         number: identity of the light at a tracked probe, equal from frame to frame; elsewhere its rank, 0 the first;
-            -1 for a main light that is not in the list: mostly one whose place is inferred, not seen.
+            -1 for a main light that is not in the list: mostly one whose place is inferred, not seen. A main light has
+            the number of the listed light near it, whose direction and intensity differ.
 
     Examples:
         >>> import numpy as np, roomlight as rl

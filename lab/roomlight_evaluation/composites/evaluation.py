@@ -3,6 +3,7 @@
 import pickle
 import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -42,6 +43,9 @@ def evaluate_composites(
 ) -> CompositeScores:
     """Score `count` scenes; results are appended to `out`, a file of JSON lines, and scenes in it are not repeated.
 
+    Raises:
+        OutputError: `out` has scores of other settings.
+
     Args:
         count: Scenes. A room without a place for the object is replaced by the next room.
         out: The file of results.
@@ -54,12 +58,15 @@ def evaluate_composites(
     """
     options = options or SessionOptions()
     graphs = choose_graphs(options)
-    done = read_lines(out)
+    done, settings = read_lines(out), settings_of(options, seed)
+    for scene in done:
+        if scene.settings != settings:
+            raise OutputError(f"{out}: has scores of {scene.settings}, not of {settings}; use another file")
     number = 1 + max((scene.number for scene in done), default=-1)
     while len(done) < count:
         try:
             scene = kept_scene(keep, number, seed=seed)
-            score = _score(number, scene, scene.session(options, graphs), pictures)
+            score = replace(_score(number, scene, scene.session(options, graphs), pictures), settings=settings)
         except (SceneError, ValueError) as error:  # a room in which no camera can walk is a ValueError
             note = f"room {number}: {error}"
         else:
@@ -70,6 +77,11 @@ def evaluate_composites(
         if progress is not None:
             progress(len(done), count, note)
     return CompositeScores(tuple(done[:count]))
+
+
+def settings_of(options: SessionOptions, seed: int) -> str:
+    """Return what the scores of a file have in common, in words."""
+    return f"seed {seed} and {options}"
 
 
 def kept_scene(folder: Path | None, number: int, *, seed: int) -> CompositeScene:

@@ -35,6 +35,7 @@ class SceneScore:
         darkening: mean log change of luminance in the shadow region where the real object darkens it, by method; and
             `truth`.
         shift_m: by which the compositor's place is above the real surface.
+        settings: of the run, as `settings_of` gives them.
     """
 
     number: int
@@ -45,6 +46,7 @@ class SceneScore:
     errors: Mapping[str, Mapping[str, Mapping[str, float]]]
     darkening: Mapping[str, float]
     shift_m: float
+    settings: str = ""
 
 
 def errors_of(

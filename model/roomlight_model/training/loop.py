@@ -154,6 +154,7 @@ class Run:
         )
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
         self.step, self.seconds = 0, 0.0
+        self.stopped_by: int | None = None
         self._losses: dict[str, float] = {}  # sums since the last report
         self._scores: dict[str, float] | None = None  # of the present step
         self.folder.open({**options.to_dict(), "data": stage.data})
@@ -207,6 +208,7 @@ class Run:
                 if time.monotonic() - saved > checkpoint_s:
                     self.save()
                     saved = time.monotonic()
+            self.stopped_by = signals[0] if signals else None
         self.save()
         if self._scores is None:
             report(self._validate(curves))

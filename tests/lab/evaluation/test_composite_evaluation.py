@@ -121,9 +121,10 @@ class Unrendered:
 
 
 def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
-    out, made = tmp_path / "scores.jsonl", []
-    write_line(out, score(0, 1.0))
-    write_line(out, score(3, 2.0))
+    out, made, options = tmp_path / "scores.jsonl", [], SessionOptions(model="classical")
+    settings = composite_evaluation.settings_of(options, 0)
+    write_line(out, replace(score(0, 1.0), settings=settings))
+    write_line(out, replace(score(3, 2.0), settings=settings))
     assert read_lines(out)[1].errors[OURS][OBJECT]["rmse"] == pytest.approx(0.1)
 
     def scored(number, *_):
@@ -134,10 +135,12 @@ def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
 
     monkeypatch.setattr(composite_evaluation, "kept_scene", lambda *_, **__: Unrendered())
     monkeypatch.setattr(composite_evaluation, "_score", scored)
-    scores = composite_evaluation.evaluate_composites(4, out, options=SessionOptions(model="classical"))
+    scores = composite_evaluation.evaluate_composites(4, out, options=options)
     assert made == [4, 5, 6]
     assert [one.number for one in scores.scenes] == [0, 3, 5, 6]
     assert len(read_lines(out)) == 4
+    with pytest.raises(OutputError, match=r"has scores of seed 0 .*, not of seed 9 .*; use another file"):
+        composite_evaluation.evaluate_composites(5, out, seed=9, options=options)
 
 
 def test_ratios_are_of_means_over_the_same_scenes():
