@@ -177,7 +177,7 @@ class AsyncSession:
     async def __aenter__(self) -> "AsyncSession":
         return self
 
-    async def __aexit__(self, _: object, error: BaseException | None, __: object) -> None:
+    async def __aexit__(self, _: object, error: BaseException | None, __: object, /) -> None:
         if error is None:
             await self.close()
             return

@@ -228,7 +228,7 @@ class Session:
     def __enter__(self) -> "Session":
         return self
 
-    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object, /) -> None:
         if error is None:
             self.close()
             return

@@ -78,7 +78,7 @@ class VideoWriter:
         except OSError as error:  # PyAV's errors of files and codecs are OSErrors too
             raise OutputError(f"{self.path}: cannot be written ({error})") from error
 
-    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object, /) -> None:
         if self._container is None or self._stream is None:
             return
         try:
