@@ -57,6 +57,7 @@ def test_the_build_names_no_other_host():
             assert "https://" not in text, path
 
 
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", ["panels", "connection", "accessibility"])
 def test_in_chromium(name):
     with PageServer() as server:

@@ -76,6 +76,7 @@ test("a lost server is shown, and the page connects again", async () => {
 
 test("a session that is replaced stays on the screen until its next frame", async () => {
   await waitForFrame(page, "#picture-image", 1);
+  await waitForFrame(page, "#panorama-canvas", 1);
   await page.evaluate(() => {
     globalThis.shown = new Set();
     const observe = (id, what, options) => {
