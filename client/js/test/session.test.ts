@@ -207,7 +207,11 @@ test("a timeout and an unreachable server are errors", async (context) => {
   const unreachable = new RoomLight("http://127.0.0.1:1", { retries: 0 }).open();
   await assert.rejects(
     unreachable,
-    (error) => error instanceof RoomLightError && /no connection \(.+\)$/.test(error.message) && error.cause !== undefined,
+    (error) =>
+      error instanceof RoomLightError &&
+      error.status === 0 &&
+      error.cause !== undefined &&
+      /no connection \(.+\)$/.test(error.message),
   );
 });
 

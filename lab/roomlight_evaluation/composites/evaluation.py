@@ -43,9 +43,6 @@ def evaluate_composites(
 ) -> CompositeScores:
     """Score `count` scenes; results are appended to `out`, a file of JSON lines, and scenes in it are not repeated.
 
-    Raises:
-        OutputError: `out` has scores of other settings.
-
     Args:
         count: Scenes. A room without a place for the object is replaced by the next room.
         out: The file of results.
@@ -55,6 +52,9 @@ def evaluate_composites(
             on the same scenes.
         pictures: A folder for a PNG of each new scene: truth, ours, true panorama, SH + directional.
         progress: Called as (scenes done, scenes in all, what was done) after each room.
+
+    Raises:
+        OutputError: `out` has scores of other settings.
     """
     options = options or SessionOptions()
     graphs = choose_graphs(options)
