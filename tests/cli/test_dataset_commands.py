@@ -99,6 +99,7 @@ def test_preview_stats_verify_and_extract(made, tmp_path, run):
     assert len(list(open_capture(tmp_path / "room"))) == 4
 
 
+@pytest.mark.slow
 def test_damage_is_reported_and_repaired(made, tmp_path, run):
     cwd, _ = made
     out = tmp_path / "broken"

@@ -130,6 +130,7 @@ def test_a_probe_outside_every_volume_is_reported(tmp_path):
     assert [probe.get("outside_volume", False) for probe in report["probes"]] == [False, False, True]
 
 
+@pytest.mark.slow
 def test_other_files_are_never_mixed_with_a_replay(capture, tmp_path):
     out = tmp_path / "out"
     replay(capture, out, ONE)

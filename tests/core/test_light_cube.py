@@ -80,7 +80,17 @@ def test_a_step_beyond_an_edge_is_the_neighbouring_texel() -> None:
 
 
 @pytest.mark.parametrize(
-    ("height", "size"), [(120, 16), (120, 64), (16, 128), (16, 256), (4, 16), (33, 32), (301, 32), (600, 16)]
+    ("height", "size"),
+    [
+        (120, 16),
+        (120, 64),
+        (16, 128),
+        pytest.param(16, 256, marks=pytest.mark.slow),
+        (4, 16),
+        (33, 32),
+        (301, 32),
+        (600, 16),
+    ],
 )
 def test_keeps_the_light(height: int, size: int) -> None:
     noise = np.random.default_rng(size).random((height, 2 * height, 3), np.float32) ** 8 * 50

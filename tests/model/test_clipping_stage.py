@@ -98,6 +98,7 @@ def test_it_starts_from_weights_of_its_own_form() -> None:
         ClippingStage(SHORT, frames, frames, start_from=Checkpoint("objects", ModelConfig(), ObjectLightNetwork(), {}))
 
 
+@pytest.mark.slow
 def test_frames_hold_the_true_radiance(tmp_path: Path) -> None:
     progress: list[tuple[int, int]] = []
     lamps = dataset(tmp_path)

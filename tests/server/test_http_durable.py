@@ -219,8 +219,10 @@ def _other_version(path):
     ("name", "damage", "message"),
     [
         ("state", _flip, "is damaged"),
-        ("state", lambda path: path.write_bytes(path.read_bytes()[:-7]), "is truncated"),
-        ("state", lambda path: path.write_bytes(b""), "is not a saved state"),
+        pytest.param(
+            "state", lambda path: path.write_bytes(path.read_bytes()[:-7]), "is truncated", marks=pytest.mark.slow
+        ),
+        pytest.param("state", lambda path: path.write_bytes(b""), "is not a saved state", marks=pytest.mark.slow),
         ("state", _other_version, f"version '9'; this release reads version {FORMAT}"),
         ("state", _other_weights, "saved with a network for clipped pixels 0000000000000000"),
         ("*.frame", _flip, "is damaged (its checksum differs)"),
@@ -337,6 +339,7 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
         assert 'roomlight_sessions_ended_total{reason="saved"} 1.0' in text
 
 
+@pytest.mark.slow
 def test_sessions_of_the_default_model_on_disk_are_listed(tmp_path):
     with server_on(tmp_path, model="auto") as server:
         assert server.call("PUT", "/v1/sessions/room", {"height": 16}).json["model"] == "single"

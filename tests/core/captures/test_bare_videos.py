@@ -71,6 +71,7 @@ def test_a_video_alone_has_poses_depth_and_a_lens(video: Path, model: Path) -> N
     assert not [told for told in ("focal length", "do not fit the others") if told in said]
 
 
+@pytest.mark.slow
 def test_the_first_frame_has_its_scale_from_those_after_it(tmp_path: Path) -> None:
     walk = [pose(0.1 * k) for k in range(8)]
     path = write_capture(tmp_path / "walk", [frame(k, at, depth=True) for k, at in enumerate(walk)])
@@ -82,6 +83,7 @@ def test_the_first_frame_has_its_scale_from_those_after_it(tmp_path: Path) -> No
     assert float(np.median((first.depth_m / exact_depth(walk[0]))[known])) == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.slow
 def test_up_can_be_stated(video: Path, model: Path) -> None:
     capture = open_capture(video, CaptureOptions(depth_model=model, world_up=(0.0, 1.0, 0.2)))
     first = next(iter(capture))

@@ -123,12 +123,14 @@ def test_an_object_is_placed_by_a_pixel_of_its_frame(session):
     assert session.handles == before
 
 
+@pytest.mark.slow
 def test_still_objects_do_not_shimmer(session):
     compositor = Compositor(session, [BALL], quality="preview")
     frames = [compositor.composite(view(index=index)).image for index in range(4)]
     assert rest_variance(frames) < (0.05 / 255) ** 2  # a twentieth of a step of 8 bits
 
 
+@pytest.mark.slow
 def test_noise_of_depth_hardly_reaches_the_picture(session):
     rng = np.random.default_rng(4)
     compositor = Compositor(session, [BALL], quality="preview", match_camera=False)
@@ -304,6 +306,7 @@ def test_a_refused_pixel_names_the_object_and_changes_nothing(session):
     assert session.handles == before
 
 
+@pytest.mark.slow
 def test_a_big_object_has_several_probes(session):
     before = len(session.handles)
     big = SceneObject("big", cube(1.0), AtPosition((0.6, 0.0, -1.2)))

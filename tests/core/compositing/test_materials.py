@@ -57,6 +57,7 @@ def test_shading_agrees_with_the_readable_brdf(material: Material) -> None:
     assert np.all(np.abs(values.mean(axis=0) - exact) < 4 * error + 0.004 * exact)
 
 
+@pytest.mark.slow
 def test_light_and_lobe_sampling_agree_under_a_small_lamp() -> None:
     panorama = np.full((32, 64, 3), 0.1, np.float32)
     panorama[8, 20] = 500.0  # 6 degrees wide: nearly all of the light

@@ -74,6 +74,7 @@ def test_scenes_too_large_to_ask_are_traced(monkeypatch: pytest.MonkeyPatch) -> 
     assert not TracedObjects([sphere(0.5)]).is_open().any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("standing", [False, True], ids=["free", "on a floor"])
 @pytest.mark.parametrize("name", MATERIALS)
 def test_open_faces_show_what_traced_ones_show(monkeypatch: pytest.MonkeyPatch, name: str, standing: bool) -> None:
@@ -101,6 +102,7 @@ def test_two_probes_light_as_their_mean(monkeypatch: pytest.MonkeyPatch, is_open
     np.testing.assert_allclose(both.mean(axis=0), mean.mean(axis=0), rtol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "is_open", "most"),
     [*((name, False, 0.5) for name in MATERIALS), ("metal", True, 0.5), ("diffuse", True, 0.02)],
@@ -117,6 +119,7 @@ def test_variance_is_below_independent_samples(
     assert together < most * single, together / single
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [16, 32, 120])
 def test_irradiance_agrees_with_a_dense_sum(rows: int) -> None:
     panorama = resize_panorama(lit_room(), rows)

@@ -50,6 +50,7 @@ def reflected_floor() -> tuple[np.ndarray, np.ndarray]:
     return shown, x
 
 
+@pytest.mark.slow
 def test_mirror_shows_the_floor_where_it_is() -> None:
     shown, x = reflected_floor()
     clear = shown & (np.abs(x - EDGE_X) > 0.02)

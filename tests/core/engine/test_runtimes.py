@@ -82,7 +82,7 @@ def test_threads_run_one_graph_at_the_same_time_with_equal_bits(tiny_video, runt
 
 
 @on_each_other_runtime
-@pytest.mark.parametrize("form", ["single", "video"])
+@pytest.mark.parametrize("form", ["single", pytest.param("video", marks=pytest.mark.slow)])
 def test_a_session_saved_in_one_runtime_goes_on_in_the_other(tiny_video, tmp_path, form, runtime):
     room = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35), lamp_radiance=30.0)
     frames = [room.frame(camera_at((0, 1.4, 0), 9 * index), index=index, width=96, height=72) for index in range(5)]

@@ -69,8 +69,10 @@ def saved(tmp_path_factory):
     return session, path
 
 
-QUICK = (("classical", 0), ("classical", 6), ("single", 6), ("video", 6))
-OTHERS = [(model, at) for model in ("classical", "single", "video") for at in (0, 1, 2, 7) if (model, at) not in QUICK]
+QUICK = (("classical", 0), ("single", 6), ("video", 6))
+OTHERS = [
+    (model, at) for model in ("classical", "single", "video") for at in (0, 1, 2, 6, 7) if (model, at) not in QUICK
+]
 
 
 @pytest.mark.parametrize(("model", "at"), [*QUICK, *(pytest.param(*each, marks=pytest.mark.slow) for each in OTHERS)])

@@ -83,6 +83,7 @@ def test_depth_in_the_unit_of_the_poses_shows_its_metres() -> None:
     assert metres_per_unit(_walk(5.0, depth=True), 2.8) == pytest.approx(10.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_motion_shows_the_metres_of_poses_without_depth_in_any_unit() -> None:
     scales = [metres_per_unit(_walk(unit, depth=False), 1.4) for unit in (0.05, 1.0, 40.0)]
     assert scales == pytest.approx([0.05 * scales[1], scales[1], 40.0 * scales[1]], rel=0.01)

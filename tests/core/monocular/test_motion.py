@@ -128,6 +128,7 @@ def test_the_focal_length_follows_from_the_motion() -> None:
     assert _errors(path, poses)[0] < 1.5  # of 48
 
 
+@pytest.mark.slow
 def test_what_is_lost_says_why() -> None:
     poses = [pose(0, turn=0.05 * k) for k in range(6)]
     motion = CameraMotion(RoomDepth([*poses, pose(0, turn=3.0)]), LENS, focal_is_known=True)

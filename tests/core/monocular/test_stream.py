@@ -79,6 +79,7 @@ def test_inverse_depth_gets_scale_and_shift_from_the_motion() -> None:
     assert max(errors[3:]) < 0.06
 
 
+@pytest.mark.slow
 def test_a_wrong_start_is_forgotten_within_a_few_frames() -> None:
     """The model's word is half the depth in every frame; keyframes follow the correction."""
     errors = _errors(WrongDepth("metric", lambda k: 2 / exact_depth(POSES[k])))
@@ -86,6 +87,7 @@ def test_a_wrong_start_is_forgotten_within_a_few_frames() -> None:
     assert max(errors[2:]) < 0.05
 
 
+@pytest.mark.slow
 def test_errors_that_vary_over_the_picture_are_corrected() -> None:
     """Depth that grows by half from left to right, and is right at no scale: a third of the error is left."""
     tilt = np.linspace(0.8, 1.25, 320)[None]

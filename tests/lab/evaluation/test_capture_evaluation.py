@@ -215,6 +215,7 @@ def test_captures_have_equal_weight_whatever_their_probes() -> None:
         scores.means("x", "log_l2")
 
 
+@pytest.mark.slow
 def test_the_bootstrap_interval_matches_the_standard_error() -> None:
     rng = np.random.default_rng(5)
     drawn = rng.normal(10, 2, 200)

@@ -72,6 +72,7 @@ def test_errors_are_means_over_probes_with_intervals() -> None:
     assert np.isnan(MainLightScores(tuple(tracks([UP]))).summary("tracked").error_deg.mean)
 
 
+@pytest.mark.slow
 def test_every_method_is_scored_at_every_probe(tmp_path) -> None:
     capture = capture_of(tmp_path / "room", probes=[(0.0, 0.0, -1.0), (0.2, 0.0, -1.0)])
     seen = []

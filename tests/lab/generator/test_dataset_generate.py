@@ -75,6 +75,7 @@ def test_a_worker_has_one_thread_and_imports_no_other_package(undisturbed):
     assert (facts["foreign"], facts["threads"]) == ([], "1")
 
 
+@pytest.mark.slow
 def test_two_workers_make_the_same_bytes(undisturbed, tmp_path):
     reports = []
     generate(tmp_path / "two", options(), workers=2, progress=reports.append)
@@ -158,6 +159,7 @@ def test_a_failed_room_is_retried_the_same_way_each_time(tmp_path, steer):
     assert bytes_of(tmp_path / "other") == bytes_of(tmp_path / "one")
 
 
+@pytest.mark.slow
 def test_a_room_that_always_fails_is_an_error(tmp_path, steer):
     steer(hopeless=1)
     with pytest.raises(
@@ -294,6 +296,7 @@ def test_options_out_of_range_are_refused(change, error, says):
         options(**change)
 
 
+@pytest.mark.slow
 def test_an_unexpected_error_of_a_worker_shows_its_traceback(tmp_path):
     with pytest.raises(RuntimeError, match="no_such_module"):
         generate(tmp_path / "out", options(renderer="no_such_module:render"), workers=1)

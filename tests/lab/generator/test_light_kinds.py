@@ -109,6 +109,7 @@ def test_sunbeams_reach_into_the_room():
     assert np.median(spots.radiance[inside] @ LUMINANCE) > 10 * typical
 
 
+@pytest.mark.slow
 def test_bare_bulbs_have_no_shade_and_are_glaring():
     """Of the bulbs of such a room, half are brighter than 2 kcd/m2; frosted bulbs of 60 W have 30 to 50."""
     bulb_rooms = [first("bare bulbs")]

@@ -44,6 +44,7 @@ def nodes_of(shell):
     return position, normal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["box", "corner", "gable"])
 def test_irradiance_is_the_panoramas_integral(shape):
     """At a few places of the floor, against a panorama rendered there: the same light by another way."""

@@ -53,6 +53,7 @@ def test_a_probe_at_the_centre_sees_the_panorama(shell):
     np.testing.assert_allclose(energy(seen), energy(image), rtol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shell", SHELLS[:3])
 def test_small_lamps_keep_their_energy(shell):
     """A lamp of a pixel of the panorama, many times smaller than the probe's pixels."""
@@ -187,12 +188,14 @@ def test_a_dataset_of_panorama_rooms_is_like_any_other(dataset, folder):
         assert (folder / recording.facts["panorama"]).is_file()
 
 
+@pytest.mark.slow
 def test_panoramas_of_the_other_split_are_not_used(dataset, folder):
     for split in ("train", "test"):
         for recording in Dataset(dataset, split):
             assert split_of(folder / recording.facts["panorama"]) == split
 
 
+@pytest.mark.slow
 def test_clipped_pixels_have_their_true_radiance(dataset):
     data = Dataset(dataset)
     bright = 0
@@ -222,6 +225,7 @@ def test_the_same_room_gives_the_same_recording(folder, share, monkeypatch):
     assert (len(first.facts["furniture"]) > 0) == (share > 0)
 
 
+@pytest.mark.slow
 def test_a_dataset_continues_with_the_same_panoramas_only(dataset, folder, tmp_path):
     with pytest.raises(DatasetError, match=r"panoramas [0-9a-f]{64}, not none"):
         generate(dataset, options(None), workers=1)

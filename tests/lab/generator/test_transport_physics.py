@@ -92,6 +92,7 @@ def test_a_small_sphere_lights_by_the_inverse_square():
     np.testing.assert_allclose(light.irradiance(points, up)[:, 1], expected, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_small_lamp_has_its_energy_and_place_in_a_panorama():
     radius, glow = 0.02, 500.0  # a third of a pixel across
     place = np.array([1.2, 1.9, -0.8])
@@ -197,6 +198,7 @@ def test_the_same_calls_give_the_same_bytes():
     assert views[0] == views[1]
 
 
+@pytest.mark.slow
 def test_bounces_between_walls_follow_radiosity():
     """A lamp in a grey closed room: flux in = flux absorbed, so the mean irradiance is flux / (area (1 - albedo))."""
     lamp = rectangle([-0.3, 2.49, -0.3], [0.6, 0, 0], [0, 0, 0.6])
@@ -243,6 +245,7 @@ def ggx(normal, view, light, alpha):
     return spread * mask * (across**2 + along**2) / 2 / (4 * cos_v)
 
 
+@pytest.mark.slow
 def test_a_coat_reflects_the_sun_about_the_mirrored_direction():
     """The sunlit patch of a black, coated floor lights the opposite wall as the sum over the patch says."""
     wall, opening = window()

@@ -64,10 +64,8 @@ def cube_of(material, centre=(0, 0.2, 0)):
     return object_mesh(mesh.vertices, mesh.normals, mesh.faces, material)
 
 
-@pytest.mark.parametrize(
-    "material",
-    [Material("matte", (0.1, 0.1, 0.1)), pytest.param(Material("mirror", mirror=1.0), marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("material", [Material("matte", (0.1, 0.1, 0.1)), Material("mirror", mirror=1.0)])
 def test_an_object_covers_pixels_and_shades_the_floor(material):
     scene = room()
     made = render_with_object(scene, cube_of(material), CAMERA, looking_down(), seed=0)
@@ -133,6 +131,7 @@ def test_resting_places_are_level_and_free():
     assert height_above_surface(tracer, np.add(place.point, [0, 0.02, 0])) == pytest.approx(0.02, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_an_object_without_room_has_no_place():
     crowded = [cube_of(GREY, (x, 0.2, z)) for x in np.arange(-1.75, 1.8, 0.5) for z in np.arange(-1.75, 1.8, 0.5)]
     scene = room()

@@ -225,7 +225,7 @@ class ProbeSet:
     def weights(self, position: Position) -> Float[np.ndarray, " k"]:
         """Return each probe's share of the light at a position; the shares sum to 1."""
         out = np.empty(len(self.samplers))
-        environment.probe_weights(self.panoramas.position, *position, out)
+        environment.probe_weights.py_func(self.panoramas.position, *position, out)  # not compiled for one call
         return out
 
     def mixed(self, position: Position) -> LightSampler:

@@ -6,10 +6,10 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight.kernels.common import JIT
+from roomlight.kernels.common import KERNEL
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def lobe(cosines, inner, outer, shares):
     """Write 1 up to `inner` radians from the axis and 0 beyond `outer`; smooth between, so that nothing flickers.
 
@@ -27,7 +27,7 @@ def lobe(cosines, inner, outer, shares):
         shares[n] = ramp * ramp * (3 - 2 * ramp)
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def shift_to_centre(rays, power, direction, widths):
     """Return the direction after steps to the mean of the rays, by power and distance (mean shift).
 
@@ -56,7 +56,7 @@ def shift_to_centre(rays, power, direction, widths):
     return x, y, z
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def gather(kernel, power, gathered):
     """Write power @ kernel; rows without power cost nothing, and no matrix is copied.
 
