@@ -9,6 +9,8 @@ from roomlight.kernels.common import JIT, KERNEL, normalised
 
 MIRROR_ROUGHNESS = 0.02
 """Below this a lobe is a mirror: it is 0.05 degrees wide, a tenth of a panorama's pixel."""
+LEAST_SHEEN_ALPHA = 0.0049
+"""A roughness of 0.07, as in three.js: below, the distribution outgrows its visibility."""
 
 
 @njit(**JIT)
@@ -82,9 +84,36 @@ def lobe_share(table, cosine, roughness):
     )
 
 
+@njit(**JIT)
+def sheen_share(table, cosine, roughness):
+    """Read the share of even light that white sheen reflects (column 2 of `lobe_table`)."""
+    x = min(max(cosine, 0.0), 1.0) * (table.shape[0] - 1)
+    y = min(max(roughness, 0.0), 1.0) * (table.shape[1] - 1)
+    i, j = min(int(x), table.shape[0] - 2), min(int(y), table.shape[1] - 2)
+    u, v = x - i, y - j
+    near = (1 - u) * table[i, j, 2] + u * table[i + 1, j, 2]
+    return (1 - v) * near + v * ((1 - u) * table[i, j + 1, 2] + u * table[i + 1, j + 1, 2])
+
+
+@njit(**JIT)
+def _sheen_reflected(cosine, alpha, samples):
+    """Integrate white sheen over even light: distribution by Estevez and Kulla (2017), visibility by Neubelt."""
+    vx = math.sqrt(1 - cosine * cosine)
+    power = 1 / alpha
+    total = 0.0
+    for k in range(samples):
+        lz = (k + 0.5) / samples
+        angle = 2 * math.pi * ((k * 0.6180339887498949) % 1.0)
+        side = math.sqrt(1 - lz * lz)
+        _, _, hz = normalised(vx + side * math.cos(angle), side * math.sin(angle), cosine + lz)
+        density = (2 + power) * math.sqrt(max(1 - hz * hz, 0.0)) ** power / (2 * math.pi)
+        total += density * lz / (4 * (lz + cosine - lz * cosine))
+    return min(2 * math.pi * total / samples, 1.0)
+
+
 @njit(**KERNEL)
 def fill_lobe_table(table, samples):
-    """Integrate the lobe's reflected share of F0 (column 0) and of F90 (column 1) by cosine and roughness."""
+    """Integrate the lobe's reflected share of F0 (column 0), of F90 (1), and sheen (2), by cosine and roughness."""
     for i in range(table.shape[0]):
         cosine = max(i / (table.shape[0] - 1), 0.002)
         vx = math.sqrt(1 - cosine * cosine)
@@ -104,3 +133,4 @@ def fill_lobe_table(table, samples):
                 base += seen * (1 - weight)
                 edge += seen * weight
             table[i, j, 0], table[i, j, 1] = base / samples, edge / samples
+            table[i, j, 2] = _sheen_reflected(cosine, max(alpha, LEAST_SHEEN_ALPHA), samples)

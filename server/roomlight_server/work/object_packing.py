@@ -73,7 +73,7 @@ def unpack_object(text: dict[str, Any], data: bytes | memoryview) -> VirtualObje
 
 def _material(values: dict[str, Any], textures: list[Texture]) -> Material:
     made: dict[str, Any] = dict(values)
-    for name in ("base_colour", "emissive"):
+    for name in ("base_colour", "emissive", "sheen"):
         made[name] = tuple(values[name])
     for name in _TEXTURES:
         if made[name] is not None:

@@ -61,11 +61,11 @@ def test_textures_without_coordinates_are_noted() -> None:
 
 
 def test_extensions_that_the_file_does_not_declare_are_noted_too() -> None:
-    file = GltfFile().quad(extensions={"KHR_materials_clearcoat": {"clearcoatFactor": 1}})
+    file = GltfFile().quad(extensions={"KHR_materials_iridescence": {"iridescenceFactor": 1}})
     file.primitive["extensions"] = {"KHR_materials_variants": {"mappings": []}}
     left_out = [note.left_out for note in load_object(file.glb()).notes]
     assert len(left_out) == 2
-    assert "clearcoat" in left_out[0]
+    assert "iridescence" in left_out[0]
     assert "variants" in left_out[1]
 
 

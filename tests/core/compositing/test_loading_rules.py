@@ -526,11 +526,36 @@ def test_factors_out_of_range_are_clamped_and_said() -> None:
     assert "roughnessFactor of 10" in note.left_out
 
 
+def test_clear_coat_and_sheen_are_read_with_their_textures() -> None:
+    file = GltfFile()
+    picture = np.full((4, 4, 4), (128, 64, 32, 200), np.uint8)
+    texture = {"index": file.image(picture)}
+    coat = {"clearcoatFactor": 0.8, "clearcoatTexture": texture, "clearcoatRoughnessFactor": 0.5}
+    sheen = {"sheenColorFactor": [1, 0.5, 0.25], "sheenRoughnessFactor": 0.6, "sheenColorTexture": texture}
+    file.quad(
+        extensions={
+            "KHR_materials_clearcoat": coat | {"clearcoatRoughnessTexture": texture, "clearcoatNormalTexture": texture},
+            "KHR_materials_sheen": sheen | {"sheenRoughnessTexture": texture},
+        }
+    )
+    one = load_object(file.glb())
+    material = one.parts[0][1]
+    assert (material.clearcoat, material.clearcoat_roughness, material.sheen) == (0.8, 0.5, (1, 0.5, 0.25))
+    assert material.sheen_roughness == 0.6
+    assert material.clearcoat_texture is not None
+    assert material.sheen_texture is not None
+    np.testing.assert_allclose(material.clearcoat_texture.texels[0, 0] / 65535, picture[0, 0] / 255, atol=1e-4)
+    assert material.sheen_texture.texels[0, 0, 0] / 65535 == pytest.approx(0.2159, abs=1e-3)  # sRGB
+    assert material.clearcoat_roughness_texture is material.clearcoat_texture
+    assert material.sheen_roughness_texture is material.clearcoat_texture
+    assert ["clear coat" in note.left_out for note in one.notes] == [True]
+
+
 def test_what_is_not_read_is_listed() -> None:
-    material = {"extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": 1}}}
-    used = ["KHR_materials_clearcoat", "KHR_materials_made_up", "KHR_xmp_json_ld"]
+    material = {"extensions": {"KHR_materials_iridescence": {"iridescenceFactor": 1}}}
+    used = ["KHR_materials_iridescence", "KHR_materials_made_up", "KHR_xmp_json_ld"]
     _, one = material_of(material, extensionsUsed=used, extensionsRequired=used[:1], animations=[{}])
     listed = " ".join(note.left_out for note in one.notes)
-    for word in ("clearcoat", "made_up", "animations"):
+    for word in ("iridescence", "made_up", "animations"):
         assert word in listed
     assert "xmp" not in listed

@@ -14,7 +14,7 @@ from roomlight.compositing.objects.primitives import plane
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture, texture_arrays
 from roomlight.compositing.rendering.renderer import render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects
-from roomlight.conventions import panorama_solid_angles
+from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.errors import ObjectError
 
 WHITE = np.ones((16, 32, 3), np.float32)
@@ -22,7 +22,13 @@ WHITE = np.ones((16, 32, 3), np.float32)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 80.0])
-@pytest.mark.parametrize("material", [mirror(), diffuse((1.0, 1.0, 1.0)), glossy((1.0, 1.0, 1.0)), glass()])
+@pytest.mark.parametrize(
+    "material",
+    [
+        *(mirror(), diffuse((1.0, 1.0, 1.0)), glossy((1.0, 1.0, 1.0)), glass()),
+        Material((1.0, 1.0, 1.0), clearcoat=0.7, clearcoat_roughness=0.2, sheen=(1.0, 1.0, 1.0), sheen_roughness=0.5),
+    ],
+)
 def test_white_materials_keep_all_light(material: Material, degrees: float) -> None:
     values = plane_radiance(material, WHITE, degrees, samples=256)
     # 16,384 paths: the noise of a mean is below 0.002 where paths differ at all
@@ -42,7 +48,63 @@ def test_lobe_table_agrees_with_dense_integration() -> None:
         cosine, roughness = row / 63, column / 31
         view = np.array([np.sqrt(1 - cosine**2), cosine, 0])
         both = [float(lobe_share(view, roughness**2, *pair)) for pair in ((1.0, 0.0), (0.0, 1.0))]
-        np.testing.assert_allclose(table[row, column], both, atol=0.004)
+        np.testing.assert_allclose(table[row, column, :2], both, atol=0.004)
+        light = panorama_directions(512).reshape(-1, 3).astype(float)
+        weight = np.repeat(panorama_solid_angles(512)[:, 0].astype(float), 1024) * np.maximum(light[:, 1], 0)
+        n_h = (light + view)[:, 1] / np.linalg.norm(light + view, axis=1)
+        power = 1 / roughness**2
+        charlie = (2 + power) * np.sqrt(1 - np.minimum(n_h, 1) ** 2) ** power / (2 * np.pi)
+        visible = 1 / (4 * np.maximum(light[:, 1] + cosine - light[:, 1] * cosine, 1e-9))
+        assert table[row, column, 2] == pytest.approx((charlie * visible * weight).sum(), abs=0.004)
+
+
+def test_a_clear_coat_reflects_by_fresnel_over_what_is_under_it() -> None:
+    panorama = np.random.default_rng(5).random((16, 32, 3)).astype(np.float32)
+    panorama[3, 5] = 20
+    for roughness, degrees in ((0.4, 40.0), (0.7, 75.0)):
+        coated = Material((0.6, 0.3, 0.1), roughness=0.6, clearcoat=0.8, clearcoat_roughness=roughness)
+        values = plane_radiance(coated, panorama, degrees, samples=1024)
+        coat = exact_plane_radiance(rough_metal(roughness), panorama, degrees)
+        under = exact_plane_radiance(replace(coated, clearcoat=0.0), panorama, degrees)
+        share = 0.8 * (0.04 + 0.96 * (1 - np.cos(np.radians(degrees))) ** 5)
+        exact = under + share * (coat - under)
+        assert np.all(np.abs(values.mean(axis=0) - exact) < 4 * values.std(axis=0) / 8 + 0.006 * exact)
+
+
+def test_sheen_takes_its_share_from_what_is_under_it() -> None:
+    cloth = Material((0.5, 0.5, 0.5), specular=0.0, sheen=(0.8, 0.4, 0.0), sheen_roughness=12 / 31)
+    share = lobe_table()[20, 12, 2]
+    values = plane_radiance(cloth, WHITE, np.degrees(np.arccos(20 / 63)), samples=256).mean(axis=0)
+    np.testing.assert_allclose(values, np.array([0.8, 0.4, 0.0]) * share + 0.5 * (1 - 0.8 * share), atol=0.004)
+
+
+def test_relief_is_under_the_coat() -> None:
+    """A normal texture that leans by 30 degrees turns what the base reflects, not what a smooth coat does."""
+    leaning = np.full((1, 1, 3), (255, 128, 221), np.uint8)
+    panorama = np.zeros((32, 64, 3), np.float32)
+    panorama[7:9] = 1.0  # a ring: at 45 degrees the mirrored ray meets it
+    coat = Material((0.0, 0.0, 0.0), specular=0.0, clearcoat=1.0, normal_texture=Texture.from_linear8(leaning))
+    values = [plane_radiance(each, panorama, 45.0, samples=64).mean() for each in (coat, replace(coat, clearcoat=0.0))]
+    assert values[0] == pytest.approx(0.042, abs=0.002)
+    assert values[1] == 0
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        Material((0.5, 0.2, 0.1), specular=0.0, clearcoat=1.0, clearcoat_roughness=0.3),
+        Material((0.1, 0.1, 0.1), specular=0.0, sheen=(0.9, 0.5, 0.1), sheen_roughness=0.6),
+    ],
+)
+def test_layers_look_the_same_in_previews(material: Material) -> None:
+    item = TracedObjects([plane(1000.0, 1000.0, material)])
+    camera, pose = Intrinsics(800.0, 800.0, 4.0, 4.0, 8, 8), look_at(np.array([900.0, 400.0, 0.0]), np.zeros(3))
+    light = ProbeSet.single(np.linspace(2, 0.5, 16, dtype=np.float32)[:, None, None] * np.ones((1, 32, 3), np.float32))
+    traced, preview = (
+        render_objects(item, camera, pose, light, quality=quality).radiance.mean(axis=(0, 1))
+        for quality in (paths(1024), "preview")
+    )
+    np.testing.assert_allclose(preview, traced, rtol=0.06)
 
 
 @pytest.mark.parametrize(

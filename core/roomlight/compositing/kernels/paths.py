@@ -28,8 +28,16 @@ from roomlight.compositing.kernels.environment import (
 )
 from roomlight.compositing.kernels.ground import arriving, arriving_at
 from roomlight.compositing.kernels.guiding import fill_guide, guided_density, guided_sample
-from roomlight.compositing.kernels.scattering import Scatter, draw, evaluate, scatter_of
-from roomlight.compositing.kernels.surfaces import NORMAL, colours, geometric_normal, points, shading_normal
+from roomlight.compositing.kernels.scattering import Scatter, coat_reflectance, draw, evaluate, scatter_of, under_sheen
+from roomlight.compositing.kernels.surfaces import (
+    NORMAL,
+    clear_coat,
+    cloth_sheen,
+    colours,
+    geometric_normal,
+    points,
+    shading_normal,
+)
 from roomlight.kernels.common import JIT, KERNEL, point, tangents
 from roomlight.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 
@@ -273,7 +281,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
     weights = np.empty(world.light.radiance.shape[0])
     rows, columns = world.light.cells.shape[1], world.light.cells.shape[2]
     guide = (np.empty((rows, columns)), np.empty(rows))
-    guide_pixel, guide_material, guide_normal = -1, -1, (0.0, 0.0, 0.0)
+    guide_pixel, guide_layer, guide_normal = -1, -1, (0.0, 0.0, 0.0)
     live, shadows, escaped = np.int64(0), np.int64(0), np.int64(0)  # literal zeros would compile what they go to twice
     dimension = 1 + settings.depth * _DIMENSIONS
     last = settings.depth >= settings.max_bounces
@@ -309,7 +317,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
                 live += 1
             continue
         # 4. The first surface of a camera ray is recorded; every surface adds the light that it emits.
-        normal = shading_normal(world, face, b, c, d, side)
+        normal = shading_normal(world, face, b, c, d, side, True)
         if paths.flags[i] & PRIMARY:
             _record(film, slot, world, (face, place[0], normal, base), view)
         _add(film.radiance, slot, paths, i, emitted[0], emitted[1], emitted[2])
@@ -326,7 +334,20 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
             _glass(paths, i, live, place, normal, flat, ratio, base, choice, settings.offset_m)
             live += 1
             continue
-        # 6. How the surface scatters, in a frame about its normal.
+        # 6. A clear coat reflects some of the rays, as a white metal does; the others get to what is under it.
+        metallic, roughness, is_coated = shares[0], shares[1], False
+        coat, coat_roughness = clear_coat(world, face, b, c)
+        if coat > 0:
+            smooth = shading_normal(world, face, b, c, d, side, False)
+            coat = coat_reflectance(coat, -(smooth[0] * d[0] + smooth[1] * d[1] + smooth[2] * d[2]))
+            odds = min(max(coat, 0.1), 0.9)
+            is_coated = chance < shares[2] * (clear + (1 - clear) * odds)
+            weight = coat / odds if is_coated else (1 - coat) / (1 - odds)
+            for axis in range(3):
+                paths.throughput[i, axis] *= weight
+            if is_coated:
+                base, metallic, roughness, normal = (1.0, 1.0, 1.0), 1.0, coat_roughness, smooth
+        # 7. How the surface scatters, in a frame about its normal.
         ax, ay, az, bx, by, bz = tangents(normal[0], normal[1], normal[2])
         a, e = (ax, ay, az), (bx, by, bz)
         origin = (
@@ -340,10 +361,12 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
             -(bx * d[0] + by * d[1] + bz * d[2]),
             -(normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]),
         )
-        roughness = max(shares[1], LEAST_BLURRED_ROUGHNESS) if paths.flags[i] & BLURRED else shares[1]
-        scatter = scatter_of(world, material, base, shares[0], roughness, local_view[2])
+        roughness = max(roughness, LEAST_BLURRED_ROUGHNESS) if paths.flags[i] & BLURRED else roughness
+        scatter = scatter_of(world, material, base, metallic, roughness, local_view[2])
+        if not is_coated:
+            scatter = under_sheen(world, scatter, cloth_sheen(world, face, b, c), local_view[2])
         probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
-        # 7. An open face's base gets the light of the panoramas that is known without samples.
+        # 8. An open face's base gets the light of the panoramas that is known without samples.
         guided = (paths.flags[i] & PRIMARY) != 0  # also behind cut-outs
         is_open = side > 0 and world.is_open[face]
         if is_open:
@@ -351,21 +374,22 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
             lobe, base_left = scatter.lobe, scatter.base
             if lobe[0] + lobe[1] + lobe[2] + base_left[0] + base_left[1] + base_left[2] <= 0:
                 continue
-        # 8. A direction of the light, with a shadow ray unless the face is open.
-        is_bent = world.materials.texture[material, NORMAL] >= 0
+        # 9. A direction of the light, with a shadow ray unless the face is open.
+        is_bent = world.materials.texture[material, NORMAL] >= 0 and not is_coated
         hit = (scatter, frame, local_view, flat, is_open, is_bent)
         if scatter.lobe_probability < 1 or roughness >= MIRROR_ROUGHNESS:
             if guided:
                 film.doubt[slot] = 1
                 pixel = slot // settings.samples
                 turned = normal[0] * guide_normal[0] + normal[1] * guide_normal[1] + normal[2] * guide_normal[2]
-                if pixel != guide_pixel or material != guide_material or turned < _SAME_GUIDE:
+                layer = -2 - material if is_coated else material
+                if pixel != guide_pixel or layer != guide_layer or turned < _SAME_GUIDE:
                     fill_guide(world.light, weights, scatter, (normal, a, e), local_view, guide)
-                    guide_pixel, guide_material, guide_normal = pixel, material, normal
+                    guide_pixel, guide_layer, guide_normal = pixel, layer, normal
             light_point = point(key, number, dimension + 1)
             guiding = (weights, guide, guided)
             shadows = _light_ray(world, paths, i, hit, film, shadow, shadows, guiding, light_point)
-        # 9. The next ray, by scattering.
+        # 10. The next ray, by scattering.
         own_point = point(key, number, dimension + 2)
         live += _opaque(world, paths, i, live, hit, film, (weights, guide, guided), choice, own_point)
     return live, shadows, escaped

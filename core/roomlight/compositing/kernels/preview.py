@@ -9,8 +9,15 @@ from numba import njit
 
 from roomlight.compositing.kernels.environment import bilinear_at, mixed_at, place_of, probe_weights
 from roomlight.compositing.kernels.ground import arriving
-from roomlight.compositing.kernels.scattering import scatter_of
-from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
+from roomlight.compositing.kernels.scattering import coat_reflectance, scatter_of, under_sheen
+from roomlight.compositing.kernels.surfaces import (
+    clear_coat,
+    cloth_sheen,
+    colours,
+    geometric_normal,
+    points,
+    shading_normal,
+)
 from roomlight.kernels.common import JIT, KERNEL
 from roomlight.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 
@@ -39,34 +46,53 @@ def _blurred(light, mips, weights, direction, roughness):
 
 
 @njit(**JIT)
-def _shade(world, mips, weights, face, base, shares, normal, place, d, side):
-    """Return the radiance of an opaque surface toward the viewer, and the mirrored direction."""
-    material = world.surfaces.material[face]
+def _mirrored(d, normal):
+    """Return the cosine between a ray and a normal, and the direction of its reflection."""
     n_v = -(d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2])
-    mirrored = (d[0] + 2 * n_v * normal[0], d[1] + 2 * n_v * normal[1], d[2] + 2 * n_v * normal[2])
+    return n_v, (d[0] + 2 * n_v * normal[0], d[1] + 2 * n_v * normal[1], d[2] + 2 * n_v * normal[2])
+
+
+@njit(**JIT)
+def _reflected(world, mips, weights, place, mirrored, roughness):
+    """Return the light that a lobe sees."""
+    if roughness < MIRROR_ROUGHNESS:
+        return arriving(world, world.light.mirrored, weights, place, mirrored)
+    return _blurred(world.light, mips, weights, mirrored, roughness)
+
+
+@njit(**JIT)
+def _shade(world, mips, weights, at, base, shares, normal, place, d, side):
+    """Return the radiance of a surface, at (face, b, c), toward the viewer."""
+    face, b, c = at
+    material = world.surfaces.material[face]
+    n_v, mirrored = _mirrored(d, normal)
     clear = world.materials.transmission[material]
-    r, g, b = 0.0, 0.0, 0.0
+    red, green, blue = 0.0, 0.0, 0.0
     if clear < 1:
-        _, _, under, roughness, _, lobe = scatter_of(world, material, base, shares[0], shares[1], n_v)
+        scatter = scatter_of(world, material, base, shares[0], shares[1], n_v)
+        _, _, under, roughness, _, lobe = under_sheen(world, scatter, cloth_sheen(world, face, b, c), n_v)
         if lobe[0] + lobe[1] + lobe[2] > 0:
-            if roughness < MIRROR_ROUGHNESS:
-                p, q, s = arriving(world, world.light.mirrored, weights, place, mirrored)
-            else:
-                p, q, s = _blurred(world.light, mips, weights, mirrored, roughness)
-            r, g, b = lobe[0] * p, lobe[1] * q, lobe[2] * s
+            p, q, s = _reflected(world, mips, weights, place, mirrored, roughness)
+            red, green, blue = lobe[0] * p, lobe[1] * q, lobe[2] * s
         if under[0] + under[1] + under[2] > 0:
             p, q, s = _blurred(world.light, mips, weights, normal, 1.0)
-            r, g, b = r + under[0] * p, g + under[1] * q, b + under[2] * s
+            red, green, blue = red + under[0] * p, green + under[1] * q, blue + under[2] * s
+        strength, roughness = clear_coat(world, face, b, c)
+        if strength > 0:
+            cosine, along = _mirrored(d, shading_normal(world, face, b, c, d, side, False))
+            coat = coat_reflectance(strength, cosine)
+            p, q, s = _reflected(world, mips, weights, place, along, roughness)
+            red, green, blue = red + coat * (p - red), green + coat * (q - green), blue + coat * (s - blue)
     if clear > 0:
         ratio = world.materials.ior[material] if side > 0 else 1 / world.materials.ior[material]
         reflected, _ = dielectric(n_v, ratio)
         p, q, s = mixed_at(world.light.mirrored, weights, place_of(mirrored[0], mirrored[1], mirrored[2]))
         t, u, v = mixed_at(world.light.mirrored, weights, place_of(d[0], d[1], d[2]))
         let = 1 - reflected
-        r += clear * (reflected * p + let * base[0] * t - r)
-        g += clear * (reflected * q + let * base[1] * u - g)
-        b += clear * (reflected * s + let * base[2] * v - b)
-    return r, g, b
+        red += clear * (reflected * p + let * base[0] * t - red)
+        green += clear * (reflected * q + let * base[1] * u - green)
+        blue += clear * (reflected * s + let * base[2] * v - blue)
+    return red, green, blue
 
 
 @njit(**KERNEL)
@@ -84,9 +110,9 @@ def shade_hits(world, mips, view, paths, hits, film, begin, end):
         flat = geometric_normal(world.surfaces, face)
         side = 1.0 if flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] < 0 else -1.0
         place = points(world.surfaces, face, b, c, side)[0]
-        normal = shading_normal(world, face, b, c, d, side)
+        normal = shading_normal(world, face, b, c, d, side, True)
         probe_weights(world.light.position, place[0], place[1], place[2], weights)
-        red, green, blue = _shade(world, mips, weights, face, base, shares, normal, place, d, side)
+        red, green, blue = _shade(world, mips, weights, (face, b, c), base, shares, normal, place, d, side)
         there = shares[2]
         film.radiance[i, 0] = there * (red + emitted[0])
         film.radiance[i, 1] = there * (green + emitted[1])

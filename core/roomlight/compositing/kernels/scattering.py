@@ -16,6 +16,7 @@ from roomlight.kernels.microfacets import (
     lobe_share,
     masking,
     schlick,
+    sheen_share,
     visible_normal,
 )
 
@@ -68,11 +69,45 @@ def scatter_of(world, material, base, metallic, roughness, n_v):
         base[1] * left * max(1 - lobe[1], 0.0),
         base[2] * left * max(1 - lobe[2], 0.0),
     )
-    shiny, matte = _grey(lobe), _grey(under)
+    return Scatter(f0, edge, under, roughness, _lobe_probability(lobe, under), lobe)
+
+
+@njit(**JIT)
+def _lobe_probability(lobe, base):
+    shiny, matte = _grey(lobe), _grey(base)
     share = shiny / max(shiny + matte, 1e-12)
-    if matte > 0 and shiny > 0:
-        share = min(max(share, 0.1), 0.9)
-    return Scatter(f0, edge, under, roughness, share, lobe)
+    return min(max(share, 0.1), 0.9) if matte > 0 and shiny > 0 else share
+
+
+@njit(**JIT)
+def under_sheen(world, scatter, sheen, n_v):
+    """Lay sheen, colour and roughness, over a surface, which gets what the brightest channel of the sheen leaves.
+
+    What sheen reflects of even light toward the viewer is reflected of light from any direction: it depends on the view
+    as in KHR_materials_sheen, and is spread over the light's directions as a base is.
+    """
+    (red, green, blue), roughness = sheen
+    if red + green + blue <= 0:
+        return scatter
+    share = sheen_share(world.lobe, n_v, roughness)
+    left = 1 - max(red, green, blue) * share
+    f0, f90, base, lobe = scatter.f0, scatter.f90, scatter.base, scatter.lobe
+    lobe = (left * lobe[0], left * lobe[1], left * lobe[2])
+    base = (left * base[0] + share * red, left * base[1] + share * green, left * base[2] + share * blue)
+    return Scatter(
+        (left * f0[0], left * f0[1], left * f0[2]),
+        (left * f90[0], left * f90[1], left * f90[2]),
+        base,
+        scatter.roughness,
+        _lobe_probability(lobe, base),
+        lobe,
+    )
+
+
+@njit(**JIT)
+def coat_reflectance(strength, cosine):
+    """Return what a clear coat of index 1.5 reflects at a cosine (KHR_materials_clearcoat)."""
+    return strength * (0.04 + 0.96 * schlick(cosine))
 
 
 @njit(**JIT)

@@ -7,7 +7,7 @@ from numba import njit
 
 from roomlight.kernels.common import JIT, normalised
 
-BASE_COLOUR, METALLIC_ROUGHNESS, NORMAL, EMISSIVE = 0, 1, 2, 3
+BASE_COLOUR, METALLIC_ROUGHNESS, NORMAL, EMISSIVE, COAT, COAT_ROUGHNESS, SHEEN, SHEEN_ROUGHNESS = range(8)
 """Columns of `MaterialArrays.texture`."""
 _LEAST_COSINE = 0.01
 """Between the viewer and a shading normal that leans away from it."""
@@ -86,6 +86,36 @@ def colours(world, face, b, c):
 
 
 @njit(**JIT)
+def clear_coat(world, face, b, c):
+    """Return strength and roughness of the clear coat; strength 0 is none."""
+    materials, m = world.materials, world.surfaces.material[face]
+    strength, roughness = materials.clearcoat[m] * 1.0, materials.clearcoat_roughness[m] * 1.0
+    if strength > 0:
+        u, v = texture_coordinates(world.surfaces, face, b, c)
+        if materials.texture[m, COAT] >= 0:
+            strength *= read_texture(world.textures, materials.texture[m, COAT], u, v)[0]
+        if materials.texture[m, COAT_ROUGHNESS] >= 0:
+            roughness *= read_texture(world.textures, materials.texture[m, COAT_ROUGHNESS], u, v)[1]
+    return strength, roughness
+
+
+@njit(**JIT)
+def cloth_sheen(world, face, b, c):
+    """Return colour and roughness of the sheen; black is none."""
+    materials, m = world.materials, world.surfaces.material[face]
+    colour = (materials.sheen[m, 0] * 1.0, materials.sheen[m, 1] * 1.0, materials.sheen[m, 2] * 1.0)
+    roughness = materials.sheen_roughness[m] * 1.0
+    if colour[0] + colour[1] + colour[2] > 0:
+        u, v = texture_coordinates(world.surfaces, face, b, c)
+        if materials.texture[m, SHEEN] >= 0:
+            r, g, h, _ = read_texture(world.textures, materials.texture[m, SHEEN], u, v)
+            colour = (colour[0] * r, colour[1] * g, colour[2] * h)
+        if materials.texture[m, SHEEN_ROUGHNESS] >= 0:
+            roughness *= read_texture(world.textures, materials.texture[m, SHEEN_ROUGHNESS], u, v)[3]
+    return colour, roughness
+
+
+@njit(**JIT)
 def geometric_normal(surfaces, face):
     """Return the unit normal of a triangle's counter-clockwise side."""
     p = surfaces.corners
@@ -126,12 +156,12 @@ def _bent_normal(world, face, b, c, normal):
 
 
 @njit(**JIT)
-def shading_normal(world, face, b, c, direction, side):
+def shading_normal(world, face, b, c, direction, side, textured):
     """Return the unit normal for shading on the viewer's side; side is -1 where the ray meets the back."""
     normals = world.surfaces.normals
     x, y, z = _mean(normals, face, 1 - b - c, b, c)
     normal = normalised(x, y, z)
-    if world.materials.texture[world.surfaces.material[face], NORMAL] >= 0:
+    if textured and world.materials.texture[world.surfaces.material[face], NORMAL] >= 0:
         normal = _bent_normal(world, face, b, c, normal)
     x, y, z = normal[0] * side, normal[1] * side, normal[2] * side
     cosine = -(x * direction[0] + y * direction[1] + z * direction[2])

@@ -9,6 +9,9 @@ metallic), and E the share of light that the lobe reflects toward the viewer (a 
 leaves, so that no surface reflects more light than it receives. The lobe is scaled for light that bounces between
 microfacets (Turquin 2019): a white metal reflects all light at any roughness, as in Blender and three.js.
 
+Over it lie sheen (KHR_materials_sheen: Charlie's distribution, spread over the directions of light as the base is)
+and a clear coat of index 1.5 (KHR_materials_clearcoat), without the relief of the normal texture.
+
 A share `transmission` of a surface is smooth glass: exact Fresnel reflection and refraction at `ior`, whatever the
 roughness; light that passes into it is multiplied by the base colour once at each surface.
 """
@@ -30,6 +33,12 @@ MAX_IOR = 1000.0
 """Converters of materials write it for a surface that reflects everything: 0.996 at normal incidence."""
 
 
+_SHARES = (
+    *("metallic", "roughness", "specular", "transmission", "opacity"),
+    *("clearcoat", "clearcoat_roughness", "sheen_roughness"),
+)
+
+
 def colour_of(values: Iterable[float]) -> Colour:
     """Return three values as a colour."""
     red, green, blue = (float(value) for value in values)
@@ -49,12 +58,20 @@ class Material:
         transmission: Share of the surface that is smooth glass.
         opacity: Share of the surface that is there; rays pass straight through the rest.
         alpha_cutoff: If given, the surface is there where opacity x texture alpha reaches it, and nowhere else.
+        clearcoat: Strength of a clear coat over the surface.
+        clearcoat_roughness: Of the coat, perceptual.
+        sheen: Linear RGB that cloth reflects at grazing angles; black is none.
+        sheen_roughness: Perceptual; at least 0.07 counts.
         emissive: Radiance that the surface emits, linear RGB.
         base_colour_texture: Multiplies base_colour and, by its alpha, opacity.
         metallic_roughness_texture: Green multiplies roughness, blue metallic.
         normal_texture: Tangent-space normals, x along u, y up the image (against v).
         normal_scale: Scales x and y of the normal texture.
         emissive_texture: Multiplies emissive.
+        clearcoat_texture: Red multiplies clearcoat.
+        clearcoat_roughness_texture: Green multiplies clearcoat_roughness.
+        sheen_texture: Multiplies sheen.
+        sheen_roughness_texture: Alpha multiplies sheen_roughness.
 
     Raises:
         ObjectError: A value is out of range.
@@ -68,18 +85,25 @@ class Material:
     transmission: float = 0.0
     opacity: float = 1.0
     alpha_cutoff: float | None = None
+    clearcoat: float = 0.0
+    clearcoat_roughness: float = 0.0
+    sheen: Colour = (0.0, 0.0, 0.0)
+    sheen_roughness: float = 0.0
     emissive: Colour = (0.0, 0.0, 0.0)
     base_colour_texture: Texture | None = None
     metallic_roughness_texture: Texture | None = None
     normal_texture: Texture | None = None
     normal_scale: float = 1.0
     emissive_texture: Texture | None = None
+    clearcoat_texture: Texture | None = None
+    clearcoat_roughness_texture: Texture | None = None
+    sheen_texture: Texture | None = None
+    sheen_roughness_texture: Texture | None = None
 
     def __post_init__(self) -> None:
-        shares = {
-            name: getattr(self, name) for name in ("metallic", "roughness", "specular", "transmission", "opacity")
-        }
-        shares |= {f"base_colour[{channel}]": value for channel, value in enumerate(self.base_colour)}
+        shares = {name: getattr(self, name) for name in _SHARES}
+        for name in ("base_colour", "sheen"):
+            shares |= {f"{name}[{channel}]": value for channel, value in enumerate(getattr(self, name))}
         if self.alpha_cutoff is not None:
             shares["alpha_cutoff"] = self.alpha_cutoff
         for name, value in shares.items():
@@ -128,12 +152,20 @@ class MaterialArrays(NamedTuple):
     transmission: Float32[np.ndarray, " m"]
     opacity: Float32[np.ndarray, " m"]
     cutoff: Float32[np.ndarray, " m"]
+    clearcoat: Float32[np.ndarray, " m"]
+    clearcoat_roughness: Float32[np.ndarray, " m"]
+    sheen: Float32[np.ndarray, "m 3"]
+    sheen_roughness: Float32[np.ndarray, " m"]
     emissive: Float32[np.ndarray, "m 3"]
     normal_scale: Float32[np.ndarray, " m"]
-    texture: Int32[np.ndarray, "m 4"]
+    texture: Int32[np.ndarray, "m 8"]
 
 
-TEXTURES = ("base_colour", "metallic_roughness", "normal", "emissive")  # columns of `MaterialArrays.texture`
+TEXTURES = (
+    *("base_colour", "metallic_roughness", "normal", "emissive"),
+    *("clearcoat", "clearcoat_roughness", "sheen", "sheen_roughness"),
+)
+"""Columns of `MaterialArrays.texture`."""
 
 
 def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, TextureArrays]:
@@ -157,6 +189,10 @@ def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, Text
         transmission=column("transmission"),
         opacity=column("opacity"),
         cutoff=np.array([-1 if cutoff is None else cutoff for cutoff in cutoffs], np.float32),
+        clearcoat=column("clearcoat"),
+        clearcoat_roughness=column("clearcoat_roughness"),
+        sheen=np.array([material.sheen for material in materials], np.float32),
+        sheen_roughness=column("sheen_roughness"),
         emissive=np.array([material.emissive for material in materials], np.float32),
         normal_scale=column("normal_scale"),
         texture=np.array(rows, np.int32),
@@ -165,14 +201,14 @@ def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, Text
 
 
 @lru_cache(maxsize=1)
-def lobe_table() -> Float32[np.ndarray, "cosines roughnesses 2"]:
-    """Return A and B of the lobe's reflected share E(n.v, roughness) = F0 A + F90 B (Karis's split sum).
+def lobe_table() -> Float32[np.ndarray, "cosines roughnesses 3"]:
+    """Return A and B of the lobe's reflected share E(n.v, roughness) = F0 A + F90 B (Karis's split sum), and sheen's E.
 
-    Rows are cosines and columns roughnesses, both evenly from 0 to 1. 20 ms, once.
+    Rows are cosines and columns roughnesses, both evenly from 0 to 1. 60 ms, once.
     """
     from roomlight.kernels.microfacets import fill_lobe_table
 
-    table = np.empty((64, 32, 2), np.float32)
+    table = np.empty((64, 32, 3), np.float32)
     fill_lobe_table(table, 1024)
     table.setflags(write=False)
     return table

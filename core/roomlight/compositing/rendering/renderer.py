@@ -94,7 +94,7 @@ class _World(NamedTuple):
     materials: MaterialArrays
     textures: TextureArrays
     light: Environment
-    lobe: Float32[np.ndarray, "c r 2"]
+    lobe: Float32[np.ndarray, "c r 3"]
     supports: Supports
     is_open: Bool[np.ndarray, " f"]
 

@@ -12,9 +12,11 @@ from roomlight.compositing.objects.gltf.container import extension
 from roomlight.compositing.objects.gltf.images import CLAMPED, MIRRORED, Images
 from roomlight.compositing.objects.gltf.ktx2 import ktx2_available
 from roomlight.compositing.objects.gltf.schema import (
+    Clearcoat,
     EmissiveStrength,
     GltfMaterial,
     Ior,
+    Sheen,
     Specular,
     SpecularGlossiness,
     TextureInfo,
@@ -23,7 +25,7 @@ from roomlight.compositing.objects.gltf.schema import (
     Volume,
 )
 from roomlight.compositing.objects.limits import PassedLimitError
-from roomlight.compositing.objects.materials import MAX_IOR, Material, colour_of
+from roomlight.compositing.objects.materials import MAX_IOR, TEXTURES, Material, colour_of
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
 from roomlight.conventions import LUMINANCE, linear_to_srgb8, srgb8_to_linear
 from roomlight.errors import ObjectError
@@ -81,14 +83,20 @@ class MaterialReader:
         notes: list[Note] = []
         base = stated.pbrMetallicRoughness
         glossy = extension(SpecularGlossiness, stated, "KHR_materials_pbrSpecularGlossiness", label, self._clamped)
+        coat = extension(Clearcoat, stated, "KHR_materials_clearcoat", label, self._clamped) or Clearcoat()
+        sheen = extension(Sheen, stated, "KHR_materials_sheen", label, self._clamped) or Sheen()
         textures = {
             "base": base.baseColorTexture if glossy is None else glossy.diffuseTexture,
             "rough": base.metallicRoughnessTexture if glossy is None else glossy.specularGlossinessTexture,
             "normal": stated.normalTexture,
             "emissive": stated.emissiveTexture,
+            "coat": coat.clearcoatTexture,
+            "coat roughness": coat.clearcoatRoughnessTexture,
+            "sheen": sheen.sheenColorTexture,
+            "sheen roughness": sheen.sheenRoughnessTexture,
         }
         slots = {key: self._slot(info, label, key, notes) for key, info in textures.items()}
-        uv_set, transform = _common([slots[key] for key in ("base", "normal", "rough", "emissive")])
+        uv_set, transform = _common([slots[key] for key in ("base", "normal", "rough", *list(slots)[3:])])
         pixels, means = {}, {}
         for key, slot in slots.items():
             pixels[key], means[key] = _brought(slot, uv_set, transform, label, notes)
@@ -101,7 +109,10 @@ class MaterialReader:
             material = self._from_metallic(material, stated, pixels, means)
         if material.transmission > 0:
             material = self._tinted_by_depth(material, stated, label, notes)
-        material = self._with_edges(self._rest(material, stated, pixels, means), slots)
+        material = self._layered(self._rest(material, stated, pixels, means), coat, sheen, pixels, means)
+        material = self._with_edges(material, slots)
+        if coat.clearcoatNormalTexture is not None:
+            notes.append(Note(f"{label}: relief of its clear coat", "the coat is smooth", "nothing to do"))
         if stated.occlusionTexture is not None:
             file = label.rpartition(":")[0]  # one note for all its materials
             effect = "objects shade themselves by ray tracing instead"
@@ -128,7 +139,7 @@ class MaterialReader:
         uv_set = info.texCoord if moved.texCoord is None else moved.texCoord
         wraps, transform = self._images.wraps(info.index), _matrix(moved)
         if MIRRORED in wraps:
-            pixels = _reduced(pixels, wraps, colour=key in ("base", "emissive"))
+            pixels = _reduced(pixels, wraps, colour=key in ("base", "emissive", "sheen"))
         for axis, wrap in zip((1, 0), wraps, strict=True):
             if wrap == MIRRORED:  # the texture beside its mirror image repeats
                 pixels = np.concatenate([pixels, np.flip(pixels, axis)], axis=axis)
@@ -265,10 +276,31 @@ class MaterialReader:
             normal_scale=1.0 if stated.normalTexture is None else stated.normalTexture.scale,
         )
 
+    def _layered(
+        self,
+        material: Material,
+        coat: Clearcoat,
+        sheen: Sheen,
+        pixels: dict[str, np.ndarray | None],
+        means: dict[str, np.ndarray],
+    ) -> Material:
+        """Add clear coat and sheen."""
+        return replace(
+            material,
+            clearcoat=coat.clearcoatFactor * float(means["coat"][0]),
+            clearcoat_roughness=coat.clearcoatRoughnessFactor * float(means["coat roughness"][1]),
+            sheen=colour_of(np.array(sheen.sheenColorFactor) * means["sheen"][:3]),
+            sheen_roughness=sheen.sheenRoughnessFactor * float(means["sheen roughness"][3]),
+            clearcoat_texture=self._texture(pixels["coat"], "values"),
+            clearcoat_roughness_texture=self._texture(pixels["coat roughness"], "values"),
+            sheen_texture=self._texture(pixels["sheen"], "colour"),
+            sheen_roughness_texture=self._texture(pixels["sheen roughness"], "values"),
+        )
+
     def _with_edges(self, material: Material, slots: dict[str, _Slot | None]) -> Material:
         """Let textures end in their edges where their samplers say so; equal ones are one object."""
         changed: dict[str, Texture] = {}
-        for key, name in zip(slots, ("base_colour", "metallic_roughness", "normal", "emissive"), strict=True):
+        for key, name in zip(slots, TEXTURES, strict=True):
             slot, texture = slots[key], getattr(material, f"{name}_texture")
             if slot is not None and texture is not None and any(slot.clamped):
                 edged = replace(texture, clamped=slot.clamped)
@@ -343,6 +375,8 @@ def unlit_of(material: Material) -> Material:
         metallic=0.0,
         specular=0.0,
         transmission=0.0,
+        clearcoat=0.0,
+        sheen=(0.0, 0.0, 0.0),
         emissive=material.base_colour,
         emissive_texture=material.base_colour_texture,
         # its alpha still cuts the surface out
@@ -403,7 +437,11 @@ def _brought(
     )
     if slot.key == "normal":
         return None, np.ones(4)
-    linear = slot.pixels[..., :3] / 255.0 if slot.key == "rough" else srgb8_to_linear(slot.pixels[..., :3])
+    linear = (
+        slot.pixels[..., :3] / 255.0
+        if slot.key in ("rough", "coat", "coat roughness")
+        else srgb8_to_linear(slot.pixels[..., :3])
+    )
     alpha = slot.pixels[..., 3].mean() / 255 if slot.pixels.shape[2] == 4 else 1.0
     return None, np.array([*linear.mean(axis=(0, 1)), alpha])
 

@@ -33,6 +33,7 @@ SUPPORTED_EXTENSIONS: Final = frozenset(
     {
         *("KHR_materials_transmission", "KHR_materials_ior", "KHR_materials_specular", "KHR_materials_unlit"),
         *("KHR_materials_emissive_strength", "KHR_materials_pbrSpecularGlossiness", "KHR_texture_transform"),
+        *("KHR_materials_clearcoat", "KHR_materials_sheen"),
         *(
             "KHR_mesh_quantization",
             "EXT_mesh_gpu_instancing",
@@ -48,8 +49,6 @@ SUPPORTED_EXTENSIONS: Final = frozenset(
 _LOOKS: Final = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "EXT_lights_")
 _HARMLESS: Final = ("KHR_xmp", "KHR_animation", "EXT_structural", "EXT_mesh_features", "KHR_audio", "KHR_interactivity")
 _EFFECTS: Final = {
-    "KHR_materials_clearcoat": "the coat's highlights are missing",
-    "KHR_materials_sheen": "cloth lacks its sheen, which may be most of its colour",
     "KHR_materials_volume": "glass is tinted as by its stated thickness everywhere",
     "KHR_materials_iridescence": "there are no colours of thin films",
     "KHR_materials_anisotropy": "highlights are round",

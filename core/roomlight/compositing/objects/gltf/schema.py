@@ -206,6 +206,25 @@ class Specular(_Model):
     specularColorTexture: TextureInfo | None = None  # noqa: N815
 
 
+class Clearcoat(_Model):
+    """KHR_materials_clearcoat."""
+
+    clearcoatFactor: Share = 0.0  # noqa: N815
+    clearcoatTexture: TextureInfo | None = None  # noqa: N815
+    clearcoatRoughnessFactor: Share = 0.0  # noqa: N815
+    clearcoatRoughnessTexture: TextureInfo | None = None  # noqa: N815
+    clearcoatNormalTexture: TextureInfo | None = None  # noqa: N815
+
+
+class Sheen(_Model):
+    """KHR_materials_sheen."""
+
+    sheenColorFactor: tuple[Share, Share, Share] = (0.0, 0.0, 0.0)  # noqa: N815
+    sheenColorTexture: TextureInfo | None = None  # noqa: N815
+    sheenRoughnessFactor: Share = 0.0  # noqa: N815
+    sheenRoughnessTexture: TextureInfo | None = None  # noqa: N815
+
+
 class EmissiveStrength(_Model):
     """KHR_materials_emissive_strength."""
 
