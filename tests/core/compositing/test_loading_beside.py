@@ -138,7 +138,7 @@ def test_odd_numbers_in_materials_keep_their_defaults(tmp_path: Path) -> None:
     [
         ("Kd 128 0 0", "Kd of 128"),
         ("Kd spectral metal.rfl", "Kd spectral"),
-        ("Pc 1", "clear coat"),
+        ("Ps 1", "sheen"),
         ("Pc 0\nPs 0.0\nPcr 0.03\naniso 0\nanisor 0", ""),
         ("Tf 1.0000 1.0000 1.0000", ""),
         ("Tf 1 0.5 1", "coloured glass"),

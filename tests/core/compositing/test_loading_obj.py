@@ -62,6 +62,11 @@ def test_a_texture_has_a_number_sign_in_its_name(tmp_path: Path) -> None:
     assert material_of(quad_of(tmp_path, "newmtl m\nmap_Kd\tred #1.png\n")).base_colour_texture is not None
 
 
+def test_a_clear_coat_is_read(tmp_path: Path) -> None:
+    material = material_of(quad_of(tmp_path, "newmtl m\nKd 1 0 0\nPc 0.8\nPcr 0.2\n"))
+    assert (material.clearcoat, material.clearcoat_roughness) == (0.8, 0.2)
+
+
 # Polygons
 
 

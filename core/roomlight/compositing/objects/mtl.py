@@ -1,7 +1,8 @@
 """Read the materials of an OBJ (MTL) and their textures, which lie beside it.
 
 Colours are sRGB, as viewers take them. Shininess becomes roughness as Blender writes it, Ns = 1000 (1 - roughness)^2;
-`Pr` and `Pm` (Wavefront's extension for physically based materials) count instead where they are stated.
+`Pr` and `Pm` (Wavefront's extension for physically based materials) count instead where they are stated; `Pc` and `Pcr`
+are a clear coat.
 """
 
 import io
@@ -24,16 +25,16 @@ from roomlight.errors import ObjectError
 from roomlight.imaging.tags import profile_to_srgb8
 from roomlight.notes import Note
 
-_VALUES: Final = {"kd": 3, "ks": 3, "ke": 3, "ns": 1, "ni": 1, "d": 1, "tr": 1, "pr": 1, "pm": 1}
+_VALUES: Final = {"kd": 3, "ks": 3, "ke": 3, "ns": 1, "ni": 1, "d": 1, "tr": 1, "pr": 1, "pm": 1, "pc": 1, "pcr": 1}
 _PICTURES: Final = ("map_kd", "map_ke", "map_d")
 _LEFT_OUT: Final = {
     **dict.fromkeys(("map_bump", "bump", "norm", "disp", "map_disp"), "relief"),
     **dict.fromkeys(("map_ks", "map_ns", "map_pr", "map_pm", "refl"), "textures of gloss, metal and reflection"),
-    **dict.fromkeys(("pc", "ps", "aniso", "map_pc", "map_ps"), "clear coat, sheen and brushed metal"),
+    **dict.fromkeys(("ps", "aniso", "map_pc", "map_ps"), "sheen, brushed metal and textures of the clear coat"),
     "tf": "coloured glass",
 }
-_DEFAULTS: Final = {"pc": 0, "ps": 0, "aniso": 0, "tf": 1}
-"""Values with which these keys change nothing; `pcr` and `anisor` only say how."""
+_DEFAULTS: Final = {"ps": 0, "aniso": 0, "tf": 1}
+"""Values with which these keys change nothing; `anisor` only says how."""
 _MOVED: Final = re.compile(
     r"(?:^| )-(?:s(?: +1(?:\.0*)?)*(?= +-?[\d.])(?! +1(?:\.0*)?(?: |$))|o(?: +-?[0.]+)* +-?[0.]*[1-9]|clamp +on)"
 )
@@ -169,6 +170,8 @@ class MtlReader:
             ior=ior if 1.05 < ior <= 3 else 1.5,
             opacity=share("d", 1 - share("tr", 0.0)),
             alpha_cutoff=0.5 if cut_out else None,
+            clearcoat=share("pc", 0.0),
+            clearcoat_roughness=share("pcr", 0.0),
             emissive=_linear(stated.values.get("ke", (1.0,) * 3 if glow is not None else (0.0,) * 3), most=1e6),
             base_colour_texture=None if base is None else Texture.from_srgb8(base if cut_out else base[..., :3]),
             emissive_texture=None if glow is None else Texture.from_srgb8(glow[..., :3]),
