@@ -131,6 +131,22 @@ def test_a_keyframe_keeps_its_bracket():
     np.testing.assert_array_equal(key.texture.image[~bright.clipped], bright.image[~bright.clipped])
 
 
+def test_a_keyframe_with_a_taken_bound_is_a_frame_of_the_next_room(monkeypatch):
+    """Rounding puts a bound just above the luminance of its radiance."""
+    frame = prepared(shown(1))
+    key = FrameMesh(frame)
+
+    def raise_bounds(points, *_):
+        points.bound[:] = np.nextafter(points.radiance @ LUMINANCE, np.float32(np.inf))
+        return len(points.bound)
+
+    monkeypatch.setattr(bracket, "take_radiance", raise_bounds)
+    assert update_keyframes(FrameMesh(prepared(shown(DARK))), [key]) > 0
+    guessed = key.texture.guessed
+    assert guessed is not None
+    assert dataclasses.replace(frame, guessed=guessed).guessed is guessed  # which refuses negative luminance
+
+
 def test_a_frame_takes_clipped_pixels_from_earlier_ones():
     bright, dark = shown(1, **MOVED), shown(DARK)
     frame = prepared(bright, [FrameMesh(prepared(dark))])

@@ -125,7 +125,8 @@ def _with_points(texture: Texture, where: Int[np.ndarray, " n"], points: PointAr
     image, clipped, guessed = texture.image.copy(), texture.clipped.copy(), texture.guessed.copy()
     image.reshape(-1, 3)[where] = points.radiance
     clipped.reshape(-1)[where] = points.clipped
-    guessed.reshape(-1)[where] = np.where(points.clipped, points.radiance @ LUMINANCE - points.bound, 0)
+    estimated = np.maximum(points.radiance @ LUMINANCE - points.bound, 0)  # rounding leaves -1e-7
+    guessed.reshape(-1)[where] = np.where(points.clipped, estimated, 0)
     return Texture(image, clipped, guessed) if clipped.any() else Texture(image)
 
 
