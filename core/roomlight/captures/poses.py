@@ -11,14 +11,18 @@ from jaxtyping import Float
 from roomlight.captures.times import nearest
 
 MAX_STEP_S: Final = 0.5
-"""Longest time between two poses that are interpolated."""
+"""Longest time between two poses of a camera that are interpolated."""
 MAX_GAP_S: Final = 0.05
 """Longest time to the nearest pose where none is interpolated."""
 _SAME_S: Final = 1e-4
 
 
 def pose_at(
-    times: Sequence[float], stored: Callable[[int], Float[np.ndarray, "4 4"]], time_s: float, what: str
+    times: Sequence[float],
+    stored: Callable[[int], Float[np.ndarray, "4 4"]],
+    time_s: float,
+    what: str,
+    longest_s: float = MAX_STEP_S,
 ) -> Float[np.ndarray, "4 4"]:
     """Return the pose at a time, interpolated between those before and after it, or the nearest beside a longer step.
 
@@ -27,13 +31,14 @@ def pose_at(
         stored: Returns a pose by its index, local to world.
         time_s: The time.
         what: The pose in messages.
+        longest_s: Longest time between two poses that are interpolated.
 
     Raises:
         ValueError: The nearest pose is too far in time, or `stored` raises it.
     """
     near, after = nearest(times, time_s), bisect.bisect_left(times, time_s)
     gap_s = abs(times[near] - time_s)
-    if gap_s > _SAME_S and 0 < after < len(times) and (step_s := times[after] - times[after - 1]) <= MAX_STEP_S:
+    if gap_s > _SAME_S and 0 < after < len(times) and (step_s := times[after] - times[after - 1]) <= longest_s:
         share = (time_s - times[after - 1]) / step_s
         a, b = stored(after - 1), stored(after)
         turn, _ = cv2.Rodrigues(a[:3, :3].T @ b[:3, :3])

@@ -15,6 +15,7 @@ from capture_checks import edit, one_skipped
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.formats.packed_depth import lz4_block
+from roomlight.captures.formats.ros.bag import RosBagReader
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import CaptureError, UnknownFormatError
 
@@ -311,6 +312,8 @@ def with_messages(path: Path, change: dict[str, str], drop: str = "\0") -> Path:
 def test_a_bag_without_poses_colour_or_camera_says_so(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"no poses of camera_color_optical_frame.*RTAB-Map"):
         open_capture(with_messages(tmp_path / "a", {}, drop="/tf"))
+    with pytest.raises(CaptureError, match=r"has poses of base_link, and no tf from there to camera_color.*tf_static"):
+        open_capture(with_messages(tmp_path / "apart", {}, drop="/tf_static"))
     with pytest.raises(CaptureError, match=r"no topic of colour images; its topics are /camera/aligned_depth"):
         open_capture(with_messages(tmp_path / "b", {}, drop="/camera/color/image"))
     with pytest.raises(CaptureError, match="no CameraInfo beside /camera/color/image_raw"):
@@ -330,6 +333,9 @@ def test_a_bag_without_poses_colour_or_camera_says_so(tmp_path: Path) -> None:
     (tmp_path / "d.bag").rename(tmp_path / "d.BAG")
     with pytest.raises(CaptureError, match=r"; rename it to end in \.bag"):
         open_capture(tmp_path / "d.BAG")
+    (tmp_path / "d.mcap").write_bytes(b"\x89MCAP0\r\n\1" + struct.pack("<QI", 12, 4) + b"ros1\0\0\0\0")
+    with pytest.raises(CaptureError, match=r"its profile is 'ros1'; record it with ROS 2"):
+        open_capture(tmp_path / "d.mcap")
 
 
 def as_zstd(data: bytes) -> bytes:
@@ -417,12 +423,17 @@ def test_a_second_parent_in_tf_is_noted(tmp_path: Path) -> None:
 
 
 def test_poses_between_two_of_tf_are_interpolated(tmp_path: Path) -> None:
+    """Those above the moving robot also where they are further apart."""
     messages = tool_formats.ros_messages(VIEWS)
     moved = [message for message in messages if message[0] != "/tf"]
     for view in (VIEWS[0], VIEWS[2], VIEWS[3]):
         base = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP @ np.linalg.inv(tool_formats.MOUNT)
         data = tool_formats.transforms_message(view.time_s, "map", "base_link", base)
         moved.append(("/tf", "tf2_msgs/msg/TFMessage", view.time_s, data))
+    for time_s in (VIEWS[0].time_s - 0.7, VIEWS[0].time_s + 0.7):
+        moved.append(
+            ("/tf", "tf2_msgs/msg/TFMessage", 5, tool_formats.transforms_message(time_s, "world", "map", np.eye(4)))
+        )
     _, second, *_ = open_capture(tool_formats.ros2_bag(tmp_path / "bag", moved))
     assert np.abs(second.camera_to_world[:3, 3] - VIEWS[1].pose[:3, 3]).max() < 0.03
     assert np.degrees(np.arccos((second.camera_to_world[:3, 2] * VIEWS[1].pose[:3, 2]).sum())) < 0.5
@@ -567,6 +578,29 @@ def test_pictures_of_other_programs_are_no_camera_and_no_depth(tmp_path: Path) -
     coloured = [message for message in messages if "depth_to" not in message[0]]
     notes = open_capture(tool_formats.ros2_bag(tmp_path / "b", coloured)).notes
     assert any("depth_colormap/image holds colours" in str(note).replace(":", "") for note in notes)
+
+
+@pytest.mark.parametrize("encoding", ["32FC1; compressedDepth png", "16UC1; compressedDepth rvl", "jpeg"])
+def test_compressed_depth(tmp_path: Path, encoding: str) -> None:
+    """Of floats: 1 / depth in a PNG behind 12 bytes. A JPEG is no depth; other kinds are refused with a way out."""
+    a, b = 4000.0, 10.0
+    messages = [message for message in tool_formats.ros_messages(VIEWS[:1]) if "aligned" not in message[0]]
+    stored = np.rint(a / VIEWS[0].depth_m + b).astype(np.uint16)
+    data = struct.pack("<iff", 0, a, b) + formats.image(".png", np.where(VIEWS[0].depth_m > 0, stored, 0))
+    cdr = tool_formats.Cdr().header(VIEWS[0].time_s, "camera_color_optical_frame").text(encoding)
+    cdr.raw(b"RVL" if "rvl" in encoding else data)
+    topic = "/camera/depth_to_color/image_raw/compressed"
+    messages.append((topic, "sensor_msgs/msg/CompressedImage", VIEWS[0].time_s, cdr.bytes()))
+    bag = tool_formats.ros2_bag(tmp_path / "bag", messages)
+    if "rvl" in encoding:
+        with pytest.raises(CaptureError, match=r"compressedDepth rvl' is not read, .*--depth network"):
+            list(open_capture(bag))
+    if "png" in encoding:
+        (frame,) = open_capture(bag)
+        np.testing.assert_allclose(frame.depth_m, VIEWS[0].depth_m, rtol=1e-3)
+    else:
+        with RosBagReader(bag, CaptureOptions(depth="auto" if encoding == "jpeg" else "network")).records() as read:
+            assert read(0).depth_name is None
 
 
 def test_depth_that_is_not_called_so(tmp_path: Path) -> None:

@@ -107,7 +107,7 @@ class RosBagReader:
             topics = {connection.topic: connection.msgtype for connection in bag.connections}
             firsts = {topic: _first(bag, topic) for topic, kind in topics.items() if kind in _IMAGES}
             self._colour = self._colour_topic(topics, firsts)
-            self._depth = self._depth_topic(firsts)
+            self._depth = None if options.depth == "network" else self._depth_topic(firsts)
             self._index(bag, topics)
         self.count = len(self._entries.get(self._colour, []))
         if self.count > MAX_FRAMES:
@@ -117,9 +117,13 @@ class RosBagReader:
         with fields.naming(f"{path}: the CameraInfo beside {self._colour}", CaptureError):
             self._lens = self._lens_of(self._colour)
         if self.count and not self._tree.moves(self._frame_id):
+            camera = self._frame_id or "the camera"
+            if moving := ", ".join(self._tree.moving()[:4]):
+                text = f"has poses of {moving}, and no tf from there to {camera}; record tf_static too"
+                raise CaptureError(f"{path}: {text}")
             raise CaptureError(
-                f"{path}: has no poses of {self._frame_id or 'the camera'} (tf, Odometry, PoseStamped); recordings of "
-                "RealSense alone hold none: run a SLAM such as RTAB-Map on it, and export that"
+                f"{path}: has no poses of {camera} (tf, Odometry, PoseStamped); recordings of RealSense alone hold "
+                "none: run a SLAM such as RTAB-Map on it, and export that"
             )
 
     def name_of(self, index: int) -> str:
@@ -150,6 +154,9 @@ class RosBagReader:
             way = "copy it again; rosbag reindex (ros2 bag reindex) repairs one that was not closed"
             if self._path.is_file() and self._path.suffix != (small := self._path.suffix.lower()):
                 way = f"rename it to end in {small}"
+            elif "Profile is not ros2" in str(error):
+                file = [self._path, *self._path.glob("*.mcap")][-1]
+                way = f"its profile is {_mcap_profile(file)!r}; record it with ROS 2, or convert it to a bag of ROS 2"
             raise CaptureError(f"{self._path}: is not a readable ROS bag ({error}); {way}") from error
         try:
             names = [name for connection in bag.connections for name in (connection.topic, connection.msgtype)]
@@ -374,6 +381,13 @@ def _first(bag: Any, topic: str) -> Any:
         return bag.deserialize(raw, connection.msgtype)
     except Exception:  # rosbags raises whatever the damaged bytes lead to
         return None
+
+
+def _mcap_profile(path: Path) -> str:
+    """Return the profile that an MCAP's header states first."""
+    with path.open("rb") as file:
+        head = file.read(100)
+    return head[21 : 21 + int.from_bytes(head[17:21], "little")].decode(errors="replace")
 
 
 def _frame_of(message: Any) -> str | None:

@@ -1,6 +1,7 @@
 """Images and cameras of ROS messages."""
 
 import re
+import struct
 from typing import Any, Final
 
 import cv2
@@ -42,6 +43,7 @@ _MODELS: Final = (
 )
 """Names of OpenCV's polynomial; the last three are librealsense's, whose code projects points by it."""
 _FISHEYES: Final = ("equidistant", "fisheye", "kannala_brandt4")
+_NO_DEPTH: Final = "; record them, or let a network estimate depth (--depth network)"
 _BENDING: Final = re.compile("fish|equi|kannala|theta|omni|mei|atan|fov|sphere|unified")
 """Words of models that bend lines even where all of D is 0."""
 
@@ -116,7 +118,7 @@ def decode_colour_image(message: Any, label: str) -> ColourImage:
 def is_colour(message: Any) -> bool:
     """Whether an Image or a CompressedImage has an encoding of colours."""
     if hasattr(message, "format"):
-        return any(word in message.format.lower() for word in ("rgb", "bgr", "mono8", "8uc"))
+        return any(word in message.format.lower() for word in ("rgb", "bgr", "mono8", "8uc", "jpeg", "jpg"))
     return message.encoding.lower() in (*_ORDERS, *_CONVERSIONS)
 
 
@@ -130,12 +132,19 @@ def decode_depth_image(message: Any, label: str, unit_m: float | None) -> Float[
     if hasattr(message, "format"):  # 12 bytes of parameters, then a PNG
         data = bytes(message.data)
         at = data.find(b"\x89PNG", 0, 64)
-        if at < 0 or "32FC1" in message.format:
-            raise ValueError(f"compressed depth of {message.format[:40]!r} is not read; 16UC1 as PNG is")
-        return decode_depth_map(data[at:], label, unit_m=unit_m)
+        inverse = "32FC1" in message.format
+        if at < 0 or (inverse and at != 12):
+            what = f"compressed depth of {message.format[:40]!r}"
+            raise ValueError(f"{what} is not read, but 16UC1 and 32FC1 as PNG{_NO_DEPTH}")
+        if not inverse:
+            return decode_depth_map(data[at:], label, unit_m=unit_m)
+        scale, offset = struct.unpack("<4x2f", data[:at])
+        stored = decode_depth_map(data[at:], label, unit_m=1.0)
+        with np.errstate(all="ignore"):
+            return clean_depth(np.where(stored > 0, scale / (stored - offset) * np.float32(unit_m or 1.0), 0))
     kinds = {"16uc1": ("u2", 0.001), "mono16": ("u2", 0.001), "32fc1": ("f4", 1.0)}
     if message.encoding.lower() not in kinds:
-        raise ValueError(f"depth of {message.encoding[:40]!r} is not read; 16UC1 and 32FC1 are")
+        raise ValueError(f"depth of {message.encoding[:40]!r} is not read, but 16UC1 and 32FC1{_NO_DEPTH}")
     kind, default_m = kinds[message.encoding.lower()]
     stored = _rows(message, np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<"), 1)[..., 0]
     with np.errstate(over="ignore", invalid="ignore"):

@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import pose_from_quaternion, rigid_inverse
-from roomlight.captures.poses import pose_at
+from roomlight.captures.poses import MAX_STEP_S, pose_at
 
 _MAX_FRAMES: Final = 1000
+_MAX_CORRECTION_STEP_S: Final = 2.0
+"""Longest step above a frame that moves: what corrects it, as a map does odometry, is slow and changes little."""
 
 
 class TransformTree:
@@ -52,15 +54,21 @@ class TransformTree:
         """Whether a frame moves against its root."""
         return any(name in self._parents and name not in self._fixed for name in self._chain(frame))
 
+    def moving(self) -> list[str]:
+        """Return the frames that move against their parents."""
+        return [name for name in self._parents if name not in self._fixed]
+
     def pose(self, frame: str, time_s: float) -> Float[np.ndarray, "4 4"]:
         """Return the pose of a frame in its root.
 
         Raises:
             ValueError: A frame on the way has no pose near this time.
         """
-        total = np.eye(4)
+        total, longest_s = np.eye(4), MAX_STEP_S
         for name in self._chain(frame)[:-1]:
-            total = self._at(name, time_s) @ total
+            total = self._at(name, time_s, longest_s) @ total
+            if name not in self._fixed:
+                longest_s = _MAX_CORRECTION_STEP_S
         return total
 
     def between(self, target: str, source: str) -> Float[np.ndarray, "4 4"] | None:
@@ -84,11 +92,11 @@ class TransformTree:
             chain.append(self._parents[chain[-1]])
         return chain
 
-    def _at(self, frame: str, time_s: float) -> Float[np.ndarray, "4 4"]:
+    def _at(self, frame: str, time_s: float, longest_s: float = MAX_STEP_S) -> Float[np.ndarray, "4 4"]:
         times, poses = self._times[frame], self._poses[frame]
         if frame in self._fixed:
             return _matrix(poses[-1])
-        return pose_at(times, lambda at: _matrix(poses[at]), time_s, f"the pose of {frame[:60]!r}")
+        return pose_at(times, lambda at: _matrix(poses[at]), time_s, f"the pose of {frame[:60]!r}", longest_s)
 
 
 def _matrix(pose: Float[np.ndarray, "7"]) -> Float[np.ndarray, "4 4"]:
