@@ -52,7 +52,7 @@ _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
     "colmap": ColmapReader,
     "video": BareVideoReader,
 }
-_RECORDED: Final = (".r3d", ".sens", ".bag")
+_RECORDED: Final = (".r3d", ".sens", ".bag", ".mcap", ".db3")
 _SIDECARS: Final = (".aae", ".thm", ".lrv", ".srt")
 """What phones and action cameras write beside a video: edits, a thumbnail, a small copy, captions."""
 _FILES: Final = ("record3d", "scannet", "ros-bag", "video")

@@ -46,6 +46,8 @@ _MODELS: Final = (
     *(".usdz", ".usda", ".usdc", ".glb", ".gltf", ".obj", ".ply", ".fbx", ".stl", ".dae"),
     *(".spz", ".splat", ".ksplat", ".las", ".laz", ".e57", ".pts", ".xyz"),
 )
+_RECORDINGS: Final = (".svo", ".svo2", ".oni", ".vrs", ".klg")
+_SMALL_COPIES: Final = ("thumb", "thumbnail", "preview")
 _LISTED: Final = 1000
 """Most files of a folder that are looked at for a message."""
 
@@ -63,7 +65,8 @@ def recognised(path: Path) -> str:
     known = "; ".join(f"{name}: {', '.join(parts).replace('|', ' or ')}" for name, parts in _PARTS.items())
     raise UnknownFormatError(
         f"{path}: no capture format recognised. {_nearest(path)}{_bare_images(path)}Set `format` to force one. "
-        f"Known are .r3d (record3d), .sens (scannet), .bag (ros-bag) and video files, and folders of {known}"
+        f"Known are .r3d (record3d), .sens (scannet), .bag, .mcap and .db3 (ros-bag) and video files, and folders of "
+        f"{known}"
     )
 
 
@@ -152,7 +155,8 @@ def _is_there(path: Path, part: str) -> bool:
 def _known_otherwise(path: Path) -> str:
     """Say what a path is instead of a recording; empty if that is not known."""
     files = [path] if path.is_file() else [file for file in islice(path.iterdir(), _LISTED) if file.is_file()]
-    ends = {file.suffix.lower() for file in files if file.name[0] != "."}
+    files = [file for file in files if file.name[0] != "." and file.stem.lower() not in _SMALL_COPIES]
+    ends = {file.suffix.lower() for file in files}
     models = [file.name for file in files if file.suffix.lower() in _MODELS]
     if models and not ends & {*_IMAGES, *_VIDEOS, ".json", ".txt", ".csv"}:
         return (
@@ -161,6 +165,13 @@ def _known_otherwise(path: Path) -> str:
         )
     if parts := sorted(file.name for file in files if file.name.startswith("transforms_") and file.suffix == ".json"):
         return f"holds {', '.join(parts[:4])}, and no transforms.json; rename one of them, or put their frames into it"
+    if program := next((name for file in files if (name := _reconstruction_program(file))), ""):
+        return f"holds the cameras that {program} found; export them from there as COLMAP, beside the pictures"
+    if recording := next((file.name for file in files if file.suffix.lower() in _RECORDINGS), ""):
+        return f"{recording} is a recording that is not read; export a ROS bag of it, or pictures with poses"
+    archives = [*path.glob("*.zip"), *path.glob("*/*.zip")]
+    if archives and not ends & {*_IMAGES}:
+        return f"holds the archive {archives[0].relative_to(path)}; unpack it, and open what it holds"
     if any(file.suffix.lower() == ".db" for file in files) and ends <= {".db"}:
         return "is RTAB-Map's database; export it: rtabmap-export --images --poses_camera FILE.db"
     if path.is_file() and path.suffix.lower() in _VIDEOS:
@@ -176,17 +187,30 @@ def _known_otherwise(path: Path) -> str:
     return ""
 
 
+def _reconstruction_program(file: Path) -> str:
+    """Return the program that found cameras and wrote them into a file; empty for another file."""
+    if file.name.lower() == "cameras.xml":
+        return "Metashape"
+    if file.suffix.lower() == ".sfm":
+        return "Meshroom"
+    if file.suffix.lower() == ".csv":
+        with suppress(OSError), file.open("rb") as table:
+            return "RealityCapture" if table.read(6) == b"#name," else ""
+    return ""
+
+
 def _bare_images(path: Path) -> str:
     """Return what images without an index lack, as a sentence; empty if the folder holds no image."""
     if not path.is_dir():
         return ""
-    names = sorted(file.name for file in islice(path.iterdir(), _LISTED) if file.suffix.lower() in _IMAGES)
+    pictures = [file for file in islice(path.iterdir(), _LISTED) if file.suffix.lower() in _IMAGES]
+    names = sorted(file.name for file in pictures if file.stem.lower() not in _SMALL_COPIES)
     if not names:
         return ""
     listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     return (
-        f"The folder holds {listed} without focal lengths and camera poses: add them in {nerfstudio.INDEX}, also for a "
-        "single frame; `roomlight light IMAGE` takes one photo without them. "
+        f"The folder holds {listed} without focal lengths and camera poses: let COLMAP find them, add them in "
+        f"{nerfstudio.INDEX}, or film a video, which needs none; `roomlight light IMAGE` takes one photo. "
     )
 
 

@@ -73,6 +73,10 @@ def test_a_folder_or_zip_with_one_recorded_file(tmp_path: Path, kind: str) -> No
         archive.write(recorded, f"scan/{recorded.name}")
     assert len(list(open_capture(zipped))) == 2
     shutil.copy(recorded, recorded.with_stem("b"))
+    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
+        archive.write(zipped, "scan/a.zip")
+    with pytest.raises(UnknownFormatError, match=r"b\.zip: holds the archive scan/a\.zip; unpack it"):
+        open_capture(tmp_path / "b.zip")
     with pytest.raises(UnknownFormatError, match=r"holds 2 captures \(b\.\w+, scene0000_00\.\w+\); open one of them"):
         open_capture(recorded.parent)
 

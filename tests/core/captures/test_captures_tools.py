@@ -350,6 +350,8 @@ def test_a_bag_of_compressed_files(tmp_path: Path) -> None:
     """As `ros2 bag record --compression-mode file` writes it."""
     path = tool_formats.ros_bag(tmp_path / "bag", VIEWS)
     stored = path / "bag_0.db3"
+    formats.save(tmp_path / "alone/a.db3", stored.read_bytes())  # without metadata.yaml
+    assert open_capture(tmp_path / "alone").frame_count == len(VIEWS)
     (path / "bag_0.db3.zstd").write_bytes(as_zstd(stored.read_bytes()))
     stored.unlink()
     text = (path / "metadata.yaml").read_text().replace("bag_0.db3", "bag_0.db3.zstd")
@@ -675,6 +677,7 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
         ("walk.360", "all directions"),
         ("scan.tar.gz", "an archive of a kind that is not read; unpack it"),
         ("scan.7z", "an archive"),
+        ("walk.svo2", "a recording that is not read; export a ROS bag"),
     ):
         (tmp_path / name).write_bytes(b"x" * 99)
         with pytest.raises(UnknownFormatError, match=words):
@@ -682,6 +685,19 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
     formats.save(tmp_path / "scan/scene.glb", b"x")
     with pytest.raises(UnknownFormatError, match=r"scene\.glb is a model"):
         open_capture(tmp_path / "scan")
+    formats.save(tmp_path / "scan/thumb.jpg", b"x")
+    with pytest.raises(UnknownFormatError, match=r"scene\.glb is a model"):
+        open_capture(tmp_path / "scan")
+    for name, words in (
+        ("cameras.xml", "the cameras that Metashape found; export them from there as COLMAP"),
+        ("scene.sfm", "that Meshroom found"),
+        ("cams.csv", "that RealityCapture found"),
+        ("2.jpg", "holds 1.jpg, 2.jpg without focal lengths and camera poses: let COLMAP find them"),
+    ):
+        formats.save(tmp_path / "other" / name / "1.jpg", b"x")
+        formats.save(tmp_path / "other" / name / name, b"#name,x,y")
+        with pytest.raises(UnknownFormatError, match=words):
+            open_capture(tmp_path / "other" / name)
     formats.save(tmp_path / "other/capture.json", b'{"resolution": [640, 480]}')
     with pytest.raises(CaptureError, match=r"it states no format.* another program's; write its frames into a trans"):
         open_capture(tmp_path / "other")
