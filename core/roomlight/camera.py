@@ -105,7 +105,8 @@ def check_rigid(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, 
     if not np.isfinite(matrix).all():
         raise ValueError("the pose holds NaN or infinity (lost tracking)")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
-        raise ValueError(f"the pose's last row is {matrix[3].tolist()}, not 0 0 0 1")
+        columns = "; it is stored by columns: transpose it" if matrix[:, 3].tolist() == [0, 0, 0, 1] else ""
+        raise ValueError(f"the pose's last row is {matrix[3].tolist()}, not 0 0 0 1{columns}")
     rotation = matrix[:3, :3]
     scale = np.ones(3)
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-12:

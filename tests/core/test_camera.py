@@ -81,6 +81,7 @@ def _with(entries):
         (_with({(0, 0): np.nan}), "NaN or infinity"),
         (_with({(1, 3): np.inf}), "NaN or infinity"),
         (_with({(3, 0): 0.5}), "last row"),
+        (camera_at((1.0, 2.0, 3.0)).T, "by columns: transpose it"),
         (_with({(3, 3): 2.0}), "last row"),
         (camera_at((0, 0, 0)) @ np.diag([1.0, 1, -1, 1]), "mirror image"),
         (camera_at((0, 0, 0)) @ np.diag([2.0, 2, 2, 1]), "scales"),
