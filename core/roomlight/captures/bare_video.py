@@ -35,6 +35,8 @@ DEFAULT_FOV_DEG: Final = 64.0
 """Field of view along the longer side without any better knowledge: of phones' main cameras, 60 to 68 degrees."""
 USUAL_FOV_DEG: Final = (42.0, 90.0)
 """Along the longer side, of phones' main cameras and their videos, which may be cropped."""
+_WIDEST: Final = 2.5
+"""Longer side by the shorter of pictures that one view has; wider films are rare."""
 _BENDING: Final = re.compile(r"fish.?eye|gopro|insta360|theta", re.IGNORECASE)
 """Names of lenses that see so much that no pinhole stands for them."""
 _FILM_WIDTH_MM: Final = 34.6
@@ -241,11 +243,15 @@ def bending_lens(source: str, *stated: str) -> list[Note]:
     return [Note(text, "it is read as the picture of a pinhole camera", "undistort it, and state fov_deg")]
 
 
-def panorama_like(source: str, width: int, height: int) -> Note | None:
-    """Return the note for a picture of a panorama's shape; None for another shape."""
-    if width != 2 * height:
+def panorama_like(source: str, width: int, height: int, *, stated: bool = False) -> Note | None:
+    """Return the note for a picture that is `stated` to be a panorama, or of one's shape; None for another one."""
+    aspect = max(width, height) / min(width, height)
+    if width == 2 * height:
+        shape = f"{source}: it is twice as wide as high, as panoramas of all directions are"
+    elif stated or aspect > _WIDEST:
+        shape = f"{source}: it is a panorama, by its {'EXIF' if stated else f'aspect of {aspect:.3g}'}"
+    else:
         return None
-    shape = f"{source}: it is twice as wide as high, as panoramas of all directions are"
     return Note(shape, "it is read as the picture of a pinhole camera", "cut views out of a panorama, or ignore this")
 
 

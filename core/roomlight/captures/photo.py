@@ -116,7 +116,8 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     picture = decode_picture(data, str(image))
     colour, exif, own = picture.image, exif_camera(data, str(image)), picture.own_depth
     height, width = colour.shape[:2]
-    notes = picture.notes if (shape := panorama_like(str(image), width, height)) is None else (*picture.notes, shape)
+    shape = panorama_like(str(image), width, height, stated=exif.panorama)
+    notes = picture.notes if shape is None else (*picture.notes, shape)
     estimated = depth is None and (own is None or options.depth_model is not None)
     if depth is not None:
         depth_m = decode_depth_map(read_bytes(depth), str(depth), unit_m=options.depth_unit_m)

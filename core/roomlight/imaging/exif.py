@@ -16,6 +16,8 @@ _PLANE_UNITS_MM: Final = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _SENSORS_MM: Final = (3.0, 80.0)
 """Diagonals of cameras' sensors."""
 _INTEROPERABILITY_INDEX: Final = 1
+_PANORAMA: Final = 6
+"""Of EXIF's CustomRendered, as iPhones write it."""
 
 ADOBE_RGB, UNCALIBRATED = 2, 65535
 """Values of EXIF's ColorSpace."""
@@ -37,6 +39,7 @@ class ExifCamera:
         aspect: Longer side of the picture that the camera took, by the shorter; None if not stated.
         zoom: Of its digital zoom; 1 without.
         lens: Names of the camera and its lens.
+        panorama: Whether it was stitched while the camera turned, as phones state it.
     """
 
     focal_35mm: float | None = None
@@ -48,6 +51,7 @@ class ExifCamera:
     aspect: float | None = None
     zoom: float = 1.0
     lens: str = ""
+    panorama: bool = False
 
     def fov_deg(self, width: int, height: int) -> float | None:
         """Return the horizontal field of view in degrees of an image of this size in pixels; None if not stated.
@@ -105,6 +109,7 @@ def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
         aspect=max(width, height) / min(width, height) if width and height else None,
         zoom=max(zoom or 1.0, 1.0),
         lens=lens[:80],
+        panorama=details.get(ExifTags.Base.CustomRendered) == _PANORAMA,
     )
 
 

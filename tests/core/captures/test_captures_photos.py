@@ -12,6 +12,7 @@ import pytest
 from PIL import ExifTags, Image, ImageCms
 
 from roomlight.captures import open_capture
+from roomlight.captures.bare_video import panorama_like
 from roomlight.captures.photo import PhotoOptions, read_photo
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import ImageError, RoomLightError
@@ -242,7 +243,8 @@ def test_damaged_and_endless_pictures_of_other_formats_are_refused(tmp_path: Pat
             {ExifTags.Base.LensModel: "EF8-15mm f/4L FISHEYE USM"},
             "EF8-15mm f/4L FISHEYE USM, whose lens bends lines",
         ),
-        ({ExifTags.Base.Make: "Apple"}, {ExifTags.Base.DigitalZoomRatio: 1.0}, None),
+        ({ExifTags.Base.Make: "Apple"}, {ExifTags.Base.CustomRendered: 6}, "it is a panorama, by its EXIF"),
+        ({ExifTags.Base.Make: "Apple"}, {ExifTags.Base.DigitalZoomRatio: 1.0, ExifTags.Base.CustomRendered: 3}, None),
     ],
 )
 def test_a_zoom_and_a_lens_that_exif_names_are_pointed_out(
@@ -257,6 +259,8 @@ def test_a_zoom_and_a_lens_that_exif_names_are_pointed_out(
     if says is None:
         assert "lens" not in str(notes)
         assert "zoom" not in str(notes)
+        assert "panorama" not in str(notes)
+        assert "by its aspect of 7.68" in str(panorama_like("a.jpg", 500, 3840))
     else:
         assert says in " ".join(map(str, notes))
 

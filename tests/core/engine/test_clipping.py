@@ -64,7 +64,7 @@ def test_frames_lie_centred_in_even_numbers(size, place):
     assert place.inside(square[::2, ::2], halved=True).shape == (place.height // 2, place.width // 2)
 
 
-@pytest.mark.parametrize("size", [(320, 240), (240, 320), (64, 48)])
+@pytest.mark.parametrize("size", [(320, 240), (240, 320), (64, 48), (42, 320)])
 def test_planes_are_empty_outside_the_frame(size):
     frame = clipped(BoxRoom().frame(camera_at((0, 1.4, 1.5)), width=size[0], height=size[1]))
     planes = clipping_planes(frame, frame.depth_m)

@@ -127,7 +127,7 @@ def clipping_planes(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float3
     size = (place.width, place.height)
     white = white_of(frame) if frame.clipped.any() else 1.0
     heading = _heading(frame.camera_to_world)
-    reduced = replace(frame, depth_m=cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST))
+    reduced_m = cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST)
     rays = frame.intrinsics.resized(*size).rays()
     rays /= np.sqrt(np.einsum("ijk,ijk->ij", rays, rays))[..., None]
     planes = np.zeros((CHANNELS, SIDE, SIDE), np.float32)
@@ -136,16 +136,15 @@ def clipping_planes(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float3
     view[..., 3] = _area(frame.clipped.astype(np.float32), size)
     view[..., 4] = 1
     view[..., 5] = _area((frame.depth_m > 0).astype(np.float32), size)
-    view[..., 6] = np.log1p(reduced.depth_m)
-    view[..., 7:10] = surface_normals(reduced) @ heading
+    view[..., 6] = np.log1p(reduced_m)
+    view[..., 7:10] = surface_normals(frame, reduced_m) @ heading
     view[..., 10] = rays @ frame.camera_to_world[1, :3]
     return planes
 
 
-def surface_normals(frame: Frame) -> Float[np.ndarray, "dh dw 3"]:
+def surface_normals(frame: Frame, depth: Float[np.ndarray, "dh dw"]) -> Float[np.ndarray, "dh dw 3"]:
     """Compute unit surface normals in the world, by central differences of points averaged over 3 x 3 pixels; 0 at the
-    image border."""
-    depth = frame.depth_m
+    image border. `depth` is the frame's, of any size."""
     lens = frame.intrinsics.resized(depth.shape[1], depth.shape[0])
     rotation = frame.camera_to_world[:3, :3].astype(np.float32)
     points = cv2.blur((lens.rays() * depth[..., None]) @ rotation.T, (3, 3))
