@@ -19,6 +19,9 @@ MAX_GAP_S: Final = 5.0
 _REGULAR: Final = 0.5
 """Interquartile range of the steps, relative to their median, up to which they are those of a camera."""
 _UNITS: Final = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}
+_TICK_S: Final = 1e-7
+_TICKS: Final = (1e17, 1e18)
+"""Ticks since the year 1 or 1601, as Windows counts them; microseconds or nanoseconds since 1970 are below or above."""
 _CAMERA_STEP_S: Final = 1 / 30
 _LEAST_STEP_S: Final = 1e-3
 """Of what records rooms; numbers of frames, taken for microseconds, are closer."""
@@ -65,9 +68,12 @@ def timeline(stored: list[float | None], name: str, *, seconds: bool = False) ->
         notes.append(Note(text, "these frames have no time", "store seconds"))
     if len(values) > 1:
         steps = np.diff(values)
-        unit = 1.0 if seconds else _unit(steps)
+        unit = 1.0 if seconds else _unit(values)
         if unit != 1:
             notes.append(_unit_note(name, float(np.median(steps)), unit))
+        elif not seconds and len(steps) > 1 and np.median(steps) == 1 and (values % 1 == 0).all():
+            text = f"{name}: timestamps are whole numbers, 1 apart as numbers of frames are"
+            notes.append(Note(text, "they are taken for seconds: a frame a second", "store seconds"))
         values, steps = values * unit, steps * unit
         forward = steps[steps > 0]
         if forward.size and np.median(forward) < _LEAST_STEP_S:
@@ -96,20 +102,21 @@ def _gap_note(name: str, steps: np.ndarray, places: list[int]) -> Note:
 
 def in_seconds(times: Sequence[float], name: str, notes: list[Note]) -> tuple[float, ...]:
     """Return increasing times in seconds, by the step between them, as `timeline`; another unit is noted."""
-    steps = np.diff(np.array(times, np.float64))
-    if (unit := _unit(steps)) == 1:
+    values = np.array(times, np.float64)
+    if (unit := _unit(values)) == 1:
         return tuple(times)
-    notes.append(_unit_note(name, float(np.median(steps)), unit))
+    notes.append(_unit_note(name, float(np.median(np.diff(values))), unit))
     return tuple(time * unit for time in times)
 
 
 def _unit_note(name: str, step: float, unit: float) -> Note:
     text = f"{name}: timestamps a median of {step:g} apart"
-    return Note(text, f"read as {_UNITS[unit]}", "store seconds if that is wrong")
+    return Note(text, f"read as {_UNITS.get(unit, 'ticks of 100 nanoseconds')}", "store seconds if that is wrong")
 
 
-def _unit(steps: np.ndarray) -> float:
+def _unit(values: np.ndarray) -> float:
     """Return the seconds of one stored unit, by the step that a camera has."""
+    steps = np.diff(values)
     forward = steps[steps > 0]
     if forward.size == 0:
         return 1.0
@@ -117,4 +124,6 @@ def _unit(steps: np.ndarray) -> float:
     regular = high - low <= _REGULAR * step
     if step <= 10 or (step <= 600 and not regular):
         return 1.0
+    if _TICKS[0] <= values[0] < _TICKS[1]:
+        return _TICK_S
     return min(_UNITS, key=lambda unit: abs(math.log(step * unit / _CAMERA_STEP_S)))

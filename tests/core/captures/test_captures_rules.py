@@ -135,6 +135,12 @@ def test_the_unit_of_time_is_recognised(unit: float, rate: int) -> None:
     assert bool(found.notes) == (unit != 1)
 
 
+def test_ticks_of_windows_are_recognised() -> None:
+    found = timeline([638e15 + round(index / 30 * 1e7) for index in range(9)], "x")
+    assert found.step_s == pytest.approx(1 / 30, rel=1e-3)
+    assert "ticks of 100 nanoseconds" in str(found.notes)
+
+
 def test_slides_a_minute_apart_are_no_milliseconds() -> None:
     slides: list[float | None] = [0.0, 60.0, 120.0, 180.0]
     assert timeline(slides, "x").times_s == (0.0, 0.06, 0.12, 0.18)
@@ -152,6 +158,9 @@ def test_numbers_of_frames_are_no_times(tmp_path: Path) -> None:
     assert [frame.timestamp_s for frame in capture] == [None] * 4
     assert "timestamps a median of 1e-06 s apart, which no camera is" in str(capture.notes)
     assert timeline([0.0, 0.001, 0.002], "x").times_s == (0.0, 0.001, 0.002)
+    (note,) = timeline([0.0, 1.0, 2.0, 4.0], "x").notes
+    assert "1 apart as numbers of frames are" in str(note)
+    assert not timeline([0.5, 1.5, 2.5], "x").notes
 
 
 def test_gaps_and_steps_back_are_bounded_and_said() -> None:
