@@ -219,7 +219,7 @@ def decode_depth(
             return clean_depth(read_exr(data, name).depth() * np.float32(1.0 if unit_m is None else unit_m))
     if data[:8] != _PNG and data[:2] not in (_JPEG, _HDR):
         what = f"this starts with {data[:4].hex()}"
-        raise ImageError(f"{name}: depth must be a 16-bit grey PNG, an EXR or a .npy; {what}")
+        raise ImageError(f"{name}: depth must be a 16-bit grey PNG, a TIFF, an EXR or a .npy; {what}")
     raw = _decode_with_opencv(data, name, cv2.IMREAD_UNCHANGED)
     if raw.ndim != 2 or raw.dtype != np.uint16:
         raise ImageError(f"{name}: depth must be a 16-bit grey PNG, this is {raw.dtype} with shape {raw.shape}")

@@ -7,7 +7,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8
+from PIL import Image
 
 from roomlight.camera import Intrinsics
 from roomlight.captures.source import Source
@@ -17,6 +18,7 @@ from roomlight.files import FolderSource
 from roomlight.images import MAX_PIXELS, MIN_ALPHA, ColourImage, decode_depth, decode_grey8, decode_picture, peek_size
 from roomlight.imaging.other_formats import as_png
 
+_TIFF: Final = (b"II*\0", b"MM\0*")
 _COLMAP: Final = re.compile(rb"(\d{1,5})&(\d{1,5})&1&")
 """Width, height and channels at the start of a COLMAP map; rows of float32 follow."""
 
@@ -81,7 +83,7 @@ def with_mask(picture: ColourImage, mask: Bool[np.ndarray, "mh mw"]) -> ColourIm
 def decode_depth_map(
     data: bytes, label: str, *, unit_m: float | None, integer_m: float = 0.001
 ) -> Float[np.ndarray, "h w"]:
-    """Decode depth in metres (0 = unknown) from a 16-bit PNG, a .npy, an EXR or a map of COLMAP.
+    """Decode depth in metres (0 = unknown) from a 16-bit PNG, a grey TIFF, a .npy, an EXR or a map of COLMAP.
 
     Args:
         data: The file.
@@ -100,8 +102,34 @@ def decode_depth_map(
         stored = np.frombuffer(data, "<f4", offset=match.end()).reshape(height, width)
         with np.errstate(over="ignore", invalid="ignore"):
             return clean_depth(stored * np.float32(1.0 if unit_m is None else unit_m))
-    if data[:6] != b"\x93NUMPY":
+    if data[:4] in _TIFF:
+        depth = _tiff_values(data, label)
+    elif data[:6] == b"\x93NUMPY":
+        depth = _npy_values(data, label)
+    else:
         return decode_depth(data, label, unit_m=unit_m, integer_m=integer_m)
+    default_m = 1.0 if depth.dtype.kind == "f" else integer_m
+    with np.errstate(over="ignore", invalid="ignore"):
+        metres = (depth.astype(np.float64) * (default_m if unit_m is None else unit_m)).astype(np.float32)
+    if depth.dtype.kind != "f":
+        metres[depth == 65535] = 0.0
+    return clean_depth(metres)
+
+
+def _tiff_values(data: bytes, label: str) -> Shaped[np.ndarray, "h w"]:
+    """Return the stored values of a TIFF of one channel. Raises ImageError."""
+    try:
+        with Image.open(io.BytesIO(data), formats=("TIFF",)) as image:
+            if image.mode in ("I;16", "I;16B", "F") and image.width * image.height <= MAX_PIXELS:
+                return np.asarray(image)
+            what = f"is {image.width} x {image.height} of the kind {image.mode}"
+    except Exception as error:  # Pillow raises whatever the damaged bytes lead to
+        what = f"does not decode ({error})"
+    raise ImageError(f"{label}: depth must be a grey TIFF of 16 bits or floats, this {what}; convert it to .npy or EXR")
+
+
+def _npy_values(data: bytes, label: str) -> Shaped[np.ndarray, "h w"]:
+    """Return the stored values of a .npy. Raises ImageError."""
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)
@@ -111,15 +139,9 @@ def decode_depth_map(
         if len(size) != 2 or dtype.kind not in "uif" or not 0 < size[0] * size[1] <= MAX_PIXELS:
             raise ImageError(f"{label}: depth must be an array [h, w] of numbers, this is {dtype} {shape}")
         stream.seek(0)
-        depth = np.load(stream, allow_pickle=False).reshape(size)
+        return np.load(stream, allow_pickle=False).reshape(size)
     except (ValueError, EOFError, SyntaxError, OSError, TypeError) as error:
         raise ImageError(f"{label}: the .npy file is damaged ({error})") from error
-    default_m = 1.0 if dtype.kind == "f" else integer_m
-    with np.errstate(over="ignore", invalid="ignore"):
-        metres = (depth.astype(np.float64) * (default_m if unit_m is None else unit_m)).astype(np.float32)
-    if dtype.kind != "f":
-        metres[depth == 65535] = 0.0
-    return clean_depth(metres)
 
 
 def decode_confidence(data: bytes, label: str) -> UInt8[np.ndarray, "h w"]:

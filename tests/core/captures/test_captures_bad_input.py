@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from builders import BUILDERS
 from capture_checks import edit, one_skipped
+from PIL import Image
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures import source as source_module
@@ -151,6 +152,18 @@ def test_a_data_sets_own_camera_is_scaled_to_its_aspect_alone(tmp_path: Path, ki
 def test_an_unusable_picture_skips_the_frame(native: Path, file: str, picture: bytes, words: list[str]) -> None:
     (native / file).write_bytes(picture)
     one_skipped(native, 1, file, *words)
+
+
+@pytest.mark.parametrize("values", [np.full((24, 32), 1500, np.uint16), np.full((24, 32), 1.5, np.float32), None])
+def test_depth_of_a_tiff(native: Path, values: np.ndarray | None) -> None:
+    stored = np.zeros((24, 32, 3), np.uint8) if values is None else values
+    Image.fromarray(stored).save(native / "depth/000001.png", "TIFF", compression="tiff_lzw")
+    if values is None:
+        one_skipped(native, 1, "depth/000001.png", "32 x 24 of the kind RGB; convert it to .npy or EXR")
+    else:
+        assert open_capture(native).frame_at(1).depth_m.max() == pytest.approx(1.5)
+    (native / "depth/000001.png").write_bytes((native / "depth/000001.png").read_bytes()[:200])
+    one_skipped(native, 1, "depth/000001.png", "does not decode")
 
 
 def test_npy_depth_of_false_size_or_with_objects_is_refused(native: Path, tmp_path: Path) -> None:

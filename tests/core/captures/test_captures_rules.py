@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import tool_formats
 from capture_checks import edit, one_skipped
+from PIL import Image
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions, fields, open_capture
@@ -178,7 +179,7 @@ def test_gaps_and_steps_back_are_bounded_and_said() -> None:
 # Depth units
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".npy", ".png"])
+@pytest.mark.parametrize("suffix", [".exr", ".npy", ".png", ".tif"])
 def test_a_stated_unit_holds_for_every_kind_of_depth_file(transforms: Path, suffix: str) -> None:
     def stored(unit_m: float, *, stated: float | None) -> Path:
         def change(index: dict) -> None:
@@ -191,6 +192,8 @@ def test_a_stated_unit_holds_for_every_kind_of_depth_file(transforms: Path, suff
                     formats.exr(transforms / name, {"Z": values.astype(np.float32)})
                 elif suffix == ".npy":
                     np.save(transforms / name, values.astype(np.float32))
+                elif suffix == ".tif":
+                    Image.fromarray(values.astype(np.float32)).save(transforms / name)
                 else:
                     formats.save(transforms / name, formats.image(".png", np.rint(values).astype(np.uint16)))
                 frame["depth_file_path"] = name

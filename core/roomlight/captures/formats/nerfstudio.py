@@ -12,9 +12,9 @@ Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unl
 keys), whose world is ARKit's, y-up. cx and cy are used unchanged: pixel centres at half integers, as
 nerfstudio and ARKit have them. Translations are divided by `applied_scale`.
 
-Depth: 16-bit PNG, .npy or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, NeRFCapture's
-script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder of 1.0 as
-`depth_integer_scale`; a unit of 0.1 m and more is therefore ignored there.
+Depth: 16-bit PNG, .npy, TIFF or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, of
+NeRFCapture's script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder
+of 1.0 as `depth_integer_scale`; a unit of 0.1 m and more is therefore ignored there.
 
 Frames are put in order of `timestamp` if all have one, else of the numbers in their file names, as
 nerfstudio does. `probes: [{position, file_path}]` are ground-truth panoramas in the same world. Lenses are those of
