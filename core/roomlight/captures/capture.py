@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 _AHEAD: Final = 12
 """Records after the first without depth, every other of which shows it from elsewhere."""
+_OF_QUATERNIONS: Final = ("tum", "stray-scanner", "record3d", "rtabmap", "ros-bag")
+"""Formats whose poses hold quaternions as x, y, z, w."""
 _OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
 """Formats whose depth comes from any tool; that of the others is a sensor's, or has one unit."""
 
@@ -290,7 +292,8 @@ class Capture:
             if after.depth is not None:
                 self._depth_stream = self._opened_stream()
                 self._depth_stream.state = after.depth
-        depths, poses = DepthCheck(), PoseCheck(self._to_y_up, opencv=self._camera_convention == "opencv")
+        opencv, quaternions = self._camera_convention == "opencv", self.format in _OF_QUATERNIONS
+        depths, poses = DepthCheck(), PoseCheck(self._to_y_up, opencv=opencv, quaternions=quaternions)
         with self._reader.records() as read:
             for index in self._indices:
                 if index <= at.last:

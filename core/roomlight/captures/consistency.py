@@ -85,9 +85,12 @@ class Disagreement:
 class PoseCheck:
     """Collects pictures of a pass that differ by a turn; `disagreement` compares them."""
 
-    def __init__(self, to_y_up: Float[np.ndarray, "4 4"], *, opencv: bool) -> None:
-        """Take the conventions that are assumed: the turn of the world, and whether cameras have OpenCV's axes."""
-        self._to_y_up, self._opencv = to_y_up, opencv
+    def __init__(self, to_y_up: Float[np.ndarray, "4 4"], *, opencv: bool, quaternions: bool) -> None:
+        """Take the conventions that are assumed: the turn of the world, whether cameras have OpenCV's axes.
+
+        `quaternions` says whether poses are stored as such, x, y, z, w.
+        """
+        self._to_y_up, self._opencv, self._quaternions = to_y_up, opencv, quaternions
         self._views: list[tuple[UInt8[np.ndarray, "h w"], Frame]] = []
 
     def add(self, frame: Frame) -> bool:
@@ -132,6 +135,8 @@ class PoseCheck:
                 choices[Disagreement(inverse, other)] = error([pose @ flip for pose in poses])
         best = min(choices, key=lambda choice: choices[choice])
         if choices[best] < min(_LEAST_ERROR, _SHARE * assumed):
+            if best.w_first and not self._quaternions:  # of a tool before, or by chance: poses in another order
+                return Disagreement(known=False)
             if best.length == 1:
                 return best
             errors = [error(stated, length) for length in _FINE]

@@ -66,7 +66,7 @@ def with_w_first(pose: np.ndarray) -> np.ndarray:
             {},
             "--camera-convention opencv) and pose_direction (--pose-direction world-to-camera",
         ),
-        (with_w_first, {}, "write them as qx qy qz qw"),
+        (with_w_first, {}, "move otherwise than poses and depth say"),
         (in_unit(1000), {}, "about 1000 times as large"),
         (in_unit(39.37), {}, "with depth at another scale"),
         (lambda pose: pose, {"world_up": "z"}, "--world-up y"),
@@ -81,6 +81,24 @@ def test_conventions_that_contradict_the_pictures_are_pointed_out(
     assert len(list(capture)) == 7
     assert len(capture.notes) == (says is not None)
     assert says is None or says in str(capture.notes[0])
+
+
+def test_quaternions_with_w_first_are_pointed_out(tmp_path: Path) -> None:
+    """Where the format has quaternions."""
+    path = written(tmp_path / "walk", lambda pose: pose)
+    (path / "transforms.json").unlink()
+    lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
+    for number, pose in enumerate(walk()):
+        stored = formats.Y_UP_TO_Z_UP @ pose @ formats.FLIP
+        x, y, z, w = formats.quaternion_of_any(stored[:3, :3])
+        values = (f"{number}.png", f"d{number}.png", " ".join(f"{value:.9f}" for value in (*stored[:3, 3], w, x, y, z)))
+        for lines, value in zip(lists.values(), values, strict=True):
+            lines.append(f"{number / 10} {value}")
+    for name, lines in lists.items():
+        (path / f"{name}.txt").write_text("\n".join(lines))
+    (path / "camera-intrinsics.txt").write_text("140 0 79.5\n0 140 59.5\n0 0 1")
+    list(capture := open_capture(path, CaptureOptions(depth_unit_m=0.001)))
+    assert "write them as qx qy qz qw" in str(capture.notes[0])
 
 
 def test_stated_conventions_that_fit_are_silent(tmp_path: Path) -> None:
