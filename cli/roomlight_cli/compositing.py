@@ -26,6 +26,7 @@ from roomlight.files import check_writable, remove_outputs, write_atomic
 from roomlight.frame import Frame
 from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.video_writer import VideoWriter
+from roomlight.notes import distinct
 from roomlight.rules import check_options
 from roomlight_cli.console import err, print_notes
 from roomlight_cli.options import Flag
@@ -156,6 +157,7 @@ def composite_recording(
         typer.Exit: Ctrl-C stopped it (code 130).
     """
     check_writable(options.out if options.is_film else options.out / "000000.png")
+    print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
     capture, count = open_capture(path, reading), 0
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
     try:

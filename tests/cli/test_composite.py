@@ -17,6 +17,20 @@ from written_captures import write_capture
 
 ROOM = BoxRoom(lamp=((0.3, 3.0, 0.0), 0.5), lamp_radiance=20.0)
 FAST = ("--quality", "preview", "--height", "16", "--model", "classical")
+TINY = b"""ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1e-5 0 0
+0 1e-5 0
+3 0 1 2
+"""
 BALL = ("--object", "sphere", "--size", "0.4", "--pixel", "32,36")
 
 
@@ -93,14 +107,17 @@ def test_ctrl_c_says_what_is_kept(roomlight, capture, tmp_path, monkeypatch, out
     assert not list(tmp_path.glob("*.mp4*"))
 
 
-def test_a_film_shows_the_moving_object(roomlight, capture, tmp_path):
+def test_a_film_shows_the_moving_object_and_a_tiny_one_is_told(roomlight, capture, tmp_path):
     motion = {"unit": "frames", "keys": [{"at": 0}, {"at": 2, "offset_m": [0.6, 0, 0]}]}
     ball = {"name": "ball", "shape": "sphere", "size_m": 0.4, "pixel": [20, 36], "motion": motion}
+    tiny = {"name": "tiny", "file": "tiny.ply", "position": [0.2, 0.5, 0]}
+    (tmp_path / "tiny.ply").write_bytes(TINY)
     scene = tmp_path / "scene.json"
-    scene.write_text(json.dumps({"objects": [ball]}))
+    scene.write_text(json.dumps({"objects": [ball, tiny]}))
     film = tmp_path / "film.mp4"
     done = roomlight("composite", capture, "--scene", scene, *FAST, "--fps", "10", "--online", "--out", film)
     assert done.code == 0, done.err
+    assert "tiny.ply: its size of 1e-05 m: its numbers are taken for metres; state size_m" in done.err
     with av.open(str(film)) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.average_rate) == ("h264", 10)
