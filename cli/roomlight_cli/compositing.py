@@ -163,7 +163,7 @@ def composite_recording(
     try:
         with ExitStack() as stack:
             progress = stack.enter_context(Progress(passes[0]))
-            frames = _Watched(capture, passes, progress.count_of)
+            frames = _Watched(capture, passes, progress.count_of, options.out if options.is_film else None)
             made = composite_capture(frames, scene, quality=options.quality, online=options.online, options=light)
             capture.prepare(progress.count_of)
             film = None
@@ -190,15 +190,24 @@ def composite_recording(
 
 
 class _Watched:
-    """A capture that reports each frame it yields, by the name of the iteration."""
+    """A capture that reports each frame it yields, by the name of the iteration; those of a film have one size."""
 
-    def __init__(self, capture: Capture, passes: list[str], report: Callable[[str, int, int], None]) -> None:
-        self._capture, self._passes, self._report = capture, iter(passes), report
+    def __init__(
+        self, capture: Capture, passes: list[str], report: Callable[[str, int, int], None], film: Path | None
+    ) -> None:
+        self._capture, self._passes, self._report, self._film = capture, iter(passes), report, film
 
     def __iter__(self) -> Iterator[Frame]:
         name, total = next(self._passes), self._capture.frame_count
         self._report(name, 0, total)
+        size = ""
         for number, frame in enumerate(self._capture, 1):
+            own = f"{frame.intrinsics.width} x {frame.intrinsics.height}"
+            if self._film is not None and own != (size := size or own):
+                raise OutputError(
+                    f"{self._film}: a film has pictures of one size, but {frame.source} has {own} pixels and the first "
+                    f"{size}; give a folder"
+                )
             yield frame
             self._report(name, number, total)
 

@@ -126,6 +126,14 @@ def test_a_film_shows_the_moving_object_and_a_tiny_one_is_told(roomlight, captur
     assert frames[0].shape == (48, 64, 3)
 
 
+def test_a_film_of_pictures_of_two_sizes_is_refused_while_the_room_is_read(roomlight, tmp_path):
+    sizes = enumerate([(64, 48), (48, 64)])
+    frames = [ROOM.frame(camera_at((0.2, 1.4, 1.4)), index=n, width=w, height=h) for n, (w, h) in sizes]
+    done = roomlight("composite", write_capture(tmp_path / "a", frames), *BALL, *FAST, "--out", tmp_path / "a.mp4")
+    assert done.code == 1
+    assert "has 48 x 64 pixels and the first 64 x 48; give a folder" in done.err
+
+
 def test_progress_counts_the_frames_of_each_pass(roomlight, capture, tmp_path, monkeypatch):
     shown = []
     monkeypatch.setattr(Progress, "count_of", lambda _, *state: shown.append(state))
