@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
+import numpy as np
 import typer
 from annotated_types import Interval
 
@@ -28,7 +29,7 @@ from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.notes import distinct
 from roomlight.rules import check_options
-from roomlight_cli.console import err, print_notes
+from roomlight_cli.console import err, print_notes, remark
 from roomlight_cli.options import Flag
 from roomlight_cli.probe_notes import counted
 from roomlight_cli.progress import Progress
@@ -158,7 +159,7 @@ def composite_recording(
     """
     check_writable(options.out if options.is_film else options.out / "000000.png")
     print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
-    capture, count = open_capture(path, reading), 0
+    capture, count, unseen = open_capture(path, reading), 0, dict(enumerate(scene.objects))
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
     try:
         with ExitStack() as stack:
@@ -179,11 +180,16 @@ def composite_recording(
                         _clear(options.out, picture.frame, capture.path)
                     _write_pictures(picture, options, rate)
                 count += 1
+                for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
+                    unseen.pop(number, None)
     except KeyboardInterrupt:
         kept = f"{options.out} keeps {counted(count, 'picture')}" if count else "nothing was written"
         err.print(f"stopped; {'no film was written' if options.is_film else kept}", soft_wrap=True, markup=False)
         raise typer.Exit(130) from None
     print_notes(capture.notes)
+    for item in unseen.values():
+        size_m = float(np.ptp(item.geometry.bounds(), axis=0).max())
+        remark("warning:", f"object {item.name!r}, {size_m:.3g} m long, covers no pixel of any frame")
     skipped = f", {len(capture.skipped)} skipped" if capture.skipped else ""
     kind = "film" if options.is_film else "pictures"
     return f"{count} frames{skipped}; {kind}: {options.out}"

@@ -118,6 +118,7 @@ def test_a_film_shows_the_moving_object_and_a_tiny_one_is_told(roomlight, captur
     done = roomlight("composite", capture, "--scene", scene, *FAST, "--fps", "10", "--online", "--out", film)
     assert done.code == 0, done.err
     assert "tiny.ply: its size of 1e-05 m: its numbers are taken for metres; state size_m" in done.err
+    assert done.err.endswith("warning: object 'tiny', 1e-05 m long, covers no pixel of any frame\n")
     with av.open(str(film)) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.average_rate) == ("h264", 10)
