@@ -41,6 +41,12 @@ def test_an_object_with_z_up_is_turned_upright():
     assert (np.einsum("fi,fi->f", np.cross(b - a, c - a), a) > 0).all()  # not a mirror image
 
 
+def test_a_file_s_own_size_has_the_limit_of_a_stated_one():
+    document = {"objects": [{"name": "hall", "file": "hall.glb", "position": [0, 0, 0]}]}
+    with pytest.raises(ObjectError, match=r"\(hall\): its size of 120 m is beyond 100 m; state size_m"):
+        parse_scene(document, load=lambda _: cube(120.0))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -24,7 +24,7 @@ from roomlight.camera import pose_from_quaternion
 from roomlight.compositing.objects import materials, primitives
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.teapot import teapot
-from roomlight.compositing.objects.virtual_object import VirtualObject
+from roomlight.compositing.objects.virtual_object import SIZE_ADVICE, VirtualObject
 from roomlight.compositing.placement.places import Anchor, Box
 from roomlight.errors import CaptureError, FrameError, ObjectError, SceneError
 from roomlight.files import FolderSource
@@ -348,6 +348,9 @@ def _built(spec: ObjectSpec, number: int, load: LoadObject) -> SceneObject:
         size_m = spec.size_m or SHAPE_SIZE_M.get(spec.shape or "")
         if size_m is not None:
             geometry = geometry.scaled_to(size_m)
+        elif (own_m := float(np.ptp(geometry.bounds(), axis=0).max())) > MAX_SIZE_M:
+            limit = f"its size of {own_m:.3g} m is beyond {MAX_SIZE_M:g} m"
+            raise ObjectError(f"{limit}; {SIZE_ADVICE} of its longest side in metres")
     except ObjectError as error:
         raise ObjectError(f"objects[{number}] ({spec.name}): {error}") from error
     return SceneObject(spec.name, geometry, _place(spec), spec.motion)
