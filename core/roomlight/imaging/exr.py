@@ -12,7 +12,6 @@ import struct
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +21,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from roomlight.errors import ImageError
 from roomlight.imaging.colour_spaces import REC709, to_rec709
+from roomlight.imaging.rates import exact_rate
 from roomlight.notes import Note, oblong_pixels
 
 _COMBINED: Final = ("combined", "rgba", "rgb", "beauty", "color", "colour", "image", "composite", "main")
@@ -46,8 +46,7 @@ def sequence_metadata(index: int, frames_per_second: float) -> dict[str, object]
         index: of the frame, 0 the first of the recording.
         frames_per_second: rate at which indices count.
     """
-    rate = Fraction(frames_per_second).limit_denominator(1001)
-    metadata: dict[str, object] = {"framesPerSecond": rate}
+    metadata: dict[str, object] = {"framesPerSecond": exact_rate(frames_per_second)}
     whole = round(frames_per_second)
     if 1 <= whole <= 60:
         seconds, rest = divmod(index, whole)

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Sequence
-from fractions import Fraction
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +13,7 @@ from jaxtyping import UInt8
 
 from roomlight.errors import OptionError, OutputError
 from roomlight.files import temporary_beside
+from roomlight.imaging.rates import exact_rate
 
 _BT709: Final = 1
 _SRGB: Final = 13
@@ -40,7 +40,7 @@ class VideoWriter:
             raise OptionError(f"frames_per_second is {frames_per_second}; it must be 0.1 to 240")
         self.path = path
         self._temporary = temporary_beside(path)
-        self._rate = Fraction(frames_per_second).limit_denominator(1000)
+        self._rate = exact_rate(frames_per_second)
         self._options = {"crf": str(crf), "preset": "medium"}
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None

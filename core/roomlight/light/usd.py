@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import Position
+from roomlight.imaging.rates import exact_rate
 from roomlight.light.encode import to_exr
 from roomlight.light.main_light import MainLight, without_lights
 
@@ -121,8 +122,8 @@ def sequence_stage(position: Position, files: Mapping[int, str], frames_per_seco
         frames_per_second: rate at which frames count; None: USD's own, 24.
     """
     samples = "".join(f"            {frame}: @./{name}@,\n" for frame, name in sorted(files.items()))
-    rate = frames_per_second
-    rates = "" if rate is None else f"    timeCodesPerSecond = {rate:.6g}\n    framesPerSecond = {rate:.6g}\n"
+    rate = None if frames_per_second is None else f"{float(exact_rate(frames_per_second)):.16g}"
+    rates = "" if rate is None else f"    timeCodesPerSecond = {rate}\n    framesPerSecond = {rate}\n"
     return _STAGE.format(
         doc=_doc(position),
         time=f"    startTimeCode = {min(files)}\n    endTimeCode = {max(files)}\n{rates}",

@@ -10,6 +10,7 @@ from roomlight.errors import ImageError
 from roomlight.images import decode_depth, decode_picture, write_exr
 from roomlight.imaging.colour_spaces import DISPLAY_P3, to_rec709
 from roomlight.imaging.exr import sequence_metadata
+from roomlight.imaging.rates import exact_rate
 
 PLANE = {key: np.full((6, 8), value, np.float32) for key, value in {"R": 0.5, "G": 0.25, "B": 0.125, "A": 1.0}.items()}
 DEPTH = np.linspace(1, 3, 48, dtype=np.float32).reshape(6, 8)
@@ -155,7 +156,7 @@ def test_timecode_of_a_sequence(tmp_path, index, rate, wanted):
     header = OpenEXR.File(str(tmp_path / "a.exr")).header()
     code = header["timeCode"]
     assert (code.hours, code.minutes, code.seconds, code.frame, code.fieldPhase) == wanted
-    assert float(header["framesPerSecond"]) == pytest.approx(rate, rel=1e-6)
+    assert float(header["framesPerSecond"]) == pytest.approx(rate, rel=2e-6)
 
 
 @pytest.mark.parametrize(
@@ -169,7 +170,15 @@ def test_openimageio_reads_a_frame_of_a_sequence(tmp_path: Path, index: int, rat
     np.testing.assert_array_equal(frame.get_pixels(), shade)
     assert frame.spec().get_string_attribute("smpte:TimeCode") == wanted
     numerator, denominator = frame.spec().getattribute("framesPerSecond")
-    assert numerator / denominator == pytest.approx(rate, rel=1e-6)
+    assert numerator / denominator == pytest.approx(rate, rel=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("rate", "exact"),
+    [(29.97, (30000, 1001)), (29.97003, (30000, 1001)), (23.976, (24000, 1001)), (25.0001, (25, 1)), (7.3, (73, 10))],
+)
+def test_rates_are_whole_or_those_of_television_where_they_are_close(rate, exact):
+    assert exact_rate(rate).as_integer_ratio() == exact
 
 
 @pytest.mark.parametrize("rate", [0.2, 120.0])
