@@ -101,7 +101,7 @@ def test_usd_core_reads_the_stage_of_a_replay(capture, tmp_path):
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetTimeCodesPerSecond()) == (0, 4, 10)
     texture = UsdLux.DomeLight(stage.GetPrimAtPath("/Light/Room")).GetTextureFileAttr()
     assert texture.GetTimeSamples() == [0, 2, 4]
-    for time, index in ((0, 0), (3, 2), (4, 4)):  # an asset stays until the next
+    for time, index in ((0, 0), (3, 2), (4, 4), (Usd.TimeCode.Default(), 4)):  # an asset stays until the next
         path = tmp_path / "out" / "probe-00" / f"light.{index:06d}.exr"
         assert Path(texture.Get(time).resolvedPath) == path
         assert path.is_file()

@@ -114,7 +114,7 @@ def to_usdz(
 
 
 def sequence_stage(position: Position, files: Mapping[int, str], frames_per_second: float | None) -> str:
-    """Return a stage whose dome light shows a panorama file at each frame, until the next.
+    """Return a stage whose dome light shows a panorama file at each frame, until the next; the last without a time.
 
     Args:
         position: world metres.
@@ -128,7 +128,8 @@ def sequence_stage(position: Position, files: Mapping[int, str], frames_per_seco
         doc=_doc(position),
         time=f"    startTimeCode = {min(files)}\n    endTimeCode = {max(files)}\n{rates}",
         variants="",
-        texture=f"        asset inputs:texture:file.timeSamples = {{\n{samples}        }}\n",
+        texture=f"        asset inputs:texture:file = @./{files[max(files)]}@\n"
+        f"        asset inputs:texture:file.timeSamples = {{\n{samples}        }}\n",
         choices="",
     )
 
