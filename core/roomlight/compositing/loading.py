@@ -8,11 +8,11 @@ folder and inside that are read; an object that comes as bytes has none.
 | --- | --- | --- |
 | GLB, glTF | triangles, strips and fans; node transforms and instances; skins and morph targets in their pose at \
 rest; normals, else flat; vertex colours; metallic-roughness and specular-glossiness materials with textures, texture \
-transforms and normal maps; KHR_materials_emissive_strength, _ior, _specular, _transmission and _unlit; quantised, \
-sparse, meshopt-packed and (extra `draco`) Draco-packed meshes; PNG, JPEG, WebP, AVIF and (extra `ktx2`) KTX2 of \
-Basis Universal | animations, lamps, occlusion textures, clearcoat, sheen and other layers |
-| OBJ | polygons, normals or smoothing groups, texture coordinates, vertex colours, materials with textures | relief, \
-textures of gloss, curves |
+transforms and normal maps; KHR_materials_emissive_strength, _ior, _specular, _transmission, _unlit, \
+_clearcoat and _sheen; quantised, sparse, meshopt-packed and (extra `draco`) Draco-packed meshes; PNG, JPEG, WebP, \
+AVIF and (extra `ktx2`) KTX2 of Basis Universal | animations, lamps, occlusion textures, other layers |
+| OBJ | polygons, normals or smoothing groups, texture coordinates, vertex colours, materials with textures, clear \
+coats | relief, textures of gloss, curves |
 | PLY | polygons, normals, texture coordinates, colours; text and binary | texture files |
 
 Surfaces show from both sides, whatever glTF's `doubleSided` says. Volumes tint glass by their stated thickness. Faces
@@ -62,6 +62,8 @@ def load_object(
         data, label, ending, folder = _read(path, limits), str(path), path.suffix.lower().lstrip("."), path.parent
         name = name or path.stem
     limits.check("file_bytes", len(data), label)
+    if not data:
+        raise ObjectError(f"{label}: is empty; export it again")
     file_kind = kind or _kind(data, ending, label)
     if file_kind not in get_args(ObjectKind):
         raise ObjectError(f"{label}: kind must be {', '.join(get_args(ObjectKind))}, got {file_kind!r}")
@@ -100,9 +102,19 @@ def _kind(data: bytes, ending: str, label: str) -> str:
         return "ply"
     if head.lstrip()[:1] == b"{":
         return "gltf"
+    ending = _other(data) or ending
     if ending in get_args(ObjectKind):
         return ending
     advice = f"export the .{ending} as GLB" if ending else "give kind='obj' if it is an OBJ file"
     if ending in ("zip", "7z", "rar", "tar", "gz", "tgz"):
         advice = f"unpack the .{ending}, and open the model in it"
     raise ObjectError(f"{label}: neither GLB, glTF nor PLY by its content; {advice}")
+
+
+def _other(data: bytes) -> str | None:
+    """Return the ending of a known format that is not read, whatever the file is called."""
+    if data[:4] == b"PK\x03\x04":
+        first_name = data[30 : 30 + int.from_bytes(data[26:28], "little")]
+        return "usdz" if b".usd" in first_name else "zip"
+    text = data[:5] == b"solid" and b"facet" in data[:1000]
+    return "stl" if text or len(data) == 84 + 50 * int.from_bytes(data[80:84], "little") else None

@@ -14,6 +14,7 @@ from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.textures import Texture
 from roomlight.errors import ObjectError
+from roomlight.light.usd import to_usdz
 
 OBJ = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n"
 OBJ_FACE = b"usemtl a\nf 1/1/1 2/2/1 3/3/1 4/4/1\n"
@@ -156,12 +157,29 @@ def test_unreadable_paths_are_refused(tmp_path: Path) -> None:
         load_object(tmp_path / "missing.glb")
     with pytest.raises(ObjectError, match="neither GLB, glTF nor PLY"):
         load_object(b"hello")
+    with pytest.raises(ObjectError, match="chair: is empty"):
+        load_object(b"", name="chair")
     (tmp_path / "chair.stl").write_text("solid chair")
     with pytest.raises(ObjectError, match=r"nor PLY by its content; export the \.stl as GLB"):
         load_object(tmp_path / "chair.stl")
     (tmp_path / "chair.zip").write_bytes(b"PK\3\4")
     with pytest.raises(ObjectError, match=r"by its content; unpack the \.zip, and open the model in it"):
         load_object(tmp_path / "chair.zip")
+
+
+@pytest.mark.parametrize(
+    ("data", "ending"),
+    [
+        (to_usdz((0.0, 0.0, 0.0), np.ones((8, 16, 3), np.float32), []), "usdz"),
+        (b"solid chair\nfacet normal 0 0 1\n", "stl"),
+        (bytes(80) + (2).to_bytes(4, "little") + bytes(100), "stl"),
+    ],
+)
+def test_formats_that_are_not_read_are_told_by_their_content(tmp_path: Path, data: bytes, ending: str) -> None:
+    (tmp_path / "chair.obj").write_bytes(data)
+    for source in (tmp_path / "chair.obj", data):
+        with pytest.raises(ObjectError, match=rf"nor PLY by its content; export the \.{ending} as GLB"):
+            load_object(source)
 
 
 @pytest.mark.parametrize(
