@@ -98,7 +98,7 @@ class CompositeOptions:
     Attributes:
         out: A folder for pictures, or a film: a file that ends with .mp4.
         quality: preview for speed, final for noise-free pictures.
-        picture: Format of the pictures; exr is linear.
+        picture: Format of the pictures; exr is linear. Default: png.
         layers: Also write objects, alpha, shadow and depth of each frame apart.
         fps: Frames a second of the film. Default: the recording's, or 30.
         online: Light each frame by the frames up to it, as an app would, instead of the whole recording.
@@ -111,7 +111,7 @@ class CompositeOptions:
 
     out: Path
     quality: Literal["preview", "good", "final"] = "good"
-    picture: PictureFormat = "png"
+    picture: PictureFormat | None = None
     layers: bool = False
     fps: Annotated[float, Interval(ge=0.1, le=240)] | None = None
     online: bool = False
@@ -129,6 +129,10 @@ class CompositeOptions:
             raise OutputError(f"{path}: films are written as .mp4; anything else is a folder of pictures")
         if self.is_film and self.layers:
             raise OutputError(f"{path}: a film has no layers; give a folder with --layers")
+        if self.is_film and self.picture is not None:
+            raise OutputError(f"{path}: a film has no `picture` format; give a folder, or leave it out")
+        if not self.is_film and self.fps is not None:
+            raise OutputError(f"{path}: `fps` is of films; name a file that ends with .mp4, or leave it out")
         if self.is_film and path.is_dir():
             raise OutputError(f"{path}: is a folder; name a file that ends with .mp4")
         if not self.is_film and path.is_file():
@@ -241,8 +245,9 @@ def _clear(out: Path, frame: Frame, recording: Path) -> None:
 def _write_pictures(picture: Composite, options: CompositeOptions, rate: float | None) -> None:
     index = picture.frame.index
     metadata = None if rate is None else sequence_metadata(index, rate)
-    name = f"{index:06d}.{PICTURE_ENDINGS[options.picture]}"
-    write_atomic(options.out / name, encode_picture(picture, options.picture, metadata=metadata))
+    form = options.picture or "png"
+    name = f"{index:06d}.{PICTURE_ENDINGS[form]}"
+    write_atomic(options.out / name, encode_picture(picture, form, metadata=metadata))
     if options.layers:
         for layer, data in encode_layers(picture, metadata=metadata).items():
             write_atomic(options.out / f"{index:06d}" / layer, data)

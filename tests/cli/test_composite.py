@@ -155,6 +155,8 @@ def test_progress_counts_the_frames_of_each_pass(roomlight, capture, tmp_path, m
         (("--scene", "missing.json"), "missing.json: cannot be read"),
         (("--scene", "missing.json", "--size", "1"), "--size: belongs to --object"),
         ((*BALL, "--layers", "--out", "film.mp4"), "a film has no layers"),
+        ((*BALL, "--picture", "png", "--out", "film.mp4"), "a film has no --picture format"),
+        ((*BALL, "--fps", "25", "--out", "new"), "--fps is of films"),
         ((*BALL, "--out", "film.webm"), "films are written as .mp4"),
         ((*BALL, "--out", "held.txt"), "is a file"),
         ((*BALL, "--out", "full"), "exists already"),
