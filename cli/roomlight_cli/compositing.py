@@ -243,8 +243,10 @@ def _clear(out: Path, frame: Frame, recording: Path) -> None:
 
 
 def _write_pictures(picture: Composite, options: CompositeOptions, rate: float | None) -> None:
-    index = picture.frame.index
-    metadata = None if rate is None else sequence_metadata(index, rate)
+    frame, index = picture.frame, picture.frame.index
+    metadata = {"roomlight:source": Path(frame.source).name} | ({} if rate is None else sequence_metadata(index, rate))
+    if frame.timestamp_s is not None:
+        metadata["roomlight:timestamp_s"] = f"{frame.timestamp_s:.6f}"
     form = options.picture or "png"
     name = f"{index:06d}.{PICTURE_ENDINGS[form]}"
     write_atomic(options.out / name, encode_picture(picture, form, metadata=metadata))

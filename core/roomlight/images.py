@@ -244,15 +244,16 @@ def read_panorama(path: Path) -> Float[np.ndarray, "h w 3"]:
     return image
 
 
-def encode_exr(image: Float[np.ndarray, "h w 3"], *, metadata: Mapping[str, object] | None = None) -> bytes:
-    """Encode linear RGB as a half-float, ZIP-compressed EXR; the same image and metadata give the same bytes.
+def encode_exr(image: Float[np.ndarray, "h w c"], *, metadata: Mapping[str, object] | None = None) -> bytes:
+    """Encode linear RGB, or RGB times alpha with alpha, as a half-float, ZIP-compressed EXR.
 
-    Values beyond half's range are clipped to 65504, the largest half, so that no infinity reaches a renderer.
+    The same image and metadata give the same bytes. Values beyond half's range are clipped to 65504, the largest half,
+    so that no infinity reaches a renderer.
 
     Raises:
         OutputError: The image cannot be encoded.
     """
-    return _encode_exr("RGB", np.clip(image, -65504, 65504).astype(np.float16), metadata)
+    return _encode_exr("RGBA"[: image.shape[2]], np.clip(image, -65504, 65504).astype(np.float16), metadata)
 
 
 def encode_depth_exr(depth_m: Float[np.ndarray, "h w"], *, metadata: Mapping[str, object] | None = None) -> bytes:

@@ -68,6 +68,11 @@ def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(
     for name in ("000003.exr", "000003/objects.exr", "000003/shadow.exr", "000003/depth.exr"):
         header = OpenEXR.File(str(out / name)).header()
         assert (header["framesPerSecond"], header["timeCode"].frame) == (10, 3)
+        assert (header["roomlight:source"], header["roomlight:timestamp_s"]) == ("000003.jpg", "0.300000")
+    objects = OpenEXR.File(str(out / "000003/objects.exr"), separate_channels=True).channels()
+    alpha = picture(out / "000003/alpha.png") / 65535
+    np.testing.assert_allclose(objects["A"].pixels, alpha, atol=5e-4)
+    assert (objects["R"].pixels[alpha == 0] == 0).all()
     channels = OpenEXR.File(str(out / "000003/depth.exr")).channels()
     assert list(channels) == ["Z"]
     assert channels["Z"].pixels.dtype == np.float32

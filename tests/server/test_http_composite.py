@@ -113,7 +113,7 @@ def test_formats_and_layers_agree(server):
     assert alpha.max() > 0.9
     shot = linear_to_srgb8(np.clip(box_shot(0).image, 0, 1))
     frame, _ = decode_colour(cv2.imencode(".png", shot[..., ::-1])[1].tobytes(), "frame")
-    assert np.abs(frame * shadow * (1 - alpha) + objects - linear).max() < 2e-3 * linear.max()
+    assert np.abs(frame * shadow * (1 - alpha) + objects * alpha - linear).max() < 2e-3 * linear.max()
 
 
 @pytest.mark.parametrize(

@@ -41,15 +41,17 @@ def encode_picture(
 def encode_layers(made: Composite, *, metadata: Mapping[str, object] | None = None) -> dict[str, bytes]:
     """Encode the layers by file name; `frame x shadow x (1 - alpha) + objects` is the composite in linear radiance.
 
-    Depth is the channel Z in floats. `metadata` goes into the headers of EXR files.
+    The objects' file has alpha as the channel A too; depth is the channel Z in floats. `metadata` goes into the headers
+    of EXR files.
 
     Raises:
         OutputError: A layer cannot be encoded.
     """
+    alpha = np.clip(made.alpha, 0, 1)
     layers = (
         encode_png(made.image),
-        encode_exr(made.objects, metadata=metadata),
-        encode_png(np.rint(np.clip(made.alpha, 0, 1) * 65535).astype(np.uint16)),
+        encode_exr(np.dstack([made.objects, alpha]), metadata=metadata),
+        encode_png(np.rint(alpha * 65535).astype(np.uint16)),
         encode_exr(made.shadow, metadata=metadata),
         encode_depth_exr(made.depth_m, metadata=metadata),
     )
