@@ -32,10 +32,12 @@ from roomlight.rules import check_options
 from roomlight_cli.console import err, print_notes, remark
 from roomlight_cli.options import Flag
 from roomlight_cli.probe_notes import counted
-from roomlight_cli.progress import Progress
+from roomlight_cli.progress import Progress, duration
 
 DEFAULT_RATE: Final = 30.0
 """Frames a second of the film of a recording without timestamps."""
+LONG_S: Final = 300.0
+"""Time left of more than this is told with what makes it shorter."""
 _STEM: Final = "[0-9]" * 6
 
 
@@ -163,7 +165,7 @@ def composite_recording(
     """
     check_writable(options.out if options.is_film else options.out / "000000.png")
     print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
-    capture, count, unseen = open_capture(path, reading), 0, dict(enumerate(scene.objects))
+    capture, count, advised, unseen = open_capture(path, reading), 0, False, dict(enumerate(scene.objects))
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
     try:
         with ExitStack() as stack:
@@ -184,6 +186,11 @@ def composite_recording(
                         _clear(options.out, picture.frame, capture.path)
                     _write_pictures(picture, options, rate)
                 count += 1
+                # the first picture has compilation in its time
+                left_s = sum(picture.stage_ms.values()) / 1000 * (capture.frame_count - count) if count > 1 else 0
+                if left_s > LONG_S and options.quality != "preview" and not advised:
+                    advised = True
+                    remark("note:", f"{duration(left_s)} left at the pace of one picture; --quality preview is faster")
                 for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
                     unseen.pop(number, None)
     except KeyboardInterrupt:

@@ -148,6 +148,14 @@ def test_progress_counts_the_frames_of_each_pass(roomlight, capture, tmp_path, m
     assert shown == [(name, done, 3) for name in passes for done in range(4)]
 
 
+@pytest.mark.slow
+def test_what_makes_long_work_shorter_is_told(roomlight, capture, tmp_path, monkeypatch):
+    monkeypatch.setattr(compositing, "LONG_S", 0.0)
+    options = ("--model", "classical", "--height", "16", "--online", "--out", tmp_path / "out")
+    done = roomlight("composite", capture, *BALL, *options)
+    assert done.err.count("left at the pace of one picture; --quality preview is faster") == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
