@@ -21,7 +21,7 @@ from roomlight.frame import Frame
 from roomlight.images import write_exr, write_png
 from roomlight.imaging.drawing import LABEL_ROWS, Canvas
 from roomlight.light.light import ENDINGS, Light
-from roomlight.light.sources import FileFormat
+from roomlight.light.sources import SavedFormat
 from roomlight.placement import ABOVE_M, point_at_pixel
 from roomlight.rules import check_options
 from roomlight.spheres import Material, SphereRenderer, view_toward
@@ -78,7 +78,7 @@ class PhotoLight:
     behind_camera: bool
     inside_volume: bool
     files: tuple[str, str, str]
-    forms: Mapping[FileFormat, str] = field(default_factory=dict[FileFormat, str])
+    forms: Mapping[SavedFormat, str] = field(default_factory=dict[SavedFormat, str])
 
     @property
     def heading(self) -> tuple[float, float]:
@@ -110,7 +110,7 @@ def light_photo(
     *,
     options: SessionOptions,
     graphs: LightingGraphs | None = None,
-    forms: Sequence[FileFormat] = (),
+    forms: Sequence[SavedFormat] = (),
 ) -> list[PhotoLight]:
     """Estimate the light at the positions and write it to `out`: an EXR and two PNGs for each, light.json for all.
 
@@ -145,7 +145,7 @@ def light_photo(
         write_png(out / files[1], light.reflection)
         write_png(out / files[2], _spheres(light, view_toward(first.camera_to_world, position)))
         behind = bool((np.array(position) - first.camera_to_world[:3, 3]) @ first.camera_to_world[:3, 2] > 0)
-        others: dict[FileFormat, str] = {form: f"probe-{number:02d}{ENDINGS[form]}" for form in forms}
+        others: dict[SavedFormat, str] = {form: f"probe-{number:02d}{ENDINGS[form]}" for form in forms}
         for name in others.values():
             light.save(out / name)
         lights.append(PhotoLight(position, light, behind, session.grid.contains(position), files, others))

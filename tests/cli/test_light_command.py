@@ -70,7 +70,7 @@ def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
     result = roomlight(
         "light", folder / "photo.png", "--depth", folder / "depth.png", "--fov", fov, "--probe", "0,-0.2,-1.5",
         "--probe", "0,-0.2,-50", "--out", folder / "out", "--model", "classical",
-        "--form", "usdz", "--form", "glb",
+        "--form", "usdz", "--form", "glb", "--form", "json",
     )  # fmt: skip
     assert result.code == 0, result.err
     lines = result.out.splitlines()
@@ -86,6 +86,7 @@ def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
         assert probe["files"]["usdz"].endswith(".usdz")
     assert read_panorama(folder / "out" / "probe-00.exr").shape == (120, 240, 3)
     assert (folder / "out" / "probe-01.glb").read_bytes().startswith(b"glTF")
+    assert "main_light" in json.loads((folder / "out" / "probe-01.json").read_text())
 
 
 def test_files_of_an_earlier_run_with_more_points_do_not_stay(room):

@@ -13,7 +13,7 @@ from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import warm_up
 from roomlight.errors import OptionError
 from roomlight.frame import Frame
-from roomlight.light.sources import FileFormat
+from roomlight.light.sources import SavedFormat
 from roomlight_cli.console import out as terminal
 from roomlight_cli.console import print_notes, remark, say
 from roomlight_cli.photo import PhotoLight, PhotoPoints, light_photo
@@ -30,7 +30,7 @@ def light(
     *,
     out: Path,
     depth: Path | None = None,
-    forms: tuple[FileFormat, ...] = (),
+    forms: tuple[SavedFormat, ...] = (),
 ) -> None:
     """Light points of one photograph, or of a video without poses; what is not given is estimated.
 
@@ -77,7 +77,7 @@ def _light_video(
     reading: CaptureOptions,
     options: LightOptions,
     out: Path,
-    forms: tuple[FileFormat, ...],
+    forms: tuple[SavedFormat, ...],
 ) -> None:
     """Light points of a video by all its frames; pixels are those of the first frame."""
     capture = open_capture(video, reading)

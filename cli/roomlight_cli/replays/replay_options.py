@@ -10,7 +10,7 @@ from roomlight.conventions import Position
 from roomlight.engine.session import SessionOptions
 from roomlight.engine.volume.sglv import check_position
 from roomlight.errors import OptionError
-from roomlight.light.sources import FileFormat, LightUse
+from roomlight.light.sources import LightUse, SavedFormat
 from roomlight.placement import ABOVE_M
 from roomlight.rules import check_options
 from roomlight_cli.options import Flag, Without
@@ -53,7 +53,7 @@ class ReplayOptions:
     every: Annotated[int, Ge(1)] = 1
     interpolate: bool = False
     use: LightUse = "lighting"
-    forms: tuple[FileFormat, ...] = ()
+    forms: tuple[SavedFormat, ...] = ()
     overwrite: bool = False
     server: Annotated[str | None, Flag(metavar="URL")] = None
 

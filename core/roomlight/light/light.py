@@ -21,7 +21,7 @@ import io
 from copy import copy
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -45,13 +45,14 @@ from roomlight.light.sources import (
     GivenPanorama,
     LightSource,
     LightUse,
+    SavedFormat,
     use_of,
 )
 from roomlight.light.spherical_harmonics import HarmonicsKind, SphericalHarmonics, project
 from roomlight.light.usd import to_usdz
 from roomlight.spheres import resize_panorama
 
-SAVED_AS: Final[dict[str, FileFormat | Literal["json"]]] = {
+SAVED_AS: Final[dict[str, SavedFormat]] = {
     ".exr": "exr",
     ".hdr": "hdr",
     ".confidence.png": "confidence",

@@ -17,6 +17,8 @@ FileFormat = Literal[
 ]  # fmt: skip
 """Encodings that are bytes: the panorama as exr, hdr, png, npy or KTX2 (equirect); `observed` as a grey PNG
 (confidence); a cube map as raw half floats (cube) or KTX2; specular mips as KTX2; scenes with lights (usdz, glb)."""
+SavedFormat = Literal[FileFormat, "json"]
+"""Files that a light is saved as: an encoding, or its numbers as JSON."""
 
 LightUse = Literal["lighting", "reflection"]
 """What light is for: it lights a thing, or it is seen in a mirror and behind things."""
