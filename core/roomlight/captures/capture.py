@@ -294,6 +294,7 @@ class Capture:
                 self._depth_stream.state = after.depth
         opencv, quaternions = self._camera_convention == "opencv", self.format in _OF_QUATERNIONS
         depths, poses = DepthCheck(), PoseCheck(self._to_y_up, opencv=opencv, quaternions=quaternions)
+        told = isinstance(self._reader, Preparing)  # estimated poses fit the pictures
         with self._reader.records() as read:
             for index in self._indices:
                 if index <= at.last:
@@ -312,10 +313,11 @@ class Capture:
                     and depths.add(frame)
                 ):
                     self._check_depth(depths)
-                if poses.add(frame):
-                    self._check_poses(poses)
+                if not told and poses.add(frame):
+                    told = self._check_poses(poses)
                 yield frame
-        self._check_poses(poses)
+        if not told:
+            self._check_poses(poses)
         if at.good < FRAMES:
             self._check_depth(depths)
         if at.good == 0:
@@ -457,12 +459,13 @@ class Capture:
         if note is not None:
             self._notes[note] = None
 
-    def _check_poses(self, poses: PoseCheck) -> None:
-        """Note what contradicts the pictures in the assumed conventions; estimated poses fit them."""
-        wrong = None if isinstance(self._reader, Preparing) else poses.disagreement()
-        if wrong is not None and (wrong.axis is None or self._up_is_assumed):
-            note = wrong_poses(str(self.path), wrong, self._camera_convention, self._pose_direction)
-            self._notes[note] = None
+    def _check_poses(self, poses: PoseCheck) -> bool:
+        """Note what contradicts the pictures in the assumed conventions; returns whether something does."""
+        wrong = poses.disagreement()
+        if wrong is None or (wrong.axis is not None and not self._up_is_assumed):
+            return False
+        self._notes[wrong_poses(str(self.path), wrong, self._camera_convention, self._pose_direction)] = None
+        return True
 
     def _to_conventions(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         rigid = pose

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, UInt8
 
 from roomlight.camera import Intrinsics, pose_from_quaternion, rigid_inverse
 from roomlight.captures.decoding import registered
@@ -37,6 +37,8 @@ _CLEAR: Final = 0.5
 _TURN_DEG: Final = 3.0
 """Turn between the pictures whose features are compared."""
 _TURNS: Final = 6
+_ALIKE: Final = 0.9
+"""Correlation of a picture with the last one that is compared, from which on it counts only where the pose turned."""
 _WIDTH: Final = 320
 _LEAST_TRACKS: Final = 20
 _LEAST_PAIRS: Final = 3
@@ -45,11 +47,19 @@ _LEAST_ERROR: Final = 0.012
 moves them by 0.04."""
 _SHARE: Final = 0.3
 """Distance that another convention may leave, of that of the assumed one."""
+_JUMP: Final = 0.5
+"""Distance that one pair of pictures must not show, relative to the width: at most 0.2 in captures."""
+_NEAR: Final = 0.02
+"""Distance from where the poses put a feature within which it is looked for, relative to the width."""
+_LOST: Final = 0.4
+"""Distance from which on the assumed one is wrong, relative to the features' movement: 0.01 to 0.3 in captures."""
 _FALLING, _ODD_RATIO = -0.6, 5.0
 """Correlation of depth and its estimate below which it is pointed out, and their ratio beyond which it is."""
 _LENGTHS: Final = (1e-3, 1e-2, 1e2, 1e3)
 _FINE: Final = tuple(10 ** (step / 4) for step in range(-14, 15))
 """A power of ten is named only where it is clearly the best of these."""
+_BODY_TO_OPENGL: Final = np.array([[0.0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+"""Turn from axes x forward, y left, z up, as robots have them."""
 
 
 class Tracks(NamedTuple):
@@ -70,6 +80,8 @@ class Disagreement:
         other_axes: The camera has the axes of the other convention.
         length: Factor on positions that brings them together with depth; None if there is one, but not clearly which.
         w_first: Quaternions were written w first and read as x, y, z, w.
+        body_axes: The camera has a robot's axes: x forward, y left, z up.
+        focal: Factor on the focal lengths that makes features move as they do.
         known: Whether one of these explains it.
         axis: Axis of the stored world about which the cameras are level, if it is not the assumed up.
     """
@@ -78,12 +90,14 @@ class Disagreement:
     other_axes: bool = False
     length: float | None = 1.0
     w_first: bool = False
+    body_axes: bool = False
+    focal: float = 1.0
     known: bool = True
     axis: str | None = None
 
 
 class PoseCheck:
-    """Collects pictures of a pass that differ by a turn; `disagreement` compares them."""
+    """Collects pictures of a pass that differ, set by set; `disagreement` compares those of the latest set."""
 
     def __init__(self, to_y_up: Float[np.ndarray, "4 4"], *, opencv: bool, quaternions: bool) -> None:
         """Take the conventions that are assumed: the turn of the world, whether cameras have OpenCV's axes.
@@ -92,20 +106,35 @@ class PoseCheck:
         """
         self._to_y_up, self._opencv, self._quaternions = to_y_up, opencv, quaternions
         self._views: list[tuple[UInt8[np.ndarray, "h w"], Frame]] = []
+        self._last: Float32[np.ndarray, "h w"] | None = None
+        self._frames = self._resting = 0
 
     def add(self, frame: Frame) -> bool:
-        """Take a frame; returns whether it completes the set."""
-        if len(self._views) >= _TURNS:
+        """Take a frame; returns whether it completes a set.
+
+        It counts if the pose has turned since the last one that does, or the picture has changed. As many frames as a
+        set took are passed over after it. Takes a millisecond, 4 to 11 more (1920 x 1440) for a frame that counts.
+        """
+        if self._resting:
+            self._resting -= 1
             return False
-        if self._views:
+        if len(self._views) >= _TURNS:
+            self._views, self._frames = [], 0
+        self._frames += 1
+        looks = _coarse(frame.image)
+        if self._views and self._last is not None:
             last = self._views[-1][1].camera_to_world[:3, :3]
             cosine = (np.trace(last.T @ frame.camera_to_world[:3, :3]) - 1) / 2
-            if cosine > np.cos(np.radians(_TURN_DEG)):
+            alike = looks.shape == self._last.shape and float((looks * self._last).mean()) > _ALIKE
+            if alike and cosine > np.cos(np.radians(_TURN_DEG)):
                 return False
         small = frame.resized(_WIDTH, _WIDTH)
         grey = np.clip(small.image.mean(axis=-1) / max(float(np.percentile(small.image, 99)), 1e-6), 0, 1)
         self._views.append((np.rint(255 * np.sqrt(grey)).astype(np.uint8), small))
-        return len(self._views) == _TURNS
+        self._last = looks
+        complete = len(self._views) == _TURNS
+        self._resting = self._frames if complete else 0
+        return complete
 
     def disagreement(self) -> Disagreement | None:
         """Return what is wrong; None for nothing, and if the pictures do not tell."""
@@ -118,15 +147,21 @@ class PoseCheck:
         if len(pairs) < _LEAST_PAIRS:
             return lying
 
-        def error(poses: Sequence[Float[np.ndarray, "4 4"]], length: float = 1.0) -> float:
-            return float(np.median([self._error(pair, poses, length) for pair in pairs]))
+        def error(poses: Sequence[Float[np.ndarray, "4 4"]], length: float = 1.0, focal: float = 1.0) -> float:
+            return float(np.median([self._error(pair, poses, length, focal) for pair in pairs]))
 
         assumed = error(stated)
         if assumed < _LEAST_ERROR:
+            worst = max(pairs, key=lambda pair: self._error(pair, stated))
+            jumps = self._error(worst, stated) > _JUMP and not self._repeats(worst, stated)
+            return Disagreement(known=False) if jumps else lying
+        if 2 * sum(self._repeats(pair, stated) for pair in pairs) >= len(pairs):
             return lying
         axes = OPENCV_TO_OPENGL if self._opencv else np.eye(4)
         stored = [rigid_inverse(self._to_y_up) @ pose @ axes for pose in stated]
         choices = {Disagreement(length=length): error(stated, length) for length in _LENGTHS}
+        choices |= {Disagreement(focal=focal): error(stated, focal=focal) for focal in (0.5, 2.0)}
+        choices[Disagreement(body_axes=True)] = error([pose @ _BODY_TO_OPENGL for pose in stored])
         choices[Disagreement(w_first=True)] = error([_reordered(pose) @ axes for pose in stored])
         for inverse in (False, True):
             poses = [rigid_inverse(pose) for pose in stored] if inverse else stored
@@ -144,7 +179,7 @@ class PoseCheck:
             clear = min(errors[finest - 1], errors[finest + 1]) > 2 * errors[finest]
             return Disagreement(length=_FINE[finest] if clear and math.log10(_FINE[finest]).is_integer() else None)
         moved = np.median([np.median(np.linalg.norm(pair.end - pair.start, axis=1)) for pair in pairs])
-        lost = assumed > max(4 * _LEAST_ERROR, float(moved) / self._views[0][0].shape[1])
+        lost = assumed > max(2 * _LEAST_ERROR, _LOST * float(moved) / self._views[0][0].shape[1])
         return Disagreement(known=False) if lost else lying
 
     def _tracks(self, at: int) -> Tracks | None:
@@ -163,15 +198,54 @@ class PoseCheck:
         good &= np.linalg.norm(back[:, 0] - start, axis=1) < 0.5
         return Tracks(at, start[good], end[good], depth_m[good]) if good.sum() >= _LEAST_TRACKS else None
 
-    def _error(self, pair: Tracks, poses: Sequence[Float[np.ndarray, "4 4"]], length: float) -> float:
+    def _error(
+        self, pair: Tracks, poses: Sequence[Float[np.ndarray, "4 4"]], length: float = 1.0, focal: float = 1.0
+    ) -> float:
         """Return how far features are from where poses and depth put them: median, relative to the width."""
+        xy, z = self._placed(pair, poses, length, focal)
+        width = self._views[pair.at][1].intrinsics.width
+        distance = np.where(z > 0, np.linalg.norm(xy - pair.end, axis=1), width)
+        return min(float(np.median(distance)) / width, 1.0)
+
+    def _placed(
+        self, pair: Tracks, poses: Sequence[Float[np.ndarray, "4 4"]], length: float = 1.0, focal: float = 1.0
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
+        """Return the pixels in the next view where poses and depth put features, and their depth there."""
         camera = self._views[pair.at][1].intrinsics
+        camera = replace(camera, fx=focal * camera.fx, fy=focal * camera.fy)
         motion = rigid_inverse(poses[pair.at + 1]) @ poses[pair.at]
         x, y = ((pair.start + 0.5 - [camera.cx, camera.cy]) / [camera.fx, camera.fy]).T
         points = np.stack([x, -y, -np.ones_like(x)], axis=1) * pair.depth_m[:, None]
         xy, z = camera.project(points @ motion[:3, :3].T + length * motion[:3, 3])
-        distance = np.where(z > 0, np.linalg.norm(xy - 0.5 - pair.end, axis=1), camera.width)
-        return min(float(np.median(distance)) / camera.width, 1.0)
+        return xy - 0.5, z
+
+    def _repeats(self, pair: Tracks, poses: Sequence[Float[np.ndarray, "4 4"]]) -> bool:
+        """Whether many features look the same where the poses put them: a pattern repeats, such as a wallpaper's."""
+        (first, _), (second, _) = self._views[pair.at : pair.at + 2]
+        xy, z = self._placed(pair, poses)
+        height, width = second.shape
+        inside = (z > 0) & (xy >= 0).all(axis=1) & (xy < [width, height]).all(axis=1)
+        if not inside.any():
+            return False
+        start = pair.start[inside, None].astype(np.float32)
+        there, unlike = self._nearby(first, second, start, xy[inside, None].astype(np.float32))
+        _, least = self._nearby(first, second, start, pair.end[inside, None].astype(np.float32))
+        same = (np.linalg.norm(there - xy[inside], axis=1) < _NEAR * width) & (unlike < 1.5 * least + 1)
+        return bool(same.sum() > _SHARE * len(pair.start))
+
+    @staticmethod
+    def _nearby(
+        first: UInt8[np.ndarray, "h w"],
+        second: UInt8[np.ndarray, "h w"],
+        start: Float32[np.ndarray, "n 1 2"],
+        guess: Float32[np.ndarray, "n 1 2"],
+    ) -> tuple[Float32[np.ndarray, "n 2"], Float32[np.ndarray, " n"]]:
+        """Return where features are near a guess, and how much they differ there in grey levels; infinite if lost."""
+        way = cv2.OPTFLOW_USE_INITIAL_FLOW
+        there, there_is, unlike = cv2.calcOpticalFlowPyrLK(
+            first, second, start, guess.copy(), None, None, (15, 15), 1, flags=way
+        )
+        return there[:, 0], np.where(there_is[:, 0] > 0, unlike[:, 0], np.float32(np.inf))
 
     def _level_axis(self, turns: Float[np.ndarray, "n 3 3"]) -> str | None:
         """Return the axis of the stored world about which the cameras turned upright, if it is not the assumed one."""
@@ -180,6 +254,14 @@ class PoseCheck:
         assumed, other = (np.linalg.norm(way - way.mean(axis=0), axis=1).mean() for way in (up, seen[axis]))
         wrong = assumed > 0.1 and other < 0.5 * assumed and np.abs(up[:, 1]).mean() < 0.5
         return axis if wrong and np.abs(seen[axis][:, 1]).mean() > 0.8 else None
+
+
+def _coarse(image: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "ch cw"]:
+    """Return brightness of a few hundred patches: mean 0, standard deviation 1."""
+    step = max(1, max(image.shape[:2]) // 128)
+    grey = np.sqrt(np.maximum(image[::step, ::step].mean(axis=-1, dtype=np.float32), 0))
+    small = cv2.resize(grey, (grey.shape[1] // 4 + 1, grey.shape[0] // 4 + 1), interpolation=cv2.INTER_AREA)
+    return ((small - small.mean()) / max(float(small.std()), 1e-6)).astype(np.float32)
 
 
 def _reordered(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

@@ -47,8 +47,9 @@ def wrong_scale(name: str, factor: float | None) -> Note:
     scale = "at another scale" if factor is None else f"about {float(f'{factor:.2g}'):g} times as large"
     return Note(
         f"{name}: depth contradicts the poses; they agree with depth {scale}",
-        "the unit of depth, or of the poses, seems wrong",
-        "state depth_unit_m, the metres for one stored unit of depth, or scale the poses to metres",
+        "the unit of depth or of the poses, or the focal length, seems wrong",
+        "state depth_unit_m, the metres for one stored unit of depth, scale the poses to metres, or check the focal "
+        "length",
     )
 
 
@@ -80,11 +81,20 @@ def wrong_poses(name: str, wrong: Disagreement, convention: str, direction: str)
     if wrong.w_first:
         text = f"{name}: features of the pictures move as quaternions would that have w first"
         return Note(text, "light comes from wrong directions", "write them as qx qy qz qw")
+    if wrong.body_axes:
+        text = f"{name}: features of the pictures move as for cameras whose axes are x forward, y left, z up"
+        instead = "give poses of the optical frame: x right, y down, z forward (--camera-convention opencv)"
+        return Note(text, "light comes from wrong directions", instead)
+    if wrong.focal != 1:
+        times = "half" if wrong.focal < 1 else "twice"
+        text = f"{name}: features of the pictures move as with about {times} the stated focal length"
+        return Note(text, "places and directions are wrong", "state the intrinsics of pictures of this size")
     if not wrong.known:
         return Note(
             f"{name}: features of the pictures move otherwise than poses and depth say",
             "light comes from wrong places",
-            "check that pictures, poses and depth are in one order, and none of them turned",
+            "check that pictures, poses and depth are in one order, none of them turned, and that poses do not stand "
+            "still or jump",
         )
     options: list[str] = []
     if wrong.other_axes:

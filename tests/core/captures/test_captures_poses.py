@@ -16,6 +16,7 @@ from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import OPENCV_TO_OPENGL, linear_to_srgb8
 
 CAMERA = Intrinsics(140.0, 140.0, 80.0, 60.0, 160, 120)
+BODY_AXES = np.array([[0.0, -1, 0, 0], [0, 0, 1, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 def walk(count: int = 7) -> list[np.ndarray]:
@@ -29,11 +30,11 @@ def walk(count: int = 7) -> list[np.ndarray]:
     return poses
 
 
-def written(path: Path, stored: Callable[[np.ndarray], np.ndarray], **keys: object) -> Path:
+def written(path: Path, stored: Callable[[np.ndarray], np.ndarray], count: int = 7, **keys: object) -> Path:
     """Write the walk as a transforms.json whose world is y-up, with its poses stored in some way."""
     path.mkdir()
     frames = []
-    for number, pose in enumerate(walk()):
+    for number, pose in enumerate(walk(count)):
         frame = box_room.frame(number, pose, depth=True, lens=CAMERA)
         cv2.imwrite(str(path / f"{number}.png"), linear_to_srgb8(frame.image)[..., ::-1])
         cv2.imwrite(str(path / f"d{number}.png"), np.rint(1000 * frame.depth_m).astype(np.uint16))
@@ -70,9 +71,12 @@ def with_w_first(pose: np.ndarray) -> np.ndarray:
         (in_unit(1000), {}, "about 1000 times as large"),
         (in_unit(39.37), {}, "with depth at another scale"),
         (lambda pose: pose, {"world_up": "z"}, "--world-up y"),
+        (lambda pose: pose @ BODY_AXES, {}, "axes are x forward, y left, z up"),
+        (lambda pose: pose, {"fl_x": 280, "fl_y": 280}, "with about half the stated focal length"),
+        (lambda _: walk()[0], {}, "poses do not stand still"),
         (lambda pose: pose @ np.diag([-1.0, -1, 1, 1]), {}, "move otherwise than poses and depth say"),
     ],
-    ids=["right", "opencv", "world-to-camera", "both", "w-first", "millimetres", "inches", "z-up", "upside down"],
+    ids=["right", "opencv", "w2c", "both", "w-first", "mm", "inches", "z-up", "body", "focal", "frozen", "upside down"],
 )
 def test_conventions_that_contradict_the_pictures_are_pointed_out(
     tmp_path: Path, stored: Callable[[np.ndarray], np.ndarray], keys: dict, says: str | None
@@ -99,6 +103,12 @@ def test_quaternions_with_w_first_are_pointed_out(tmp_path: Path) -> None:
     (path / "camera-intrinsics.txt").write_text("140 0 79.5\n0 140 59.5\n0 0 1")
     list(capture := open_capture(path, CaptureOptions(depth_unit_m=0.001)))
     assert "write them as qx qy qz qw" in str(capture.notes[0])
+
+
+def test_poses_that_freeze_after_a_while_are_pointed_out(tmp_path: Path) -> None:
+    poses = iter([*walk(9), *([walk(9)[-1]] * 7)])
+    list(capture := open_capture(written(tmp_path / "walk", lambda _: next(poses), 16)))
+    assert any("poses do not stand still" in str(note) for note in capture.notes)
 
 
 def test_stated_conventions_that_fit_are_silent(tmp_path: Path) -> None:
