@@ -18,11 +18,13 @@ from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.captures.consistency import FRAMES, DepthCheck, PoseCheck
 from roomlight.captures.lenses import fitted
 from roomlight.captures.notes import (
+    black_bars,
     lying_camera,
     odd_camera,
     scaled_poses,
     unlikely_depth,
     unread_depth,
+    within_bars,
     wrong_poses,
     wrong_scale,
 )
@@ -294,6 +296,7 @@ class Capture:
                 self._depth_stream.state = after.depth
         opencv, quaternions = self._camera_convention == "opencv", self.format in _OF_QUATERNIONS
         depths, poses = DepthCheck(), PoseCheck(self._to_y_up, opencv=opencv, quaternions=quaternions)
+        within: list[tuple[int, int, int, int] | None] = []
         told = isinstance(self._reader, Preparing)  # estimated poses fit the pictures
         with self._reader.records() as read:
             for index in self._indices:
@@ -306,6 +309,8 @@ class Capture:
                     skipped.append(SkippedFrame(index, self._reader.name_of(index), str(error)))
                     continue
                 at.good += 1
+                if at.good <= FRAMES:
+                    within.append(within_bars(frame.image))
                 if (
                     at.good <= FRAMES  # the first ones are compared
                     and self._depth_stream is None
@@ -313,6 +318,8 @@ class Capture:
                     and depths.add(frame)
                 ):
                     self._check_depth(depths)
+                if at.good == FRAMES and (barred := black_bars(str(self.path), within)) is not None:
+                    self._notes[barred] = None
                 if not told and poses.add(frame):
                     told = self._check_poses(poses)
                 yield frame
@@ -320,6 +327,8 @@ class Capture:
             self._check_poses(poses)
         if at.good < FRAMES:
             self._check_depth(depths)
+            if (barred := black_bars(str(self.path), within)) is not None:
+                self._notes[barred] = None
         if at.good == 0:
             first = skipped[0]
             reason = first.reason if first.reason.startswith(first.file) else f"{first.file}: {first.reason}"

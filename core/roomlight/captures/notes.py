@@ -2,11 +2,21 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
 
 from roomlight.camera import Intrinsics
 from roomlight.captures.consistency import Disagreement, odd_depth
 from roomlight.frame import Frame
 from roomlight.notes import Note
+
+_BLACK: Final = 0.003
+"""Linear value up to which a pixel may be a black bar's: 10 of 255 in sRGB."""
+_LEAST_BAR: Final = 0.02
+_BLUR_PX: Final = 8
+"""Width of a bar's edge, as compression leaves it."""
 
 
 def lying_camera(name: str, convention: str, upward: float) -> Note:
@@ -121,3 +131,44 @@ def odd_camera(name: str, camera: Intrinsics) -> Note | None:
     else:
         return None
     return Note(f"{name}: {what}", "it is taken as stated", "check that the intrinsics are those of this picture")
+
+
+def within_bars(image: Float[np.ndarray, "h w 3"]) -> tuple[int, int, int, int] | None:
+    """Return the picture between black bars: left, top, width and height in pixels; None without bars.
+
+    Bars are at opposite sides, about equally wide, black all along, and end at a sharp edge.
+    """
+    spans: list[tuple[int, int]] = []
+    for picture in (image, image.transpose(1, 0, 2)):
+        size, ends = picture.shape[1], (0, 0)
+        if picture[:, [0, -1]].max() <= _BLACK and picture.max() > 20 * _BLACK:
+            lit = (picture.max(axis=2) > _BLACK).mean(axis=0)
+            ends = _bar(lit), _bar(lit[::-1])
+        barred = min(ends) >= _LEAST_BAR * size and abs(ends[0] - ends[1]) <= _LEAST_BAR * size
+        spans.append((ends[0], size - sum(ends)) if barred else (0, size))
+    (left, width), (top, height) = spans
+    return (left, top, width, height) if left or top else None
+
+
+def _bar(lit: Float[np.ndarray, " n"]) -> int:
+    """Return the lines before the first one of which half is lit; 0 unless they are black.
+
+    In the outer half of them there may be some text, such as a clock's.
+    """
+    lines = int(np.argmax(lit > 0.5))
+    dark: Bool[np.ndarray, " m"] = lit[: max(lines - _BLUR_PX, 0)] < 0.01
+    return lines if dark[len(dark) // 2 :].all() and dark.sum() >= 0.75 * len(dark) else 0
+
+
+def black_bars(name: str, within: Sequence[tuple[int, int, int, int] | None]) -> Note | None:
+    """Make the note for the same bars (`within_bars`) in most of some pictures; else None."""
+    known = [span for span in within if span is not None]
+    if 2 * len(known) <= len(within) or np.ptp(known, axis=0).max() > _BLUR_PX:
+        return None
+    left, top, width, height = np.median(known, axis=0).astype(int).tolist()
+    sides = " and ".join(text for text, wide in (("left and right", left), ("top and bottom", top)) if wide)
+    return Note(
+        f"{name}: black bars at {sides}",
+        "they are read as black walls, and the field of view or intrinsics as those of all the picture",
+        f"crop them (ffmpeg -i IN -vf crop={width}:{height}:{left}:{top} OUT)",
+    )

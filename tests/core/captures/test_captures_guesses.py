@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import av
+import cv2
 import formats
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from roomlight.images import write_png
 from roomlight.sample import sample_capture
 
 VIEWS = formats.scene()
+LENS = {"fl_x": 140, "fl_y": 140, "cx": 80, "cy": 60, "w": 160, "h": 120}
 
 
 def turning(count: int) -> list[formats.View]:
@@ -49,6 +51,27 @@ def test_cameras_that_are_level_about_another_axis_are_pointed_out(transforms: P
     assert "--world-up y" in note.advice
     list(stated := open_capture(path, CaptureOptions(world_up="y")))
     assert stated.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("bars", "crop"),
+    [
+        (np.s_[:, np.r_[:20, 140:160]], "crop=120:120:20:0"),
+        (np.s_[np.r_[:30, 90:120]], "crop=160:60:0:30"),
+        (np.s_[:, :20], None),  # one side: a dark door
+    ],
+)
+def test_black_bars_are_pointed_out(transforms: Path, bars: tuple, crop: str | None) -> None:
+    for file in (transforms / "images").iterdir():
+        picture = np.full((120, 160, 3), 90, np.uint8)
+        picture[bars] = 3
+        picture[5, 60:70] = 255  # a clock
+        file.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    edit(transforms / "transforms.json", lambda index: [frame.update(LENS) for frame in index["frames"]])
+    list(capture := open_capture(transforms))
+    said = [note for note in capture.notes if "black bars" in note.left_out]
+    assert len(said) == (crop is not None)
+    assert crop is None or crop in said[0].advice
 
 
 def test_several_colmap_models_are_noted(tmp_path: Path) -> None:
