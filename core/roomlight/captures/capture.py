@@ -19,6 +19,7 @@ from roomlight.captures.consistency import FRAMES, DepthCheck, PoseCheck
 from roomlight.captures.lenses import fitted
 from roomlight.captures.notes import (
     black_bars,
+    large_poses,
     lying_camera,
     odd_camera,
     scaled_poses,
@@ -45,6 +46,8 @@ _AHEAD: Final = 12
 """Records after the first without depth, every other of which shows it from elsewhere."""
 _OF_QUATERNIONS: Final = ("tum", "stray-scanner", "record3d", "rtabmap", "ros-bag")
 """Formats whose poses hold quaternions as x, y, z, w."""
+_MOST_BY_POSES: Final = 4.0
+"""Most that poses enlarge estimated depth: 1.5 times in captures. They reduce it wrongly where their noise is large."""
 _OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
 """Formats whose depth comes from any tool; that of the others is a sensor's, or has one unit."""
 
@@ -320,6 +323,8 @@ class Capture:
                     self._check_depth(depths)
                 if at.good == FRAMES and (barred := black_bars(str(self.path), within)) is not None:
                     self._notes[barred] = None
+                if at.good == FRAMES and not told and (far := self._unlikely_poses()) is not None:
+                    self._notes[far] = None
                 if not told and poses.add(frame):
                     told = self._check_poses(poses)
                 yield frame
@@ -467,6 +472,14 @@ class Capture:
             note = unlikely_depth(str(self.path), depths.samples)
         if note is not None:
             self._notes[note] = None
+
+    def _unlikely_poses(self) -> Note | None:
+        """Return the note for estimated depth that fits the poses only when it is several times as large; else None."""
+        stream = self._depth_stream
+        if stream is None or stream.model.kind != "metric" or self._options.camera_height_m is not None:
+            return None
+        ratio = 1 / stream.state.per_metre
+        return large_poses(str(self.path), ratio) if ratio > _MOST_BY_POSES else None
 
     def _check_poses(self, poses: PoseCheck) -> bool:
         """Note what contradicts the pictures in the assumed conventions; returns whether something does."""

@@ -39,6 +39,15 @@ def scaled_poses(name: str, metres: float, height_m: float) -> Note:
     )
 
 
+def large_poses(name: str, ratio: float) -> Note:
+    """Make the note for poses whose unit is hardly a metre, by the depth that pictures alone let expect."""
+    return Note(
+        f"{name}: its poses make the room {ratio:.2g} times as large as the pictures let expect",
+        "their unit is taken for a metre",
+        "scale the poses to metres, or state camera_height_m (--camera-height), the camera's height above the floor",
+    )
+
+
 def unread_depth(path: Path) -> Note | None:
     """Make the note for files or folders of depth in a recording whose format or index leads to none; else None."""
     entries = [*path.iterdir(), *path.glob("rgbd/*"), *path.glob("keyframes/*")] if path.is_dir() else []
