@@ -42,7 +42,7 @@ from roomlight_client.calls import (
 from roomlight_client.errors import BadReplyError, RefusedError, RemoteError, UnreachableError, refusal
 from roomlight_client.light import Light
 from roomlight_client.memory import KeptFrame
-from roomlight_client.recovery import Resumed, is_session_gone
+from roomlight_client.recovery import Resumed, is_server_lost, is_session_gone
 from roomlight_client.stream_link import (
     StreamHandlers,
     StreamLink,
@@ -407,10 +407,13 @@ class AsyncStream:
 
     def _refused(self, message: ProblemEvent) -> None:
         error = refusal(message.problem.status, message.problem.model_dump_json().encode())
-        if is_session_gone(error) and self._memory.can_reopen:
-            return self._drop(error)  # what was sent is sent again to the session that is opened for it
         index, frames = message.index, self._memory.frames
         frame = None if index is None else frames.find(index)
+        stopping = is_server_lost(error)
+        if stopping or (is_session_gone(error) and self._memory.can_reopen):
+            if stopping and frame is not None:
+                frame.sends -= 1  # not the reason for the end of the connection
+            return self._drop(error)  # what was sent is sent again, to the session's next server or next session
         conflict = isinstance(error, RefusedError) and error.kind == "frame-conflict"
         if index is not None and frame is not None and frame.sends > 1 and conflict:
             frame.state = "done"  # it had arrived over the previous connection

@@ -87,7 +87,8 @@ class Room:
             return await self.cut(index)
         if answer == "cut unseen":
             return await self.cut(None)
-        self.last_index = max(index, -1 if self.last_index is None else self.last_index)
+        if not (isinstance(answer, dict) and "problem" in answer):
+            self.last_index = max(index, -1 if self.last_index is None else self.last_index)
         if index not in self.silent:
             await socket.send(answer if isinstance(answer, bytes) else json.dumps(answer))
         return None
@@ -270,6 +271,19 @@ def test_a_frame_that_ends_each_connection_is_given_up():
             await stream.push(FRAMES[0])
 
     assert frames_of(play(work)) == ["frame 0"] * 3
+
+
+@pytest.mark.parametrize("kind", ["stopping", "session-moved"])
+def test_a_frame_that_a_stopping_server_refuses_waits_for_the_next(kind):
+    async def work(room, _, stream):
+        refused = {"type": f"urn:roomlight:problem:{kind}", "title": "No", "status": 503, "detail": "no"}
+        room.answers[0] = [{"type": "problem", "problem": refused, "index": 0}] * 4
+        assert (await stream.push(FRAMES[0])).status == "processed"
+
+    room = play(work)
+    assert frames_of(room) == ["frame 0"] * 5
+    assert room.problems == []
+    assert room.waits_s == [1.0, 2.0, 3.0, 3.0]
 
 
 def test_a_conflict_of_a_frame_sent_again_means_it_is_there():

@@ -5,6 +5,7 @@ import logging
 import re
 
 import pytest
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from http_servers import HeldSession, InThread, RunningServer, frame, metric
@@ -144,6 +145,8 @@ def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
             refused = server.push(1)
             assert (refused.status, refused.kind, refused.headers["retry-after"]) == (503, "stopping", "5")
             assert server.call("PUT", "/v1/sessions/new", {}).kind == "stopping"
+            with pytest.raises(InvalidStatus, match="503"):
+                connect(f"ws://127.0.0.1:{server.port}/v1/sessions/streamed/stream")
             stream.send(frame(1, index=1))
             event = json.loads(stream.recv(timeout=60))
             assert (event["index"], event["problem"]["status"]) == (1, 503)

@@ -45,6 +45,11 @@ export function isTemporary({ status }: RoomLightError): boolean {
   return status === 0 || status === 408 || status === 429 || status >= 500;
 }
 
+/** No answer, or that of a proxy whose server is away, or of a server before. */
+export function isServerLost({ status, kind }: RoomLightError): boolean {
+  return status === 0 || status === 502 || status === 504 || (status === 503 && ["", "stopping", "session-moved"].includes(kind));
+}
+
 /** Whether the server no longer has the session: it expired, was deleted, or the server was started again. */
 export function isSessionGone({ kind }: RoomLightError): boolean {
   return kind === "session-not-found" || kind === "session-closed";

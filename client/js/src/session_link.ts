@@ -4,7 +4,7 @@
 import { RoomLightError } from "./errors.js";
 import type { Http, HttpRequest } from "./http.js";
 import type { SessionMemory } from "./memory.js";
-import { Backoff, isSessionGone, isTemporary } from "./reconnect.js";
+import { Backoff, isServerLost, isSessionGone, isTemporary } from "./reconnect.js";
 import { waiting } from "./waiting.js";
 import { FRAME_MEDIA_TYPE, type FrameResult, type Position, type SessionState } from "./wire.js";
 
@@ -169,11 +169,6 @@ export class SessionRequests {
     const gone = error instanceof RoomLightError && (isSessionGone(error) || isStateRefused(error));
     return gone && this.memory.canReopen && this.http.options.reconnect !== false;
   }
-}
-
-/** No answer, or that of a proxy whose server is away. */
-function isServerLost({ status, kind }: RoomLightError): boolean {
-  return status === 0 || status === 502 || status === 504 || (status === 503 && ["", "stopping", "session-moved"].includes(kind));
 }
 
 /** The server cannot use the state that it has saved. */

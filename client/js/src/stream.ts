@@ -6,7 +6,7 @@ import { packFrame, type Frame } from "./frame.js";
 import type { ClientOptions } from "./http.js";
 import { decodeLights, parseLights, type Lights } from "./light.js";
 import type { KeptFrame, SessionMemory } from "./memory.js";
-import { Backoff, isSessionGone, isTemporary } from "./reconnect.js";
+import { Backoff, isServerLost, isSessionGone, isTemporary } from "./reconnect.js";
 import { waiting } from "./waiting.js";
 import type {
   ClientMessage,
@@ -292,10 +292,14 @@ export class Stream {
 
   private refused(error: RoomLightError, index: number | null, request: string | null): void {
     const { frames, canReopen } = this.link.memory;
-    if (isSessionGone(error) && canReopen && this.link.client.reconnect !== false) {
-      return this.drop(error); // what was sent is sent again to the session that is opened for it
-    }
     const frame = index === null ? undefined : frames.find(index);
+    const stopping = isServerLost(error);
+    if ((stopping || (isSessionGone(error) && canReopen)) && this.link.client.reconnect !== false) {
+      if (stopping && frame) {
+        frame.sends--; // not the reason for the end of the connection
+      }
+      return this.drop(error); // what was sent is sent again, to the session's next server or next session
+    }
     if (index !== null && frame && frame.sends > 1 && error.kind === "frame-conflict") {
       frame.state = "done"; // it had arrived over the previous connection
       this.take(`frame ${index}`)?.resolve(outcomeLost(index) as never);

@@ -274,6 +274,18 @@ test("a frame that ends each connection is given up", async (context) => {
   assert.equal(room.log.filter((entry) => entry === "frame 0").length, 3);
 });
 
+test("a frame that a stopping server refuses waits for the next", async (context) => {
+  const room = new Room();
+  const { stream } = await room.stream(context);
+  room.answer = (index) => {
+    room.lastIndex = null;
+    const refusals = room.log.filter((entry) => entry === "frame 0").length;
+    return refusals > 4 ? { type: "frame", ...result(index) } : { type: "problem", index, problem: problemBody("stopping", 503) };
+  };
+  assert.equal((await stream.push(plainFrame())).status, "processed");
+  assert.deepEqual(room.waits_s, [0.25, 0.5, 1, 2]);
+});
+
 test("a saved state that cannot be used is deleted", async (context) => {
   const room = new Room();
   const { settled } = await room.stream(context);

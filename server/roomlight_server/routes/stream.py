@@ -33,7 +33,7 @@ from roomlight.wire.messages import (
     Track,
     is_id,
 )
-from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError, hold_back
+from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError, hold_back, problem_response
 from roomlight_server.routes.bodies import MAX_JSON_BYTES
 from roomlight_server.routes.context import Context
 from roomlight_server.routes.light import answer_bytes, check_size, encode_lights, memory_of
@@ -58,6 +58,11 @@ async def stream(websocket: WebSocket, session_id: str) -> None:
     """Serve one connection until it or its session ends."""
     context: Context = websocket.app.state.context
     owner: str = websocket.scope["state"]["owner"]
+    try:
+        context.registry.check_not_stopping()
+    except ProblemError as error:
+        await websocket.send_denial_response(problem_response(error))  # the client waits for the next server
+        return
     offered = websocket.scope.get("subprotocols", [])
     await websocket.accept(subprotocol=SUBPROTOCOL if SUBPROTOCOL in offered else None)
     try:
