@@ -5,6 +5,7 @@ import base64
 import inspect
 import io
 import json
+import pickle
 import re
 import subprocess
 import sys
@@ -191,6 +192,20 @@ def test_each_problem_becomes_its_error_class(status, kind, expected):
     assert (error.field, error.value, error.rule) == ("depth.width", "9", "at most 8")
     for part in ("because", "depth.width", "at most 8", "got 9", str(status)):
         assert part in str(error)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        WireError("bad-header", field="depth.width", value=9, rule="at most 8"),
+        refusal(503, problem(503, "stopping").content, retry_after_s=5.0),
+    ],
+    ids=["WireError", "RefusedError"],
+)
+def test_errors_pass_between_processes(error):
+    """An error of a task ended the whole pool of processes."""
+    copied = pickle.loads(pickle.dumps(error))
+    assert (type(copied), str(copied), vars(copied)) == (type(error), str(error), vars(error))
 
 
 @pytest.mark.parametrize("body", [b"<html>Bad Gateway</html>", b"", b"[1]", b'"text"', b"\xff\xfe", b'{"status": []}'])
