@@ -1,5 +1,6 @@
 """A stream's connection without its logic: its options, its state, how it is opened and how messages are parsed."""
 
+import inspect
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -10,6 +11,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidHandshake, InvalidStatus
 from websockets.typing import Subprotocol
 
+from roomlight.errors import OptionError
 from roomlight.wire.light_message import parse_light
 from roomlight.wire.messages import LightAnswer, LightingUpdate, ServerMessage
 from roomlight_client.calls import SESSION_HEADER, SessionCalls, is_loopback
@@ -45,11 +47,21 @@ class StreamStatus:
 
 @dataclass(frozen=True)
 class StreamHandlers:
-    """Functions that receive what answers no call; they must not block."""
+    """Functions that receive what answers no call; they must not block.
+
+    Raises:
+        OptionError: If one is a coroutine function: nobody would wait for it.
+    """
 
     on_lighting: Callable[[list[Light]], object] | None = None
     on_status: Callable[[StreamStatus], object] | None = None
     on_problem: Callable[[RemoteError], object] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the functions."""
+        for name, handler in vars(self).items():
+            if inspect.iscoroutinefunction(handler):
+                raise OptionError(f"{name} must be a plain function, got the coroutine function {handler.__name__}")
 
 
 @dataclass(frozen=True)

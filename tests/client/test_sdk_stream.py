@@ -342,6 +342,16 @@ def test_updates_and_malformed_messages_reach_their_handlers():
     assert [type(error) for error in room.problems] == [sdk.BadReplyError]
 
 
+def test_a_coroutine_function_as_a_handler_is_refused():
+    """It never ran, without a word."""
+
+    async def work(room, session, stream):
+        with pytest.raises(OptionError, match="on_lighting must be a plain function, got the coroutine function work"):
+            await session.stream(on_lighting=work)
+
+    play(work)
+
+
 def test_closing_a_stream_ends_its_calls():
     async def work(room, _, stream):
         room.silent.add(0)
