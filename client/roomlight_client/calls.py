@@ -134,9 +134,11 @@ class Attempt(Generic[T]):
             return delay_s
         attempts = f"{self._made} attempts" if self._made > 1 else "one attempt"
         reason = str(error) or type(error).__name__
+        hint = "is `roomlight serve` running there?"
+        if "CERTIFICATE_VERIFY_FAILED" in reason:
+            hint = "set SSL_CERT_FILE to the certificate that the server, or its authority, should have"
         raise UnreachableError(
-            f"{self._base}: no answer to {self._call.method} {self._call.path} after {attempts} ({reason}); "
-            "is `roomlight serve` running there?"
+            f"{self._base}: no answer to {self._call.method} {self._call.path} after {attempts} ({reason}); {hint}"
         ) from error
 
 
@@ -157,8 +159,9 @@ def client_arguments(url: str, *, token: str | None, timeouts: Timeouts) -> dict
             raise OptionError("token must be printable ASCII, exactly as configured on the server")
         headers["Authorization"] = f"Bearer {token}"
     limits = httpx.Timeout(timeouts.read_s, connect=timeouts.connect_s, write=timeouts.write_s)
-    # Proxies set in the environment do not apply to this machine itself.
-    return {"base_url": url.rstrip("/"), "headers": headers, "timeout": limits, "trust_env": not is_loopback(host)}
+    # Proxies set in the environment do not apply to this machine itself; its certificates do.
+    mounts = {f"{parts.scheme}://": None} if is_loopback(host) else None
+    return {"base_url": url.rstrip("/"), "headers": headers, "timeout": limits, "mounts": mounts}
 
 
 def check_open(*, closed: bool) -> None:

@@ -345,7 +345,7 @@ def test_updates_and_malformed_messages_reach_their_handlers():
 def test_a_coroutine_function_as_a_handler_is_refused():
     """It never ran, without a word."""
 
-    async def work(room, session, stream):
+    async def work(_, session, __):
         with pytest.raises(OptionError, match="on_lighting must be a plain function, got the coroutine function work"):
             await session.stream(on_lighting=work)
 

@@ -21,6 +21,7 @@ from websockets.typing import Subprotocol
 
 from http_servers import RunningServer
 from roomlight.errors import ServerError
+from roomlight_client import Client, Retry, UnreachableError
 from roomlight_server import serving
 from roomlight_server.base import tls
 from roomlight_server.base.settings import ServerSettings, load_settings
@@ -71,6 +72,20 @@ def certificate_of(files):
 def test_answers_come_over_verified_tls(server):
     assert call(server, "/v1/sessions") == (200, {"sessions": [], "max_sessions": 16, "idle_expiry_s": 600.0})
     assert call(server, "/v1/sessions", token="another-token-here")[0] == 401
+
+
+def test_the_client_trusts_the_certificate_it_is_given(server, monkeypatch):
+    """`SSL_CERT_FILE` had no effect on this machine."""
+    monkeypatch.setenv("HTTPS_PROXY", "http://127.0.0.1:1")
+
+    def ask():
+        with Client(f"https://127.0.0.1:{server.port}", retry=Retry(attempts=1)) as client:
+            client.ready()
+
+    with pytest.raises(UnreachableError, match="set SSL_CERT_FILE"):
+        ask()
+    monkeypatch.setenv("SSL_CERT_FILE", str(server.settings.tls_cert))
+    ask()
 
 
 def test_the_fingerprint_is_that_of_the_connection(server):
