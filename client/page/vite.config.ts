@@ -1,13 +1,25 @@
 // Two pages: the live page (index.html, served at /) and the phone's camera page (phone.html, served at /phone).
 // The result is committed in server/roomlight_server/page, so that the server needs no Node.
 
+import { readFileSync } from "node:fs";
 import { fileURLToPath } from "node:url";
 import { defineConfig } from "vite";
 
 const path = (relative: string) => fileURLToPath(new URL(relative, import.meta.url));
 
+/** The licences of what the assets contain; minification removes their comments. */
+const licences = {
+  name: "licences",
+  generateBundle(this: { emitFile: (file: { type: "asset"; fileName: string; source: string }) => string }) {
+    const files = ["three/LICENSE", "meshoptimizer/LICENSE.md"];
+    const texts = files.map((file) => `${file.split("/")[0]}\n\n${readFileSync(path(`node_modules/${file}`), "utf8").trim()}\n`);
+    this.emitFile({ type: "asset", fileName: "assets/THIRD-PARTY.txt", source: texts.join("\n\n") });
+  },
+};
+
 export default defineConfig({
   base: "/",
+  plugins: [licences],
   resolve: {
     dedupe: ["three"], // our client in ../js has a copy of its own for its tests
     alias: [
