@@ -16,6 +16,7 @@ import yaml
 from http_servers import RunningServer
 from present import present
 from roomlight_server.base.settings import ServerSettings, load_settings
+from roomlight_server.base.tls import ensure_certificate
 
 DEPLOY = Path(__file__).parents[2] / "server" / "deploy"
 TOKEN = "a-token-of-the-deployment-test"
@@ -77,15 +78,19 @@ def test_the_dockerfile_parses_and_finds_its_files():
     assert json.loads(health[health.index("[") :])[:2] == ["python", "-c"]
 
 
-def test_the_health_check_does_not_ask_a_proxy():
-    """With `HTTP_PROXY` set, as for downloads, each container was unhealthy."""
+@pytest.mark.parametrize("secure", [False, True], ids=["http", "https"])
+def test_the_health_check_asks_the_server_and_no_proxy(secure, tmp_path):
+    """With `HTTP_PROXY` set, as for downloads, with a port or a certificate, each container was unhealthy."""
+    files = dict(zip(("tls_cert", "tls_key"), ensure_certificate(tmp_path, ["localhost"]), strict=True))
+    settings = files if secure else {}
     health = next(rest for word, rest in instructions("Dockerfile") if word == "HEALTHCHECK")
     code = json.loads(health[health.index("[") :])[2]
-    with RunningServer() as server, socket.create_server(("127.0.0.1", 0)) as closed:
+    with RunningServer(**settings) as server, socket.create_server(("127.0.0.1", 0)) as closed:
         proxy = f"http://127.0.0.1:{closed.getsockname()[1]}"
-        command = [sys.executable, "-c", code.replace("8090", str(server.port)).replace("timeout=2", "timeout=60")]
+        command = [sys.executable, "-c", code.replace("timeout=2", "timeout=60")]
         environment = {key: value for key, value in os.environ.items() if key.lower() != "no_proxy"}
-        environment |= {"http_proxy": proxy, "HTTP_PROXY": proxy}
+        environment |= {"http_proxy": proxy, "HTTP_PROXY": proxy, "ROOMLIGHT_PORT": str(server.port)}
+        environment |= {f"ROOMLIGHT_{name.upper()}": str(path) for name, path in settings.items()}
         closed.close()  # nobody listens there
         subprocess.run(command, env=environment, check=True)
 
