@@ -180,6 +180,7 @@ def test_a_full_disk_is_reported_before_the_upload(server, monkeypatch):
     announce(server, 60)
     answer = server.call("POST", URL, {"name": "b", "bytes": 60, "files": 1})  # the first has not arrived yet
     assert (answer.status, answer.kind) == (503, "recording-memory")
+    assert "has 40 bytes for recordings" in answer.json["detail"]
 
 
 def test_a_disk_that_fails_during_a_piece_keeps_the_file_as_it_was(server, monkeypatch):

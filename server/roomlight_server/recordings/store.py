@@ -266,9 +266,12 @@ class RecordingStore:
         total = _reserved(self._recordings.values())
         uploads = [recording.files for recording in self._recordings.values()]
         missing = sum(files.announced.bytes - files.received for files in uploads)
-        free = disk_bytes - SPARE_DISK_BYTES - missing
-        if wanted > min(settings.max_all_recording_bytes - total, free):
-            rule = f"at most {settings.max_all_recording_bytes} bytes of all recordings, and what the disk has free"
+        free = max(disk_bytes - SPARE_DISK_BYTES - missing, 0)
+        room = settings.max_all_recording_bytes - total
+        if wanted > min(room, free):
+            rule = f"at most {settings.max_all_recording_bytes} bytes of all recordings"
+            if free < room:
+                rule = f"the disk of ROOMLIGHT_RECORDINGS_FOLDER has {free} bytes for recordings"
             detail = f"the server has no room for {wanted} bytes: {rule}; retry later"
             raise ProblemError("recording-memory", detail, field="bytes", value=wanted, rule=rule, retry_after_s=60)
         return root
