@@ -57,7 +57,8 @@ def test_wrong_tokens_are_counted_logged_and_slowed(monkeypatch, caplog):
     with RunningServer(tokens=(TOKEN,), wrong_token_delay_s=1.5) as server:
         assert server.call("GET", "/v1/sessions/a").status == 401
         assert delays == []
-        assert server.call("GET", "/v1/sessions/a", token="guess").status == 401
+        wrong = server.call("GET", "/v1/sessions/a", token="guess")
+        assert (wrong.status, wrong.json["detail"]) == (401, "this server does not know the token")
         assert delays == [1.5]
         assert server.call("GET", "/v1/sessions/a", token=TOKEN).status == 404
         text = server.call("GET", "/metrics").body.decode()

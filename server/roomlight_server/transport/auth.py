@@ -141,9 +141,12 @@ class AuthMiddleware:
             return ProblemError("forbidden-origin", "a page of another site sent this request", field="Sec-Fetch-Site")
         if scope["path"] == PHONES and scope.get("method") == "POST":
             return None
-        owner = self._tokens.owner(token_of(scope, headers))
+        token = token_of(scope, headers)
+        owner = self._tokens.owner(token)
         if owner is None:
-            return ProblemError("unauthorized", "header Authorization: Bearer TOKEN is required", field="Authorization")
+            detail = "header Authorization: Bearer TOKEN is required"
+            detail = detail if token is None else "this server does not know the token"
+            return ProblemError("unauthorized", detail, field="Authorization")
         scope.setdefault("state", {})["owner"] = owner
         return None
 
