@@ -82,6 +82,11 @@ def test_tokens_come_from_the_environment_and_a_file(monkeypatch, tmp_path):
     assert load_settings().tokens == expected
 
 
+def test_a_shared_state_needs_a_directory():
+    with pytest.raises(ServerError, match="state_shared: there is no directory to share"):
+        load_settings(state_shared=True)
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "example.org"])
 def test_an_address_beyond_loopback_needs_a_token(monkeypatch, host):
     with pytest.raises(ServerError, match="there is no token"):

@@ -58,7 +58,7 @@ def serve(
     *,
     lan: bool = False,
     ray: bool = False,
-    replicas: Annotated[int, Interval(ge=1, le=1000)] = 2,
+    replicas: Annotated[int, Interval(ge=1, le=1000)] | None = None,
 ) -> None:
     """Serve lighting sessions over HTTP and WebSocket: frames in, light out.
 
@@ -69,14 +69,16 @@ def serve(
         settings: Of the server.
         lan: Serve the local network over HTTPS, with a token, and print a QR code that opens the page of a phone.
         ray: Run replicas under Ray Serve; needs --state-dir and the extra roomlight[ray].
-        replicas: Number of replicas with --ray.
+        replicas: Number of replicas with --ray. Default: 2.
     """
+    if replicas is not None and not ray:
+        raise typer.BadParameter("--replicas needs --ray: without it there is one server")
     if ray:
         if lan:
             raise typer.BadParameter("--ray cannot be used with --lan; use --host, --token-file, --tls-cert, --tls-key")
         from roomlight_server.replicas.serving import serve_on_ray
 
-        serve_on_ray(load_settings(**settings), replicas=replicas, listening=_announce)
+        serve_on_ray(load_settings(**settings), replicas=replicas or 2, listening=_announce)
         return
     if not lan:
         local = load_settings(**settings)

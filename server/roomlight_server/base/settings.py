@@ -304,7 +304,8 @@ def load_settings(**options: Any) -> ServerSettings:
 
     Raises:
         ServerError: A value is invalid, an environment variable `ROOMLIGHT_*` is unknown, the token file cannot be
-            read, the certificate cannot be used, or the address is not loopback and there is no token.
+            read, the certificate cannot be used, there is no state directory to share, or the address is not loopback
+            and there is no token.
     """
     given = {name: value for name, value in options.items() if value not in (None, ())}
     _check_variables(given)
@@ -317,6 +318,8 @@ def load_settings(**options: Any) -> ServerSettings:
             f"host {settings.host} can be reached from other machines, but there is no token: anyone could use the "
             f"server and see the room; set {PREFIX}TOKENS or --token-file, or use the host 127.0.0.1"
         )
+    if settings.state_shared and settings.state_dir is None:
+        raise ServerError(f"state_shared: there is no directory to share; set {PREFIX}STATE_DIR or --state-dir too")
     if settings.tls_cert is not None:
         check_certificate(settings.tls_cert, settings.tls_key)
     elif settings.tls_key is not None:
