@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -158,6 +159,10 @@ class Session:
     def handles(self) -> tuple[int, ...]:
         """Handles of the tracked positions, in the order of `lights` and of a report's coverage."""
         return (*self._probes, *self._pending)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse: networks cannot be copied."""
+        raise TypeError("a session cannot be pickled or copied; use session.save(path) and Session.load(path)")
 
     def _repr_html_(self) -> str:
         """Return counts, and the light at the tracked positions, for a notebook."""
