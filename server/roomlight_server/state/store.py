@@ -134,7 +134,7 @@ class StateStore:
             unsaved_s = (live.journal.unsaved_s for live in open_sessions.values() if live.journal is not None)
             self._metrics.state_unsaved_seconds.set(max(unsaved_s, default=0.0))
             if self._clock() >= self._next_expiry_s:
-                self._next_expiry_s = self._clock() + _EXPIRY_PERIOD_S
+                self._next_expiry_s = self._clock() + min(_EXPIRY_PERIOD_S, self._expiry_s)
                 await self._in_thread(self._erase_expired, {self._folder(*key).name for key in open_sessions})
 
     async def _check_leases(self, sessions: Sessions, end_moved: Callable[[tuple[str, str], Saveable], object]) -> None:
@@ -220,13 +220,13 @@ class StateStore:
         """Save all changed sessions for the last time, at most twice `CLOSE_S`; release the directory."""
         if self._saving:
             await asyncio.wait(tuple(self._saving.values()), timeout=CLOSE_S)
-        changed = [(key, live) for key, live in sessions() if live.journal is not None and live.journal.unsaved_s > 0]
-        tasks = [asyncio.create_task(self.save(key, live)) for key, live in changed]
+        tasks = [asyncio.create_task(self.save(key, live)) for key, live in _unsaved(sessions)]
         if tasks:
             _, late = await asyncio.wait(tasks, timeout=CLOSE_S)
             for task in late:
                 task.cancel()
-                _log.error("a session could not be saved in time")
+            if unsaved := len(_unsaved(sessions)):
+                _log.error("%d sessions were not saved: %s", unsaved, self.failing or "no time was left")
         for _, live in sessions():
             self._release(live)
         await asyncio.to_thread(self._pool.shutdown, wait=True, cancel_futures=True)
@@ -348,6 +348,12 @@ class StateStore:
 
     async def _in_thread(self, work: Callable[..., _R], *args: object) -> _R:
         return await asyncio.get_running_loop().run_in_executor(self._pool, work, *args)
+
+
+def _unsaved(sessions: Sessions) -> list[tuple[tuple[str, str], Saveable]]:
+    """Return the sessions that are not deleted and not on disk as they are now."""
+    journals = [(key, live, live.journal) for key, live in sessions()]
+    return [(key, live) for key, live, of in journals if of is not None and not of.closed and of.unsaved_s > 0]
 
 
 def refused(error: StateError, name: str) -> ProblemError:
