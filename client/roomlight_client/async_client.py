@@ -100,9 +100,11 @@ class AsyncClient:
         state = await self.run(session_calls.state())
         return AsyncSession(self, session_calls, state, self._recovery(session_calls, None))
 
-    async def upload(self, source: str | Path | bytes, kind: ObjectFormat | None = None) -> ObjectInfo:
+    async def upload(
+        self, source: str | Path | bytes, kind: ObjectFormat | None = None, *, session_id: str | None = None
+    ) -> ObjectInfo:
         """Store an object on the server for composites; see `Client.upload`."""
-        return await self.run(calls.upload(*object_file(source, kind)))
+        return await self.run(calls.upload(*object_file(source, kind), session_id))
 
     async def objects(self) -> ObjectList:
         """Return the objects of this token on the server, with their memory and its limit."""

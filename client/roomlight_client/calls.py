@@ -186,9 +186,16 @@ def ready() -> Call[bool]:
     return Call("GET", "/readyz", lambda reply: reply.status == 200, expected=frozenset({503}))
 
 
-def upload(body: bytes, kind: str | None) -> Call[ObjectInfo]:
-    """Store an object on the server. A repetition changes nothing: its id is the digest of the file."""
+def upload(body: bytes, kind: str | None, session_id: str | None = None) -> Call[ObjectInfo]:
+    """Store an object on the server of a session. A repetition changes nothing: its id is the digest of the file.
+
+    Raises:
+        OptionError: If the session id is invalid.
+    """
     headers = {"Content-Type": "application/octet-stream", "Accept": "application/json"}
+    if session_id is not None:
+        _check_id(session_id, "session_id")
+        headers[SESSION_HEADER] = session_id
     params = {} if kind is None else {"kind": kind}
     return Call("POST", "/v1/objects", _parser(ObjectInfo), headers, body, params)
 

@@ -140,19 +140,23 @@ class Client:
         state = self.run(session_calls.state())
         return Session(self, session_calls, state, self._recovery(session_calls, None))
 
-    def upload(self, source: str | Path | bytes, kind: ObjectFormat | None = None) -> ObjectInfo:
+    def upload(
+        self, source: str | Path | bytes, kind: ObjectFormat | None = None, *, session_id: str | None = None
+    ) -> ObjectInfo:
         """Store an object on the server for composites; a file that it holds already is not stored again.
 
         Args:
             source: A GLB, glTF, OBJ or PLY file: its path or its bytes.
             kind: The format; needed for the bytes of an OBJ.
+            session_id: Id of the session that uses it; needed where a proxy shares sessions among servers.
 
         Raises:
+            OptionError: If the session id is invalid.
             ObjectError: If the file cannot be read.
             InvalidError: If the server refuses the file.
             ConflictError: If the objects of this token would take too much memory.
         """
-        return self.run(calls.upload(*object_file(source, kind)))
+        return self.run(calls.upload(*object_file(source, kind), session_id))
 
     def objects(self) -> ObjectList:
         """Return the objects of this token on the server, with their memory and its limit."""

@@ -176,7 +176,7 @@ def test_objects_are_uploaded_and_composited(server, kind, tmp_path):
 
     async def work(client):
         held = await client.upload(file)
-        assert await client.upload(TETRAHEDRON, "obj") == held
+        assert await client.upload(TETRAHEDRON, "obj", session_id="room") == held
         session = await client.open(**SMALL)
         place = {"object": held.id, "size_m": 0.4, "position": tuple(ahead[:3].tolist()), "name": "tetra"}
         with pytest.raises(sdk.ConflictError, match="no processed frame"):

@@ -69,13 +69,18 @@ export class RoomLight {
     return new Session(this.http, id, (await response.json()) as SessionState, request);
   }
 
-  /** Store an object (GLB, glTF, OBJ or PLY) for composites; its id is the SHA-256 of the file. */
+  /**
+   * Store an object (GLB, glTF, OBJ or PLY) for composites; its id is the SHA-256 of the file.
+   *
+   * `sessionId` is the session that uses it; needed where a proxy shares sessions among servers.
+   */
   async upload(
     file: Uint8Array<ArrayBuffer>,
-    options: CallOptions & { kind?: "glb" | "gltf" | "obj" | "ply" } = {},
+    options: CallOptions & { kind?: "glb" | "gltf" | "obj" | "ply"; sessionId?: string } = {},
   ): Promise<ObjectInfo> {
     const path = options.kind === undefined ? OBJECTS : `${OBJECTS}?kind=${options.kind}`;
-    const headers = { "content-type": "application/octet-stream" };
+    const { sessionId } = options;
+    const headers = { "content-type": "application/octet-stream", ...(sessionId !== undefined && { "x-session-id": sessionId }) };
     const request: HttpRequest = { method: "POST", path, body: file, headers, signal: options.signal };
     return (await (await this.http.send(request)).json()) as ObjectInfo;
   }

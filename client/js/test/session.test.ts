@@ -61,7 +61,8 @@ test("objects and composites", async (context) => {
     return { body: method === "GET" ? { objects: [info], bytes: 100, limit_bytes: 1000 } : path.includes("objects") ? info : STATE };
   });
   const roomlight = new RoomLight(server.url);
-  assert.deepEqual(await roomlight.upload(Uint8Array.of(9, 8), { kind: "obj" }), info);
+  assert.deepEqual(await roomlight.upload(Uint8Array.of(9, 8), { kind: "obj", sessionId: "room" }), info);
+  assert.equal(server.requests[0]!.headers["x-session-id"], "room");
   assert.deepEqual((await roomlight.objects()).objects, [info]);
   const session = await roomlight.open({ id: "room" });
   const request = { objects: [{ shape: "sphere", size_m: 0.2, pixel: [3, 4] }], quality: "good" } as const;
