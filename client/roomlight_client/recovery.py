@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, TypeVar
 
 from roomlight.wire.messages import FrameResult, SessionState
 from roomlight_client import _waiting
-from roomlight_client.calls import PERMANENT, Call, SessionCalls
+from roomlight_client.calls import PERMANENT, Call, SessionCalls, ready
 from roomlight_client.errors import BusyError, GoneError, RefusedError, RemoteError, UnreachableError
 from roomlight_client.memory import SessionMemory
 from roomlight_client.retry import NO_RETRY, Retry
@@ -97,13 +97,14 @@ class Recovery:
         self.memory = memory
         self._calls, self._policy = calls, policy
         self._unsure = self._told = False  # unsure: the server may have been started again since its last answer
+        self._stopping: RemoteError | None = None  # the refusal of a server that stops, until one is ready
 
     def call(self, call: Call[T]) -> Steps[T]:
         """Send a call; if the session is missing, open it again once."""
         try:
             return (yield Send(call))
         except RemoteError as error:
-            self._unsure |= is_server_lost(error)
+            self._note(error)
             if not self._can_reopen_after(error):
                 raise
         yield from self._restore()
@@ -133,8 +134,10 @@ class Recovery:
         self._unsure = True
         while self._unsure:
             try:
+                yield from self._check_started()
                 yield from self._restore()
             except RemoteError as error:
+                self._note(error)
                 failures += 1
                 delay_s = self._delay_s(error, failures) if is_server_lost(error) else None
                 if delay_s is None:
@@ -160,6 +163,7 @@ class Recovery:
         while True:
             try:
                 if self._unsure:
+                    yield from self._check_started()
                     yield from self._restore()
                 return (yield Send(call, NO_RETRY))
             except RemoteError as error:
@@ -167,7 +171,7 @@ class Recovery:
                     self._unsure = reopened = True
                     continue
                 failures += 1
-                self._unsure |= is_server_lost(error)
+                self._note(error)
                 wanted = repeat == "always" or (repeat == "without answer" and is_server_lost(error))
                 delay_s = self._delay_s(error, failures) if wanted else None
                 if delay_s is None:
@@ -182,6 +186,17 @@ class Recovery:
         if isinstance(error, BusyError):
             return self._policy.retry.delay_s(failures, retry_after_s=error.retry_after_s, jitter=_waiting.jitter())
         return None
+
+    def _note(self, error: RemoteError) -> None:
+        self._unsure |= is_server_lost(error)
+        if _kind(error) == "stopping":
+            self._stopping = error
+
+    def _check_started(self) -> Steps[None]:
+        """Check that a server is ready again: one that stops refuses frames, and still gives the session's state."""
+        if self._stopping is not None and not (yield Send(ready(), NO_RETRY)):
+            raise self._stopping
+        self._stopping = None
 
     def _restore(self) -> Steps[None]:
         """Bring the session up to date."""

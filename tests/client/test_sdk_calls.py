@@ -76,6 +76,21 @@ def test_temporary_failures_are_retried_with_the_same_bytes(kind, first):
 
 
 @BOTH
+def test_a_server_that_stops_is_away_until_one_is_ready(kind):
+    """It gives the session's state until its end, so that the client said in turn that it is back and away."""
+    away, events = problem(503, "stopping"), []
+    pushed = httpx.Response(200, json={"index": 0, "status": "processed"})
+    script = Script(OPENED, away, away, httpx.Response(200), httpx.Response(200, json=STATE), pushed)
+    run(script, kind, lambda session: session.push(FRAME), on_recovery=events.append)
+    assert [event.state for event in events] == ["waiting", "restored"]
+    ready = ("GET", "/readyz")
+    assert [(request.method, request.url.path) for request in script.requests[2:5]] == [
+        *(ready, ready),
+        ("GET", "/v1/sessions/room"),
+    ]
+
+
+@BOTH
 def test_retry_after_is_waited_for_unless_it_is_too_long(kind):
     script = Script(
         OPENED, problem(429, "session-full", retry_after="7"), problem(503, "server-full", retry_after="60")
