@@ -21,13 +21,11 @@ Every message says what was wrong, with which value, and what to do. Messages na
 the command line adds its own flag where it helps.
 """
 
-from typing import Any
-
 
 class RoomLightError(Exception):
     """Base of all errors that RoomLight raises on purpose; the command line prints them without a traceback."""
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Pickle by attributes: an error of a process pool arrives whatever arguments its class takes."""
         return type(self).__new__, (type(self), *self.args), self.__dict__
 
