@@ -246,9 +246,11 @@ def _operation_id(route: Any) -> str:  # an APIRoute, or FastAPI's private conte
 async def _prepare(context: Context, when_ready: Callable[[], object] | None) -> None:
     """Load weights and compile kernels in the background; `/healthz` is answered meanwhile."""
     try:
-        await context.workers.start()
-        await context.workers.run_in_encode_pool(light_forms.warm_up)
-        await context.workers.run_in_encode_pool(composites.load)
+        await asyncio.gather(
+            context.workers.start(),
+            context.workers.run_in_encode_pool(light_forms.warm_up),
+            context.workers.run_in_encode_pool(composites.load),
+        )
     except RoomLightError as error:
         _log.error("server cannot become ready: %s", error)
     except Exception:
