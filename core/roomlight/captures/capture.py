@@ -15,20 +15,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
-from roomlight.captures.consistency import FRAMES, DepthCheck, PoseCheck
+from roomlight.captures.consistency import FRAMES
 from roomlight.captures.lenses import fitted
-from roomlight.captures.notes import (
-    black_bars,
-    large_poses,
-    lying_camera,
-    odd_camera,
-    scaled_poses,
-    unlikely_depth,
-    unread_depth,
-    within_bars,
-    wrong_poses,
-    wrong_scale,
-)
+from roomlight.captures.notes import PassChecks, lying_camera, odd_camera, scaled_poses, unread_depth
 from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
@@ -44,12 +33,6 @@ if TYPE_CHECKING:
 
 _AHEAD: Final = 12
 """Records after the first without depth, every other of which shows it from elsewhere."""
-_OF_QUATERNIONS: Final = ("tum", "stray-scanner", "record3d", "rtabmap", "ros-bag")
-"""Formats whose poses hold quaternions as x, y, z, w."""
-_MOST_BY_POSES: Final = 4.0
-"""Most that poses enlarge estimated depth: 1.5 times in captures. They reduce it wrongly where their noise is large."""
-_OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
-"""Formats whose depth comes from any tool; that of the others is a sensor's, or has one unit."""
 
 
 @dataclass(frozen=True)
@@ -297,10 +280,17 @@ class Capture:
             if after.depth is not None:
                 self._depth_stream = self._opened_stream()
                 self._depth_stream.state = after.depth
-        opencv, quaternions = self._camera_convention == "opencv", self.format in _OF_QUATERNIONS
-        depths, poses = DepthCheck(), PoseCheck(self._to_y_up, opencv=opencv, quaternions=quaternions)
-        within: list[tuple[int, int, int, int] | None] = []
-        told = isinstance(self._reader, Preparing)  # estimated poses fit the pictures
+        checks = PassChecks(
+            str(self.path),
+            self.format,
+            (self._camera_convention, self._pose_direction),
+            self._to_y_up,
+            up_is_assumed=self._up_is_assumed,
+            unit_is_assumed=self._options.depth_unit_m is None,
+            scale_is_assumed=self._options.camera_height_m is None,
+            poses_are_estimated=isinstance(self._reader, Preparing),
+            passed=at.good,
+        )
         with self._reader.records() as read:
             for index in self._indices:
                 if index <= at.last:
@@ -312,28 +302,9 @@ class Capture:
                     skipped.append(SkippedFrame(index, self._reader.name_of(index), str(error)))
                     continue
                 at.good += 1
-                if at.good <= FRAMES:
-                    within.append(within_bars(frame.image))
-                if (
-                    at.good <= FRAMES  # the first ones are compared
-                    and self._depth_stream is None
-                    and self._options.depth_unit_m is None
-                    and depths.add(frame)
-                ):
-                    self._check_depth(depths)
-                if at.good == FRAMES and (barred := black_bars(str(self.path), within)) is not None:
-                    self._notes[barred] = None
-                if at.good == FRAMES and not told and (far := self._unlikely_poses()) is not None:
-                    self._notes[far] = None
-                if not told and poses.add(frame):
-                    told = self._check_poses(poses)
+                self._notes |= dict.fromkeys(checks.add(frame, self._depth_stream))
                 yield frame
-        if not told:
-            self._check_poses(poses)
-        if at.good < FRAMES:
-            self._check_depth(depths)
-            if (barred := black_bars(str(self.path), within)) is not None:
-                self._notes[barred] = None
+        self._notes |= dict.fromkeys(checks.end())
         if at.good == 0:
             first = skipped[0]
             reason = first.reason if first.reason.startswith(first.file) else f"{first.file}: {first.reason}"
@@ -464,30 +435,6 @@ class Capture:
                 self._notes[lying_camera(frame.source, self._camera_convention, upward)] = None
             if (odd := odd_camera(frame.source, raw.stated or frame.intrinsics)) is not None:
                 self._notes[odd] = None
-
-    def _check_depth(self, depths: DepthCheck) -> None:
-        """Note depth that contradicts the poses, or, where any tool may have written it, the pictures."""
-        note = None if (factor := depths.factor()) is None else wrong_scale(str(self.path), factor)
-        if note is None and self.format in _OF_ANY_TOOL:
-            note = unlikely_depth(str(self.path), depths.samples)
-        if note is not None:
-            self._notes[note] = None
-
-    def _unlikely_poses(self) -> Note | None:
-        """Return the note for estimated depth that fits the poses only when it is several times as large; else None."""
-        stream = self._depth_stream
-        if stream is None or stream.model.kind != "metric" or self._options.camera_height_m is not None:
-            return None
-        ratio = 1 / stream.state.per_metre
-        return large_poses(str(self.path), ratio) if ratio > _MOST_BY_POSES else None
-
-    def _check_poses(self, poses: PoseCheck) -> bool:
-        """Note what contradicts the pictures in the assumed conventions; returns whether something does."""
-        wrong = poses.disagreement()
-        if wrong is None or (wrong.axis is not None and not self._up_is_assumed):
-            return False
-        self._notes[wrong_poses(str(self.path), wrong, self._camera_convention, self._pose_direction)] = None
-        return True
 
     def _to_conventions(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         rigid = pose

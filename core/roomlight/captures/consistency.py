@@ -308,17 +308,14 @@ class DepthCheck:
         self.samples: list[Frame] = []
         self._maps: list[tuple[Float[np.ndarray, "h w"], Intrinsics, Float[np.ndarray, "4 4"]]] = []
 
-    def add(self, frame: Frame) -> bool:
-        """Take a frame; returns whether it completes the set."""
-        if len(self._maps) >= FRAMES:
-            return False
+    def add(self, frame: Frame) -> None:
+        """Take a frame."""
         if len(self._maps) % _SAMPLED == 0:
             self.samples.append(frame)
         height, width = frame.depth_m.shape
         size = _COLUMNS, max(2, round(_COLUMNS * height / width))
         small = cv2.resize(frame.depth_m, size, interpolation=cv2.INTER_NEAREST)
         self._maps.append((small, frame.intrinsics.resized(*size), frame.camera_to_world @ OPENCV_TO_OPENGL))
-        return len(self._maps) == FRAMES
 
     def factor(self) -> float | None:
         """Return the factor on depth that brings maps and poses together; None if 1 does, or none is clear."""

@@ -1,17 +1,27 @@
 """Notes of an open capture: what its poses, lens and depth leave open."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from roomlight.camera import Intrinsics
-from roomlight.captures.consistency import Disagreement, odd_depth
+from roomlight.captures.consistency import FRAMES, DepthCheck, Disagreement, PoseCheck, odd_depth
+from roomlight.captures.options import CameraConvention, PoseDirection
 from roomlight.frame import Frame
 from roomlight.notes import Note
 
+if TYPE_CHECKING:
+    from roomlight.monocular.stream import DepthStream
+
+_OF_QUATERNIONS: Final = ("tum", "stray-scanner", "record3d", "rtabmap", "ros-bag")
+"""Formats whose poses hold quaternions as x, y, z, w."""
+_MOST_BY_POSES: Final = 4.0
+"""Most that poses enlarge estimated depth: 1.5 times in captures. They reduce it wrongly where their noise is large."""
+_OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
+"""Formats whose depth comes from any tool; that of the others is a sensor's, or has one unit."""
 _BLACK: Final = 0.003
 """Linear value up to which a pixel may be a black bar's: 10 of 255 in sRGB."""
 _LEAST_BAR: Final = 0.02
@@ -181,3 +191,67 @@ def black_bars(name: str, within: Sequence[tuple[int, int, int, int] | None]) ->
         "they are read as black walls, and the field of view or intrinsics as those of all the picture",
         f"crop them (ffmpeg -i IN -vf crop={width}:{height}:{left}:{top} OUT)",
     )
+
+
+class PassChecks:
+    """Compares the frames of a pass with each other, and with what is assumed about them."""
+
+    def __init__(
+        self,
+        name: str,
+        format: str,
+        conventions: tuple[CameraConvention, PoseDirection],
+        to_y_up: Float[np.ndarray, "4 4"],
+        *,
+        up_is_assumed: bool,
+        unit_is_assumed: bool,
+        scale_is_assumed: bool,
+        poses_are_estimated: bool,
+        passed: int,
+    ) -> None:
+        """Begin after the first `passed` frames. What is not assumed, or estimated by the pictures, is not checked."""
+        self._name, self._format, self._conventions = name, format, conventions
+        self._up_is_assumed, self._unit_is_assumed = up_is_assumed, unit_is_assumed
+        self._scale_is_assumed = scale_is_assumed
+        self._count, self._poses_are_done = passed, poses_are_estimated
+        self._depths, self._within = DepthCheck(), list[tuple[int, int, int, int] | None]()
+        self._poses = PoseCheck(to_y_up, opencv=conventions[0] == "opencv", quaternions=format in _OF_QUATERNIONS)
+
+    def add(self, frame: Frame, depth: "DepthStream | None") -> Iterator[Note]:
+        """Take a frame, and what estimated its depth; yields what contradicts."""
+        self._count += 1
+        if self._count <= FRAMES:
+            self._within.append(within_bars(frame.image))
+            if depth is None and self._unit_is_assumed:
+                self._depths.add(frame)
+        if self._count == FRAMES:
+            yield from self._notes_of_first()
+            if depth is not None and not self._poses_are_done and self._scale_is_assumed:
+                ratio = 1 / depth.state.per_metre
+                if depth.model.kind == "metric" and ratio > _MOST_BY_POSES:
+                    yield large_poses(self._name, ratio)
+        if not self._poses_are_done and self._poses.add(frame):
+            yield from self._notes_of_poses()
+
+    def end(self) -> Iterator[Note]:
+        """Yield what contradicts in a pass that ends here."""
+        if self._count < FRAMES:
+            yield from self._notes_of_first()
+        if not self._poses_are_done:
+            yield from self._notes_of_poses()
+
+    def _notes_of_first(self) -> Iterator[Note]:
+        """Yield notes of depth that contradicts the poses, or, where any tool wrote it, the pictures; and of bars."""
+        if (factor := self._depths.factor()) is not None:
+            yield wrong_scale(self._name, factor)
+        elif self._format in _OF_ANY_TOOL and (odd := unlikely_depth(self._name, self._depths.samples)) is not None:
+            yield odd
+        if (barred := black_bars(self._name, self._within)) is not None:
+            yield barred
+
+    def _notes_of_poses(self) -> Iterator[Note]:
+        """Yield a note of what contradicts the pictures in the assumed conventions, once in a pass."""
+        wrong = self._poses.disagreement()
+        if wrong is not None and (wrong.axis is None or self._up_is_assumed):
+            self._poses_are_done = True
+            yield wrong_poses(self._name, wrong, *self._conventions)

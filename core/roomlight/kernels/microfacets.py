@@ -68,31 +68,29 @@ def dielectric(cosine, ratio):
 
 
 @njit(**JIT)
+def _read(table, cosine, roughness, column):
+    """Read a column of `lobe_table` between its entries."""
+    x = min(max(cosine, 0.0), 1.0) * (table.shape[0] - 1)
+    y = min(max(roughness, 0.0), 1.0) * (table.shape[1] - 1)
+    i, j = min(int(x), table.shape[0] - 2), min(int(y), table.shape[1] - 2)
+    u, v = x - i, y - j
+    near = (1 - u) * table[i, j, column] + u * table[i + 1, j, column]
+    return (1 - v) * near + v * ((1 - u) * table[i, j + 1, column] + u * table[i + 1, j + 1, column])
+
+
+@njit(**JIT)
 def lobe_share(table, cosine, roughness):
     """Read A and B of `lobe_table`; exact for a mirror."""
     if roughness < MIRROR_ROUGHNESS:
         weight = schlick(cosine)
         return 1 - weight, weight
-    x = min(max(cosine, 0.0), 1.0) * (table.shape[0] - 1)
-    y = min(max(roughness, 0.0), 1.0) * (table.shape[1] - 1)
-    i, j = min(int(x), table.shape[0] - 2), min(int(y), table.shape[1] - 2)
-    u, v = x - i, y - j
-    a, b, c, d = (1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v
-    return (
-        a * table[i, j, 0] + b * table[i + 1, j, 0] + c * table[i, j + 1, 0] + d * table[i + 1, j + 1, 0],
-        a * table[i, j, 1] + b * table[i + 1, j, 1] + c * table[i, j + 1, 1] + d * table[i + 1, j + 1, 1],
-    )
+    return _read(table, cosine, roughness, 0), _read(table, cosine, roughness, 1)
 
 
 @njit(**JIT)
 def sheen_share(table, cosine, roughness):
-    """Read the share of even light that white sheen reflects (column 2 of `lobe_table`)."""
-    x = min(max(cosine, 0.0), 1.0) * (table.shape[0] - 1)
-    y = min(max(roughness, 0.0), 1.0) * (table.shape[1] - 1)
-    i, j = min(int(x), table.shape[0] - 2), min(int(y), table.shape[1] - 2)
-    u, v = x - i, y - j
-    near = (1 - u) * table[i, j, 2] + u * table[i + 1, j, 2]
-    return (1 - v) * near + v * ((1 - u) * table[i, j + 1, 2] + u * table[i + 1, j + 1, 2])
+    """Read the share of even light that white sheen reflects."""
+    return _read(table, cosine, roughness, 2)
 
 
 @njit(**JIT)

@@ -109,7 +109,7 @@ class MaterialReader:
             material = self._from_metallic(material, stated, pixels, means)
         if material.transmission > 0:
             material = self._tinted_by_depth(material, stated, label, notes)
-        material = self._layered(self._rest(material, stated, pixels, means), coat, sheen, pixels, means)
+        material = self._rest(material, stated, coat, sheen, pixels, means)
         material = self._with_edges(material, slots)
         if coat.clearcoatNormalTexture is not None:
             notes.append(Note(f"{label}: relief of its clear coat", "the coat is smooth", "nothing to do"))
@@ -265,28 +265,18 @@ class MaterialReader:
         self,
         material: Material,
         stated: GltfMaterial,
+        coat: Clearcoat,
+        sheen: Sheen,
         pixels: dict[str, np.ndarray | None],
         means: dict[str, np.ndarray],
     ) -> Material:
+        """Add emission, relief, clear coat and sheen."""
         return replace(
             material,
             emissive=colour_of(np.array(material.emissive) * means["emissive"][:3]),
             emissive_texture=self._texture(pixels["emissive"], "colour"),
             normal_texture=self._texture(pixels["normal"], "values"),
             normal_scale=1.0 if stated.normalTexture is None else stated.normalTexture.scale,
-        )
-
-    def _layered(
-        self,
-        material: Material,
-        coat: Clearcoat,
-        sheen: Sheen,
-        pixels: dict[str, np.ndarray | None],
-        means: dict[str, np.ndarray],
-    ) -> Material:
-        """Add clear coat and sheen."""
-        return replace(
-            material,
             clearcoat=coat.clearcoatFactor * float(means["coat"][0]),
             clearcoat_roughness=coat.clearcoatRoughnessFactor * float(means["coat roughness"][1]),
             sheen=colour_of(np.array(sheen.sheenColorFactor) * means["sheen"][:3]),
