@@ -202,8 +202,8 @@ class Capture:
         self._reader = reader
         self._options = options
         conventions = reader.conventions
-        self._camera_convention = options.camera_convention or conventions.camera
-        self._pose_direction = options.pose_direction or conventions.pose
+        self._camera_convention: CameraConvention = options.camera_convention or conventions.camera
+        self._pose_direction: PoseDirection = options.pose_direction or conventions.pose
         up = up_vector(options.world_up) if options.world_up is not None else conventions.world_up
         self._to_y_up = rotation_to_y_up(np.array(up, np.float64))
         self._up_is_assumed, self._first_pose, self._noted = options.world_up is None, True, set[str]()

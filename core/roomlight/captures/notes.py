@@ -97,7 +97,7 @@ def unlikely_depth(name: str, frames: Sequence[Frame]) -> Note | None:
     )
 
 
-def wrong_poses(name: str, wrong: Disagreement, convention: str, direction: str) -> Note:
+def wrong_poses(name: str, wrong: Disagreement, convention: CameraConvention, direction: PoseDirection) -> Note:
     """Make the note for poses that do not fit the pictures, or a world that lies on its side."""
     if wrong.axis is not None:
         return Note(
