@@ -266,6 +266,14 @@ HOSTILE: dict[str, tuple[Callable[[GltfFile], object], str]] = {
         lambda f: f.tree["materials"][0]["pbrMetallicRoughness"].update(roughnessFactor=[1]),
         r"roughnessFactor is \[1\]; it must be a number",
     ),
+    "instancing is no object": (
+        lambda f: f.tree["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": 5}),
+        "node 0: EXT_mesh_gpu_instancing JSON is 5",
+    ),
+    "instances before the first accessor": (
+        lambda f: f.tree["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {"attributes": {"SCALE": -9}}}),
+        "attributes.SCALE is -9; it must be at least 0",
+    ),
     "version 1": (lambda f: f.tree.update(asset={"version": "1.0"}), "glTF 2"),
 }
 

@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.compositing.objects.gltf.accessors import Accessors
-from roomlight.compositing.objects.gltf.schema import Gltf, Node
+from roomlight.compositing.objects.gltf.container import extension
+from roomlight.compositing.objects.gltf.schema import Gltf, Instancing, Node
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.errors import ObjectError
 
-_INSTANCING = "EXT_mesh_gpu_instancing"
 _ROUNDING = 1e-3
 """What exporters leave in a matrix's last row."""
 
@@ -104,11 +104,9 @@ def _composed(
 
 def _instances(node: Node, accessors: Accessors, label: str, limits: ObjectLimits) -> list[Float[np.ndarray, "4 4"]]:
     """Return the transforms of EXT_mesh_gpu_instancing, or the identity alone."""
-    attributes = node.extensions.get(_INSTANCING, {}).get("attributes") if node.extensions else None
-    if not isinstance(attributes, dict) or not attributes:
-        return [np.eye(4)]
+    instancing = extension(Instancing, node, "EXT_mesh_gpu_instancing", label, []) or Instancing()
     defaults = {"TRANSLATION": ("VEC3", [0.0] * 3), "ROTATION": ("VEC4", [0.0, 0, 0, 1]), "SCALE": ("VEC3", [1.0] * 3)}
-    given = {key: index for key, index in attributes.items() if key in defaults and isinstance(index, int)}
+    given = {key: index for key, index in instancing.attributes.items() if key in defaults}
     if not given:
         return [np.eye(4)]
     count = accessors.declared(next(iter(given.values())), label).count

@@ -119,6 +119,12 @@ class Skin(_Model):
     inverseBindMatrices: Index | None = None  # noqa: N815
 
 
+class Instancing(_Model):
+    """EXT_mesh_gpu_instancing."""
+
+    attributes: dict[str, Index] = {}
+
+
 class Node(_Model):
     """A place in the scene."""
 
