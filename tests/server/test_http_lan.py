@@ -216,6 +216,10 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ServerError, match="choose another folder"):
         tls.ensure_certificate(tmp_path / "file", NAMES)
+    (tmp_path / tls.CERTIFICATE).mkdir()
+    with pytest.raises(ServerError, match="choose another folder"):
+        tls.ensure_certificate(tmp_path, NAMES)
+    assert not [*tmp_path.glob(".*")]
 
 
 def test_the_token_is_kept_and_private(tmp_path):

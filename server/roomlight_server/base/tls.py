@@ -7,7 +7,6 @@ trusting it. The certificate is made again shortly before it expires, and when a
 
 import datetime
 import logging
-import os
 import ssl
 from collections.abc import Iterable
 from ipaddress import ip_address
@@ -19,7 +18,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from roomlight.errors import ServerError
+from roomlight.errors import OutputError, ServerError
+from roomlight.files import write_durable
 
 _log = logging.getLogger("roomlight.server")
 KEY, CERTIFICATE = "lan-key.pem", "lan-certificate.pem"
@@ -36,21 +36,16 @@ _SKEW: Final = datetime.timedelta(days=1)  # a phone's clock may be behind
 
 
 def write_private(file: Path, data: bytes) -> None:
-    """Write a file that only its owner can read, whole or not at all.
+    """Write a file that only its owner can read, whole or not at all; its folder is made if it is missing.
 
     Raises:
         ServerError: The folder cannot be made or written.
     """
     try:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        temporary = file.with_name(f".{file.name}.{os.getpid()}")
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-        with os.fdopen(descriptor, "wb") as stream:
-            stream.write(data)
-        temporary.replace(file)
-    except OSError as error:
-        advice = "choose another folder with state_dir"
-        raise ServerError(f"{file}: cannot be written ({error.strerror}); {advice}") from error
+        write_durable(file, data)
+    except (OSError, OutputError) as error:
+        raise ServerError(f"{error}; choose another folder with state_dir") from error
 
 
 def ensure_certificate(
