@@ -64,10 +64,10 @@ class CompositeScene:
         frame: the one of the frames into which the object is put; its white is the unit of light.
         objects: the scene for the compositor.
         position: centre of the object.
-        truth: [h, w, 3] the developed picture with the object, linear, of `composite_regions.smoothed_truth`.
+        truth: [h, w, 3] the developed picture with the object, linear, of `composites.regions.smoothed_truth`.
         clean: radiance with the object and without, undeveloped, in units of white.
         covered: pixels that show the real object.
-        masks: of `composite_regions.regions`.
+        masks: of `composites.regions.regions`.
         true_light: panorama at the object's centre in the room without it.
         frames: all that the session has seen.
         shift_m: by which the compositor's place is above (below if negative) the real surface.

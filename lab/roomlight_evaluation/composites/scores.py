@@ -1,6 +1,6 @@
 """Errors of composites against the picture with the real object: inside it, in its shadow and elsewhere.
 
-The regions are those of `composite_regions`. Linear light is clipped at white, as a camera clips it. Metrics: root of
+The regions are those of `composites.regions`. Linear light is clipped at white, as a camera clips it. Metrics: root of
 the mean squared error in linear light and in sRGB, and the mean absolute difference of logarithms.
 """
 

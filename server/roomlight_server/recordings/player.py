@@ -1,6 +1,6 @@
 """Replay of an uploaded recording into a session, at the recording's pace, as a phone would stream it.
 
-The recording is read in a process of its own (`recording_worker`). Frames that the engine cannot keep up with are
+The recording is read in a process of its own (`recordings.worker`). Frames that the engine cannot keep up with are
 superseded by newer ones, as with any stream.
 """
 

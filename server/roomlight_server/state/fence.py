@@ -10,6 +10,7 @@ local disks, NFS 4 and Amazon EFS have it. Everything here blocks: it runs on th
 """
 
 import contextlib
+import fcntl
 import logging
 import os
 import secrets
@@ -143,8 +144,6 @@ class Fence:
     @contextmanager
     def _locked(self, key: str) -> Generator[None]:
         """Hold the lock of a session; 256 files, which are never removed, serve all sessions."""
-        import fcntl  # not on Windows, where only this setting fails
-
         descriptor = os.open(self._locks / key[:2], os.O_RDWR | os.O_CREAT, 0o600)
         end_s = time.monotonic() + LOCK_WAIT_S
         try:

@@ -6,6 +6,7 @@ full or fails, serving goes on, `failing` has the reason, and each session is tr
 
 import asyncio
 import contextlib
+import fcntl
 import hashlib
 import logging
 import os
@@ -379,8 +380,6 @@ def _version(folder: Path) -> str:
 
 def _locked(root: Path, sessions: Path, shared: bool) -> int:
     """Make the directory and its folder of sessions, and lock it; return the descriptor that holds the lock."""
-    import fcntl  # not on Windows, where only this setting fails
-
     try:
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
         sessions.mkdir(mode=0o700, exist_ok=True)
