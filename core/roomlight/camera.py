@@ -143,15 +143,22 @@ def pose_from_quaternion(
     norm = np.linalg.norm(q)
     if not np.isfinite(norm) or norm < 1e-6:
         raise ValueError(f"quaternion {q.tolist()} has no direction (lost tracking)")
-    x, y, z, w = q / norm
     pose = np.eye(4)
-    pose[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
+    pose[:3, :3] = rotation_of_quaternion(q / norm)
     pose[:3, 3] = translation
     return pose
+
+
+def rotation_of_quaternion(unit_xyzw: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation of a quaternion (x, y, z, w) of length 1; the identity for zeros."""
+    x, y, z, w = unit_xyzw
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def transform_points(

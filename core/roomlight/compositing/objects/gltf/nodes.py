@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from roomlight.camera import rotation_of_quaternion
 from roomlight.compositing.objects.gltf.accessors import Accessors
 from roomlight.compositing.objects.gltf.container import extension
 from roomlight.compositing.objects.gltf.schema import Gltf, Instancing, Node
@@ -90,14 +91,9 @@ def _local(node: Node) -> Float[np.ndarray, "4 4"]:
 def _composed(
     translation: Float[np.ndarray, "3"], rotation: Float[np.ndarray, "4"], scale: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
-    x, y, z, w = rotation / max(float(np.linalg.norm(rotation)), 1e-12)
+    unit = rotation / max(float(np.linalg.norm(rotation)), 1e-12)
     transform = np.eye(4)
-    transform[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    transform[:3, :3] *= scale
+    transform[:3, :3] = rotation_of_quaternion(unit) * scale
     transform[:3, 3] = translation
     return transform
 
