@@ -69,15 +69,19 @@ def point_at_pixel(frame: Frame, u: float, v: float, *, above_m: float = ABOVE_M
         )
     if not 0 <= above_m < np.inf:
         raise OptionError(f"above_m is {above_m}; it must be a distance in metres, 0 or more")
-    rows, columns = frame.depth_m.shape
-    column, row = min(int((u + 0.5) * columns / width), columns - 1), min(int((v + 0.5) * rows / height), rows - 1)
+    row, column, ray = depth_pixel(frame, u, v)
     depth_m = float(frame.depth_m[row, column])
     if depth_m <= 0:
         raise ProbeError(f"{frame.source}: {_no_depth(frame, u, v, row, column)}")
-    k = frame.intrinsics
-    ray = np.array([(u + 0.5 - k.cx) / k.fx, -(v + 0.5 - k.cy) / k.fy, -1.0])
     surface = depth_m * ray
     return _in_world(frame, surface + above_m * _normal(frame, row, column, surface))
+
+
+def depth_pixel(frame: Frame, u: float, v: float) -> tuple[int, int, Float[np.ndarray, "3"]]:
+    """Return row and column of the depth pixel at a colour pixel, and the colour pixel's ray in the camera, z = -1."""
+    (rows, columns), (height, width), k = frame.depth_m.shape, frame.image.shape[:2], frame.intrinsics
+    row, column = min(int((v + 0.5) * rows / height), rows - 1), min(int((u + 0.5) * columns / width), columns - 1)
+    return row, column, np.array([(u + 0.5 - k.cx) / k.fx, -(v + 0.5 - k.cy) / k.fy, -1.0])
 
 
 def _normal(frame: Frame, row: int, column: int, surface: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

@@ -15,7 +15,7 @@ from roomlight.camera import check_rigid, transform_points
 from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.errors import SceneError
 from roomlight.frame import MAX_POSITION_M, Frame
-from roomlight.placement import nearest_with_depth
+from roomlight.placement import depth_pixel, nearest_with_depth
 
 Anchor = Literal["base", "back", "top", "centre", "origin"]
 """Point that is placed: middle of the bounding box's bottom, back or top face, of the box, or (0, 0, 0)."""
@@ -171,16 +171,15 @@ def surface_at_pixel(
             f"pixel: must lie in the image of {width} x {height} pixels (columns 0 to {width - 1}, rows 0 to "
             f"{height - 1}); got {u:g},{v:g}"
         )
-    k = frame.intrinsics
-    ray = np.array([(u + 0.5 - k.cx) / k.fx, -(v + 0.5 - k.cy) / k.fy, -1.0])
+    row, column, ray = depth_pixel(frame, u, v)
     direction = frame.camera_to_world[:3, :3] @ (ray / np.linalg.norm(ray))
     origin = frame.camera_to_world[:3, 3]
-    distance_m = float(frame.depth_m[_depth_pixel(frame, u, v)]) * float(np.linalg.norm(ray))
+    distance_m = float(frame.depth_m[row, column]) * float(np.linalg.norm(ray))
     if distance_m <= 0:
         hits = geometry.cast(origin[None].astype(np.float32), direction[None].astype(np.float32))
         distance_m = float(hits.distance_m[0])
     if not np.isfinite(distance_m):
-        near = nearest_with_depth(frame, *_depth_pixel(frame, u, v))
+        near = nearest_with_depth(frame, row, column)
         raise SceneError(
             f"pixel: no surface is known behind {u:g},{v:g}: the sensor gave no depth there (a window, a lamp, a shiny "
             "surface?) and no other frame showed it; "
@@ -318,13 +317,6 @@ def _flush(normal: Float[np.ndarray, "3"], yaw_degrees: float) -> Float[np.ndarr
     yaw = np.radians(yaw_degrees)
     turned = np.cos(yaw) * right + np.sin(yaw) * up
     return np.stack([turned, np.cross(normal, turned), normal], axis=1)
-
-
-def _depth_pixel(frame: Frame, u: float, v: float) -> tuple[int, int]:
-    rows, columns = frame.depth_m.shape
-    height, width = frame.image.shape[:2]
-    row, column = int((v + 0.5) * rows / height), int((u + 0.5) * columns / width)
-    return min(row, rows - 1), min(column, columns - 1)
 
 
 def _patch(
