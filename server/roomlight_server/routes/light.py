@@ -35,6 +35,7 @@ from roomlight_server.answers.light_forms import (
 from roomlight_server.answers.parts_response import PartsResponse
 from roomlight_server.base.problems import BODY_PROBLEMS, SESSION_PROBLEMS, ProblemError, documented
 from roomlight_server.routes.context import ContextDep, ProbeName, ReservationDep, SessionDep
+from roomlight_server.routes.etags import unchanged
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.transport.disconnects import until_gone
 from roomlight_server.work.workers import Workers
@@ -268,25 +269,17 @@ async def _answer_probe(
     live: LiveSession, workers: Workers, request: Request, query: ProbeQuery, form: LightForm
 ) -> Response:
     light = (await live.lighting.at([query]))[0]
-    etag = http_etag(light, form)
     headers = {
-        "ETag": etag,
-        "Cache-Control": "private, no-cache",
+        "ETag": http_etag(light, form),
         COVERAGE_HEADER: f"{light.coverage:.4f}",
         FRAME_HEADER: str(light.frame),
     }
-    if etag_matches(request.headers.get("if-none-match", ""), etag):
-        return Response(status_code=304, headers=headers)
+    if same := unchanged(request, headers):
+        return same
     payload = await workers.run_in_encode_pool(encode, light, form)
     if payload.data is not None:
         return Response(payload.data, media_type=MEDIA_TYPES[form.format], headers=headers)
     return JSONResponse((payload.values or {}) | {"coverage": light.coverage}, headers=headers)
-
-
-def etag_matches(if_none_match: str, etag: str) -> bool:
-    """Return whether the header `If-None-Match` names an ETag."""
-    known = [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]
-    return etag in known or "*" in known
 
 
 def _to_json(response: LightResponse, parts: list[bytes]) -> str:

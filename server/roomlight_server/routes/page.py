@@ -5,7 +5,6 @@ answers contain nothing about any room and need no token. The files are read onc
 """
 
 import gzip
-import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -15,14 +14,12 @@ from typing import Any, Final
 from fastapi import APIRouter, Request, Response
 
 from roomlight_server.base.problems import ProblemError, documented
-from roomlight_server.routes.light import etag_matches
+from roomlight_server.routes.etags import UNCHANGED, etag_of, unchanged
 
 router = APIRouter(tags=["page"])
 PAGES: Final = {"/": "index.html", "/phone": "phone.html"}
 """The file of each page's path."""
 ASSETS: Final = "/assets"
-MAX_PAGE_BYTES: Final = 8 * 2**20
-"""Most bytes of all files together: they stay in memory."""
 CONTENT_SECURITY_POLICY: Final = "; ".join(
     (
         "default-src 'none'",
@@ -50,36 +47,24 @@ _HEADERS: Final = {
 }
 _TYPES: Final = {
     ".css": "text/css; charset=utf-8",
-    ".glb": "model/gltf-binary",
-    ".hdr": "image/vnd.radiance",
     ".html": "text/html; charset=utf-8",
-    ".ico": "image/x-icon",
-    ".jpg": "image/jpeg",
     ".js": "text/javascript; charset=utf-8",
-    ".json": "application/json",
-    ".ktx2": "image/ktx2",
-    ".png": "image/png",
     ".svg": "image/svg+xml",
     ".txt": "text/plain; charset=utf-8",
-    ".wasm": "application/wasm",
-    ".webmanifest": "application/manifest+json",
-    ".webp": "image/webp",
-    ".woff2": "font/woff2",
 }
-_COMPRESSED: Final = (".css", ".glb", ".html", ".js", ".json", ".svg", ".txt", ".wasm", ".webmanifest")
 _DOCUMENTED: Final[dict[int | str, dict[str, Any]]] = {
     200: {"description": "The page", "content": {"text/html": {}}},
-    304: {"description": "Unchanged: `If-None-Match` names its ETag"},
+    **UNCHANGED,
     **documented("page-not-built"),
 }
 
 
 @dataclass(frozen=True)
 class PageFile:
-    """A file of the page: its bytes, compressed too where that helps, its type and ETag."""
+    """A file of the page: its bytes, as they are and compressed, its type and ETag."""
 
     data: bytes
-    packed: bytes | None
+    packed: bytes
     media_type: str
     etag: str
 
@@ -94,14 +79,11 @@ def page_files(folder: Path) -> dict[str, PageFile]:
     """Read a built page: its files by path, for example `/` and `/assets/index-1a2b.js`. Empty if it is not built.
 
     Raises:
-        ValueError: The page is larger than `MAX_PAGE_BYTES`, or a file has an unknown type.
+        ValueError: A file has an unknown type.
     """
     paths = {path: folder / name for path, name in PAGES.items() if (folder / name).is_file()}
     if (folder / "assets").is_dir():
         paths |= {f"{ASSETS}/{file.name}": file for file in sorted((folder / "assets").iterdir()) if file.is_file()}
-    size = sum(file.stat().st_size for file in paths.values())
-    if size > MAX_PAGE_BYTES:
-        raise ValueError(f"{folder}: the page has {size} bytes; at most {MAX_PAGE_BYTES}")
     return {path: _read(file) for path, file in paths.items()}
 
 
@@ -109,8 +91,7 @@ def _read(file: Path) -> PageFile:
     data, suffix = file.read_bytes(), file.suffix.lower()
     if suffix not in _TYPES:
         raise ValueError(f"{file}: no media type is known for {suffix or 'files without a suffix'}")
-    packed = gzip.compress(data, mtime=0) if suffix in _COMPRESSED else None
-    return PageFile(data, packed, _TYPES[suffix], f'"{hashlib.sha256(data).hexdigest()[:24]}"')
+    return PageFile(data, gzip.compress(data, mtime=0), _TYPES[suffix], etag_of(data))
 
 
 @router.get("/", summary="The live page", response_class=Response, responses=_DOCUMENTED)
@@ -129,7 +110,7 @@ async def phone_page(request: Request) -> Response:
     ASSETS + "/{name}",
     summary="A file of the pages",
     response_class=Response,
-    responses={304: {"description": "Unchanged: `If-None-Match` names its ETag"}, **documented("not-found", "invalid")},
+    responses={**UNCHANGED, **documented("not-found", "invalid")},
 )
 async def asset(request: Request, name: str) -> Response:
     """Return a file of the pages; its name changes with its content."""
@@ -144,8 +125,8 @@ def _answer(request: Request, path: str, cache: str) -> Response:
             raise ProblemError("page-not-built", f"this installation has no built page; {advice}")
         raise ProblemError("not-found", f"the page has no file {path[:200]}")
     headers = {**_HEADERS, "ETag": file.etag, "Cache-Control": cache, "Vary": "Accept-Encoding"}
-    if etag_matches(request.headers.get("if-none-match", ""), file.etag):
-        return Response(status_code=304, headers=headers)
-    if file.packed is not None and "gzip" in request.headers.get("accept-encoding", ""):
+    if same := unchanged(request, headers):
+        return same
+    if "gzip" in request.headers.get("accept-encoding", ""):
         return Response(file.packed, media_type=file.media_type, headers=headers | {"Content-Encoding": "gzip"})
     return Response(file.data, media_type=file.media_type, headers=headers)

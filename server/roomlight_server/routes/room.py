@@ -1,17 +1,13 @@
 """Routes of what a session has seen: list of sessions, picture, camera, room mesh, history."""
 
-import hashlib
 from typing import Annotated, Any, Final, Literal, cast
 
 import cv2
 import numpy as np
 from fastapi import APIRouter, Path, Query, Request, Response
 from jaxtyping import Float
-from pydantic import BaseModel
 
 from roomlight.conventions import NO_FRAME, linear_to_srgb8
-from roomlight.engine.session import Session
-from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.frame_message import column_major
@@ -20,7 +16,8 @@ from roomlight.wire.room import CameraView, HistoryList, SessionList, SessionSum
 from roomlight_server.answers.room_mesh import MAX_TRIANGLES, room_mesh, to_glb
 from roomlight_server.base.problems import SESSION_PROBLEMS, ProblemError, documented
 from roomlight_server.routes.context import ContextDep, OwnerDep, ProbeName, ReservationDep, SessionDep
-from roomlight_server.routes.light import FRAME_HEADER, etag_matches
+from roomlight_server.routes.etags import UNCHANGED, data_answer, etag_of, json_answer, unchanged
+from roomlight_server.routes.light import FRAME_HEADER
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.state.listing import SavedHead
 
@@ -33,38 +30,12 @@ _MESH_BYTES: Final = 24 * 2**20
 """Memory of 25 keyframe meshes while they are merged."""
 _MESHES_KEPT: Final = 4
 """Meshes kept for several clients, of up to 3 MB; making one of 16 keyframes takes 0.7 s of one core."""
-UNCHANGED: Final[dict[int | str, dict[str, Any]]] = {304: {"description": "Unchanged: `If-None-Match` names its ETag"}}
 _Index = Annotated[int, Path(ge=0, le=MAX_INDEX)]
 _Metres = Annotated[float | None, Query(ge=-1000, le=1000, allow_inf_nan=False, description="World metres.")]
 
 
 def _binary(*kinds: str) -> dict[int | str, dict[str, Any]]:
     return {200: {"description": "The bytes", "content": {kind: {} for kind in kinds}}, **UNCHANGED}
-
-
-def _quoted(*parts: object) -> str:
-    return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:24]}"'
-
-
-def _unchanged(request: Request, headers: dict[str, str]) -> Response | None:
-    """Return the answer 304 if the client has what the ETag in `headers` names."""
-    headers["Cache-Control"] = "private, no-cache"
-    if etag_matches(request.headers.get("if-none-match", ""), headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    return None
-
-
-def json_answer(request: Request, model: BaseModel) -> Response:
-    """Return JSON with an ETag of its content, or 304."""
-    text = model.model_dump_json()
-    headers = {"ETag": _quoted(text)}
-    return _unchanged(request, headers) or Response(text, media_type="application/json", headers=headers)
-
-
-def _data(request: Request, data: bytes, media_type: str, **headers: str) -> Response:
-    """Return bytes with an ETag of their content, or 304."""
-    given = {"ETag": f'"{hashlib.sha256(data).hexdigest()[:24]}"', **headers}
-    return _unchanged(request, given) or Response(data, media_type=media_type, headers=given)
 
 
 @router.get("/v1/sessions", summary="List the sessions", responses=documented("unauthorized"))
@@ -120,10 +91,9 @@ async def colour(live: SessionDep, context: ContextDep, reserved: ReservationDep
     if latest is None:
         raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
     encoding = latest.message.header.colour.encoding
-    headers = {"ETag": _quoted(live.history.key, latest.index), FRAME_HEADER: str(latest.index)}
-    unchanged = _unchanged(request, headers)
-    if unchanged is not None:
-        return unchanged
+    headers = {"ETag": etag_of(f"{live.history.key} {latest.index}".encode()), FRAME_HEADER: str(latest.index)}
+    if same := unchanged(request, headers):
+        return same
     if encoding in ("jpeg", "png"):
         reserved.add(len(latest.message.colour))
         return Response(bytes(latest.message.colour), media_type=f"image/{encoding}", headers=headers)
@@ -145,7 +115,7 @@ def _jpeg(image: Float[np.ndarray, "h w 3"]) -> bytes:
 )
 async def camera(live: SessionDep, request: Request) -> Response:
     """Return the camera of the last processed frame, the cameras of the recorded frames, and the volume's box."""
-    grid = await live.read(_grid)
+    grid = await live.read(lambda engine: engine.grid)
     latest = live.latest
     view = CameraView(
         frame=NO_FRAME if latest is None else latest.index,
@@ -156,10 +126,6 @@ async def camera(live: SessionDep, request: Request) -> Response:
         volume=None if grid is None else _box(grid),
     )
     return json_answer(request, view)
-
-
-def _grid(engine: Session) -> VolumeGrid | None:
-    return engine.grid
 
 
 def _box(grid: VolumeGrid) -> VolumeBox:
@@ -187,14 +153,13 @@ async def mesh(
 
     The ETag changes with the keyframes.
     """
-    meshes = await live.read(_keyframes)
+    meshes = await live.read(lambda engine: engine.meshes[: engine.keyframes])
     if not any(len(mesh.faces) for _, mesh in meshes):
         raise ProblemError("no-frame", "the session has no keyframe with a surface yet: push a frame with depth")
-    etag = _quoted(live.history.key, triangles, [index for index, _ in meshes])
+    etag = etag_of(f"{live.history.key} {triangles} {[index for index, _ in meshes]}".encode())
     headers = {"ETag": etag, KEYFRAMES_HEADER: str(len(meshes))}
-    unchanged = _unchanged(request, headers)
-    if unchanged is not None:
-        return unchanged
+    if same := unchanged(request, headers):
+        return same
     made = context.meshes.get(etag)
     if made is None:
         reserved.add(_MESH_BYTES)
@@ -203,10 +168,6 @@ async def mesh(
         while len(context.meshes) > _MESHES_KEPT:
             context.meshes.popitem(last=False)
     return Response(made, media_type=GLB, headers=headers)
-
-
-def _keyframes(engine: Session) -> list[tuple[int, FrameMesh]]:
-    return engine.meshes[: engine.keyframes]
 
 
 @router.get(
@@ -237,7 +198,7 @@ async def history(
 async def history_colour(live: SessionDep, request: Request, index: _Index) -> Response:
     """Return a JPEG of 160 pixels on its long side."""
     live.check_open()
-    return _data(request, await live.history.picture(index), "image/jpeg")
+    return data_answer(request, await live.history.picture(index), "image/jpeg")
 
 
 @router.get(
@@ -249,4 +210,4 @@ async def history_colour(live: SessionDep, request: Request, index: _Index) -> R
 async def history_panorama(live: SessionDep, request: Request, index: _Index, name: ProbeName) -> Response:
     """Return the panorama of a named probe after a recorded frame: Radiance HDR, 64 x 32 pixels."""
     live.check_open()
-    return _data(request, await live.history.picture(index, name), "image/vnd.radiance")
+    return data_answer(request, await live.history.picture(index, name), "image/vnd.radiance")

@@ -5,7 +5,7 @@ from fastapi import APIRouter, Request, Response
 from roomlight.wire.compositing import SessionScene
 from roomlight_server.base.problems import BODY_PROBLEMS, SESSION_PROBLEMS, documented
 from roomlight_server.routes.context import SessionDep
-from roomlight_server.routes.room import UNCHANGED, json_answer
+from roomlight_server.routes.etags import UNCHANGED, json_answer
 
 router = APIRouter(prefix="/v1/sessions/{session_id}/scene", tags=["objects"])
 
