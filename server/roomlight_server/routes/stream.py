@@ -8,8 +8,9 @@ connection stays open. Only a message that is neither binary nor text closes the
 import asyncio
 import json
 import logging
-from collections.abc import AsyncGenerator, Generator, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, Callable, Generator, Sequence
+from contextlib import asynccontextmanager, contextmanager, suppress
+from functools import partial
 from typing import Final, NoReturn
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
@@ -25,7 +26,6 @@ from roomlight.wire.messages import (
     LightCall,
     LightForm,
     LightingUpdate,
-    ProbeLight,
     ProbeQuery,
     ProbesEvent,
     ProblemEvent,
@@ -176,12 +176,9 @@ class _Connection:
         async with self._answering_errors(frame=data):
             with self._context.budget.reservation() as reserved:
                 reserved.add(len(data))
-                await self._accept_frame(data)
-
-    async def _accept_frame(self, data: bytes) -> None:
-        entry = await self._live.accept(data, None)
-        result = await asyncio.shield(entry.outcome)
-        await self._send(FrameEvent(**result.model_dump()))
+                entry = await self._live.accept(data, None)
+                result = await asyncio.shield(entry.outcome)
+                await self._send(FrameEvent(**result.model_dump()))
 
     async def _handle_text(self, text: str) -> None:
         if len(text) > MAX_JSON_BYTES:
@@ -198,12 +195,8 @@ class _Connection:
             await self._live.lease.check()
         if isinstance(message, LightCall):
             async with self._answering_errors(request=message.request):
-                with self._context.budget.reservation() as reserved:
-                    size = self._answer_bytes(len(message.probes), message.forms)
-                    check_size(size)
-                    reserved.add(memory_of(self._live, len(message.probes), size))
-                    frame, results, parts = await self._encoded_lights(message.probes, message.forms)
-                    await self._send(LightAnswer(request=message.request, frame=frame, results=results), parts)
+                check_size(self._answer_bytes(len(message.probes), message.forms))
+                await self._send_light(message.probes, message.forms, partial(LightAnswer, request=message.request))
         elif isinstance(message, Subscribe):
             self._subscribe(message.forms)
         elif isinstance(message, Track):
@@ -226,12 +219,14 @@ class _Connection:
         probes = {name: list(position) for name, position in self._live.lighting.positions.items()}
         await self._send(ProbesEvent(probes=probes))
 
-    async def _encoded_lights(
-        self, probes: Sequence[ProbeQuery], forms: list[LightForm]
-    ) -> tuple[int, list[ProbeLight], list[bytes]]:
-        lights = await self._live.lighting.at(probes)
-        results, parts = await encode_lights(self._context.workers, lights, forms)
-        return lights[0].frame, results, parts
+    async def _send_light(
+        self, probes: Sequence[ProbeQuery], forms: list[LightForm], answer: Callable[..., LightAnswer | LightingUpdate]
+    ) -> None:
+        with self._context.budget.reservation() as reserved:
+            reserved.add(memory_of(self._live, len(probes), self._answer_bytes(len(probes), forms)))
+            lights = await self._live.lighting.at(probes)
+            results, parts = await encode_lights(self._context.workers, lights, forms)
+            await self._send(answer(frame=lights[0].frame, results=results), parts)
 
     async def _send_updates(self) -> None:
         """Send the newest light of the named probes after each frame; frames during an update count as one."""
@@ -249,17 +244,9 @@ class _Connection:
             named = [ProbeQuery(name=name) for name in self._live.lighting.positions]
             if self._subscribed_forms and named:
                 async with self._answering_errors():
-                    await self._send_update(named)
-
-    async def _send_update(self, named: list[ProbeQuery]) -> None:
-        try:
-            with self._context.budget.reservation() as reserved:
-                size = self._answer_bytes(len(named), self._subscribed_forms)
-                reserved.add(memory_of(self._live, len(named), size))
-                frame, results, parts = await self._encoded_lights(named, self._subscribed_forms)
-                await self._send(LightingUpdate(frame=frame, results=results), parts)
-        except ProblemError:
-            return  # a probe was deleted, the memory budget is used up, or the session has ended: the next event
+                    # a probe was deleted, the memory budget is used up, or the session has ended: the next event
+                    with suppress(ProblemError):
+                        await self._send_light(named, self._subscribed_forms, LightingUpdate)
 
     async def _send(self, message: _Answer, parts: Sequence[bytes] = ()) -> None:
         """Send a message as text, or as binary if it has data, and wait until the client accepts it."""
