@@ -179,8 +179,7 @@ def composite_recording(
             rate = None if capture.frames_per_second is None else capture.frames_per_second * reading.every
             for picture in made:
                 if film is not None:
-                    height, width = (side - side % 2 for side in picture.image.shape[:2])
-                    film.write(picture.image[:height, :width])
+                    film.write(picture.image)
                 else:
                     if not count:
                         _clear(options.out, picture.frame, capture.path)

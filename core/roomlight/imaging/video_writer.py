@@ -49,15 +49,13 @@ class VideoWriter:
         return self
 
     def write(self, picture: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Append an 8-bit sRGB picture; the first one's size is the video's.
+        """Append an 8-bit sRGB picture; the first one's size is the video's, without the last pixel of odd sides.
 
         Raises:
-            ValueError: A side is odd, or the size differs from the first picture's.
+            ValueError: The size differs from the first picture's.
             OutputError: The file cannot be written.
         """
-        height, width = picture.shape[:2]
-        if height % 2 or width % 2:
-            raise ValueError(f"a video's pictures have even sides, not {width} x {height}")
+        height, width = (side - side % 2 for side in picture.shape[:2])
         try:
             if self._container is None or self._stream is None:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,7 +70,7 @@ class VideoWriter:
             if (self._stream.width, self._stream.height) != (width, height):
                 size = f"{self._stream.width} x {self._stream.height}"
                 raise ValueError(f"the video is {size}, this picture {width} x {height}")
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")
             encoded = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
             self._container.mux(self._stream.encode(encoded))
         except OSError as error:  # PyAV's errors of files and codecs are OSErrors too

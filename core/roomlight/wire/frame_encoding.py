@@ -26,7 +26,7 @@ from roomlight.wire.frame_header import (
     TrackingState,
     WireIntrinsics,
 )
-from roomlight.wire.frame_message import FrameLimits, column_major, pack, parse, to_wire_error
+from roomlight.wire.frame_message import UNLIMITED, column_major, pack, parse, to_wire_error
 
 FrameEncoding = Literal["exact", "jpeg", "png"]
 """Encoding of a `Frame`.
@@ -42,8 +42,6 @@ PHONE_SIZE: Final = (640, 480)
 """Twice the working size (width, height): the average over 2 x 2 pixels removes most of JPEG's noise."""
 JPEG_QUALITY: Final = 92
 _ZSTD_LEVEL: Final = 1  # compresses a depth map of 320 x 240 floats in 1 ms; level 3 is 2 % smaller
-
-_NO_LIMITS: Final = FrameLimits(2**40, 2**40, 2**40)  # the size limits are the server's
 
 
 @dataclass(frozen=True)
@@ -171,7 +169,7 @@ def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes) -> byt
     except ValidationError as error:
         raise to_wire_error(error, kind="bad-frame") from error
     body = pack(header, colour, depth, confidence)
-    parse(body, _NO_LIMITS)
+    parse(body, UNLIMITED)
     return body
 
 

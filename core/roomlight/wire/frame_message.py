@@ -45,6 +45,10 @@ class FrameLimits:
     max_depth_pixels: int = 2_000_000
 
 
+UNLIMITED: Final = FrameLimits(2**62, 2**62, 2**62)
+"""For messages that are the sender's own, or were checked when they came."""
+
+
 @dataclass(frozen=True)
 class FrameMessage:
     """A parsed message: the header, and views of the parts' bytes as received (compressed or raw)."""

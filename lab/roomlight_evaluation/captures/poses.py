@@ -135,8 +135,7 @@ def _score(
     rate = capture.frames_per_second or _RATE
     with VideoWriter(folder / "video.mp4", frames_per_second=rate) as writer:
         for frame in frames:
-            height, width = (side - side % 2 for side in frame.image.shape[:2])
-            writer.write(linear_to_srgb8(np.clip(frame.image, 0, 1))[:height, :width])
+            writer.write(linear_to_srgb8(np.clip(frame.image, 0, 1)))
     video = open_capture(folder / "video.mp4", CaptureOptions(fov_deg=reading.fov_deg, depth_model=reading.depth_model))
     placed = list(video)
     pairs = [(frames[round((frame.timestamp_s or 0) * rate)], frame) for frame in placed]

@@ -47,9 +47,7 @@ def make(folder: Path, film: Path, job: FilmJob, output: BinaryIO) -> None:
     ):
         for frame in shown:
             if frame.index >= job.first * every:
-                picture = compositor.composite(frame.resized(*BOXES[job.quality])).image
-                height, width = (side - side % 2 for side in picture.shape[:2])
-                video.write(picture[:height, :width])
+                video.write(compositor.composite(frame.resized(*BOXES[job.quality])).image)
                 made += 1
                 write(output, {"status": "making", "frame": made, "frames": wanted})
     write(output, {"end": True} if made else {"problem": f"it has no usable frame from number {job.first} on"})

@@ -23,12 +23,11 @@ from roomlight.engine.state.snapshot import KeptFrame
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.errors import OutputError, StateError, WireError
 from roomlight.files import write_durable
-from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
+from roomlight.wire.frame_message import UNLIMITED, FrameMessage, parse
 from roomlight_server.state.journal import MAX_MESSAGE_BYTES, body_of
 from roomlight_server.state.live_state import LiveState, SavedBase, SavedValues
 
 STATE: Final = "state"
-_NO_LIMITS: Final = FrameLimits(2**62, 2**62, 2**62)  # the message was checked when it came
 
 
 @dataclass(frozen=True)
@@ -149,12 +148,12 @@ def _read(folder: Path, owner: str, name: str, source: str) -> Reading:
     for index, base in values.bases.items():
         data = _checked(folder / base.file, base.sha256, f"{source}: file {base.file}")
         if base.kind == "message":
-            messages[index] = parse(data, _NO_LIMITS)
+            messages[index] = parse(data, UNLIMITED)
         else:
             pixels[index] = _pixels(data, f"{source}: file {base.file}")
     for record in records:
         if record.tag == "LAST":
-            messages[record.values["index"]] = parse(record.data, _NO_LIMITS)
+            messages[record.values["index"]] = parse(record.data, UNLIMITED)
     return Reading(values, session, messages, pixels)
 
 

@@ -23,7 +23,7 @@ from roomlight.camera import Intrinsics
 from roomlight.errors import ObjectError, RoomLightError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.decoding import decode_frame, is_auto_exposed
-from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
+from roomlight.wire.frame_message import UNLIMITED, FrameMessage, parse
 from roomlight_server.work.shared_block import BLOCK_BYTES, SharedBlock
 
 REQUEST: Final = struct.Struct("<IQI")
@@ -38,7 +38,6 @@ MAX_MEMORY_BYTES: Final = 2 * 2**30 + BLOCK_BYTES
 """Address space of the process, of which libraries take 0.7 GB: a file may take 1.3 GB."""
 _trim: Final = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 """Returns free memory to the system: an object of 31 MiB leaves 32 MB that glibc would keep."""
-_NO_LIMITS: Final = FrameLimits(2**62, 2**62, 2**62)  # the server has checked its own
 
 
 def decode_to_box(
@@ -99,7 +98,7 @@ def unpack_frame(text: dict[str, Any], data: bytes | memoryview, message: FrameM
 
 def _frame_result(body: bytes, index: int, reference: float, min_confidence: int, box: list[int]) -> Result:
     try:
-        return pack_frame(decode_to_box(parse(body, _NO_LIMITS), index, reference, min_confidence, (box[0], box[1])))
+        return pack_frame(decode_to_box(parse(body, UNLIMITED), index, reference, min_confidence, (box[0], box[1])))
     except WireError as error:
         fields = {"kind": error.kind, "field": error.field, "value": str(error.value)[:1000], "rule": error.rule}
         return {"rejected": fields}, ()

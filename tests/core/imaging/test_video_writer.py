@@ -27,7 +27,7 @@ def test_a_video_plays_back_what_was_written(tmp_path: Path) -> None:
     levels = [30, 90, 150, 210, 120]
     with VideoWriter(path, frames_per_second=5.0) as video:
         for level in levels:
-            video.write(picture(level))
+            video.write(picture(level, 49, 65))
         assert not path.exists()
     assert [entry.name for entry in path.parent.iterdir()] == ["replay.mp4"]
     with av.open(str(path)) as container:
@@ -64,8 +64,6 @@ def test_an_old_video_stays_until_the_new_one_is_complete(tmp_path: Path) -> Non
 
 def test_what_makes_no_video_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
     write_video(tmp_path / "replay.mp4")  # no pictures
-    with pytest.raises(ValueError, match="even sides"):
-        write_video(tmp_path / "a.mp4", picture(10, 47))
     with pytest.raises(ValueError, match="the video is 64 x 48"):
         write_video(tmp_path / "b.mp4", picture(10), picture(10, 48, 32))
     for rate in (0.0, -1.0, float("nan"), 1e6):
