@@ -92,7 +92,6 @@ class Compositor:
         quality: str = "good",
         seed: int = 0,
         match_camera: bool = True,
-        background_glass: bool = True,
         light: LightAt | None = None,
         max_paths: int | None = None,
     ) -> None:
@@ -104,7 +103,6 @@ class Compositor:
             quality: preview (30 ms for a sphere in 640 x 480 pixels on two cores), good or final.
             seed: of the sampling points; the same seed gives the same picture.
             match_camera: give objects the frame's noise and blur.
-            background_glass: show the frame through glass; else the probes' light.
             light: panorama at a world position, from elsewhere (a light probe, another estimator); default the
                 session's light.
             max_paths: limit on the light paths of a picture, see `render_objects`; `Composite.samples` says what a
@@ -119,8 +117,7 @@ class Compositor:
         self.scene = scene if isinstance(scene, Scene) else Scene(tuple(scene))
         self.quality: Quality = cast(Quality, quality)
         self.geometry = RoomGeometry()
-        self._session, self._seed, self._match = session, seed, match_camera
-        self._background_glass, self._max_paths = background_glass, max_paths
+        self._session, self._seed, self._match, self._max_paths = session, seed, match_camera, max_paths
         self._placed: list[PlacedObject] = []
         self._probes = ObjectProbes(session, light)
         self._shadow_lights = ShadowLights()
@@ -272,7 +269,7 @@ class Compositor:
         return TracedObjects([placed.object.geometry.transformed(matrix) for placed, matrix in pairs])
 
     def _render(self, frame: Frame, objects: TracedObjects, supports: Supports) -> RenderedObjects:
-        glass = self._background_glass and bool((objects.materials.transmission > 0).any())
+        glass = bool((objects.materials.transmission > 0).any())
         return render_objects(
             objects,
             frame.intrinsics,
