@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from roomlight.conventions import Position
 from roomlight.engine.lighting import LightingModel, ProbeLightSource
-from roomlight.engine.models.interface import ProbeEstimator, Rendered
+from roomlight.engine.models.choosing import ProbeEstimator
+from roomlight.engine.models.interface import Rendered
 from roomlight.engine.panorama.blend import AT_PROBE, UNSEEN_DEPTH, PanoramaState, accumulate, farthest_depth_m
 from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.panorama.likely_light import likely_lights

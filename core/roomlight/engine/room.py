@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
-from roomlight.engine.models.interface import Arrays, LightingModel, ProbeEstimator
+from roomlight.engine.models.choosing import LightingModel, ProbeEstimator
+from roomlight.engine.models.interface import Arrays
 from roomlight.engine.preparation import PreparedFrame
 from roomlight.engine.state.snapshot import LeftRoom
 from roomlight.engine.surface.bracket import update_keyframes

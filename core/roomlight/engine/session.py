@@ -23,8 +23,7 @@ import numpy as np
 from roomlight.camera import Intrinsics
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.lighting import shipped_lighting
-from roomlight.engine.models.choosing import lighting_model
-from roomlight.engine.models.interface import ProbeEstimator
+from roomlight.engine.models.choosing import ProbeEstimator, lighting_model
 from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.networks.graphs import SHIPPED, LightingGraphs
 from roomlight.engine.options import SessionOptions

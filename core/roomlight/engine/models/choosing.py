@@ -1,13 +1,16 @@
-"""The lighting model that a session's options select."""
+"""The lighting models, and the one that a session's options select."""
 
 from dataclasses import replace
 
-from roomlight.engine.models.classical import ClassicalModel
-from roomlight.engine.models.interface import LightingModel
+from roomlight.engine.models.classical import ClassicalModel, ClassicalProbe
+from roomlight.engine.models.network_probe import NetworkProbe
 from roomlight.engine.models.network_volume import NetworkModel
 from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
 from roomlight.engine.options import SessionOptions
 from roomlight.errors import ModelError, OptionError
+
+LightingModel = ClassicalModel | NetworkModel
+ProbeEstimator = ClassicalProbe | NetworkProbe
 
 
 def choose_graphs(options: SessionOptions) -> LightingGraphs | None:

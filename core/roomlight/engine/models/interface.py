@@ -1,19 +1,21 @@
-"""What a lighting model does for a session: initial volumes into an SGLV, and a probe's views into panorama and weight.
+"""What the lighting models have in common: initial volumes into an SGLV, and a probe's views into panorama and weight.
 
-A `LightingModel` exists before the first frame and holds no state. It begins a `VolumeEstimator` with the first frame's
-grid, which in turn begins a `ProbeEstimator` for each probe. Each estimator owns its state and saves it.
+A model exists before the first frame and holds no state: sessions share its networks. With the first frame's grid it
+begins a volume (sums or 3D hidden states), which in turn begins each probe (2D hidden states). Each owns its state and
+saves it, as copies, between frames.
+
+A frame's initial volume is written to the buffer `volume`, which is bound to the graphs. `update` takes it as the next
+frame, and `sglv` is the SGLV after it: zeros before the first frame, overwritten by the next. `add` takes it as an
+earlier frame: the next `update` makes an SGLV of both. `clipping` is what of it was clipped
+(`roomlight.engine.volume.grid.initial_volume`). `far` is what a ray gets where it leaves the volume. `estimate` comes
+before the frame's details are blended into the panorama, with the SGLV after the frame and its depth_max_m, D_max.
 """
 
 from dataclasses import dataclass
-from typing import Final, Protocol, runtime_checkable
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
-
-from roomlight.engine.panorama.blend import PanoramaState
-from roomlight.engine.surface.mesh import PartialPanorama
-from roomlight.engine.volume.grid import VolumeGrid
-from roomlight.engine.volume.sglv import Far, Sglv
 
 FILL_UPDATE: Final = 0.5
 """Share of a new inference taken over at each frame, so that unobserved directions do not jump from frame to frame.
@@ -48,95 +50,3 @@ class Estimate:
 
     hdr: Float[np.ndarray, "h w 3"]
     weight: Float[np.ndarray, "h w"]
-
-
-@runtime_checkable
-class ProbeEstimator(Protocol):
-    """A model's state of one probe (2D hidden states), and its estimates."""
-
-    def estimate(
-        self, panorama: PanoramaState, rendered: Rendered, partial: PartialPanorama, *, depth_max_m: float
-    ) -> Estimate:
-        """Estimate the light of the probe before this frame's details are blended into its panorama.
-
-        Args:
-            panorama: What the probe has accumulated before this frame.
-            rendered: The SGLV after this frame, at the probe.
-            partial: What the probe sees of the frame's mesh.
-            depth_max_m: D_max of the volume.
-        """
-        ...
-
-    def save(self) -> Arrays:
-        """Return copies of the state."""
-        ...
-
-    def restore(self, saved: Arrays) -> None:
-        """Take over a saved state."""
-        ...
-
-
-@runtime_checkable
-class VolumeEstimator(Protocol):
-    """A model's state of one session (sums or 3D hidden states), from the first frame on."""
-
-    far: Far
-    """What a ray gets where it leaves the volume (see `roomlight.engine.volume.sglv`)."""
-
-    @property
-    def volume(self) -> Float[np.ndarray, "5 z y x"]:
-        """The buffer for a frame's initial volume (bound to the graphs, no copy)."""
-        ...
-
-    @property
-    def sglv(self) -> Sglv:
-        """The SGLV after the last frame, zeros before the first; the next frame overwrites it."""
-        ...
-
-    def update(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
-        """Process the volume in the buffer as the next frame.
-
-        Args:
-            clipping: What of the volume was clipped (see `roomlight.engine.volume.grid.initial_volume`); None: nothing.
-        """
-        ...
-
-    def add(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
-        """Take the volume in the buffer as that of an earlier frame: the next `update` makes an SGLV of both."""
-        ...
-
-    def new_probe(self) -> ProbeEstimator:
-        """Begin a probe that has observed nothing."""
-        ...
-
-    def save(self) -> Arrays:
-        """Return copies of the state between frames, after at least one frame."""
-        ...
-
-    def restore(self, saved: Arrays) -> None:
-        """Take over a saved state of the same grid."""
-        ...
-
-
-@runtime_checkable
-class LightingModel(Protocol):
-    """A lighting model before the first frame: stateless, its networks shared between sessions."""
-
-    @property
-    def name(self) -> str:
-        """The model: classical, single or video."""
-        ...
-
-    @property
-    def digest(self) -> str:
-        """Identity of the networks' weights; empty without networks."""
-        ...
-
-    @property
-    def volume_shape(self) -> tuple[int, int, int]:
-        """Voxels along z, y, x."""
-        ...
-
-    def begin(self, grid: VolumeGrid) -> VolumeEstimator:
-        """Allocate the state of a session for this volume."""
-        ...
