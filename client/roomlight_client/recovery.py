@@ -96,7 +96,7 @@ class Recovery:
     def __init__(self, calls: SessionCalls, memory: SessionMemory, policy: RecoveryPolicy) -> None:
         self.memory = memory
         self._calls, self._policy = calls, policy
-        self._unsure = self._told = False  # unsure: the server may have been started again since its last answer
+        self._may_have_restarted = self._announced = False
         self._stopping: RemoteError | None = None  # the refusal of a server that stops, until one is ready
 
     def call(self, call: Call[T]) -> Steps[T]:
@@ -121,7 +121,7 @@ class Recovery:
         frames = self.memory.frames
         frames.add(index, call.content or b"", state="sent")
         try:
-            result = yield from self._insist(call, repeat=repeat)
+            result = yield from self._push_until_done(call, repeat=repeat)
         except RemoteError:
             frames.remove(index)
             raise
@@ -131,8 +131,8 @@ class Recovery:
     def recover(self) -> Steps[None]:
         """Wait until the server answers, and bring the session up to date."""
         failures = 0
-        self._unsure = True
-        while self._unsure:
+        self._may_have_restarted = True
+        while self._may_have_restarted:
             try:
                 yield from self._check_started()
                 yield from self._restore()
@@ -158,17 +158,17 @@ class Recovery:
         assert self.memory.request is not None
         return Resumed((yield Send(self._calls.open(self.memory.request), retry)), reopened=True)
 
-    def _insist(self, call: Call[FrameResult], *, repeat: PushRepeat) -> Steps[FrameResult]:
+    def _push_until_done(self, call: Call[FrameResult], *, repeat: PushRepeat) -> Steps[FrameResult]:
         failures, reopened = 0, False
         while True:
             try:
-                if self._unsure:
+                if self._may_have_restarted:
                     yield from self._check_started()
                     yield from self._restore()
                 return (yield Send(call, NO_RETRY))
             except RemoteError as error:
                 if self._can_reopen_after(error) and not reopened:
-                    self._unsure = reopened = True
+                    self._may_have_restarted = reopened = True
                     continue
                 failures += 1
                 self._note(error)
@@ -188,7 +188,7 @@ class Recovery:
         return None
 
     def _note(self, error: RemoteError) -> None:
-        self._unsure |= is_server_lost(error)
+        self._may_have_restarted |= is_server_lost(error)
         if _kind(error) == "stopping":
             self._stopping = error
 
@@ -211,14 +211,14 @@ class Recovery:
         incomplete = self.memory.frames.lacks(last)
         for frame in lost:
             yield from self._resend(frame.index, frame.message)
-        self._unsure = False
-        if self._told or resumed.reopened or lost:
-            self._told = False
+        self._may_have_restarted = False
+        if self._announced or resumed.reopened or lost:
+            self._announced = False
             self._tell(RecoveryEvent("restored", reopened=resumed.reopened, resent=len(lost), incomplete=incomplete))
 
     def _tell_waiting(self, error: RemoteError) -> None:
-        if not self._told:
-            self._told = True
+        if not self._announced:
+            self._announced = True
             self._tell(RecoveryEvent("waiting", error=error))
 
     def _tell(self, event: RecoveryEvent) -> None:

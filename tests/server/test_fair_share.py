@@ -160,12 +160,12 @@ async def test_the_session_with_the_least_time_is_served(clock):
 
 
 @in_loop
-async def test_the_next_job_is_told_that_it_is_near(clock):
+async def test_the_next_job_is_told_that_it_is_next(clock):
     share, gate, told = FairShare(1, clock=clock), asyncio.Event(), []
 
     async def job(name, session):
         current_flow.set(Flow("a", session))
-        async with share.slot(near=lambda: told.append(name)):
+        async with share.slot(on_next=lambda: told.append(name)):
             await gate.wait()
             clock.advance(1.0)
 

@@ -9,7 +9,7 @@ from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.wire.compositing import ObjectInfo, ObjectList
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError
-from roomlight_server.base.request_context import sees
+from roomlight_server.base.request_context import may_see
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.work.object_packing import object_bytes
 
@@ -73,7 +73,7 @@ class ObjectStore:
     def listed(self, owner: str) -> ObjectList:
         """Return all objects of an owner and its phones, the oldest first; the bytes are the owner's own."""
         self.expire()
-        infos = {digest: stored.info for (whose, digest), stored in self._stored.items() if sees(owner, whose)}
+        infos = {digest: stored.info for (whose, digest), stored in self._stored.items() if may_see(owner, whose)}
         return ObjectList(
             objects=list(infos.values()), bytes=self._bytes(owner), limit_bytes=self._settings.max_owner_object_bytes
         )
@@ -94,7 +94,7 @@ class ObjectStore:
     def _find(self, owner: str, digest: str) -> _Stored:
         self.expire()
         own = self._stored.get((owner, digest))
-        of_phones = (kept for (whose, name), kept in self._stored.items() if name == digest and sees(owner, whose))
+        of_phones = (kept for (whose, name), kept in self._stored.items() if name == digest and may_see(owner, whose))
         stored = own or next(of_phones, None)
         if stored is None:
             detail = "there is no object of this id; it may have expired; upload it with POST /v1/objects"

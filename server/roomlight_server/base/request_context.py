@@ -59,6 +59,6 @@ class RequestIdMiddleware:
         await self._app(scope, receive, send_with_id)
 
 
-def sees(owner: str, whose: str) -> bool:
+def may_see(owner: str, whose: str) -> bool:
     """Return whether what belongs to `whose` is an owner's, or that of a phone that the owner has paired."""
     return whose == owner or whose.startswith(f"{owner}.")

@@ -14,7 +14,7 @@ from roomlight.sample import sample_capture
 from roomlight.wire.messages import SessionRequest
 from roomlight.wire.recordings import Recording, RecordingList, RecordingRequest, ReplayRequest
 from roomlight_server.base.problems import ProblemError
-from roomlight_server.base.request_context import Flow, current_flow, sees
+from roomlight_server.base.request_context import Flow, current_flow, may_see
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.recordings.files import RecordingFiles, append
 from roomlight_server.recordings.film import FilmMaker
@@ -130,7 +130,7 @@ class RecordingStore:
         """Return a recording, which counts as a use. Raises ProblemError if the owner has no such recording (404)."""
         self.expire()
         recording = self._recordings.get(recording_id)
-        if recording is None or not sees(owner, recording.owner):
+        if recording is None or not may_see(owner, recording.owner):
             detail = "there is no recording of this id; it may have expired; upload it again"
             raise ProblemError("recording-not-found", detail, field="id", value=recording_id)
         recording.last_used_s = self._clock()
@@ -139,7 +139,7 @@ class RecordingStore:
     def listed(self, owner: str) -> RecordingList:
         """Return the recordings of an owner and its phones, the newest first; the bytes are the owner's own."""
         self.expire()
-        seen = [recording for recording in self._recordings.values() if sees(owner, recording.owner)]
+        seen = [recording for recording in self._recordings.values() if may_see(owner, recording.owner)]
         return RecordingList(
             recordings=[self.describe(recording) for recording in reversed(seen)],
             bytes=_reserved(recording for recording in seen if recording.owner == owner),

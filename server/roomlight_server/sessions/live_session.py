@@ -159,8 +159,8 @@ class LiveSession:
         """Process waiting frames until the queue is empty; each is taken when an engine thread is free."""
         try:
             while self._queue.waiting is not None:
-                near = partial(copy_context().run, self._decode_ahead)  # on account of this session's owner
-                slot = self._workers.engine_slot(near=near)
+                decode_ahead = partial(copy_context().run, self._decode_ahead)  # on account of this session's owner
+                slot = self._workers.engine_slot(on_next=decode_ahead)
                 async with self._access.engine_lock, slot, self._access.state_lock:
                     entry = self._queue.take()
                     if entry is not None:

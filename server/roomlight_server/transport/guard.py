@@ -10,7 +10,7 @@ from typing import Final, Protocol, runtime_checkable
 
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError
-from roomlight_server.base.request_context import sees
+from roomlight_server.base.request_context import may_see
 from roomlight_server.base.settings import ServerSettings
 
 _log = logging.getLogger("roomlight.server")
@@ -111,7 +111,7 @@ class ConnectionGuard:
     def close_owner(self, owner: str) -> None:
         """Close the connections of an owner whose token is not valid any more, and of its phones."""
         for transport, connected in tuple(self._owners.items()):
-            if sees(owner, connected):
+            if may_see(owner, connected):
                 self.record("token-ended", self._addresses[transport])
                 transport.abort()
 

@@ -75,7 +75,7 @@ class Turn:
     share: "FairShare"
     order: int = 0
     asked_s: float = 0.0
-    near: Callable[[], object] = lambda: None
+    on_next: Callable[[], object] = lambda: None
     granted: "asyncio.Future[None]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
     since_s: float = 0.0
     _abandoned: bool = False
@@ -138,16 +138,16 @@ class FairShare:
         return len(self._waiting)
 
     @asynccontextmanager
-    async def slot(self, order: int = 0, near: Callable[[], object] = lambda: None) -> AsyncGenerator[Turn]:
+    async def slot(self, order: int = 0, on_next: Callable[[], object] = lambda: None) -> AsyncGenerator[Turn]:
         """Wait for a slot and hold it inside the context; the time counts for the current flow.
 
         Args:
             order: Jobs of a lower one come first, until the others have waited for `PATIENCE_S`. One above 0 runs
                 alone.
-            near: Called when the job waits as the next one: what it needs may be prepared.
+            on_next: Called when the job waits as the next one: what it needs may be prepared.
         """
         self._count += 1
-        turn = Turn(current_flow.get(), self._count, self, order, self._clock(), near)
+        turn = Turn(current_flow.get(), self._count, self, order, self._clock(), on_next)
         if len(self._sessions) > _FORGET_AFTER:
             self._sessions = {owner: kept for owner, kept in self._sessions.items() if kept.are_active}
         sessions = self._sessions.setdefault(turn.flow.owner, _UsedTime())
@@ -209,7 +209,7 @@ class FairShare:
             raise
 
     def _assign(self) -> None:
-        """Start waiting jobs in free slots, and tell the next one that it is near."""
+        """Start waiting jobs in free slots, and tell the one that is next."""
         waiting = [turn for turn in self._waiting if not turn.granted.done()]
         while self._free > 0:
             ready = [turn for turn in waiting if self._may_start(turn)]
@@ -220,7 +220,7 @@ class FairShare:
             self._waiting.remove(turn)
             self._start(turn)
         if waiting:
-            min(waiting, key=self._key).near()
+            min(waiting, key=self._key).on_next()
 
     def _start(self, turn: Turn) -> None:
         self._free -= 1

@@ -148,15 +148,15 @@ class Workers:
             self._engine.submit(release_free_memory)
 
     def engine_slot(
-        self, order: int = 0, near: Callable[[], object] = lambda: None
+        self, order: int = 0, on_next: Callable[[], object] = lambda: None
     ) -> AbstractAsyncContextManager[None]:
         """Wait for a free engine thread; inside the context, `run_in_engine_pool` starts immediately.
 
         Args:
             order: Lower ones come first, and interrupt others.
-            near: As in `FairShare.slot`.
+            on_next: As in `FairShare.slot`.
         """
-        return _held(self._engine_share.slot(order, near))
+        return _held(self._engine_share.slot(order, on_next))
 
     async def run_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run on an engine thread; requires an `engine_slot`. Long work is paused for other sessions."""
