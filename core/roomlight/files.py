@@ -2,15 +2,16 @@
 
 import contextlib
 import json
+import math
 import os
 import re
 import stat
 import unicodedata
 import urllib.parse
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from roomlight.errors import FrameError, OutputError
 
@@ -137,13 +138,26 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def write_json(path: Path, values: dict[str, Any]) -> None:
-    """Write plain JSON values, indented, as `write_atomic` does.
+def write_json(path: Path, values: Any) -> None:
+    """Write `json_text`, indented, as `write_atomic` does.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    write_atomic(path, (json.dumps(values, indent=1) + "\n").encode())
+    write_atomic(path, (json_text(values, indent=1) + "\n").encode())
+
+
+def json_text(values: Any, *, indent: int | None = None) -> str:
+    """Return plain values as JSON; NaN and infinity, which JSON does not have, become null."""
+    return json.dumps(_finite(values), indent=indent, allow_nan=False)
+
+
+def _finite(values: Any) -> Any:
+    if isinstance(values, Mapping):
+        return {key: _finite(value) for key, value in cast(Mapping[str, Any], values).items()}
+    if isinstance(values, list | tuple):
+        return [_finite(value) for value in cast(Iterable[Any], values)]
+    return None if isinstance(values, float) and not math.isfinite(values) else values
 
 
 class FolderSource:

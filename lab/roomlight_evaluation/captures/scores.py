@@ -1,6 +1,6 @@
 """Scores of estimators on captures: per-frame values, their means over the paper's intervals, and JSON.
 
-The JSON (schema `roomlight-evaluation-1`), numbers unscaled, null for values that are not known:
+The JSON (schema `roomlight-evaluation-1`), numbers unscaled, in a file null for values that are not known:
 
     schema    "roomlight-evaluation-1"
     metrics   {key: {"title", "shown_times"}}: `shown_times` is the factor that tables show values with
@@ -12,7 +12,6 @@ The JSON (schema `roomlight-evaluation-1`), numbers unscaled, null for values th
 A track's smoothness has one value fewer than it has frames: value i compares frames i and i + 1.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -113,7 +112,7 @@ class CaptureScores:
                     "capture": scope,
                     "metric": metric.key,
                     "intervals": [
-                        {"frames": column, **{key: _or_none(value) for key, value in asdict(cell).items()}}
+                        {"frames": column, **asdict(cell)}
                         for column, cell in zip(
                             self.columns, self.means(method, metric.key, capture=scope), strict=True
                         )
@@ -129,7 +128,7 @@ class CaptureScores:
                     "probe": track.probe,
                     "method": track.method,
                     "frames": list(track.frames),
-                    "scores": {key: [_or_none(value) for value in values] for key, values in track.scores.items()},
+                    "scores": dict(track.scores),
                 }
                 for track in self.tracks
             ],
@@ -142,7 +141,3 @@ class CaptureScores:
             OutputError: The file cannot be written.
         """
         write_json(path, self.to_json())
-
-
-def _or_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -84,14 +84,14 @@ class ShipRule:
         return worse
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values; what is NaN or infinite becomes null."""
+        """Return plain values."""
         return {
             "model": self.model,
             "reference": self.reference,
             "below": BELOW,
             "worst": WORST,
-            "ratios": {metric: _plain(vars(self.ratio(metric))) for metric in BELOW},
-            "captures": [_plain(vars(errors)) for errors in self.captures],
+            "ratios": {metric: vars(self.ratio(metric)) for metric in BELOW},
+            "captures": [vars(errors) for errors in self.captures],
             "failures": self.failures(),
         }
 
@@ -174,9 +174,3 @@ def _last_energy(scores: CaptureScores, capture: str) -> float:
     tracks = [track for track in scores.tracks if track.capture == capture and track.method == "candidate"]
     known = [value for value in (track.scores["energy"][-1] for track in tracks) if math.isfinite(value)]
     return float(np.mean(known)) if known else math.nan
-
-
-def _plain(values: Any) -> Any:
-    if isinstance(values, dict):
-        return {key: _plain(value) for key, value in values.items()}
-    return None if isinstance(values, float) and not math.isfinite(values) else values

@@ -5,15 +5,17 @@ the mean squared error in linear light and in sRGB, and the mean absolute differ
 """
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from roomlight.conventions import LUMINANCE, linear_to_srgb
+from roomlight.files import json_text
 from roomlight_evaluation.composites.methods import HARMONICS
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 
@@ -110,11 +112,16 @@ class CompositeScores:
 def write_line(path: Path, score: SceneScore) -> None:
     """Append one scene's scores to a file of JSON lines."""
     with path.open("a") as file:
-        file.write(json.dumps(asdict(score)) + "\n")
+        file.write(json_text(asdict(score)) + "\n")
 
 
 def read_lines(path: Path) -> list[SceneScore]:
     """Read the scores of a file of JSON lines; none if the file does not exist."""
     if not path.is_file():
         return []
-    return [SceneScore(**json.loads(line)) for line in path.read_text().splitlines() if line.strip()]
+    lines = path.read_text().splitlines()
+    return [SceneScore(**json.loads(line, object_hook=_with_nan)) for line in lines if line.strip()]
+
+
+def _with_nan(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: math.nan if value is None else value for key, value in values.items()}

@@ -4,7 +4,6 @@ A room is a walk of a dataset or a capture with ground truth. All methods see th
 `lit_objects`, as means over a room's probes; ratios to `HARMONICS` have 95 % bootstrap intervals over rooms.
 """
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,7 +21,7 @@ from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, FrameError
-from roomlight.files import write_atomic
+from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.spheres import resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
@@ -79,7 +78,7 @@ class ObjectScores:
 
     def write(self, path: Path) -> None:
         """Write every room's errors as JSON."""
-        write_atomic(path, json.dumps([asdict(room) for room in self.rooms], indent=1).encode())
+        write_json(path, [asdict(room) for room in self.rooms])
 
 
 def evaluate_objects(

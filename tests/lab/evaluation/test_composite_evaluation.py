@@ -1,5 +1,6 @@
 """Composites against the truth: regions, errors, lights that are compared, results that continue."""
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -124,8 +125,10 @@ def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
     out, made, options = tmp_path / "scores.jsonl", [], SessionOptions(model="classical")
     settings = composite_evaluation.settings_of(options, 0)
     write_line(out, replace(score(0, 1.0), settings=settings))
-    write_line(out, replace(score(3, 2.0), settings=settings))
+    write_line(out, replace(score(3, 2.0), settings=settings, darkening={OURS: math.nan}))
+    assert "NaN" not in out.read_text()
     assert read_lines(out)[1].errors[OURS][OBJECT]["rmse"] == pytest.approx(0.1)
+    assert math.isnan(read_lines(out)[1].darkening[OURS])
 
     def scored(number, *_):
         made.append(number)
