@@ -1,1 +1,1 @@
-"""Benchmarks of the server: load, attacks, kills, replicas, capacity."""
+"""Benchmarks of the server: load, and a neighbour beside attacks."""

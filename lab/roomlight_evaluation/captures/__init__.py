@@ -1,1 +1,1 @@
-"""Light scored on captures: panoramas, main light, predicted views; and the rule that chooses the default model."""
+"""Light scored on captures: panoramas, main light, and light by estimated depth and poses."""
