@@ -31,7 +31,13 @@ from roomlight.monocular.stream import DepthStream, open_depth_stream
 from roomlight_evaluation.captures.estimators import EngineEstimator
 from roomlight_evaluation.captures.evaluation import ProgressCallback, score_frames
 from roomlight_evaluation.captures.scores import Track
-from roomlight_evaluation.confidence import MeanWithInterval, evenly_spread, mean_with_interval, ratio_of_means
+from roomlight_evaluation.confidence import (
+    MeanWithInterval,
+    evenly_spread,
+    mean_cell,
+    mean_with_interval,
+    ratio_of_means,
+)
 
 CONSTANT_M: Final = 2.5
 """The answer that knows nothing."""
@@ -79,12 +85,13 @@ class DepthScores:
         groups = [(score.room, [score]) for score in self.scores if score.source == _CAPTURES]
         groups += [(name, [score for score in self.scores if score.source == name]) for name in sources]
         for name, scores in groups:
-            means = [
+            means = (
                 *(mean_with_interval(score.abs_rel[method] for score in scores) for method in METHODS),
                 *(mean_with_interval(score.delta[method] for score in scores) for method in METHODS[1:3]),
                 *(_light_ratio(scores, metric) for metric in LIGHT),
-            ]
-            table.add_row(f"{name} ({len(scores)})" if name in sources else name, *map(_shown, means))
+            )
+            title = f"{name} ({len(scores)})" if name in sources else name
+            table.add_row(title, *(mean_cell(mean, 2) for mean in means))
         return table
 
     def write(self, path: Path) -> None:
@@ -222,10 +229,3 @@ def _mean(tracks: Sequence[Track], method: EngineEstimator, metric: str) -> floa
 def _light_ratio(scores: Sequence[DepthScore], metric: str) -> MeanWithInterval:
     pairs = [score.light[metric] for score in scores if score.light]
     return ratio_of_means(*zip(*pairs, strict=True)) if pairs else mean_with_interval([])
-
-
-def _shown(mean: MeanWithInterval) -> str:
-    if np.isnan(mean.mean):
-        return "-"
-    interval = "" if np.isnan(mean.low) else f" ({mean.low:.2f}-{mean.high:.2f})"
-    return f"{mean.mean:.2f}{interval}"

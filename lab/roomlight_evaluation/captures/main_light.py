@@ -27,7 +27,7 @@ from roomlight.files import write_json
 from roomlight.imaging.tables import figure_table
 from roomlight.light.main_light import main_light
 from roomlight.placement import point_in_view
-from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
+from roomlight_evaluation.confidence import MeanWithInterval, mean_cell, mean_with_interval
 
 METHODS: Final = ("tracked", "one panorama")
 SETTLED_FRAME: Final = 5
@@ -199,10 +199,6 @@ def main_light_table(scores: MainLightScores) -> Table:
             f"{row.largest_jump_deg:.0f}",
             f"{row.jumps} of {row.steps}",
             f"{100 * row.below:.1f} %",
-            *(_with_interval(cell) for cell in (row.error_deg, row.last_error_deg)),
+            *(mean_cell(cell, 0) for cell in (row.error_deg, row.last_error_deg)),
         )
     return table
-
-
-def _with_interval(cell: MeanWithInterval) -> str:
-    return f"{cell.mean:.0f} ({cell.low:.0f}-{cell.high:.0f})" if np.isfinite(cell.mean) else "-"

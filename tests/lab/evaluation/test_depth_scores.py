@@ -81,7 +81,7 @@ def test_the_table_has_means_and_their_intervals_over_captures_and_over_the_walk
     rows = list(zip(*(column.cells for column in table.columns), strict=True))
     assert rows[0] == ("a", *["0.10"] * 4, *["0.50"] * 2, "1.50", "1.00")
     assert rows[2][-2:] == ("-", "-")
-    assert rows[3][:2] == ("captures (3)", "0.20 (0.10-0.30)")
-    assert rows[3][7:] == ("1.00 (0.50-1.50)", "2.00 (1.00-3.00)")
+    assert rows[3][:2] == ("captures (3)", "0.20 (0.10 to 0.30)")
+    assert rows[3][7:] == ("1.00 (0.50 to 1.50)", "2.00 (1.00 to 3.00)")
     assert rows[4][:2] == ("rooms (1)", "0.40")
     assert len(rows) == 5
