@@ -5,7 +5,7 @@ Each folder answers one question, with the measurement in `evaluation`, its figu
 
 - `captures`: How good is the light of a stream, at the ground-truth probes of captures (`roomlight eval captures`)?
   An `Estimator` is a session, a baseline, or a folder of panoramas that any program wrote (`estimators`). Also the main
-  light (`main_light`), and the rule that chooses the default model (`ship_rule`).
+  light (`main_light`), and light by estimated `depth` and `poses`.
 - `objects`: How well does the light shade spheres and cast a shadow (`roomlight eval objects`)?
 - `composites`: How near are composites to pictures with the object really there (`roomlight eval composite`)?
 

@@ -10,7 +10,7 @@ probes; intervals are over rooms. Models give the mirror their reflection and th
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -21,7 +21,6 @@ from rich.table import Table
 from roomlight.conventions import Position
 from roomlight.dataset.loader import DepthKind
 from roomlight.dataset.recording import Recording
-from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError, FrameError
@@ -30,6 +29,7 @@ from roomlight.imaging.tables import figure_table
 from roomlight.metrics import SPHERES, SphereScorer
 from roomlight.spheres import Material, SphereRenderer, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
+from roomlight_evaluation.captures.estimators import beside_classical
 from roomlight_evaluation.confidence import MeanWithInterval, mean_cell, mean_with_interval
 from roomlight_evaluation.walks import Walks, walk_frames
 from roomlight_generator.generate import GenerateOptions
@@ -133,10 +133,7 @@ def evaluate_benchmark(
     """
     if len(walks) < rooms:
         raise DatasetError(f"{walks.folder}: has {len(walks)} walks, not {rooms}; generate more")
-    models = [replace(options, model="classical", weights=None), options]
-    sessions = [(model, choose_graphs(model)) for model in models]
-    if sessions[1][1] is None:  # the chosen model is the classical one
-        sessions.pop(0)
+    sessions = beside_classical(options)
     names: list[str] = []
     errors: dict[tuple[str, str], dict[str, list[float]]] = {}
     for number in range(rooms):

@@ -4,6 +4,7 @@ Positions are world metres, y up. Panoramas are linear HDR radiance, float32 [h,
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import Position
+from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError
@@ -62,6 +64,17 @@ class EngineEstimator:
         if position not in handles:
             handles[position] = self._session.track(position)
         return self._session.light(handles[position]).reflection
+
+
+def beside_classical(options: SessionOptions) -> list[tuple[SessionOptions, LightingGraphs | None]]:
+    """Return the classical model, and the model of these options unless it is that, each with its networks.
+
+    Raises:
+        ModelError: The weights are missing, damaged or untrained.
+    """
+    graphs = choose_graphs(options)
+    classical = replace(options, model="classical", weights=None)
+    return [(options, None)] if graphs is None else [(classical, None), (options, graphs)]
 
 
 class PredictionFolder:

@@ -14,14 +14,13 @@ from jaxtyping import Float
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import Position
-from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
 from roomlight.metrics import METRICS, SphereScorer, energy_ratio, ldr_l2, log_l2, smoothness
 from roomlight.spheres import SphereRenderer, resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
-from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator, PredictionFolder
+from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator, PredictionFolder, beside_classical
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
 
 ProgressCallback = Callable[[str, int, int], None]
@@ -35,7 +34,7 @@ def evaluate_engine(
     options: CaptureOptions | None = None,
     progress: ProgressCallback | None = None,
 ) -> CaptureScores:
-    """Score the engine beside the two baselines, mean colour and warp-and-fill.
+    """Score the engine beside the classical model and the two baselines, mean colour and warp-and-fill.
 
     Args:
         captures: Captures with ground-truth probes.
@@ -47,10 +46,10 @@ def evaluate_engine(
         ModelError: The weights that `session` names are missing or do not fit.
         CaptureError: As `evaluate_captures`.
     """
-    graphs = choose_graphs(session)
+    models = beside_classical(session)
 
     def estimators() -> list[Estimator]:
-        return [MeanColour(), WarpAndFill(), EngineEstimator(session, graphs)]
+        return [MeanColour(), WarpAndFill(), *(EngineEstimator(*model) for model in models)]
 
     return evaluate_captures(captures, estimators, options=options, progress=progress)
 

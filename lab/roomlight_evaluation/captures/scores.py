@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from roomlight.files import write_json
 from roomlight.metrics import METRICS, PAPER_INTERVALS, interval_means, intervals
-from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 
 SCHEMA: Final = "roomlight-evaluation-1"
 
@@ -98,6 +98,17 @@ class CaptureScores:
         values = np.stack([track.means(metric) for track in chosen])  # [pair, column]
         probes = [sum(other.capture == track.capture for other in chosen) for track in chosen]
         return tuple(mean_with_interval(column, 1 / np.array(probes, np.float64)) for column in values.T)
+
+    def ratio(self, metric: str, method: str, to: str, *, capture: str | None = None) -> MeanWithInterval:
+        """Return the ratio of two methods' mean errors over captures (or on one), with an interval over captures.
+
+        Raises:
+            KeyError: A method or the capture was not scored.
+        """
+        names = [capture] if capture else [scored.name for scored in self.captures]
+        return ratio_of_means(
+            *([self.means(title, metric, capture=name)[-1].mean for name in names] for title in (method, to))
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON of this module's docstring as plain dictionaries and lists."""

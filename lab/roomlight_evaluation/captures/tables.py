@@ -1,19 +1,25 @@
 """Scores on captures as tables for a terminal: a row per metric and method, a column per interval of the paper."""
 
 import math
+from typing import Final
 
 from rich.table import Table
 
 from roomlight.imaging.tables import figure_table
 from roomlight.metrics import METRICS, Metric
 from roomlight_evaluation.captures.scores import CaptureScores
-from roomlight_evaluation.confidence import MeanWithInterval
+from roomlight_evaluation.confidence import MeanWithInterval, mean_cell
+
+_REFERENCE: Final = "classical"
+_COMPARED: Final = {"log_l2": "log-L2", "render_l2": "glossy sphere"}
+"""Metrics of the ratios to `_REFERENCE`, and their headings."""
 
 
 def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[Table]:
     """Return one table of all metrics with 95 % intervals of the overall mean, then one per capture if requested.
 
-    The lowest (best) mean of each metric and column is bold. Values are shown times the factor in the heading.
+    After those of captures come ratios of the last method's errors to the classical model's, if both were scored. The
+    lowest (best) mean of each metric and column is bold. Values are shown times the factor in the heading.
     """
     captures, pairs = len(scores.captures), sum(capture.probes for capture in scores.captures)
     caption = (
@@ -25,7 +31,22 @@ def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[
     tables = [_table(scores, f"{captures} {noun}, {pairs} probes", caption=caption)]
     if per_capture and captures > 1:
         tables += [_table(scores, capture.name, capture=capture.name) for capture in scores.captures]
+    if per_capture and _REFERENCE in scores.methods[:-1]:
+        tables.append(_ratios(scores, scores.methods[-1]))
     return tables
+
+
+def _ratios(scores: CaptureScores, method: str) -> Table:
+    rows = [*((capture.name, capture.name) for capture in scores.captures), (f"all {len(scores.captures)}", None)]
+    return figure_table(
+        f"{method} to {_REFERENCE}",
+        [*_COMPARED.values()],
+        (
+            [title, *(mean_cell(scores.ratio(key, method, _REFERENCE, capture=name)) for key in _COMPARED)]
+            for title, name in rows
+        ),
+        caption="ratio of mean errors over captures (95 % bootstrap interval over captures)",
+    )
 
 
 def _table(scores: CaptureScores, title: str, *, capture: str | None = None, caption: str = "") -> Table:

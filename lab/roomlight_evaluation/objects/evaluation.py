@@ -5,7 +5,7 @@ A room is a walk of a dataset or a capture with ground truth. All methods see th
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +17,6 @@ from roomlight.conventions import Position
 from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Split
-from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, FrameError
@@ -25,6 +24,7 @@ from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.spheres import resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
+from roomlight_evaluation.captures.estimators import beside_classical
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
 from roomlight_evaluation.confidence import MeanWithInterval, evenly_spread, mean_with_interval, ratio_of_means
 from roomlight_evaluation.objects.lit_objects import LOOKS, MEASURES, SHADOW, LitObjects, unseen_look
@@ -105,10 +105,7 @@ def evaluate_objects(
         DatasetError: A dataset is damaged.
         ModelError: The weights are missing, damaged or untrained.
     """
-    models = [replace(options, model="classical", weights=None), options]
-    sessions = [(model, choose_graphs(model)) for model in models]
-    if sessions[1][1] is None:  # the chosen model is the classical one
-        sessions.pop(0)
+    sessions = beside_classical(options)
     rooms = [room for source in sources for room in _rooms(source, split, frames, limit)]
     scored: list[RoomObjects] = []
     for done, (name, read) in enumerate(rooms):

@@ -20,6 +20,7 @@ from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import Estimator
 from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_engine, evaluate_predictions
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
+from roomlight_evaluation.captures.tables import capture_tables
 from rooms import BoxRoom, pan
 from written_captures import write_capture
 
@@ -213,6 +214,19 @@ def test_captures_have_equal_weight_whatever_their_probes() -> None:
     assert [cell.mean for cell in scores.means("m", "log_l2", capture="b")] == [2.0] * 6
     with pytest.raises(KeyError, match="no scores of 'x'"):
         scores.means("x", "log_l2")
+
+
+def test_captures_are_compared_with_the_classical_model() -> None:
+    classical = uniform_scores({("a", 0): 1.0, ("b", 0): 1.0}, method="classical")
+    single = uniform_scores({("a", 0): 0.5, ("b", 0): 1.0}, method="single")
+    scores = dataclasses.replace(classical, tracks=(*classical.tracks, *single.tracks))
+    ratio = scores.ratio("log_l2", "single", "classical")
+    assert (ratio.mean, ratio.low, ratio.high) == pytest.approx((0.75, 0.5, 1.0))
+    *_, table = capture_tables(scores, per_capture=True)
+    assert [list(column.cells) for column in table.columns][:2] == [
+        ["a", "b", "all 2"],
+        ["0.500", "1.000", "0.750 (0.500 to 1.000)"],
+    ]
 
 
 @pytest.mark.slow

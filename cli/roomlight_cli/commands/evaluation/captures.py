@@ -4,14 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
-import typer
 from annotated_types import Ge
 
 from roomlight.captures import CaptureOptions
 from roomlight.dataset.recording import Split
-from roomlight.engine.session import SessionOptions, warm_up
+from roomlight.engine.session import warm_up
 from roomlight.errors import OptionError
-from roomlight_cli.console import print_tables, say, show_scores
+from roomlight_cli.console import show_scores
 from roomlight_cli.options import Without
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoresJson
@@ -19,7 +18,6 @@ from roomlight_evaluation.captures.depth import evaluate_depth
 from roomlight_evaluation.captures.evaluation import evaluate_engine, evaluate_predictions
 from roomlight_evaluation.captures.main_light import evaluate_main_lights, main_light_table
 from roomlight_evaluation.captures.poses import evaluate_poses
-from roomlight_evaluation.captures.ship_rule import apply_ship_rule, ship_rule_table, write_rule
 from roomlight_evaluation.captures.tables import capture_tables
 
 _COMPILING: Final = "compiling kernels (first run only)"
@@ -32,7 +30,6 @@ class ScoreOptions:
     Attributes:
         predictions: Score the panoramas that `roomlight replay` wrote here instead of the engine.
         main_light: Score the direction of the main light instead; captures need no ground truth.
-        ship_rule: Compare the model with the classical one, and fail if it is not good enough to be the default.
 
     Raises:
         OptionError: Two of them exclude each other.
@@ -40,11 +37,8 @@ class ScoreOptions:
 
     predictions: Path | None = None
     main_light: bool = False
-    ship_rule: bool = False
 
     def __post_init__(self) -> None:
-        if self.ship_rule and (self.main_light or self.predictions is not None):
-            raise OptionError("ship_rule scores tracked probes: leave out `main_light` and `predictions`")
         if self.main_light and self.predictions is not None:
             raise OptionError("main_light scores tracked probes: leave out `predictions`")
 
@@ -59,8 +53,9 @@ def captures(
 ) -> None:
     """Score light against the ground-truth probes of recordings.
 
-    The tables have the paper's intervals of frames as columns, and two baselines: mean colour, and warp-and-fill.
-    With --predictions, --every is that of their replay.
+    The tables have the paper's intervals of frames as columns. Beside the model are the classical one, by ratios too,
+    and two baselines: mean colour, and warp-and-fill. With
+    --predictions, --every is that of their replay.
 
     Args:
         captures: Captures that have ground-truth probes.
@@ -68,9 +63,6 @@ def captures(
         light: How to estimate the light.
         reading: How to read the captures.
     """
-    if options.ship_rule:
-        _ship_rule(captures, light, reading, json)
-        return
     with Progress(_COMPILING) as progress:
         warm_up()
         if options.main_light:
@@ -85,20 +77,6 @@ def captures(
             )
             tables = capture_tables(scores, per_capture=True)
     show_scores(scores, json, *tables)
-
-
-def _ship_rule(captures: tuple[Path, ...], light: SessionOptions, reading: CaptureOptions, json: Path | None) -> None:
-    with Progress(_COMPILING) as progress:
-        warm_up()
-        rule, scores = apply_ship_rule(captures, light, options=reading, progress=progress.count_of)
-    if json:
-        write_rule(json, rule, scores)
-        say(f"Scores: {json}")
-    print_tables(ship_rule_table(rule))
-    for line in (failures := rule.failures()):
-        say(f"  {line}")
-    say(f"{light.model} {'fails' if failures else 'passes'}: {len(failures)} of its figures break the rule")
-    raise typer.Exit(1 if failures else 0)
 
 
 def depth(
