@@ -1,8 +1,4 @@
-"""`roomlight dataset`: generate, view, measure and extract datasets of path-traced rooms.
-
-`python -m roomlight_cli.commands.dataset` runs the same commands on a machine that only generates. It needs NumPy,
-numba, OpenCV, Pillow, embreex, OpenEXR, jaxtyping, typer and rich, and none of onnxruntime, PyAV, FastAPI and PyTorch.
-"""
+"""`roomlight dataset`: generate, view, measure and extract datasets of path-traced rooms."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +17,7 @@ from roomlight.dataset.verify import verify as verify_dataset
 from roomlight.errors import DatasetError, FurnitureError
 from roomlight.files import check_writable, write_json
 from roomlight_cli import console
-from roomlight_cli.console import APP_OPTIONS, run, say
+from roomlight_cli.console import APP_OPTIONS, say
 from roomlight_cli.generation import cost_text, show_generation
 from roomlight_cli.options import Flag, Without, add_command
 from roomlight_cli.progress import Progress, duration
@@ -262,6 +258,3 @@ app = typer.Typer(
 )
 for _command in (generate, render, preview, stats, verify, extract, furniture, prior):
     add_command(app, _command)
-
-if __name__ == "__main__":
-    run(app)
