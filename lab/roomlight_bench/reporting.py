@@ -51,6 +51,8 @@ def describe_machine() -> dict[str, str]:
     }
 
 
-def short_number(value: float) -> str:
-    """Format with three digits, or as an integer from 100 on."""
+def short_number(value: float | None) -> str:
+    """Format with three digits, or as an integer from 100 on; a dash for None."""
+    if value is None:
+        return "-"
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"

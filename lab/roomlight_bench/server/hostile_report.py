@@ -150,5 +150,4 @@ class HostileReport:
 
 
 def _percentiles(latencies: Latencies) -> str:
-    values = (latencies.p50_ms, latencies.p99_ms)
-    return " / ".join("-" if value is None else short_number(value) for value in values)
+    return " / ".join(map(short_number, (latencies.p50_ms, latencies.p99_ms)))

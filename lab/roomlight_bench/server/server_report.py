@@ -201,10 +201,7 @@ class ServerReport:
                     f"{row.held_fps:.2f}",
                     f"{row.lost:.0%}",
                     *map(_percentiles, (row.frame, row.light, row.health)),
-                    _or_dash(row.health.most_ms),
-                    _or_dash(row.memory_mb),
-                    short_number(row.stated_mb),
-                    short_number(row.keyframes),
+                    *map(short_number, (row.health.most_ms, row.memory_mb, row.stated_mb, row.keyframes)),
                 )
                 for row in self.load
             ],
@@ -215,8 +212,4 @@ class ServerReport:
 
 
 def _percentiles(latencies: Latencies) -> str:
-    return " / ".join(map(_or_dash, (latencies.p50_ms, latencies.p95_ms, latencies.p99_ms)))
-
-
-def _or_dash(value: float | None) -> str:
-    return "-" if value is None else short_number(value)
+    return " / ".join(map(short_number, (latencies.p50_ms, latencies.p95_ms, latencies.p99_ms)))
