@@ -1,7 +1,7 @@
 """Compositing of a recording into a folder of pictures or a film: options, output, progress and messages."""
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -170,26 +170,15 @@ def composite_recording(
     try:
         with ExitStack() as stack:
             progress = stack.enter_context(Progress(passes[0]))
-            frames = _Watched(capture, passes, progress.count_of, options.out if options.is_film else None)
+            frames = _ReportedFrames(capture, passes, progress.count_of, options.out if options.is_film else None)
             made = composite_capture(frames, scene, quality=options.quality, online=options.online, options=light)
             capture.prepare(progress.count_of)
-            film = None
-            if options.is_film:
-                film = stack.enter_context(VideoWriter(options.out, frames_per_second=options.rate(capture)))
-            rate = None if capture.frames_per_second is None else capture.frames_per_second * reading.every
+            write = stack.enter_context(_output(options, capture, reading.every))
             for picture in made:
-                if film is not None:
-                    film.write(picture.image)
-                else:
-                    if not count:
-                        _clear(options.out, picture.frame, capture.path)
-                    _write_pictures(picture, options, rate)
+                write(picture)
                 count += 1
-                # the first picture has compilation in its time
-                left_s = sum(picture.stage_ms.values()) / 1000 * (capture.frame_count - count) if count > 1 else 0
-                if left_s > LONG_S and options.quality != "preview" and not advised:
-                    advised = True
-                    remark("note:", f"{duration(left_s)} left at the pace of one picture; --quality preview is faster")
+                if count > 1 and options.quality != "preview":  # the first has compilation in its time
+                    advised = advised or _advise(picture, capture.frame_count - count)
                 for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
                     unseen.pop(number, None)
     except KeyboardInterrupt:
@@ -205,7 +194,7 @@ def composite_recording(
     return f"{count} frames{skipped}; {kind}: {options.out}"
 
 
-class _Watched:
+class _ReportedFrames:
     """A capture that reports each frame it yields, by the name of the iteration; those of a film have one size."""
 
     def __init__(
@@ -226,6 +215,36 @@ class _Watched:
                 )
             yield frame
             self._report(name, number, total)
+
+
+@contextmanager
+def _output(
+    options: CompositeOptions, capture: Capture, every: int
+) -> Generator[Callable[[Composite], None], None, None]:
+    """Yield what writes a composite: into the film, or into the folder, which is cleared before the first."""
+    if options.is_film:
+        with VideoWriter(options.out, frames_per_second=options.rate(capture)) as film:
+            yield lambda picture: film.write(picture.image)
+        return
+    rate = None if capture.frames_per_second is None else capture.frames_per_second * every
+    is_clear = False
+
+    def write(picture: Composite) -> None:
+        nonlocal is_clear
+        if not is_clear:
+            _clear(options.out, picture.frame, capture.path)
+            is_clear = True
+        _write_pictures(picture, options, rate)
+
+    yield write
+
+
+def _advise(picture: Composite, left: int) -> bool:
+    """Say what is faster if so many pictures at the pace of this one take long; return whether they do."""
+    left_s = sum(picture.stage_ms.values()) / 1000 * left
+    if left_s > LONG_S:
+        remark("note:", f"{duration(left_s)} left at the pace of one picture; --quality preview is faster")
+    return left_s > LONG_S
 
 
 def _clear(out: Path, frame: Frame, recording: Path) -> None:

@@ -140,7 +140,7 @@ def _score(
     placed = list(video)
     pairs = [(frames[round((frame.timestamp_s or 0) * rate)], frame) for frame in placed]
     true, estimated = _relative([frame for frame, _ in pairs]), _relative(placed)
-    turns = [angle_deg(a[:3, :3], b[:3, :3]) for a, b in zip(true, estimated, strict=True)][1:] or [0.0]
+    turns = [rotation_deg(a[:3, :3], b[:3, :3]) for a, b in zip(true, estimated, strict=True)][1:] or [0.0]
     far = float(np.linalg.norm(true[:, :3, 3], axis=1).max())
     shift = scale = None
     if far > 0.1:
@@ -169,7 +169,7 @@ def _relative(frames: Sequence[Frame]) -> Float[np.ndarray, "n 4 4"]:
     return np.stack([to_first @ frame.camera_to_world for frame in frames])
 
 
-def angle_deg(first: Float[np.ndarray, "3 3"], second: Float[np.ndarray, "3 3"]) -> float:
+def rotation_deg(first: Float[np.ndarray, "3 3"], second: Float[np.ndarray, "3 3"]) -> float:
     """Return the angle of the rotation from one to the other."""
     return math.degrees(float(np.linalg.norm(cv2.Rodrigues(first.T @ second)[0])))
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from box_room import frame, pose
-from roomlight_evaluation.captures.poses import _in_view, angle_deg, turned
+from roomlight_evaluation.captures.poses import _in_view, rotation_deg, turned
 
 
 def _yaw(degrees: float) -> np.ndarray:
@@ -13,7 +13,7 @@ def _yaw(degrees: float) -> np.ndarray:
 
 
 def test_the_angle_between_two_rotations() -> None:
-    assert angle_deg(_yaw(10), _yaw(37)) == pytest.approx(27)
+    assert rotation_deg(_yaw(10), _yaw(37)) == pytest.approx(27)
 
 
 def test_a_panorama_turns_about_the_vertical_by_columns() -> None:
