@@ -137,7 +137,7 @@ def light_photo(
     assert session.grid is not None
     assert first is not None
     lights: list[PhotoLight] = []
-    _forget(out)
+    _remove_earlier(out)
     for number, position in enumerate(positions):
         light = session.light_at(position)
         files = (f"probe-{number:02d}.exr", f"probe-{number:02d}.png", f"probe-{number:02d}-spheres.png")
@@ -159,7 +159,7 @@ def light_photo(
     return lights
 
 
-def _forget(out: Path) -> None:
+def _remove_earlier(out: Path) -> None:
     """Remove what an earlier run left, which may have had more points; other files stay.
 
     Raises:

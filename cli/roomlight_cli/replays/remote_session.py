@@ -57,13 +57,13 @@ class RemoteSession:
     @property
     def keyframes(self) -> int:
         """Number of keyframes that the server holds."""
-        return self._patiently(self._session.state).keyframes
+        return self._with_recovery(self._session.state).keyframes
 
     @property
     def grid(self) -> VolumeGrid | None:
         """The lighting volume's place, which is that of the first camera; None before the first frame."""
         if self._grid is None and self._first is not None:
-            volume = self._patiently(self._session.state).volume
+            volume = self._with_recovery(self._session.state).volume
             if volume is not None:
                 deep, high, wide = volume.shape
                 self._grid = VolumeGrid(self._first.camera_to_world, volume.depth_max_m, (deep, high, wide))
@@ -73,7 +73,7 @@ class RemoteSession:
         """Estimate the light at a position from now on, under a name made of its number; return the number."""
         number = len(self._names)
         name = f"probe-{number:02d}"
-        self._patiently(lambda: self._session.track(name, position))
+        self._with_recovery(lambda: self._session.track(name, position))
         self._names.append(name)
         return number
 
@@ -103,12 +103,12 @@ class RemoteSession:
         return [
             light
             for start in range(0, len(self._names), _PROBES_PER_CALL)
-            for light in self._patiently(
+            for light in self._with_recovery(
                 partial(self._session.lights_at, self._names[start : start + _PROBES_PER_CALL], _FORMS)
             )
         ]
 
-    def _patiently(self, call: Callable[[], _T]) -> _T:
+    def _with_recovery(self, call: Callable[[], _T]) -> _T:
         """Make a call; if the server is away, wait for it and bring the session up to date first."""
         try:
             return call()
