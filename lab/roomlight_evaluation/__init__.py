@@ -23,7 +23,6 @@ from roomlight_evaluation.captures.evaluation import (
     evaluate_capture,
     evaluate_captures,
     evaluate_engine,
-    evaluate_predictions,
 )
 from roomlight_evaluation.captures.scores import CaptureScores
 
@@ -35,5 +34,4 @@ __all__ = [
     "evaluate_capture",
     "evaluate_captures",
     "evaluate_engine",
-    "evaluate_predictions",
 ]

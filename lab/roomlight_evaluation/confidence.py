@@ -30,11 +30,10 @@ def mean_cell(value: MeanWithInterval, digits: int = 3) -> str:
     return f"{value.mean:.{digits}f} ({value.low:.{digits}f} to {value.high:.{digits}f})"
 
 
-def mean_with_interval(values: Iterable[float], weights: Iterable[float] | None = None) -> MeanWithInterval:
-    """Return the weighted mean of the values that are not NaN; its interval resamples values with their weights."""
+def mean_with_interval(values: Iterable[float]) -> MeanWithInterval:
+    """Return the mean of the values that are not NaN; its interval resamples them."""
     known = np.array(list(values), np.float64)
-    shares = np.ones_like(known) if weights is None else np.array(list(weights), np.float64)
-    return ratio_of_means(known * shares, np.where(np.isnan(known), np.nan, shares))
+    return ratio_of_means(known, np.ones_like(known))
 
 
 def ratio_of_means(above: Iterable[float], below: Iterable[float]) -> MeanWithInterval:

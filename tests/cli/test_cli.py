@@ -18,7 +18,6 @@ from roomlight_cli.commands.bench import BENCHMARKS
 from roomlight_cli.commands.evaluation import EVALUATIONS
 from roomlight_cli.lazy import CommandEntry, load_command
 from roomlight_evaluation.benchmark import benchmark_options
-from roomlight_evaluation.captures.evaluation import evaluate_predictions
 
 
 def python(code: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -179,7 +178,7 @@ def test_parts_are_an_option_of_eval(tmp_path: Path, roomlight: RunCommand) -> N
 @pytest.mark.slow
 def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: RunCommand) -> None:
     sample, out = sample_capture(), "out [/y]"
-    options = ("--probes-from-capture", "--every", "10", "--height", "16")
+    options = ("--probes-from-capture", "--use", "reflection", "--every", "10", "--height", "16")
     made = roomlight("replay", sample, "--out", out, *options, cwd=tmp_path)
     assert made.code == 0, made.err
     assert "Pictures: out [/y]/summary.png" in made.out
@@ -198,8 +197,6 @@ def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     out = tmp_path / "roomlight-demo"
     assert "summary.png" in result.stdout
-    mean = evaluate_predictions([sample_capture()], out).means("predictions", "log_l2")
-    assert f"log-L2 {mean[0].mean:.3f} over the first seven frames, {mean[4].mean:.3f} over the last" in result.stdout
     assert (out / "composite.mp4").stat().st_size > 10_000
     report = json.loads((out / "report.json").read_text())
     assert len(report["probes"]) == 3

@@ -150,7 +150,8 @@ def evaluate_depth(
             )
         )
     if not scores:
-        raise CaptureError("no recording to score: give captures with depth, or datasets with walks of this split")
+        what = f"give captures with depth, or datasets with walks of the split {split} (--split)"
+        raise CaptureError(f"no recording to score: {what}")
     return DepthScores(tuple(scores))
 
 

@@ -80,7 +80,9 @@ def beside_classical(options: SessionOptions) -> list[tuple[SessionOptions, Ligh
 class PredictionFolder:
     """Panoramas in files, one per probe and frame: `probe-00/light.000000.exr`, numbered by `Frame.index`.
 
-    `roomlight replay --probes-from-capture` writes such a folder; any other program may write one to be scored.
+    `roomlight replay --probes-from-capture --use reflection` writes such a folder; any other program may write one to
+    be scored: RGB [h, 2h, 3] of any height, in the mapping of `roomlight.conventions`, linear, 1 being the white of the
+    capture's pictures as `Frame.image` has them.
     """
 
     name = "predictions"

@@ -5,6 +5,7 @@ is resized to the truth's height and compared. Spheres are seen from the first c
 the whole sequence: what changes in them is the light.
 """
 
+import json
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -31,6 +32,7 @@ def evaluate_engine(
     captures: Sequence[Path],
     session: SessionOptions,
     *,
+    predictions: Path | None = None,
     options: CaptureOptions | None = None,
     progress: ProgressCallback | None = None,
 ) -> CaptureScores:
@@ -39,48 +41,21 @@ def evaluate_engine(
     Args:
         captures: Captures with ground-truth probes.
         session: Options of the engine's sessions; each capture gets a new session.
+        predictions: As in `evaluate_captures`.
         options: How captures are read.
         progress: Called after each frame.
 
     Raises:
         ModelError: The weights that `session` names are missing or do not fit.
         CaptureError: As `evaluate_captures`.
+        ImageError: A prediction does not decode.
     """
     models = beside_classical(session)
 
     def estimators() -> list[Estimator]:
         return [MeanColour(), WarpAndFill(), *(EngineEstimator(*model) for model in models)]
 
-    return evaluate_captures(captures, estimators, options=options, progress=progress)
-
-
-def evaluate_predictions(
-    captures: Sequence[Path],
-    folder: Path,
-    *,
-    baselines: bool = False,
-    options: CaptureOptions | None = None,
-    progress: ProgressCallback | None = None,
-) -> CaptureScores:
-    """Score panoramas in files, optionally beside the two baselines.
-
-    Args:
-        captures: Captures with ground-truth probes.
-        folder: Holds `<capture name>/probe-00/...`, or `probe-00/...` directly if there is one capture; see
-            `PredictionFolder`.
-        baselines: Also score mean colour and warp-and-fill.
-        options: How captures are read: `every` and `max_frames` must be those that the panoramas were made with.
-        progress: Called after each frame.
-
-    Raises:
-        CaptureError: As `evaluate_captures`, or predictions are missing.
-        ImageError: A prediction does not decode.
-    """
-
-    def estimators() -> list[Estimator]:
-        return [MeanColour(), WarpAndFill()] if baselines else []
-
-    return evaluate_captures(captures, estimators, predictions=folder, options=options, progress=progress)
+    return evaluate_captures(captures, estimators, predictions=predictions, options=options, progress=progress)
 
 
 def evaluate_captures(
@@ -96,13 +71,14 @@ def evaluate_captures(
     Args:
         captures: Captures with ground-truth probes.
         estimators: Returns new estimators; called once for each capture.
-        predictions: A folder of panoramas to score as one more method; see `evaluate_predictions`.
-        options: How captures are read.
+        predictions: A folder of panoramas to score as one more method, last: `<capture name>/probe-00/...`, or
+            `probe-00/...` directly if there is one capture; see `PredictionFolder`.
+        options: How captures are read; predictions must have been made with its `every` and `max_frames`.
         progress: Called after each frame.
 
     Raises:
         CaptureError: A capture cannot be read or has no ground truth, two captures have one name, or predictions are
-            missing.
+            missing, or a replay's that light scenes.
         OptionError: Two estimators have one name.
         ModelError: An estimator returned something else than a finite panorama.
     """
@@ -262,6 +238,16 @@ def _prediction_folder(folder: Path, name: str, *, only_capture: bool) -> Path:
     candidates = [folder / name, *([folder] if only_capture else [])]
     for candidate in candidates:
         if (candidate / "probe-00").is_dir():
+            _check_use(candidate / "replay.json")
             return candidate
     expected = " or ".join(str(candidate / "probe-00") for candidate in candidates)
     raise CaptureError(f"{folder}: no predictions for the capture {name}: there is no folder {expected}")
+
+
+def _check_use(intent: Path) -> None:
+    """Refuse a replay's panoramas that light scenes: their sums are right, their single directions are not."""
+    if intent.is_file() and json.loads(intent.read_text())["options"]["use"] != "reflection":
+        raise CaptureError(
+            f"{intent.parent}: its panoramas have the use `lighting`, but scores are of single directions; replay with "
+            "--use reflection"
+        )

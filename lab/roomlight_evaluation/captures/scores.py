@@ -12,7 +12,7 @@ The JSON (schema `roomlight-evaluation-1`), numbers unscaled, in a file null for
 A track's smoothness has one value fewer than it has frames: value i compares frames i and i + 1.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +25,8 @@ from roomlight.metrics import METRICS, PAPER_INTERVALS, interval_means, interval
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 
 SCHEMA: Final = "roomlight-evaluation-1"
+_Columns = Float[np.ndarray, "6"]
+"""A value for each of the paper's intervals and for all frames."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Track:
     frames: tuple[int, ...]
     scores: Mapping[str, tuple[float, ...]]
 
-    def means(self, metric: str) -> Float[np.ndarray, "6"]:
+    def means(self, metric: str) -> _Columns:
         """Return the means over the paper's five intervals and over all frames; NaN for intervals without frames."""
         values = np.array(self.scores[metric], np.float64)
         overall = values.mean() if len(values) else np.nan
@@ -72,32 +74,33 @@ class CaptureScores:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Headings of the five intervals and of all frames together; headings number frames from 1."""
-        lengths = {capture.frames for capture in self.captures}
+        """Headings of the five intervals, by the captures' own numbers of frames from 1, and of all together."""
+        lengths, walks = {capture.frames for capture in self.captures}, {track.frames for track in self.tracks}
         if lengths == {31}:
             return (*PAPER_INTERVALS, "all")
-        if len(lengths) == 1:
-            parts = intervals(lengths.pop())
-            spans = [f"[{part.start + 1},{part.stop + 1})" if part else "none" for part in parts]
-            return (*spans, "all")
+        if len(walks) == 1:
+            frames = walks.pop()
+            return (*(_span(frames[part.start : part.stop]) for part in intervals(len(frames))), "all")
         return (*(f"part {number} of 5" for number in range(1, 6)), "all")
 
     def means(self, method: str, metric: str, *, capture: str | None = None) -> tuple[MeanWithInterval, ...]:
         """Return a metric's mean in each column: over a capture's probes, then over captures (or one capture only).
 
-        The 95 % interval resamples (capture, probe) pairs with replacement; a single pair has no interval (NaN).
+        The 95 % interval resamples captures with replacement: probes of one room are alike. On one capture it resamples
+        probes; a single one has no interval (NaN).
 
         Raises:
             KeyError: The method or the capture was not scored.
         """
-        chosen = [
-            track for track in self.tracks if track.method == method and (capture is None or track.capture == capture)
-        ]
-        if not chosen:
+        rooms: dict[str, list[_Columns]] = {}
+        for track in self.tracks:
+            if track.method == method and capture in (None, track.capture):
+                rooms.setdefault(track.capture, []).append(track.means(metric))
+        if not rooms:
             raise KeyError(f"no scores of {method!r}" + (f" on {capture!r}" if capture else ""))
-        values = np.stack([track.means(metric) for track in chosen])  # [pair, column]
-        probes = [sum(other.capture == track.capture for other in chosen) for track in chosen]
-        return tuple(mean_with_interval(column, 1 / np.array(probes, np.float64)) for column in values.T)
+        [*values] = rooms.values()
+        rows = values[0] if len(values) == 1 else [_known_mean(probes) for probes in values]
+        return tuple(mean_with_interval(column) for column in np.transpose(rows))
 
     def ratio(self, metric: str, method: str, to: str, *, capture: str | None = None) -> MeanWithInterval:
         """Return the ratio of two methods' mean errors over captures (or on one), with an interval over captures.
@@ -152,3 +155,13 @@ class CaptureScores:
             OutputError: The file cannot be written.
         """
         write_json(path, self.to_json())
+
+
+def _span(frames: Sequence[int]) -> str:
+    """Return the first and the last number of frames, counted from 1."""
+    return "none" if not frames else "-".join(str(index + 1) for index in sorted({frames[0], frames[-1]}))
+
+
+def _known_mean(rows: list[_Columns]) -> _Columns:
+    """Return the mean of rows, of those that are known in each column."""
+    return np.ma.filled(np.ma.masked_invalid(rows).mean(axis=0), np.nan)

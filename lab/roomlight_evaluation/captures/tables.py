@@ -7,42 +7,44 @@ from rich.table import Table
 
 from roomlight.imaging.tables import figure_table
 from roomlight.metrics import METRICS, Metric
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.scores import CaptureScores
 from roomlight_evaluation.confidence import MeanWithInterval, mean_cell
 
-_REFERENCE: Final = "classical"
 _COMPARED: Final = {"log_l2": "log-L2", "render_l2": "glossy sphere"}
-"""Metrics of the ratios to `_REFERENCE`, and their headings."""
+"""Metrics of the ratios, and their headings."""
 
 
 def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[Table]:
     """Return one table of all metrics with 95 % intervals of the overall mean, then one per capture if requested.
 
-    After those of captures come ratios of the last method's errors to the classical model's, if both were scored. The
-    lowest (best) mean of each metric and column is bold. Values are shown times the factor in the heading.
+    After those of captures come ratios of the last method's errors to those of the method before it, baselines aside:
+    the model's to the classical one's, or predictions' to the model's. The lowest (best) mean of each metric and column
+    is bold. Values are shown times the factor in the heading.
     """
-    captures, pairs = len(scores.captures), sum(capture.probes for capture in scores.captures)
-    caption = (
-        "less is better, best is bold; 95 %: bootstrap interval of the mean of all frames, over the "
-        f"{pairs} (capture, probe) pairs; smoothness compares consecutive frames, so its last interval ends one frame "
-        "earlier"
-    )
+    captures, probes = len(scores.captures), sum(capture.probes for capture in scores.captures)
     noun = "capture" if captures == 1 else "captures"
-    tables = [_table(scores, f"{captures} {noun}, {pairs} probes", caption=caption)]
+    caption = (
+        "less is better, best is bold; columns are frames; 95 %: bootstrap interval of the mean of all frames, over "
+        f"{'probes' if captures == 1 else noun}; smoothness compares frames that follow each other here, so its last "
+        "interval ends one frame earlier"
+    )
+    tables = [_table(scores, f"{captures} {noun}, {probes} probes", caption=caption)]
     if per_capture and captures > 1:
         tables += [_table(scores, capture.name, capture=capture.name) for capture in scores.captures]
-    if per_capture and _REFERENCE in scores.methods[:-1]:
-        tables.append(_ratios(scores, scores.methods[-1]))
+    models = [method for method in scores.methods if method not in (MeanColour.name, WarpAndFill.name)]
+    if per_capture and len(models) > 1:
+        tables.append(_ratios(scores, models[-1], to=models[-2]))
     return tables
 
 
-def _ratios(scores: CaptureScores, method: str) -> Table:
+def _ratios(scores: CaptureScores, method: str, *, to: str) -> Table:
     rows = [*((capture.name, capture.name) for capture in scores.captures), (f"all {len(scores.captures)}", None)]
     return figure_table(
-        f"{method} to {_REFERENCE}",
+        f"{method} to {to}",
         [*_COMPARED.values()],
         (
-            [title, *(mean_cell(scores.ratio(key, method, _REFERENCE, capture=name)) for key in _COMPARED)]
+            [title, *(mean_cell(scores.ratio(key, method, to, capture=name)) for key in _COMPARED)]
             for title, name in rows
         ),
         caption="ratio of mean errors over captures (95 % bootstrap interval over captures)",

@@ -117,7 +117,8 @@ def evaluate_objects(
         except FrameError as error:
             raise CaptureError(f"{name}: its first frame cannot begin a stream: {error}") from error
     if not scored:
-        raise CaptureError("no room to score: give captures with ground truth or datasets with walks of this split")
+        what = f"give captures with ground truth or datasets with walks of the split {split} (--split)"
+        raise CaptureError(f"no room to score: {what}")
     return ObjectScores(tuple(scored))
 
 

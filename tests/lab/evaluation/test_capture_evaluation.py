@@ -1,4 +1,4 @@
-"""Scores of estimators on captures: values, refusals, intervals over pairs, JSON and tables."""
+"""Scores of estimators on captures: values, refusals, intervals over captures, JSON and tables."""
 
 import dataclasses
 import json
@@ -18,7 +18,7 @@ from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import Estimator
-from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_engine, evaluate_predictions
+from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_engine
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
 from roomlight_evaluation.captures.tables import capture_tables
 from rooms import BoxRoom, pan
@@ -130,7 +130,7 @@ def test_predictions_are_scored_as_one_more_method(tmp_path: Path, nested: bool)
     scores = evaluate_captures([capture], lambda: [MeanColour(16)], predictions=predictions)
     assert scores.methods == ("mean colour", "predictions")
     assert values(scores, "predictions", "log_l2")[1] == pytest.approx([0.0] * 3, abs=1e-9)
-    alone = evaluate_predictions([capture], predictions)
+    alone = evaluate_captures([capture], list, predictions=predictions)
     assert alone.methods == ("predictions",)
     assert values(alone, "predictions", "log_l2") == values(scores, "predictions", "log_l2")
 
@@ -138,7 +138,7 @@ def test_predictions_are_scored_as_one_more_method(tmp_path: Path, nested: bool)
 def test_predictions_are_numbered_by_frame_index(tmp_path: Path) -> None:
     capture = capture_of(tmp_path / "room")
     write_predictions(tmp_path / "out", frames=range(0, 3, 2))
-    scores = evaluate_predictions([capture], tmp_path / "out", options=CaptureOptions(every=2))
+    scores = evaluate_captures([capture], list, predictions=tmp_path / "out", options=CaptureOptions(every=2))
     assert scores.tracks[0].frames == (0, 2)
 
 
@@ -148,17 +148,24 @@ def test_a_missing_prediction_is_named(tmp_path: Path) -> None:
     missing = tmp_path / "out" / "probe-01" / "light.000002.exr"
     missing.unlink()
     with pytest.raises(CaptureError, match=r"probe-01/light\.000002\.exr.*is missing"):
-        evaluate_predictions([capture], tmp_path / "out")
+        evaluate_captures([capture], list, predictions=tmp_path / "out")
 
 
 def test_a_folder_without_predictions_is_named(tmp_path: Path) -> None:
     capture, other = capture_of(tmp_path / "room"), capture_of(tmp_path / "other")
     write_predictions(tmp_path / "out", frames=range(3))
     with pytest.raises(CaptureError, match="no predictions for the capture room"):
-        evaluate_predictions([capture], tmp_path / "nowhere")
+        evaluate_captures([capture], list, predictions=tmp_path / "nowhere")
     # with two captures, probe-00 without a capture's name could be either's
     with pytest.raises(CaptureError, match="no predictions for the capture room"):
         evaluate_captures([capture, other], lambda: [], predictions=tmp_path / "out")
+
+
+def test_a_replay_that_lights_scenes_is_refused(tmp_path: Path) -> None:
+    write_predictions(tmp_path / "out", frames=range(3))
+    (tmp_path / "out" / "replay.json").write_text('{"options": {"use": "lighting"}}')
+    with pytest.raises(CaptureError, match="--use reflection"):
+        evaluate_captures([capture_of(tmp_path / "room")], list, predictions=tmp_path / "out")
 
 
 class Broken(Oracle):
@@ -212,6 +219,8 @@ def test_captures_have_equal_weight_whatever_their_probes() -> None:
         assert cell.mean == pytest.approx(1.5)
         assert 1.0 <= cell.low < 1.5 < cell.high <= 2.0
     assert [cell.mean for cell in scores.means("m", "log_l2", capture="b")] == [2.0] * 6
+    alike = uniform_scores({(room, probe): value for room, value in (("a", 1.0), ("b", 2.0)) for probe in range(50)})
+    assert (alike.means("m", "log_l2")[0].low, alike.means("m", "log_l2")[0].high) == (1.0, 2.0)  # two rooms, not 100
     with pytest.raises(KeyError, match="no scores of 'x'"):
         scores.means("x", "log_l2")
 
@@ -245,7 +254,10 @@ def test_the_bootstrap_interval_matches_the_standard_error() -> None:
 
 def test_column_headings_are_the_papers_for_31_frames() -> None:
     assert uniform_scores({("a", 0): 1.0}).columns == (*PAPER_INTERVALS, "all")
-    assert uniform_scores({("a", 0): 1.0}, frames=10).columns == ("[1,3)", "[3,5)", "[5,7)", "[7,9)", "[9,11)", "all")
+    assert uniform_scores({("a", 0): 1.0}, frames=10).columns == ("1-2", "3-4", "5-6", "7-8", "9-10", "all")
     mixed = uniform_scores({("a", 0): 1.0})
+    every_sixth = [dataclasses.replace(track, frames=(0, 6, 12, 18)) for track in mixed.tracks]
+    sparse = dataclasses.replace(mixed.captures[0], frames=4)
+    assert CaptureScores((sparse,), tuple(every_sixth)).columns == ("1", "7", "none", "13", "19", "all")
     shorter = dataclasses.replace(mixed.captures[0], name="b", frames=12)
     assert dataclasses.replace(mixed, captures=(*mixed.captures, shorter)).columns[0] == "part 1 of 5"

@@ -15,7 +15,7 @@ from roomlight_cli.options import Without
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import ScoredLight, ScoresJson
 from roomlight_evaluation.captures.depth import evaluate_depth
-from roomlight_evaluation.captures.evaluation import evaluate_engine, evaluate_predictions
+from roomlight_evaluation.captures.evaluation import evaluate_engine
 from roomlight_evaluation.captures.main_light import evaluate_main_lights, main_light_table
 from roomlight_evaluation.captures.poses import evaluate_poses
 from roomlight_evaluation.captures.tables import capture_tables
@@ -28,7 +28,8 @@ class ScoreOptions:
     """What is scored.
 
     Attributes:
-        predictions: Score the panoramas that `roomlight replay` wrote here instead of the engine.
+        predictions: Also score panoramas in files, PREDICTIONS/CAPTURE/probe-00/light.000000.exr: of another method,
+            or of `roomlight replay --probes-from-capture --use reflection`.
         main_light: Score the direction of the main light instead; captures need no ground truth.
 
     Raises:
@@ -54,8 +55,8 @@ def captures(
     """Score light against the ground-truth probes of recordings.
 
     The tables have the paper's intervals of frames as columns. Beside the model are the classical one, by ratios too,
-    and two baselines: mean colour, and warp-and-fill. With
-    --predictions, --every is that of their replay.
+    and two baselines: mean colour, and warp-and-fill. With --predictions, every frame that is read (--every,
+    --max-frames) needs one for each probe.
 
     Args:
         captures: Captures that have ground-truth probes.
@@ -68,12 +69,9 @@ def captures(
         if options.main_light:
             scores = evaluate_main_lights(captures, light, options=reading, progress=progress.count_of)
             tables = [main_light_table(scores)]
-        elif options.predictions is None:
-            scores = evaluate_engine(captures, light, options=reading, progress=progress.count_of)
-            tables = capture_tables(scores, per_capture=True)
         else:
-            scores = evaluate_predictions(
-                captures, options.predictions, baselines=True, options=reading, progress=progress.count_of
+            scores = evaluate_engine(
+                captures, light, predictions=options.predictions, options=reading, progress=progress.count_of
             )
             tables = capture_tables(scores, per_capture=True)
     show_scores(scores, json, *tables)
