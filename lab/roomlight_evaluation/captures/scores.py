@@ -78,7 +78,7 @@ class CaptureScores:
         lengths, walks = {capture.frames for capture in self.captures}, {track.frames for track in self.tracks}
         if lengths == {31}:
             return (*PAPER_INTERVALS, "all")
-        if len(walks) == 1:
+        if len(lengths) == len(walks) == 1:
             frames = walks.pop()
             return (*(_span(frames[part.start : part.stop]) for part in intervals(len(frames))), "all")
         return (*(f"part {number} of 5" for number in range(1, 6)), "all")
