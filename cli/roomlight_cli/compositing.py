@@ -218,9 +218,7 @@ class _ReportedFrames:
 
 
 @contextmanager
-def _output(
-    options: CompositeOptions, capture: Capture, every: int
-) -> Generator[Callable[[Composite], None], None, None]:
+def _output(options: CompositeOptions, capture: Capture, every: int) -> Generator[Callable[[Composite], None]]:
     """Yield what writes a composite: into the film, or into the folder, which is cleared before the first."""
     if options.is_film:
         with VideoWriter(options.out, frames_per_second=options.rate(capture)) as film:

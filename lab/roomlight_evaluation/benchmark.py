@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Float
 from rich.table import Table
 
-from roomlight.conventions import Position
 from roomlight.dataset.loader import DepthKind
 from roomlight.dataset.recording import Recording
 from roomlight.engine.networks.graphs import LightingGraphs
@@ -153,7 +152,8 @@ def evaluate_benchmark(
 
 def _score(recording: Recording, sessions: _Sessions, depth: DepthKind) -> dict[tuple[str, str], dict[str, float]]:
     """Return the errors of each method and moment, as means over the probes."""
-    positions: list[Position] = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
+    truths = recording.truths()
+    positions = [position for position, _ in truths]
     baselines, models = (MeanColour(), WarpAndFill()), [Session(model, graphs=graphs) for model, graphs in sessions]
     for model in models:
         for position in positions:
@@ -164,7 +164,7 @@ def _score(recording: Recording, sessions: _Sessions, depth: DepthKind) -> dict[
     for number, frame in enumerate(walk_frames(recording, depth), 1):
         if not judges:
             views = [SphereRenderer(view_toward(frame.camera_to_world, position)) for position in positions]
-            judges = [_Judge(truth, view) for truth, view in zip(recording.true_panoramas(), views, strict=True)]
+            judges = [_Judge(truth, view) for (_, truth), view in zip(truths, views, strict=True)]
         for estimator in (*baselines, *models):
             estimator.push(frame)
         if number not in (1, count):

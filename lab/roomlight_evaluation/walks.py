@@ -240,11 +240,7 @@ def score_walk(recording: Recording, models: Compared, *, name: str) -> list[Tra
     Raises:
         FrameError: The first frame cannot begin a stream.
     """
-    truth = recording.true_panoramas()
-    probes = [
-        (number, (float(x), float(y), float(z)), panorama)
-        for number, ((x, y, z), panorama) in enumerate(zip(recording.probe_positions, truth, strict=True))
-    ]
+    probes = [(number, *truth) for number, truth in enumerate(recording.truths())]
     sensors: list[tuple[DepthKind, list[Estimator]]] = [("exact", models.exact()), ("arkit", models.phone())]
     tracks: list[Track] = []
     for depth, estimators in sensors:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float16, Float32, UInt8, UInt16
 
 from roomlight.camera import Intrinsics
-from roomlight.conventions import srgb8_to_linear
+from roomlight.conventions import Position, srgb8_to_linear
 from roomlight.frame import CLIPPED_SRGB8, Frame
 
 Split = Literal["train", "test"]
@@ -60,6 +60,11 @@ class Recording:
     def true_panoramas(self) -> Float32[np.ndarray, "p ph pw 3"]:
         """Return the light at each probe, in units of the first decoded frame's white."""
         return self.probe_panoramas.astype(np.float32) * np.float32(self.exposure[0])
+
+    def truths(self) -> list[tuple[Position, Float32[np.ndarray, "ph pw 3"]]]:
+        """Return the place of each probe, world, metres, and its light as `true_panoramas` gives it."""
+        places: list[Position] = [(float(x), float(y), float(z)) for x, y, z in self.probe_positions]
+        return list(zip(places, self.true_panoramas(), strict=True))
 
     def frame(self, number: int, depth_mm: UInt16[np.ndarray, "dh dw"]) -> Frame:
         """Return a frame as a client would send it, in units of the first decoded frame's white.

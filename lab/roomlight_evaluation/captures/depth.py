@@ -211,9 +211,7 @@ def _rooms(path: Path, reading: CaptureOptions, split: Split, limit: int | None)
         recording = dataset[number]
         chosen = range(0, len(recording.colour), reading.every)[: reading.max_frames]
         frames = [recording.frame(k, recording.depth_mm[k]) for k in chosen]
-        positions = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
-        truths = list(zip(positions, recording.true_panoramas(), strict=True))
-        yield _Room(recording.name, path.resolve().name, frames, len(frames), truths)
+        yield _Room(recording.name, path.resolve().name, frames, len(frames), recording.truths())
 
 
 def _best_scaled(depth_m: Float32[np.ndarray, "h w"], true_m: Float32[np.ndarray, "th tw"]) -> Float[np.ndarray, "h w"]:

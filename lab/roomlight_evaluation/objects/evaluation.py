@@ -136,10 +136,9 @@ def _rooms(source: Path, split: Split, frames: int, limit: int | None) -> Iterab
 
 def _of_walk(dataset: Dataset, number: int, frames: int) -> tuple[list[Frame], list[Truth]]:
     recording = dataset[number]
-    positions = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
     chosen = _spread(len(recording.colour), frames)
     pictures = [recording.frame(number, recording.depth_mm[number]) for number in chosen]
-    return pictures, list(zip(positions, recording.true_panoramas(), strict=True))
+    return pictures, recording.truths()
 
 
 def _of_capture(path: Path, frames: int) -> tuple[list[Frame], list[Truth]]:
