@@ -1,15 +1,18 @@
 """Options that several commands share, each with its text."""
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 from rich.markup import escape
 
-from roomlight.engine.session import SessionOptions
+from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
 from roomlight_cli.console import err
 from roomlight_cli.options import Check, Flag, Without
 from roomlight_cli.probe_notes import counted
+from roomlight_cli.progress import Progress
 from roomlight_client import RecoveryEvent
 
 POINTS: Final = "Where to light"
@@ -51,6 +54,14 @@ ScoredLight = Annotated[SessionOptions, Without("hedge", "keyframes", "height"),
 """How to estimate light that is scored, at one height."""
 ScoredNetworks = Annotated[SessionOptions, Without("model", "hedge", "keyframes", "height")]
 """How to estimate light where the command chooses the models."""
+
+
+@contextmanager
+def scoring_progress() -> Generator[Progress]:
+    """Show the progress of an evaluation, whose kernels are compiled first."""
+    with Progress("compiling kernels (first run only)") as progress:
+        warm_up()
+        yield progress
 
 
 def print_recovery(event: RecoveryEvent) -> None:

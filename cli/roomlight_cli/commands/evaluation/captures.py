@@ -2,25 +2,21 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 from annotated_types import Ge
 
 from roomlight.captures import CaptureOptions
 from roomlight.dataset.recording import Split
-from roomlight.engine.session import warm_up
 from roomlight.errors import OptionError
 from roomlight_cli.console import show_scores
 from roomlight_cli.options import Without
-from roomlight_cli.progress import Progress
-from roomlight_cli.shared_options import ScoredLight, ScoresJson
+from roomlight_cli.shared_options import ScoredLight, ScoresJson, scoring_progress
 from roomlight_evaluation.captures.depth import evaluate_depth
 from roomlight_evaluation.captures.evaluation import evaluate_engine
 from roomlight_evaluation.captures.main_light import evaluate_main_lights, main_light_table
 from roomlight_evaluation.captures.poses import evaluate_poses
 from roomlight_evaluation.captures.tables import capture_tables
-
-_COMPILING: Final = "compiling kernels (first run only)"
 
 
 @dataclass(frozen=True)
@@ -64,8 +60,7 @@ def captures(
         light: How to estimate the light.
         reading: How to read the captures.
     """
-    with Progress(_COMPILING) as progress:
-        warm_up()
+    with scoring_progress() as progress:
         if options.main_light:
             scores = evaluate_main_lights(captures, light, options=reading, progress=progress.count_of)
             tables = [main_light_table(scores)]
@@ -97,8 +92,7 @@ def depth(
         split: Of dataset folders; no network is trained on test.
         limit: Use this many walks of each dataset.
     """
-    with Progress(_COMPILING) as progress:
-        warm_up()
+    with scoring_progress() as progress:
         scores = evaluate_depth(sources, light, reading, split=split, limit=limit, progress=progress.count_of)
     show_scores(scores, json, scores.table())
 
@@ -117,7 +111,6 @@ def poses(
         light: How to estimate the light.
         reading: How to read the captures; --fov and --depth-model are for the videos.
     """
-    with Progress(_COMPILING) as progress:
-        warm_up()
+    with scoring_progress() as progress:
         scores = evaluate_poses(captures, light, reading, progress=progress.count_of)
     show_scores(scores, json, scores.table())

@@ -7,10 +7,8 @@ from typing import Annotated
 from annotated_types import Ge
 
 from roomlight.dataset.recording import Split
-from roomlight.engine.session import warm_up
 from roomlight_cli.console import print_tables, say, show_scores
-from roomlight_cli.progress import Progress
-from roomlight_cli.shared_options import ScoredLight, ScoresJson
+from roomlight_cli.shared_options import ScoredLight, ScoresJson, scoring_progress
 from roomlight_evaluation.composites.evaluation import evaluate_composites
 from roomlight_evaluation.composites.tables import composite_tables, summary
 from roomlight_evaluation.objects.evaluation import evaluate_objects
@@ -44,8 +42,7 @@ def composite(out: Path, options: CompositeScoreOptions, light: ScoredLight) -> 
         options: What to score.
         light: How to estimate the light.
     """
-    with Progress("compiling kernels (first run only)") as progress:
-        warm_up()
+    with scoring_progress() as progress:
         scores = evaluate_composites(
             options.scenes,
             out,
@@ -81,7 +78,6 @@ def objects(
         split: Of dataset folders; no network is trained on test.
         limit: Use this many walks of each dataset.
     """
-    with Progress("compiling kernels (first run only)") as progress:
-        warm_up()
+    with scoring_progress() as progress:
         scores = evaluate_objects(sources, light, frames=frames, split=split, limit=limit, progress=progress.count_of)
     show_scores(scores, json, *object_tables(scores))

@@ -8,12 +8,11 @@ from annotated_types import Ge
 
 from roomlight.dataset.loader import Dataset, DepthKind
 from roomlight.dataset.recording import Split
-from roomlight.engine.session import warm_up
 from roomlight.errors import OptionError
 from roomlight_cli.console import say, show_scores
 from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
-from roomlight_cli.shared_options import ScoredLight, ScoredNetworks, ScoresJson
+from roomlight_cli.shared_options import ScoredLight, ScoredNetworks, ScoresJson, scoring_progress
 from roomlight_evaluation.benchmark import benchmark_options, evaluate_benchmark, rooms_digest
 from roomlight_evaluation.captures.tables import capture_tables
 from roomlight_evaluation.drift import drift_models
@@ -48,8 +47,7 @@ def walks(
         raise OptionError("drift needs whole walks: leave out `images`")
     compared = drift_models if drift else image_models if images else recurrent_models
     models = compared(light)
-    with Progress("compiling kernels (first run only)") as progress:
-        warm_up()
+    with scoring_progress() as progress:
         progress.say("scoring")
         folders = [Dataset(folder, split) for folder in data]
         scores = evaluate_walks(folders, models, limit=limit, progress=progress.count)
@@ -88,8 +86,7 @@ def benchmark(data: Path, options: BenchmarkOptions, light: ScoredLight, *, json
     with Progress("generating") as progress:
         generate(data, wanted, workers=options.workers, progress=show_generation(progress))
     folder = Dataset(data, "test")
-    with Progress("compiling kernels (first run only)") as progress:
-        warm_up()
+    with scoring_progress() as progress:
         progress.say("scoring")
         scores = evaluate_benchmark(folder, light, rooms=options.rooms, depth=options.depth, progress=progress.count)
     show_scores(scores, json, *scores.tables(title=f"{options.depth} depth, seed {options.seed}"))
