@@ -28,11 +28,11 @@ def triangles_of(
 
     Args:
         sizes: Corners of each polygon; polygons of fewer than three are left out.
-        corners: Indices into `corners` themselves stay valid: the result indexes this list, not the points.
-        points: The position of each corner.
+        corners: Index of each polygon corner's point.
+        points: Positions.
 
     Returns:
-        Rows of three indices into the list of corners.
+        Rows of three indices into `corners`, not into the points.
 
     Raises:
         ObjectError: Concave polygons of very many corners take too long.
