@@ -75,7 +75,7 @@ def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
     except ImageError:
         raise
     except Exception as error:  # Pillow raises whatever the damaged bytes lead to
-        hint = "; TIFF is read with 8 bits" if kind == "TIFF" else ""
+        hint = "; TIFF is read with 8 or 16 bits" if kind == "TIFF" else ""
         why = "of an unknown layout" if isinstance(error, UnidentifiedImageError) else error
         raise ImageError(f"{name}: the {kind} does not decode ({why}){hint}; save it as PNG or EXR") from error
 

@@ -204,7 +204,7 @@ def test_what_is_no_photo_is_refused_by_name(tmp_path: Path, ending: str, stated
 def test_a_tiff_of_floats_in_three_channels_is_refused_by_what_it_is(tmp_path: Path) -> None:
     assert cv2.imwrite(str(tmp_path / "a.tiff"), np.ones((4, 4, 3), np.float32))
     with pytest.raises(
-        ImageError, match=r"the TIFF does not decode \(of an unknown layout\); TIFF is read with 8 bits"
+        ImageError, match=r"the TIFF does not decode \(of an unknown layout\); TIFF is read with 8 or 16 bits"
     ):
         read_photo(tmp_path / "a.tiff")
 

@@ -260,7 +260,17 @@ def test_points_and_lines_beside_triangles_are_noted() -> None:
     primitives += [{**primitives[0], "mode": mode} for mode in (0, 1)]
     one = load_object(file.glb())
     assert len(one.parts) == 1
-    assert any("2 primitives of points or lines" in note.left_out for note in one.notes)
+    assert any("primitives of points or lines (2)" in note.left_out for note in one.notes)
+
+
+@pytest.mark.parametrize(("scale", "parts", "noted"), [(0.0, 1, True), (1e-8, 2, False)])
+def test_a_mesh_is_missing_where_its_scale_is_nothing_beside_the_others(scale: float, parts: int, noted: bool) -> None:
+    file = textured_quad()
+    file.tree["nodes"][0]["scale"] = [1e-8] * 3
+    file.node(mesh=0, scale=[scale] * 3)
+    one = load_object(file.glb())
+    assert len(one.parts) == parts
+    assert noted == any("a scale of 0 (1)" in note.left_out for note in one.notes)
 
 
 def test_an_unknown_line_of_a_ply_is_noted() -> None:

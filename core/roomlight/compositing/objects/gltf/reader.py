@@ -93,11 +93,13 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
     surfaces: dict[int, Surface] = {}
     parts: list[tuple[TriangleMesh, Material]] = []
     drawn: list[tuple[TriangleMesh, Surface]] = []
-    scaled = [node for node in placed if node.joints is not None or abs(np.linalg.det(node.transform)) > 1e-20]
+    volumes = [abs(np.linalg.det(node.transform)) if node.joints is None else np.inf for node in placed]
+    least = 1e-20 * max((volume for volume in volumes if volume < np.inf), default=0.0)
+    scaled = [node for node, volume in zip(placed, volumes, strict=True) if volume > least] or placed
     if len(scaled) < len(placed):  # animations hide a node so
-        lost = f"{name}: {len(placed) - len(scaled)} meshes whose nodes have a scale of 0"
+        lost = f"{name}: meshes whose nodes have a scale of 0 ({len(placed) - len(scaled)})"
         notes.append(Note(lost, "they are missing", "export the pose you want"))
-    for node in scaled or placed:
+    for node in scaled:
         for index in reader.drawn(node.mesh):
             label = f"{name}: mesh {node.mesh}, primitive {index}"
             primitive = gltf.meshes[node.mesh].primitives[index]
@@ -123,7 +125,7 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
         part.mode < _TRIANGLES for mesh in {node.mesh for node in placed} for part in gltf.meshes[mesh].primitives
     )
     if lines:
-        notes.append(Note(f"{name}: {lines} primitives of points or lines", "they are missing", "export surfaces"))
+        notes.append(Note(f"{name}: primitives of points or lines ({lines})", "they are missing", "export surfaces"))
     for surface in surfaces.values():
         notes.extend(surface.notes)
     single_sided = [mesh for mesh, surface in drawn if not surface.double_sided]
