@@ -36,6 +36,10 @@ _RATE: Final = 5.0
 """Frames a second of captures without timestamps."""
 _PHOTOS: Final = 3
 """Pictures of a capture that are read as photographs."""
+_UNITS: Final = (
+    "placed: share of frames; focal: relative error; turn, horizon, photo: degrees; shift: share of the path's reach; "
+    "scale: true / estimated; light: log-L2 / that by exact poses and depth"
+)
 
 
 @dataclass(frozen=True)
@@ -79,9 +83,7 @@ class PoseScores:
     def table(self) -> Table:
         """Return a row for each capture, the median and the worst."""
         columns = ["placed", "focal", "turn", "worst turn", "shift", "scale", "horizon", "photo", "light"]
-        table = figure_table(
-            "estimated poses", columns, caption="degrees; light: log-L2, relative to exact poses and depth"
-        )
+        table = figure_table("estimated poses", columns, caption=_UNITS)
         rows = [_figures(score) for score in self.scores]
         for score, row in zip(self.scores, rows, strict=True):
             table.add_row(score.capture, *(f"{value:.3g}" for value in row))
