@@ -13,6 +13,7 @@ from jaxtyping import Float, Float32
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_solid_angles
 from roomlight.dataset.recording import ORDINARY
+from roomlight.errors import DatasetError
 from roomlight.images import read_colour
 from roomlight_generator.blender.scene import BLENDER_TO_WORLD, BlenderRoom, blender, quiet
 from roomlight_generator.transport import FrameView
@@ -21,6 +22,9 @@ SENSOR_MM: Final = 36.0
 FORWARD_TO_CENTRE: Final = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
 """Camera axes (columns: right, up, backward) of a panorama whose middle column looks along +x."""
 _LEAST_BOUNCES: Final = 12
+_LIMITS: Final = ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces", "transparent_max_bounces")
+_KEPT: Final = ("feature_set", "shading_system", "dicing_rate", "max_subdivisions", "volume_bounces")
+"""Settings of the file's own that its materials and shapes rest on."""
 _LAMP_RADIUS_M: Final = 0.01
 _SUN_RAD: Final = 0.0093
 """Least size of a lamp that is a point, and the sun's."""
@@ -28,6 +32,8 @@ _SUN_RAD: Final = 0.0093
 FINER: Final = 2
 """Panoramas are rendered at this many times their height and averaged by solid angle: Cycles spreads its paths evenly
 over a pixel's azimuth and elevation, and too many of them lie near a pole."""
+_DARK: Final = 1e-5
+"""Radiance, in Cycles' units, below which is what the denoiser makes of nothing."""
 _BRIGHT: Final = 30.0
 """Medians of a probe's radiance above which reflected light is not denoised."""
 
@@ -82,9 +88,17 @@ class CyclesViews:
         return self._panorama(position, height, self._samples, seed)
 
     def set_median(self, position: Float[np.ndarray, "3"], kcd_m2: float) -> None:
-        """Scale all light so that the median of what arrives at a point is `kcd_m2`."""
+        """Scale all light so that the median of what arrives at a point is `kcd_m2`.
+
+        Raises:
+            DatasetError: no light arrives there.
+        """
         self.kcd_m2 = 1.0
-        brightness = np.median(self._panorama(position, 24, 32, 0).mean(axis=-1))
+        panorama = self._panorama(position, 24, 32, 0)
+        if panorama.max() < _DARK:
+            place = ", ".join(f"{value:.1f}" for value in position)
+            raise DatasetError(f"{self._room.path}: no light arrives at ({place}) m; give the scene a lamp or a world")
+        brightness = np.median(panorama.mean(axis=-1))
         self.kcd_m2 = kcd_m2 / max(float(brightness), 1e-9)
         self._bright.default_value = _BRIGHT * float(brightness)
 
@@ -136,9 +150,16 @@ def _z_depth(distance_m: Float[np.ndarray, " n"], along: Float[np.ndarray, "h w"
 def _show_lamps(room: BlenderRoom, camera: Any) -> None:
     """Let the camera see light objects, which Cycles hides from a camera's rays but not from refracted ones.
 
-    The camera looks through a small box of refractive index 1 that nothing else sees. Lamps without size get one.
+    The camera looks through a small box of refractive index 1 that nothing else sees: what it sees or what lights
+    surfaces is visible to refracted rays. Lamps without size get one.
     """
     bpy, half = blender(), 0.02 / room.unit_m
+    for thing in bpy.data.objects:
+        thing.visible_transmission = thing.visible_camera or thing.visible_diffuse
+        thing.is_holdout = thing.is_shadow_catcher = False
+    for world in bpy.data.worlds:
+        seen = world.cycles_visibility
+        seen.transmission = seen.camera or seen.diffuse
     for thing in room.scene.objects:
         if thing.type == "LIGHT" and thing.data.type in ("POINT", "SPOT"):
             thing.data.shadow_soft_size = max(thing.data.shadow_soft_size, _LAMP_RADIUS_M / room.unit_m)
@@ -211,20 +232,27 @@ def _denoise_what_surfaces_reflect(scene: Any) -> Any:
 
 
 def _set_up(scene: Any) -> None:
-    """Choose physical light: no clamping, no view transform, enough bounces, one thread."""
+    """Choose physical light, whatever the file's own settings are: no clamping, enough bounces; and one thread."""
     render, cycles = scene.render, scene.cycles
+    scene.timeline_markers.clear()  # they choose cameras
+    kept = {name: getattr(cycles, name) for name in (*_KEPT, *_LIMITS)}
+    for setting in cycles.bl_rna.properties:
+        cycles.property_unset(setting.identifier)
+    for name, value in kept.items():
+        setattr(cycles, name, max(value, _LEAST_BOUNCES) if name in _LIMITS else value)
     render.engine, cycles.device = "CYCLES", "CPU"
     render.use_sequencer = render.use_border = render.use_motion_blur = False
+    render.use_stamp = render.use_multiview = render.use_freestyle = False
     render.resolution_percentage, render.pixel_aspect_x, render.pixel_aspect_y = 100, 1, 1
     render.threads_mode, render.threads = "FIXED", 1
     render.use_persistent_data = True  # a walk's frames share the scene
     render.film_transparent = False
     settings = render.image_settings
     settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
-    cycles.film_exposure = 1.0
+    settings.exr_codec, settings.color_management = "ZIP", "FOLLOW_SCENE"
+    for layer in scene.view_layers:
+        layer.samples, layer.cycles.use_denoising = 0, True
     cycles.pixel_filter_type = "BOX"  # a wider filter would bring light of the poles of panoramas into larger pixels
-    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
-    cycles.max_bounces = max(cycles.max_bounces, _LEAST_BOUNCES)
-    cycles.diffuse_bounces = max(cycles.diffuse_bounces, _LEAST_BOUNCES)
+    cycles.sample_clamp_indirect = 0.0
     cycles.denoiser = "OPENIMAGEDENOISE"
     cycles.use_adaptive_sampling = False

@@ -25,7 +25,7 @@ def render_room(request: RoomRequest) -> Iterator[Recording]:
     """Yield sequences of a scene.
 
     Raises:
-        DatasetError: `bpy` is not installed, the scene cannot be opened, or no room is found in it.
+        DatasetError: `bpy` is not installed, the scene cannot be opened, it has no light, or no room is found in it.
         ValueError: if no walk through the room is found.
     """
     path = request.scenes[request.index]

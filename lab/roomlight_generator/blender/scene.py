@@ -6,7 +6,7 @@ Blender's world is z up; its point (x, y, z) is (x, z, -y) here. Lengths are mul
 import importlib
 import importlib.util
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +91,8 @@ def open_scene(path: Path) -> BlenderRoom:
     """Open a .blend file with all that a render of it would show.
 
     Raises:
-        DatasetError: `bpy` is not installed, the file cannot be opened, or it shows no triangle.
+        DatasetError: `bpy` is not installed, the file cannot be opened, a texture or library of it is missing, or it
+            shows no triangle.
     """
     bpy = blender()
     try:
@@ -103,6 +104,7 @@ def open_scene(path: Path) -> BlenderRoom:
     scene = bpy.context.scene
     _show_what_is_rendered(bpy, scene)
     graph = bpy.context.evaluated_depsgraph_get()
+    _check_files(bpy, graph, path)
     unit_m = float(scene.unit_settings.scale_length)
     parts = [part for instance in graph.object_instances if (part := _triangles(instance, unit_m)) is not None]
     if not parts:
@@ -115,8 +117,10 @@ def open_scene(path: Path) -> BlenderRoom:
         raise DatasetError(f"{path}: a vertex is not a finite number")
     camera = scene.camera
     anchor = None if camera is None else BLENDER_TO_WORLD @ np.array(camera.matrix_world.translation) * unit_m
-    lamps = tuple(thing.name for thing in scene.objects if thing.type == "LIGHT" and not thing.hide_render)
-    return BlenderRoom(scene, path, unit_m, vertices, kinds, RayTree(vertices, faces), anchor, lamps)
+    lamps = dict.fromkeys(
+        instance.object.name for instance in graph.object_instances if instance.object.type == "LIGHT"
+    )
+    return BlenderRoom(scene, path, unit_m, vertices, kinds, RayTree(vertices, faces), anchor, tuple(lamps))
 
 
 def distances(
@@ -134,15 +138,65 @@ def distances(
 
 
 def _show_what_is_rendered(bpy: Any, scene: Any) -> None:
-    """Make the viewport's evaluation, which scripts read, that of a render."""
-    for thing in scene.objects:
+    """Make the viewport's evaluation, which scripts read, that of a render of the first view layer that is in use."""
+    layer = next((layer for layer in scene.view_layers if layer.use), scene.view_layers[0])
+    for other in [other for other in scene.view_layers if other != layer]:
+        scene.view_layers.remove(other)
+    for part in ("use", "use_solid", "use_sky", "use_strand", "use_volumes", "use_pass_combined"):
+        setattr(layer, part, True)
+    layer.material_override = None
+    scene.render.use_simplify = False
+    for thing in (*bpy.data.objects, *bpy.data.collections):
         thing.hide_viewport = thing.hide_render
+    nested = [layer.layer_collection]
+    for part in nested:
+        part.hide_viewport = part.holdout = part.indirect_only = False
+        nested.extend(part.children)
+    for thing in layer.objects:
         thing.hide_set(False)
+    for thing in bpy.data.objects:
         for modifier in thing.modifiers:
             modifier.show_viewport = modifier.show_render
             if modifier.type in ("SUBSURF", "MULTIRES"):
                 modifier.levels = modifier.render_levels
-    bpy.context.view_layer.update()
+    layer.update()
+
+
+def _check_files(bpy: Any, graph: Any, path: Path) -> None:
+    """Refuse a scene that would show the colour of missing textures, or lacks what other files hold."""
+    unpacked = [library.filepath for library in bpy.data.libraries if library.packed_file is None]
+    files = {name: bpy.path.abspath(name) for name in unpacked}
+    for owner in (part.original for part in graph.ids):
+        if isinstance(owner, bpy.types.Material | bpy.types.World | bpy.types.Light):
+            for image in (getattr(node, "image", None) for node in _shader_nodes(owner)):
+                if image is not None and image.packed_file is None and image.source in ("FILE", "MOVIE", "TILED"):
+                    files[image.filepath or image.name] = image.filepath_from_user()
+    missing = sorted(name for name, file in files.items() if not Path(file).is_file())
+    if missing:
+        raise DatasetError(
+            f"{path}: textures or libraries that it shows are missing ({len(missing)}): {', '.join(missing[:4])}; find "
+            "them in Blender (File > External Data > Find Missing Files), or take them out, and save the scene"
+        )
+
+
+def _shader_nodes(owner: Any) -> list[Any]:
+    """Return the nodes that the output of a material, world or lamp depends on, depth first."""
+    output = owner.node_tree.get_output_node("CYCLES") if owner.use_nodes and owner.node_tree is not None else None
+    seen: dict[Any, None] = {}
+
+    def walk(inputs: Iterable[Any]) -> None:
+        for node in (link.from_node for socket in inputs for link in socket.links if not link.is_muted):
+            if node in seen:
+                continue
+            seen[node] = None
+            if node.type == "GROUP" and node.node_tree is not None:
+                ends = [end for end in node.node_tree.nodes if end.type == "GROUP_OUTPUT" and end.is_active_output]
+                walk(socket for end in ends for socket in end.inputs)
+            walk(node.inputs)
+
+    if output is not None:
+        walk(output.inputs)
+    return list(seen)
 
 
 def _triangles(
@@ -174,9 +228,7 @@ def _triangles(
 
 def _kind(material: Any) -> int:
     """Return the kind of surface of a material, by the first of its shaders that decides it."""
-    if material is None or not material.use_nodes or material.node_tree is None:
-        return ORDINARY
-    for node in material.node_tree.nodes:
+    for node in _shader_nodes(material) if material is not None else []:
         sockets = node.inputs
         principled = node.type == "BSDF_PRINCIPLED"
         if node.type == "EMISSION" or (principled and any(sockets["Emission Color"].default_value[:3])):

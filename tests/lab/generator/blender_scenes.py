@@ -54,3 +54,50 @@ def box_room(
         bpy.context.scene.camera = bpy.context.object
         bpy.ops.wm.save_as_mainfile(filepath=str(path))
     return path
+
+
+def box_room_of_many_settings(path: Path) -> Path:
+    """Save `box_room` with walls that emit (40, 20, 10) and settings that would hide or change light.
+
+    It also has a cube of the walls' material that only renders show, and one that only the viewport shows.
+    """
+    box_room(path, albedo=0.5, walls_emit=40.0)
+    bpy = blender()
+    scene, room = bpy.context.scene, bpy.data.objects["Cube"]
+    walls = room.data.materials[0].node_tree
+    add, light = walls.nodes["Add Shader"], walls.nodes["Emission"]
+    light.inputs["Color"].default_value = (1, 0.5, 0.25, 1)
+    lamp = bpy.data.node_groups.new("lamp", "ShaderNodeTree")
+    lamp.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    inner = lamp.nodes.new("ShaderNodeEmission")
+    for socket in ("Color", "Strength"):
+        inner.inputs[socket].default_value = light.inputs[socket].default_value
+    lamp.links.new(inner.outputs[0], lamp.nodes.new("NodeGroupOutput").inputs[0])
+    group = walls.nodes.new("ShaderNodeGroup")
+    group.node_tree = lamp
+    walls.links.new(group.outputs[0], add.inputs[1])
+    walls.nodes.remove(light)
+    for place, (render, viewport) in (((1.5, 1, 2), (True, False)), ((-1.5, -1, 2), (False, True))):
+        collection = bpy.data.collections.new("half shown")
+        scene.collection.children.link(collection)
+        cube = bpy.data.objects.new("cube", room.data)
+        cube.location, cube.scale = place, (0.1, 0.1, 0.1)
+        collection.objects.link(cube)
+        collection.hide_render, collection.hide_viewport = not render, not viewport
+    outside = bpy.data.objects.new("outside", bpy.data.cameras.new("outside"))
+    outside.location = (0, 0, -50)
+    scene.collection.objects.link(outside)
+    scene.timeline_markers.new("cut", frame=1).camera = outside
+    room.visible_transmission = False
+    scene.view_layers.new("beauty").material_override = bpy.data.materials.new("clay")
+    scene.view_layers[0].use = False
+    scene.cycles.transmission_bounces = scene.cycles.glossy_bounces = 0
+    scene.world = bpy.data.worlds.new("outside")  # without one there is no fast light
+    scene.cycles.use_fast_gi, scene.cycles.ao_bounces_render = True, 1
+    scene.render.use_stamp = scene.render.use_multiview = scene.render.use_simplify = True
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_management = "OPEN_EXR", "OVERRIDE"
+    settings.linear_colorspace_settings.name = "ACES2065-1"
+    with quiet():
+        bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blender_scenes import SIZE_M, box_room
+from blender_scenes import SIZE_M, box_room, box_room_of_many_settings
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_rays, panorama_solid_angles
 from roomlight.dataset.loader import Dataset
-from roomlight.dataset.recording import LIGHT
+from roomlight.dataset.recording import LIGHT, ORDINARY
 from roomlight.errors import DatasetError
 from roomlight_generator.blender.cycles import CyclesViews
 from roomlight_generator.blender.floor import find_floor
 from roomlight_generator.blender.render import render_room
-from roomlight_generator.blender.scene import open_scene
+from roomlight_generator.blender.scene import blender, open_scene
 from roomlight_generator.room_request import RoomRequest
 
 with_blender = pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="bpy is not installed")
@@ -82,6 +82,38 @@ def test_light_between_walls_is_that_of_the_furnace(tmp_path):
     mean = float((panorama[..., 1] * panorama_solid_angles(16)).sum() / (4 * np.pi))
     assert mean == pytest.approx(80.0, rel=0.01)
     assert panorama.min() > 60
+
+
+@with_blender
+def test_light_is_physical_whatever_the_settings_of_the_file(tmp_path):
+    """The furnace of E / (1 - rho) in three colours, with one of two cubes in it."""
+    room = open_scene(box_room_of_many_settings(tmp_path / "room.blend"))
+    assert room.kinds.tolist() == [LIGHT] * 24
+    np.testing.assert_allclose(room.vertices.mean(axis=0), [0.75, 1.75, -0.5], atol=1e-5)  # between room and cube
+    panorama = CyclesViews(room, 0.0, samples=16).panorama(np.array([0.3, 1.1, 0.4]), 16, seed=3)
+    np.testing.assert_allclose(panorama.mean(axis=(0, 1)), [80, 40, 20], rtol=0.01)
+    assert (panorama.min(axis=(0, 1)) > [60, 30, 15]).all()
+
+
+@with_blender
+def test_a_room_without_light_or_with_a_missing_texture_is_refused(tmp_path):
+    scene = box_room(tmp_path / "room.blend")
+    bpy = blender()
+    tree = bpy.data.materials["walls"].node_tree
+    tree.nodes.new("ShaderNodeEmission")  # connected with nothing
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image = bpy.data.images.new("wood", 4, 4)
+    texture.image.source, texture.image.filepath = "FILE", "//wood.png"
+    bpy.ops.wm.save_as_mainfile(filepath=str(scene))
+    room = open_scene(scene)
+    assert set(room.kinds) == {ORDINARY}
+    with pytest.raises(DatasetError, match=r"no light arrives at \(0\.0, 1\.0, 0\.0\) m"):
+        CyclesViews(room, 0.0, samples=1).set_median(np.array([0.0, 1, 0]), 1.0)
+    tree = bpy.data.materials["walls"].node_tree
+    tree.links.new(tree.nodes["Image Texture"].outputs[0], tree.nodes["Diffuse BSDF"].inputs["Color"])
+    bpy.ops.wm.save_as_mainfile(filepath=str(scene))
+    with pytest.raises(DatasetError, match=r"textures or libraries .* missing \(1\): //wood\.png"):
+        open_scene(scene)
 
 
 @with_blender
