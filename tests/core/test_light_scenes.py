@@ -189,8 +189,8 @@ def decode_rgbd(png):
 
 
 def texel_direction(face, row, column, size):
-    """Direction of a texel by OpenGL's table, in a cube map whose x is mirrored, as Babylon.js shows it."""
-    s, t = (2 * column + 1) / size - 1, (2 * row + 1) / size - 1
+    """Direction of a texel by OpenGL's table, with x mirrored and rows from bottom to top, as Babylon.js shows it."""
+    s, t = (2 * column + 1) / size - 1, 1 - (2 * row + 1) / size
     x, y, z = [(1, -t, -s), (-1, -t, s), (s, 1, t), (s, -1, -t), (s, -t, 1), (-s, -t, -1)][face]
     return unit(-x, y, z)
 

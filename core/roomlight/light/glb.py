@@ -6,8 +6,9 @@ of irradiance. Images are PNGs in RGBD: radiance = RGB ^ 2.2 / alpha, up to 255;
 light's `intensity`.
 
 The extension does not say where its axes lie in the scene. Babylon.js, which renders it, shows glTF's x mirrored in its
-left-handed world, as three.js does in its cube maps: faces are stored with +X and -X swapped and each flipped left to
-right, and coefficients in these mirrored axes.
+left-handed world, as three.js does in its cube maps: faces are those of OpenGL with +X and -X swapped and each flipped
+left to right, and coefficients are in these mirrored axes. The extension also has each image flipped against OpenGL's
+rows, and Babylon.js turns them back.
 
 A directional light shines along its node's -z; its intensity in lux is the irradiance on a surface that faces it, in
 the unit of radiance x steradian.
@@ -55,7 +56,7 @@ def to_glb(panorama: Float[np.ndarray, "h w 3"], lights: Sequence[MainLight], *,
     scale = max(1.0, max(float(level.faces.max()) for level in mips.levels) / _LARGEST)
     harmonics = project(rest).irradiance().coefficients * _MIRROR[:, None] / scale
     images = [
-        _rgbd(level.faces[face, :, ::-1] / np.float32(scale)) for level in mips.levels for face in _MIRRORED_FACES
+        _rgbd(level.faces[face, ::-1, ::-1] / np.float32(scale)) for level in mips.levels for face in _MIRRORED_FACES
     ]
     light = {
         "name": "room",
