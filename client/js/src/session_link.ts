@@ -19,8 +19,11 @@ export class SessionRequests {
     private readonly memory: SessionMemory,
   ) {}
 
-  /** Send a request of the session; a session that is missing is opened again, once. */
+  /** Send a request of the session; a session that is missing is opened again, once. Waits while that is done. */
   async send(request: HttpRequest): Promise<Response> {
+    if (this.recovering) {
+      await this.recover(request.signal);
+    }
     const beforeRetry = async (error: RoomLightError) => void (this.unsure ||= isServerLost(error));
     try {
       return await this.http.send({ ...request, beforeRetry });
@@ -106,31 +109,32 @@ export class SessionRequests {
     }
   }
 
-  /** Bring the session up to date, once for all calls that wait for it. */
+  /** Bring the session up to date, once for all calls that wait for it; a call that is aborted leaves it to the others. */
   private recover(signal: AbortSignal | undefined): Promise<void> {
-    this.recovering ??= this.restore(signal).finally(() => (this.recovering = null));
-    return this.recovering;
+    this.recovering ??= this.restore().finally(() => (this.recovering = null));
+    return waiting.untilAborted(this.recovering, signal);
   }
 
-  private async restore(signal: AbortSignal | undefined): Promise<void> {
-    const { state } = await this.resume(this.memory.canReopen, signal);
+  private async restore(): Promise<void> {
+    this.unsure = true; // until all is done
+    const { state } = await this.resume(this.memory.canReopen);
     const probes = this.memory.probesToRestore(state);
     for (const name of probes.untrack) {
-      await this.http.send({ method: "DELETE", path: this.probePath(name), signal });
+      await this.http.send({ method: "DELETE", path: this.probePath(name) });
     }
     for (const [name, position] of probes.track) {
-      await this.restoreTrack(name, position, signal);
+      await this.restoreTrack(name, position);
     }
     const last = state.frames.last_index ?? -1;
     for (const { index, message } of [...this.memory.frames].filter((one) => one.state === "done" && one.index > last)) {
-      await this.resend(index, message, signal);
+      await this.resend(index, message);
     }
     this.unsure = false;
   }
 
-  private async restoreTrack(name: string, position: Position, signal: AbortSignal | undefined) {
+  private async restoreTrack(name: string, position: Position) {
     try {
-      await this.http.send({ ...this.trackRequest(name, position), signal });
+      await this.http.send(this.trackRequest(name, position));
     } catch (error) {
       if (!(error instanceof RoomLightError) || isTemporary(error) || isSessionGone(error)) {
         throw error;
@@ -139,9 +143,9 @@ export class SessionRequests {
     }
   }
 
-  private async resend(index: number, message: Uint8Array<ArrayBuffer>, signal: AbortSignal | undefined) {
+  private async resend(index: number, message: Uint8Array<ArrayBuffer>) {
     try {
-      const response = await this.http.send({ ...this.frameRequest(index, message), signal });
+      const response = await this.http.send(this.frameRequest(index, message));
       this.memory.frames.settle((await response.json()) as FrameResult);
     } catch (error) {
       if (!(error instanceof RoomLightError) || isServerLost(error) || isSessionGone(error)) {

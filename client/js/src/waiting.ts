@@ -18,4 +18,15 @@ export const waiting = {
       }, seconds * 1000);
       signal?.addEventListener("abort", stop, { once: true });
     }),
+
+  /** The promise's outcome; reject with the signal's reason if it is aborted before. */
+  untilAborted: <T>(promise: Promise<T>, signal: AbortSignal | undefined): Promise<T> =>
+    new Promise((resolve, reject) => {
+      const stop = () => reject(signal?.reason);
+      if (signal?.aborted) {
+        stop();
+      }
+      signal?.addEventListener("abort", stop, { once: true });
+      void promise.then(resolve, reject).finally(() => signal?.removeEventListener("abort", stop));
+    }),
 };

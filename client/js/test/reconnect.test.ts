@@ -321,6 +321,27 @@ test("HTTP pushes survive a server that lost the session", async (context) => {
   assert.equal((await session.state()).id, "room"); // opened again for any call
 });
 
+test("a call that is aborted leaves the recovery to the others", async (context) => {
+  const room = new Room();
+  const session = await room.session(context);
+  await session.push(plainFrame());
+  await session.push(plainFrame());
+  const aborted = new AbortController();
+  let during: Promise<unknown> = Promise.resolve();
+  room.lose();
+  room.http = ({ path }) => {
+    if (path.endsWith("/frames/0")) {
+      aborted.abort();
+      during = session.state();
+    }
+    return null;
+  };
+  room.log.length = 0;
+  await assert.rejects(session.state({ signal: aborted.signal }), { name: "AbortError" });
+  await during;
+  assert.deepEqual(room.log, ["GET", "GET", "PUT", "PUT /frames/0", "PUT /frames/1", "GET"]);
+});
+
 test("HTTP pushes wait for a server that is away", async (context) => {
   const room = new Room();
   const session = await room.session(context);
