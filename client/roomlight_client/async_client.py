@@ -27,7 +27,7 @@ from roomlight_client.compositing import CompositeFile, composite_request, objec
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
 from roomlight_client.memory import BufferLimits, SessionMemory
-from roomlight_client.recovery import Pause, Recovery, RecoveryEvent, RecoveryPolicy, Resumed, Send, Steps
+from roomlight_client.recovery import Pause, Recovery, RecoveryEvent, RecoveryPolicy, Restore, Resumed, Send, Steps
 from roomlight_client.retry import NO_RETRY, RECONNECT, Retry, Timeouts
 from roomlight_client.stream import AsyncStream
 from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamOptions, StreamStatus
@@ -51,6 +51,7 @@ class AsyncClient:
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.AsyncClient(transport=transport, **arguments)
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._restoring: dict[Recovery, asyncio.Task[None]] = {}
         self._has_own_transport = transport is None
         self._retry, self._url = retry or Retry(), url
         self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
@@ -156,10 +157,19 @@ class AsyncClient:
                 "this AsyncClient was used in another event loop: make one in each asyncio.run, or do everything in one"
             )
 
-    async def _take(self, step: Send | Pause) -> Any:
+    async def _take(self, step: Send | Pause | Restore) -> Any:
+        if isinstance(step, Restore):
+            return await self._restore(step.recovery)
         if isinstance(step, Pause):
             return await _waiting.wait_async(step.seconds)
         return await self.run(step.call, retry=step.retry)
+
+    async def _restore(self, recovery: Recovery) -> None:
+        """Bring a session up to date in a task of its own: a call that is cancelled leaves it to the others."""
+        if recovery not in self._restoring:
+            task = self._restoring[recovery] = asyncio.create_task(self.follow(recovery.restore()))
+            task.add_done_callback(lambda _: self._restoring.pop(recovery))
+        await asyncio.shield(self._restoring[recovery])
 
     def _recovery(self, session_calls: SessionCalls, request: SessionRequest | None) -> Recovery:
         policy = RecoveryPolicy(self._retry, self.options.reconnect, self._on_recovery)

@@ -28,7 +28,7 @@ from roomlight_client.compositing import CompositeFile, composite_request, objec
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
 from roomlight_client.memory import BufferLimits, SessionMemory
-from roomlight_client.recovery import Pause, Recovery, RecoveryEvent, RecoveryPolicy, Resumed, Send, Steps
+from roomlight_client.recovery import Pause, Recovery, RecoveryEvent, RecoveryPolicy, Restore, Resumed, Send, Steps
 from roomlight_client.retry import NO_RETRY, RECONNECT, Retry, Timeouts
 from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamOptions, StreamStatus
 
@@ -203,7 +203,9 @@ class Client:
         except StopIteration as end:
             return end.value
 
-    def _take(self, step: Send | Pause) -> Any:
+    def _take(self, step: Send | Pause | Restore) -> Any:
+        if isinstance(step, Restore):
+            return self.follow(step.recovery.restore())
         if isinstance(step, Pause):
             return _waiting.wait(step.seconds)
         return self.run(step.call, retry=step.retry)

@@ -35,7 +35,14 @@ class Pause:
     seconds: float
 
 
-Steps = Generator[Send | Pause, Any, T]
+@dataclass(frozen=True)
+class Restore:
+    """Follow `recovery.restore()`, once for all calls that wait for it."""
+
+    recovery: "Recovery"
+
+
+Steps = Generator[Send | Pause | Restore, Any, T]
 
 
 @dataclass(frozen=True)
@@ -98,16 +105,19 @@ class Recovery:
         self._calls, self._policy = calls, policy
         self._may_have_restarted = self._announced = False
         self._stopping: RemoteError | None = None  # the refusal of a server that stops, until one is ready
+        self._restoring = False
 
     def call(self, call: Call[T]) -> Steps[T]:
-        """Send a call; if the session is missing, open it again once."""
+        """Send a call; if the session is missing, open it again once. Waits while that is done."""
+        if self._restoring:
+            yield Restore(self)
         try:
             return (yield Send(call))
         except RemoteError as error:
             self._note(error)
             if not self._can_reopen_after(error):
                 raise
-        yield from self._restore()
+        yield Restore(self)
         return (yield Send(call))
 
     def push(self, call: Call[FrameResult], index: int, *, repeat: PushRepeat) -> Steps[FrameResult]:
@@ -135,7 +145,7 @@ class Recovery:
         while self._may_have_restarted:
             try:
                 yield from self._check_started()
-                yield from self._restore()
+                yield Restore(self)
             except RemoteError as error:
                 self._note(error)
                 failures += 1
@@ -164,7 +174,7 @@ class Recovery:
             try:
                 if self._may_have_restarted:
                     yield from self._check_started()
-                    yield from self._restore()
+                    yield Restore(self)
                 return (yield Send(call, NO_RETRY))
             except RemoteError as error:
                 if self._can_reopen_after(error) and not reopened:
@@ -198,8 +208,15 @@ class Recovery:
             raise self._stopping
         self._stopping = None
 
+    def restore(self) -> Steps[None]:
+        """Bring the session up to date; only a client that takes a `Restore` follows these steps."""
+        self._unsure = self._restoring = True  # unsure until all is done
+        try:
+            yield from self._restore()
+        finally:
+            self._restoring = False
+
     def _restore(self) -> Steps[None]:
-        """Bring the session up to date."""
         resumed = yield from self.resume(reopen=self.memory.can_reopen)
         missing, unwanted = self.memory.probe_changes(resumed.state)
         for name in unwanted:

@@ -90,6 +90,43 @@ def test_a_server_that_stops_is_away_until_one_is_ready(kind):
     ]
 
 
+def test_a_cancelled_call_leaves_the_recovery_to_the_others():
+    requests: list[str] = []
+
+    async def main():
+        lost, resending, released = asyncio.Event(), asyncio.Event(), asyncio.Event()
+
+        async def answer(request: httpx.Request) -> httpx.Response:
+            name = f"{request.method} {request.url.path.rpartition('/')[2]}"
+            requests.append(name)
+            if lost.is_set() and "PUT room" not in requests:
+                return problem(404, "session-not-found")
+            if not name.endswith("room"):
+                if lost.is_set():
+                    resending.set()
+                    await released.wait()
+                return httpx.Response(200, json={"index": int(name.split()[1]), "status": "processed"})
+            return httpx.Response(200, json=STATE)
+
+        async with AsyncClient("http://room.test", transport=httpx.MockTransport(answer)) as client:
+            session = await client.open("room")
+            for index in range(2):
+                await session.push(replace(FRAME, index=index))
+            lost.set()
+            requests.clear()
+            cancelled = asyncio.create_task(session.state())
+            await resending.wait()
+            other = asyncio.create_task(session.state())
+            cancelled.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await cancelled
+            released.set()
+            await other
+
+    asyncio.run(main())
+    assert requests == ["GET room", "GET room", "PUT room", "PUT 0", "PUT 1", "GET room"]
+
+
 @BOTH
 def test_retry_after_is_waited_for_unless_it_is_too_long(kind):
     script = Script(
