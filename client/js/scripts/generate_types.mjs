@@ -32,5 +32,6 @@ const types = await openapiTS(JSON.parse(await text(process.stdin)), {
 const compact = astToString(types.filter(({ name }) => !EMPTY.includes(name?.text)))
     .replace(/^ *(\/\*\* @enum \{string\} \*\/|\* @enum \{string\})\n/gm, "") // the union says so
     .replace(/\/\*\*\n *\* (.*)\n *\*\//g, "/** $1 */")
-    .replace(/\[\n *number,\n *number,\n *number\n *\]/g, "[number, number, number]");
+    .replace(/\[\n *number,\n *number,\n *number\n *\]/g, "[number, number, number]")
+    .replace(/(\?: .*);$/gm, "$1 | undefined;"); // for exactOptionalPropertyTypes
 process.stdout.write(HEADER + compact);

@@ -24,8 +24,8 @@ export type Binary = ArrayBuffer | ArrayBufferView | Blob | Promise<Blob>;
  */
 export interface Frame extends Omit<FrameHeader, "version" | "colour" | "depth" | "confidence" | "camera_to_world"> {
   colour: Omit<ColourPart, "bytes"> & { data: Binary };
-  depth?: (Omit<DepthPart, "bytes"> & { data: Binary }) | null;
-  confidence?: (Omit<ConfidencePart, "bytes"> & { data: Binary }) | null;
+  depth?: (Omit<DepthPart, "bytes"> & { data: Binary }) | null | undefined;
+  confidence?: (Omit<ConfidencePart, "bytes"> & { data: Binary }) | null | undefined;
   camera_to_world: ArrayLike<number>;
 }
 

@@ -9,21 +9,21 @@ import type { Problem } from "./wire.js";
 /** How a client connects to its server. */
 export interface ClientOptions {
   /** Sent as a bearer token. A session belongs to the token that opened it. */
-  token?: string;
+  token?: string | undefined;
   /** Retries after 429, 502, 503, 504 and lost connections; default 3. */
-  retries?: number;
+  retries?: number | undefined;
   /** Time limit of each attempt; default 30 s. */
-  timeout_s?: number;
+  timeout_s?: number | undefined;
   /** Longest Retry-After to wait for; default 10 s. After a longer one the request fails at once. */
-  maxRetryAfter_s?: number;
+  maxRetryAfter_s?: number | undefined;
   /** When streams and `push` connect again after the server was lost; false: never. */
-  reconnect?: ReconnectOptions | false;
+  reconnect?: ReconnectOptions | false | undefined;
   /** Bounds of the frames that are kept to be sent again. */
-  buffer?: BufferOptions;
+  buffer?: BufferOptions | undefined;
   /** Replaces the global `fetch`. */
-  fetch?: typeof fetch;
+  fetch?: typeof fetch | undefined;
   /** Replaces the global `WebSocket`. */
-  WebSocket?: typeof WebSocket;
+  WebSocket?: typeof WebSocket | undefined;
 }
 
 export interface HttpRequest {
@@ -33,7 +33,7 @@ export interface HttpRequest {
   headers?: Record<string, string>;
   signal?: AbortSignal | undefined;
   /** Replaces the client's `retries`. */
-  retries?: number;
+  retries?: number | undefined;
   /** Called before each further attempt, with the reason for it. What it throws ends the attempts. */
   beforeRetry?: (error: RoomLightError) => Promise<void>;
 }

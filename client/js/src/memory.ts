@@ -6,9 +6,9 @@ import type { FrameResult, LightForm, Position, SessionRequest, SessionState } f
 /** Bounds of the frames that a client keeps. */
 export interface BufferOptions {
   /** Number of frames; default 128. A server with a state directory writes them down within 5 s. */
-  frames?: number;
+  frames?: number | undefined;
   /** Bytes of their messages; default 64,000,000. The newest frame is kept whatever its size. */
-  bytes?: number;
+  bytes?: number | undefined;
 }
 
 /**

@@ -6,11 +6,11 @@ import { waiting } from "./waiting.js";
 /** When a client connects again. Half of each delay is random, so that phones do not return all at once. */
 export interface ReconnectOptions {
   /** Attempts in a row without success; default 60, which is about eight minutes. */
-  attempts?: number;
+  attempts?: number | undefined;
   /** Delay before the first attempt; it doubles from one attempt to the next. Default 0.25 s. */
-  firstDelay_s?: number;
+  firstDelay_s?: number | undefined;
   /** Longest delay; default 10 s. */
-  maxDelay_s?: number;
+  maxDelay_s?: number | undefined;
 }
 
 /** The delays of one series of attempts. */

@@ -52,9 +52,9 @@ export interface components {
          */
         readonly CompositeMaterial: {
             readonly kind: "diffuse" | "glossy" | "metal" | "mirror" | "glass";
-            readonly base_colour?: readonly [number, number, number] | null;
+            readonly base_colour?: readonly [number, number, number] | null | undefined;
             /** @description 0 to 1 */
-            readonly roughness?: number | null;
+            readonly roughness?: number | null | undefined;
         };
         /**
          * @description An object and its place: exactly one of object and shape, and exactly one of position, pose and pixel.
@@ -74,23 +74,23 @@ export interface components {
          */
         readonly CompositeObject: {
             /** @description ^[0-9a-f]{64}$ */
-            readonly object?: string | null;
-            readonly shape?: ("sphere" | "cube" | "plane" | "vase" | "chair" | "teapot") | null;
+            readonly object?: string | null | undefined;
+            readonly shape?: ("sphere" | "cube" | "plane" | "vase" | "chair" | "teapot") | null | undefined;
             /** @default y */
-            readonly up?: "y" | "z";
+            readonly up?: "y" | "z" | undefined;
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
-            readonly name?: string | null;
-            readonly size_m?: number | null;
-            readonly material?: components["schemas"]["CompositeMaterial"] | null;
-            readonly position?: components["schemas"]["Position"] | null;
-            readonly pose?: readonly number[] | null;
-            readonly pixel?: readonly number[] | null;
+            readonly name?: string | null | undefined;
+            readonly size_m?: number | null | undefined;
+            readonly material?: components["schemas"]["CompositeMaterial"] | null | undefined;
+            readonly position?: components["schemas"]["Position"] | null | undefined;
+            readonly pose?: readonly number[] | null | undefined;
+            readonly pixel?: readonly number[] | null | undefined;
             /**
              * @description -3,600 to 3,600
              * @default 0
              */
-            readonly yaw_degrees?: number;
-            readonly anchor?: ("base" | "back" | "top" | "centre" | "origin") | null;
+            readonly yaw_degrees?: number | undefined;
+            readonly anchor?: ("base" | "back" | "top" | "centre" | "origin") | null | undefined;
         };
         /**
          * @description Request for the last processed frame with objects in it; 1 to 16 objects.
@@ -103,9 +103,9 @@ export interface components {
             /** @description 1 to 16 items */
             readonly objects: readonly components["schemas"]["CompositeObject"][];
             /** @default preview */
-            readonly quality?: "preview" | "good" | "final";
+            readonly quality?: "preview" | "good" | "final" | undefined;
             /** @default png */
-            readonly format?: "png" | "jpeg" | "exr" | "layers";
+            readonly format?: "png" | "jpeg" | "exr" | "layers" | undefined;
         };
         /**
          * @description The optional third part: one byte per depth pixel (0 low, 1 medium, 2 high), of the size of the depth map.
@@ -122,9 +122,9 @@ export interface components {
              * @default uint8
              * @constant
              */
-            readonly format?: "uint8";
+            readonly format?: "uint8" | undefined;
             /** @default raw */
-            readonly encoding?: "raw" | "png" | "zstd";
+            readonly encoding?: "raw" | "png" | "zstd" | undefined;
             /** @description 1 to 16,384 */
             readonly width: number;
             /** @description 1 to 16,384 */
@@ -147,7 +147,7 @@ export interface components {
         readonly DepthPart: {
             readonly format: "uint16_mm" | "float16_m" | "float32_m";
             /** @default raw */
-            readonly encoding?: "raw" | "png" | "zstd";
+            readonly encoding?: "raw" | "png" | "zstd" | undefined;
             /** @description 1 to 16,384 */
             readonly width: number;
             /** @description 1 to 16,384 */
@@ -155,7 +155,7 @@ export interface components {
             /** @description 1 to 2,147,483,648 */
             readonly bytes: number;
             /** @default null */
-            readonly estimated?: boolean | null;
+            readonly estimated?: boolean | null | undefined;
         };
         /**
          * @description The light of one probe in one form.
@@ -169,12 +169,12 @@ export interface components {
         readonly EncodedLight: {
             readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence" | "equirect" | "usdz" | "glb";
             readonly media_type: string;
-            readonly use?: ("lighting" | "reflection") | null;
+            readonly use?: ("lighting" | "reflection") | null | undefined;
             readonly values?: {
                 readonly [key: string]: unknown;
             } | null;
-            readonly data?: string | null;
-            readonly bytes?: number | null;
+            readonly data?: string | null | undefined;
+            readonly bytes?: number | null | undefined;
         };
         /**
          * @description A film of a recording with objects in it.
@@ -205,14 +205,14 @@ export interface components {
             /** @description 1 to 16 items */
             readonly objects: readonly components["schemas"]["CompositeObject"][];
             /** @default preview */
-            readonly quality?: "preview" | "good" | "final";
+            readonly quality?: "preview" | "good" | "final" | undefined;
             /** @default 0 */
-            readonly first?: number;
+            readonly first?: number | undefined;
             /**
              * @description 1 to 300
              * @default 300
              */
-            readonly frames?: number;
+            readonly frames?: number | undefined;
         };
         /**
          * @description Counts of a session's frames. accepted = processed + superseded + skipped + queued.
@@ -231,7 +231,7 @@ export interface components {
             readonly replayed: number;
             readonly refused: number;
             readonly last_index: number | null;
-            readonly durable_index?: number | null;
+            readonly durable_index?: number | null | undefined;
         };
         /** @description WebSocket, to the client: the outcome of a frame. */
         readonly FrameEvent: {
@@ -240,7 +240,7 @@ export interface components {
             /** @default false */
             readonly replay: boolean;
             /** @default null */
-            readonly keyframe?: boolean | null;
+            readonly keyframe?: boolean | null | undefined;
             /** @default false */
             readonly depth_estimated: boolean;
             readonly stage_ms: {
@@ -250,9 +250,9 @@ export interface components {
                 readonly [key: string]: number;
             };
             /** @default null */
-            readonly durable_index?: number | null;
+            readonly durable_index?: number | null | undefined;
             /** @default null */
-            readonly epoch?: number | null;
+            readonly epoch?: number | null | undefined;
             /**
              * @default frame
              * @constant
@@ -284,30 +284,30 @@ export interface components {
              * @default 1
              * @constant
              */
-            readonly version?: 1;
+            readonly version?: 1 | undefined;
             /**
              * @description at least 0
              * @default null
              */
-            readonly index?: number | null;
+            readonly index?: number | null | undefined;
             readonly colour: components["schemas"]["ColourPart"];
             /** @default null */
-            readonly depth?: components["schemas"]["DepthPart"] | null;
+            readonly depth?: components["schemas"]["DepthPart"] | null | undefined;
             /** @default null */
-            readonly confidence?: components["schemas"]["ConfidencePart"] | null;
+            readonly confidence?: components["schemas"]["ConfidencePart"] | null | undefined;
             readonly intrinsics: components["schemas"]["WireIntrinsics"];
             readonly camera_to_world: readonly number[];
             /** @default null */
-            readonly timestamp_s?: number | null;
+            readonly timestamp_s?: number | null | undefined;
             /**
              * @description 1e-06 to 1,000,000
              * @default 1
              */
-            readonly exposure?: number;
+            readonly exposure?: number | undefined;
             /** @default null */
-            readonly auto_exposed?: boolean | null;
+            readonly auto_exposed?: boolean | null | undefined;
             /** @default normal */
-            readonly tracking_state?: "normal" | "limited" | "not_available";
+            readonly tracking_state?: "normal" | "limited" | "not_available" | undefined;
         };
         /**
          * @description Outcome of a frame.
@@ -329,7 +329,7 @@ export interface components {
             readonly status: "processed" | "queued" | "superseded" | "skipped";
             /** @default false */
             readonly replay: boolean;
-            readonly keyframe?: boolean | null;
+            readonly keyframe?: boolean | null | undefined;
             /** @default false */
             readonly depth_estimated: boolean;
             readonly stage_ms: {
@@ -338,8 +338,8 @@ export interface components {
             readonly coverage: {
                 readonly [key: string]: number;
             };
-            readonly durable_index?: number | null;
-            readonly epoch?: number | null;
+            readonly durable_index?: number | null | undefined;
+            readonly epoch?: number | null | undefined;
         };
         /**
          * @description A recorded frame.
@@ -418,7 +418,7 @@ export interface components {
             /** @constant */
             readonly type: "light";
             /** @default  */
-            readonly request?: string;
+            readonly request?: string | undefined;
         };
         /**
          * @description An output encoding of light: a format and its parameters.
@@ -436,17 +436,17 @@ export interface components {
         readonly LightForm: {
             readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence" | "equirect" | "usdz" | "glb";
             /** @description 8 to 512 */
-            readonly size?: number | null;
+            readonly size?: number | null | undefined;
             /** @default total */
-            readonly kind?: "total" | "ambient";
+            readonly kind?: "total" | "ambient" | undefined;
             /** @default arcore */
-            readonly basis?: "arcore" | "arkit" | "threejs";
+            readonly basis?: "arcore" | "arkit" | "threejs" | undefined;
             /**
              * @description -16 to 16
              * @default 0
              */
-            readonly exposure_ev?: number;
-            readonly use?: ("lighting" | "reflection") | null;
+            readonly exposure_ev?: number | undefined;
+            readonly use?: ("lighting" | "reflection") | null | undefined;
         };
         /** @description Request for light at several points after the same frame, each in every form; 1 to 64 probes, 1 to 20 forms. */
         readonly LightRequest: {
@@ -560,16 +560,16 @@ export interface components {
         readonly ProbeLight: {
             readonly position: components["schemas"]["Position"];
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
-            readonly name?: string | null;
+            readonly name?: string | null | undefined;
             readonly coverage: number;
             readonly etag: string;
             readonly forms: readonly components["schemas"]["EncodedLight"][];
         };
         /** @description A point: either a position in world metres or the name of a tracked probe. */
         readonly ProbeQuery: {
-            readonly position?: components["schemas"]["Position"] | null;
+            readonly position?: components["schemas"]["Position"] | null | undefined;
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
-            readonly name?: string | null;
+            readonly name?: string | null | undefined;
         };
         /** @description WebSocket, to the client: the named probes, after `track` or `untrack`. */
         readonly ProbesEvent: {
@@ -588,9 +588,9 @@ export interface components {
             readonly title: string;
             readonly status: number;
             readonly detail: string;
-            readonly field?: string | null;
-            readonly value?: string | null;
-            readonly rule?: string | null;
+            readonly field?: string | null | undefined;
+            readonly value?: string | null | undefined;
+            readonly rule?: string | null | undefined;
         };
         /**
          * @description WebSocket, to the client: a message was rejected or failed; the connection stays open.
@@ -607,9 +607,9 @@ export interface components {
             readonly type: "problem";
             readonly problem: components["schemas"]["Problem"];
             /** @default null */
-            readonly index?: number | null;
+            readonly index?: number | null | undefined;
             /** @default null */
-            readonly request?: string | null;
+            readonly request?: string | null | undefined;
         };
         /**
          * @description An uploaded recording and its replay.
@@ -682,16 +682,16 @@ export interface components {
          */
         readonly ReplayRequest: {
             /** @default auto */
-            readonly model?: "auto" | "classical" | "single" | "video";
+            readonly model?: "auto" | "classical" | "single" | "video" | undefined;
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
             readonly session: string;
             /**
              * @description 16 to 512
              * @default 120
              */
-            readonly height?: number;
+            readonly height?: number | undefined;
             /** @description 0.01 to 60 */
-            readonly fps?: number | null;
+            readonly fps?: number | null | undefined;
             readonly probes?: {
                 readonly [key: string]: components["schemas"]["Position"];
             } | null;
@@ -719,23 +719,23 @@ export interface components {
          */
         readonly SessionRequest: {
             /** @default auto */
-            readonly model?: "auto" | "classical" | "single" | "video";
+            readonly model?: "auto" | "classical" | "single" | "video" | undefined;
             /**
              * @description 16 to 512
              * @default 120
              */
-            readonly height?: number;
+            readonly height?: number | undefined;
             /** @description 1e-06 to 1,000,000 */
-            readonly reference_exposure?: number | null;
+            readonly reference_exposure?: number | null | undefined;
             /** @default false */
-            readonly use_limited_tracking?: boolean;
+            readonly use_limited_tracking?: boolean | undefined;
             /**
              * @description 0 to 2
              * @default 1
              */
-            readonly min_confidence?: number;
+            readonly min_confidence?: number | undefined;
             /** @default rim */
-            readonly unknown_depth?: "rim" | "far" | "drop";
+            readonly unknown_depth?: "rim" | "far" | "drop" | undefined;
         };
         /**
          * @description What people keep with a session: its title, and the objects that its viewers see in it; at most 16.
@@ -749,9 +749,9 @@ export interface components {
              * @description ^[^\x00-\x1f\x7f]*$
              * @default
              */
-            readonly title?: string;
+            readonly title?: string | undefined;
             /** @description 0 to 16 items */
-            readonly objects?: readonly components["schemas"]["CompositeObject"][];
+            readonly objects?: readonly components["schemas"]["CompositeObject"][] | undefined;
         };
         /** @description State of a session. After an engine error its status is `failed`: delete it and open a new one. */
         readonly SessionState: {

@@ -35,7 +35,7 @@ export interface LightFile {
 }
 
 export interface CallOptions {
-  signal?: AbortSignal;
+  signal?: AbortSignal | undefined;
 }
 
 /** A frame with objects in it. */
@@ -63,7 +63,7 @@ export class RoomLight {
    *
    * Throws RoomLightError: with status 409 if the session exists with other options (`error.field` names the option).
    */
-  async open(options: SessionOptions & { id?: string } & CallOptions = {}): Promise<Session> {
+  async open(options: SessionOptions & { id?: string | undefined } & CallOptions = {}): Promise<Session> {
     const { id = randomId(), signal, ...request } = options;
     const response = await sendJson(this.http, { method: "PUT", path: pathOf(id), signal }, request);
     return new Session(this.http, id, (await response.json()) as SessionState, request);
@@ -75,13 +75,13 @@ export class RoomLight {
    * `sessionId` is the session that uses it; needed where a proxy shares sessions among servers.
    */
   async upload(
-    file: Uint8Array<ArrayBuffer>,
-    options: CallOptions & { kind?: "glb" | "gltf" | "obj" | "ply"; sessionId?: string } = {},
+    file: Uint8Array,
+    options: CallOptions & { kind?: "glb" | "gltf" | "obj" | "ply" | undefined; sessionId?: string | undefined } = {},
   ): Promise<ObjectInfo> {
     const path = options.kind === undefined ? OBJECTS : `${OBJECTS}?kind=${options.kind}`;
     const { sessionId } = options;
     const headers = { "content-type": "application/octet-stream", ...(sessionId !== undefined && { "x-session-id": sessionId }) };
-    const request: HttpRequest = { method: "POST", path, body: file, headers, signal: options.signal };
+    const request: HttpRequest = { method: "POST", path, body: file as Uint8Array<ArrayBuffer>, headers, signal: options.signal };
     return (await (await this.http.send(request)).json()) as ObjectInfo;
   }
 
@@ -142,7 +142,7 @@ export class Session {
    * Frames may be pushed before earlier ones are processed: the server processes the newest and answers `superseded`
    * for the others.
    */
-  async push(frame: Frame, options: CallOptions & { wait?: boolean } = {}): Promise<FrameResult> {
+  async push(frame: Frame, options: CallOptions & { wait?: boolean | undefined } = {}): Promise<FrameResult> {
     const indexed = withIndex(frame, this);
     const headers: Record<string, string> = options.wait === false ? { prefer: "respond-async" } : {};
     return this.requests.push(indexed.index, await packFrame(indexed), { headers, signal: options.signal });
@@ -170,7 +170,7 @@ export class Session {
   async probe(
     point: Position | string,
     form: LightForm,
-    options: CallOptions & { etag?: string } = {},
+    options: CallOptions & { etag?: string | undefined } = {},
   ): Promise<LightFile | null> {
     const query = new URLSearchParams();
     const position = typeof point === "string" ? {} : { x: point[0], y: point[1], z: point[2] };

@@ -40,17 +40,17 @@ export interface StreamStatus {
 /** Handlers of messages that answer no call. */
 export interface StreamOptions {
   /** Light of the tracked points after each frame, after `subscribe`. */
-  onLighting?: (update: Lights) => void;
+  onLighting?: ((update: Lights) => void) | undefined;
   /** All tracked points, after one was added, moved or removed. */
-  onProbes?: (probes: ProbesEvent["probes"]) => void;
+  onProbes?: ((probes: ProbesEvent["probes"]) => void) | undefined;
   /** The server refused a message. A call that waits for its answer is rejected as well. */
-  onProblem?: (error: RoomLightError) => void;
+  onProblem?: ((error: RoomLightError) => void) | undefined;
   /** The state of the connection has changed. */
-  onStatus?: (status: StreamStatus) => void;
+  onStatus?: ((status: StreamStatus) => void) | undefined;
   /** The stream has ended and does not connect again. */
-  onClose?: (error: RoomLightError) => void;
+  onClose?: ((error: RoomLightError) => void) | undefined;
   /** Closes the stream. */
-  signal?: AbortSignal;
+  signal?: AbortSignal | undefined;
 }
 
 /** What a stream needs of its session. */

@@ -33,9 +33,9 @@ export interface SceneLights {
 
 export interface ApplyOptions {
   /** Factor for all light; with 1 and without tone mapping, radiance 1.0 is white. */
-  intensity?: number;
+  intensity?: number | undefined;
   /** Distance of the directional light from the probe, for its shadow camera; default 5 m. */
-  distance_m?: number;
+  distance_m?: number | undefined;
 }
 
 const scenes = new WeakMap<Scene, SceneLights & { appliedKey: string }>();

@@ -26,19 +26,19 @@ export interface ViewImage {
   readonly data: Blob | ArrayBuffer | Uint8Array | Promise<Blob>;
   readonly width: number;
   readonly height: number;
-  readonly encoding?: "jpeg" | "png";
+  readonly encoding?: "jpeg" | "png" | undefined;
 }
 
 export interface ViewFrame {
   view: ViewLike;
   /** The view's depth, or a map that already has the image's view; without it the server estimates depth. */
-  depth?: CpuDepthLike | Frame["depth"];
+  depth?: CpuDepthLike | Frame["depth"] | undefined;
   image: ViewImage;
   /** `XRFrame.predictedDisplayTime`, or the callback's time, in milliseconds. */
-  time_ms?: number;
+  time_ms?: number | undefined;
   /** `XRViewerPose.emulatedPosition`: tracking is lost, and the position is a guess. */
-  emulatedPosition?: boolean;
-  exposure?: number;
+  emulatedPosition?: boolean | undefined;
+  exposure?: number | undefined;
 }
 
 /** The frame to push for one animation frame of WebXR. Everything is copied before this returns. */
