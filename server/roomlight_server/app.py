@@ -88,6 +88,7 @@ _ROUTES: Final = (
 _CORS_REQUEST_HEADERS: Final = (
     "Authorization",
     "Content-Type",
+    "If-Match",
     "If-None-Match",
     "Prefer",
     "X-Session-Id",

@@ -33,6 +33,18 @@ def test_everyone_who_looks_at_a_session_sees_what_was_kept_last():
         assert server.call("PUT", SCENE, {}).json == empty.json
 
 
+def test_a_scene_that_was_changed_since_it_was_read_is_not_replaced():
+    with RunningServer() as server:
+        server.open()
+        read = {"If-Match": server.call("GET", SCENE).headers["etag"]}
+        kept = server.call("PUT", SCENE, KEPT, headers=read)
+        assert kept.headers["etag"] == server.call("GET", SCENE).headers["etag"] != read["If-Match"]
+        late = server.call("PUT", SCENE, {}, headers=read)
+        assert (late.status, late.kind, late.json["field"]) == (412, "scene-changed", "If-Match")
+        assert stated(server.call("GET", SCENE).json) == KEPT
+        assert server.call("PUT", SCENE, {}, headers={"If-Match": f"W/{kept.headers['etag']}"}).status == 200
+
+
 def test_another_token_reads_and_writes_its_own_sessions_alone():
     with RunningServer(tokens=TOKENS) as server:
         server.open(token=TOKENS[0])

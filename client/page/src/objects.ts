@@ -65,19 +65,26 @@ export class PlacedObjects {
 
   add(object: Omit<PlacedObject, "name" | "pose">): void {
     const kind = object.file ? plainName(object.file.name) : object.shape;
-    let number = 1;
-    while (this.list.value.some(({ name }) => name === `${kind}-${number}`)) {
-      number++;
-    }
     this.lost.delete(object.file?.id);
-    this.change([...this.list.value, { ...object, name: `${kind}-${number}`, pose: null }]);
+    this.change([...this.list.value, { ...object, name: freeName(kind, this.list.value), pose: null }]);
   }
 
-  /** Show what others have placed. */
-  adopt(list: readonly PlacedObject[]): void {
+  /** Show what others have made of `base`; what the visitor has changed since stays, and can be undone. */
+  adopt(base: readonly PlacedObject[], theirs: readonly PlacedObject[]): void {
     const files = new Map(this.list.value.map(({ file }) => [file?.id, file]));
-    [this.past, this.undone] = [[], []];
-    this.show(list.map((object) => ({ ...object, file: files.get(object.file?.id) ?? object.file })));
+    const names = new Map<string, string>();
+    const next = merged(
+      base,
+      this.list.value,
+      theirs.map((object) => ({ ...object, file: files.get(object.file?.id) ?? object.file })),
+      names,
+    );
+    const renamed = (list: readonly PlacedObject[]) => list.map((object) => ({ ...object, name: names.get(object.name) ?? object.name }));
+    const own = renamed(this.list.value);
+    const rebased = (list: readonly PlacedObject[]) => merged(own, renamed(list), next);
+    [this.past, this.undone] = [this.past.map(rebased), this.undone.map(rebased)];
+    this.selected.value = names.get(this.selected.value ?? "") ?? this.selected.value;
+    this.show(next);
     this.update();
   }
 
@@ -243,6 +250,43 @@ export class PlacedObjects {
   private showComposite(picture: Picture | null): void {
     this.composite.value = picture;
   }
+}
+
+/** The first name `kind-1`, `kind-2`, .. that no object has. */
+function freeName(kind: string, objects: readonly PlacedObject[]): string {
+  let number = 1;
+  while (objects.some(({ name }) => name === `${kind}-${number}`)) {
+    number++;
+  }
+  return `${kind}-${number}`;
+}
+
+/** Their objects with the changes that have led from `base` to `own`; `names` gets those of new objects that are taken. */
+function merged(
+  base: readonly PlacedObject[],
+  own: readonly PlacedObject[],
+  theirs: readonly PlacedObject[],
+  names = new Map<string, string>(),
+): readonly PlacedObject[] {
+  const [before, now] = [base, own].map((list) => new Map(list.map((object) => [object.name, object])));
+  const next = theirs.flatMap((object) => {
+    const [was, is] = [before!.get(object.name), now!.get(object.name)];
+    return was === undefined ? [object] : is === undefined ? [] : [isSame(was, is) ? object : is];
+  });
+  for (const object of own.filter(({ name }) => !before!.has(name))) {
+    const taken = next.find(({ name }) => name === object.name);
+    if (taken === undefined) {
+      next.push(object);
+    } else if (!isSame(taken, object)) {
+      names.set(object.name, freeName(object.name.replace(/-\d+$/, ""), [...next, ...own]));
+      next.push({ ...object, name: names.get(object.name)! });
+    }
+  }
+  return next;
+}
+
+function isSame(one: PlacedObject, other: PlacedObject): boolean {
+  return JSON.stringify(asRequest(one)) === JSON.stringify(asRequest(other));
 }
 
 /** The name of a file without its ending, in letters that an object's name may have. */

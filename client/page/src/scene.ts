@@ -1,6 +1,6 @@
 // The placed objects and the title that the server keeps with a session, the same for everyone who looks at it.
 
-import type { CompositeObject } from "roomlight";
+import { RoomLightError, type CompositeObject } from "roomlight";
 import type { SessionScene } from "./lib/answers";
 import type { Api } from "./lib/api";
 import { latestOnly } from "./lib/signal";
@@ -9,10 +9,10 @@ import type { State } from "./state";
 
 const SURFACES: readonly string[] = ["mirror", "glossy", "diffuse"];
 
-/** Sends what the visitor places, and shows what others place. The last change wins. */
+/** Sends what the visitor places, and shows what others place. Of two changes of one object the last stays. */
 export class SharedScene {
-  private title = "";
-  private known: string | null = null; // objects on the server; null until they are read
+  /** The scene on the server; null until it is read. */
+  private known: { readonly title: string; readonly objects: readonly PlacedObject[]; readonly etag: string } | null = null;
   private joined: string | null = null;
 
   constructor(
@@ -32,7 +32,12 @@ export class SharedScene {
   }
 
   async rename(id: string, title: string): Promise<void> {
-    await this.api.keepScene(id, { ...(await this.api.scene(id)), title });
+    const { objects, etag } = await this.api.scene(id);
+    try {
+      await this.api.keepScene(id, { title, objects }, etag);
+    } catch (error) {
+      return isChanged(error) ? this.rename(id, title) : Promise.reject(error);
+    }
     this.read();
   }
 
@@ -41,17 +46,15 @@ export class SharedScene {
     const [id, before] = [this.joined, this.known];
     try {
       const scene = id === null ? null : await this.api.scene(id);
-      const own = this.objects.list.value;
-      if (scene === null || id !== this.joined || before !== this.known || (before !== null && before !== textOf(own))) {
-        return; // the visitor's own change is on its way
+      if (scene === null || id !== this.joined || before !== this.known || scene.etag === before?.etag) {
+        return;
       }
-      this.title = scene.title;
-      const listed = scene.objects.map(placedOf);
-      this.known = textOf(listed);
-      if (before === null && own.length > 0 && listed.length === 0) {
+      const [own, objects] = [this.objects.list.value, scene.objects.map(placedOf)];
+      this.known = { title: scene.title, objects, etag: scene.etag };
+      if (before === null && own.length > 0 && objects.length === 0) {
         this.keep(); // placed before the first answer
-      } else if (this.known !== before && this.known !== textOf(own)) {
-        this.objects.adopt(listed);
+      } else if (textOf(objects) !== textOf(own)) {
+        this.objects.adopt(before?.objects ?? own, objects);
       }
     } catch {
       // the stream reports a session that has ended, and the banner a server that is gone
@@ -59,22 +62,27 @@ export class SharedScene {
   });
 
   private readonly keep = latestOnly(async () => {
-    const [id, list] = [this.joined, this.objects.list.value];
-    const text = textOf(list);
-    if (id === null || this.known === null || text === this.known || list.some(({ pose }) => pose === null)) {
+    const [id, before, objects] = [this.joined, this.known, this.objects.list.value];
+    if (id === null || before === null || textOf(objects) === textOf(before.objects) || objects.some(({ pose }) => pose === null)) {
       return;
     }
     try {
-      await this.api.keepScene(id, { title: this.title, objects: list.map(asRequest) });
-      if (id === this.joined) {
-        this.known = text;
+      const etag = await this.api.keepScene(id, { title: before.title, objects: objects.map(asRequest) }, before.etag);
+      if (before === this.known) {
+        this.known = { ...before, objects, etag };
       }
     } catch (error) {
-      if (!this.state.ended.value) {
+      if (isChanged(error)) {
+        this.read(); // what the visitor changed is then kept with what others have
+      } else if (!this.state.ended.value) {
         this.report(error);
       }
     }
   });
+}
+
+function isChanged(error: unknown): boolean {
+  return error instanceof RoomLightError && error.kind === "scene-changed";
 }
 
 function textOf(list: readonly PlacedObject[]): string {

@@ -113,6 +113,35 @@ test("placed objects are kept with the session and seen by everyone, who can mov
   await noNotices();
 });
 
+test("what two place at once is kept, and each undoes its own", async () => {
+  const { page: other, errors: heard } = await openPage(browser);
+  await waitForLight(other);
+  const shownIn = (tab, names) =>
+    tab.waitForFunction(
+      (wanted) => [...document.querySelectorAll("#objects .chip-name")].map(({ textContent }) => textContent).sort().join("; ") === wanted,
+      names.map((name) => `${name}, mirror`).join("; "),
+    );
+  const { width, height } = await page.locator("#picture-image").boundingBox();
+  await Promise.all([
+    page.click("#picture-button", { position: { x: 0.35 * width, y: 0.8 * height } }),
+    other.click("#picture-button", { position: { x: 0.65 * width, y: 0.8 * height } }),
+  ]);
+  await Promise.all([page, other].map((tab) => shownIn(tab, ["sphere-1", "sphere-2"])));
+  const placed = (await control("scene")).objects;
+  await page.click("#object-undo");
+  await Promise.all([page, other].map((tab) => tab.waitForFunction(() => document.querySelectorAll("#objects .chip").length === 1)));
+  await other.click("#object-undo");
+  await Promise.all([page, other].map((tab) => shownIn(tab, [])));
+  await page.click("#object-redo");
+  await page.waitForSelector("#objects .chip");
+  await other.click("#object-redo");
+  await Promise.all([page, other].map((tab) => shownIn(tab, ["sphere-1", "sphere-2"])));
+  const again = (await control("scene")).objects;
+  assert.deepEqual(new Set(again.map(({ pose }) => String(pose))), new Set(placed.map(({ pose }) => String(pose))));
+  await other.close();
+  await noNotices();
+});
+
 test("a session without a recording has no film, and says why", async () => {
   await page.click("#open-film");
   await page.waitForFunction(() => document.getElementById("film-refusal").textContent.includes("record the room, and open the recording here"));

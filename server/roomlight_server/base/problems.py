@@ -55,6 +55,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "too-many-recordings": (409, "Recording limit of the token reached"),
     "no-frame": (409, "Session has no frame yet"),
     "session-closed": (410, "Session was closed"),
+    "scene-changed": (412, "Scene was changed meanwhile"),
     "too-large": (413, "Message is too large"),
     "unsupported-media-type": (415, "Content type or encoding is not supported"),
     "bad-request": (400, "Request cannot be parsed"),

@@ -14,11 +14,17 @@ def etag_of(data: bytes) -> str:
     return f'"{hashlib.sha256(data).hexdigest()[:24]}"'
 
 
+def matches(header: str, etag: str) -> bool:
+    """Return whether `If-Match` or `If-None-Match` names an ETag, also the weak one of a compressing proxy."""
+    known = [tag.strip().removeprefix("W/") for tag in header.split(",")]
+    return etag in known or "*" in known
+
+
 def unchanged(request: Request, headers: dict[str, str]) -> Response | None:
     """Return the answer 304 if the client has what the ETag in `headers` names; private unless they say otherwise."""
     headers.setdefault("Cache-Control", "private, no-cache")
-    known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
-    return Response(status_code=304, headers=headers) if headers["ETag"] in known or "*" in known else None
+    has_it = matches(request.headers.get("if-none-match", ""), headers["ETag"])
+    return Response(status_code=304, headers=headers) if has_it else None
 
 
 def data_answer(request: Request, data: bytes, media_type: str) -> Response:

@@ -8,6 +8,11 @@ export interface SessionScene {
   readonly objects: readonly CompositeObject[];
 }
 
+/** A scene as it was read. */
+export interface KeptScene extends SessionScene {
+  readonly etag: string;
+}
+
 export interface SessionSummary {
   readonly id: string;
   /** As its viewers have named it; empty: they have not. */

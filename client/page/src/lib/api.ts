@@ -1,7 +1,7 @@
 // The endpoints that only the page uses; sessions, light and composites go through our client (`roomlight`).
 
 import { RoomLight, RoomLightError, type ObjectInfo, type Problem } from "roomlight";
-import type { CameraState, FilmRequest, History, PairedPhone, Pairing, Recording, RecordingList, SessionList, SessionScene } from "./answers";
+import type { CameraState, FilmRequest, History, KeptScene, PairedPhone, Pairing, Recording, RecordingList, SessionList, SessionScene } from "./answers";
 
 const TOKEN_KEY = "roomlight-token";
 
@@ -79,12 +79,15 @@ export class Api {
     return this.send(sessionPath(id), { method: "DELETE" });
   }
 
-  scene(id: string): Promise<SessionScene> {
-    return this.json(`${sessionPath(id)}/scene`);
+  async scene(id: string): Promise<KeptScene> {
+    const response = await this.send(`${sessionPath(id)}/scene`, {});
+    return { ...((await response.json()) as SessionScene), etag: etagOf(response) };
   }
 
-  keepScene(id: string, scene: SessionScene): Promise<SessionScene> {
-    return this.json(`${sessionPath(id)}/scene`, { method: "PUT", ...jsonBody(scene) });
+  /** Replace the scene with this ETag; returns the new one. Throws RoomLightError `scene-changed` if it is another. */
+  async keepScene(id: string, { title, objects }: SessionScene, etag: string): Promise<string> {
+    const { body, headers } = jsonBody({ title, objects });
+    return etagOf(await this.send(`${sessionPath(id)}/scene`, { method: "PUT", body, headers: { ...headers, "if-match": etag } }));
   }
 
   camera(id: string): Promise<CameraState> {
@@ -155,7 +158,7 @@ export class Api {
     }
     return {
       blob: await response.blob(),
-      etag: response.headers.get("etag") ?? "",
+      etag: etagOf(response),
       frame: Number(response.headers.get("roomlight-frame") ?? -1),
     };
   }
@@ -204,7 +207,11 @@ export function sessionPath(id: string): string {
   return `v1/sessions/${encodeURIComponent(id)}`;
 }
 
-function jsonBody(value: object): RequestInit {
+function etagOf(response: Response): string {
+  return response.headers.get("etag") ?? "";
+}
+
+function jsonBody(value: object): { body: string; headers: Record<string, string> } {
   return { body: JSON.stringify(value), headers: { "content-type": "application/json" } };
 }
 
