@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import queue
 import re
 import struct
 import threading
@@ -236,8 +237,8 @@ def status_bytes(name):
     return int(line[1]) * 1024
 
 
-def test_one_composite_a_session_at_a_time(server, monkeypatch):
-    entered, gate = threading.Event(), threading.Event()
+def test_one_composite_a_session_at_a_time_and_one_waits(server, monkeypatch):
+    entered, gate, answers = threading.Event(), threading.Event(), queue.SimpleQueue()
     original = composites.make
 
     def held(*given):
@@ -246,14 +247,15 @@ def test_one_composite_a_session_at_a_time(server, monkeypatch):
         return original(*given)
 
     monkeypatch.setattr("roomlight_server.routes.composites.make", held)
-    first = InThread(composite, server, BALL)
+    for _ in range(3):
+        InThread(lambda: answers.put(composite(server, BALL)))
+    refused = answers.get(timeout=60)
+    assert (refused.status, refused.kind, refused.headers["retry-after"]) == (429, "composite-running", "1")
     assert entered.wait(60)
-    second = composite(server, BALL)
-    assert (second.status, second.kind, second.headers["retry-after"]) == (429, "composite-running", "1")
     server.open("neighbour")
     assert server.push(0, name="neighbour").json["status"] == "processed"  # other sessions do not wait
     gate.set()
-    assert first.result().status == 200
+    assert [answers.get(timeout=60).status for _ in range(2)] == [200, 200]
     assert server.call("GET", "/v1/sessions/room/probe?x=0&y=1&z=0&format=sh").status == 200
 
 

@@ -215,7 +215,7 @@ export class PlacedObjects {
       return this.restoreFile(error);
     }
     if (error instanceof RoomLightError && error.kind === "composite-running") {
-      return this.update(); // one that this page or another one asked for
+      return this.update(); // those of two other pages
     }
     const isPlace = error instanceof RoomLightError && BAD_PLACES.has(error.kind);
     if (isPlace) {

@@ -138,6 +138,7 @@ test("what two place at once is kept, and each undoes its own", async () => {
   await Promise.all([page, other].map((tab) => shownIn(tab, ["sphere-1", "sphere-2"])));
   const again = (await control("scene")).objects;
   assert.deepEqual(new Set(again.map(({ pose }) => String(pose))), new Set(placed.map(({ pose }) => String(pose))));
+  assert.deepEqual([...errors, ...heard].filter((text) => !text.includes("412")), []);
   await other.close();
   await noNotices();
 });

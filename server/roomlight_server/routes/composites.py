@@ -18,6 +18,7 @@ from roomlight_server.routes.light import FRAME_HEADER
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.transport.disconnects import until_gone
 from roomlight_server.work.composite_processes import MAX_MEMORY_BYTES, Composited, CompositeJob, CompositeMemoryError
+from roomlight_server.work.intake import LatestFrame
 
 _log = logging.getLogger("roomlight.server")
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["objects"])
@@ -83,50 +84,60 @@ async def composite(
 async def _composite(
     live: LiveSession, context: Context, owner: str, reserved: Reservation, body: CompositeRequest
 ) -> Response:
-    with live.composite_turn() as latest:
-        lens = latest.message.intrinsics
-        digests = [item.object for item in body.objects if item.object is not None]
-        files = {digest: context.objects.find(owner, digest) for digest in digests}
-        placed = [files[digest] for digest in digests]
-        needed = memory_of((lens.width, lens.height), body.quality, placed, files.values())
-        limit = context.settings.owner_pending_bytes
-        if needed > limit:
-            rule = f"at most {limit} bytes for one composite; send smaller frames, or simplify the objects"
-            detail = f"the composite could need {needed} bytes: {rule}"
-            raise ProblemError("invalid", detail, field="objects", value=needed, rule=rule)
-        reserved.add(needed)
-        frame = await live.decode_latest(latest, BOXES[body.quality])
-        scene = scene_of(body, files, frame.intrinsics.width / lens.width)
-        start_s = time.perf_counter()
-        try:
-            async with asyncio.timeout(context.settings.composite_timeout_s):
-                if body.quality == "preview":
-                    preview = await live.preview(lambda engine: make(engine, frame, scene, "preview"))
-                    data = await context.workers.run_in_encode_pool(encode, preview.picture, body.format)
-                    made = Composited(preview.poses, preview.visible, data)
-                else:
-                    made = await live.composite(
-                        lambda snapshot, options: CompositeJob(
-                            snapshot, options, frame, scene, body.quality, body.format
-                        )
-                    )
-        except TimeoutError as error:
-            rule = f"must be made in {context.settings.composite_timeout_s:g} s, its waiting included"
-            detail = f"the composite {rule}; choose preview or good, smaller objects, or retry later"
-            raise ProblemError("composite-late", detail, rule=rule, retry_after_s=10) from error
-        except (SceneError, ObjectError, ProbeError) as error:
-            raise ProblemError("bad-place", str(error), field="objects", rule=str(error)) from error
-        except CompositeMemoryError as error:
-            rule = f"at most {MAX_MEMORY_BYTES} bytes for its process; send smaller frames, or simplify the objects"
-            detail = f"the composite needs too much memory: {rule}"
-            raise ProblemError("invalid", detail, field="objects", value=needed, rule=rule) from error
-        except ProblemError:
-            raise
-        except Exception as error:
-            _log.exception("composite failed", extra={"session": live.name, "frame": latest.index})
-            detail = f"the composite could not be made: {type(error).__name__}"
-            raise ProblemError("engine-failed", detail) from error
-        context.metrics.composite_seconds.labels(body.quality).observe(time.perf_counter() - start_s)
+    limit_s = context.settings.composite_timeout_s
+    try:
+        async with asyncio.timeout(limit_s), live.composite_turn() as latest:
+            return await _made(live, context, owner, reserved, body, latest)
+    except TimeoutError as error:
+        rule = f"must be made in {limit_s:g} s, its waiting included"
+        detail = f"the composite {rule}; choose preview or good, smaller objects, or retry later"
+        raise ProblemError("composite-late", detail, rule=rule, retry_after_s=10) from error
+
+
+async def _made(
+    live: LiveSession,
+    context: Context,
+    owner: str,
+    reserved: Reservation,
+    body: CompositeRequest,
+    latest: LatestFrame,
+) -> Response:
+    lens = latest.message.intrinsics
+    digests = [item.object for item in body.objects if item.object is not None]
+    files = {digest: context.objects.find(owner, digest) for digest in digests}
+    placed = [files[digest] for digest in digests]
+    needed = memory_of((lens.width, lens.height), body.quality, placed, files.values())
+    limit = context.settings.owner_pending_bytes
+    if needed > limit:
+        rule = f"at most {limit} bytes for one composite; send smaller frames, or simplify the objects"
+        detail = f"the composite could need {needed} bytes: {rule}"
+        raise ProblemError("invalid", detail, field="objects", value=needed, rule=rule)
+    reserved.add(needed)
+    frame = await live.decode_latest(latest, BOXES[body.quality])
+    scene = scene_of(body, files, frame.intrinsics.width / lens.width)
+    start_s = time.perf_counter()
+    try:
+        if body.quality == "preview":
+            preview = await live.preview(lambda engine: make(engine, frame, scene, "preview"))
+            data = await context.workers.run_in_encode_pool(encode, preview.picture, body.format)
+            made = Composited(preview.poses, preview.visible, data)
+        else:
+            made = await live.composite(
+                lambda snapshot, options: CompositeJob(snapshot, options, frame, scene, body.quality, body.format)
+            )
+    except (SceneError, ObjectError, ProbeError) as error:
+        raise ProblemError("bad-place", str(error), field="objects", rule=str(error)) from error
+    except CompositeMemoryError as error:
+        rule = f"at most {MAX_MEMORY_BYTES} bytes for its process; send smaller frames, or simplify the objects"
+        detail = f"the composite needs too much memory: {rule}"
+        raise ProblemError("invalid", detail, field="objects", value=needed, rule=rule) from error
+    except (ProblemError, TimeoutError):
+        raise
+    except Exception as error:
+        _log.exception("composite failed", extra={"session": live.name, "frame": latest.index})
+        detail = f"the composite could not be made: {type(error).__name__}"
+        raise ProblemError("engine-failed", detail) from error
+    context.metrics.composite_seconds.labels(body.quality).observe(time.perf_counter() - start_s)
     poses = {name: [round(value, 6) for value in pose] for name, pose in made.poses.items()}
     visible = {name: round(share, 3) for name, share in made.visible.items()}
     stated = {POSES_HEADER: poses, VISIBLE_HEADER: visible}

@@ -7,9 +7,9 @@ request is answered with this error, and its memory is released.
 
 import asyncio
 import logging
-from collections.abc import Callable, Generator
+from collections.abc import AsyncGenerator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import asynccontextmanager
 from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
@@ -77,7 +77,8 @@ class LiveSession:
         self._latest: LatestFrame | None = None
         self._depth: DepthStream | None = None
         self.history = History(limits.history_bytes, workers)
-        self._compositing = False
+        self._composite_lock = asyncio.Lock()
+        self._composites_due = 0
         self.scene = SessionScene()
         self._listeners: set[Callable[[], None]] = set()
 
@@ -264,24 +265,26 @@ class LiveSession:
         self._listeners.add(listener)
         return lambda: self._listeners.discard(listener)
 
-    @contextmanager
-    def composite_turn(self) -> Generator[LatestFrame]:
-        """Yield the last processed frame; only one composite is made at a time.
+    @asynccontextmanager
+    async def composite_turn(self) -> AsyncGenerator[LatestFrame]:
+        """Yield the last processed frame; only one composite is made at a time, and one more waits for its turn.
 
         Raises:
-            ProblemError: A composite is being made (429), there is no frame yet (409), or the session has ended.
+            ProblemError: Another one waits (429), there is no frame yet (409), or the session has ended.
         """
         self.check_open()
-        if self._compositing:
-            rule = "one composite a session at a time"
+        if self._composites_due > 1:
+            rule = "one composite a session at a time, and one that waits"
             raise ProblemError("composite-running", f"{rule}; retry later", rule=rule, retry_after_s=1)
-        if self._latest is None:
-            raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
-        self._compositing = True
+        self._composites_due += 1
         try:
-            yield self._latest
+            async with self._composite_lock:
+                self.check_open()
+                if self._latest is None:
+                    raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
+                yield self._latest
         finally:
-            self._compositing = False
+            self._composites_due -= 1
 
     async def decode_latest(self, latest: LatestFrame, box: tuple[int, int]) -> Frame:
         """Decode the frame to fit into a box of (width, height) pixels. Raises ProblemError if that fails."""
