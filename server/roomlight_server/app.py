@@ -299,6 +299,26 @@ def _add_health(app: FastAPI) -> None:
         return Response(context.metrics.text(), media_type=CONTENT_TYPE)
 
 
+def _complete(operation: dict[str, Any]) -> None:
+    """Add to an operation what its responses imply: the schema of bytes, and the headers of an answer with an ETag."""
+    responses: dict[str, Any] = operation["responses"]
+    for response in responses.values():
+        for media_type, content in response.get("content", {}).items():
+            binary = {} if media_type.startswith("text/") else {"format": "binary"}
+            content.setdefault("schema", {"type": "string", **binary})
+    if "304" in responses:
+        etag = {"description": "Identifies the content", "schema": {"type": "string"}}
+        for status in ("200", "304"):
+            responses[status].setdefault("headers", {}).setdefault("ETag", etag)
+        known = {
+            "name": "If-None-Match",
+            "in": "header",
+            "description": "ETag of the known content: 304 if it is the same.",
+            "schema": {"type": "string"},
+        }
+        operation.setdefault("parameters", []).append(known)
+
+
 def _openapi(app: FastAPI, *, tokens: bool) -> dict[str, Any]:
     """Return FastAPI's OpenAPI document with `_WIRE_MODELS`, and with bearer tokens if the server has any."""
     if app.openapi_schema is None:
@@ -314,6 +334,9 @@ def _openapi(app: FastAPI, *, tokens: bool) -> dict[str, Any]:
             schemas.setdefault(model.__name__, schema)
         for unused in ("HTTPValidationError", "ValidationError"):
             schemas.pop(unused, None)
+        for operations in document["paths"].values():
+            for operation in operations.values():
+                _complete(operation)
         if tokens:
             components["securitySchemes"] = {"bearer": {"type": "http", "scheme": "bearer"}}
             for path, operations in document["paths"].items():

@@ -31,6 +31,19 @@ def test_the_docs_page_needs_no_other_host_and_no_token(server):
             assert all(each.strip("\"'").startswith("data:") for each in references)
 
 
+def test_the_openapi_document_has_schemas_of_all_answers_and_the_headers_of_etags(server):
+    document = server.call("GET", "/openapi.json").json
+    for operations in document["paths"].values():
+        for operation in operations.values():
+            answers = operation["responses"]
+            contents = [content for answer in answers.values() for content in answer.get("content", {}).values()]
+            assert all(content["schema"] for content in contents), operation["summary"]
+            headers = {entry["name"] for entry in operation.get("parameters", ()) if entry["in"] == "header"}
+            assert ("If-None-Match" in headers) == ("304" in answers), operation["summary"]
+    film = document["paths"]["/v1/recordings/{recording_id}/film"]["get"]["responses"]["200"]
+    assert film["content"]["video/mp4"]["schema"] == {"type": "string", "format": "binary"}
+
+
 @pytest.mark.parametrize("path", ["/../v1/sessions/room", "/%2e%2e/core.py", "/core.py"])
 def test_no_other_file_is_served_beside_the_docs_assets(server, path):
     answer = server.call("GET", f"/docs-assets{path}")

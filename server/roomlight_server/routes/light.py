@@ -45,6 +45,41 @@ COVERAGE_HEADER: Final = "Roomlight-Coverage"
 FRAME_HEADER: Final = "Roomlight-Frame"
 MAX_ANSWER_BYTES: Final = 64 * 2**20
 """Largest answer: 64 probes with a cube map of 128 pixels each."""
+_NUMBER: Final = {"type": "number"}
+_VECTOR: Final = {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}
+
+
+def _fields(description: str, **fields: Any) -> dict[str, Any]:
+    return {"type": "object", "description": description, "properties": fields, "required": list(fields)}
+
+
+_SOURCE: Final[dict[str, Any]] = {
+    "direction": _VECTOR,
+    "intensity": _VECTOR,
+    "radius_deg": _NUMBER,
+    "shadow_strength": _NUMBER,
+    "emitted": _NUMBER,
+    "number": {"type": "integer"},
+}
+_VALUES: Final[dict[str, Any]] = {
+    "anyOf": [
+        _fields(
+            "`sh`",
+            coefficients={"type": "array", "items": _NUMBER, "minItems": 27, "maxItems": 27},
+            layout={"enum": ["interleaved", "planar"]},
+            phase={"enum": ["condon-shortley", "positive"]},
+            quantity={"enum": ["radiance", "irradiance"]},
+            kind={"enum": ["total", "ambient"]},
+            coverage=_NUMBER,
+        ),
+        _fields(
+            "`main_light`",
+            **_SOURCE,
+            lights={"type": "array", "items": _fields("The strongest first", **_SOURCE)},
+            coverage=_NUMBER,
+        ),
+    ]
+}
 _PROBE_RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
     200: {
         "description": "The light in the media type of the format",
@@ -62,7 +97,8 @@ _PROBE_RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
         "content": {kind: {} for kind in sorted(set(MEDIA_TYPES.values()) - {"application/json"})}
         | {
             "application/json": {
-                "example": {"direction": [0.0, 1.0, 0.0], "intensity": [2.1, 2.0, 1.8], "coverage": 0.42}
+                "schema": _VALUES,
+                "example": {"direction": [0.0, 1.0, 0.0], "intensity": [2.1, 2.0, 1.8], "coverage": 0.42},
             }
         },
     },

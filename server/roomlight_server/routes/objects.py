@@ -22,7 +22,15 @@ _BODY: Final[dict[str, Any]] = {
         "content": dict.fromkeys(
             ("model/gltf-binary", "model/gltf+json", "model/obj", "application/octet-stream"), _BINARY
         ),
-    }
+    },
+    "parameters": [
+        {
+            "name": "X-Session-Id",
+            "in": "header",
+            "description": "The session that will use the object: a proxy before several servers routes by it.",
+            "schema": {"type": "string"},
+        }
+    ],
 }
 
 

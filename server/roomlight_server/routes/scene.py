@@ -27,7 +27,8 @@ async def get_scene(live: SessionDep, request: Request) -> Response:
 @router.put(
     "",
     summary="Keep title and placed objects",
-    responses=documented(*BODY_PROBLEMS, *SESSION_PROBLEMS, "scene-changed", "state-refused", "state-unavailable"),
+    responses={200: {"headers": {"ETag": {"description": "Of the new scene", "schema": {"type": "string"}}}}}
+    | documented(*BODY_PROBLEMS, *SESSION_PROBLEMS, "scene-changed", "state-refused", "state-unavailable"),
 )
 async def put_scene(
     live: SessionDep,
