@@ -5,13 +5,14 @@ import sys
 import time
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Final
 
 import cv2
 import torch
 import typer
 from rich.console import Console
 
-from roomlight.dataset.folder import MANIFEST
+from roomlight.dataset.folder import MANIFEST, locked
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, OptionError
@@ -25,6 +26,7 @@ from roomlight_model.training.loop import Run, TrainingProgress
 from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage, read_options
 from roomlight_model.training.run_folder import RunFolder
 
+LOCK: Final = "training.lock"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """glibc's numbers of two options (malloc.h)."""
 
@@ -49,6 +51,7 @@ def train_recipe(
         OptionError: The device is not there, or the recipe's options of a dataset are wrong.
         DatasetError: A dataset is missing and cannot be generated.
         ModelError: The weights or a run's folder do not fit the options.
+        OutputError: Another process trains in `out`, or it cannot be written.
     """
     chosen = _choose_device(device)
     _keep_freed_memory()
@@ -59,22 +62,23 @@ def train_recipe(
         if not RunFolder(out / stage.name).is_finished(stage.options):
             for name in stage.data:
                 _check_source(data / name, wanted[name])
-    for stage in recipe.stages:
-        if RunFolder(out / stage.name).is_finished(stage.options):
-            console.print(f"{stage.name}: finished")
-            continue
-        for name in dict.fromkeys(stage.data):
-            _complete_dataset(data / name, wanted[name], console)
-        began = time.monotonic()
-        run = _train_stage(recipe, stage, out, data=data, device=chosen, minutes=minutes, console=console)
-        minutes = None if minutes is None else minutes - (time.monotonic() - began) / 60
-        if run.step < stage.options.steps:
-            console.print(f"{stage.name}: stopped at step {run.step}; the same command continues")
-            if run.stopped_by is not None:
-                raise typer.Exit(128 + run.stopped_by)
-            return None
-    with Progress("exporting and verifying the graphs", console) as progress:
-        report = export_checkpoint(_shipped(recipe, out), out / "onnx", progress=progress.say)
+    with locked(out, LOCK):
+        for stage in recipe.stages:
+            if RunFolder(out / stage.name).is_finished(stage.options):
+                console.print(f"{stage.name}: finished")
+                continue
+            for name in dict.fromkeys(stage.data):
+                _complete_dataset(data / name, wanted[name], console)
+            began = time.monotonic()
+            run = _train_stage(recipe, stage, out, data=data, device=chosen, minutes=minutes, console=console)
+            minutes = None if minutes is None else minutes - (time.monotonic() - began) / 60
+            if run.step < stage.options.steps:
+                console.print(f"{stage.name}: stopped at step {run.step}; the same command continues")
+                if run.stopped_by is not None:
+                    raise typer.Exit(128 + run.stopped_by)
+                return None
+        with Progress("exporting and verifying the graphs", console) as progress:
+            report = export_checkpoint(_shipped(recipe, out), out / "onnx", progress=progress.say)
     return report.out
 
 

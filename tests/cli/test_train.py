@@ -1,6 +1,7 @@
 """`roomlight train`: data, stages and export of a recipe; stopping, continuing, refusals."""
 
 import json
+import os
 import signal
 from pathlib import Path
 
@@ -8,7 +9,9 @@ import pytest
 from command_runner import RunCommand
 
 import lamp_rooms
+from roomlight.dataset.folder import locked
 from roomlight.engine.networks.graphs import SHIPPED, load_graphs, load_part
+from roomlight_cli.train import LOCK
 from roomlight_export.importing import load_exported
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.training import loop
@@ -136,6 +139,15 @@ def test_a_stopped_run_continues_and_a_finished_one_is_kept(
     assert "other options (seed)" in refused.err
     logged = [json.loads(line) for line in (tmp_path / "out" / "run" / "log.jsonl").read_text().splitlines()]
     assert [entry["step"] for entry in logged if "scores" in entry] == [1, 2, 3, 4]
+
+
+def test_a_second_run_in_a_folder_is_refused(tmp_path: Path, roomlight: RunCommand) -> None:
+    write(tmp_path, CLIPPING)
+    with locked(tmp_path / "out", LOCK):
+        refused = roomlight("train", "recipe.toml", "--out", "out", cwd=tmp_path)
+    assert refused.code == 1
+    assert f"out: process {os.getpid()} on " in refused.err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [LOCK]
 
 
 @pytest.mark.parametrize(

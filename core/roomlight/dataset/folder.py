@@ -171,16 +171,17 @@ def create_folder(folder: Path) -> None:
 
 
 @contextmanager
-def locked(folder: Path) -> Generator[None]:
-    """Hold the folder's lock, so that no other process writes to it.
+def locked(folder: Path, name: str = LOCK) -> Generator[None]:
+    """Hold the folder's lock, a file of this name, so that no other process writes to it; a missing folder is made.
 
     The system releases the lock when the process ends, even if it is killed; the lock file that remains has no effect.
 
     Raises:
         OutputError: Another process holds the lock; the message names it.
     """
-    path = folder / LOCK
+    path = folder / name
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
@@ -190,7 +191,7 @@ def locked(folder: Path) -> Generator[None]:
         except BlockingIOError:
             holder = os.pread(handle, 200, 0).decode("utf-8", "replace").strip() or "another process"
             raise OutputError(
-                f"{folder}: {holder} is writing to this dataset; wait until it is done, stop it, "
+                f"{folder}: {holder} is writing to this folder; wait until it is done, stop it, "
                 "or choose another folder"
             ) from None
         os.ftruncate(handle, 0)
