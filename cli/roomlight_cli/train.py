@@ -121,8 +121,8 @@ def _train_stage(
         def report(now: TrainingProgress) -> None:
             if now.losses:
                 rate = f"{now.seconds_a_step:.2f} s a step, {now.waited_for_data:.0%} for data"
-                description = f"{stage.name}, loss {now.losses['loss']:.4f}, {rate}"
-                progress.count_of(description, now.step, stage.options.steps)
+                progress.say(f"{stage.name}, loss {now.losses['loss']:.4f}, {rate}")
+            progress.count(now.step, now.steps)
             if now.scores:
                 figures = ", ".join(f"{name} {value:.4f}" for name, value in now.scores.items())
                 best = ", best so far" if now.best else ""

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from roomlight.errors import ModelError, OptionError, OutputError
 from roomlight_model.checkpoint import load_checkpoint
@@ -101,6 +102,8 @@ def test_a_stopped_run_goes_on_to_the_same_weights(finished, tmp_path, stop_afte
     assert card["steps"] == stop_after
     assert card["scores"]["loss"] > 0
     resumed = run_of(tmp_path / "run")
+    curves = EventAccumulator(str(tmp_path / "run" / "tensorboard")).Reload()
+    assert [event.step for event in curves.Scalars("held out/loss")] == sorted({stop_after, 3, 6})
     kept = [entry for entry in logged(tmp_path / "run") if entry["step"] != stop_after or stop_after == 3]
     assert kept == logged(finished.folder.path)
     for name, value in resumed.network.state_dict().items():
@@ -146,12 +149,16 @@ def test_sigterm_ends_the_run_of_this_process(tmp_path):
     run = Run(SmallStage(), tmp_path / "run")
     before = signal.getsignal(signal.SIGTERM)
 
+    reported = []
+
     def send(progress):
+        reported.append(progress.step)
         if progress.step == 3:
             signal.raise_signal(signal.SIGTERM)
 
     run.train(report=send)
     assert run.step == 3
+    assert reported[:3] == [1, 2, 3]
     assert signal.getsignal(signal.SIGTERM) is before
 
 

@@ -30,6 +30,7 @@ from roomlight_model.training.run_folder import RunFolder, RunOptions
 _AHEAD: Final = 3
 """Batches prepared in advance."""
 REPORT_STEPS: Final = 20
+"""Steps between two reports of losses."""
 CHECKPOINT_S: Final = 300.0
 """Seconds between two saved states: what a killed run repeats at most."""
 
@@ -90,12 +91,12 @@ class Stage(Protocol):
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """Progress of a run, reported every few steps and after each validation.
+    """Progress of a run, reported after each step and each validation.
 
     Attributes:
         step: Steps done.
         steps: Steps in all.
-        losses: Means since the last report; empty after a validation.
+        losses: Means over `REPORT_STEPS` steps or up to the last step; empty in between and after a validation.
         learning_rate: Of the last step.
         seconds_a_step: Mean time.
         waited_for_data: Share of the time.
@@ -178,7 +179,7 @@ class Run:
         saved = since = began
         ends = began + 60 * minutes if minutes is not None else float("inf")
         waited, counted = 0.0, 0
-        curves = SummaryWriter(str(self.folder.path / "tensorboard"), purge_step=self.step)
+        curves = SummaryWriter(str(self.folder.path / "tensorboard"), purge_step=self.step + 1)
         with batches_ahead(self.stage, self.step) as batches, _signals() as signals:
             self.network.train()
             while self.step < options.steps and not signals and time.monotonic() < ends and not stop():
@@ -202,6 +203,8 @@ class Run:
                     self._log(progress, curves)
                     report(progress)
                     waited, counted, since = 0.0, 0, now
+                else:
+                    report(TrainingProgress(self.step, options.steps, {}))
                 if self.step % options.validate_steps == 0 and not last:
                     report(self._validate(curves))
                     waited, counted, since = 0.0, 0, time.monotonic()
