@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Float32, Shaped, UInt8, UInt16
 
 from roomlight.camera import Intrinsics, check_rigid
 from roomlight.conventions import linear_to_srgb8
-from roomlight.depth import clean_depth, without_unseen
+from roomlight.depth import DEPTH_MEDIAN_M, clean_depth, without_unseen
 from roomlight.errors import FrameError
 
 CLIPPED_SRGB8: Final = 250
@@ -58,7 +58,8 @@ class Frame:
         depth_estimated: the depth is a network's (`roomlight.monocular`): surfaces may lean by tens of degrees.
 
     Raises:
-        FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid.
+        FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid, or the depth
+            is not in metres.
 
     Examples:
         >>> import roomlight as rl
@@ -129,8 +130,13 @@ class Frame:
                 f"{name}: the pose is {far_m:.3g} m from the origin; tracking was lost, or the unit is not "
                 f"metres (limit: {MAX_POSITION_M:.0f} m)"
             )
+        depth_m, (_, most_m) = clean_depth(self.depth_m), DEPTH_MEDIAN_M
+        if depth_m.max() > most_m and (median_m := float(np.median(depth_m[depth_m > 0]))) > most_m:
+            raise FrameError(
+                f"{name}: the median depth is {median_m:.4g} m, more than {most_m:g} m; is it in millimetres?"
+            )
         object.__setattr__(self, "image", _checked_image(self.image, name))
-        object.__setattr__(self, "depth_m", clean_depth(self.depth_m))
+        object.__setattr__(self, "depth_m", depth_m)
         object.__setattr__(self, "camera_to_world", pose)
 
     def _repr_png_(self) -> bytes:
