@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from roomlight.rules import is_finite
+
 FOCAL_LENGTH: Final = (0.01, 100.0)
 """Shortest and longest focal length, relative to the image's side: from 179 degrees to half a degree of view."""
 
@@ -41,20 +43,20 @@ class Intrinsics:
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             value = getattr(self, name)
-            if int(value) != value:
-                raise ValueError(f"image {name} is a whole number of pixels, got {value}")
+            if not is_finite(value) or int(value) != value:
+                raise ValueError(f"image {name} is a whole number of pixels, got {value!r}")
             object.__setattr__(self, name, int(value))
         if self.width < 1 or self.height < 1:
             raise ValueError(f"image size must be positive, got {self.width} x {self.height}")
         low, high = FOCAL_LENGTH
         for name, value, size in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
-            if not np.isfinite(value) or value <= 0:
-                raise ValueError(f"focal length {name} must be positive and finite, got {value}")
+            if not is_finite(value) or value <= 0:
+                raise ValueError(f"focal length {name} must be a positive number, got {value!r}")
             if not low * (1 - 1e-6) <= value / size <= high * (1 + 1e-6):  # `resized` rounds
                 raise ValueError(f"focal length {name} = {value:g} does not fit {size} pixels; check its unit (pixels)")
         for name, value, size in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
-            if not np.isfinite(value) or not -size <= value <= 2 * size:
-                raise ValueError(f"principal point {name} = {value} is far outside the image ({size} pixels)")
+            if not is_finite(value) or not -size <= value <= 2 * size:
+                raise ValueError(f"principal point {name} = {value!r} is far outside the image ({size} pixels)")
         for name in ("fx", "fy", "cx", "cy"):  # NumPy scalars would promote float32 rays to float64
             object.__setattr__(self, name, float(getattr(self, name)))
 

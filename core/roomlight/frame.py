@@ -6,12 +6,13 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Shaped, UInt8, UInt16
+from jaxtyping import Bool, Float, Float32, UInt8, UInt16
 
 from roomlight.camera import Intrinsics, check_rigid
 from roomlight.conventions import linear_to_srgb8
 from roomlight.depth import DEPTH_MEDIAN_M, clean_depth, without_unseen
 from roomlight.errors import FrameError
+from roomlight.rules import check_type, is_finite
 
 CLIPPED_SRGB8: Final = 250
 """8-bit values from here up count as clipped: JPEG ringing and noise keep true white below 255."""
@@ -87,6 +88,11 @@ class Frame:
             object.__setattr__(self, "index", operator.index(self.index))
         except TypeError as error:
             raise FrameError(f"{name}: the index is {self.index!r}, not a whole number") from error
+        if self.timestamp_s is not None:
+            if not is_finite(self.timestamp_s):
+                raise FrameError(f"{name}: timestamp_s is {self.timestamp_s!r}, not a number of seconds")
+            object.__setattr__(self, "timestamp_s", float(self.timestamp_s))
+        check_type(self.intrinsics, Intrinsics, f"{name}: intrinsics", FrameError)
         if not _is_float(self.image, 3) or self.image.shape[2] != 3:
             raise FrameError(
                 f"{name}: the image is {_kind_of(self.image)}, not linear float RGB [h, w, 3]; "
@@ -108,8 +114,9 @@ class Frame:
             mask = _checked_mask(self.seen, (height, width), f"{name}: the mask of seen pixels")
             object.__setattr__(self, "seen", mask)
         if self.guessed is not None:
-            if self.guessed.shape != (height, width) or not (np.isfinite(self.guessed) & (self.guessed >= 0)).all():
-                what = f"{self.guessed.dtype} of shape {self.guessed.shape}"
+            fits = _is_float(self.guessed, 2) and self.guessed.shape == (height, width)
+            if not fits or not (np.isfinite(self.guessed) & (self.guessed >= 0)).all():
+                what = _kind_of(self.guessed)
                 raise FrameError(f"{name}: the estimated luminance, {what}, must fit the image and be 0 or more")
             object.__setattr__(self, "guessed", np.ascontiguousarray(self.guessed, np.float32))
         depth_height, depth_width = self.depth_m.shape
@@ -122,7 +129,7 @@ class Frame:
             )
         try:
             pose = check_rigid(self.camera_to_world)
-        except ValueError as error:
+        except (TypeError, ValueError) as error:
             raise FrameError(f"{name}: {error}") from error
         far_m = float(np.abs(pose[:3, 3]).max())
         if far_m > MAX_POSITION_M:
@@ -210,13 +217,16 @@ def _is_float(values: object, axes: int) -> bool:
 
 
 def _kind_of(values: object) -> str:
-    return f"{values.dtype} of shape {values.shape}" if isinstance(values, np.ndarray) else repr(values)[:80]
+    if isinstance(values, np.ndarray):
+        return f"{values.dtype} of shape {values.shape}"
+    remedy = " (pass its .numpy())" if hasattr(values, "numpy") else ""
+    return "None" if values is None else f"of the type {type(values).__name__}{remedy}"
 
 
-def _checked_mask(mask: Shaped[np.ndarray, "*size"], size: tuple[int, int], what: str) -> Bool[np.ndarray, "h w"]:
+def _checked_mask(mask: object, size: tuple[int, int], what: str) -> Bool[np.ndarray, "h w"]:
     """Return a mask as bool; of whole numbers, as OpenCV's masks are, those but 0 count."""
-    if mask.shape != size or mask.dtype.kind not in "bui":
-        raise FrameError(f"{what} is {mask.dtype} of shape {mask.shape}; it must be bool of shape {size}")
+    if not isinstance(mask, np.ndarray) or mask.shape != size or mask.dtype.kind not in "bui":
+        raise FrameError(f"{what} is {_kind_of(mask)}; it must be bool of shape {size}")
     return np.ascontiguousarray(mask if mask.dtype == np.bool_ else mask != 0)
 
 

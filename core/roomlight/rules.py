@@ -12,6 +12,7 @@
 The command line makes its options of the same fields.
 """
 
+import math
 import types
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -23,7 +24,7 @@ from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, 
 import numpy as np
 from annotated_types import Ge, GroupedMetadata, Gt, Le, Lt
 
-from roomlight.errors import OptionError
+from roomlight.errors import OptionError, RoomLightError
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,20 @@ def rules_of(options: type) -> dict[str, Rule]:
     """Return the rules of a dataclass's fields, by name."""
     hints = get_type_hints(options, include_extras=True)
     return {field.name: Rule.of(hints[field.name]) for field in fields(options)}
+
+
+def is_finite(value: Any) -> bool:
+    """Return whether a value is a finite number; text and booleans are none."""
+    try:
+        return math.isfinite(value) and not isinstance(value, bool | np.bool_)
+    except (TypeError, ValueError, OverflowError):
+        return False
+
+
+def check_type(value: object, expected: type, name: str, error: type[RoomLightError] = OptionError) -> None:
+    """Raise the error, which names value and type, for a value of another type."""
+    if not isinstance(value, expected):
+        raise error(f"{name} is of the type {type(value).__name__}; it must be {expected.__name__}")
 
 
 def check_options(options: Any) -> None:

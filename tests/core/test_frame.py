@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import torch
 
 from roomlight.errors import FrameError
 from roomlight.frame import Frame
@@ -55,6 +56,12 @@ def test_mismatched_parts_are_refused_with_the_frames_name(parts, message):
             "estimated luminance, .* must fit the image",
         ),
         ({"index": 1.0}, "the index is 1.0, not a whole number"),
+        ({"timestamp_s": "soon"}, "timestamp_s is 'soon', not a number of seconds"),
+        ({"timestamp_s": np.nan}, "timestamp_s is nan, not a number of seconds"),
+        ({"image": torch.zeros(120, 160, 3)}, r"the image is of the type Tensor \(pass its \.numpy\(\)\), not linear"),
+        ({"clipped": None}, "clipping mask is None; it must be bool"),
+        ({"guessed": [[0.0]]}, "estimated luminance, of the type list, must fit the image"),
+        ({"intrinsics": None}, "intrinsics is of the type NoneType; it must be Intrinsics"),
     ],
 )
 def test_arrays_of_another_dtype_are_refused_by_frame(parts, message):

@@ -11,7 +11,7 @@ from annotated_types import Ge, Gt, Interval, Le, Lt
 
 from roomlight.captures import CaptureOptions
 from roomlight.errors import OptionError
-from roomlight.rules import Rule, check_options, rules_of
+from roomlight.rules import Rule, check_options, is_finite, rules_of
 
 TO_9: Any = Annotated[int, Le(9)]
 FROM_1: Any = Annotated[int, Ge(1)]
@@ -27,6 +27,11 @@ class Options:
 
     def __post_init__(self) -> None:
         check_options(self)
+
+
+def test_text_and_booleans_are_no_numbers():
+    assert all(map(is_finite, (0, -1.5, np.float16(2), np.array(3.0))))
+    assert not any(map(is_finite, ("0", None, True, np.bool_(1), math.nan, math.inf, 10**999, 1j, [1.0])))
 
 
 @pytest.mark.parametrize(

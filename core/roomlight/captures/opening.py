@@ -82,7 +82,7 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     long as the capture is open.
 
     Raises:
-        OptionError: `options.format` is not one of `FORMATS`.
+        OptionError: `path` is no path, or `options.format` is not one of `FORMATS`.
         UnknownFormatError: No reader recognises the files.
         CaptureError: The index is missing or damaged, so that no frame can be read.
 
@@ -92,7 +92,10 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
         (240, 320, 3)
     """
     chosen = CaptureOptions() if options is None else options
-    path = Path(path)
+    try:
+        path = Path(path)
+    except TypeError:
+        raise OptionError(f"path is {path!r}; it must be text or a pathlib.Path") from None
     if chosen.format is not None and chosen.format not in _READERS:
         raise OptionError(f"format is {chosen.format!r}; it must be one of {', '.join(FORMATS)}")
     if path.suffix.lower() != ".zip" or not path.is_file() or is_record3d_archive(path):

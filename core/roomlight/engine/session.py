@@ -9,6 +9,7 @@ Positions are world metres, y up. Light is relative linear RGB (`roomlight.conve
 its owner serialises the calls.
 """
 
+import operator
 import time
 from base64 import b64encode
 from collections.abc import Sequence
@@ -37,9 +38,10 @@ from roomlight.engine.surface.drift import Drift
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Sglv, check_position
-from roomlight.errors import ProbeError, StateError
+from roomlight.errors import FrameError, ProbeError, StateError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
+from roomlight.rules import check_type
 from roomlight.threads import parallel_for
 
 
@@ -101,6 +103,7 @@ class Session:
             ModelError: The weights cannot be used.
         """
         self.options = options or SessionOptions()
+        check_type(self.options, SessionOptions, "options")
         self._model = lighting_model(self.options, graphs)
         parts = self.options.parts or SHIPPED
         self._clipping = shipped_clipping(self.options.provider, parts / "clipping")
@@ -203,6 +206,7 @@ class Session:
         Raises:
             ProbeError: No tracked probe has this handle.
         """
+        handle = _whole(handle)
         if self._probes.pop(handle, None) is None and self._pending.pop(handle, None) is None:
             raise ProbeError(f"no tracked probe has the handle {handle}")
 
@@ -212,6 +216,7 @@ class Session:
         Raises:
             FrameError: The frame cannot be used; the session is unchanged.
         """
+        check_type(frame, Frame, "frame", FrameError)
         options, clock = self.options, _Clock()
         with clock.stage("prepare"):
             measured, depth_m = at_working_size(frame, options.unknown_depth)
@@ -431,6 +436,7 @@ class Session:
         return Room(grid, self._model, keyframes=self.options.keyframes)
 
     def _probe(self, handle: int, wanted: str) -> Probe:
+        handle = _whole(handle)
         if handle not in self._probes:
             tracked = f"this session tracks {len(self._probes)}"
             reason = "no frame has been pushed yet" if handle in self._pending else tracked
@@ -451,6 +457,13 @@ class Session:
         latest = None if snapshot.latest is None else (snapshot.latest.index, snapshot.latest.mesh)
         room.restore(snapshot.volume, keyframes, latest)
         self._probes = {saved.handle: Probe.of_snapshot(saved, self._rooms[saved.room]) for saved in snapshot.probes}
+
+
+def _whole(handle: int) -> int:
+    try:
+        return operator.index(handle)
+    except TypeError:
+        raise ProbeError(f"a handle is a whole number, which `track` returns; got {handle!r}") from None
 
 
 def warm_up(graphs: LightingGraphs | None = None) -> None:
