@@ -5,7 +5,7 @@ import sys
 import time
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, get_args
 
 import cv2
 import torch
@@ -14,14 +14,14 @@ from rich.console import Console
 
 from roomlight.dataset.folder import MANIFEST, locked
 from roomlight.dataset.loader import Dataset
-from roomlight.engine.networks.graphs import SHIPPED
+from roomlight.engine.networks.graphs import SHIPPED, NetworkForm
 from roomlight.errors import DatasetError, OptionError
 from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
-from roomlight_export.exporting import export_checkpoint
+from roomlight_export.exporting import ExportReport, export_checkpoint
 from roomlight_export.importing import load_weights
 from roomlight_generator.generate import GenerateOptions, generate
-from roomlight_model.checkpoint import save_mean
+from roomlight_model.checkpoint import load_checkpoint, save_mean
 from roomlight_model.training.loop import Run, TrainingProgress
 from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage, read_options
 from roomlight_model.training.run_folder import RunFolder
@@ -33,19 +33,20 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 def train_recipe(
     recipe: Recipe, out: Path, *, data: Path, device: str, minutes: float | None, console: Console
-) -> Path | None:
+) -> ExportReport | None:
     """Generate missing datasets, train the stages, export the weights; continue what is there.
 
     Args:
         recipe: What to train.
-        out: A folder with the run of each stage, and the exported model in `onnx`.
+        out: A folder with the run of each stage, and the exported model in `onnx`: of a small network in a folder
+            there that has the name of its form.
         data: A folder with the datasets by name; a dataset's `panoramas` are a folder in it.
         device: auto, cpu or cuda.
         minutes: Of training, after which it stops; None runs to the last step. Generating data does not count.
         console: Where progress is printed.
 
     Returns:
-        The exported model folder; None if training stopped before its end.
+        The report of the export; None if training stopped before its end.
 
     Raises:
         OptionError: The device is not there, or the recipe's options of a dataset are wrong.
@@ -77,9 +78,11 @@ def train_recipe(
                 if run.stopped_by is not None:
                     raise typer.Exit(128 + run.stopped_by)
                 return None
+        checkpoint = _shipped(recipe, out)
+        form = load_checkpoint(checkpoint).form
+        folder = out / "onnx" / ("" if form in get_args(NetworkForm) else form)
         with Progress("exporting and verifying the graphs", console) as progress:
-            report = export_checkpoint(_shipped(recipe, out), out / "onnx", progress=progress.say)
-    return report.out
+            return export_checkpoint(checkpoint, folder, progress=progress.say)
 
 
 def _shipped(recipe: Recipe, out: Path) -> Path:

@@ -172,7 +172,7 @@ def test_parts_are_an_option_of_eval(tmp_path: Path, roomlight: RunCommand) -> N
         "eval", "captures", sample_capture(), "--parts", tmp_path / "none", "--max-frames", 1, cwd=tmp_path
     )
     assert result.code == 1
-    assert "none/clipping/model.json: cannot be read" in result.err
+    assert "none: has none of the folders clipping, objects, prior" in result.err
 
 
 @pytest.mark.slow

@@ -145,10 +145,11 @@ def test_a_prior_is_written_if_its_folder_can_be(made, tmp_path, run, monkeypatc
         patch.setattr(Dataset, "read", lambda *_, **__: pytest.fail("the dataset was read"))
         refused = run("prior", "set [x]", "--out", str(tmp_path / "file"), cwd=made[0])
     assert refused.code == 1
-    assert "file: is a file; the output needs a folder" in refused.err
-    fitted = run("prior", "set [x]", "--out", str(tmp_path / "new" / "prior"), cwd=made[0])
+    assert "file/prior/prior.npz: cannot be written" in refused.err
+    fitted = run("prior", "set [x]", "--out", str(tmp_path / "new"), cwd=made[0])
     assert fitted.code == 0, fitted.err
     assert {path.name for path in (tmp_path / "new" / "prior").iterdir()} == {"prior.npz", "model.json"}
+    assert f"use it with --parts {tmp_path / 'new'}" in fitted.out
 
 
 @pytest.mark.slow

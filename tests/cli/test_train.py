@@ -96,14 +96,15 @@ def test_one_command_makes_data_weights_and_a_model(tmp_path: Path, roomlight: R
     assert done.code == 0, done.err
     assert "generating 6 sequences" in done.err
     assert "step 3: held out: loss" in done.err
-    assert "out/onnx: the weights of out/run/best.pt" in done.out
+    assert "out/onnx/clipping: the weights of out/run/best.pt" in done.out
+    assert "use them with --parts out/onnx\n" in done.out
     card = load_checkpoint(tmp_path / "out" / "run" / "model.pt").card
     assert (card["steps"], card["stage"]) == (3, "clipping")
     assert card["data"] == [{"seed": 3, "frames": 3, "sequences": 6}]
     best = load_checkpoint(tmp_path / "out" / "run" / "best.pt")
-    graph = load_part(tmp_path / "out" / "onnx", "clipping", provider="cpu")
+    graph = load_part(tmp_path / "out" / "onnx" / "clipping", "clipping", provider="cpu")
     assert set(graph.inputs) == {"planes"}
-    again = load_exported(tmp_path / "out" / "onnx")
+    again = load_exported(tmp_path / "out" / "onnx" / "clipping")
     assert again.card == best.card
     for name, value in again.model.state_dict().items():
         assert value.allclose(best.model.state_dict()[name], rtol=1e-3, atol=1e-6)

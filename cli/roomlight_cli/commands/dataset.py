@@ -214,14 +214,15 @@ def prior(
     """Fit the prior over panoramas, which fills what no frame has shown, to the true panoramas of datasets.
 
     Args:
-        out: Folder to write: the prior, and a card that says what it was fitted to.
+        out: Folder for --parts of other commands: its folder `prior` gets the prior, and a card that says what it was
+            fitted to.
         split: Use the rooms of this split.
     """
     from roomlight.engine.networks.graphs import DESCRIPTION  # onnxruntime, which generating does without
     from roomlight.engine.panorama.prior import FILE, PanoramaPrior
 
     datasets = [_not_empty(folder, split) for folder in folders]
-    check_writable(out / FILE)
+    check_writable(out / "prior" / FILE)
     total, count = sum(map(len, datasets)), 0
 
     def panoramas(progress: Progress) -> Iterator[Float32[np.ndarray, "h w 3"]]:
@@ -234,10 +235,10 @@ def prior(
 
     with Progress("fitting") as progress:
         fitted = PanoramaPrior.fit(panoramas(progress))
-    fitted.save(out / FILE)
+    fitted.save(out / "prior" / FILE)
     card = {"panoramas": count, "rooms": total, "split": split, "command": "roomlight dataset prior"}
-    write_json(out / DESCRIPTION, {"form": "prior", "card": card})
-    say(f"{out}: fitted to {count} panoramas of {total} sequences")
+    write_json(out / "prior" / DESCRIPTION, {"form": "prior", "card": card})
+    say(f"{out}: fitted to {count} panoramas of {total} sequences; use it with --parts {out}")
 
 
 def _not_empty(folder: Path, split: Split | None) -> Dataset:

@@ -36,10 +36,13 @@ def train(
         minutes: Stop after this many minutes of training; generating data does not count. The same command continues.
     """
     read = read_recipe(recipe).changed(_parse_changes(changes))
-    model = train_recipe(read, out, data=data or out / "data", device=device, minutes=minutes, console=console.err)
-    if model is not None:
-        weights = ", ".join(str(out / part) for part in read.ships)
-        console.say(f"{model}: the weights of {weights}, as ONNX graphs; use them with --weights {model}")
+    report = train_recipe(read, out, data=data or out / "data", device=device, minutes=minutes, console=console.err)
+    if report is not None:
+        model, weights = report.out, ", ".join(str(out / part) for part in read.ships)
+        parts = f"--parts {model.parent}"
+        uses = {"clipping": parts, "objects": parts, "depth": f"--depth-model {model}"}
+        use = uses.get(report.form, f"--weights {model}")
+        console.say(f"{model}: the weights of {weights}, as ONNX graphs; use them with {use}")
 
 
 def _parse_changes(changes: tuple[str, ...]) -> dict[str, Any]:

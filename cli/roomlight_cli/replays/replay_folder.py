@@ -55,8 +55,9 @@ def finished_report(path: Path, out: Path, options: ReplayOptions) -> dict[str, 
 
 def fingerprint(capture: Path, out: Path, options: ReplayOptions) -> dict[str, str]:
     """Return digests of the names, sizes and modification times of a replay's input and output files."""
-    weights = () if options.server else _files(options.session.weights or SHIPPED)
-    inputs = [file for file in (*_files(capture), *weights) if not file.resolve().is_relative_to(out.resolve())]
+    own = () if options.server else {options.session.weights or SHIPPED, options.session.parts or SHIPPED}
+    folders = (capture, *sorted(own))
+    inputs = [file for folder in folders for file in _files(folder) if not file.resolve().is_relative_to(out.resolve())]
     outputs = [file for pattern in (_LIGHT, SUMMARY, VIDEO) for file in sorted(out.glob(pattern))]
     return {"inputs": _digest(inputs), "outputs": _digest(outputs)}
 

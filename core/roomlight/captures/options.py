@@ -43,7 +43,8 @@ class CaptureOptions:
         depth_unit_m: Metres per stored unit of depth.
         depth: auto takes the depth files, and for a capture without any estimates depth by a network; file refuses such
             a capture; network always estimates.
-        depth_model: An ONNX file that estimates depth, instead of the network inside the package.
+        depth_model: An ONNX file that estimates depth, or a folder of `roomlight train depth`, instead of the network
+            inside the package.
         depth_key: Which depth map of a transforms.json to read, e.g. depth_lidar_file_path.
         min_confidence: Drop depth of lower confidence; ARKit's levels are 0 (low), 1 and 2. Default: 1.
         every: Use every n-th frame only.

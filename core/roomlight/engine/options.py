@@ -29,7 +29,8 @@ class SessionOptions:
         weights: A model folder of `roomlight export`, instead of the weights inside the package.
         hedge: Share of fills without networks in the light that networks infer; see
             `roomlight.engine.models.network_probe`.
-        parts: A folder with the model folders `clipping` and `objects`, instead of those inside the package.
+        parts: A folder with `clipping`, `objects` or `prior` (of `roomlight train` or `dataset prior`), in place of the
+            package's.
         provider: Where the networks run; auto: OpenVINO if it is installed and faster here, else ONNX Runtime (cpu).
         height: Panorama height in pixels; the width is twice that.
         keyframes: Most frames kept for positions that are requested later.

@@ -21,13 +21,14 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float32
 
+from roomlight.engine.networks.graphs import load_part
 from roomlight.errors import FrameError
 from roomlight.frame import Frame
 from roomlight.monocular.estimate import DepthEstimate, DepthModel, srgb_picture
 from roomlight.monocular.fitting import LEAST_SAMPLES, Fit, error_field, fit_inverse, median_of
 from roomlight.monocular.floor import CAMERA_HEIGHT_M, camera_height, floor_scale
 from roomlight.monocular.model_file import DepthModelFile
-from roomlight.monocular.network import shipped_depth
+from roomlight.monocular.network import DepthNetworkModel, shipped_depth
 from roomlight.monocular.stream_state import StreamState
 from roomlight.monocular.sweep import refined
 from roomlight.monocular.tracks import (
@@ -269,10 +270,10 @@ def _pairs(samples: Samples, estimated: DepthEstimate) -> Float[np.ndarray, "n 3
 
 
 def open_depth_stream(model: Path | None = None, *, gravity: bool = True, height_m: float | None = None) -> DepthStream:
-    """Return depth for one stream, by the network inside the package or an ONNX file; models are loaded once.
+    """Return depth for one stream, by the network inside the package or another model; models are loaded once.
 
-    A model without scale takes the first frame's scale from the network inside the package. `gravity` and `height_m`
-    are the stream's.
+    `model` is an ONNX file, or a folder of a depth network that `roomlight train` made. A model without scale takes the
+    first frame's scale from the network inside the package. `gravity` and `height_m` are the stream's.
 
     Raises:
         ModelError: The model cannot be used.
@@ -285,7 +286,7 @@ def open_depth_stream(model: Path | None = None, *, gravity: bool = True, height
 
 
 def metric_model(model: Path | None = None) -> DepthModel:
-    """Return the model of an ONNX file if it knows metres, else the network inside the package.
+    """Return another model, as in `open_depth_stream`, if it knows metres, else the network inside the package.
 
     Raises:
         ModelError: The model cannot be used.
@@ -295,5 +296,5 @@ def metric_model(model: Path | None = None) -> DepthModel:
 
 
 @cache
-def _load(path: Path) -> DepthModelFile:
-    return DepthModelFile(path)
+def _load(path: Path) -> DepthModel:
+    return DepthNetworkModel(load_part(path, "depth")) if path.is_dir() else DepthModelFile(path)

@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from part_models import write_part
+from roomlight.engine.models.choosing import lighting_model
+from roomlight.engine.models.network_volume import NetworkModel
 from roomlight.engine.networks.clipping import ClippingModel, shipped_clipping
 from roomlight.engine.networks.graphs import SHIPPED, PartForm, load_graphs, load_part
+from roomlight.engine.panorama.prior import COLUMNS, FILE, ROWS, PanoramaPrior
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError, ProbeError
 from rooms import BoxRoom, camera_at
@@ -78,11 +81,21 @@ def test_sessions_take_their_parts_from_a_folder(tmp_path):
     assert mesh.texture.image.max() == pytest.approx(5.0, rel=1e-3)
 
 
-def test_a_folder_without_a_part_is_named(tmp_path):
+def test_a_part_that_a_folder_lacks_is_the_packages(tmp_path):
+    options = SessionOptions(parts=tmp_path, provider="cpu")
+    with pytest.raises(ModelError, match="has none of the folders clipping, objects, prior"):
+        Session(options)
+    (tmp_path / "clipping").mkdir()
     with pytest.raises(ModelError, match=r"clipping/model\.json: cannot be read"):
-        Session(SessionOptions(parts=tmp_path, provider="cpu"))
-    write_part(tmp_path / "clipping", "clipping")
-    Session(SessionOptions(model="classical", parts=tmp_path, provider="cpu"))
+        Session(options)
+    (tmp_path / "clipping").rmdir()
+    PanoramaPrior(np.full(ROWS, 2, np.float32), np.zeros((ROWS, ROWS, COLUMNS), np.float32)).save(
+        tmp_path / "prior" / FILE
+    )
+    model = lighting_model(options)
+    assert isinstance(model, NetworkModel)
+    assert model.prior.mean[0] == 2
+    assert Session(options).networks == Session(replace(options, parts=None)).networks
 
 
 def test_a_panorama_needs_a_frame_and_a_handle():

@@ -8,9 +8,11 @@ import pytest
 
 from box_room import LENS, exact_depth, frame, pose
 from roomlight.camera import Intrinsics
+from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.monocular.estimate import DepthEstimate, DepthKind
 from roomlight.monocular.fitting import Fit, error_field, fit_inverse
-from roomlight.monocular.stream import DepthStream
+from roomlight.monocular.network import DepthNetworkModel, shipped_depth
+from roomlight.monocular.stream import DepthStream, open_depth_stream
 from roomlight.monocular.tracks import View, carried, grey_picture, grid_of, partners, triangulated
 
 
@@ -124,6 +126,12 @@ def test_the_model_gets_the_up_direction_where_it_is_known() -> None:
         DepthStream(model, gravity=gravity).complete(frame(0, rolled))
     assert told[0] == pytest.approx([0.6, 0.8, 0])
     assert told[1] is None
+
+
+def test_a_trained_networks_folder_is_a_model() -> None:
+    model = open_depth_stream(SHIPPED / "depth").model
+    assert isinstance(model, DepthNetworkModel)
+    assert model.digest == shipped_depth().digest
 
 
 def test_a_frame_with_depth_is_returned_as_it_is() -> None:

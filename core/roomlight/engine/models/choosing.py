@@ -5,8 +5,9 @@ from dataclasses import replace
 from roomlight.engine.models.classical import ClassicalModel, ClassicalProbe
 from roomlight.engine.models.network_probe import NetworkProbe
 from roomlight.engine.models.network_volume import NetworkModel
-from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
+from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs, part_folder
 from roomlight.engine.options import SessionOptions
+from roomlight.engine.panorama.prior import shipped_prior
 from roomlight.errors import ModelError, OptionError
 
 LightingModel = ClassicalModel | NetworkModel
@@ -45,4 +46,6 @@ def lighting_model(options: SessionOptions, graphs: LightingGraphs | None = None
         ModelError: The weights cannot be used (see `choose_graphs`).
     """
     graphs = graphs or choose_graphs(options)
-    return ClassicalModel() if graphs is None else NetworkModel(graphs, options.hedge)
+    if graphs is None:
+        return ClassicalModel()
+    return NetworkModel(graphs, options.hedge, shipped_prior(part_folder(options.parts, "prior")))

@@ -19,7 +19,7 @@ from roomlight.engine.networks.graph import BoundGraph
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.networks.runtime import Buffers
 from roomlight.engine.panorama.blend import PanoramaState, fill_beyond, fill_in, latest_detail, mean_colour
-from roomlight.engine.panorama.prior import shipped_prior
+from roomlight.engine.panorama.prior import PanoramaPrior
 from roomlight.engine.surface.mesh import PartialPanorama
 
 OWN_COLOUR: Final = 0.5
@@ -71,9 +71,9 @@ def muted(
 class NetworkProbe:
     """One probe's blending graphs with their buffers; panoramas of other heights are resampled, for the weight only."""
 
-    def __init__(self, graphs: LightingGraphs, hedge: float = 0.0) -> None:
+    def __init__(self, graphs: LightingGraphs, prior: PanoramaPrior, hedge: float = 0.0) -> None:
         """Begin without frames; `hedge` is the share of the fills (`hedged`)."""
-        self._graphs, self._hedge = graphs, hedge
+        self._graphs, self._prior, self._hedge = graphs, prior, hedge
         self.frames = 0
         loaded = graphs.graphs
         self._height = graphs.panorama_height
@@ -117,7 +117,7 @@ class NetworkProbe:
         weight = self.weigh(panorama, hdr, replace(partial, radiance=ldr), depth_max_m)
         hdr = fill_in(hdr, ldr, partial.mask, weight=weight)
         if self._hedge > 0:
-            hdr = muted(hedged(hdr, (ldr, shipped_prior().fill(detail, known)), share=self._hedge), detail, known)
+            hdr = muted(hedged(hdr, (ldr, self._prior.fill(detail, known)), share=self._hedge), detail, known)
         if (self._graphs.form == "single" or self._hedge > 0) and not first:  # the fill has no memory of its own
             hdr = panorama.radiance + np.float32(FILL_UPDATE) * (hdr - panorama.radiance)
         return Estimate(hdr, weight * partial.mask)

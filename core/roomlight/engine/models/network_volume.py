@@ -10,7 +10,7 @@ each frame's graphs read one and write the other: nothing is copied. Encoder and
 colour as an input (`roomlight.engine.networks.units`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -23,6 +23,7 @@ from roomlight.engine.networks.graph import BoundGraph
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.networks.runtime import Buffers
 from roomlight.engine.networks.units import mean_colour
+from roomlight.engine.panorama.prior import PanoramaPrior, shipped_prior
 from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Far, Sglv
@@ -37,10 +38,12 @@ class NetworkModel:
     Attributes:
         graphs: Loaded graphs, shared between sessions.
         hedge: Share of the fill in inferred light (`roomlight.engine.models.network_probe.hedged`).
+        prior: Fills what no frame has shown.
     """
 
     graphs: LightingGraphs
     hedge: float = 0.0
+    prior: PanoramaPrior = field(default_factory=shipped_prior)
 
     @property
     def name(self) -> str:
@@ -129,7 +132,7 @@ class SingleViewVolume:
 
     def new_probe(self) -> NetworkProbe:
         """Begin a probe that has observed nothing."""
-        return NetworkProbe(self._model.graphs, self._model.hedge)
+        return NetworkProbe(self._model.graphs, self._model.prior, self._model.hedge)
 
     def save(self) -> Arrays:
         """Return copies of the SGLV and of the sums over frames."""
@@ -199,7 +202,7 @@ class RecurrentVolume:
 
     def new_probe(self) -> NetworkProbe:
         """Begin a probe that has observed nothing."""
-        return NetworkProbe(self._model.graphs, self._model.hedge)
+        return NetworkProbe(self._model.graphs, self._model.prior, self._model.hedge)
 
     def save(self) -> Arrays:
         """Return copies of the SGLV, the hidden states and the unit of colour."""

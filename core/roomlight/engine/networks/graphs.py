@@ -38,6 +38,8 @@ VIDEO_GRAPHS: Final = (
 )
 PartForm = Literal["clipping", "objects", "depth"]
 """Networks that serve every model, each a model directory of its own."""
+PARTS: Final = ("clipping", "objects", "prior")
+"""Folders of `SessionOptions.parts`: two of networks, and the prior over panoramas."""
 FORMS: Final = (*get_args(NetworkForm), *get_args(PartForm))
 """Forms of a model directory."""
 SHIPPED: Final = Path(__file__).parents[1] / "weights"
@@ -108,6 +110,19 @@ def load_part(path: Path, form: PartForm, *, provider: Provider = "auto") -> Gra
     if not index["card"].get("steps"):
         raise ModelError(f"{path}: these weights were never trained; train them with `roomlight train {form}`")
     return _open_checked(path, (form,), index["graphs"], provider)[form]
+
+
+def part_folder(parts: Path | None, name: str) -> Path:
+    """Return the folder of one of `PARTS`: in `parts` if it is there, else inside the package.
+
+    Raises:
+        ModelError: `parts` has none of them.
+    """
+    if parts is None:
+        return SHIPPED / name
+    if not any((parts / known).is_dir() for known in PARTS):
+        raise ModelError(f"{parts}: has none of the folders {', '.join(PARTS)}; `roomlight train` makes them in `onnx`")
+    return parts / name if (parts / name).is_dir() else SHIPPED / name
 
 
 def _open_checked(path: Path, names: Sequence[str], entries: dict[str, Any], provider: Provider) -> dict[str, Graph]:

@@ -155,13 +155,13 @@ def _product(matrix: Float32[np.ndarray, "m n"], values: Float32[np.ndarray, "c 
 
 
 @cache
-def shipped_prior() -> PanoramaPrior:
-    """Load the prior inside the package, once.
+def shipped_prior(folder: Path = SHIPPED / "prior") -> PanoramaPrior:
+    """Load the prior inside the package, or of another folder, once.
 
     Raises:
         ModelError: it is missing or damaged.
     """
-    return PanoramaPrior.load(SHIPPED / "prior" / FILE)
+    return PanoramaPrior.load(folder / FILE)
 
 
 def _reduced(plane: Float[np.ndarray, "h w c"]) -> Float32[np.ndarray, "rows columns c"]:
