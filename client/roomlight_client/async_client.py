@@ -193,6 +193,7 @@ class AsyncSession:
         if error is None:
             await self.close()
             return
+        self._recovery.memory.deleted = True
         with suppress(RemoteError):  # the error of the block is the one to show
             await self._client.run(self._calls.close(), retry=NO_RETRY)
 

@@ -238,6 +238,7 @@ class Session:
         if error is None:
             self.close()
             return
+        self._recovery.memory.deleted = True
         with suppress(RemoteError):  # the error of the block is the one to show
             self._client.run(self._calls.close(), retry=NO_RETRY)
 

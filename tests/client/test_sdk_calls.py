@@ -162,16 +162,19 @@ def test_permanent_refusals_are_not_retried(kind, status):
 
 
 @BOTH
-def test_an_error_in_a_session_block_is_not_hidden(kind):
-    script = Script(OPENED, httpx.ConnectError("gone"))
+def test_an_error_in_a_session_block_is_not_hidden_and_deletes_the_session(kind):
+    script = Script(OPENED, httpx.ConnectError("gone"), problem(404, "session-not-found"))
 
     async def main():
-        async with script.client(kind) as client, await client.open("room"):
-            raise KeyError("mine")
+        async with script.client(kind) as client:
+            with pytest.raises(KeyError, match="mine"):
+                async with await client.open("room") as session:
+                    raise KeyError("mine")
+            with pytest.raises(sdk.GoneError):
+                await session.state()
 
-    with pytest.raises(KeyError, match="mine"):
-        asyncio.run(main())
-    assert [request.method for request in script.requests] == ["PUT", "DELETE"]
+    asyncio.run(main())
+    assert [request.method for request in script.requests] == ["PUT", "DELETE", "GET"]
     assert script.waits_s == []
 
 
