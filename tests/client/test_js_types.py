@@ -7,7 +7,7 @@ import pytest
 from js_package import PACKAGE, run
 
 from present import present
-from roomlight.wire import frame_header, frame_message, light_message, messages
+from roomlight.wire import frame_header, frame_message, light_message
 from roomlight_client.calls import FRAME_MEDIA_TYPE
 
 CONSTANTS = {
@@ -17,8 +17,6 @@ CONSTANTS = {
     "LIGHT_MEDIA_TYPE": light_message.MEDIA_TYPE,
     "VERSION": str(frame_header.VERSION),
     "MAX_HEADER_BYTES": str(frame_message.MAX_HEADER_BYTES),
-    "MAX_PROBES": str(messages.MAX_PROBES),
-    "MAX_FORMS": str(messages.MAX_FORMS),
 }
 
 

@@ -50,37 +50,20 @@ export async function packFrame(frame: Frame): Promise<Uint8Array<ArrayBuffer>> 
     exposure: rest.exposure ?? 1,
     tracking_state: rest.tracking_state ?? "normal",
     version: VERSION,
-    colour: { encoding: colour.encoding, bytes: colourBytes! },
-    ...(depth
-      ? {
-          depth: {
-            format: depth.format,
-            encoding: depth.encoding ?? "raw",
-            width: depth.width,
-            height: depth.height,
-            bytes: depthBytes!,
-            ...(depth.estimated == null ? {} : { estimated: depth.estimated }),
-          },
-        }
-      : {}),
     camera_to_world: Array.from(camera_to_world),
-    ...(confidence
-      ? {
-          confidence: {
-            format: "uint8",
-            encoding: confidence.encoding ?? "raw",
-            width: confidence.width,
-            height: confidence.height,
-            bytes: confidenceBytes!,
-          },
-        }
-      : {}),
+    colour: described(colour, colourBytes!),
+    depth: depth && { encoding: "raw", ...described(depth, depthBytes!) },
+    confidence: confidence && { format: "uint8", encoding: "raw", ...described(confidence, confidenceBytes!) },
   };
   const text = new TextEncoder().encode(canonicalJson(header));
   if (text.length > MAX_HEADER_BYTES) {
     throw new RangeError(`the header must be at most ${MAX_HEADER_BYTES} bytes, got ${text.length}`);
   }
   return join([prefix(FRAME_MAGIC, text.length), text, ...parts]);
+}
+
+function described<Part extends { data: Binary }>({ data: _data, ...part }: Part, bytes: number) {
+  return { ...part, bytes };
 }
 
 /**

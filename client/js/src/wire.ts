@@ -1,27 +1,12 @@
 // The wire format (docs/wire.md): its message types, generated in schemas.ts, and its names and constants.
 
-import type {
-  ColourPart,
-  ConfidencePart,
-  DepthPart,
-  FrameHeader,
-  FrameResult,
-  LightForm,
-  SessionRequest,
-} from "./schemas.js";
+import type { DepthPart, LightForm } from "./schemas.js";
 
 export type * from "./schemas.js";
 
-export type ColourEncoding = ColourPart["encoding"];
 export type DepthFormat = DepthPart["format"];
-export type PlaneEncoding = NonNullable<ConfidencePart["encoding"]>;
-export type TrackingState = NonNullable<FrameHeader["tracking_state"]>;
-export type FrameStatus = FrameResult["status"];
-export type ModelName = NonNullable<SessionRequest["model"]>;
 export type LightFormat = LightForm["format"];
 export type LightUse = NonNullable<LightForm["use"]>;
-export type HarmonicsKind = NonNullable<LightForm["kind"]>;
-export type HarmonicsBasis = NonNullable<LightForm["basis"]>;
 
 export const FRAME_MAGIC = "RLF1";
 export const LIGHT_MAGIC = "RLL1";
@@ -29,7 +14,5 @@ export const FRAME_MEDIA_TYPE = "application/vnd.roomlight.frame";
 export const LIGHT_MEDIA_TYPE = "application/vnd.roomlight.light";
 export const VERSION = 1;
 export const MAX_HEADER_BYTES = 16384;
-export const MAX_PROBES = 64;
-export const MAX_FORMS = 20;
 /** Bytes per depth value, little-endian. */
 export const DEPTH_BYTES: Readonly<Record<DepthFormat, number>> = { uint16_mm: 2, float16_m: 2, float32_m: 4 };

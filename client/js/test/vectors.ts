@@ -30,22 +30,9 @@ export function vectors(): Vector[] {
     const data = (part: keyof typeof parts) => new Uint8Array(Buffer.from(parts[part], "hex"));
     const frame: Frame = {
       ...rest,
-      colour: { encoding: colour.encoding, data: data("colour") },
-      ...(depth
-        ? {
-            depth: {
-              format: depth.format,
-              encoding: depth.encoding!,
-              width: depth.width,
-              height: depth.height,
-              data: data("depth"),
-              estimated: depth.estimated,
-            },
-          }
-        : {}),
-      ...(confidence
-        ? { confidence: { width: confidence.width, height: confidence.height, data: data("confidence") } }
-        : {}),
+      colour: { ...colour, data: data("colour") },
+      depth: depth && { ...depth, data: data("depth") },
+      confidence: confidence && { ...confidence, data: data("confidence") },
     };
     return { name, frame, bytes: whole.subarray(offset, offset + length) };
   });

@@ -213,20 +213,14 @@ async function session(url: string, token: string, vector: readonly Frame[]) {
   const options = { model: "classical", height: 32, reference_exposure: 1, use_limited_tracking: true } as const;
   const shared = await server.open(options);
   const statuses: string[] = [];
-  for (const frame of vector) {
-    const withBytes = {
-      ...frame,
-      colour: { ...frame.colour, data: bytesOf(frame.colour.data) },
-      depth: frame.depth ? { ...frame.depth, data: bytesOf(frame.depth.data) } : null,
+  for (const { colour, depth, confidence, ...rest } of vector) {
+    const frame: Frame = {
+      ...rest,
+      colour: withBytes(colour),
+      depth: depth && withBytes(depth),
+      confidence: confidence && withBytes(confidence),
     };
-    const { confidence } = frame;
-    statuses.push(
-      (
-        await shared.push(
-          confidence ? { ...withBytes, confidence: { ...confidence, data: bytesOf(confidence.data) } } : withBytes,
-        )
-      ).status,
-    );
+    statuses.push((await shared.push(frame)).status);
   }
   await shared.delete();
   const gone = await shared.state().then(
@@ -253,7 +247,10 @@ async function session(url: string, token: string, vector: readonly Frame[]) {
   return { statuses, gone, ahead, coverage: tracked.coverage, unchanged: again === null };
 }
 
-const bytesOf = (data: unknown) => Uint8Array.from(data as number[]);
+const withBytes = <Part extends { data: unknown }>(part: Part) => ({
+  ...part,
+  data: Uint8Array.from(part.data as number[]),
+});
 
 const calls = {
   ...{ mirrored, panorama, diffuse, sphere, specular, shadows, quarters, session },
