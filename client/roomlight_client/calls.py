@@ -69,21 +69,12 @@ SESSION_HEADER: Final = "X-Session-Id"
 
 
 @dataclass(frozen=True)
-class Reply:
-    """A complete response. Header names are lower case."""
-
-    status: int
-    headers: Mapping[str, str]
-    body: bytes
-
-
-@dataclass(frozen=True)
 class Call(Generic[T]):
     """A request, and the parser of its response. `expected`: statuses that `read` accepts besides 200 to 299."""
 
     method: str
     path: str
-    read: Callable[[Reply], T]
+    read: Callable[[httpx.Response], T]
     headers: Mapping[str, str] = field(default_factory=dict[str, str])
     content: bytes | None = None
     params: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -111,16 +102,15 @@ class Attempt(Generic[T]):
             RemoteError: If the server refused the call and no attempt is left, or the response is malformed.
         """
         self._made += 1
-        headers = {name.lower(): value for name, value in response.headers.items()}
-        reply = Reply(response.status_code, headers, response.content)
-        if reply.status in self._call.expected or 200 <= reply.status < 300:
-            return Result(self._call.read(reply))
-        retry_after_s = parse_retry_after(headers.get("retry-after"))
-        if reply.status in RETRIED:
+        status = response.status_code
+        if status in self._call.expected or response.is_success:
+            return Result(self._call.read(response))
+        retry_after_s = parse_retry_after(response.headers.get("retry-after"))
+        if status in RETRIED:
             delay_s = self._retry.delay_s(self._made, retry_after_s=retry_after_s, jitter=_waiting.jitter())
             if delay_s is not None:
                 return delay_s
-        raise refusal(reply.status, reply.body, retry_after_s=retry_after_s)
+        raise refusal(status, response.content, retry_after_s=retry_after_s)
 
     def failed(self, error: httpx.HTTPError) -> float:
         """Return the seconds until the next attempt, after one without a response.
@@ -183,7 +173,7 @@ def request_arguments(call: Call[Any]) -> dict[str, Any]:
 
 def ready() -> Call[bool]:
     """Ask whether the server accepts sessions."""
-    return Call("GET", "/readyz", lambda reply: reply.status == 200, expected=frozenset({503}))
+    return Call("GET", "/readyz", lambda reply: reply.status_code == 200, expected=frozenset({503}))
 
 
 def upload(body: bytes, kind: str | None, session_id: str | None = None) -> Call[ObjectInfo]:
@@ -276,8 +266,8 @@ class SessionCalls:
         """
         request = light_request(probes, forms)
 
-        def read(reply: Reply) -> list[Light]:
-            lights = parse_lights(reply.body, reply.headers.get("content-type", ""))
+        def read(reply: httpx.Response) -> list[Light]:
+            lights = parse_lights(reply.content, reply.headers.get("content-type", ""))
             if len(lights) != len(request.probes):
                 raise BadReplyError(f"requested light at {len(request.probes)} probes, the answer has {len(lights)}")
             return lights
@@ -296,22 +286,18 @@ class SessionCalls:
         params |= {axis: repr(value) for axis, value in zip("xyz", query.position or (), strict=False)}
         headers = {} if if_none_match is None else {"If-None-Match": _quoted(if_none_match)}
 
-        def read(reply: Reply) -> LightFile | None:
-            if reply.status == 304:
+        def read(reply: httpx.Response) -> LightFile | None:
+            if reply.status_code == 304:
                 return None
             etag = reply.headers.get("etag", "").removeprefix("W/").strip('"')
-            return LightFile(reply.body, reply.headers.get("content-type", ""), etag)
+            return LightFile(reply.content, reply.headers.get("content-type", ""), etag)
 
         path = "/probe" if query.name is None else f"/probes/{query.name}"
         return self._call("GET", path, read, params=params, headers=headers, expected=frozenset({304}))
 
     def composite(self, request: CompositeRequest) -> Call[CompositeFile]:
         """Get the last processed frame with objects in it."""
-
-        def read(reply: Reply) -> CompositeFile:
-            return parse_composite(reply.body, reply.headers)
-
-        return self._call("POST", "/composite", read, json=request, headers={"Accept": "*/*"})
+        return self._call("POST", "/composite", parse_composite, json=request, headers={"Accept": "*/*"})
 
     def track(self, name: str, position: Position) -> Call[None]:
         """Track a point under a name.
@@ -333,7 +319,7 @@ class SessionCalls:
         self,
         method: str,
         path: str,
-        read: Callable[[Reply], T],
+        read: Callable[[httpx.Response], T],
         *,
         json: BaseModel | None = None,
         content: bytes | None = None,
@@ -385,10 +371,10 @@ def session_request(**options: Any) -> SessionRequest:
         raise to_wire_error(error, kind="invalid") from error
 
 
-def _parser(model: type[_Model]) -> Callable[[Reply], _Model]:
-    def read(reply: Reply) -> _Model:
+def _parser(model: type[_Model]) -> Callable[[httpx.Response], _Model]:
+    def read(reply: httpx.Response) -> _Model:
         try:
-            return model.model_validate_json(reply.body)
+            return model.model_validate_json(reply.content)
         except ValidationError as error:
             explained = to_wire_error(error, kind="bad-reply")
             raise BadReplyError(f"the answer is not a valid {model.__name__}: {explained}") from error
@@ -415,7 +401,7 @@ def _as_index(value: object) -> int:
     return index
 
 
-def _ignore_body(_: Reply) -> None:
+def _ignore_body(_: httpx.Response) -> None:
     return None
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import httpx
 from pydantic import ValidationError
 
 from roomlight.errors import ObjectError, OptionError
@@ -54,13 +55,13 @@ def composite_request(
         raise to_wire_error(error, kind="invalid") from error
 
 
-def parse_composite(body: bytes, headers: Any) -> CompositeFile:
+def parse_composite(reply: httpx.Response) -> CompositeFile:
     """Return the composite of a response. Raises BadReplyError if the headers are malformed."""
     try:
-        frame, poses = int(headers[FRAME_HEADER]), json.loads(headers[POSES_HEADER])
+        frame, poses = int(reply.headers[FRAME_HEADER]), json.loads(reply.headers[POSES_HEADER])
     except (KeyError, ValueError) as error:
         raise BadReplyError(f"the headers of the composite cannot be read: {error}") from error
-    return CompositeFile(body, headers.get("content-type", ""), frame, poses)
+    return CompositeFile(reply.content, reply.headers.get("content-type", ""), frame, poses)
 
 
 def object_file(source: str | Path | bytes, kind: str | None) -> tuple[bytes, str | None]:

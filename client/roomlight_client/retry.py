@@ -81,7 +81,7 @@ RECONNECT = Retry(attempts=60, first_delay_s=0.25, max_delay_s=10.0)
 """For streams and pushes whose server is away: about eight minutes."""
 
 NO_RETRY = Retry(attempts=1)
-"""For frames of a live stream, which are useless when they are late."""
+"""One attempt: for calls whose repetition the caller decides."""
 
 
 def parse_retry_after(value: str | None, *, now: datetime | None = None) -> float | None:

@@ -17,7 +17,7 @@ import httpx
 from roomlight.conventions import Position
 from roomlight.wire.messages import FrameResult, ModelName
 from roomlight_client import AsyncClient, AsyncSession, BusyError, ConflictError
-from roomlight_client.calls import FRAME_MEDIA_TYPE, Call, Reply
+from roomlight_client.calls import FRAME_MEDIA_TYPE, Call
 from roomlight_client.retry import NO_RETRY, Timeouts
 
 IN_FLIGHT: Final = 2
@@ -82,8 +82,8 @@ class Load:
 def frame_call(session_id: str, index: int, body: bytes) -> Call[FrameResult]:
     """Make the request for a packed frame: packing is the phone's work, which does not load this machine."""
 
-    def read(reply: Reply) -> FrameResult:
-        return FrameResult.model_validate_json(reply.body)
+    def read(reply: httpx.Response) -> FrameResult:
+        return FrameResult.model_validate_json(reply.content)
 
     path = f"/v1/sessions/{session_id}/frames/{index}"
     return Call("PUT", path, read, {"Content-Type": FRAME_MEDIA_TYPE}, body)
