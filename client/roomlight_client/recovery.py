@@ -210,7 +210,7 @@ class Recovery:
 
     def restore(self) -> Steps[None]:
         """Bring the session up to date; only a client that takes a `Restore` follows these steps."""
-        self._unsure = self._restoring = True  # unsure until all is done
+        self._may_have_restarted = self._restoring = True  # until all is done
         try:
             yield from self._restore()
         finally:

@@ -90,6 +90,25 @@ def test_a_server_that_stops_is_away_until_one_is_ready(kind):
     ]
 
 
+@BOTH
+def test_a_recovery_that_fails_is_begun_again_by_the_next_push(kind):
+    def pushed(index):
+        return httpx.Response(200, json={"index": index, "status": "processed"})
+
+    async def work(session):
+        await session.push(FRAME)
+        with pytest.raises(sdk.UnreachableError):
+            await session.state()
+        await session.push(replace(FRAME, index=1))
+
+    lost = [problem(404, "session-not-found")] * 2
+    again = [OPENED, httpx.ConnectError("cut"), httpx.Response(200, json=STATE), pushed(0), pushed(1)]
+    script = Script(OPENED, pushed(0), *lost, *again)
+    run(script, kind, work, retry=Retry(attempts=1))
+    requests = [f"{request.method} {request.url.path.rpartition('/')[2]}" for request in script.requests[4:]]
+    assert requests == ["PUT room", "PUT 0", "GET room", "PUT 0", "PUT 1"]
+
+
 def test_a_cancelled_call_leaves_the_recovery_to_the_others():
     requests: list[str] = []
 
