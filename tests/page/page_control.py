@@ -15,7 +15,7 @@ class PageServer:
     """A server that can be started again on its port, with frames of a box room for its sessions.
 
     Commands are POST requests to `control_url`: `/push?session=NAME&count=N` opens the session where there is none and
-    sends its next frames, `/restart` and `/stop` and `/start` the server, `/expire` makes all sessions idle for a day,
+    sends its next frames, `/stop` and `/start` the server, `/expire` makes all sessions idle for a day,
     `/state?session=NAME` returns the state of a session, `/scene?session=NAME` its scene, `/clear?session=NAME` removes
     the objects that are kept with it.
     """
@@ -72,10 +72,6 @@ class PageServer:
         self._running = RunningServer(clock=self._clock, **self._settings)
         self._running.__enter__()
 
-    def restart(self):
-        self.stop()
-        self.start()
-
     def expire(self):
         self._passed_s += 86_400
         self._next = {}
@@ -91,7 +87,7 @@ class PageServer:
 
     def _handler(self):
         page_server = self
-        commands = ("push", "stop", "start", "restart", "expire", "state", "scene", "clear")
+        commands = ("push", "stop", "start", "expire", "state", "scene", "clear")
 
         class Handler(BaseHTTPRequestHandler):
             def do_POST(self):

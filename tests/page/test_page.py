@@ -64,9 +64,10 @@ def test_in_chromium(name):
         drive(name, server)
 
 
-def test_token():
+@pytest.mark.parametrize("name", ["token", "phone"])
+def test_with_a_token(name):
     with PageServer(tokens=(TOKEN,), public_url="http://a.server") as server:
-        drive("token", server, PAGE_TOKEN=TOKEN)
+        drive(name, server, PAGE_TOKEN=TOKEN)
 
 
 def test_recordings(tmp_path):

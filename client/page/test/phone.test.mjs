@@ -1,21 +1,14 @@
-// The phone's page in Chromium against the server at ROOMLIGHT_SERVER with the token ROOMLIGHT_TOKEN: as a WebXR phone
-// emulated by iwer, and with Chromium's fake camera. Pictures go to the folder SCREENSHOTS, if it is set.
+// The phone's page, as a WebXR phone emulated by iwer, and with Chromium's fake camera. Pictures go to the folder
+// SCREENSHOTS, if it is set.
 
 import assert from "node:assert/strict";
-import { existsSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, test } from "node:test";
-import { chromium } from "playwright-core";
+import { launch, PAGE_URL } from "./support.mjs";
 
 const IWER = createRequire(import.meta.url).resolve("iwer").replace(/lib\/index\.js$/, "build/iwer.min.js");
-const [server, token] = [process.env.ROOMLIGHT_SERVER, process.env.ROOMLIGHT_TOKEN];
-const executablePath =
-  process.env.CHROMIUM ?? ["/usr/bin/chromium", "/usr/bin/chromium-browser"].find((path) => existsSync(path));
-const args = [
-  ...["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"],
-  ...["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream", "--disable-background-networking"],
-];
-const browser = await chromium.launch({ executablePath, args });
+const token = process.env.PAGE_TOKEN;
+const browser = await launch("--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream");
 after(() => browser.close());
 
 /** An Android phone: iwer has poses and sessions; the camera's texture and the depth are painted here. */
@@ -84,7 +77,7 @@ async function open(phone) {
     await page.addInitScript({ path: IWER });
     await page.addInitScript(emulatePhone, phone);
   }
-  await page.goto(`${server}/phone#pair=${code}`);
+  await page.goto(`${PAGE_URL}/phone#pair=${code}`);
   await page.getByRole("button", { name: "Start" }).waitFor();
   await page.waitForFunction(() => localStorage.getItem("roomlight-token") !== null);
   const own = await page.evaluate(() => localStorage.getItem("roomlight-token"));
@@ -93,7 +86,7 @@ async function open(phone) {
 
 /** Call the server with the token of the operator, or of a phone. */
 async function call(method, path, bearer = token) {
-  const response = await fetch(`${server}${path}`, { method, headers: { authorization: `Bearer ${bearer}` } });
+  const response = await fetch(`${PAGE_URL}${path}`, { method, headers: { authorization: `Bearer ${bearer}` } });
   return response.status === 204 ? null : response.json();
 }
 
@@ -127,7 +120,7 @@ async function roomSize(bearer) {
   for (;;) {
     const [first] = await sessions(bearer);
     const headers = { authorization: `Bearer ${bearer}` };
-    const answer = first && (await fetch(`${server}/v1/sessions/${first.id}/mesh`, { headers }));
+    const answer = first && (await fetch(`${PAGE_URL}/v1/sessions/${first.id}/mesh`, { headers }));
     if (answer?.ok) {
       const glb = Buffer.from(await answer.arrayBuffer());
       const { accessors } = JSON.parse(glb.subarray(20, 20 + glb.readUInt32LE(12)).toString());
@@ -200,7 +193,7 @@ for (const [name, phone] of [
 }
 
 test("a phone has a token and sessions of its own until it is removed", async () => {
-  const [first, second] = [await open(null), await open(null)];
+  const [first, second] = [await open({ camera: true, depth: true }), await open(null)];
   assert.notEqual(first.own, second.own);
   assert.notEqual(first.own, token);
   await first.page.getByRole("button", { name: "Start" }).click();
@@ -211,7 +204,7 @@ test("a phone has a token and sessions of its own until it is removed", async ()
   assert.equal((await call("GET", `/v1/sessions/${id}`)).id, id);
 
   const again = await first.context.newPage(); // the same code in the same phone: the token is kept
-  await again.goto(`${server}/phone#pair=${first.code}`);
+  await again.goto(`${PAGE_URL}/phone#pair=${first.code}`);
   await again.getByRole("button", { name: "Start" }).click();
   await lit(again, 1);
 
@@ -221,7 +214,7 @@ test("a phone has a token and sessions of its own until it is removed", async ()
   await again.reload();
   await again.getByRole("button", { name: "Start" }).click();
   await again.getByText("The server does not know this phone").waitFor();
-  await again.goto(`${server}/phone#pair=${await link()}`); // another code in the same tab
+  await again.goto(`${PAGE_URL}/phone#pair=${await link()}`); // another code in the same tab
   await again.waitForFunction((own) => localStorage.getItem("roomlight-token") !== own, first.own);
   assert.equal((await call("GET", `/v1/sessions/${id}`)).id, id); // the operator still has what it saw
 });

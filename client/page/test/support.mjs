@@ -15,12 +15,12 @@ const PATIENCE_MS = 150_000; // the first composite of a process may compile ker
 
 export const PAGE_URL = process.env.PAGE_URL;
 
-export function launch() {
+export function launch(...more) {
   const executablePath = process.env.CHROMIUM ?? EXECUTABLES.find((path) => existsSync(path));
   if (!executablePath) {
     throw new Error(`Chromium is needed, at one of ${EXECUTABLES.join(", ")} or at the path in CHROMIUM`);
   }
-  return chromium.launch({ executablePath, args: ARGUMENTS });
+  return chromium.launch({ executablePath, args: [...ARGUMENTS, ...more] });
 }
 
 /** Give a command to the server's control; see page_control.py. */
