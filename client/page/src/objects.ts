@@ -197,7 +197,10 @@ export class PlacedObjects {
       if (cleared !== this.cleared || this.list.value.length === 0) {
         return; // another session is shown, or the last object was removed
       }
-      this.list.value = this.list.value.map((object) => ({ ...object, pose: object.pose ?? poses[object.name] ?? null }));
+      // What was moved meanwhile waits for the next composite; the others stay the same objects and keep their light.
+      this.list.value = this.list.value.map((object) =>
+        shown.includes(object) && object.pose === null ? { ...object, pose: poses[object.name] ?? null } : object,
+      );
       this.visible.value = visible;
       this.showComposite({ blob: data, frame });
     } catch (error) {
