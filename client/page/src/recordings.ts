@@ -2,7 +2,7 @@
 
 import { RoomLightError } from "roomlight";
 import type { Recording } from "./lib/answers";
-import type { Api } from "./lib/api";
+import { isAway, type Api } from "./lib/api";
 import { Signal } from "./lib/signal";
 
 export interface NamedFile {
@@ -23,6 +23,7 @@ const PIECE_BYTES = 4 * 2 ** 20;
 const PIECE_ATTEMPTS = 10; // within 20 s
 const PARALLEL_FILES = 4;
 const POLL_MS = 500;
+const BUSY = new Set([429, 503]);
 const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/;
 
 /** One recording on its way: watch `state`; `cancel` stops it and deletes it on the server. */
@@ -94,14 +95,18 @@ export class RecordingUpload {
     this.stopped.abort();
     const { recording } = this.state.value;
     if (recording) {
-      await this.api.deleteRecording(recording.id);
+      await this.api.deleteRecording(recording.id).catch((error: RoomLightError) => {
+        if (error.status !== 404) {
+          throw error; // otherwise it is deleted already
+        }
+      });
     }
   }
 
   private async send(id: string): Promise<void> {
     const waiting = [...this.files];
     const worker = async () => {
-      for (let next = waiting.shift(); next; next = waiting.shift()) {
+      for (let next = waiting.shift(); next && !this.isDone; next = waiting.shift()) {
         await this.sendFile(id, next);
       }
     };
@@ -115,7 +120,7 @@ export class RecordingUpload {
       await this.sendPiece(id, path, offset, piece);
       offset += piece.size;
       this.show({ sent: this.state.value.sent + piece.size });
-    } while (offset < file.size);
+    } while (offset < file.size && !this.isDone); // a piece of another file may have been refused
   }
 
   /** Send a piece; after a lost connection send it again, unless the first one had arrived. */
@@ -140,9 +145,16 @@ export class RecordingUpload {
   private async follow(id: string): Promise<void> {
     while (!this.stopped.signal.aborted && !this.isDone) {
       await new Promise((resolve) => setTimeout(resolve, POLL_MS));
-      const recording = await this.api.recording(id);
-      this.show({ recording });
-      if (recording.problem) {
+      const recording = await this.api.recording(id).catch((error: RoomLightError) => {
+        if (isAway(error) || BUSY.has(error.status)) {
+          return null; // the replay goes on
+        }
+        throw error;
+      });
+      if (recording) {
+        this.show({ recording });
+      }
+      if (recording?.problem) {
         throw RoomLightError.fromProblem(recording.problem);
       }
     }

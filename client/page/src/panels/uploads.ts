@@ -38,9 +38,9 @@ export function uploadsPanel(api: Api, opened: (session: string) => void, failed
   const play = (upload: RecordingUpload) => {
     const item = list(upload);
     return upload.run(opened).then(() => {
-      const { recording, error } = upload.state.value;
+      const { recording } = upload.state.value;
       item.scrollIntoView({ block: "nearest", inline: "nearest" }); // the strip of a phone
-      if (error !== null && recording?.session && recording.frame === 0) {
+      if (recording?.problem && recording.session && recording.frame === 0) {
         failed(recording.session);
       }
     });
