@@ -7,15 +7,12 @@ const LONGEST = 640;
 const LONG_SIDE_FOV_DEG = 66; // a phone's main camera; browsers do not tell
 const SPACING_S = 2;
 
-/** Open the camera that looks away from the user and show it. Throws DOMException if there is none or it is refused. */
-export async function openCamera(video: HTMLVideoElement): Promise<MediaStream> {
-  const stream = await navigator.mediaDevices.getUserMedia({
+/** Open the camera that looks away from the user. Throws DOMException if there is none or it is refused. */
+export function openCamera(): Promise<MediaStream> {
+  return navigator.mediaDevices.getUserMedia({
     audio: false,
     video: { facingMode: { ideal: "environment" }, width: { ideal: 1280 }, height: { ideal: 720 } },
   });
-  video.srcObject = stream;
-  await video.play();
-  return stream;
 }
 
 /** Send photos until the signal is aborted. Throws RoomLightError if the server refuses them for good. */

@@ -113,10 +113,12 @@ async function runPhotos(): Promise<void> {
   }
   note.textContent += PHOTOS;
   const ended = new AbortController();
-  const camera = await openCamera(video);
-  video.hidden = false;
-  running(() => ended.abort());
+  const camera = await openCamera();
   try {
+    video.srcObject = camera;
+    await video.play();
+    video.hidden = false;
+    running(() => ended.abort());
     await sendPhotos(video, new PhotoLink(show, api.client(), id), ended.signal);
   } finally {
     camera.getTracks().forEach((track) => track.stop());
@@ -147,7 +149,15 @@ addEventListener("hashchange", () => {
 const augmented = hasAugmentedReality();
 build();
 const paired = api.pair().catch(failed);
-button.addEventListener("click", () => (stop ? stop() : void start().catch(failed)));
+button.addEventListener("click", () => {
+  if (stop) {
+    return stop();
+  }
+  stop = () => undefined; // until the phone has permitted the camera
+  void start()
+    .catch(failed)
+    .finally(() => (stop = null));
+});
 tokenForm.addEventListener("submit", (event) => {
   event.preventDefault();
   api.token = tokenField.value;

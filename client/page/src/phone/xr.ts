@@ -62,7 +62,6 @@ export async function sendViews(session: XRSession, link: StreamLink, noDepth: (
       return;
     }
     last_ms = time_ms;
-    const image = cameraImage(gl, texture, view.camera);
     const depth = depthOf(frame, view);
     if (measured === null && !depth) {
       noDepth();
@@ -71,6 +70,7 @@ export async function sendViews(session: XRSession, link: StreamLink, noDepth: (
     if (!depth && measured) {
       return; // a gap of the sensor: the next frame has depth again
     }
+    const image = cameraImage(gl, texture, view.camera);
     if (!placed) {
       link.follow(pointAhead(view.transform.matrix));
       placed = true;
