@@ -2,7 +2,7 @@
 
 import { findFormFor, parseHdr, type Light, type Position } from "roomlight";
 import { environmentTexture } from "roomlight/three";
-import { MeshStandardMaterial, type Group, type Texture } from "three";
+import { MeshStandardMaterial, type Group, type WebGLRenderTarget } from "three";
 import { timed } from "../lib/parts";
 import { latestOnly } from "../lib/signal";
 import type { PlacedObject, PlacedObjects } from "../objects";
@@ -16,7 +16,7 @@ const PAUSE_MS = 1000; // between two requests for the light of all objects
 interface Shown {
   readonly group: Group;
   object: PlacedObject;
-  environment: Texture | null;
+  environment: WebGLRenderTarget | null;
   /** What identifies the light that it shows. */
   etag: string;
 }
@@ -149,7 +149,7 @@ export class RoomObjects {
         if (material instanceof MirrorMaterial) {
           material.show({ panorama: parseHdr(data), seen: null });
         } else if (material instanceof MeshStandardMaterial) {
-          material.envMap = one.environment;
+          material.envMap = one.environment?.texture ?? null;
           material.needsUpdate = true;
         }
       }

@@ -56,7 +56,7 @@ export class RoomPanel {
 
   private watch(objects: PlacedObjects): void {
     const { state } = this;
-    state.mesh.watch((glb) => void this.showMesh(glb));
+    state.mesh.watch((glb) => void this.showMesh(glb).catch(this.events.report));
     const light = () => {
       this.probes.update();
       this.overlays.updateLights();

@@ -11,6 +11,7 @@ import {
   MeshPhysicalMaterial,
   PlaneGeometry,
   SphereGeometry,
+  Texture,
   Vector2,
   Vector3,
   type Material,
@@ -94,7 +95,10 @@ export function materialsOf(group: Group): Set<Material> {
 
 /** Free an object's memory. */
 export function disposeOf(group: Group): void {
-  materialsOf(group).forEach((material) => material.dispose());
+  for (const material of materialsOf(group)) {
+    Object.values(material).forEach((value) => value instanceof Texture && value.dispose());
+    material.dispose();
+  }
   group.traverse((node) => node instanceof Mesh && node.geometry.dispose());
 }
 

@@ -12,6 +12,7 @@ import {
   WebGLRenderer,
   type Matrix4,
   type Texture,
+  type WebGLRenderTarget,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { onThemeChange, themeColour } from "../lib/dom";
@@ -32,17 +33,15 @@ export class RoomView {
   /** Whether the browser draws without a graphics processor. */
   readonly isSoftware: boolean;
   private readonly renderer: WebGLRenderer;
+  private readonly environments: PMREMGenerator;
   private readonly drawing: Drawing;
   private readonly resolution: Resolution;
   private factor = 1; // of the resolution
   private moves = false; // whether the next drawing shows what the visitor moves
 
-  /** Texture for the reflections of three.js's materials, of a panorama of the light. */
-  environmentOf(panorama: Texture): Texture {
-    const generator = new PMREMGenerator(this.renderer);
-    const { texture } = generator.fromEquirectangular(panorama);
-    generator.dispose();
-    return texture;
+  /** For the reflections of three.js's materials, of a panorama of the light: its `texture` is the `envMap`. */
+  environmentOf(panorama: Texture): WebGLRenderTarget {
+    return this.environments.fromEquirectangular(panorama);
   }
 
   /** Throws an Error if the browser has no WebGL 2. */
@@ -55,6 +54,7 @@ export class RoomView {
       throw new Error("the browser has no WebGL 2");
     }
     this.renderer = new WebGLRenderer({ canvas, context });
+    this.environments = new PMREMGenerator(this.renderer);
     this.drawing = new Drawing(canvas, "3D view", (now_ms) => this.render(now_ms));
     this.paintBackground();
     onThemeChange(() => this.paintBackground());
