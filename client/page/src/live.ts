@@ -107,12 +107,20 @@ export class LiveSession {
     this.requestPreview();
   }
 
-  /** The light at points of the room; null while there is no connection. */
+  /** The light at points of the room; null while there is no connection, and once the session is closed. */
   async lightAt(positions: readonly Position[]): Promise<readonly Light[] | null> {
     const probes = positions.map((position) => ({ position }));
-    return this.stream?.status.state === "open"
-      ? (await this.stream.light({ probes, forms: [{ format: "hdr" }, { format: "hdr", use: "reflection" }] })).results
-      : null;
+    if (this.stream?.status.state !== "open") {
+      return null;
+    }
+    try {
+      return (await this.stream.light({ probes, forms: [{ format: "hdr" }, { format: "hdr", use: "reflection" }] })).results;
+    } catch (error) {
+      if (this.closed) {
+        return null;
+      }
+      throw error;
+    }
   }
 
   /** The end of a drag: the server tracks the probe at its new place. */

@@ -200,7 +200,7 @@ export function isAway({ status, kind }: RoomLightError): boolean {
 
 /** Whether an error says that a session is missing or has ended. */
 export function isGone({ kind, message }: RoomLightError): boolean {
-  return /session-(not-found|closed)|4404|4410/.test(`${kind} ${message}`);
+  return /session-(not-found|closed)/.test(`${kind} ${message}`);
 }
 
 export function sessionPath(id: string): string {

@@ -43,6 +43,7 @@ export function timelinePanel(api: Api, state: State): void {
     show();
     loadPast();
   });
+  state.selected.watch(() => player.stop());
   scrub.addEventListener("input", () => {
     player.stop();
     const at = Number(scrub.value);
