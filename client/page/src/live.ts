@@ -1,7 +1,6 @@
 // The selected session: its stream, and what is read again after each frame.
 
-import { RoomLightError, type Light, type Lights, type Position, type Session, type Stream, type StreamStatus } from "roomlight";
-import type { History } from "./lib/answers";
+import { RoomLightError, type HistoryList, type Light, type Lights, type Position, type Session, type Stream, type StreamStatus } from "roomlight";
 import { isAway, isGone, sessionPath, type Api } from "./lib/api";
 import { FORMS, probeLight } from "./lib/light_data";
 import { latestOnly } from "./lib/signal";
@@ -238,7 +237,7 @@ export class LiveSession {
     }
   }
 
-  private async addHistory(update: History): Promise<void> {
+  private async addHistory(update: HistoryList): Promise<void> {
     let { entries } = update;
     const known = this.isReplaced ? [] : this.state.history.value;
     if (update.stride !== this.stride && known.length > 0) {

@@ -1,9 +1,8 @@
 // The live page: lists the sessions, joins the selected one, and connects the panels.
 
-import { RoomLightError, type Position } from "roomlight";
+import { RoomLightError, type Position, type SessionSummary } from "roomlight";
 import { Api, isAway } from "./lib/api";
 import { LiveSession } from "./live";
-import type { SessionSummary } from "./lib/answers";
 import { PlacedObjects } from "./objects";
 import { parts } from "./lib/parts";
 import { cameraPanel, chosen } from "./panels/camera";

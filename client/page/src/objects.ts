@@ -1,7 +1,6 @@
 // The virtual objects that the visitor has placed, and the composite that shows them in the camera's picture.
 
-import { RoomLightError, type CompositeObject, type Position, type Session } from "roomlight";
-import type { CameraState } from "./lib/answers";
+import { RoomLightError, type CameraView, type CompositeObject, type Position, type Session } from "roomlight";
 import { latestOnly, Signal } from "./lib/signal";
 import type { Picture, State } from "./state";
 
@@ -327,7 +326,7 @@ function turned(pose: readonly number[], degrees: number): readonly number[] {
 }
 
 /** Whether the middle of a placed object is in the picture; the server refuses objects that are not. */
-function isInView({ pose }: PlacedObject, camera: CameraState | null): boolean {
+function isInView({ pose }: PlacedObject, camera: CameraView | null): boolean {
   if (!pose || !camera?.camera_to_world || !camera.intrinsics) {
     return true;
   }
@@ -336,7 +335,7 @@ function isInView({ pose }: PlacedObject, camera: CameraState | null): boolean {
 }
 
 /** Where a point of the world is in the picture, as fractions of its width and height; null behind the camera. */
-export function pixelOf(point: Position, camera: CameraState): readonly [number, number] | null {
+export function pixelOf(point: Position, camera: CameraView): readonly [number, number] | null {
   const pose = camera.camera_to_world!;
   const { fx, fy, cx, cy, width, height } = camera.intrinsics!;
   const offset = point.map((value, axis) => value - pose[12 + axis]!);

@@ -1,7 +1,6 @@
 // Recordings that the visitor drops or chooses: uploaded in pieces, then played by the server into a session.
 
-import { RoomLightError } from "roomlight";
-import type { Recording } from "./lib/answers";
+import { RoomLightError, type Recording } from "roomlight";
 import { isAway, type Api } from "./lib/api";
 import { Signal } from "./lib/signal";
 

@@ -1,7 +1,6 @@
 // The placed objects and the title that the server keeps with a session, the same for everyone who looks at it.
 
 import { RoomLightError, type CompositeObject } from "roomlight";
-import type { SessionScene } from "./lib/answers";
 import type { Api } from "./lib/api";
 import { latestOnly } from "./lib/signal";
 import { asRequest, type PlacedObject, type PlacedObjects, type Shape, type Surface } from "./objects";
@@ -90,7 +89,7 @@ function textOf(list: readonly PlacedObject[]): string {
 }
 
 /** An object of the server's scene as the page shows it; what the page has no field for stays in `kept`. */
-function placedOf(item: SessionScene["objects"][number]): PlacedObject {
+function placedOf(item: CompositeObject): PlacedObject {
   const { name, shape, object, material, size_m, pose, position, ...rest } = item;
   const isPlain = material != null && SURFACES.includes(material.kind) && material.base_colour == null && material.roughness == null;
   const { up, yaw_degrees, anchor, ...other } = rest;

@@ -1,7 +1,6 @@
 // What the page shows, in signals that the panels watch.
 
-import type { LightSourceValues, Panorama, Position } from "roomlight";
-import type { CameraState, HistoryEntry, SessionSummary } from "./lib/answers";
+import type { CameraView, HistoryEntry, LightSourceValues, Panorama, Position, SessionSummary } from "roomlight";
 import { Signal } from "./lib/signal";
 
 export type ConnectionState = "connecting" | "live" | "reconnecting" | "disconnected";
@@ -47,7 +46,7 @@ export class State {
   /** Why the selected session is not shown; null while it is. */
   readonly ended = new Signal<Ending | null>(null);
 
-  readonly camera = new Signal<CameraState | null>(null);
+  readonly camera = new Signal<CameraView | null>(null);
   readonly picture = new Signal<Picture | null>(null);
   /** Triangles that the 3D view can draw. */
   readonly meshTriangles = new Signal(60_000);

@@ -1,7 +1,20 @@
 // The endpoints that only the page uses; sessions, light and composites go through our client (`roomlight`).
 
-import { RoomLight, RoomLightError, type ObjectInfo, type Problem } from "roomlight";
-import type { CameraState, FilmRequest, History, KeptScene, PairedPhone, Pairing, Recording, RecordingList, SessionList, SessionScene } from "./answers";
+import {
+  RoomLight,
+  RoomLightError,
+  type CameraView,
+  type FilmRequest,
+  type HistoryList,
+  type ObjectInfo,
+  type PairedPhone,
+  type Pairing,
+  type Problem,
+  type Recording,
+  type RecordingList,
+  type SessionList,
+  type SessionScene,
+} from "roomlight";
 
 const TOKEN_KEY = "roomlight-token";
 
@@ -10,6 +23,11 @@ export interface Fetched {
   blob: Blob;
   etag: string;
   frame: number;
+}
+
+/** The objects and the title that the server keeps with a session. */
+export interface KeptScene extends Required<SessionScene> {
+  readonly etag: string;
 }
 
 /** The server that delivered the page. Throws RoomLightError, with status 0 if the server cannot be reached. */
@@ -81,7 +99,7 @@ export class Api {
 
   async scene(id: string): Promise<KeptScene> {
     const response = await this.send(`${sessionPath(id)}/scene`, {});
-    return { ...((await response.json()) as SessionScene), etag: etagOf(response) };
+    return { ...((await response.json()) as Required<SessionScene>), etag: etagOf(response) };
   }
 
   /** Replace the scene with this ETag; returns the new one. Throws RoomLightError `scene-changed` if it is another. */
@@ -90,11 +108,11 @@ export class Api {
     return etagOf(await this.send(`${sessionPath(id)}/scene`, { method: "PUT", body, headers: { ...headers, "if-match": etag } }));
   }
 
-  camera(id: string): Promise<CameraState> {
+  camera(id: string): Promise<CameraView> {
     return this.json(`${sessionPath(id)}/camera`);
   }
 
-  history(id: string, after: number): Promise<History> {
+  history(id: string, after: number): Promise<HistoryList> {
     return this.json(`${sessionPath(id)}/history?after=${after}`);
   }
 

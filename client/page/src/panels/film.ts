@@ -1,6 +1,6 @@
 // A film of the recording that plays in the session, with the placed objects: range, quality, progress, cancel.
 
-import type { Recording } from "../lib/answers";
+import type { Recording } from "roomlight";
 import type { Api } from "../lib/api";
 import { byId } from "../lib/dom";
 import { asRequest, type PlacedObjects, type Quality } from "../objects";

@@ -1,7 +1,7 @@
 // Time of each stage of the shown frame, and the counts of frames.
 
+import type { HistoryEntry } from "roomlight";
 import { byId, element } from "../lib/dom";
-import type { HistoryEntry } from "../lib/answers";
 import { timed } from "../lib/parts";
 import type { State } from "../state";
 import { totalMs } from "./timeline";

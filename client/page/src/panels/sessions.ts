@@ -1,6 +1,6 @@
 // The list of sessions, and which message stands in place of the panels.
 
-import type { SessionSummary } from "../lib/answers";
+import type { SessionSummary } from "roomlight";
 import { byId, element, replaceKeepingFocus } from "../lib/dom";
 import type { State } from "../state";
 

@@ -1,7 +1,6 @@
 // The timeline: thumbnails, time per frame, lost frames; scrubbing shows an earlier frame in all panels.
 
-import { parseHdr } from "roomlight";
-import type { HistoryEntry } from "../lib/answers";
+import { parseHdr, type HistoryEntry } from "roomlight";
 import { sessionPath, type Api } from "../lib/api";
 import { byId, element, fitCanvas, onThemeChange, themeColour } from "../lib/dom";
 import { PictureView } from "../lib/picture";
@@ -165,7 +164,7 @@ async function loadProbes(api: Api, state: State): Promise<void> {
 async function pastLight(api: Api, id: string, index: number, probe: HistoryEntry["probes"][number]): Promise<ProbeLight> {
   const file = await api.file(`${sessionPath(id)}/history/${index}/probes/${encodeURIComponent(probe.name)}`);
   const panorama = parseHdr(new Uint8Array(await file!.blob.arrayBuffer()));
-  return { ...probe, frame: index, panorama, seen: null, harmonics: null };
+  return { ...probe, lights: probe.lights as ProbeLight["lights"], frame: index, panorama, seen: null, harmonics: null };
 }
 
 /** Columns of the time per frame; a mark above where frames were left out, red where refused; a line at the shown one. */

@@ -1,6 +1,7 @@
 // What the stream has seen and what is filled: a tint of the mesh where few frames looked, and behind the mesh, on the
 // walls of the volume's box, the light that is filled in at the selected probe because no frame has seen it.
 
+import type { CameraView } from "roomlight";
 import {
   BackSide,
   BoxGeometry,
@@ -14,7 +15,6 @@ import {
   type Scene,
   type Texture,
 } from "three";
-import type { CameraState } from "../lib/answers";
 import type { ProbeLight } from "../state";
 
 const CAMERAS = 24; // of the path, evenly chosen
@@ -90,7 +90,7 @@ export class RoomCoverage {
   }
 
   /** The walls of the volume. */
-  walls(volume: CameraState["volume"]): void {
+  walls(volume: CameraView["volume"]): void {
     const key = volume ? JSON.stringify(volume) : "";
     if (volume && key !== this.box) {
       const [lower, upper] = [new Vector3(...volume.lower_m), new Vector3(...volume.upper_m)];
@@ -106,7 +106,7 @@ export class RoomCoverage {
 }
 
 /** Store for each vertex of a mesh how much of the tint it gets: none where many cameras of the path looked. */
-export function markSeldomSeen(mesh: Mesh, camera: CameraState | null): void {
+export function markSeldomSeen(mesh: Mesh, camera: CameraView | null): void {
   const positions = mesh.geometry.getAttribute("position").array;
   const unseen = new Float32Array(positions.length / 3);
   const views = viewsOf(camera);
@@ -120,7 +120,7 @@ export function markSeldomSeen(mesh: Mesh, camera: CameraState | null): void {
 }
 
 /** Whether a point is in the picture of a camera, for some cameras of the path; what stands in between is left out. */
-function viewsOf(camera: CameraState | null): ((x: number, y: number, z: number) => boolean)[] {
+function viewsOf(camera: CameraView | null): ((x: number, y: number, z: number) => boolean)[] {
   const { path = [], intrinsics } = camera ?? {};
   if (!intrinsics) {
     return [];

@@ -18,9 +18,8 @@ import {
   Quaternion,
   Vector3,
 } from "three";
-import type { LightSourceValues } from "roomlight";
+import type { CameraView, LightSourceValues } from "roomlight";
 import { onThemeChange, themeColour } from "../lib/dom";
-import type { CameraState } from "../lib/answers";
 import { timed } from "../lib/parts";
 import { hueOf, strengthOf } from "../lib/tone";
 import type { State } from "../state";
@@ -63,7 +62,7 @@ export class RoomOverlays {
     this.view.drawSoon();
   }
 
-  private showCamera(camera: CameraState | null): void {
+  private showCamera(camera: CameraView | null): void {
     const { path = [], intrinsics = null, volume = null } = camera ?? {};
     const ends = `${path.length} ${path[0]?.index} ${path.at(-1)?.index}`;
     if (this.changed("path", ends)) {
@@ -93,7 +92,7 @@ export class RoomOverlays {
     return isNew;
   }
 
-  private lineOf(path: CameraState["path"]): Line {
+  private lineOf(path: CameraView["path"]): Line {
     const points = path.map(({ camera_to_world: pose }) => new Vector3(pose[12], pose[13], pose[14]));
     return new Line(new BufferGeometry().setFromPoints(points), this.lines);
   }
@@ -116,7 +115,7 @@ export class RoomOverlays {
     }
   }
 
-  private frustum({ fx, fy, cx, cy, width, height }: NonNullable<CameraState["intrinsics"]>): LineSegments {
+  private frustum({ fx, fy, cx, cy, width, height }: NonNullable<CameraView["intrinsics"]>): LineSegments {
     const corner = (u: number, v: number) =>
       new Vector3(((u - cx) / fx) * FRUSTUM_M, (-(v - cy) / fy) * FRUSTUM_M, -FRUSTUM_M);
     const corners = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];
@@ -127,7 +126,7 @@ export class RoomOverlays {
     return lines;
   }
 
-  private box({ volume_to_world, lower_m, upper_m }: NonNullable<CameraState["volume"]>): LineSegments {
+  private box({ volume_to_world, lower_m, upper_m }: NonNullable<CameraView["volume"]>): LineSegments {
     const [lower, upper] = [new Vector3(...lower_m), new Vector3(...upper_m)];
     const size = upper.clone().sub(lower);
     const geometry = new BoxGeometry(size.x, size.y, size.z);
