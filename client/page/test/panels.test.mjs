@@ -66,6 +66,14 @@ test("a placed object is turned and moved, and both are undone", async () => {
   assert.equal(await page.locator("#objects .chip").count(), 1);
   await page.click("#object-undo");
   before = await waitForChange(page, "#picture-image", before);
+  let answer;
+  await page.route("**/composite", (route) => new Promise((resolve) => (answer = resolve)).then(() => route.continue()), { times: 1 });
+  const moveTo = (x) => page.click("#picture-button", { position: { x: x * width, y: 0.8 * height } });
+  const [, second] = [await Promise.all([page.waitForRequest("**/composite"), moveTo(0.35)]), page.waitForRequest("**/composite")];
+  await moveTo(0.6); // while the composite of the first move is made
+  answer();
+  assert.ok((await second).postDataJSON().objects[0].pixel?.[0] > 0);
+  before = await waitForChange(page, "#picture-image", before);
   await page.fill("#object-size", "35");
   await page.press("#object-size", "Tab");
   before = await waitForChange(page, "#picture-image", before);
