@@ -9,14 +9,18 @@ import {
   type ObjectInfo,
   type PairedPhone,
   type Pairing,
-  type Problem,
   type Recording,
   type RecordingList,
   type SessionList,
   type SessionScene,
 } from "roomlight";
+import { Http, type HttpRequest } from "roomlight/http";
 
 const TOKEN_KEY = "roomlight-token";
+// Time limits of requests: of those that only read, of others and of pictures, and of up to 128 MB.
+const [SHORT_S, LONG_S, TRANSFER_S] = [30, 150, 600];
+
+type ApiRequest = Partial<Omit<HttpRequest, "path">> & { readonly timeout_s?: number };
 
 /** A picture or file of the server with what identifies it. */
 export interface Fetched {
@@ -82,7 +86,7 @@ export class Api {
   /** Our client for this server. */
   client(retries = 1): RoomLight {
     // longer than the server's own limits, whose answers say more: the first composite of a server compiles its kernels
-    return new RoomLight(this.base, { retries, timeout_s: 150, ...(this.tokenValue ? { token: this.tokenValue } : {}) });
+    return new RoomLight(this.base, { retries, timeout_s: LONG_S, ...(this.tokenValue ? { token: this.tokenValue } : {}) });
   }
 
   async uploadGlb(file: Blob): Promise<ObjectInfo> {
@@ -162,15 +166,17 @@ export class Api {
   }
 
   /** Send one piece of a file of a recording. */
-  putPiece(id: string, path: string, offset: number, piece: Blob, signal: AbortSignal): Promise<Recording> {
+  async putPiece(id: string, path: string, offset: number, piece: Blob, signal: AbortSignal): Promise<Recording> {
     const encoded = path.split("/").map(encodeURIComponent).join("/");
     const headers = { "upload-offset": String(offset), "content-type": "application/octet-stream" };
-    return this.json(`v1/recordings/${id}/files/${encoded}`, { method: "PUT", body: piece, headers, signal });
+    const body = new Uint8Array(await piece.arrayBuffer());
+    return this.json(`v1/recordings/${id}/files/${encoded}`, { method: "PUT", body, headers, signal, timeout_s: TRANSFER_S });
   }
 
   /** A file of the server; null if it still has this ETag. */
   async file(path: string, etag = ""): Promise<Fetched | null> {
-    const response = await this.send(path, { headers: etag ? { "if-none-match": etag } : {} });
+    const timeout_s = path.endsWith("/film") ? TRANSFER_S : LONG_S;
+    const response = await this.send(path, { headers: etag ? { "if-none-match": etag } : {}, timeout_s });
     if (response.status === 304) {
       return null;
     }
@@ -181,34 +187,26 @@ export class Api {
     };
   }
 
-  private async json<T>(path: string, request: RequestInit = {}): Promise<T> {
+  private async json<T>(path: string, request: ApiRequest = {}): Promise<T> {
     return (await (await this.send(path, request)).json()) as T;
   }
 
-  private async send(path: string, request: RequestInit): Promise<Response> {
-    const headers = new Headers(request.headers);
-    if (this.tokenValue) {
-      headers.set("authorization", `Bearer ${this.tokenValue}`);
-    }
-    let response: Response;
-    try {
-      // `no-store`: the page compares ETags itself, and a 304 must reach it. History pictures never change.
-      const cache = path.includes("/history/") ? "default" : "no-store";
-      response = await fetch(new URL(path, this.base), { cache, ...request, headers });
-    } catch (cause) {
-      request.signal?.throwIfAborted();
-      throw new RoomLightError(`no answer from ${this.base.host}`, 0, null, { cause });
-    }
-    if (!response.ok && response.status !== 304) {
-      throw await errorOf(response);
-    }
-    return response;
+  private async send(path: string, { timeout_s, ...request }: ApiRequest): Promise<Response> {
+    // `no-store`: the page compares ETags itself, and a 304 must reach it. History pictures never change.
+    const cache = path.includes("/history/") ? "default" : "no-store";
+    const http = new Http(this.base, {
+      retries: 0,
+      timeout_s: timeout_s ?? (request.method ? LONG_S : SHORT_S),
+      fetch: (url, init) => fetch(url, { cache, ...init }),
+      ...(this.tokenValue ? { token: this.tokenValue } : {}),
+    });
+    return http.send({ method: "GET", path, ...request });
   }
 }
 
 /** Whether a text can be a token in a header. */
 export function isToken(text: string): boolean {
-  return /^[\x20-\x7e]+$/.test(text);
+  return /^[\x21-\x7e]+$/.test(text);
 }
 
 /** Whether there was no answer, or that of a proxy whose server is away. */
@@ -231,12 +229,4 @@ function etagOf(response: Response): string {
 
 function jsonBody(value: object): { body: string; headers: Record<string, string> } {
   return { body: JSON.stringify(value), headers: { "content-type": "application/json" } };
-}
-
-async function errorOf(response: Response): Promise<RoomLightError> {
-  const text = await response.text();
-  if (response.headers.get("content-type")?.startsWith("application/problem+json")) {
-    return RoomLightError.fromProblem(JSON.parse(text) as Problem);
-  }
-  return new RoomLightError(`status ${response.status}: ${text.slice(0, 200)}`, response.status);
 }
