@@ -171,7 +171,17 @@ test("an object behind something real has an outline", async () => {
 
 test("a session is renamed, and its address is shared", async () => {
   page.once("dialog", (dialog) => dialog.accept("Living room"));
-  await page.click('[aria-label="Rename room"]');
+  await page.hover('[aria-label="Rename room"]');
+  await page.mouse.down();
+  await page.evaluate(async () => {
+    const scene = await (await fetch("v1/sessions/room/scene")).json();
+    const body = JSON.stringify({ ...scene, title: "Kitchen" });
+    await fetch("v1/sessions/room/scene", { method: "PUT", body, headers: { "content-type": "application/json" } });
+  });
+  for (let polls = 0; polls < 2; polls++) {
+    await page.waitForResponse((response) => response.url().endsWith("/v1/sessions"));
+  }
+  await page.mouse.up(); // on the button that was pressed, though the list has changed
   await page.waitForFunction(() => document.querySelector('[data-session="room"] b').textContent === "Living room");
   await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
   await page.click("#share");

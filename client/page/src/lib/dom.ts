@@ -29,8 +29,19 @@ export function element<K extends keyof HTMLElementTagNameMap>(
   return made;
 }
 
-/** Replace the children of a list; a button that had the focus, or the one that stands for it now, has it again. */
+const waiting = new WeakMap<HTMLElement, readonly Node[]>();
+
+/**
+ * Replace the children of a list; a button that had the focus, or the one that stands for it now, has it again.
+ *
+ * While a button is pressed, the list waits: without the button there would be no click.
+ */
 export function replaceKeepingFocus(list: HTMLElement, children: readonly Node[]): void {
+  waiting.set(list, children);
+  if (list.matches(":active")) {
+    requestAnimationFrame(() => waiting.get(list) === children && replaceKeepingFocus(list, children));
+    return;
+  }
   const nameOf = (button: Element | null) => ["aria-label", "data-name"].map((name) => button?.getAttribute(name)).find(Boolean);
   const focused = list.contains(document.activeElement) ? nameOf(document.activeElement) : undefined;
   list.replaceChildren(...children);
