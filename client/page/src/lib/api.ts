@@ -106,8 +106,8 @@ export class Api {
     return { ...((await response.json()) as Required<SessionScene>), etag: etagOf(response) };
   }
 
-  /** Replace the scene with this ETag; returns the new one. Throws RoomLightError `scene-changed` if it is another. */
-  async keepScene(id: string, { title, objects }: SessionScene, etag: string): Promise<string> {
+  /** Replace the scene with this ETag, or any; returns the new one. Throws RoomLightError `scene-changed` if it is another. */
+  async keepScene(id: string, { title, objects }: SessionScene, etag = "*"): Promise<string> {
     const { body, headers } = jsonBody({ title, objects });
     return etagOf(await this.send(`${sessionPath(id)}/scene`, { method: "PUT", body, headers: { ...headers, "if-match": etag } }));
   }

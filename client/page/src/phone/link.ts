@@ -1,6 +1,8 @@
 // The phone's connection: a session of its own, frames into it, and what came of them.
 
 import { findForm, RoomLightError, type Frame, type LightForm, type Lights, type RoomLight, type Session, type Stream } from "roomlight";
+import type { SessionScene } from "../lib/answers";
+import type { Api } from "../lib/api";
 
 /** What the page shows of the connection. */
 export interface LinkView {
@@ -116,10 +118,12 @@ export class StreamLink extends Link {
 /** Photos without poses: each one is the whole session, because nothing says how the camera moved in between. */
 export class PhotoLink extends Link {
   private session: Session | null = null;
+  /** What people keep with the session: its title, and the objects they have placed. */
+  private scene: SessionScene | null = null;
 
   constructor(
     show: (view: LinkView) => void,
-    private readonly server: RoomLight,
+    private readonly api: Api,
     private readonly id: string,
   ) {
     super(show);
@@ -128,12 +132,20 @@ export class PhotoLink extends Link {
   /** Send a photo and show its light. Throws RoomLightError. */
   async send(photo: Frame, signal: AbortSignal): Promise<void> {
     this.update({ state: "Sending a photo", kind: "waiting" });
-    await this.session?.delete({ signal }).catch((error: unknown) => {
+    try {
+      if (this.session) {
+        this.scene = await this.api.scene(this.id);
+        await this.session.delete({ signal });
+      }
+    } catch (error) {
       if (!(error instanceof RoomLightError && error.status === 404)) {
         throw error; // a session that is missing needs no end
       }
-    });
-    this.session = await this.server.open({ id: this.id, signal });
+    }
+    this.session = await this.api.client().open({ id: this.id, signal });
+    if (this.scene && (this.scene.title || this.scene.objects.length > 0)) {
+      await this.api.keepScene(this.id, this.scene);
+    }
     await this.session.track(PROBE, [0, 0, -1], { signal });
     this.update({ sent: this.view.sent + 1 });
     const { status } = await this.session.push({ ...photo, index: 0 }, { signal });

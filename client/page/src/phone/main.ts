@@ -119,7 +119,7 @@ async function runPhotos(): Promise<void> {
     await video.play();
     video.hidden = false;
     running(() => ended.abort());
-    await sendPhotos(video, new PhotoLink(show, api.client(), id), ended.signal);
+    await sendPhotos(video, new PhotoLink(show, api, id), ended.signal);
   } finally {
     camera.getTracks().forEach((track) => track.stop());
     video.srcObject = null;
