@@ -23,6 +23,7 @@ def test_the_lock_file_has_no_hosts_and_nothing_is_required():
     assert "resolved" not in (PACKAGE / "package-lock.json").read_text()
     assert "dependencies" not in DESCRIPTION
     assert DESCRIPTION["peerDependenciesMeta"] == {"three": {"optional": True}}
+    assert DESCRIPTION["scripts"].keys().isdisjoint({"prepare", "preinstall", "install", "postinstall"})
 
 
 @pytest.fixture(scope="module")
