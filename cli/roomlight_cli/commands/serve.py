@@ -138,15 +138,17 @@ def _announce(address: str) -> None:
 def _print_lan(address: str, phone: str | None, settings: ServerSettings) -> None:
     """Print addresses, the fingerprint of the certificate and the QR code for a phone (None: no more can be paired).
 
-    Without a terminal they are logged.
+    Without a terminal they are logged. On a loopback address there is no code: no phone can open it.
     """
     token = settings.tokens[0]
+    phone = None if settings.is_loopback else phone
     if not err.is_terminal:
         certificate = None if settings.tls_cert is None else fingerprint(settings.tls_cert)
         fields = {"url": f"{address}/#token={token}", "phone": phone, "fingerprint": certificate}
         logging.getLogger("roomlight.server").info("on this network", extra=fields)
         return
-    lines = [f"On this network: {address}/#token={token}"]
+    where = "Only this computer can open it; for phones leave out --host" if settings.is_loopback else "On this network"
+    lines = [f"{where}: {address}/#token={token}"]
     if phone is not None:
         err.file.write(qr_text(phone))
         lines.append(f"On a phone, once within {LINK_S / 60:g} minutes: {phone}")
