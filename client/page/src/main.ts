@@ -5,7 +5,7 @@ import { Api, isAway } from "./lib/api";
 import { LiveSession } from "./live";
 import { PlacedObjects } from "./objects";
 import { parts } from "./lib/parts";
-import { cameraPanel, chosen } from "./panels/camera";
+import { cameraPanel, chosen, EARLIER } from "./panels/camera";
 import { askForToken, dialogs } from "./panels/dialogs";
 import { downloadsPanel } from "./panels/downloads";
 import { filmPanel } from "./panels/film";
@@ -153,6 +153,8 @@ function pick(tool: "object" | "probe", { point, normal }: SurfacePoint): void {
     addProbe(point.clone().addScaledVector(normal, PROBE_ABOVE_M).toArray());
   } else if (state.shownEntry.value === null) {
     objects.put({ ...chosen(), place: { position: point.toArray() } });
+  } else {
+    notify(EARLIER, true);
   }
 }
 

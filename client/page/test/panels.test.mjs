@@ -421,6 +421,7 @@ test("scrubbing shows an earlier frame, Live the newest", async () => {
   assert.match(await page.locator("#timeline-text").innerText(), /Frame 8/);
   assert.equal(await page.getAttribute("#go-live", "aria-pressed"), "false");
   assert.ok(await page.isDisabled("#picture-button"));
+  assert.match(await page.locator("#picture-help").innerText(), /press Live to place/);
   await waitForFrame(page, "#panorama-canvas", 8);
   assert.ok(difference(light, await pixelsOf(page, "#panorama-canvas")) > 2);
   await page.click("#go-live");

@@ -14,6 +14,8 @@ import { notify, reportError } from "./notices";
 let chosenFile: ObjectFile | null = null;
 
 const PLACES = "Click a surface to place an object there, drag one to move it. Keyboard: arrows move the cross, Enter places.";
+/** Why nothing is placed while the timeline shows an earlier frame. */
+export const EARLIER = "This is an earlier frame: press Live to place objects.";
 const TURN_DEG = 15;
 /** Size and material that a shape usually has. */
 const USUAL: Readonly<Record<Shape, { readonly size_cm: number | null; readonly material: Surface }>> = {
@@ -131,7 +133,7 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
     clearTimeout(slow);
     slow = busy ? window.setTimeout(() => (badge.textContent = SLOW), SLOW_MS) : 0;
   });
-  objectTools(objects);
+  objectTools(state, objects);
   byId<HTMLSelectElement>("object-quality").addEventListener("change", ({ target }) => {
     objects.quality = (target as HTMLSelectElement).value as Quality;
     objects.update();
@@ -141,7 +143,7 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
 }
 
 /** The placed objects, and what can be done with the selected one. */
-function objectTools(objects: PlacedObjects): void {
+function objectTools(state: State, objects: PlacedObjects): void {
   const [shape, material] = [byId<HTMLSelectElement>("object-shape"), byId<HTMLSelectElement>("object-material")];
   const size = byId<HTMLInputElement>("object-size");
   const show = () => {
@@ -153,8 +155,14 @@ function objectTools(objects: PlacedObjects): void {
     }
     byId<HTMLButtonElement>("object-undo").disabled = !objects.canUndo;
     byId<HTMLButtonElement>("object-redo").disabled = !objects.canRedo;
-    byId("picture-help").textContent = selected === null ? PLACES : `Click a surface to move ${selected} there. Click its name again to place other objects.`;
+    showHelp();
   };
+  const showHelp = () => {
+    const { value: selected } = objects.selected;
+    const help = selected === null ? PLACES : `Click a surface to move ${selected} there. Click its name again to place other objects.`;
+    byId("picture-help").textContent = state.shownEntry.value === null ? help : EARLIER;
+  };
+  state.shownEntry.watch(showHelp);
   objects.list.watch(show);
   objects.selected.watch((name) => {
     const selected = objects.list.value.find((object) => object.name === name);
