@@ -34,7 +34,7 @@ export class LiveSession {
     private readonly state: State,
     readonly id: string,
     private readonly report: (error: unknown) => void,
-    private readonly onMissing: () => void,
+    private readonly onJoined: () => void,
   ) {}
 
   /** Whether frames, light and errors of this session are no longer wanted. */
@@ -52,6 +52,7 @@ export class LiveSession {
         this.etags = { picture: "", mesh: "" };
         this.tracked = null;
       }
+      this.onJoined();
       this.refresh();
       this.stream = await session.stream({
         signal: this.stopped.signal,
@@ -307,14 +308,17 @@ export class LiveSession {
     this.stream = null;
     this.missingSince ??= performance.now();
     if (gone && performance.now() - this.missingSince < MISSING_MS) {
-      this.onMissing();
       await new Promise((resolve) => setTimeout(resolve, REJOIN_MS));
       return this.closed ? undefined : this.open();
     }
     this.close();
     const reason = String(error instanceof Error ? error.message : error);
+    const missing =
+      this.state.camera.value === null // nothing of it was ever read
+        ? { title: "There is no session of this name", text: `Check the link: it names the session ${this.id}.` }
+        : { title: "The session has ended", text: "It was idle for too long, it was deleted, or the server was started again." };
     this.state.ended.value = gone
-      ? { title: "The session has ended", text: "It was idle for too long, it was deleted, or the server was started again." }
+      ? missing
       : { title: "The session cannot be reached", text: `The page tries again while the server lists it. The reason: ${reason}` };
   }
 

@@ -54,7 +54,7 @@ state.selected.watch((id) => {
   state.ended.value = null;
   document.title = id ? `${id} · RoomLight` : "RoomLight";
   join(id);
-  shared.join(id);
+  shared.join(null);
   showAddress();
 });
 state.selectedProbe.watch(showAddress);
@@ -191,7 +191,9 @@ async function readSessions(): Promise<void> {
       uploads.resume().catch(reportError);
     }
     state.sessions.value = sessions;
-    shared.read();
+    if (state.ended.value === null) {
+      shared.read();
+    }
     if (state.selected.value === null || state.ended.value !== null) {
       state.connection.value = { state: "live", text: "Connected" };
     }

@@ -101,6 +101,12 @@ test("an expired session leaves the page usable", async () => {
   await control("expire");
   await page.waitForSelector("#ended:not([hidden])");
   assert.match(await page.locator("#ended-text").innerText(), /idle/);
+  const asked = new Promise((resolve) => page.on("request", (request) => request.url().includes("/v1/sessions") && resolve(request.url())));
+  assert.equal(await asked, `${PAGE_URL}/v1/sessions`); // nothing of the session
+  const { page: other } = await openPage(browser, { url: `${PAGE_URL}/#session=never-opened` });
+  await other.waitForSelector("#ended:not([hidden])");
+  assert.match(await other.locator("#ended").innerText(), /There is no session of this name[\s\S]*never-opened/);
+  await other.close();
   await page.click("#ended-close");
   await page.waitForSelector("#empty:not([hidden])");
   await control("push", { session: "next", count: 2 });
