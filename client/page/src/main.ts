@@ -28,8 +28,8 @@ const wanted = new URLSearchParams(location.hash.slice(1)); // before `showAddre
 const state = new State();
 let live: LiveSession | null = null;
 
-const objects = new PlacedObjects(state, () => live?.session ?? null, (file) => api.uploadGlb(file), reportError);
-const shared = new SharedScene(api, state, objects, reportError);
+const objects = new PlacedObjects(state, () => live?.session ?? null, (file) => api.uploadGlb(file), reportOwn);
+const shared = new SharedScene(api, state, objects, reportOwn);
 
 sessionsPanel(state, { onDelete: (id) => void removeSession(id), onRename: (session) => void renameSession(session) });
 dialogs(api);
@@ -53,8 +53,8 @@ state.selected.watch((id) => {
   state.clearSession();
   state.ended.value = null;
   document.title = id ? `${id} · RoomLight` : "RoomLight";
-  join(id);
   shared.join(null);
+  join(id);
   showAddress();
 });
 state.selectedProbe.watch(showAddress);
@@ -127,8 +127,15 @@ async function renameSession({ id, title }: SessionSummary): Promise<void> {
 }
 
 function join(id: string | null): void {
-  live = id === null ? null : new LiveSession(api, state, id, reportError, () => shared.join(id));
+  live = id === null ? null : new LiveSession(api, state, id, reportOwn, () => shared.join(id));
   void live?.open();
+}
+
+/** Show an error of what the page does by itself; that the server is away, which has a cause, the banner says. */
+function reportOwn(error: unknown): void {
+  if (!(error instanceof RoomLightError && isAway(error) && (error.status > 0 || error.cause !== undefined))) {
+    reportError(error);
+  }
 }
 
 /** The room in 3D; without WebGL the other panels still work. */
@@ -140,7 +147,7 @@ async function startRoom(): Promise<void> {
       onDrop: (name, position) => live?.release(name, position),
       onPick: pick,
       lightAt: async (positions) => (await live?.lightAt(positions)) ?? null,
-      report: reportError,
+      report: reportOwn,
     });
   } catch (error) {
     document.getElementById("room-waiting")!.textContent = "This browser has no WebGL 2, so the room is not shown.";
