@@ -22,6 +22,14 @@ export class SharedScene {
   ) {
     objects.list.watch(() => this.keep());
     state.camera.watch(() => this.read());
+    state.connection.watch(({ text }) => {
+      if (text === "Live") {
+        this.keep(); // what was placed while the server was away
+        if (objects.list.value.some(({ pose }) => pose === null)) {
+          objects.update();
+        }
+      }
+    });
   }
 
   /** Another session is shown. */
@@ -61,8 +69,14 @@ export class SharedScene {
   });
 
   private readonly keep = latestOnly(async () => {
-    const [id, before, objects] = [this.joined, this.known, this.objects.list.value];
-    if (id === null || before === null || textOf(objects) === textOf(before.objects) || objects.some(({ pose }) => pose === null)) {
+    const [id, before] = [this.joined, this.known];
+    if (id === null || before === null) {
+      return;
+    }
+    const known = new Map(before.objects.map((object) => [object.name, object]));
+    // an object whose place the server has not found yet is kept as it was
+    const objects = this.objects.list.value.flatMap((object) => (object.pose ? object : (known.get(object.name) ?? [])));
+    if (textOf(objects) === textOf(before.objects)) {
       return;
     }
     try {
