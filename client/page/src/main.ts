@@ -47,6 +47,16 @@ lightPanel(state, {
 let room: RoomPanel | null = null;
 requestAnimationFrame(() => setTimeout(() => void startRoom())); // three.js after the first paint
 
+for (const menu of document.querySelectorAll<HTMLDetailsElement>("details.menu")) {
+  addEventListener("pointerdown", ({ target }) => !menu.contains(target as Node) && (menu.open = false));
+  menu.addEventListener("keydown", ({ key }) => {
+    if (key === "Escape" && menu.open) {
+      menu.open = false;
+      menu.querySelector("summary")!.focus();
+    }
+  });
+}
+
 state.selected.watch((id) => {
   live?.close();
   objects.clear();

@@ -67,6 +67,20 @@ test("the dialogs", async () => {
   }
 });
 
+test("a menu closes with Escape, and by a click elsewhere", async () => {
+  const { page } = await openPage(browser);
+  await page.click(".menu summary");
+  await page.check("#show-coverage");
+  await page.keyboard.press("Escape");
+  await page.waitForSelector(".menu:not([open])");
+  assert.ok(await page.evaluate(() => document.activeElement.matches(".menu summary")));
+  await page.keyboard.press("Enter");
+  await page.waitForSelector(".menu[open]");
+  await page.click("#room-title");
+  await page.waitForSelector(".menu:not([open])");
+  await page.close();
+});
+
 test("every control is reached with the keyboard, in the order of the page", async () => {
   const { page } = await openPage(browser);
   await waitForLight(page);
