@@ -21,6 +21,7 @@ import { SharedScene } from "./scene";
 import { State } from "./state";
 
 const POLL_MS = 2000;
+const MOST_LETTERS = 80; // of a session's name
 const PROBE_ABOVE_M = 0.15; // distance of a new probe from the surface that was clicked
 
 const api = new Api();
@@ -31,7 +32,7 @@ let live: LiveSession | null = null;
 const objects = new PlacedObjects(state, () => live?.session ?? null, (file) => api.uploadGlb(file), reportOwn);
 const shared = new SharedScene(api, state, objects, reportOwn);
 
-sessionsPanel(state, { onDelete: (id) => void removeSession(id), onRename: (session) => void renameSession(session) });
+sessionsPanel(state, { onDelete: (session) => void removeSession(session), onRename: (session) => void renameSession(session) });
 dialogs(api);
 const uploads = uploadsPanel(api, (session) => (state.selected.value = session), (session) => void discard(session));
 cameraPanel(api, state, objects);
@@ -46,6 +47,16 @@ lightPanel(state, {
 });
 let room: RoomPanel | null = null;
 requestAnimationFrame(() => setTimeout(() => void startRoom())); // three.js after the first paint
+
+for (const menu of document.querySelectorAll<HTMLDetailsElement>("details.menu")) {
+  addEventListener("pointerdown", ({ target }) => !menu.contains(target as Node) && (menu.open = false));
+  menu.addEventListener("keydown", ({ key }) => {
+    if (key === "Escape" && menu.open) {
+      menu.open = false;
+      menu.querySelector("summary")!.focus();
+    }
+  });
+}
 
 for (const menu of document.querySelectorAll<HTMLDetailsElement>("details.menu")) {
   addEventListener("pointerdown", ({ target }) => !menu.contains(target as Node) && (menu.open = false));
@@ -94,8 +105,8 @@ function showAddress(): void {
 }
 
 /** Delete a session on the server, with its light and its pictures. */
-async function removeSession(id: string): Promise<void> {
-  if (!confirm(`Delete the session ${id} with its light and its pictures?`)) {
+async function removeSession({ id, title }: SessionSummary): Promise<void> {
+  if (!confirm(`Delete the session ${title || id} with its light and its pictures?`)) {
     return;
   }
   try {
@@ -124,10 +135,15 @@ async function discard(id: string): Promise<void> {
 }
 
 async function renameSession({ id, title }: SessionSummary): Promise<void> {
-  const name = prompt("Name of the session, for everyone who looks at it; empty: its id", title || id)?.trim();
-  if (name === undefined) {
-    return;
-  }
+  let name: string | undefined = title || id;
+  do {
+    const most = `at most ${MOST_LETTERS} letters`;
+    const rule: string = name.length > MOST_LETTERS ? `${most}, not ${name.length}` : most;
+    name = prompt(`Name of the session, for everyone who looks at it (${rule}); empty: its id`, name)?.trim();
+    if (name === undefined) {
+      return;
+    }
+  } while (name.length > MOST_LETTERS);
   try {
     await shared.rename(id, name === id ? "" : name);
     await readSessions();

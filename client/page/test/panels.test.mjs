@@ -170,7 +170,10 @@ test("an object behind something real has an outline", async () => {
 });
 
 test("a session is renamed, and its address is shared", async () => {
-  page.once("dialog", (dialog) => dialog.accept("Living room"));
+  page.once("dialog", (dialog) => {
+    page.once("dialog", (again) => again.accept(`Living room${again.defaultValue().slice(80)}`)); // what was typed is kept
+    void dialog.accept("x".repeat(80) + "s");
+  });
   await page.hover('[aria-label="Rename room"]');
   await page.mouse.down();
   await page.evaluate(async () => {
@@ -182,7 +185,8 @@ test("a session is renamed, and its address is shared", async () => {
     await page.waitForResponse((response) => response.url().endsWith("/v1/sessions"));
   }
   await page.mouse.up(); // on the button that was pressed, though the list has changed
-  await page.waitForFunction(() => document.querySelector('[data-session="room"] b').textContent === "Living room");
+  await page.waitForFunction(() => document.querySelector('[data-session="room"] b').textContent === "Living rooms");
+  await page.waitForSelector('[aria-label="Delete Living rooms"]');
   await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
   await page.click("#share");
   await page.waitForSelector(".notice.calm");

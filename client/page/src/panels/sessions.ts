@@ -5,7 +5,7 @@ import { byId, element, replaceKeepingFocus } from "../lib/dom";
 import type { State } from "../state";
 
 export interface SessionEvents {
-  readonly onDelete: (id: string) => void;
+  readonly onDelete: (session: SessionSummary) => void;
   readonly onRename: (session: SessionSummary) => void;
 }
 
@@ -61,9 +61,12 @@ function button(session: SessionSummary, state: State): HTMLButtonElement {
 }
 
 function tools(session: SessionSummary, { onDelete, onRename }: SessionEvents): HTMLButtonElement[] {
-  const tool = (what: string, sign: string, click: () => void) =>
-    element("button", { class: "button quiet", type: "button", "aria-label": `${what} ${session.id}`, title: `${what} ${session.id}`, click }, sign);
-  return [tool("Rename", "✎", () => onRename(session)), tool("Delete", "×", () => onDelete(session.id))];
+  const tool = (what: string, sign: string, click: () => void) => {
+    const label = `${what} ${session.title || session.id}`;
+    const names = { "aria-label": label, title: label, "data-name": `${what} ${session.id}` };
+    return element("button", { class: "button quiet", type: "button", ...names, click }, sign);
+  };
+  return [tool("Rename", "✎", () => onRename(session)), tool("Delete", "×", () => onDelete(session))];
 }
 
 function summary({ frames, idle_s }: SessionSummary): string {
