@@ -97,6 +97,36 @@ test("a session that is replaced stays on the screen until its next frame", asyn
   await connection("Live");
 });
 
+test("what is placed while the server is away is kept once it is back, and is removed with the keyboard", async () => {
+  const place = async (count) => {
+    await page.focus("#picture-button");
+    await page.keyboard.press("Shift+ArrowLeft");
+    await page.keyboard.press("Enter");
+    await page.waitForFunction((count) => document.querySelectorAll("#objects .chip").length === count, count);
+  };
+  const kept = async (count) => {
+    while ((await control("scene", { session: "room" })).objects.length !== count);
+  };
+  await place(1);
+  await kept(1);
+  await page.route("**/v1/**", (route) => route.abort());
+  await page.waitForSelector("#gone:not([hidden])");
+  const failed = page.waitForEvent("requestfailed", (request) => request.url().endsWith("/composite"));
+  await place(2);
+  await failed;
+  assert.doesNotMatch(await page.locator("#notices").innerText(), /no connection|no answer/);
+  await page.unroute("**/v1/**");
+  await kept(2);
+  const focused = () => page.evaluate(() => document.activeElement.getAttribute("aria-label") ?? document.activeElement.id);
+  await page.focus('[aria-label="Remove sphere-1, mirror"]');
+  await page.keyboard.press("Enter");
+  await page.waitForFunction(() => document.querySelectorAll("#objects .chip").length === 1);
+  assert.equal(await focused(), "Remove sphere-2, mirror");
+  await page.keyboard.press("Enter");
+  await kept(0);
+  assert.equal(await focused(), "main");
+});
+
 test("an expired session leaves the page usable", async () => {
   await control("expire");
   await page.waitForSelector("#ended:not([hidden])");

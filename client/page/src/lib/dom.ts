@@ -32,7 +32,7 @@ export function element<K extends keyof HTMLElementTagNameMap>(
 const waiting = new WeakMap<HTMLElement, readonly Node[]>();
 
 /**
- * Replace the children of a list; a button that had the focus, or the one that stands for it now, has it again.
+ * Replace the children of a list; a button that had the focus, the one that stands for it now, or its neighbour has it again.
  *
  * While a button is pressed, the list waits: without the button there would be no click.
  */
@@ -42,11 +42,15 @@ export function replaceKeepingFocus(list: HTMLElement, children: readonly Node[]
     requestAnimationFrame(() => waiting.get(list) === children && replaceKeepingFocus(list, children));
     return;
   }
-  const nameOf = (button: Element | null) => ["aria-label", "data-name"].map((name) => button?.getAttribute(name)).find(Boolean);
-  const focused = list.contains(document.activeElement) ? nameOf(document.activeElement) : undefined;
+  const nameOf = (button: Element) => button.getAttribute("data-name") ?? button.getAttribute("aria-label");
+  const buttons = () => [...list.querySelectorAll("button")];
+  const at = buttons().findIndex((button) => button === document.activeElement);
+  const focused = buttons()[at];
   list.replaceChildren(...children);
-  if (focused !== undefined) {
-    [...list.querySelectorAll("button")].find((button) => nameOf(button) === focused)?.focus();
+  if (focused) {
+    const now = buttons();
+    const next = now.find((button) => nameOf(button) === nameOf(focused)) ?? now[Math.min(at, now.length - 1)];
+    (next ?? byId("main")).focus();
   }
 }
 
