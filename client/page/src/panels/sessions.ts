@@ -71,7 +71,7 @@ function tools(session: SessionSummary, { onDelete, onRename }: SessionEvents): 
 
 function summary({ frames, idle_s }: SessionSummary): string {
   const idle = idle_s < 90 ? `idle ${Math.round(idle_s)} s` : `idle ${Math.round(idle_s / 60)} min`;
-  return `${frames.processed} frames · ${idle_s < 5 ? "active" : idle}`;
+  return `${frames.processed} ${frames.processed === 1 ? "frame" : "frames"} · ${idle_s < 5 ? "active" : idle}`;
 }
 
 /** Show the panels of a session, or the message that fits. */
