@@ -227,7 +227,8 @@ test("a phone has a token and sessions of its own until it is removed", async ()
   await again.getByRole("button", { name: "Start" }).click();
   await again.getByText("The server does not know this phone").waitFor();
   await again.goto(`${PAGE_URL}/phone#pair=${await link()}`); // another code in the same tab
-  await again.waitForFunction((own) => localStorage.getItem("roomlight-token") !== own, first.own);
+  await again.getByText("Paired, ready").waitFor();
+  assert.notEqual(await again.evaluate(() => localStorage.getItem("roomlight-token")), first.own);
   assert.equal((await call("GET", `/v1/sessions/${id}`)).id, id); // the operator still has what it saw
 });
 

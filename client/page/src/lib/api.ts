@@ -60,10 +60,10 @@ export class Api {
     }
   }
 
-  /** Get a token for this phone with the code of the address, if it has one. The browser keeps the token. */
-  async pair(): Promise<void> {
+  /** Get a token for this phone with the code of the address; false without one. The browser keeps the token. */
+  async pair(): Promise<boolean> {
     if (this.code === null) {
-      return;
+      return false;
     }
     const body = jsonBody({ code: this.code });
     this.code = null; // it works once
@@ -76,6 +76,7 @@ export class Api {
         throw error; // a phone that has a token has used the code itself before
       }
     }
+    return true;
   }
 
   set token(token: string) {

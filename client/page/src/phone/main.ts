@@ -22,6 +22,13 @@ const element = <K extends keyof HTMLElementTagNameMap>(
   text = "",
 ): HTMLElementTagNameMap[K] => Object.assign(document.createElement(tag), { className, textContent: text });
 
+/** What to do about the errors of browsers' `getUserMedia`, by name. */
+const CAMERA_PROBLEMS: Readonly<Record<string, string>> = {
+  NotAllowedError: "The browser may not use the camera: allow it in the settings of this site and press Start again.",
+  NotFoundError: "The browser finds no camera on this device.",
+  NotReadableError: "The camera cannot be read: close other apps that use it and press Start again.",
+};
+
 const api = new Api();
 const id = `phone-${Array.from(crypto.getRandomValues(new Uint8Array(3)), (byte) => byte.toString(16).padStart(2, "0")).join("")}`;
 
@@ -133,11 +140,8 @@ function failed(error: unknown): void {
   tokenForm.hidden = !isUnauthorized;
   state.textContent = "Not connected";
   state.dataset["kind"] = "bad";
-  problem.textContent = isUnauthorized
-    ? "The server does not know this phone. Scan a new code, each works once, or type a token."
-    : error instanceof Error
-      ? error.message
-      : String(error);
+  const text = error instanceof Error ? (CAMERA_PROBLEMS[error.name] ?? error.message) : String(error);
+  problem.textContent = isUnauthorized ? "The server does not know this phone. Scan a new code, each works once, or type a token." : text;
 }
 
 addEventListener("hashchange", () => {
@@ -148,7 +152,7 @@ addEventListener("hashchange", () => {
 });
 const augmented = hasAugmentedReality();
 build();
-const paired = api.pair().catch(failed);
+const paired = api.pair().then((isNew) => isNew && (state.textContent = "Paired, ready"), failed);
 button.addEventListener("click", () => {
   if (stop) {
     return stop();
