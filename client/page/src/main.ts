@@ -58,16 +58,6 @@ for (const menu of document.querySelectorAll<HTMLDetailsElement>("details.menu")
   });
 }
 
-for (const menu of document.querySelectorAll<HTMLDetailsElement>("details.menu")) {
-  addEventListener("pointerdown", ({ target }) => !menu.contains(target as Node) && (menu.open = false));
-  menu.addEventListener("keydown", ({ key }) => {
-    if (key === "Escape" && menu.open) {
-      menu.open = false;
-      menu.querySelector("summary")!.focus();
-    }
-  });
-}
-
 state.selected.watch((id) => {
   live?.close();
   objects.clear();
@@ -93,15 +83,18 @@ addEventListener("pagehide", () => live?.close());
 addEventListener("pageshow", ({ persisted }) => persisted && state.ended.value === null && join(state.selected.value));
 document.addEventListener("visibilitychange", () => !document.hidden && void readSessions());
 
-/** The address names the session and the probe, so that it can be kept and shared. */
+/** The address names the session and the probe, so that it can be kept and shared; Back goes to the session before. */
 function showAddress(): void {
+  const before = new URLSearchParams(location.hash.slice(1)).get("session");
+  const isOther = ![null, state.selected.value].includes(before) && state.selected.value !== null;
   const shown = new URLSearchParams();
   for (const [key, { value }] of [["session", state.selected], ["probe", state.selectedProbe]] as const) {
     if (value !== null) {
       shown.set(key, value);
     }
   }
-  history.replaceState(null, "", `${location.pathname}${location.search}${shown.size > 0 ? `#${shown}` : ""}`);
+  const address = `${location.pathname}${location.search}${shown.size > 0 ? `#${shown}` : ""}`;
+  history[isOther ? "pushState" : "replaceState"](null, "", address);
 }
 
 /** Delete a session on the server, with its light and its pictures. */

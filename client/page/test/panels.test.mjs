@@ -201,6 +201,10 @@ test("a session is renamed, and its address is shared", async () => {
   assert.equal(other.url(), address);
   await other.evaluate(() => (location.hash = "#session=newer"));
   await other.waitForFunction(() => document.title === "newer · RoomLight");
+  await other.click('[data-session="room"]');
+  await other.waitForFunction(() => document.title === "room · RoomLight");
+  await other.goBack();
+  await other.waitForFunction(() => document.title === "newer · RoomLight");
   await other.close();
   const { page: lost } = await openPage(browser, { url: address.replace("room", "no-such") });
   await lost.waitForSelector("#ended:not([hidden])");
