@@ -176,12 +176,17 @@ export class PlacedObjects {
     this.list.value = next;
   }
 
+  /** Whether an object is not shown because nobody has its file any more. */
+  isLost({ file }: PlacedObject): boolean {
+    return this.lost.has(file?.id);
+  }
+
   /** Render the newest frame with the objects again. */
   readonly update = latestOnly(() => this.render(), PAUSE_MS);
 
   private async render(): Promise<void> {
     const session = this.session();
-    const shown = this.list.value.filter((object) => !this.lost.has(object.file?.id) && isInView(object, this.state.camera.value));
+    const shown = this.list.value.filter((object) => !this.isLost(object) && isInView(object, this.state.camera.value));
     if (!session || shown.length === 0) {
       return this.showComposite(null);
     }

@@ -28,7 +28,7 @@ export function objectHandles(state: State, objects: PlacedObjects): { isClick: 
 
   const outlines = (): Outline[] => {
     const past = state.shownEntry.value !== null;
-    return past ? [] : objects.list.value.flatMap((object) => outlineOf(object, state));
+    return past ? [] : objects.list.value.flatMap((object) => (objects.isLost(object) ? [] : outlineOf(object, state)));
   };
   const show = () => {
     const wanted = outlines().filter(({ name }) => {

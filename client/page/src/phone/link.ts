@@ -1,7 +1,6 @@
 // The phone's connection: a session of its own, frames into it, and what came of them.
 
-import { findForm, RoomLightError, type Frame, type LightForm, type Lights, type RoomLight, type Session, type Stream } from "roomlight";
-import type { SessionScene } from "../lib/answers";
+import { findForm, RoomLightError, type Frame, type LightForm, type Lights, type RoomLight, type Session, type SessionScene, type Stream } from "roomlight";
 import type { Api } from "../lib/api";
 
 /** What the page shows of the connection. */
