@@ -1,7 +1,7 @@
 // The phone's connection: a session of its own, frames into it, and what came of them.
 
-import { findForm, RoomLightError, type Frame, type LightForm, type Lights, type RoomLight, type Session, type SessionScene, type Stream } from "roomlight";
-import type { Api } from "../lib/api";
+import { findForm, RoomLightError, type Frame, type LightForm, type Lights, type RoomLight, type Session, type Stream } from "roomlight";
+import type { Api, KeptScene } from "../lib/api";
 
 /** What the page shows of the connection. */
 export interface LinkView {
@@ -118,7 +118,7 @@ export class StreamLink extends Link {
 export class PhotoLink extends Link {
   private session: Session | null = null;
   /** What people keep with the session: its title, and the objects they have placed. */
-  private scene: SessionScene | null = null;
+  private scene: KeptScene | null = null;
 
   constructor(
     show: (view: LinkView) => void,
