@@ -186,8 +186,9 @@ def test_an_error_in_a_session_block_is_not_hidden_and_deletes_the_session(kind)
 
     async def main():
         async with script.client(kind) as client:
+            session = await client.open("room")
             with pytest.raises(KeyError, match="mine"):
-                async with await client.open("room") as session:
+                async with session:
                     raise KeyError("mine")
             with pytest.raises(sdk.GoneError):
                 await session.state()

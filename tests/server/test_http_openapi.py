@@ -27,6 +27,11 @@ checks.positive_data_acceptance.enabled = false
 include-operation-id = ["add_recording", "put_piece", "start_replay"]
 checks.positive_data_acceptance.enabled = false
 
+# Nothing that HTTP can send breaks the schema of any bytes and a header of any text.
+[[operations]]
+include-operation-id = ["upload_object"]
+generation.mode = "positive"
+
 # An object has exactly one of position, pose and pixel.
 [[operations]]
 include-operation-id = ["composite", "put_scene", "make_film"]
