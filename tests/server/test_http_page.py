@@ -85,10 +85,13 @@ def test_no_other_file_is_served_beside_the_page(server, path):
     assert (answer.status, answer.kind) == (404, "not-found")
 
 
-def test_a_file_of_an_unknown_type_is_refused(tmp_path):
+def test_unusable_pages_are_refused(tmp_path, monkeypatch):
     (tmp_path / "assets").mkdir()
     (tmp_path / "assets" / "map.tiles").write_bytes(b"1" * 200)
     with pytest.raises(ValueError, match=r"no media type is known for \.tiles"):
+        page_routes.page_files.__wrapped__(tmp_path)
+    monkeypatch.setattr(page_routes, "MAX_PAGE_BYTES", 100)
+    with pytest.raises(ValueError, match="at most 100"):
         page_routes.page_files.__wrapped__(tmp_path)
 
 

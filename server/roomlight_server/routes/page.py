@@ -20,6 +20,8 @@ router = APIRouter(tags=["page"])
 PAGES: Final = {"/": "index.html", "/phone": "phone.html"}
 """The file of each page's path."""
 ASSETS: Final = "/assets"
+MAX_PAGE_BYTES: Final = 8 * 2**20
+"""Most bytes of all files together: they stay in memory."""
 CONTENT_SECURITY_POLICY: Final = "; ".join(
     (
         "default-src 'none'",
@@ -79,11 +81,14 @@ def page_files(folder: Path) -> dict[str, PageFile]:
     """Read a built page: its files by path, for example `/` and `/assets/index-1a2b.js`. Empty if it is not built.
 
     Raises:
-        ValueError: A file has an unknown type.
+        ValueError: The page is larger than `MAX_PAGE_BYTES`, or a file has an unknown type.
     """
     paths = {path: folder / name for path, name in PAGES.items() if (folder / name).is_file()}
     if (folder / "assets").is_dir():
         paths |= {f"{ASSETS}/{file.name}": file for file in sorted((folder / "assets").iterdir()) if file.is_file()}
+    size = sum(file.stat().st_size for file in paths.values())
+    if size > MAX_PAGE_BYTES:
+        raise ValueError(f"{folder}: the page has {size} bytes; at most {MAX_PAGE_BYTES}")
     return {path: _read(file) for path, file in paths.items()}
 
 
