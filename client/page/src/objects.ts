@@ -176,7 +176,7 @@ export class PlacedObjects {
     this.list.value = next;
   }
 
-  /** Whether an object is not shown because nobody has its file any more. */
+  /** Whether an object cannot be shown: its file is neither on the server nor in this page. */
   isLost({ file }: PlacedObject): boolean {
     return this.lost.has(file?.id);
   }

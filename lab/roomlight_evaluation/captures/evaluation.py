@@ -246,7 +246,11 @@ def _prediction_folder(folder: Path, name: str, *, only_capture: bool) -> Path:
 
 def _check_use(intent: Path) -> None:
     """Refuse a replay's panoramas that light scenes: their sums are right, their single directions are not."""
-    if intent.is_file() and json.loads(intent.read_text())["options"]["use"] != "reflection":
+    try:
+        use = json.loads(intent.read_text())["options"]["use"]
+    except (OSError, ValueError, LookupError, TypeError):
+        return  # not a replay's, but those of another program
+    if use != "reflection":
         raise CaptureError(
             f"{intent.parent}: its panoramas have the use `lighting`, but scores are of single directions; replay with "
             "--use reflection"

@@ -164,8 +164,11 @@ def test_a_folder_without_predictions_is_named(tmp_path: Path) -> None:
 def test_a_replay_that_lights_scenes_is_refused(tmp_path: Path) -> None:
     write_predictions(tmp_path / "out", frames=range(3))
     (tmp_path / "out" / "replay.json").write_text('{"options": {"use": "lighting"}}')
+    capture = capture_of(tmp_path / "room")
     with pytest.raises(CaptureError, match="--use reflection"):
-        evaluate_captures([capture_of(tmp_path / "room")], list, predictions=tmp_path / "out")
+        evaluate_captures([capture], list, predictions=tmp_path / "out")
+    (tmp_path / "out" / "replay.json").write_text('{"by": "another program"}')
+    evaluate_captures([capture], list, predictions=tmp_path / "out")
 
 
 class Broken(Oracle):
