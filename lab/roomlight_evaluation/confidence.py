@@ -39,12 +39,12 @@ def mean_with_interval(values: Iterable[float]) -> MeanWithInterval:
 def ratio_of_means(above: Iterable[float], below: Iterable[float]) -> MeanWithInterval:
     """Return the mean of one column over that of another, with an interval that resamples their rows together.
 
-    Rows with NaN do not count. A single row has no interval, and no rows no mean.
+    Rows with NaN do not count. A single row has no interval; no rows, or zeros alone below, have no ratio.
     """
     table = np.array([list(above), list(below)], np.float64)
     table = table[:, ~np.isnan(table).any(axis=0)]
     count = table.shape[1]
-    if count == 0:
+    if not table[1].any():
         return MeanWithInterval(np.nan, np.nan, np.nan)
     middle = table.mean(axis=1)
     ratio = float(middle[0] / middle[1])

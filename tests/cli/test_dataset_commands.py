@@ -117,6 +117,9 @@ def test_damage_is_reported_and_repaired(made, tmp_path, run):
     repaired = run("verify", str(out), "--repair", cwd=tmp_path)
     assert repaired.code == 0
     assert "with the dataset's settings makes them again" in repaired.out
+    lost = run("verify", str(out), cwd=tmp_path)
+    assert lost.code == 1
+    assert "7 sequences are intact, but 1 more" in lost.err
     again = run("generate", "--out", str(out), "--sequences", "8", "--seed", "5", *SMALL, cwd=tmp_path)
     assert "1 made in" in again.out
     assert run("verify", str(out), cwd=tmp_path).code == 0

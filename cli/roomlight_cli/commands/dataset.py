@@ -173,13 +173,18 @@ def verify(folder: DatasetFolder, *, repair: bool = False) -> None:
         report = verify_dataset(folder, repair=repair, progress=progress.count)
     for message in report.damaged:
         say(message)
-    if not report.damaged:
-        say(f"{folder}: {report.whole} sequences, {report.bytes / 1e6:.0f} MB, all intact")
-    elif repair:
+    if report.damaged and not repair:
+        raise DatasetError(f"{folder}: {len(report.damaged)} damaged, {report.whole} intact; --repair removes them")
+    if report.damaged:
         say(f"{folder}: {report.whole} sequences are intact; {len(report.damaged)} damaged ones were removed")
         say("`roomlight dataset generate` with the dataset's settings makes them again")
+    elif report.missing:
+        raise DatasetError(
+            f"{folder}: {report.whole} sequences are intact, but {report.missing} more that dataset.json asks for are "
+            "in no index; `roomlight dataset generate` with the dataset's settings makes them"
+        )
     else:
-        raise DatasetError(f"{folder}: {len(report.damaged)} damaged, {report.whole} intact; --repair removes them")
+        say(f"{folder}: {report.whole} sequences, {report.bytes / 1e6:.0f} MB, all intact")
 
 
 def extract(folder: DatasetFolder, name: str, *, out: Path) -> None:

@@ -19,11 +19,13 @@ class VerifyReport:
         whole: Number of sequences that have their checksum.
         bytes: Their size.
         damaged: One message for each damaged sequence or index line.
+        missing: Number of sequences that `dataset.json` asks for and no index has.
     """
 
     whole: int
     bytes: int
     damaged: tuple[str, ...]
+    missing: int
 
 
 def verify(folder: Path, *, repair: bool = False, progress: Callable[[int, int], None] | None = None) -> VerifyReport:
@@ -36,14 +38,14 @@ def verify(folder: Path, *, repair: bool = False, progress: Callable[[int, int],
         DatasetError: The folder is not a dataset.
         OutputError: A shard cannot be repaired, or another process is writing to the dataset.
     """
-    read_manifest(folder)
+    requested = sum(read_manifest(folder).sequences.values())
     if repair:
         with locked(folder):
-            return _verify(folder, repair=True, progress=progress)
-    return _verify(folder, repair=False, progress=progress)
+            return _verify(folder, requested, repair=True, progress=progress)
+    return _verify(folder, requested, repair=False, progress=progress)
 
 
-def _verify(folder: Path, *, repair: bool, progress: Callable[[int, int], None] | None) -> VerifyReport:
+def _verify(folder: Path, requested: int, *, repair: bool, progress: Callable[[int, int], None] | None) -> VerifyReport:
     shards = [(tar, read_index(tar)) for tar in shard_files(folder)]
     total = sum(len(index.entries) for _, index in shards)
     whole = done = size = 0
@@ -65,7 +67,8 @@ def _verify(folder: Path, *, repair: bool, progress: Callable[[int, int], None] 
         if repair and (index.damaged or len(good) < len(index.entries)):
             _repair(tar, good)
         whole += len(good)
-    return VerifyReport(whole, size, tuple(damaged))
+    lines = total + sum(len(index.damaged) for _, index in shards)
+    return VerifyReport(whole, size, tuple(damaged), max(0, requested - lines))
 
 
 def _repair(tar: Path, good: list[Entry]) -> None:

@@ -15,9 +15,10 @@ from roomlight.conventions import Position
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.errors import CaptureError
+from roomlight.errors import CaptureError, ImageError
 from roomlight.frame import Frame
-from roomlight.images import read_panorama
+from roomlight.images import read_bytes, read_panorama
+from roomlight.imaging.exr import read_exr
 
 
 @runtime_checkable
@@ -110,6 +111,11 @@ class PredictionFolder:
         """Read the panorama [h, 2h, 3] of the current frame.
 
         Raises:
-            ImageError: The file does not decode.
+            ImageError: The file does not decode, is no panorama, or has pixels that are not finite.
         """
-        return read_panorama(self._folders[position] / self._file_name)
+        path = self._folders[position] / self._file_name
+        panorama = read_panorama(path)  # which takes what is not finite as dark
+        unknown = ~np.isfinite(read_exr(read_bytes(path), str(path)).colour()).all(axis=-1)
+        if unknown.any():
+            raise ImageError(f"{path}: {unknown.sum()} pixels are not finite; a prediction needs a value for each")
+        return panorama

@@ -12,7 +12,7 @@ import pytest
 from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions
 from roomlight.engine.session import SessionOptions
-from roomlight.errors import CaptureError, ModelError, OptionError
+from roomlight.errors import CaptureError, ImageError, ModelError, OptionError
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
@@ -149,6 +149,15 @@ def test_a_missing_prediction_is_named(tmp_path: Path) -> None:
     missing.unlink()
     with pytest.raises(CaptureError, match=r"probe-01/light\.000002\.exr.*is missing"):
         evaluate_captures([capture], list, predictions=tmp_path / "out")
+
+
+def test_a_prediction_that_is_not_finite_is_refused(tmp_path: Path) -> None:
+    write_predictions(tmp_path / "out", frames=range(3))
+    damaged = truth(1)
+    damaged[3, 4] = np.nan
+    write_exr(tmp_path / "out" / "probe-01" / "light.000001.exr", damaged)
+    with pytest.raises(ImageError, match=r"probe-01/light\.000001\.exr: 1 pixels are not finite"):
+        evaluate_captures([capture_of(tmp_path / "room")], list, predictions=tmp_path / "out")
 
 
 def test_a_folder_without_predictions_is_named(tmp_path: Path) -> None:
