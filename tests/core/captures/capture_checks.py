@@ -1,10 +1,14 @@
 """What several test files of captures share."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from roomlight.captures import Capture, open_capture
+import formats
+import numpy as np
+
+from roomlight.captures import Capture, CaptureOptions, open_capture
+from roomlight.frame import Frame
 
 
 def edit(path: Path, change: Callable[[dict], object]) -> None:
@@ -12,6 +16,27 @@ def edit(path: Path, change: Callable[[dict], object]) -> None:
     index = json.loads(path.read_bytes())
     change(index)
     path.write_text(json.dumps(index))
+
+
+def first_of(path: Path, options: CaptureOptions | None = None) -> Frame:
+    return next(iter(open_capture(path, options)))
+
+
+def notes_of(path: Path, options: CaptureOptions | None = None, *, frames: int | None = None) -> list[str]:
+    """Read a capture to its end, of this many frames if a number is given; returns its notes."""
+    count = len(list(capture := open_capture(path, options)))
+    assert frames in (None, count)
+    return [str(note) for note in capture.notes]
+
+
+def same_views(
+    frames: Iterable[Frame], views: Sequence[formats.View], *, atol: float = 1e-6, depth_atol: float | None = None
+) -> None:
+    """Check the frames' poses, and their depth if it is said how exactly."""
+    for frame, view in zip(frames, views, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=atol)
+        if depth_atol is not None:
+            np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=depth_atol)
 
 
 def one_skipped(path: Path, index: int, *parts: str) -> Capture:

@@ -8,8 +8,10 @@ import json
 import struct
 import zipfile
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -151,15 +153,47 @@ def seven_scenes(path: Path, views: list[View]) -> Path:
     return path
 
 
-def video(path: Path, pictures: list[np.ndarray]) -> None:
+def video(
+    path: Path,
+    pictures: list[np.ndarray],
+    *,
+    rate: int = 30,
+    codec: str = "libx264",
+    options: dict[str, str] | None = None,
+    stored: str = "yuv420p",
+    file: dict[str, Any] | None = None,
+    metadata: dict[str, str] | None = None,
+    **tags: int,
+) -> Path:
+    """Encode pictures, RGB or RGBA; `file` are options of the container, `tags` the codec's fields of colour."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with av.open(str(path), "w", format="mp4") as container:
-        stream = container.add_stream("libx264", rate=30, options={"crf": "4", "g": "2"})
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+    height, width, channels = pictures[0].shape
+    with av.open(str(path), "w", **{"format": "mp4", **(file or {})}) as container:
+        container.metadata.update(metadata or {})
+        stream = container.add_stream(codec, rate=rate, options=options or {"crf": "4", "g": "2"})
+        stream.width, stream.height, stream.pix_fmt = width, height, stored
+        for name, value in tags.items():
+            setattr(stream.codec_context, name, value)
         for picture in pictures:
-            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-            container.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace="ITU709")))
+            frame = av.VideoFrame.from_ndarray(picture, format="rgba" if channels == 4 else "rgb24")
+            container.mux(stream.encode(frame.reformat(format=stored, dst_colorspace="ITU709")))
         container.mux(stream.encode())
+    return path
+
+
+def remuxed(path: Path, target: Path, change: Callable[[Any], object], *, later_s: float = 0.0) -> Path:
+    """Copy a video's packets into another file after a change of its stream; `later_s` is where it is to begin."""
+    with av.open(str(path)) as source, av.open(str(target), "w") as container:
+        old = source.streams.video[0]
+        stream = container.add_stream_from_template(old)
+        change(stream)
+        for packet in source.demux(old):
+            if packet.pts is not None and packet.dts is not None and packet.time_base is not None:
+                packet.pts -= int(later_s / packet.time_base)
+                packet.dts -= int(later_s / packet.time_base)
+                packet.stream = stream
+                container.mux(packet)
+    return target
 
 
 def stray_scanner(path: Path, views: list[View]) -> Path:

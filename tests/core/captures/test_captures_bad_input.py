@@ -11,7 +11,7 @@ import formats
 import numpy as np
 import pytest
 from builders import BUILDERS
-from capture_checks import edit, one_skipped
+from capture_checks import edit, first_of, one_skipped
 from PIL import Image
 
 from roomlight.captures import CaptureOptions, open_capture
@@ -126,7 +126,7 @@ def test_intrinsics_without_a_size_must_suit_the_image(tmp_path: Path) -> None:
 def test_a_data_sets_own_camera_is_scaled_to_its_aspect_alone(tmp_path: Path, kind: str, focal: float) -> None:
     path = BUILDERS[kind](tmp_path / "capture", VIEWS)
     (path / "camera-intrinsics.txt").unlink()
-    camera = next(iter(open_capture(path))).intrinsics
+    camera = first_of(path).intrinsics
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((focal / 20, focal / 20, 16, 12))
     for picture in path.rglob("*.color.jpg" if kind == "seven-scenes" else "rgb/*.png"):
         picture.write_bytes(formats.image(".png", VIEWS[0].srgb8[:18]))

@@ -9,7 +9,7 @@ import formats
 import numpy as np
 import pytest
 from builders import BUILDERS, FORMAT_OF
-from capture_checks import edit
+from capture_checks import edit, first_of
 
 from roomlight.captures import FORMATS, Capture, CaptureOptions, open_capture
 from roomlight.conventions import srgb8_to_linear
@@ -91,8 +91,8 @@ def test_forcing_another_reader_is_refused_with_a_file(built: tuple[str, Path]) 
 
 def test_confidence_threshold_is_the_users(built: tuple[str, Path]) -> None:
     name, path = built
-    all_kept = next(iter(open_capture(path, CaptureOptions(min_confidence=0)))).depth_m
-    only_high = next(iter(open_capture(path, CaptureOptions(min_confidence=2)))).depth_m
+    all_kept = first_of(path, CaptureOptions(min_confidence=0)).depth_m
+    only_high = first_of(path, CaptureOptions(min_confidence=2)).depth_m
     assert all_kept.all()
     expected = VIEWS[0].confidence >= 2 if name in HAS_CONFIDENCE else np.ones_like(all_kept, bool)
     np.testing.assert_array_equal(only_high > 0, expected)
@@ -121,7 +121,7 @@ def test_overrides_of_conventions(tmp_path: Path) -> None:
 def test_override_of_the_depth_unit(built: tuple[str, Path]) -> None:
     name, path = built
     unit_m = {"tum": 1 / 5000, "nerfcapture": 10 / 65535, "record3d": 1.0, "record3d-export": 1.0}.get(name, 0.001)
-    plain, doubled = (next(iter(open_capture(path, CaptureOptions(depth_unit_m=u)))) for u in (unit_m, 2 * unit_m))
+    plain, doubled = (first_of(path, CaptureOptions(depth_unit_m=u)) for u in (unit_m, 2 * unit_m))
     np.testing.assert_allclose(doubled.depth_m, 2 * plain.depth_m, rtol=1e-6)
     for factor in (1e-5, 1e4):
         if 1e-9 <= unit_m * factor <= 1e3:
@@ -245,7 +245,7 @@ def test_transforms_depth_key_chooses_among_several(tmp_path: Path) -> None:
     small = cv2.resize(formats.millimetres(VIEWS[0]), (16, 12), interpolation=cv2.INTER_NEAREST)
     formats.save(path / "lidar.png", formats.image(".png", small))
     edit(path / "transforms.json", lambda index: [f.update(depth_lidar_file_path="lidar.png") for f in index["frames"]])
-    frame = next(iter(open_capture(path, CaptureOptions(depth_key="depth_lidar_file_path"))))
+    frame = first_of(path, CaptureOptions(depth_key="depth_lidar_file_path"))
     assert frame.depth_m.shape == (12, 16)
     with pytest.raises(CaptureError, match=r"depth_radar.*depth_file_path, depth_lidar_file_path"):
         open_capture(path, CaptureOptions(depth_key="depth_radar"))
@@ -264,7 +264,7 @@ def test_transforms_focal_length_from_the_angle_and_npy_depth(tmp_path: Path) ->
         index["frames"][0]["depth_file_path"] = "depth.npy"
 
     edit(path / "transforms.json", change)
-    frame = next(iter(open_capture(path)))
+    frame = first_of(path)
     assert frame.depth_m[0, 0] == 0
     assert frame.intrinsics.fx == pytest.approx(formats.FX)
     assert frame.intrinsics.fy == pytest.approx(formats.FX)
@@ -327,7 +327,7 @@ def test_stray_scanner_old_depth_and_new_columns(tmp_path: Path) -> None:
     path = formats.stray_scanner(tmp_path / "other", VIEWS)
     k = f"{formats.FX}, 0, {formats.CX}\n0, {formats.FY}, {formats.CY}\n0, 0, 1\n"  # at the video's own size
     (path / "camera_matrix.csv").write_text(k)
-    assert next(iter(open_capture(path))).intrinsics.fx == pytest.approx(formats.FX)
+    assert first_of(path).intrinsics.fx == pytest.approx(formats.FX)
 
 
 def test_record3d_numbers_match_poses_not_positions(tmp_path: Path) -> None:
@@ -364,14 +364,14 @@ def test_tum_takes_only_what_is_near_in_time(tmp_path: Path) -> None:
 def test_native_exposure_brings_radiance_to_the_reference(tmp_path: Path) -> None:
     path = formats.roomlight(tmp_path / "capture", VIEWS)
     edit(path / "capture.json", lambda index: index["frames"][0].update(exposure=2.0))
-    twice = next(iter(open_capture(path))).image
+    twice = first_of(path).image
     assert np.abs(twice - srgb8_to_linear(VIEWS[0].srgb8) / 2).mean() < 0.01
 
 
 @pytest.mark.parametrize("kind", ["nerfstudio", "colmap", "polycam", "record3d-export", "arkitscenes", "roomlight"])
 def test_resampled_pictures_get_a_resampled_camera(tmp_path: Path, kind: str) -> None:
     path = BUILDERS[kind](tmp_path / "capture", VIEWS)
-    whole = next(iter(open_capture(path)))
+    whole = first_of(path)
     pictures = [file for file in path.rglob("*.*") if file.suffix == ".jpg" or file.parent.name in PICTURES]
     for file in pictures:
         cv2.imwrite(str(file), cv2.resize(np.asarray(cv2.imread(str(file))), (formats.WIDTH // 2, formats.HEIGHT // 2)))

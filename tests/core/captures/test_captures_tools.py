@@ -4,14 +4,15 @@ import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import av
 import cv2
 import formats
 import numpy as np
 import pytest
 import tool_formats
-from capture_checks import edit, one_skipped
+from capture_checks import edit, first_of, notes_of, one_skipped, same_views
+from tool_formats import COLOUR, DEPTH, OPTICAL, Message
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.formats.packed_depth import lz4_block
@@ -32,13 +33,8 @@ def test_scannetpp_as_downloaded(tmp_path: Path, kind: str) -> None:
     shutil.rmtree(path / "rgb")
     shutil.rmtree(path / "depth")
     edit(path / "pose_intrinsic_imu.json", lambda index: [index.pop(key) for key in list(index) if key.endswith("1")])
-    with av.open(str(path / "rgb.mkv"), "w", format="matroska") as container:
-        stream = container.add_stream("libx264", rate=60, options={"crf": "4"})
-        stream.width, stream.height, stream.pix_fmt = formats.WIDTH, formats.HEIGHT, "yuv420p"
-        for number in range(21):
-            frame = av.VideoFrame.from_ndarray(VIEWS[number // 10].srgb8 // (1 + number % 10), format="rgb24")
-            container.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace="ITU709")))
-        container.mux(stream.encode())
+    pictures = [VIEWS[number // 10].srgb8 // (1 + number % 10) for number in range(21)]
+    formats.video(path / "rgb.mkv", pictures, rate=60, options={"crf": "4"}, file={"format": "matroska"})
     maps = [np.full((192, 256), 1 + 0.1 * number, np.float32) for number in range(21)]
     for depth_m in maps:
         depth_m[96:] += 0.5
@@ -136,7 +132,7 @@ def test_pictures_called_jpeg_are_read(tmp_path: Path, build: Callable[..., Path
     path = build(tmp_path / "capture", VIEWS)
     for picture in path.rglob("*.jpg"):
         picture.rename(picture.with_suffix(".jpeg"))
-    assert len(list(open_capture(path))) == 4
+    notes_of(path, frames=4)
 
 
 # ICL-NUIM, in TUM's form
@@ -156,10 +152,8 @@ def test_icl_nuims_pairs_and_left_handed_poses(tmp_path: Path) -> None:
     (path / "livingRoom0.gt.freiburg").write_text("\n".join(poses))
     frames = list(capture := open_capture(path))
     assert (capture.format, capture.frames_per_second) == ("tum", pytest.approx(30))
-    for frame, view in zip(frames, VIEWS, strict=True):
-        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
-        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=2e-4)
-        assert frame.intrinsics.fx == pytest.approx(481.2 / 20)
+    same_views(frames, VIEWS, depth_atol=2e-4)
+    assert frames[0].intrinsics.fx == pytest.approx(481.2 / 20)
     assert any("focal length of 481.2 pixels" in note.effect for note in capture.notes)
     (path / "associations.txt").write_text("0 depth/0.png 0")
     with pytest.raises(CaptureError, match=r"associations\.txt: line 1: is '0 depth/0\.png 0', not a time"):
@@ -216,15 +210,19 @@ def test_rtabmap_without_a_pose_or_a_camera(tmp_path: Path) -> None:
 # COLMAP
 
 
-def test_colmaps_own_depth_maps(tmp_path: Path) -> None:
-    path = formats.colmap(tmp_path / "dense", VIEWS)
+def own_depth_maps(path: Path) -> Path:
+    """COLMAP's own maps in place of the others."""
     shutil.rmtree(path / "depth")
     for index, view in enumerate(VIEWS):
         data = f"{formats.WIDTH}&{formats.HEIGHT}&1&".encode() + view.depth_m.astype("<f4").tobytes()
         formats.save(path / f"stereo/depth_maps/frame_{index + 1:05d}.png.geometric.bin", data)
-    for frame, view in zip(open_capture(path), VIEWS, strict=True):
-        np.testing.assert_allclose(frame.depth_m, view.depth_m, rtol=1e-6)
-    doubled = next(iter(open_capture(path, CaptureOptions(depth_unit_m=2.0))))
+    return path
+
+
+def test_colmaps_own_depth_maps(tmp_path: Path) -> None:
+    path = own_depth_maps(formats.colmap(tmp_path / "dense", VIEWS))
+    same_views(open_capture(path), VIEWS, depth_atol=1e-6)
+    doubled = first_of(path, CaptureOptions(depth_unit_m=2.0))
     np.testing.assert_allclose(doubled.depth_m, 2 * VIEWS[0].depth_m, rtol=1e-6)
     (path / "stereo/depth_maps/frame_00002.png.geometric.bin").write_bytes(b"32&24&1&1234")
     one_skipped(path, 1, "COLMAP map of 32 x 24")
@@ -236,15 +234,12 @@ def workspace(path: Path) -> Path:
     data = bytearray((path / "sparse/0/cameras.bin").read_bytes())
     parameters = struct.pack("<8d", formats.FX, formats.FY, formats.CX, formats.CY, -0.2, 0, 0, 0)
     (path / "sparse/0/cameras.bin").write_bytes(data[:12] + struct.pack("<i", 4) + data[16:32] + parameters)
-    dense = formats.colmap(path / "dense/0", VIEWS)
-    (dense / "sparse/0/cameras.bin").rename(dense / "sparse/cameras.bin")
-    (dense / "sparse/0/images.bin").rename(dense / "sparse/images.bin")
-    shutil.rmtree(dense / "depth")
-    for index, view in enumerate(VIEWS):
-        depth = f"{formats.WIDTH}&{formats.HEIGHT}&1&".encode() + view.depth_m.astype("<f4").tobytes()
-        formats.save(dense / f"stereo/depth_maps/frame_{index + 1:05d}.png.geometric.bin", depth)
-        black = np.zeros((formats.HEIGHT, formats.WIDTH, 3), np.uint8)
-        formats.save(path / f"images/frame_{index + 1:05d}.png", formats.image(".png", black))
+    dense = own_depth_maps(formats.colmap(path / "dense/0", VIEWS))
+    for name in ("cameras.bin", "images.bin"):
+        (dense / "sparse/0" / name).rename(dense / "sparse" / name)
+    black = formats.image(".png", np.zeros((formats.HEIGHT, formats.WIDTH, 3), np.uint8))
+    for picture in (path / "images").iterdir():
+        picture.write_bytes(black)
     return path
 
 
@@ -267,11 +262,8 @@ def test_depth_of_colmaps_dense_folder_is_read_with_its_images(tmp_path: Path) -
 @pytest.mark.parametrize("opened", ["sparse/0", "sparse"])
 def test_a_colmap_model_is_read_with_the_pictures_above_it(tmp_path: Path, opened: str) -> None:
     path = formats.colmap(tmp_path / "capture", VIEWS[:2])
-    frames = list(capture := open_capture(path / opened))
-    for frame, view in zip(frames, VIEWS[:2], strict=True):
-        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
-        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=1e-6)
-    assert any(f"read from {path}" in note.effect for note in capture.notes)
+    same_views(open_capture(path / opened), VIEWS[:2], depth_atol=1e-6)
+    assert any(f"read from {path}" in note for note in notes_of(path / opened))
     workspace(path)
     capture = open_capture(path / opened)
     assert any("sparse/0 is of others" in note.effect for note in capture.notes)
@@ -295,47 +287,61 @@ def test_names_of_a_windows_code_page_in_a_binary_model(tmp_path: Path) -> None:
     (path / "sparse/0/images.bin").write_bytes(data.replace(b"frame_00002", "K\xfcche_00002".encode("latin-1")))
     for folder in ("images", "depth"):
         (path / folder / "frame_00002.png").rename(path / folder / "K\xfcche_00002.png")
-    capture = open_capture(path)
-    assert len(list(capture)) == len(VIEWS)
+    notes_of(path, frames=4)
 
 
 # ROS
 
 
-def with_messages(path: Path, change: dict[str, str], drop: str = "\0") -> Path:
-    messages = [message for message in tool_formats.ros_messages(VIEWS) if not message[0].startswith(drop)]
-    return tool_formats.ros2_bag(
-        path, [(change.get(topic, topic), kind, at, data) for topic, kind, at, data in messages]
-    )
+def renamed(topics: dict[str, str], messages: list[Message]) -> list[Message]:
+    return [(topics.get(topic, topic), *rest) for topic, *rest in messages]
 
 
-def test_a_bag_without_poses_colour_or_camera_says_so(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"no poses of camera_color_optical_frame.*RTAB-Map"):
-        open_capture(with_messages(tmp_path / "a", {}, drop="/tf"))
-    with pytest.raises(CaptureError, match=r"has poses of base_link, and no tf from there to camera_color.*tf_static"):
-        open_capture(with_messages(tmp_path / "apart", {}, drop="/tf_static"))
-    with pytest.raises(CaptureError, match=r"no topic of colour images; its topics are /camera/aligned_depth"):
-        open_capture(with_messages(tmp_path / "b", {}, drop="/camera/color/image"))
-    with pytest.raises(CaptureError, match="no CameraInfo beside /camera/color/image_raw"):
-        open_capture(with_messages(tmp_path / "c", {}, drop="/camera/color/camera_info"))
-    device = "/device_0/sensor_"
-    renamed = {
-        "/camera/color/image_raw": f"{device}1/Color_0/image/data",
-        "/camera/color/camera_info": f"{device}1/Color_0/info/camera_info",
-        "/camera/aligned_depth_to_color/image_raw": f"{device}0/Depth_0/image/data",
-    }
-    with pytest.raises(CaptureError, match="recordings of RealSense alone hold none"):
-        open_capture(with_messages(tmp_path / "realsense", renamed, drop="/tf"))
-    assert len(list(open_capture(with_messages(tmp_path / "renamed", renamed)))) == 4
-    (tmp_path / "d.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(99))
-    with pytest.raises(CaptureError, match=r"d\.bag: is not a readable ROS bag .*; copy it again; rosbag reindex"):
-        open_capture(tmp_path / "d.bag")
-    (tmp_path / "d.bag").rename(tmp_path / "d.BAG")
-    with pytest.raises(CaptureError, match=r"; rename it to end in \.bag"):
-        open_capture(tmp_path / "d.BAG")
-    (tmp_path / "d.mcap").write_bytes(b"\x89MCAP0\r\n\1" + struct.pack("<QI", 12, 4) + b"ros1\0\0\0\0")
-    with pytest.raises(CaptureError, match=r"its profile is 'ros1'; record it with ROS 2"):
-        open_capture(tmp_path / "d.mcap")
+REALSENSE = {
+    COLOUR: "/device_0/sensor_1/Color_0/image/data",
+    "/camera/color/camera_info": "/device_0/sensor_1/Color_0/info/camera_info",
+    DEPTH: "/device_0/sensor_0/Depth_0/image/data",
+}
+
+
+@pytest.mark.parametrize(
+    ("names", "without", "says"),
+    [
+        ({}, "/tf", r"no poses of camera_color_optical_frame.*RTAB-Map"),
+        ({}, "/tf_static", r"has poses of base_link, and no tf from there to camera_color.*tf_static"),
+        ({}, "/camera/color/image", r"no topic of colour images; its topics are /camera/aligned_depth"),
+        ({}, "/camera/color/camera_info", "no CameraInfo beside /camera/color/image_raw"),
+        (REALSENSE, "/tf", "recordings of RealSense alone hold none"),
+    ],
+)
+def test_a_bag_without_poses_colour_or_camera_says_so(
+    tmp_path: Path, names: dict[str, str], without: str, says: str
+) -> None:
+    messages = renamed(names, tool_formats.ros_messages(VIEWS, without=without))
+    with pytest.raises(CaptureError, match=says):
+        open_capture(tool_formats.ros2_bag(tmp_path, messages))
+
+
+def test_topics_of_realsense_are_known(tmp_path: Path) -> None:
+    notes_of(tool_formats.ros2_bag(tmp_path, renamed(REALSENSE, tool_formats.ros_messages(VIEWS))), frames=4)
+
+
+BAG = b"#ROSBAG V2.0\n" + bytes(99)
+MCAP = b"\x89MCAP0\r\n\1" + struct.pack("<QI", 12, 4) + b"ros1\0\0\0\0"
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "says"),
+    [
+        ("d.bag", BAG, r"d\.bag: is not a readable ROS bag .*; copy it again; rosbag reindex"),
+        ("d.BAG", BAG, r"; rename it to end in \.bag"),
+        ("d.mcap", MCAP, "its profile is 'ros1'; record it with ROS 2"),
+    ],
+)
+def test_a_file_that_is_no_readable_bag_says_so(tmp_path: Path, name: str, data: bytes, says: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(CaptureError, match=says):
+        open_capture(tmp_path / name)
 
 
 def as_zstd(data: bytes) -> bytes:
@@ -363,13 +369,13 @@ def test_a_bag_of_compressed_files(tmp_path: Path) -> None:
         open_capture(path / "bag_0.db3.zstd")
 
 
-def without_tf() -> list[tuple[str, str, float, bytes]]:
-    return [message for message in tool_formats.ros_messages(VIEWS) if not message[0].startswith("/tf")]
+def without_tf() -> list[Message]:
+    return tool_formats.ros_messages(VIEWS, without="/tf")
 
 
-def poses_of(topic: str, child: str | None = None, *, beside: float = 0.0) -> list[tuple[str, str, float, bytes]]:
+def poses_of(topic: str, child: str | None = None, *, beside: float = 0.0) -> list[Message]:
     """Poses of the camera, or `beside` it: Odometry of `child`, PoseStamped for None."""
-    messages: list[tuple[str, str, float, bytes]] = []
+    messages: list[Message] = []
     for view in VIEWS:
         pose = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP
         pose[0, 3] += beside
@@ -386,8 +392,7 @@ def poses_of(topic: str, child: str | None = None, *, beside: float = 0.0) -> li
 
 def test_a_pose_topic_stands_in_for_tf(tmp_path: Path) -> None:
     capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", without_tf() + poses_of("/slam/pose")))
-    for frame, view in zip(capture, VIEWS, strict=True):
-        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+    same_views(capture, VIEWS)
     assert "the PoseStamped messages of /slam/pose" in capture.notes[0].left_out
 
 
@@ -397,80 +402,65 @@ def test_a_pose_topic_stands_in_for_tf(tmp_path: Path) -> None:
         (poses_of("/z_slam/pose") + poses_of("/goal_pose", beside=5)[:1], "/goal_pose"),
         (poses_of("/vins/camera_pose", "") + poses_of("/vins/body", "", beside=5), "/vins/body"),
         (
-            poses_of("/odom", "camera_color_optical_frame")
+            poses_of("/odom", OPTICAL)
             + poses_of("/camera_pose", beside=5)
             + poses_of("/gps", "gps_link", beside=7)
-            + poses_of("/odom/filtered", "camera_color_optical_frame", beside=9)[1:],
+            + poses_of("/odom/filtered", OPTICAL, beside=9)[1:],
             "/odom/filtered, /camera_pose, /gps",
         ),
     ],
 )
-def test_one_of_several_pose_topics_is_read(
-    tmp_path: Path, poses: list[tuple[str, str, float, bytes]], others: str
-) -> None:
+def test_one_of_several_pose_topics_is_read(tmp_path: Path, poses: list[Message], others: str) -> None:
     capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", poses[::-1] + without_tf()))
-    for frame, view in zip(capture, VIEWS, strict=True):
-        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+    same_views(capture, VIEWS)
     assert f"the poses of {others}: those of {poses[0][0]} are read" in str(capture.notes[0])
 
 
 def test_a_second_parent_in_tf_is_noted(tmp_path: Path) -> None:
-    messages = tool_formats.ros_messages(VIEWS)
-    data = tool_formats.transforms_message(VIEWS[0].time_s, "odom", "base_link", np.eye(4))
-    messages.append(("/tf", "tf2_msgs/msg/TFMessage", VIEWS[1].time_s, data))
-    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
+    second = tool_formats.transform(VIEWS[1].time_s, "odom", "base_link", np.eye(4))
+    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", [*tool_formats.ros_messages(VIEWS), second]))
     (note,) = capture.notes
     assert "poses of base_link in odom beside those in map: those in map, which come first, are read" in str(note)
-    np.testing.assert_allclose(next(iter(capture)).camera_to_world, VIEWS[0].pose, atol=1e-6)
+    same_views(capture, VIEWS)
 
 
 def test_poses_between_two_of_tf_are_interpolated(tmp_path: Path) -> None:
     """Those above the moving robot also where they are further apart."""
-    messages = tool_formats.ros_messages(VIEWS)
-    moved = [message for message in messages if message[0] != "/tf"]
-    for view in (VIEWS[0], VIEWS[2], VIEWS[3]):
-        base = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP @ np.linalg.inv(tool_formats.MOUNT)
-        data = tool_formats.transforms_message(view.time_s, "map", "base_link", base)
-        moved.append(("/tf", "tf2_msgs/msg/TFMessage", view.time_s, data))
-    for time_s in (VIEWS[0].time_s - 0.7, VIEWS[0].time_s + 0.7):
-        moved.append(
-            ("/tf", "tf2_msgs/msg/TFMessage", 5, tool_formats.transforms_message(time_s, "world", "map", np.eye(4)))
-        )
-    _, second, *_ = open_capture(tool_formats.ros2_bag(tmp_path / "bag", moved))
+    messages = [message for message in tool_formats.ros_messages(VIEWS) if message[0] != "/tf"]
+    messages += [tool_formats.robot(view) for view in (VIEWS[0], *VIEWS[2:])]
+    messages += [tool_formats.transform(VIEWS[0].time_s + at, "world", "map", np.eye(4)) for at in (-0.7, 0.7)]
+    _, second, *_ = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
     assert np.abs(second.camera_to_world[:3, 3] - VIEWS[1].pose[:3, 3]).max() < 0.03
     assert np.degrees(np.arccos((second.camera_to_world[:3, 2] * VIEWS[1].pose[:3, 2]).sum())) < 0.5
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "rgba8", "mono8", "jpeg", "bayer_rggb8"])
 def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
-    rgb = VIEWS[0].srgb8
+    rgb, time_s = VIEWS[0].srgb8, VIEWS[0].time_s
     pixels = {
         "rgb8": rgb,
         "rgba8": np.dstack([rgb, np.full(rgb.shape[:2], 255, np.uint8)]),
         "mono8": rgb[..., 1],
         "bayer_rggb8": np.where(np.indices((24, 32)).sum(axis=0) % 2, rgb[..., 1], rgb[..., 0]),
     }
-    if encoding == "bayer_rggb8":
-        pixels[encoding][1::2, 1::2] = rgb[1::2, 1::2, 2]
-    messages = []
-    for topic, kind, time_s, data in tool_formats.ros_messages(VIEWS[:1]):
-        if topic == "/camera/color/image_raw" and encoding == "jpeg":
-            cdr = tool_formats.Cdr().header(VIEWS[0].time_s, "camera_color_optical_frame").text("rgb8; jpeg compressed")
-            data = cdr.raw(formats.image(".jpg", rgb)).bytes()
-            topic, kind = "/camera/color/image_raw/compressed", "sensor_msgs/msg/CompressedImage"
-        elif topic == "/camera/color/image_raw":
-            stored = np.ascontiguousarray(pixels[encoding])
-            data = tool_formats.image_message(VIEWS[0].time_s, "camera_color_optical_frame", encoding, stored)
-        messages.append((topic, kind, time_s, data))
+    pixels["bayer_rggb8"][1::2, 1::2] = rgb[1::2, 1::2, 2]
+    if encoding == "jpeg":
+        cdr = tool_formats.Cdr().header(time_s, OPTICAL).text("rgb8; jpeg compressed")
+        data = cdr.raw(formats.image(".jpg", rgb)).bytes()
+        colour = f"{COLOUR}/compressed", "sensor_msgs/msg/CompressedImage", time_s, data
+    else:
+        data = tool_formats.image_message(time_s, OPTICAL, encoding, np.ascontiguousarray(pixels[encoding]))
+        colour = COLOUR, "sensor_msgs/msg/Image", time_s, data
+    messages = [*tool_formats.ros_messages(VIEWS[:1], without=COLOUR), colour]
     (frame,) = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
     expected = np.repeat(rgb[..., 1:2], 3, axis=2) if encoding == "mono8" else rgb
     error = np.abs(frame.image - srgb8_to_linear(expected))[2:-2, 2:-2]
     assert error.mean() < (0.03 if encoding == "bayer_rggb8" else 0.012)
 
 
-def with_info(path: Path, info: bytes) -> Path:
-    messages = [m if "camera_info" not in m[0] else (*m[:3], info) for m in tool_formats.ros_messages(VIEWS)]
-    return tool_formats.ros2_bag(path, messages)
+def with_info(path: Path, **camera: Any) -> Path:
+    info = tool_formats.camera("/camera/color/camera_info", tool_formats.camera_message(OPTICAL, **camera))
+    return tool_formats.ros2_bag(path, [info, *tool_formats.ros_messages(VIEWS, without="camera_info")])
 
 
 @pytest.mark.parametrize(
@@ -485,7 +475,7 @@ def with_info(path: Path, info: bytes) -> Path:
     ],
 )
 def test_lenses_of_a_camera_info_that_are_not_read(tmp_path: Path, model: str, d: tuple[float, ...]) -> None:
-    path = with_info(tmp_path / "bag", tool_formats.camera_message("camera_color_optical_frame", model=model, d=d))
+    path = with_info(tmp_path / "bag", model=model, d=d)
     with pytest.raises(CaptureError, match=f"beside /camera/color/image_raw: distortion_model '{model}' with D of"):
         open_capture(path)
 
@@ -500,30 +490,26 @@ def test_lenses_of_a_camera_info_that_are_not_read(tmp_path: Path, model: str, d
     ],
 )
 def test_names_of_no_lens(tmp_path: Path, model: str, d: tuple[float, ...]) -> None:
-    path = with_info(tmp_path / "bag", tool_formats.camera_message("camera_color_optical_frame", model=model, d=d))
-    assert next(iter(open_capture(path))).intrinsics.fx == formats.FX
+    assert first_of(with_info(tmp_path / "bag", model=model, d=d)).intrinsics.fx == formats.FX
 
 
 def test_other_names_of_plumb_bob(tmp_path: Path) -> None:
-    focal: list[float] = []
-    for model in ("plumb_bob", "plumb bob", "radtan", "Inverse Brown Conrady"):
-        info = tool_formats.camera_message("camera_color_optical_frame", model=model, d=(-0.2, 0.05, 0.0, 0.0, 0.0))
-        focal.append(next(iter(open_capture(with_info(tmp_path / model, info)))).intrinsics.fx)
-    assert len(set(focal)) == 1
-    assert focal[0] != formats.FX
+    names, d = ("plumb_bob", "plumb bob", "radtan", "Inverse Brown Conrady"), (-0.2, 0.05, 0.0, 0.0, 0.0)
+    focal = {first_of(with_info(tmp_path / name, model=name, d=d)).intrinsics.fx for name in names}
+    assert len(focal) == 1
+    assert focal != {formats.FX}
 
 
 @pytest.mark.parametrize(("binning", "roi"), [(2, None), (0, (5, 20)), (2, (6, 20))])
 def test_the_camera_of_a_part_of_the_sensor(tmp_path: Path, binning: int, roi: tuple[int, int] | None) -> None:
-    info = tool_formats.camera_message("camera_color_optical_frame", binning=binning, roi=roi)
-    capture = open_capture(with_info(tmp_path / "bag", info))
+    capture = open_capture(with_info(tmp_path / "bag", binning=binning, roi=roi))
     camera = next(iter(capture)).intrinsics
     assert (camera.fx, camera.fy, camera.width, camera.height) == (formats.FX, formats.FY, 32, 24)
     np.testing.assert_allclose((camera.cx, camera.cy), (formats.CX, formats.CY))
     assert not capture.notes
 
 
-def other_image(view: formats.View, topic: str, frame: str, encoding: str, value: int) -> tuple[str, str, float, bytes]:
+def other_image(view: formats.View, topic: str, frame: str, encoding: str, value: int) -> Message:
     shape, dtype = ((24, 32, 3), np.uint8) if encoding == "bgr8" else ((24, 32), np.uint16)
     data = tool_formats.image_message(view.time_s, frame, encoding, np.full(shape, value, dtype))
     return topic, "sensor_msgs/msg/Image", view.time_s + 0.01, data
@@ -532,19 +518,17 @@ def other_image(view: formats.View, topic: str, frame: str, encoding: str, value
 def test_depth_is_that_of_the_colours_camera(tmp_path: Path) -> None:
     """A second camera has aligned depth; the first has depth of its own frame, and no word `aligned`."""
     names = {
-        "/camera/color/image_raw": "/cam1/color/image_raw",
+        COLOUR: "/cam1/color/image_raw",
         "/camera/color/camera_info": "/cam1/color/camera_info",
-        "/camera/aligned_depth_to_color/image_raw": "/cam1/depth/image_rect_raw",
+        DEPTH: "/cam1/depth/image_rect_raw",
     }
-    messages = [(names.get(message[0], message[0]), *message[1:]) for message in tool_formats.ros_messages(VIEWS)]
-    info = tool_formats.camera_message("cam2_optical")
-    messages.append(("/cam2/color/camera_info", "sensor_msgs/msg/CameraInfo", 5.0, info))
+    messages = renamed(names, tool_formats.ros_messages(VIEWS))
+    messages.append(tool_formats.camera("/cam2/color/camera_info", tool_formats.camera_message("cam2_optical")))
     for view in VIEWS:
         messages.append(other_image(view, "/cam2/color/image_raw", "cam2_optical", "bgr8", 99))
         messages.append(other_image(view, "/cam2/aligned_depth_to_color/image_raw", "cam2_optical", "16UC1", 9000))
     capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
-    for frame, view in zip(capture, VIEWS, strict=True):
-        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=6e-4)
+    same_views(capture, VIEWS, depth_atol=6e-4)
     (note,) = [str(note) for note in capture.notes if "alone is read" in str(note)]
     assert "/cam2/color" in note
     assert "/cam1/color/image_raw" in note
@@ -552,19 +536,16 @@ def test_depth_is_that_of_the_colours_camera(tmp_path: Path) -> None:
 
 def test_aligned_depth_of_another_frame_is_projected_or_noted(tmp_path: Path) -> None:
     """The name `aligned` does not say to which camera."""
-    topic = "/camera/aligned_depth_to_infra1/image_raw"
-    messages = [message for message in tool_formats.ros_messages(VIEWS) if "aligned" not in message[0]]
-    messages += [other_image(view, topic, "infra1_optical", "16UC1", 2000) for view in VIEWS]
+    topic, beside = "/camera/aligned_depth_to_infra1", np.eye(4)
+    messages = tool_formats.ros_messages(VIEWS, without="aligned")
+    messages += [other_image(view, f"{topic}/image_raw", "infra1_optical", "16UC1", 2000) for view in VIEWS]
     capture = open_capture(tool_formats.ros2_bag(tmp_path / "untold", messages))
     assert next(iter(capture)).depth_m.shape == (24, 32)
     assert any("infra1_optical" in note.left_out for note in capture.notes)
-    beside = np.eye(4)
     beside[0, 3] = 0.4
-    tf = tool_formats.transforms_message(0.0, "camera_color_optical_frame", "infra1_optical", beside)
-    messages.append(("/tf_static", "tf2_msgs/msg/TFMessage", 5.0, tf))
-    info = tool_formats.camera_message("infra1_optical")
-    messages.append(("/camera/aligned_depth_to_infra1/camera_info", "sensor_msgs/msg/CameraInfo", 5.0, info))
-    depth_m = next(iter(open_capture(tool_formats.ros2_bag(tmp_path / "told", messages)))).depth_m
+    messages.append(tool_formats.transform(0.0, OPTICAL, "infra1_optical", beside, fixed=True))
+    messages.append(tool_formats.camera(f"{topic}/camera_info", tool_formats.camera_message("infra1_optical")))
+    depth_m = first_of(tool_formats.ros2_bag(tmp_path / "told", messages)).depth_m
     assert not depth_m[:, :3].any()
     assert depth_m[:, -3:].all()
 
@@ -574,9 +555,10 @@ def test_pictures_of_other_programs_are_no_camera_and_no_depth(tmp_path: Path) -
     for view in VIEWS:
         messages.append(other_image(view, "/a_detections/color_image", "x", "bgr8", 0))
         messages.append(other_image(view, "/camera/aligned_depth_colormap/image", "x", "bgr8", 0))
-    for frame, view in zip(open_capture(tool_formats.ros2_bag(tmp_path / "a", messages)), VIEWS, strict=True):
+    frames = list(open_capture(tool_formats.ros2_bag(tmp_path / "a", messages)))
+    same_views(frames, VIEWS, depth_atol=6e-4)
+    for frame, view in zip(frames, VIEWS, strict=True):
         np.testing.assert_allclose(frame.image, srgb8_to_linear(view.srgb8), atol=1e-6)
-        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=6e-4)
     coloured = [message for message in messages if "depth_to" not in message[0]]
     notes = open_capture(tool_formats.ros2_bag(tmp_path / "b", coloured)).notes
     assert any("depth_colormap/image holds colours" in str(note).replace(":", "") for note in notes)
@@ -585,14 +567,13 @@ def test_pictures_of_other_programs_are_no_camera_and_no_depth(tmp_path: Path) -
 @pytest.mark.parametrize("encoding", ["32FC1; compressedDepth png", "16UC1; compressedDepth rvl", "jpeg"])
 def test_compressed_depth(tmp_path: Path, encoding: str) -> None:
     """Of floats: 1 / depth in a PNG behind 12 bytes. A JPEG is no depth; other kinds are refused with a way out."""
-    a, b = 4000.0, 10.0
-    messages = [message for message in tool_formats.ros_messages(VIEWS[:1]) if "aligned" not in message[0]]
+    a, b, time_s = 4000.0, 10.0, VIEWS[0].time_s
     stored = np.rint(a / VIEWS[0].depth_m + b).astype(np.uint16)
     data = struct.pack("<iff", 0, a, b) + formats.image(".png", np.where(VIEWS[0].depth_m > 0, stored, 0))
-    cdr = tool_formats.Cdr().header(VIEWS[0].time_s, "camera_color_optical_frame").text(encoding)
-    cdr.raw(b"RVL" if "rvl" in encoding else data)
+    cdr = tool_formats.Cdr().header(time_s, OPTICAL).text(encoding).raw(b"RVL" if "rvl" in encoding else data)
     topic = "/camera/depth_to_color/image_raw/compressed"
-    messages.append((topic, "sensor_msgs/msg/CompressedImage", VIEWS[0].time_s, cdr.bytes()))
+    messages = tool_formats.ros_messages(VIEWS[:1], without="aligned")
+    messages.append((topic, "sensor_msgs/msg/CompressedImage", time_s, cdr.bytes()))
     bag = tool_formats.ros2_bag(tmp_path / "bag", messages)
     if "rvl" in encoding:
         with pytest.raises(CaptureError, match=r"compressedDepth rvl' is not read, .*--depth network"):
@@ -607,25 +588,20 @@ def test_compressed_depth(tmp_path: Path, encoding: str) -> None:
 
 def test_depth_that_is_not_called_so(tmp_path: Path) -> None:
     """As an OAK records it; its confidence is no depth, and neither is another colour camera."""
-    name = "/camera/aligned_depth_to_color/image_raw"
-    messages = [("/oak/stereo/image_raw" if m[0] == name else m[0], *m[1:]) for m in tool_formats.ros_messages(VIEWS)]
+    messages = renamed({DEPTH: "/oak/stereo/image_raw"}, tool_formats.ros_messages(VIEWS))
     for topic in ("/oak/stereo/camera_info", "/oak/confidence/camera_info"):
-        messages.append((topic, "sensor_msgs/msg/CameraInfo", 5.0, tool_formats.camera_message("oak")))
-    frame = "camera_color_optical_frame"
-    messages += [other_image(view, "/oak/confidence/image_raw", frame, "16UC1", 900) for view in VIEWS]
+        messages.append(tool_formats.camera(topic, tool_formats.camera_message("oak")))
+    messages += [other_image(view, "/oak/confidence/image_raw", OPTICAL, "16UC1", 900) for view in VIEWS]
     capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
-    for found, view in zip(capture, VIEWS, strict=True):
-        np.testing.assert_allclose(found.depth_m, view.depth_m, atol=6e-4)
+    same_views(capture, VIEWS, depth_atol=6e-4)
     (note,) = capture.notes
     assert "/oak/stereo/image_raw, of 16UC1: taken for depth" in str(note)
 
 
 def test_depth_of_the_colours_frame_comes_before_the_nearest_name(tmp_path: Path) -> None:
-    name, tof = "/camera/aligned_depth_to_color/image_raw", "/camera/color/depth/image_raw"
-    messages = tool_formats.ros_messages(VIEWS) + [other_image(view, tof, "tof", "16UC1", 9000) for view in VIEWS]
-    messages = [("/depth_to_rgb/image_raw" if message[0] == name else message[0], *message[1:]) for message in messages]
-    for frame, view in zip(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS, strict=True):
-        np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=6e-4)
+    messages = renamed({DEPTH: "/depth_to_rgb/image_raw"}, tool_formats.ros_messages(VIEWS))
+    messages += [other_image(view, "/camera/color/depth/image_raw", "tof", "16UC1", 9000) for view in VIEWS]
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS, depth_atol=6e-4)
 
 
 @pytest.mark.parametrize("bent", ["color", "depth"])
@@ -637,21 +613,18 @@ def test_lenses_of_colour_and_of_another_cameras_depth(tmp_path: Path, bent: str
     k[:2, 2] = 4 * formats.CX, 4 * formats.CY
     tangents = cv2.undistortPoints(pixels, k, np.array(d if bent == "depth" else [0.0] * 4)).reshape(96, 128, 2)
     stored = np.where(tangents[..., 0] > 0.4, 1000, 3000).astype(np.uint16)
-    messages = [message for message in tool_formats.ros_messages(VIEWS[:1]) if "aligned" not in message[0]]
-    tf = tool_formats.transforms_message(0.0, "camera_color_optical_frame", "tof", np.eye(4))
-    image = tool_formats.image_message(VIEWS[0].time_s, "tof", "16UC1", stored)
-    messages += [
-        ("/tf_static", "tf2_msgs/msg/TFMessage", 5.0, tf),
-        ("/camera/depth/camera_info", "sensor_msgs/msg/CameraInfo", 5.0, b""),
-        ("/camera/depth/image_raw", "sensor_msgs/msg/Image", VIEWS[0].time_s, image),
+    messages = [
+        message
+        for message in tool_formats.ros_messages(VIEWS[:1], without="aligned")
+        if message[0] != "/camera/color/camera_info"
     ]
-    infos = {
-        f"/camera/{part}/camera_info": tool_formats.camera_message(
-            "x", model="rational_polynomial", d=d if part == bent else [0.0] * 8
-        )
-        for part in ("color", "depth")
-    }
-    messages = [(*message[:3], infos.get(message[0], message[3])) for message in messages]
+    messages.append(tool_formats.transform(0.0, OPTICAL, "tof", np.eye(4), fixed=True))
+    image = tool_formats.image_message(VIEWS[0].time_s, "tof", "16UC1", stored)
+    messages.append(("/camera/depth/image_raw", "sensor_msgs/msg/Image", VIEWS[0].time_s, image))
+    for part in ("color", "depth"):
+        own = d if part == bent else [0.0] * 8
+        info = tool_formats.camera_message("x", model="rational_polynomial", d=own)
+        messages.append(tool_formats.camera(f"/camera/{part}/camera_info", info))
     (frame,) = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
     height, width = frame.depth_m.shape
     row = frame.depth_m[height // 2]
@@ -719,15 +692,3 @@ def test_the_nearest_format_and_what_it_lacks_are_named(tmp_path: Path, files: l
     with pytest.raises(UnknownFormatError, match=message) as caught:
         open_capture(tmp_path / "folder")
     assert "Known are .r3d" in str(caught.value)
-
-
-@pytest.mark.parametrize("builder", [formats.polycam, formats.scanner_app], ids=["polycam", "3d-scanner-app"])
-def test_keys_of_a_lens_that_are_not_read_are_noted_once(tmp_path: Path, builder: Callable[..., Path]) -> None:
-    path = builder(tmp_path / "room", VIEWS)
-    assert not any("not read" in str(note) for note in open_capture(path).notes)
-    for index in path.rglob("*.json"):
-        edit(index, lambda stated: stated.update(k1=0.1, camera_model="OPENCV_FISHEYE", blur_score=3.0))
-    capture = open_capture(path)
-    assert len(list(capture)) == len(VIEWS)
-    (note,) = [str(note) for note in capture.notes if "not read" in str(note)]
-    assert "the keys camera_model, k1" in note

@@ -36,9 +36,7 @@ def model(tmp_path: Path) -> Path:
 def without_depth(name: str, folder: Path) -> Path:
     """Return a capture of a layout without its files of depth, and without a word of them in its index."""
     if name == "ros-bag":
-        return tool_formats.ros2_bag(
-            folder, [message for message in tool_formats.ros_messages(VIEWS) if "aligned_depth" not in message[0]]
-        )
+        return tool_formats.ros2_bag(folder, tool_formats.ros_messages(VIEWS, without="aligned_depth"))
     path = BUILDERS[name](folder, VIEWS)
     if path.is_file():
         with zipfile.ZipFile(path, "w") as archive:

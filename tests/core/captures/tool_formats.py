@@ -129,6 +129,10 @@ def opencv_yaml(name: object, extra: str = "") -> str:
     )
 
 
+Message = tuple[str, str, float, bytes]
+"""Topic, type, time and bytes."""
+
+
 class Cdr:
     """Little-endian CDR, the encoding of ROS 2's messages."""
 
@@ -184,9 +188,16 @@ def camera_message(
     return cdr.put("I", binning, binning, x, y, *((0, 0) if roi is None else sides)).put("B", 0).bytes()
 
 
-def transforms_message(time_s: float, parent: str, child: str, pose: np.ndarray) -> bytes:
+def transform(time_s: float, parent: str, child: str, pose: np.ndarray, *, fixed: bool = False) -> Message:
     cdr = Cdr().put("I", 1).header(time_s, parent).text(child)
-    return cdr.put("d", *pose[:3, 3], *quaternion_of_any(pose[:3, :3])).bytes()
+    data = cdr.put("d", *pose[:3, 3], *quaternion_of_any(pose[:3, :3])).bytes()
+    return "/tf_static" if fixed else "/tf", "tf2_msgs/msg/TFMessage", 5.0 if fixed else time_s, data
+
+
+def robot(view: View) -> Message:
+    """The pose of the robot that carries the camera."""
+    base = Y_UP_TO_Z_UP @ view.pose @ FLIP @ np.linalg.inv(MOUNT)
+    return transform(view.time_s, "map", "base_link", base)
 
 
 MOUNT = np.eye(4)
@@ -195,36 +206,37 @@ MOUNT[:3, 3] = [0.1, 0.02, 0.3]
 """The camera's optical frame on the robot."""
 
 
-def ros_messages(views: list[View]) -> list[tuple[str, str, float, bytes]]:
-    """Topic, type, time and bytes: colour, aligned depth 4 ms later, poses of the robot, its camera's mount."""
-    optical = "camera_color_optical_frame"
+OPTICAL = "camera_color_optical_frame"
+COLOUR, DEPTH = "/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw"
+
+
+def camera(topic: str, data: bytes) -> Message:
+    return topic, "sensor_msgs/msg/CameraInfo", 5.0, data
+
+
+def ros_messages(views: list[View], *, without: str = "\0") -> list[Message]:
+    """Colour, aligned depth 4 ms later, poses of the robot, its camera's mount; none whose topic holds `without`."""
     messages = [
-        ("/tf_static", "tf2_msgs/msg/TFMessage", 5.0, transforms_message(0.0, "base_link", optical, MOUNT)),
-        ("/camera/color/camera_info", "sensor_msgs/msg/CameraInfo", 5.0, camera_message(optical)),
+        transform(0.0, "base_link", OPTICAL, MOUNT, fixed=True),
+        camera("/camera/color/camera_info", camera_message(OPTICAL)),
     ]
     for view in views:
-        base = Y_UP_TO_Z_UP @ view.pose @ FLIP @ np.linalg.inv(MOUNT)
         bgr = np.ascontiguousarray(view.srgb8[..., ::-1])
-        depth = image_message(view.time_s + 0.004, optical, "16UC1", millimetres(view))
-        topic = "/camera/aligned_depth_to_color/image_raw"
+        depth = image_message(view.time_s + 0.004, OPTICAL, "16UC1", millimetres(view))
+        colour = image_message(view.time_s, OPTICAL, "bgr8", bgr)
         messages += [
-            ("/tf", "tf2_msgs/msg/TFMessage", view.time_s, transforms_message(view.time_s, "map", "base_link", base)),
-            (
-                "/camera/color/image_raw",
-                "sensor_msgs/msg/Image",
-                view.time_s + 0.02,
-                image_message(view.time_s, optical, "bgr8", bgr),
-            ),
-            (topic, "sensor_msgs/msg/Image", view.time_s + 0.03, depth),
+            robot(view),
+            (COLOUR, "sensor_msgs/msg/Image", view.time_s + 0.02, colour),
+            (DEPTH, "sensor_msgs/msg/Image", view.time_s + 0.03, depth),
         ]
-    return messages
+    return [message for message in messages if without not in message[0]]
 
 
 def ros_bag(path: Path, views: list[View]) -> Path:
     return ros2_bag(path, ros_messages(views))
 
 
-def ros2_bag(path: Path, messages: list[tuple[str, str, float, bytes]]) -> Path:
+def ros2_bag(path: Path, messages: list[Message]) -> Path:
     """`metadata.yaml` and an SQLite file, as `ros2 bag record` writes them."""
     path.mkdir(parents=True, exist_ok=True)
     topics = list(dict.fromkeys((topic, kind) for topic, kind, _, _ in messages))
@@ -245,15 +257,10 @@ def ros2_bag(path: Path, messages: list[tuple[str, str, float, bytes]]) -> Path:
     base.close()
     counts = [
         {
-            "topic_metadata": {
-                "name": topic,
-                "type": kind,
-                "serialization_format": "cdr",
-                "offered_qos_profiles": "",
-            },
-            "message_count": sum(message[0] == topic for message in messages),
+            "topic_metadata": {"name": name, "type": kind, "serialization_format": "cdr", "offered_qos_profiles": ""},
+            "message_count": sum(message[0] == name for message in messages),
         }
-        for topic, kind in topics
+        for name, kind in topics
     ]
     information = {
         "version": 5,
