@@ -1,5 +1,7 @@
-"""Captures that a test may damage."""
+"""Captures that a test may damage, and those that it may not."""
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import formats
@@ -22,6 +24,14 @@ def stray(tmp_path: Path) -> Path:
     return formats.stray_scanner(tmp_path / "capture", formats.scene())
 
 
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Build a capture of a layout, once: to be read, or to be copied."""
+    root = tmp_path_factory.mktemp("whole")
+    return cache(lambda name: BUILDERS[name](root / name / "capture", formats.scene()))
+
+
 @pytest.fixture(params=BUILDERS)
-def built(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
-    return request.param, BUILDERS[request.param](tmp_path / "capture", formats.scene())
+def built(request: pytest.FixtureRequest, whole: Callable[[str], Path]) -> tuple[str, Path]:
+    """A layout's name and a capture of it, to be read alone."""
+    return request.param, whole(request.param)

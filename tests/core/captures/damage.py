@@ -159,22 +159,23 @@ def damaged_archive(archive: Path, scratch: Path, rng: random.Random) -> None:
     with zipfile.ZipFile(archive) as packed:
         packed.extractall(scratch)
     damaged_folder(scratch, IN_ARCHIVE, rng)
-    archive.unlink()
-    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
-        for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
-            packed.write(file, file.relative_to(scratch))
+    files = sorted(path for path in scratch.rglob("*") if path.is_file())
+    formats.zipped(archive, {str(file.relative_to(scratch)): file.read_bytes() for file in files})
+
+
+def copied(original: Path, folder: Path) -> Path:
+    """Copy a capture (folder or archive)."""
+    path = folder / original.name
+    folder.mkdir(parents=True, exist_ok=True)
+    return shutil.copytree(original, path) if original.is_dir() else shutil.copy(original, path)
 
 
 def damaged(original: Path, scratch: Path, rng: random.Random) -> Path:
-    """Copy a capture (folder or archive) below `scratch` and damage the copy."""
-    path = scratch / "broken" / original.name
-    if original.is_dir():
-        shutil.copytree(original, path)
+    """Copy a capture below `scratch` and damage the copy."""
+    path = copied(original, scratch / "broken")
+    if path.is_dir():
         damaged_folder(path, DAMAGE, rng)
-        return path
-    path.parent.mkdir()
-    shutil.copy(original, path)
-    if path.suffix == ".r3d" and rng.random() < 0.65:
+    elif path.suffix == ".r3d" and rng.random() < 0.65:
         damaged_archive(path, scratch / "members", rng)
     else:
         other_bytes(path, rng)

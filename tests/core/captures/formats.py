@@ -8,7 +8,7 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,6 +78,14 @@ def quaternion(rot: np.ndarray) -> list[float]:
 def save(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
+
+
+def zipped(archive: Path, members: Mapping[str, bytes]) -> Path:
+    archive.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, data in members.items():
+            packed.writestr(name, data)
+    return archive
 
 
 def image(suffix: str, pixels: np.ndarray) -> bytes:
@@ -230,12 +238,7 @@ def record3d_members(views: list[View]) -> dict[str, bytes]:
 
 
 def record3d(path: Path, views: list[View]) -> Path:
-    path = path.with_suffix(".r3d")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in record3d_members(views).items():
-            archive.writestr(name, data)
-    return path
+    return zipped(path.with_suffix(".r3d"), record3d_members(views))
 
 
 def record3d_export(path: Path, views: list[View]) -> Path:

@@ -9,6 +9,7 @@ import av
 import formats
 import numpy as np
 import pytest
+from capture_checks import notes_of
 
 from box_room import LENS, exact_depth, frame, pose
 from depth_models import SIZE, write_depth_model
@@ -114,35 +115,21 @@ def test_a_cut_loses_frames_and_says_so(tmp_path: Path, model: Path, pictures: l
     assert "hardly a phone's" not in note.effect
 
 
-def said_of(path: Path, options: CaptureOptions) -> str:
-    capture = open_capture(path, options)
-    list(capture)
-    return " ".join(str(note) for note in capture.notes)
-
-
 @pytest.mark.slow
 def test_pictures_that_do_not_fit_the_others_are_pointed_out(
     video: Path, model: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(motion, "MISFIT_PX", 1e-6)
-    said = said_of(video, CaptureOptions(depth_model=model, fov_deg=FOV_DEG))
-    assert "5 of 6 pictures, from 0.2 to 1.0 s, do not fit the others" in said
+    notes = notes_of(video, CaptureOptions(depth_model=model, fov_deg=FOV_DEG))
+    assert "5 of 6 pictures, from 0.2 to 1.0 s, do not fit the others" in str(notes)
 
 
 def test_frames_before_a_cut_without_encoding_are_not_counted(tmp_path: Path) -> None:
     """As `ffmpeg -ss -c copy` leaves it: packets before the cut are there to decode others, marked by an edit list."""
     pictures = [np.full((64, 96, 3), 20 * k, np.uint8) for k in range(10)]
     whole = written(tmp_path / "whole.mp4", pictures)
-    with av.open(str(whole)) as source, av.open(str(tmp_path / "cut.mp4"), "w") as container:
-        old = source.streams.video[0]
-        stream = container.add_stream_from_template(old)
-        for packet in source.demux(old):
-            if packet.pts is not None and packet.dts is not None and packet.time_base is not None:
-                packet.pts -= int(0.8 / packet.time_base)
-                packet.dts -= int(0.8 / packet.time_base)
-                packet.stream = stream
-                container.mux(packet)
-    with VideoFrames(tmp_path / "cut.mp4", "cut") as frames:
+    cut = formats.remuxed(whole, tmp_path / "cut.mp4", lambda _: None, later_s=0.8)
+    with VideoFrames(cut, "cut") as frames:
         assert frames.times_s == pytest.approx([0.2 * k for k in range(6)])
         levels = [linear_to_srgb8(frames.frame(k).image).mean() for k in range(6)]
     assert levels == pytest.approx([20 * k for k in range(4, 10)], abs=3)
@@ -175,17 +162,12 @@ def test_pictures_of_another_aspect_than_the_first_are_skipped(
 
 
 def test_a_camera_whose_lens_bends_lines_is_pointed_out(tmp_path: Path) -> None:
-    path = tmp_path / "GX010001.MP4"
-    formats.video(path, [view.srgb8 for view in formats.scene(1)])
+    path = formats.video(tmp_path / "GX010001.MP4", [formats.scene(1)[0].srgb8])
     assert open_capture(path).notes == ()
-    with av.open(str(path)) as source, av.open(str(tmp_path / "named.mp4"), "w") as container:
-        stream = container.add_stream_from_template(source.streams.video[0])
-        stream.metadata["handler_name"] = "\tGoPro AVC  "
-        for packet in source.demux(source.streams.video[0]):
-            if packet.dts is not None:
-                packet.stream = stream
-                container.mux(packet)
-    assert any("GoPro AVC, whose lens bends" in note.left_out for note in open_capture(tmp_path / "named.mp4").notes)
+    named = formats.remuxed(
+        path, tmp_path / "named.mp4", lambda stream: stream.metadata.update(handler_name="\tGoPro AVC  ")
+    )
+    assert any("GoPro AVC, whose lens bends" in note.left_out for note in open_capture(named).notes)
 
 
 @pytest.mark.slow
@@ -193,13 +175,14 @@ def test_a_lens_that_hardly_a_phone_has_is_pointed_out(
     video: Path, model: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bare_video, "USUAL_FOV_DEG", (20.0, 30.0))
-    assert "fits the pictures best, which is hardly a phone's" in said_of(video, CaptureOptions(depth_model=model))
+    notes = notes_of(video, CaptureOptions(depth_model=model))
+    assert "fits the pictures best, which is hardly a phone's" in str(notes)
 
 
 @pytest.mark.slow
 def test_a_video_of_a_panorama_s_shape_is_pointed_out(tmp_path: Path, model: Path) -> None:
-    wide = [linear_to_srgb8(frame(k, at).image)[:160] for k, at in enumerate(POSES)]
-    assert "twice as wide as high" in said_of(written(tmp_path / "wide.mp4", wide), CaptureOptions(depth_model=model))
+    wide = written(tmp_path / "wide.mp4", [linear_to_srgb8(frame(k, at).image)[:160] for k, at in enumerate(POSES)])
+    assert "twice as wide as high" in str(notes_of(wide, CaptureOptions(depth_model=model)))
 
 
 def boxed(kind: str, body: bytes) -> bytes:
@@ -241,8 +224,7 @@ SPHERE_V1 = boxed(
     ids=["V2", "V1", "side by side", "one above the other"],
 )
 def test_what_the_metadata_calls_no_pinhole_is_refused(tmp_path: Path, path: str, box: bytes, says: str) -> None:
-    video = tmp_path / "walk.mp4"
-    formats.video(video, [view.srgb8 for view in formats.scene(2)])
+    video = formats.video(tmp_path / "walk.mp4", [view.srgb8 for view in formats.scene(2)])
     data = video.read_bytes()
     video.write_bytes(with_box(data, path, box))
     with pytest.raises(CaptureError, match=rf"walk\.mp4: {says}"):
@@ -288,12 +270,7 @@ def test_a_video_is_turned_and_mirrored_as_players_show_it(
 
 @pytest.mark.parametrize(("container", "name"), [("matroska", "walk.mp4"), ("mp4", "walk.webm"), ("mp4", "walk.mkv")])
 def test_a_video_is_told_by_its_first_bytes(tmp_path: Path, container: str, name: str) -> None:
-    with av.open(str(tmp_path / name), "w", format=container) as file:
-        stream = file.add_stream("libx264", rate=30)
-        stream.width, stream.height, stream.pix_fmt = 32, 24, "yuv420p"
-        picture = av.VideoFrame.from_ndarray(np.full((24, 32, 3), 128, np.uint8), format="rgb24")
-        file.mux(stream.encode(picture.reformat(format="yuv420p")))
-        file.mux(stream.encode())
+    formats.video(tmp_path / name, [np.full((24, 32, 3), 128, np.uint8)], file={"format": container})
     with VideoFrames(tmp_path / name, name) as frames:
         assert frames.frame(0).image.shape == (24, 32, 3)
 
@@ -301,11 +278,7 @@ def test_a_video_is_told_by_its_first_bytes(tmp_path: Path, container: str, name
 def test_transparent_pixels_of_a_video_are_not_seen(tmp_path: Path) -> None:
     rgba = np.dstack([formats.scene(1)[0].srgb8, np.full((24, 32), 255, np.uint8)])
     rgba[:, :8, 3] = 0
-    with av.open(str(tmp_path / "a.mkv"), "w") as container:
-        stream = container.add_stream("ffv1", rate=30)
-        stream.width, stream.height, stream.pix_fmt = 32, 24, "bgra"
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(rgba, format="rgba").reformat(format="bgra")))
-        container.mux(stream.encode())
+    formats.video(tmp_path / "a.mkv", [rgba], codec="ffv1", stored="bgra", file={"format": "matroska"})
     with VideoFrames(tmp_path / "a.mkv", "a") as frames:
         picture = frames.frame(0)
     assert picture.seen is not None
@@ -314,12 +287,8 @@ def test_transparent_pixels_of_a_video_are_not_seen(tmp_path: Path) -> None:
 
 
 def test_rows_of_two_moments_are_pointed_out(tmp_path: Path) -> None:
-    path = tmp_path / "tv.mp4"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=25, options={"flags": "+ildct+ilme", "x264-params": "tff=1"})
-        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.full((64, 96, 3), 90, np.uint8), format="rgb24")))
-        container.mux(stream.encode())
+    interlaced = {"flags": "+ildct+ilme", "x264-params": "tff=1"}
+    path = formats.video(tmp_path / "tv.mp4", [np.full((64, 96, 3), 90, np.uint8)], rate=25, options=interlaced)
     with VideoFrames(path, "tv") as frames:
         assert "interlaced" in str(frames.frame(0).notes[0])
 
@@ -384,13 +353,8 @@ def test_record3ds_rgbd_video_is_refused(tmp_path: Path, at_end: bool) -> None:
     """Its left half is depth as hues; its JSON is at the end of the file, or a comment before the pictures."""
     path, stated = tmp_path / "walk.mp4", '{"rangeOfEncodedDepth": [0, 3], "intrinsicMatrix": [9]}'
     picture = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
-    with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
-        if not at_end:
-            container.metadata["comment"] = stated
-        stream = container.add_stream("libx264", rate=5, options={"crf": "0"})
-        stream.width, stream.height, stream.pix_fmt = 320, 240, "yuv420p"
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode())
+    comment, file = {} if at_end else {"comment": stated}, {"options": {"movflags": "faststart"}}
+    formats.video(path, [picture], rate=5, options={"crf": "0"}, file=file, metadata=comment)
     if at_end:
         path.write_bytes(path.read_bytes() + stated.encode())
     with pytest.raises(CaptureError, match=r"walk\.mp4: is Record3D's RGBD video.*export the recording as \.r3d"):
@@ -398,13 +362,12 @@ def test_record3ds_rgbd_video_is_refused(tmp_path: Path, at_end: bool) -> None:
 
 
 def test_a_stated_focal_length_is_taken(tmp_path: Path) -> None:
-    path = tmp_path / "phone.mov"
-    with av.open(str(path), "w", format="mov", options={"movflags": "use_metadata_tags"}) as container:
-        container.metadata["com.apple.quicktime.camera.focal_length.35mm_equivalent"] = "26"
-        stream = container.add_stream("libx264", rate=5)
-        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((64, 96, 3), np.uint8), format="rgb24")))
-        container.mux(stream.encode())
+    path = formats.video(
+        tmp_path / "phone.mov",
+        [np.zeros((64, 96, 3), np.uint8)],
+        file={"format": "mov", "options": {"movflags": "use_metadata_tags"}},
+        metadata={"com.apple.quicktime.camera.focal_length.35mm_equivalent": "26"},
+    )
     with VideoFrames(path, "phone") as frames:
         assert frames.focal_35mm == 26
     lens, known = bare_video.BareVideoReader(path, CaptureOptions())._lens(1920, 1080)

@@ -5,7 +5,7 @@ import shutil
 import struct
 import tempfile
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import formats
@@ -26,10 +26,7 @@ VIEWS = formats.scene()
 def repacked(path: Path, change: Callable[[dict[str, bytes]], object]) -> Path:
     members = formats.record3d_members(VIEWS)
     change(members)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in members.items():
-            archive.writestr(name, data)
-    return path
+    return formats.zipped(path, members)
 
 
 def test_depth_of_another_size_than_the_metadata_says(tmp_path: Path) -> None:
@@ -81,13 +78,6 @@ def test_archives_without_metadata_or_pictures(tmp_path: Path) -> None:
         open_capture(tmp_path / "c.r3d")
 
 
-def zipped(archive: Path, members: Mapping[str, bytes]) -> Path:
-    with zipfile.ZipFile(archive, "w") as packed:
-        for name, data in members.items():
-            packed.writestr(name, data)
-    return archive
-
-
 @pytest.mark.parametrize(
     ("kind", "inner"),
     [
@@ -103,7 +93,7 @@ def test_a_zipped_folder_is_read_and_leaves_nothing(
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     files = [file for file in folder.rglob("*") if file.is_file()]
     archive = tmp_path / "scan.ZIP"
-    zipped(archive, {f"{inner}{file.relative_to(folder)}": file.read_bytes() for file in files})
+    formats.zipped(archive, {f"{inner}{file.relative_to(folder)}": file.read_bytes() for file in files})
     with zipfile.ZipFile(archive, "a") as packed:
         packed.writestr("__MACOSX/._scan", b"x")
     for _ in range(2):
@@ -122,10 +112,10 @@ def test_a_zip_of_something_else_is_refused_and_leaves_nothing(tmp_path: Path, m
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     assert open_capture(repacked(tmp_path / "a.zip", lambda _: None)).format == "record3d"  # read in place
     with pytest.raises(UnknownFormatError, match=r"b\.zip: no capture format recognised"):
-        open_capture(zipped(tmp_path / "b.zip", {"notes.txt": b"x", "../../out.txt": b"x", "/out.txt": b"x"}))
+        open_capture(formats.zipped(tmp_path / "b.zip", {"notes.txt": b"x", "../../out.txt": b"x", "/out.txt": b"x"}))
     with pytest.raises(UnknownFormatError, match=r"many\.epub: no capture format recognised"):
-        open_capture(zipped(tmp_path / "many.epub", {"0.html": b"x"}))
-    (tmp_path / "c.zip").write_bytes(zipped(tmp_path / "d.zip", {"a": bytes(99)}).read_bytes()[:-9])
+        open_capture(formats.zipped(tmp_path / "many.epub", {"0.html": b"x"}))
+    (tmp_path / "c.zip").write_bytes(formats.zipped(tmp_path / "d.zip", {"a": bytes(99)}).read_bytes()[:-9])
     with pytest.raises(CaptureError, match=r"c\.zip: does not unpack .*export it again"):
         open_capture(tmp_path / "c.zip")
     free = shutil.disk_usage(tmp_path)._replace(free=98)
@@ -147,7 +137,7 @@ def test_names_in_utf8_without_the_flag_are_read(tmp_path: Path, name: str) -> N
         (folder / "transforms.json").write_bytes(index)
         assert renamed.is_file()
         files = {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
-    archive = zipped(tmp_path / name, {f"Küche/{member}": data for member, data in files.items()})
+    archive = formats.zipped(tmp_path / name, {f"Küche/{member}": data for member, data in files.items()})
     data = bytearray(archive.read_bytes())
     for mark, flags in ((b"PK\x03\x04", 7), (b"PK\x01\x02", 9)):
         at = -1
@@ -165,7 +155,7 @@ def test_what_is_said_of_a_zip_names_the_zip(tmp_path: Path) -> None:
     exif[ExifTags.Base.Orientation] = 3
     Image.fromarray(VIEWS[0].srgb8).save(folder / "frame-000000.color.jpg", exif=exif)
     (folder / "frame-000008.color.jpg").write_bytes(b"x")
-    archive = zipped(tmp_path / "a.zip", {f"scan/{file.name}": file.read_bytes() for file in folder.iterdir()})
+    archive = formats.zipped(tmp_path / "a.zip", {f"scan/{file.name}": file.read_bytes() for file in folder.iterdir()})
     frames = list(capture := open_capture(archive))
     with pytest.raises(FrameError) as refused:
         capture.frame_at(2)
@@ -179,7 +169,7 @@ def test_what_is_said_of_a_zip_names_the_zip(tmp_path: Path) -> None:
 
 def test_what_is_said_of_a_zipped_video_names_the_zip(tmp_path: Path) -> None:
     formats.video(tmp_path / "walk.mp4", [np.zeros((24, 32, 3), np.uint8)] * 3)
-    archive = zipped(tmp_path / "a.zip", {"walk.mp4": (tmp_path / "walk.mp4").read_bytes()})
+    archive = formats.zipped(tmp_path / "a.zip", {"walk.mp4": (tmp_path / "walk.mp4").read_bytes()})
     capture = open_capture(archive)
     with pytest.raises(CaptureError, match=f"the first is {re.escape(str(archive))}/walk.mp4: frame 0"):
         list(capture)

@@ -1,5 +1,6 @@
 """Every rule for bad input: the frame is skipped or the capture refused, and the message names file and reason."""
 
+import json
 import os
 import re
 import struct
@@ -93,12 +94,12 @@ def test_a_zero_quaternion_and_a_missing_column(tmp_path: Path) -> None:
 
 def test_a_lost_pose_of_seven_scenes(tmp_path: Path) -> None:
     path = formats.seven_scenes(tmp_path / "capture", VIEWS)
-    (path / "frame-000004.pose.txt").write_text("-1.#IND 0 0 0\n" * 4)
-    one_skipped(path, 1, "frame-000004.pose.txt", "not a number")
-    (path / "frame-000004.pose.txt").write_text("nan nan nan nan\n" * 4)
-    one_skipped(path, 1, "frame-000004.pose.txt", "lost tracking")
-    (path / "frame-000004.pose.txt").unlink()
-    one_skipped(path, 1, "frame-000004.pose.txt", "No such file")
+    pose = path / "frame-000004.pose.txt"
+    for row, says in (("-1.#IND 0 0 0\n", "not a number"), ("nan nan nan nan\n", "lost tracking")):
+        pose.write_text(row * 4)
+        one_skipped(path, 1, pose.name, says)
+    pose.unlink()
+    one_skipped(path, 1, pose.name, "No such file")
 
 
 def test_a_missing_depth_file_and_a_frame_without_depth(transforms: Path) -> None:
@@ -204,16 +205,14 @@ def test_links_may_lead_only_inside_the_folder(transforms: Path) -> None:
     assert len(list(open_capture(transforms))) == 4
 
 
-def test_an_index_that_links_out_refuses_the_capture(transforms: Path) -> None:
-    (transforms / "transforms.json").rename(transforms.parent / "elsewhere.json")
-    (transforms / "transforms.json").symlink_to(transforms.parent / "elsewhere.json")
-    with pytest.raises(CaptureError, match=r"transforms\.json: leads out"):
-        open_capture(transforms)
-
-
-def test_a_probe_that_leads_out_refuses_the_capture(transforms: Path) -> None:
-    edit(transforms / "transforms.json", lambda index: index["probes"][0].update(file_path="../../x.exr"))
+def test_an_index_or_a_probe_that_leads_out_refuses_the_capture(transforms: Path) -> None:
+    index = transforms / "transforms.json"
+    edit(index, lambda stated: stated["probes"][0].update(file_path="../../x.exr"))
     with pytest.raises(CaptureError, match="probe's panorama"):
+        open_capture(transforms)
+    index.rename(transforms.parent / "elsewhere.json")
+    index.symlink_to(transforms.parent / "elsewhere.json")
+    with pytest.raises(CaptureError, match=r"transforms\.json: leads out"):
         open_capture(transforms)
 
 
@@ -255,20 +254,33 @@ def test_a_folder_or_a_pipe_in_place_of_a_file(transforms: Path) -> None:
         (b'{"frames": []}', "no frames|intrinsics"),
         (b'{"frames": [{}]}', "neither fl_x"),
         (b'{"frames": [{"depth_path": "x"}]}', "neither fl_x"),
-        (b'{"fl_x": 0, "frames": [{"depth_path": "x"}]}', "fl_x is 0"),
-        (b'{"fl_x": NaN, "frames": [{"depth_path": "x"}]}', "fl_x is nan"),
-        (b'{"fl_x": 1, "w": 1e12, "frames": [{"depth_path": "x"}]}', "w is 1e"),
-        (b'{"fl_x": 1, "w": 2.5, "frames": [{"depth_path": "x"}]}', "w is 2.5"),
-        (b'{"fl_x": 1, "world_up": "w", "frames": [{"depth_path": "x"}]}', "world_up is 'w'"),
-        (b'{"fl_x": 1, "world_up": [0, 0, 0], "frames": [{"depth_path": "x"}]}', "world_up"),
-        (b'{"fl_x": 1, "world_up": 3, "frames": [{"depth_path": "x"}]}', "world_up"),
-        (b'{"fl_x": 1, "depth_unit_scale_factor": -1, "frames": [{"depth_path": "x"}]}', "depth_unit_scale_factor"),
-        (b'{"fl_x": 1, "probes": [{"position": [1, 2]}], "frames": [{"depth_path": "x"}]}', "position"),
-        (b'{"fl_x": 1, "probes": [{"position": [1, 2, NaN]}], "frames": [{"depth_path": "x"}]}', "position"),
     ],
 )
 def test_a_broken_index_refuses_the_capture(transforms: Path, data: bytes, says: str) -> None:
     (transforms / "transforms.json").write_bytes(data)
+    with pytest.raises(CaptureError, match=says) as raised:
+        open_capture(transforms)
+    assert str(transforms) in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"fl_x": 0}, "fl_x is 0"),
+        ({"fl_x": NAN}, "fl_x is nan"),
+        ({"w": 1e12}, "w is 1e"),
+        ({"w": 2.5}, "w is 2.5"),
+        ({"world_up": "w"}, "world_up is 'w'"),
+        ({"world_up": [0, 0, 0]}, "world_up"),
+        ({"world_up": 3}, "world_up"),
+        ({"depth_unit_scale_factor": -1}, "depth_unit_scale_factor"),
+        ({"probes": [{"position": [1, 2]}]}, "position"),
+        ({"probes": [{"position": [1, 2, NAN]}]}, "position"),
+    ],
+)
+def test_a_wrong_value_for_all_frames_refuses_the_capture(transforms: Path, keys: dict, says: str) -> None:
+    index = {"fl_x": 1, **keys, "frames": [{"depth_path": "x"}]}
+    (transforms / "transforms.json").write_text(json.dumps(index))
     with pytest.raises(CaptureError, match=says) as raised:
         open_capture(transforms)
     assert str(transforms) in str(raised.value)
@@ -355,27 +367,15 @@ def test_odometry_longer_than_the_video(tmp_path: Path) -> None:
     assert [frame.index for frame in capture] == [0, 3]
 
 
-def test_a_video_of_another_aspect(tmp_path: Path) -> None:
-    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
-    (path / "camera_matrix.csv").write_text("1600, 0, 965\n0, 1600, 715\n0, 0, 1")
-    import av
-
-    with av.open(str(path / "rgb.mp4"), "w", format="mp4") as container:
-        stream = container.add_stream("libx264", rate=30)
-        stream.width, stream.height, stream.pix_fmt = 64, 24, "yuv420p"
-        for _ in range(4):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((24, 64, 3), np.uint8), format="rgb24")))
-        container.mux(stream.encode())
-    with pytest.raises(CaptureError, match=r"64 x 24.*another aspect"):
-        list(open_capture(path))
-
-
-def test_a_video_of_an_unknown_codec_refuses_the_capture(tmp_path: Path) -> None:
-    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
-    data = (path / "rgb.mp4").read_bytes()
-    (path / "rgb.mp4").write_bytes(data.replace(b"avc1", b"zzzz"))
+def test_a_video_of_another_aspect_or_an_unknown_codec_refuses_the_capture(stray: Path) -> None:
+    data = (stray / "rgb.mp4").read_bytes()
+    (stray / "rgb.mp4").write_bytes(data.replace(b"avc1", b"zzzz"))
     with pytest.raises(CaptureError, match=r"rgb\.mp4"):
-        list(open_capture(path))
+        list(open_capture(stray))
+    (stray / "camera_matrix.csv").write_text("1600, 0, 965\n0, 1600, 715\n0, 0, 1")
+    formats.video(stray / "rgb.mp4", [np.zeros((24, 64, 3), np.uint8)] * 4)
+    with pytest.raises(CaptureError, match=r"64 x 24.*another aspect"):
+        list(open_capture(stray))
 
 
 def test_a_truncated_video_loses_only_its_end(tmp_path: Path) -> None:

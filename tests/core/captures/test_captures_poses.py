@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -30,14 +31,21 @@ def walk(count: int = 7) -> list[np.ndarray]:
     return poses
 
 
+@cache
+def pictures(number: int) -> tuple[bytes, bytes]:
+    """The walk's picture and depth of this number."""
+    frame = box_room.frame(number, walk(number + 1)[-1], depth=True, lens=CAMERA)
+    depth_mm = np.rint(1000 * frame.depth_m).astype(np.uint16)
+    return formats.image(".png", linear_to_srgb8(frame.image)), formats.image(".png", depth_mm)
+
+
 def written(path: Path, stored: Callable[[np.ndarray], np.ndarray], count: int = 7, **keys: object) -> Path:
     """Write the walk as a transforms.json whose world is y-up, with its poses stored in some way."""
     path.mkdir()
     frames = []
     for number, pose in enumerate(walk(count)):
-        frame = box_room.frame(number, pose, depth=True, lens=CAMERA)
-        cv2.imwrite(str(path / f"{number}.png"), linear_to_srgb8(frame.image)[..., ::-1])
-        cv2.imwrite(str(path / f"d{number}.png"), np.rint(1000 * frame.depth_m).astype(np.uint16))
+        for name, data in zip((f"{number}.png", f"d{number}.png"), pictures(number), strict=True):
+            (path / name).write_bytes(data)
         files = {"file_path": f"{number}.png", "depth_file_path": f"d{number}.png"}
         frames.append(files | {"transform_matrix": stored(pose).tolist()})
     lens = {"fl_x": 140, "fl_y": 140, "cx": 80, "cy": 60, "w": 160, "h": 120, "world_up": "y"}

@@ -1,7 +1,7 @@
 """Every reader gives the same frames of the same room, in RoomLight's conventions, from that format's own bytes."""
 
 import sqlite3
-import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from builders import BUILDERS, FORMAT_OF
 from capture_checks import edit, first_of
+from damage import copied
 
 from roomlight.captures import FORMATS, Capture, CaptureOptions, open_capture
 from roomlight.conventions import srgb8_to_linear
@@ -68,15 +69,18 @@ def test_every_and_max_frames_select_records_by_their_own_index(built: tuple[str
         assert capture.frames_per_second == pytest.approx(15, rel=1e-3)
 
 
-def test_a_capture_can_be_read_repeatedly(built: tuple[str, Path]) -> None:
+def test_a_capture_can_be_read_repeatedly_and_by_two_passes_at_once(built: tuple[str, Path]) -> None:
     _, path = built
     capture = open_capture(path)
-    first, again = list(capture), list(capture)
-    assert [frame.index for frame in again] == [frame.index for frame in first] == list(range(4))
-    for one, same in zip(first, again, strict=True):
-        np.testing.assert_array_equal(same.image, one.image)
-        np.testing.assert_array_equal(same.depth_m, one.depth_m)
-    np.testing.assert_array_equal(capture.frame_at(2).image, first[2].image)
+    one, other = iter(capture), iter(capture)
+    begun = [(next(one), next(other)) for _ in range(2)]
+    whole, *passes = list(capture), [begun[0][1], begun[1][1], *other], [begun[0][0], begun[1][0], *one]
+    for again in (whole, *passes):
+        assert [frame.index for frame in again] == [0, 1, 2, 3]
+        for frame, same in zip(whole, again, strict=True):
+            np.testing.assert_array_equal(same.image, frame.image)
+            np.testing.assert_array_equal(same.depth_m, frame.depth_m)
+    np.testing.assert_array_equal(capture.frame_at(2).image, whole[2].image)
     with pytest.raises(FrameError, match="no frame 4; frames are 0 to 3"):
         capture.frame_at(4)
 
@@ -159,32 +163,28 @@ def test_unknown_format_names_and_paths(tmp_path: Path) -> None:
         with pytest.raises(CaptureError, match=message):
             open_capture(tmp_path / name)
     images = tmp_path / "images"
-    for name in ("photo.jpg", "depth.png"):
-        formats.save(images / name, b"")
-    with pytest.raises(UnknownFormatError, match=r"holds depth\.png, photo\.jpg without focal .*transforms\.json"):
-        open_capture(images)
-    for number in range(3):
-        formats.save(images / f"{number}.exr", b"")
-    with pytest.raises(UnknownFormatError, match=r"holds 0\.exr, 1\.exr, 2\.exr and 2 more without"):
-        open_capture(images)
+    for names, listed in (
+        (("photo.jpg", "depth.png"), r"holds depth\.png, photo\.jpg without focal .*transforms\.json"),
+        (("0.exr", "1.exr", "2.exr"), r"holds 0\.exr, 1\.exr, 2\.exr and 2 more without"),
+    ):
+        for name in names:
+            formats.save(images / name, b"")
+        with pytest.raises(UnknownFormatError, match=listed):
+            open_capture(images)
 
 
-def test_frames_are_decoded_one_at_a_time(built: tuple[str, Path]) -> None:
-    _, path = built
+@pytest.mark.parametrize("name", BUILDERS)
+def test_frames_are_decoded_one_at_a_time(name: str, whole: Callable[[str], Path], tmp_path: Path) -> None:
+    path = copied(whole(name), tmp_path)
     if path.suffix == ".sens":  # the last frame's depth does not unpack
-        data = path.read_bytes()
-        path.write_bytes(data[:-20] + bytes(20))
+        path.write_bytes(path.read_bytes()[:-20] + bytes(20))
     elif (path / "bag_0.db3").exists():  # the last depth image lacks its end
         with sqlite3.connect(path / "bag_0.db3") as base:
             last = "(SELECT max(id) FROM messages)"
             base.execute(f"UPDATE messages SET data = substr(data, 1, 900) WHERE id = {last}")
         base.close()
     elif path.is_file():  # an archive: cut the last member's picture short instead
-        members = formats.record3d_members(VIEWS)
-        members["rgbd/3.jpg"] = b"no picture"
-        with zipfile.ZipFile(path, "w") as archive:
-            for member, data in members.items():
-                archive.writestr(member, data)
+        formats.zipped(path, formats.record3d_members(VIEWS) | {"rgbd/3.jpg": b"no picture"})
     else:
         pictures = [file for file in path.rglob("*.*") if file.suffix in (".png", ".exr")]
         sorted(file for file in pictures if "depth" in str(file.relative_to(path)))[-1].unlink()
@@ -199,20 +199,10 @@ def test_frames_are_decoded_one_at_a_time(built: tuple[str, Path]) -> None:
     assert str(path) in capture.skipped[0].reason
 
 
-def test_images_are_never_read_when_opening(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    paths = [build(tmp_path / name, VIEWS) for name, build in BUILDERS.items()]
+def test_images_are_never_read_when_opening(whole: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = [whole(name) for name in BUILDERS]
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("an image was decoded on opening"))
     assert all(isinstance(open_capture(path), Capture) for path in paths)
-
-
-def test_two_passes_at_once_do_not_disturb_each_other(built: tuple[str, Path]) -> None:
-    _, path = built
-    capture = open_capture(path)
-    first, second = iter(capture), iter(capture)
-    for _ in range(2):
-        np.testing.assert_array_equal(next(first).image, next(second).image)
-    assert len(list(second)) == 2
-    assert [frame.index for frame in first] == [2, 3]
 
 
 # What only one format has
@@ -226,36 +216,32 @@ def test_probes_come_in_our_world(tmp_path: Path) -> None:
     assert native.position == (0.1, 0.2, 0.3)
 
 
-def test_transforms_world_up_key_and_unit(tmp_path: Path) -> None:
-    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
-
+def test_transforms_world_up_key_and_unit(transforms: Path) -> None:
     def change(index: dict) -> None:
         index["world_up"], index["depth_unit_scale_factor"] = "y", 0.002
         for frame, view in zip(index["frames"], VIEWS, strict=True):
             frame["transform_matrix"] = view.pose.tolist()[:3]
 
-    edit(path / "transforms.json", change)
-    frame = next(iter(open_capture(path / "transforms.json")))
+    edit(transforms / "transforms.json", change)
+    frame = first_of(transforms / "transforms.json")
     np.testing.assert_allclose(frame.camera_to_world, VIEWS[0].pose, atol=1e-12)
     np.testing.assert_allclose(frame.depth_m, 2 * VIEWS[0].depth_m, rtol=1e-5)
 
 
-def test_transforms_depth_key_chooses_among_several(tmp_path: Path) -> None:
-    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
+def test_transforms_depth_key_chooses_among_several(transforms: Path) -> None:
     small = cv2.resize(formats.millimetres(VIEWS[0]), (16, 12), interpolation=cv2.INTER_NEAREST)
-    formats.save(path / "lidar.png", formats.image(".png", small))
-    edit(path / "transforms.json", lambda index: [f.update(depth_lidar_file_path="lidar.png") for f in index["frames"]])
-    frame = first_of(path, CaptureOptions(depth_key="depth_lidar_file_path"))
-    assert frame.depth_m.shape == (12, 16)
+    formats.save(transforms / "lidar.png", formats.image(".png", small))
+    keys = {"depth_lidar_file_path": "lidar.png"}
+    edit(transforms / "transforms.json", lambda index: [frame.update(keys) for frame in index["frames"]])
+    assert first_of(transforms, CaptureOptions(depth_key="depth_lidar_file_path")).depth_m.shape == (12, 16)
     with pytest.raises(CaptureError, match=r"depth_radar.*depth_file_path, depth_lidar_file_path"):
-        open_capture(path, CaptureOptions(depth_key="depth_radar"))
+        open_capture(transforms, CaptureOptions(depth_key="depth_radar"))
 
 
-def test_transforms_focal_length_from_the_angle_and_npy_depth(tmp_path: Path) -> None:
-    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
+def test_transforms_focal_length_from_the_angle_and_npy_depth(transforms: Path) -> None:
     millimetres = formats.millimetres(VIEWS[0]).astype(np.int32)
     millimetres[0, 0] = 65535
-    np.save(path / "depth.npy", millimetres)
+    np.save(transforms / "depth.npy", millimetres)
 
     def change(index: dict) -> None:
         for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
@@ -263,22 +249,20 @@ def test_transforms_focal_length_from_the_angle_and_npy_depth(tmp_path: Path) ->
         index["camera_angle_x"] = 2 * np.arctan(0.5 * formats.WIDTH / formats.FX)
         index["frames"][0]["depth_file_path"] = "depth.npy"
 
-    edit(path / "transforms.json", change)
-    frame = first_of(path)
+    edit(transforms / "transforms.json", change)
+    frame = first_of(transforms)
     assert frame.depth_m[0, 0] == 0
-    assert frame.intrinsics.fx == pytest.approx(formats.FX)
-    assert frame.intrinsics.fy == pytest.approx(formats.FX)
-    assert (frame.intrinsics.cx, frame.intrinsics.cy) == (16, 12)
+    k = frame.intrinsics
+    assert (k.fx, k.fy, k.cx, k.cy) == pytest.approx((formats.FX, formats.FX, 16, 12))
     np.testing.assert_allclose(frame.depth_m[1:], VIEWS[0].depth_m[1:], atol=1e-6)
 
 
 @pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
-def test_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
+def test_lens_distortion_is_removed(transforms: Path, model: str) -> None:
     """A plane's depth and a linear colour ramp on it stay what they are where the straightened camera looks."""
-    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
     k1 = -0.08
-    edit(path / "transforms.json", lambda index: index.update(k1=k1, camera_model=model))
-    frames = list(open_capture(path))
+    edit(transforms / "transforms.json", lambda index: index.update(k1=k1, camera_model=model))
+    frames = list(open_capture(transforms))
     assert len(frames) == 4
     frame, view = frames[0], VIEWS[0]
     rays = frame.intrinsics.rays()
@@ -361,11 +345,9 @@ def test_tum_takes_only_what_is_near_in_time(tmp_path: Path) -> None:
     assert "depth.txt" in capture.skipped[0].reason
 
 
-def test_native_exposure_brings_radiance_to_the_reference(tmp_path: Path) -> None:
-    path = formats.roomlight(tmp_path / "capture", VIEWS)
-    edit(path / "capture.json", lambda index: index["frames"][0].update(exposure=2.0))
-    twice = first_of(path).image
-    assert np.abs(twice - srgb8_to_linear(VIEWS[0].srgb8) / 2).mean() < 0.01
+def test_native_exposure_brings_radiance_to_the_reference(native: Path) -> None:
+    edit(native / "capture.json", lambda index: index["frames"][0].update(exposure=2.0))
+    assert np.abs(first_of(native).image - srgb8_to_linear(VIEWS[0].srgb8) / 2).mean() < 0.01
 
 
 @pytest.mark.parametrize("kind", ["nerfstudio", "colmap", "polycam", "record3d-export", "arkitscenes", "roomlight"])

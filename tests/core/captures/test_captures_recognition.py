@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import zipfile
 from pathlib import Path
 
 import formats
@@ -69,12 +68,10 @@ def test_a_folder_or_zip_with_one_recorded_file(tmp_path: Path, kind: str) -> No
     formats.save(recorded.with_name("scene0000_00.txt"), b"axisAlignment = 1")
     capture, zipped = open_capture(tmp_path / "scans"), tmp_path / "a.ZIP"
     assert (capture.format, capture.path, len(list(capture))) == (kind, recorded, 2)
-    with zipfile.ZipFile(zipped, "w") as archive:
-        archive.write(recorded, f"scan/{recorded.name}")
+    formats.zipped(zipped, {f"scan/{recorded.name}": recorded.read_bytes()})
     assert len(list(open_capture(zipped))) == 2
     shutil.copy(recorded, recorded.with_stem("b"))
-    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
-        archive.write(zipped, "scan/a.zip")
+    formats.zipped(tmp_path / "b.zip", {"scan/a.zip": zipped.read_bytes()})
     with pytest.raises(UnknownFormatError, match=r"b\.zip: holds the archive scan/a\.zip; unpack it"):
         open_capture(tmp_path / "b.zip")
     with pytest.raises(UnknownFormatError, match=r"holds 2 captures \(b\.\w+, scene0000_00\.\w+\); open one of them"):
@@ -103,7 +100,6 @@ def test_a_part_of_a_recording_leads_to_the_whole(tmp_path: Path) -> None:
 
 
 def test_errors_of_a_zip_name_the_zip(tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
-        archive.writestr("scene.sens", b"no recording")
+    formats.zipped(tmp_path / "a.zip", {"scene.sens": b"no recording"})
     with pytest.raises(CaptureError, match=f"^{re.escape(str(tmp_path))}/a.zip/scene.sens: is "):
         open_capture(tmp_path / "a.zip")

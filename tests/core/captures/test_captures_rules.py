@@ -4,7 +4,6 @@ import codecs
 import json
 import shutil
 import unicodedata
-import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -505,10 +504,8 @@ def test_a_world_that_is_its_first_camera_is_pointed_out(tmp_path: Path) -> None
 
 def test_archives_and_folders_with_a_folder_above(tmp_path: Path) -> None:
     members = formats.record3d_members(VIEWS)
-    with zipfile.ZipFile(tmp_path / "a.r3d", "w") as archive:
-        for name, data in members.items():
-            archive.writestr(f"2024-05-01/{name}", data)
-            archive.writestr(f"__MACOSX/2024-05-01/._{name.rpartition('/')[2]}", b"x")
+    beside = {f"__MACOSX/2024-05-01/._{name.rpartition('/')[2]}": b"x" for name in members}
+    formats.zipped(tmp_path / "a.r3d", beside | {f"2024-05-01/{name}": data for name, data in members.items()})
     assert len(list(open_capture(tmp_path / "a.r3d"))) == 4
     inner = formats.nerfstudio(tmp_path / "outer/middle/2024-05-01", VIEWS)
     assert open_capture(tmp_path / "outer").path == inner

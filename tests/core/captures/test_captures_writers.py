@@ -1,7 +1,6 @@
 """Writers and readers round-trip, and a partial capture is never read as a complete one."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import formats
@@ -16,30 +15,12 @@ from stray_captures import RecordedFrame, write_stray_scanner
 
 VIEWS = formats.scene()
 CAMERA = Intrinsics(formats.FX, formats.FY, formats.CX, formats.CY, formats.WIDTH, formats.HEIGHT)
-
-
-def add(writer: CaptureWriter, frame: RecordedFrame, *, exposure: float | None = None) -> None:
-    writer.add(
-        srgb8=frame.srgb8,
-        depth_m=frame.depth_m,
-        intrinsics=frame.intrinsics,
-        camera_to_world=frame.camera_to_world,
-        timestamp_s=frame.timestamp_s,
-        confidence=frame.confidence,
-        exposure=exposure,
-    )
+FRAMES = [RecordedFrame(view.srgb8, view.depth_m, CAMERA, view.pose, view.time_s, view.confidence) for view in VIEWS]
 
 
 def add_all(writer: CaptureWriter, *, exposure: float | None = None) -> None:
-    for frame in recorded():
-        add(writer, frame, exposure=exposure)
-
-
-def recorded(**changes: object) -> list[RecordedFrame]:
-    frames = [
-        RecordedFrame(view.srgb8, view.depth_m, CAMERA, view.pose, view.time_s, view.confidence) for view in VIEWS
-    ]
-    return [replace(frame, **changes) for frame in frames]
+    for frame in FRAMES:
+        writer.add(**vars(frame), exposure=exposure)
 
 
 def check(path: Path, *, pose_tolerance: float) -> None:
@@ -72,7 +53,7 @@ def test_native_round_trip_with_probes_and_exposure(tmp_path: Path) -> None:
 
 
 def test_stray_scanner_round_trip(tmp_path: Path) -> None:
-    write_stray_scanner(tmp_path / "capture", iter(recorded()))
+    write_stray_scanner(tmp_path / "capture", iter(FRAMES))
     check(tmp_path / "capture", pose_tolerance=1e-7)
 
 
@@ -108,15 +89,18 @@ def test_an_unfinished_capture_is_unreadable_and_replaced(tmp_path: Path) -> Non
     assert open_capture(tmp_path / "capture").frame_count == 4
 
 
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [({"srgb8": VIEWS[0].srgb8[:20]}, "32 x 20"), ({"camera_to_world": np.eye(4) * np.nan}, "lost tracking")],
+)
+def test_an_invalid_frame_is_not_written(tmp_path: Path, changes: dict[str, np.ndarray], says: str) -> None:
+    with pytest.raises(OutputError, match=says), CaptureWriter(tmp_path / "a") as writer:
+        writer.add(**vars(FRAMES[0]) | changes)
+
+
 def test_invalid_input_to_the_native_writer_is_refused(tmp_path: Path) -> None:
-    view = VIEWS[0]
-    whole = RecordedFrame(view.srgb8, view.depth_m, CAMERA, view.pose)
     with pytest.raises(OutputError, match="at least one frame"), CaptureWriter(tmp_path / "a"):
         pass
-    with pytest.raises(OutputError, match="32 x 20"), CaptureWriter(tmp_path / "a") as writer:
-        add(writer, replace(whole, srgb8=view.srgb8[:20]))
-    with pytest.raises(OutputError, match="lost tracking"), CaptureWriter(tmp_path / "a") as writer:
-        add(writer, replace(whole, camera_to_world=np.eye(4) * np.nan))
     with pytest.raises(OutputError, match="twice as wide"), CaptureWriter(tmp_path / "a") as writer:
         writer.add_probe((0.0, 0.0, 0.0), np.zeros((4, 4, 3), np.float32))
     (tmp_path / "full").mkdir()
@@ -126,7 +110,7 @@ def test_invalid_input_to_the_native_writer_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be created"):
         CaptureWriter(tmp_path / "full/file/capture")
     with CaptureWriter(tmp_path / "b") as writer:
-        add(writer, whole)
+        writer.add(**vars(FRAMES[0]))
         writer.close()  # closing early is closing once
     assert open_capture(tmp_path / "b").frame_count == 1
 

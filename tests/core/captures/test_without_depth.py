@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import zipfile
 from pathlib import Path
 
 import cv2
@@ -39,10 +38,8 @@ def without_depth(name: str, folder: Path) -> Path:
         return tool_formats.ros2_bag(folder, tool_formats.ros_messages(VIEWS, without="aligned_depth"))
     path = BUILDERS[name](folder, VIEWS)
     if path.is_file():
-        with zipfile.ZipFile(path, "w") as archive:
-            for member, data in formats.record3d_members(VIEWS).items():
-                if not member.endswith((".depth", ".conf")):
-                    archive.writestr(member, data)
+        members = formats.record3d_members(VIEWS)
+        formats.zipped(path, {name: members[name] for name in members if not name.endswith((".depth", ".conf"))})
     for file in sorted(path.rglob("*depth*")):
         shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
     for index in (path / "capture.json", path / "transforms.json"):
