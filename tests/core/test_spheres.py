@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from light_rooms import room
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.spheres import (
@@ -15,15 +16,6 @@ from roomlight.spheres import (
 
 MATERIALS: tuple[Material, ...] = ("mirror", "glossy", "matte", "diffuse")
 VIEW = (0.3, -0.2, -1.0)
-
-
-def room(height: int, seed: int = 0) -> np.ndarray:
-    """A smooth dim surrounding, a window of 25 x 25 degrees at radiance 8, and a lamp of 3 degrees at 60."""
-    directions = panorama_directions(height)
-    dim = 0.3 + 0.2 * directions @ np.random.default_rng(seed).normal(size=(3, 3)).astype(np.float32) / 3
-    window = (directions @ np.array([0.6, 0.3, 0.742], np.float32)) > np.cos(np.radians(14))
-    lamp = (directions @ np.array([-0.5, 0.7, -0.51], np.float32)) > np.cos(np.radians(3))
-    return (np.abs(dim) + 8 * window[..., None] + 60 * lamp[..., None]).astype(np.float32)
 
 
 def dense(spheres: SphereRenderer, panorama: np.ndarray, material: Material) -> np.ndarray:

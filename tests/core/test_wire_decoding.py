@@ -74,16 +74,21 @@ def test_every_colour_encoding_decodes_to_linear_light(encoding):
     assert frame.camera_to_world[:3, 3].tolist() == [0.5, 1.5, -2.0]
 
 
-def test_heic_decodes_if_the_decoder_is_installed():
+def heic(rgb, **options):
     stream = io.BytesIO()
-    pillow_heif.from_bytes("RGB", (WIDTH, HEIGHT), RGB.tobytes()).save(stream, format="HEIF", quality=95)
-    frame = decode_frame(message(("heic", stream.getvalue())), 0)
+    height, width = rgb.shape[:2]
+    image = pillow_heif.from_bytes("RGB", (width, height), rgb.tobytes())
+    image.save(stream, format="HEIF", quality=95, **options)
+    return stream.getvalue()
+
+
+def test_heic_decodes_if_the_decoder_is_installed():
+    data = heic(RGB)
+    frame = decode_frame(message(("heic", data)), 0)
     assert np.abs(linear_to_srgb8(frame.image).astype(int) - RGB.astype(int)).max() <= 16
-    small = io.BytesIO()
-    pillow_heif.from_bytes("RGB", (32, 32), bytes(32 * 32 * 3)).save(small, format="HEIF")
-    for data in (small.getvalue(), stream.getvalue()[:-40], stream.getvalue()[:60]):
+    for wrong in (heic(np.zeros((32, 32, 3), np.uint8)), data[:-40], data[:60]):
         with pytest.raises(WireError) as caught:
-            decode_frame(message(("heic", data)), 0)
+            decode_frame(message(("heic", wrong)), 0)
         assert caught.value.field == "colour"
 
 
@@ -101,18 +106,23 @@ def test_transparent_pixels_of_a_png_are_not_seen():
 
 
 @pytest.mark.parametrize("encoding", ["exact", "jpeg", "png"])
-def test_a_mask_is_sent_with_every_encoding(encoding):
+def test_a_mask_and_whether_depth_was_estimated_are_sent_with_every_encoding(encoding):
     seen = np.ones((HEIGHT, WIDTH), bool)
     seen[: HEIGHT // 2] = False
     clipped = np.zeros_like(seen)
     clipped[:, : WIDTH // 2] = True
     own = replace(decode_frame(message(), 0), seen=seen, clipped=clipped)
-    sent = decode_frame(parse(pack_frame(own, colour=encoding)), 0)
-    np.testing.assert_array_equal(sent.seen, seen)
+
+    def sent(**changes):
+        return decode_frame(parse(pack_frame(replace(own, **changes), colour=encoding)), 0)
+
+    np.testing.assert_array_equal(sent().seen, seen)
     if encoding == "exact":
-        np.testing.assert_array_equal(sent.clipped, clipped)
-        np.testing.assert_array_equal(sent.image, own.image)
-    assert decode_frame(parse(pack_frame(replace(own, seen=None), colour=encoding)), 0).seen is None
+        np.testing.assert_array_equal(sent().clipped, clipped)
+        np.testing.assert_array_equal(sent().image, own.image)
+    assert sent(seen=None).seen is None
+    for estimated in (False, True):
+        assert sent(depth_estimated=estimated).depth_estimated is estimated
 
 
 def test_an_unknown_encoding_is_refused():
@@ -120,20 +130,9 @@ def test_an_unknown_encoding_is_refused():
         inspect.unwrap(pack_frame)(decode_frame(message(), 0), colour="webp")
 
 
-@pytest.mark.parametrize("encoding", ["exact", "jpeg"])
-def test_the_wire_says_that_depth_was_estimated(encoding):
-    measured = decode_frame(message(), 0)
-    for estimated in (False, True):
-        sent = parse(pack_frame(replace(measured, depth_estimated=estimated), colour=encoding))
-        assert decode_frame(sent, 0).depth_estimated is estimated
-
-
 def test_the_colour_space_of_heic_counts_on_the_wire_too():
-    stream = io.BytesIO()
-    red = np.broadcast_to(np.array([200, 40, 40], np.uint8), (HEIGHT, WIDTH, 3)).tobytes()
-    image = pillow_heif.from_bytes("RGB", (WIDTH, HEIGHT), red)
-    image.save(stream, format="HEIF", quality=95, color_primaries=12, transfer_characteristics=13)
-    frame = decode_frame(message(("heic", stream.getvalue())), 0)
+    red = np.full((HEIGHT, WIDTH, 3), (200, 40, 40), np.uint8)
+    frame = decode_frame(message(("heic", heic(red, color_primaries=12, transfer_characteristics=13))), 0)
     assert frame.image[..., 0].mean() > 0.62  # 0.578 as sRGB; 0.70 as Display P3
 
 
@@ -171,23 +170,16 @@ def test_unknown_depth_is_zero():
 
 
 @pytest.mark.parametrize("encoding", ["raw", "zstd", "png"])
-def test_depth_of_low_confidence_becomes_unknown(encoding):
+def test_depth_of_low_confidence_becomes_unknown_and_one_beyond_high_is_refused(encoding):
     levels = np.zeros((HEIGHT, WIDTH), np.uint8)
     levels[:, 20:], levels[:, 40:] = 1, 2
-    data = {"raw": levels.tobytes(), "zstd": compress(levels.tobytes()), "png": png(levels)}[encoding]
+    encode = {"raw": np.ndarray.tobytes, "zstd": lambda plane: compress(plane.tobytes()), "png": png}[encoding]
     for least, known in ((0, 64), (1, 44), (2, 24)):
-        frame = decode_frame(message(confidence=(encoding, data)), 0, min_confidence=least)
+        frame = decode_frame(message(confidence=(encoding, encode(levels))), 0, min_confidence=least)
         assert (frame.depth_m[0] > 0).sum() == known
-
-
-@pytest.mark.parametrize("encoding", ["raw", "zstd", "png"])
-def test_a_confidence_beyond_high_is_refused(encoding):
-    """255 counted as high."""
-    levels = np.ones((HEIGHT, WIDTH), np.uint8)
     levels[7, 9] = 255
-    data = {"raw": levels.tobytes(), "zstd": compress(levels.tobytes()), "png": png(levels)}[encoding]
     with pytest.raises(WireError, match=r"must be 0 \(low\), 1 \(medium\) or 2 \(high\); got a pixel of 255"):
-        decode_frame(message(confidence=(encoding, data)), 0)
+        decode_frame(message(confidence=(encoding, encode(levels))), 0)
 
 
 def test_exposure_drifts_where_nothing_states_it():

@@ -1,5 +1,6 @@
 """Reading sequences by number, and as a stream: every sequence once, in an order given by the seed."""
 
+import shutil
 from collections.abc import Generator
 from itertools import pairwise
 from pathlib import Path
@@ -31,8 +32,7 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def one_damaged(folder, tmp_path):
     """A copy whose sequence 9 has a flipped byte."""
-    for path in folder.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     tar = tmp_path / "train-00002.tar"
     damaged = bytearray(tar.read_bytes())
     damaged[read_index(tar).entries[1].offset + 5000] ^= 64
@@ -129,8 +129,7 @@ def test_damage_to_one_sequence_leaves_the_others_readable(one_damaged):
 
 
 def test_a_tail_that_is_being_written_is_not_seen(folder, tmp_path):
-    for path in folder.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     last = tmp_path / "train-00005.tar"
     lines = index_path(last).read_bytes()
     index_path(last).write_bytes(lines[:-20])

@@ -31,9 +31,10 @@ def png(pixels: np.ndarray, *chunks: bytes) -> bytes:
     return data[:33] + b"".join(chunks) + data[33:]
 
 
-def saved(kind: str, pixels: np.ndarray = RED, **extra: object) -> bytes:
+def saved(kind: str, pixels: np.ndarray | Image.Image = RED, **extra: object) -> bytes:
     stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, kind, **extra)
+    image = Image.fromarray(pixels) if isinstance(pixels, np.ndarray) else pixels
+    image.save(stream, kind, **extra)
     return stream.getvalue()
 
 
@@ -168,15 +169,12 @@ def test_oblong_pixels_of_radiance_are_said() -> None:
 
 
 def test_cmyk_is_read_and_said() -> None:
-    stream = io.BytesIO()
-    Image.fromarray(RED).convert("CMYK").save(stream, "JPEG", quality=98)
-    picture = decode_picture(stream.getvalue(), "x")
+    cmyk = Image.fromarray(RED).convert("CMYK")
+    picture = decode_picture(saved("JPEG", cmyk, quality=98), "x")
     assert picture.image[4, 4, 0] > 0.4
     (note,) = picture.notes
     assert "x: its pixels are CMYK, and no profile" in str(note)
-    stream = io.BytesIO()
-    Image.fromarray(RED).convert("CMYK").save(stream, "TIFF")
-    (note,) = decode_picture(as_png(stream.getvalue(), "x", max_pixels=64), "x").notes
+    (note,) = decode_picture(as_png(saved("TIFF", cmyk), "x", max_pixels=64), "x").notes
     assert "colours are not sRGB" in str(note)
 
 
@@ -245,12 +243,9 @@ def test_alpha_in_every_way_of_png() -> None:
     pixels = np.dstack([RED, np.full((8, 8), 255, np.uint8)])
     pixels[:4, :, 3] = 0
     grey = np.dstack([RED[..., 0], pixels[..., 3]])
-    palette = Image.fromarray(pixels).quantize(8)
-    stream = io.BytesIO()
-    palette.save(stream, "PNG")
-    keyed = cv2.imencode(".png", np.where(pixels[..., 3:] > 0, RED, 0)[..., ::-1])[1].tobytes()
-    keyed = keyed[:33] + chunk(b"tRNS", bytes(6)) + keyed[33:]
-    for data in (saved("PNG", pixels), saved("PNG", grey), stream.getvalue(), keyed):
+    palette = saved("PNG", Image.fromarray(pixels).quantize(8))
+    keyed = png(np.where(pixels[..., 3:] > 0, RED, 0), chunk(b"tRNS", bytes(6)))
+    for data in (saved("PNG", pixels), saved("PNG", grey), palette, keyed):
         seen = decode_picture(data, "x").seen
         assert seen is not None
         assert not seen[:4].any()
@@ -266,6 +261,5 @@ def test_what_follows_the_end_mark_is_ignored() -> None:
         video = b"\0\0\0\x18ftypmp42" + bytes(range(256)) * 8
         for trailer in (b"\n", video, b"SEFHk" + bytes(100) + b"SEFT", saved(kind, smooth[:16])):
             np.testing.assert_array_equal(decode_picture(whole + trailer, "x").image, plain)
-    np.testing.assert_array_equal(
-        decode_picture(saved("JPEG", smooth)[:-2], "x").image, decode_picture(saved("JPEG", smooth), "x").image
-    )
+    jpeg = saved("JPEG", smooth)
+    np.testing.assert_array_equal(decode_picture(jpeg[:-2], "x").image, decode_picture(jpeg, "x").image)

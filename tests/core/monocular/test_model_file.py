@@ -26,11 +26,49 @@ def run(path: Path) -> tuple[DepthModelFile, np.ndarray]:
     return model, answer.inverse
 
 
-def test_metric_depth_is_taken_as_it_is(tmp_path: Path) -> None:
-    model, inverse = run(
-        write_depth_model(tmp_path / "depth_anything_v2_metric_indoor.onnx", {"predicted_depth": TRUTH[None]})
-    )
-    assert model.kind == "metric"
+Graph = dict[str, Any]
+ZEROS, LENS_OF = np.zeros((1, 1, *SIZE)), np.eye(3)[None]
+SMALL = LENS.resized(SIZE[1], SIZE[0])
+POINTS = SMALL.rays() * np.array([1, -1, -1]) * TRUTH[..., None]
+
+
+def of_focal_length(focal_px: float) -> np.ndarray:
+    """The room's depth as a network answers that is for this focal length."""
+    return TRUTH[None] * focal_px / (LENS.fx * np.sqrt(SIZE[1] / LENS.width * SIZE[0] / LENS.height))
+
+
+@pytest.mark.parametrize(
+    ("name", "outputs", "graph", "kind"),
+    [
+        ("depth_anything_v2_metric_indoor", {"predicted_depth": TRUTH[None]}, {}, "metric"),
+        ("depth_anything_v2_vits_indoor_dynamic", {"depth": TRUTH[None]}, {}, "metric"),
+        ("depth_pro", {"predicted_depth": TRUTH[None], "focallength_px": np.array([300.0])}, {}, "metric"),
+        ("unidepth", {"depth": TRUTH[None, None], "confidence": ZEROS, "intrinsics": LENS_OF}, {}, "metric"),
+        ("u", {"out_K": LENS_OF, "depth": TRUTH[None, None], "depth_ssi": ZEROS, "confidence": ZEROS}, {}, "metric"),
+        (  # the coordinates first
+            "u",
+            {"pts_3d": np.moveaxis(POINTS, -1, 0)[None], "confidence": ZEROS, "intrinsics": LENS_OF},
+            {"picture": "rgbs"},
+            "metric",
+        ),
+        ("da3", {"depth": TRUTH[None, None], "depth_conf": ZEROS + 1}, {"shape": (1, 1, 3, *SIZE)}, "scale"),
+        ("da3_large", {"depth": TRUTH[None, None], "sky": ZEROS, "intrinsics": LENS_OF}, {}, "scale"),
+        ("da3_nested_metric", {"depth": TRUTH[None, None], "sky": ZEROS}, {}, "metric"),
+        ("da3metric_large", {"depth": of_focal_length(300), "sky": ZEROS}, {}, "metric"),
+        ("metric3d_vit_small", {"pred_depth": of_focal_length(1000)}, {}, "metric"),
+        (
+            "vit_small",
+            {"predicted_depth": of_focal_length(1000), "predicted_normal": np.zeros((1, 3, *SIZE))},
+            {},
+            "metric",
+        ),
+    ],
+)
+def test_exports_are_told_by_their_names_and_outputs(
+    tmp_path: Path, name: str, outputs: dict[str, np.ndarray], graph: Graph, kind: str
+) -> None:
+    model, inverse = run(write_depth_model(tmp_path / f"{name}.onnx", outputs, **graph))
+    assert model.kind == kind
     assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
 
 
@@ -40,65 +78,9 @@ def test_relative_depth_is_inverse(tmp_path: Path) -> None:
     assert np.allclose(inverse, 7 / TRUTH + 2, rtol=1e-4)
 
 
-def test_depth_anything_3_is_depth_up_to_scale_with_an_axis_of_views(tmp_path: Path) -> None:
-    outputs = {"depth": 3 * TRUTH[None, None], "depth_conf": np.ones((1, 1, *SIZE))}
-    model, inverse = run(write_depth_model(tmp_path / "da3.onnx", outputs, shape=(1, 1, 3, *SIZE)))
-    assert model.kind == "scale"
-    assert np.allclose(inverse, 1 / (3 * TRUTH), rtol=1e-4)
-
-
-ZEROS, LENS_OF = np.zeros((1, 1, *SIZE)), np.eye(3)[None]
-
-
-@pytest.mark.parametrize(
-    ("name", "outputs", "kind"),
-    [
-        ("depth_pro", {"predicted_depth": TRUTH[None], "focallength_px": np.array([300.0])}, "metric"),
-        ("unidepth", {"depth": TRUTH[None, None], "confidence": ZEROS, "intrinsics": LENS_OF}, "metric"),
-        ("u", {"out_K": LENS_OF, "depth": TRUTH[None, None], "depth_ssi": ZEROS, "confidence": ZEROS}, "metric"),
-        ("depth_anything_v2_vits_indoor_dynamic", {"depth": TRUTH[None]}, "metric"),
-        ("da3_large", {"depth": TRUTH[None, None], "sky": ZEROS, "intrinsics": LENS_OF}, "scale"),
-        ("da3_nested_metric", {"depth": TRUTH[None, None], "sky": ZEROS}, "metric"),
-    ],
-)
-def test_exports_are_told_by_their_other_outputs(
-    tmp_path: Path, name: str, outputs: dict[str, np.ndarray], kind: str
-) -> None:
-    model, inverse = run(write_depth_model(tmp_path / f"{name}.onnx", outputs))
-    assert model.kind == kind
-    assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
-
-
-def test_points_of_unidepth_are_metric_with_the_coordinates_first(tmp_path: Path) -> None:
-    points = LENS.resized(SIZE[1], SIZE[0]).rays() * np.array([1, -1, -1]) * TRUTH[..., None]
-    outputs = {"pts_3d": np.moveaxis(points, -1, 0)[None], "confidence": ZEROS, "intrinsics": LENS_OF}
-    model, inverse = run(write_depth_model(tmp_path / "u.onnx", outputs, picture="rgbs"))
-    assert model.kind == "metric"
-    assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("name", "output", "focal_px", "beside"),
-    [
-        ("vit_small", "predicted_depth", 1000, {"predicted_normal": np.zeros((1, 3, *SIZE))}),
-        ("metric3d_vit_small", "pred_depth", 1000, {}),
-        ("da3metric_large", "depth", 300, {"sky": ZEROS}),
-    ],
-)
-def test_metric3d_and_depth_anything_3_are_for_their_own_focal_length(
-    tmp_path: Path, name: str, output: str, focal_px: float, beside: dict[str, np.ndarray]
-) -> None:
-    canonical = TRUTH * focal_px / (LENS.fx * np.sqrt(SIZE[1] / LENS.width * SIZE[0] / LENS.height))
-    model, inverse = run(write_depth_model(tmp_path / f"{name}.onnx", {output: canonical[None], **beside}))
-    assert model.kind == "metric"
-    assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
-
-
 @pytest.mark.parametrize("metric_scale", [None, 2.0])
 def test_points_get_their_shift_from_the_lens(tmp_path: Path, metric_scale: float | None) -> None:
-    lens = LENS.resized(SIZE[1], SIZE[0])
-    points = lens.rays() * np.array([1, -1, -1]) * TRUTH[..., None]
-    points[..., 2] -= 0.9  # MoGe's points are known up to a shift along z
+    points = POINTS - [0, 0, 0.9]  # MoGe's points are known up to a shift along z
     outputs = {"points": points[None] / (metric_scale or 1), "mask": np.ones((1, *SIZE))}
     if metric_scale:
         outputs["metric_scale"] = np.array([metric_scale])
@@ -112,8 +94,7 @@ def test_unidepth_takes_the_lens(tmp_path: Path) -> None:
     """The graph multiplies depth by K's first entry, so that the answer shows the K that it was given."""
     picture = helper.make_tensor_value_info("rgbs", TensorProto.FLOAT, [1, 3, *SIZE])
     lens = helper.make_tensor_value_info("K", TensorProto.FLOAT, [1, 3, 3])
-    given = LENS.resized(SIZE[1], SIZE[0])
-    depth = numpy_helper.from_array((TRUTH / given.fx)[None, None].astype(np.float32), "canonical")
+    depth = numpy_helper.from_array((TRUTH / SMALL.fx)[None, None].astype(np.float32), "canonical")
     index = numpy_helper.from_array(np.array([0, 0, 0]), "first")
     nodes = [
         helper.make_node("GatherND", ["K", "first"], ["fx"]),
@@ -127,34 +108,31 @@ def test_unidepth_takes_the_lens(tmp_path: Path) -> None:
     assert np.allclose(inverse, 1 / TRUTH, rtol=1e-4)
 
 
+def halves(left: float, right: float) -> np.ndarray:
+    picture = np.full((240, 320, 3), right, np.float32)
+    picture[:, :160] = left
+    return picture
+
+
 @pytest.mark.parametrize(
-    ("name", "others", "wanted"),
+    ("name", "output", "others", "wanted"),
     [
-        ("v2_indoor", {}, (0.5 - 0.485) / 0.229),
-        ("depth_pro", {"focallength_px": np.array([300.0])}, 0.0),
-        ("unidepth", {"out_K": LENS_OF}, (0.5 - 0.485) / 0.229),
-        ("metric3d", {"predicted_normal": np.zeros((1, 3, *SIZE))}, 127.5),
+        ("v2_indoor", "depth", {}, (0.5 - 0.485) / 0.229),
+        ("depth_pro", "depth", {"focallength_px": np.array([300.0])}, 0.0),
+        ("unidepth", "depth", {"out_K": LENS_OF}, (0.5 - 0.485) / 0.229),
+        ("unidepth", "pts_3d", {}, (0.5 - 0.406) / 0.225),
+        ("metric3d", "depth", {"predicted_normal": np.zeros((1, 3, *SIZE))}, 127.5),
     ],
 )
 def test_pictures_are_normalised_as_the_exports_take_them(
-    tmp_path: Path, name: str, others: dict[str, np.ndarray], wanted: float
+    tmp_path: Path, name: str, output: str, others: dict[str, np.ndarray], wanted: float
 ) -> None:
-    """The graph answers with the red that it was given, and 5 more, so that this is a depth."""
-    path = _echo(tmp_path / f"{name}.onnx", shape=(1, 3, *SIZE), others=others, more=5.0)
-    picture = np.full((240, 320, 3), 0.5, np.float32)
-    picture[:, :160] = 0.4
-    model = DepthModelFile(path)
+    """The graph answers with the colour that it was given, and 5 more, so that this is a depth."""
+    path = _echo(tmp_path / f"{name}.onnx", shape=(1, 3, *SIZE), name=output, others=others, more=5.0)
     focal = np.sqrt(LENS.fx * SIZE[1] / LENS.width * LENS.fy * SIZE[0] / LENS.height)
     scale = focal / 1000 if name == "metric3d" else 1.0
-    assert 1 / model.estimate(picture, LENS).inverse[0, -1] == pytest.approx((wanted + 5) * scale, rel=1e-4)
-
-
-def test_points_of_unidepth_are_of_a_normalised_picture(tmp_path: Path) -> None:
-    path = _echo(tmp_path / "u.onnx", shape=(1, 3, *SIZE), name="pts_3d", more=5.0)
-    picture = np.full((240, 320, 3), 0.5, np.float32)
-    picture[:, :160] = 0.4
-    answer = DepthModelFile(path).estimate(picture, LENS).inverse
-    assert 1 / answer[0, -1] == pytest.approx((0.5 - 0.406) / 0.225 + 5, rel=1e-4)
+    answer = DepthModelFile(path).estimate(halves(0.4, 0.5), LENS).inverse
+    assert 1 / answer[0, -1] == pytest.approx((wanted + 5) * scale, rel=1e-4)
 
 
 def _echo(
@@ -191,9 +169,7 @@ def test_the_sidecar_states_size_and_normalisation(tmp_path: Path) -> None:
     path = _echo(tmp_path / "own.onnx", shape=(1, 3, "height", "width"), kind=TensorProto.FLOAT16)
     stated = {"kind": "inverse", "size": 98, "mean": [10, 0, 0], "deviation": [2, 1, 1], "white": 255}
     path.with_suffix(".json").write_text(json.dumps(stated))
-    grey = np.full((240, 320, 3), 0.5, np.float32)
-    grey[:, :160] = 0.25
-    answer = DepthModelFile(path).estimate(grey, LENS).inverse
+    answer = DepthModelFile(path).estimate(halves(0.25, 0.5), LENS).inverse
     assert answer.shape == (70, 98)  # the longest side as stated, both multiples of 14
     assert answer[0, 0] == pytest.approx((0.25 * 255 - 10) / 2, rel=1e-2)
     assert answer[0, -1] == pytest.approx((0.5 * 255 - 10) / 2, rel=1e-2)
@@ -206,9 +182,7 @@ def test_whole_numbers_and_channels_last_get_the_picture_from_0_to_255(
 ) -> None:
     path = _echo(tmp_path / "own.onnx", shape=shape, kind=kind)
     path.with_suffix(".json").write_text(json.dumps({"kind": "inverse"}))
-    picture = np.full((240, 320, 3), (0.5, 0, 0), np.float32)
-    picture[:, :160, 0] = 0.25
-    answer = DepthModelFile(path).estimate(picture, LENS).inverse
+    answer = DepthModelFile(path).estimate(halves(0.25, 0.5) * np.float32([1, 0, 0]), LENS).inverse
     assert (answer[0, 0], answer[0, -1]) == (64, 128)
 
 
@@ -224,9 +198,6 @@ def test_a_stream_scales_relative_depth_by_a_metric_model(tmp_path: Path) -> Non
     relative = DepthModelFile(write_depth_model(tmp_path / "relative.onnx", {"depth": (7 / TRUTH + 2)[None]}))
     completed = DepthStream(relative, metric).complete(frame(0, pose(0.3)))
     assert np.median(np.abs(completed.depth_m / exact_depth(pose(0.3)) - 1)) < 0.02
-
-
-Graph = dict[str, Any]
 
 
 @pytest.mark.parametrize(

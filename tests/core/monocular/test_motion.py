@@ -35,12 +35,23 @@ class RoomDepth:
 
 
 def _path(
-    poses: list[np.ndarray], *, lens: Intrinsics = LENS, known: bool = True, breathing: float = 0.0
+    poses: list[np.ndarray],
+    pictures: list[np.ndarray] | None = None,
+    *,
+    lens: Intrinsics = LENS,
+    known: bool = True,
+    breathing: float = 0.0,
+    level: bool = True,
 ) -> CameraPath:
+    """The path by pictures, by default those of the room from these poses."""
     motion = CameraMotion(RoomDepth(poses, breathing), lens, focal_is_known=known)
-    for number, at in enumerate(poses):
-        motion.add(number, srgb_picture(frame(number, at)))
-    return motion.path()
+    for number, picture in enumerate(_pictures(poses) if pictures is None else pictures):
+        motion.add(number, picture)
+    return motion.path(level=level)
+
+
+def _pictures(poses: list[np.ndarray]) -> list[np.ndarray]:
+    return [srgb_picture(frame(number, at)) for number, at in enumerate(poses)]
 
 
 def _errors(path: CameraPath, poses: list[np.ndarray]) -> tuple[float, float]:
@@ -77,12 +88,12 @@ def test_a_walk_has_the_network_s_metres() -> None:
 def test_walls_whose_features_look_alike_are_followed() -> None:
     """Each feature has the looks of many others, so that none is recognised."""
     poses = [pose(0.03 * k, turn=0.08 * k) for k in range(10)]
-    motion = CameraMotion(RoomDepth(poses), LENS, focal_is_known=True)
-    for number, at in enumerate(poses):
+    pictures: list[np.ndarray] = []
+    for at in poses:
         points = box_room.hit(at, LENS)[1]
         value = 0.5 + 0.3 * np.sin(6 * points).prod(axis=2) + 0.15 * np.cos(6 * points).sum(axis=2) / 3
-        motion.add(number, np.repeat(value[..., None], 3, axis=2).astype(np.float32))
-    path = motion.path()
+        pictures.append(np.repeat(value[..., None], 3, axis=2).astype(np.float32))
+    path = _path(poses, pictures)
     assert list(path.poses) == list(range(10))
     turn, place = _errors(path, poses)
     assert turn < 2  # of 41
@@ -92,12 +103,9 @@ def test_walls_whose_features_look_alike_are_followed() -> None:
 def test_a_picture_that_shares_too_little_is_lost() -> None:
     """The first one shows a strip alone: cameras are then those of the others, in the axes of the first of these."""
     poses = [pose(0, turn=0.05 * k) for k in range(6)]
-    pictures = [srgb_picture(frame(k, at)) for k, at in enumerate(poses)]
+    pictures = _pictures(poses)
     pictures[0][:, :-60] = 0.5
-    motion = CameraMotion(RoomDepth(poses), LENS, focal_is_known=True)
-    for number, picture in enumerate(pictures):
-        motion.add(number, picture)
-    path = motion.path(level=False)
+    path = _path(poses, pictures, level=False)
     assert list(path.poses) == [1, 2, 3, 4, 5]
     assert "shares too little" in path.lost[0]
     np.testing.assert_allclose(path.poses[1], np.eye(4), atol=1e-9)
@@ -130,24 +138,16 @@ def test_the_focal_length_follows_from_the_motion() -> None:
 
 @pytest.mark.slow
 def test_what_is_lost_says_why() -> None:
-    poses = [pose(0, turn=0.05 * k) for k in range(6)]
-    motion = CameraMotion(RoomDepth([*poses, pose(0, turn=3.0)]), LENS, focal_is_known=True)
-    for number, at in enumerate(poses):
-        motion.add(number, srgb_picture(frame(number, at)))
-    motion.add(6, np.full((240, 320, 3), 0.02, np.float32))
-    motion.add(7, np.full((240, 320, 3), 0.6, np.float32))
-    motion.add(8, srgb_picture(frame(8, pose(0, turn=3.0))))  # the other side of the room
-    path = motion.path()
+    poses, behind = [pose(0, turn=0.05 * k) for k in range(6)], pose(0, turn=3.0)
+    unusable = [np.full((240, 320, 3), grey, np.float32) for grey in (0.02, 0.6)]
+    path = _path([*poses, behind], [*_pictures(poses), *unusable, srgb_picture(frame(8, behind))])
     assert list(path.poses) == list(range(6))
-    assert "too dark" in path.lost[6]
-    assert "bare wall" in path.lost[7]
-    assert "a cut" in path.lost[8]
+    for number, reason in ((6, "too dark"), (7, "bare wall"), (8, "a cut")):
+        assert reason in path.lost[number]
 
 
 def test_nothing_placed_is_no_error_of_the_path() -> None:
-    motion = CameraMotion(RoomDepth([]), LENS, focal_is_known=True)
-    motion.add(0, np.zeros((240, 320, 3), np.float32))
-    path = motion.path()
+    path = _path([], [np.zeros((240, 320, 3), np.float32)])
     assert path.poses == {}
     assert "too dark" in path.lost[0]
 
