@@ -6,8 +6,10 @@ from pathlib import Path
 
 import formats
 import numpy as np
+import pytest
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
+from roomlight.errors import CaptureError, RoomLightError
 from roomlight.frame import Frame
 
 
@@ -37,6 +39,20 @@ def same_views(
         np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=atol)
         if depth_atol is not None:
             np.testing.assert_allclose(frame.depth_m, view.depth_m, atol=depth_atol)
+
+
+def refused(
+    path: Path, says: str, options: CaptureOptions | None = None, *, error: type[RoomLightError] = CaptureError
+) -> None:
+    """Check that a capture is refused when it is opened."""
+    with pytest.raises(error, match=says):
+        open_capture(path, options)
+
+
+def unreadable(path: Path, says: str, options: CaptureOptions | None = None) -> None:
+    """Check that a capture is refused when its frames are read, if not before."""
+    with pytest.raises(CaptureError, match=says):
+        list(open_capture(path, options))
 
 
 def one_skipped(path: Path, index: int, *parts: str) -> Capture:

@@ -13,7 +13,7 @@ import lzfse
 import numpy as np
 import pytest
 from builders import BUILDERS, FORMAT_OF
-from capture_checks import one_skipped
+from capture_checks import one_skipped, refused
 from PIL import ExifTags, Image
 
 from roomlight.captures import open_capture
@@ -69,13 +69,15 @@ def test_members_are_found_in_another_case(tmp_path: Path) -> None:
 
 
 def test_archives_without_metadata_or_pictures(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"metadata\.json: is not in the archive"):
-        open_capture(repacked(tmp_path / "a.r3d", lambda members: members.pop("metadata")))
-    with pytest.raises(CaptureError, match=r"no rgbd/N\.jpg"):
-        open_capture(repacked(tmp_path / "b.r3d", lambda m: [m.pop(name) for name in list(m) if name.endswith("jpg")]))
+    refused(
+        repacked(tmp_path / "a.r3d", lambda members: members.pop("metadata")), r"metadata\.json: is not in the archive"
+    )
+    refused(
+        repacked(tmp_path / "b.r3d", lambda m: [m.pop(name) for name in list(m) if name.endswith("jpg")]),
+        r"no rgbd/N\.jpg",
+    )
     (tmp_path / "c.r3d").write_bytes(b"PK")
-    with pytest.raises(CaptureError, match=r"c\.r3d: is not a readable zip"):
-        open_capture(tmp_path / "c.r3d")
+    refused(tmp_path / "c.r3d", r"c\.r3d: is not a readable zip")
 
 
 @pytest.mark.parametrize(
@@ -111,17 +113,21 @@ def test_a_zip_of_something_else_is_refused_and_leaves_nothing(tmp_path: Path, m
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     assert open_capture(repacked(tmp_path / "a.zip", lambda _: None)).format == "record3d"  # read in place
-    with pytest.raises(UnknownFormatError, match=r"b\.zip: no capture format recognised"):
-        open_capture(formats.zipped(tmp_path / "b.zip", {"notes.txt": b"x", "../../out.txt": b"x", "/out.txt": b"x"}))
-    with pytest.raises(UnknownFormatError, match=r"many\.epub: no capture format recognised"):
-        open_capture(formats.zipped(tmp_path / "many.epub", {"0.html": b"x"}))
+    refused(
+        formats.zipped(tmp_path / "b.zip", {"notes.txt": b"x", "../../out.txt": b"x", "/out.txt": b"x"}),
+        r"b\.zip: no capture format recognised",
+        error=UnknownFormatError,
+    )
+    refused(
+        formats.zipped(tmp_path / "many.epub", {"0.html": b"x"}),
+        r"many\.epub: no capture format recognised",
+        error=UnknownFormatError,
+    )
     (tmp_path / "c.zip").write_bytes(formats.zipped(tmp_path / "d.zip", {"a": bytes(99)}).read_bytes()[:-9])
-    with pytest.raises(CaptureError, match=r"c\.zip: does not unpack .*export it again"):
-        open_capture(tmp_path / "c.zip")
+    refused(tmp_path / "c.zip", r"c\.zip: does not unpack .*export it again")
     free = shutil.disk_usage(tmp_path)._replace(free=98)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
-    with pytest.raises(CaptureError, match=r"d\.zip: .*holds 99 bytes, and .* has 98 free"):
-        open_capture(tmp_path / "d.zip")
+    refused(tmp_path / "d.zip", r"d\.zip: .*holds 99 bytes, and .* has 98 free")
     assert not any(temporary.iterdir())
     assert not (tmp_path / "out.txt").exists()
 
