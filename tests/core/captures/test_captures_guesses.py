@@ -159,12 +159,6 @@ def test_keys_of_roomlight_s_own_format_that_are_not_read_are_listed(native: Pat
     assert "k1, mask, unit" in note.left_out
 
 
-def test_a_scale_of_depth_under_another_name_is_noted(transforms: Path) -> None:
-    edit(transforms / "transforms.json", lambda index: index.update(depth_scale=1000.0, depth_far=10.0))
-    (note,) = open_capture(transforms).notes
-    assert "depth_far, depth_scale" in note.left_out
-
-
 def test_a_video_with_wide_pixels(stray: Path) -> None:
     expected, video = first_of(stray).image, stray / "rgb.mp4"
     formats.remuxed(video, stray / "new.mp4", lambda stream: setattr(stream, "sample_aspect_ratio", 2)).replace(video)

@@ -261,10 +261,7 @@ def test_two_files_for_a_name_without_a_suffix_are_an_error(transforms: Path) ->
     formats.save(transforms / "images/frame_00001.jpg", formats.image(".jpg", 255 - VIEWS[0].srgb8))
     edit(transforms / "transforms.json", lambda index: index["frames"][0].update(file_path="images/frame_00001"))
     one_skipped(transforms, 0, "is there as frame_00001.png and frame_00001.jpg; name one of them")
-
-
-def test_two_depth_maps_of_an_image_are_an_error(tmp_path: Path) -> None:
-    path = formats.colmap(tmp_path / "capture", VIEWS)
+    path = formats.colmap(transforms.parent / "colmap", VIEWS)
     np.save(path / "depth/frame_00001.npy", VIEWS[0].depth_m)  # beside a picture of it
     one_skipped(path, 0, "is there as frame_00001.png and frame_00001.npy")
 
@@ -332,12 +329,6 @@ def test_times_written_as_text_are_read(transforms: Path, written: Callable[[flo
     np.testing.assert_allclose(np.diff([frame.timestamp_s or 0 for frame in frames]), 0.2, atol=1e-3)
     np.testing.assert_allclose(frames[0].camera_to_world, VIEWS[3].pose, atol=1e-6)
     assert not any("timestamp" in str(note) for note in capture.notes)
-
-
-def test_times_that_are_no_numbers_are_noted(transforms: Path) -> None:
-    edit(transforms / "transforms.json", lambda index: index["frames"][1].update(timestamp="00:01:02;05"))
-    assert [frame.timestamp_s for frame in open_capture(transforms)] == [None] * 4
-    assert any("1 timestamps are no numbers" in note for note in notes_of(transforms))
 
 
 # Masks
@@ -472,11 +463,22 @@ def test_frames_that_are_marked_bad_or_masked_are_skipped(transforms: Path) -> N
     one_skipped(transforms, 2, "no pixel that is seen")
 
 
-def test_keys_that_are_not_read_are_listed_once(transforms: Path) -> None:
-    path = transforms / "transforms.json"
-    edit(path, lambda index: [frame.update(rolling_shutter_s=0.01) for frame in index["frames"]])
-    (note,) = notes_of(transforms)
-    assert "rolling_shutter_s" in note
+@pytest.mark.parametrize(
+    ("frame", "shared", "says"),
+    [
+        ({"rolling_shutter_s": 0.01}, {}, "rolling_shutter_s"),
+        ({"timestamp": "00:01:02;05"}, {}, "4 timestamps are no numbers"),
+        ({}, {"depth_scale": 1000.0, "depth_far": 10.0}, "depth_far, depth_scale"),
+    ],
+)
+def test_what_is_not_read_of_an_index_is_noted_once(transforms: Path, frame: dict, shared: dict, says: str) -> None:
+    edit(
+        transforms / "transforms.json",
+        lambda index: (index.update(shared), [stated.update(frame) for stated in index["frames"]]),
+    )
+    (note,) = notes_of(transforms, frames=4)
+    assert says in note
+    assert [read.timestamp_s for read in open_capture(transforms)] == [None] * 4
 
 
 def test_applied_scale_is_taken_back(transforms: Path) -> None:

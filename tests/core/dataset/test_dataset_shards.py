@@ -32,19 +32,13 @@ def contents(seed, size):
     return np.random.default_rng(seed).bytes(size)
 
 
-def append(shard, number):
-    """Append a small sequence."""
-    name = f"train-{number:06d}"
-    shard.append(name, pack(name, {"a": contents(number, 700 + number)}))
-
-
 def filled(folder, count=3, *, finish=False):
     """Write a shard of small sequences; returns its path and the bytes of both files."""
     folder.mkdir(parents=True, exist_ok=True)
     tar = folder / "train-00000.tar"
     with ShardWriter(tar) as shard:
         for number in range(count):
-            append(shard, number)
+            shard.append(f"train-{number:06d}", pack(f"train-{number:06d}", {"a": contents(number, 700 + number)}))
         if finish:
             shard.finish()
     return tar, tar.read_bytes(), index_path(tar).read_bytes()
@@ -222,7 +216,7 @@ def test_a_finished_shard_can_be_continued(tmp_path):
     with ShardWriter(other) as shard:
         assert shard.names == {"train-000000", "train-000001"}
         for number in range(2, 5):
-            append(shard, number)
+            shard.append(f"train-{number:06d}", pack(f"train-{number:06d}", {"a": contents(number, 700 + number)}))
         assert not is_finished(other, {"train-000000"})
         shard.finish()
     assert other.read_bytes() == tar.read_bytes()
@@ -256,7 +250,7 @@ def test_a_truncated_end_is_removed_and_written_again(tmp_path, monkeypatch):
             there = {"train-000000", "train-000001"} | ({last.name} if finished else set())
             assert shard.names == there, (size, lines_size)
             if last.name not in there:
-                append(shard, 2)
+                shard.append(last.name, pack(last.name, {"a": contents(2, 702)}))
             shard.finish()
         assert tar.read_bytes() == whole, (size, lines_size)
         assert index_path(tar).read_bytes() == lines, (size, lines_size)
