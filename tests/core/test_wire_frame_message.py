@@ -224,6 +224,9 @@ def test_limits_are_checked_before_decoding():
     assert error_of(message(), small).kind == "too-large"
     assert error_of(message(), FrameLimits(max_colour_pixels=11)).field == "intrinsics"
     assert error_of(message(), FrameLimits(max_depth_pixels=11)).field == "depth"
+    line = header_dict(4, 1)
+    line["intrinsics"]["cy"] = 0.5
+    assert error_of(build(line, *parts_of(line))).rule == "at least 2 x 2 pixels"
 
 
 def test_a_raw_part_must_match_its_size_in_pixels():

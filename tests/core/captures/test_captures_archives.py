@@ -4,7 +4,6 @@ import re
 import shutil
 import struct
 import tempfile
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import lzfse
 import numpy as np
 import pytest
 from builders import BUILDERS, FORMAT_OF
-from capture_checks import one_skipped, refused
+from capture_checks import one_skipped, refused, same_views
 from PIL import ExifTags, Image
 
 from roomlight.captures import open_capture
@@ -88,23 +87,19 @@ def test_archives_without_metadata_or_pictures(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_zipped_folder_is_read_and_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, inner: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Callable[[str], Path], kind: str, inner: str
 ) -> None:
-    folder, temporary = BUILDERS[kind](tmp_path / "folder", VIEWS), tmp_path / "temporary"
+    folder, temporary = whole(kind), tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     files = [file for file in folder.rglob("*") if file.is_file()]
-    archive = tmp_path / "scan.ZIP"
-    formats.zipped(archive, {f"{inner}{file.relative_to(folder)}": file.read_bytes() for file in files})
-    with zipfile.ZipFile(archive, "a") as packed:
-        packed.writestr("__MACOSX/._scan", b"x")
-    for _ in range(2):
-        capture = open_capture(archive)
-        assert (capture.format, capture.path) == (FORMAT_OF[kind], archive)
-        poses = [frame.camera_to_world for frame in capture]
-        assert np.allclose(poses, [view.pose for view in VIEWS], atol=1e-4)
-        assert all(file.is_relative_to(temporary) for file in temporary.rglob("*"))
-        del capture
+    members = {f"{inner}{file.relative_to(folder)}": file.read_bytes() for file in files}
+    archive = formats.zipped(tmp_path / "scan.ZIP", members | {"__MACOSX/._scan": b"x"})
+    capture = open_capture(archive)
+    assert (capture.format, capture.path) == (FORMAT_OF[kind], archive)
+    same_views(capture, VIEWS, atol=1e-4)
+    assert all(file.is_relative_to(temporary) for file in temporary.rglob("*"))
+    del capture
     assert not any(temporary.iterdir())
 
 

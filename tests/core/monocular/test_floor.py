@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -29,10 +30,13 @@ def test_the_floor_gives_the_camera_s_height_in_the_unit_of_depth(at: np.ndarray
     assert 0.05 < fit.share <= 1
 
 
-def test_noise_and_holes_of_depth_are_withstood() -> None:
-    at, rng = _tilted(0.3), np.random.default_rng(2)
+@pytest.mark.parametrize(("deviation", "width_px"), [(0.02, 0), (0.08, 20)], ids=["noise", "waves"])
+def test_noise_waves_and_holes_of_depth_are_withstood(deviation: float, width_px: float) -> None:
+    at, rng = _tilted(0.3), np.random.default_rng(3)
     depth = exact_depth(at)
-    depth = depth * np.exp(rng.normal(0, 0.02, depth.shape)).astype(np.float32)
+    error = rng.normal(size=depth.shape)
+    error = cv2.GaussianBlur(error, (0, 0), width_px) if width_px else error
+    depth = depth * np.exp(error * deviation / error.std()).astype(np.float32)
     depth[:, 100:140] = 0
     fit = camera_height(depth, LENS, at[1, :3])
     assert fit is not None
