@@ -119,12 +119,16 @@ def test_a_cut_loses_frames_and_says_so(tmp_path: Path, model: Path, pictures: l
 
 
 @pytest.mark.slow
-def test_pictures_that_do_not_fit_the_others_are_pointed_out(
-    video: Path, model: Path, monkeypatch: pytest.MonkeyPatch
+def test_misfits_a_lens_that_hardly_a_phone_has_and_a_panorama_s_shape_are_pointed_out(
+    tmp_path: Path, model: Path, pictures: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(motion, "MISFIT_PX", 1e-6)
-    notes = notes_of(video, CaptureOptions(depth_model=model, fov_deg=FOV_DEG))
-    assert "5 of 6 pictures, from 0.2 to 1.0 s, do not fit the others" in str(notes)
+    monkeypatch.setattr(bare_video, "USUAL_FOV_DEG", (20.0, 30.0))
+    wide = written(tmp_path / "wide.mp4", [picture[:160] for picture in pictures])
+    notes = str(notes_of(wide, CaptureOptions(depth_model=model)))
+    assert "5 of 6 pictures, from 0.2 to 1.0 s, do not fit the others" in notes
+    assert "fits the pictures best, which is hardly a phone's" in notes
+    assert "twice as wide as high" in notes
 
 
 def test_frames_before_a_cut_without_encoding_are_not_counted(tmp_path: Path) -> None:
@@ -171,21 +175,6 @@ def test_a_camera_whose_lens_bends_lines_is_pointed_out(tmp_path: Path) -> None:
         path, tmp_path / "named.mp4", lambda stream: stream.metadata.update(handler_name="\tGoPro AVC  ")
     )
     assert any("GoPro AVC, whose lens bends" in note.left_out for note in open_capture(named).notes)
-
-
-@pytest.mark.slow
-def test_a_lens_that_hardly_a_phone_has_is_pointed_out(
-    video: Path, model: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(bare_video, "USUAL_FOV_DEG", (20.0, 30.0))
-    notes = notes_of(video, CaptureOptions(depth_model=model))
-    assert "fits the pictures best, which is hardly a phone's" in str(notes)
-
-
-@pytest.mark.slow
-def test_a_video_of_a_panorama_s_shape_is_pointed_out(tmp_path: Path, model: Path) -> None:
-    wide = written(tmp_path / "wide.mp4", [linear_to_srgb8(frame(k, at).image)[:160] for k, at in enumerate(POSES)])
-    assert "twice as wide as high" in str(notes_of(wide, CaptureOptions(depth_model=model)))
 
 
 def boxed(kind: str, body: bytes) -> bytes:

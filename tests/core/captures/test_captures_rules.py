@@ -361,39 +361,27 @@ def test_transparent_and_masked_pixels_are_not_seen(transforms: Path) -> None:
         assert frame.image[hidden].min() > 0.02  # the colour around, not black
 
 
-def test_angles_of_view_that_differ_give_pixels_that_are_not_square(transforms: Path) -> None:
-    def change(index: dict) -> None:
-        for key in ("fl_x", "fl_y"):
-            index.pop(key, None)
-            for frame in index["frames"]:
-                frame.pop(key, None)
-        index.update(camera_angle_x=1.0, camera_angle_y=0.5)
-
-    edit(transforms / "transforms.json", change)
+@pytest.mark.parametrize("keys", [("camera_angle_x", "camera_angle_y"), ("x_fov", "y_fov")], ids=["radians", "degrees"])
+def test_angles_of_view_that_differ_give_pixels_that_are_not_square(transforms: Path, keys: tuple[str, str]) -> None:
+    angles = (1.0, 0.5) if keys[0] == "camera_angle_x" else np.degrees((1.0, 0.5)).tolist()
+    edit(transforms / "transforms.json", lambda index: (index.pop("fl_x"), index.pop("fl_y")))
+    edit(transforms / "transforms.json", lambda index: index.update(zip(keys, angles, strict=True)))
     camera = first_of(transforms).intrinsics
     assert camera.fx == pytest.approx(camera.width / 2 / np.tan(0.5))
     assert camera.fy == pytest.approx(camera.height / 2 / np.tan(0.25))
 
 
 def test_what_instant_ngp_reads_besides_is_read(transforms: Path) -> None:
-    """Angles in degrees, comments, a BMP without its suffix."""
-
-    def change(index: dict) -> None:
-        for key in ("fl_x", "fl_y"):
-            del index[key]
-        index.update(x_fov=60.0, y_fov=48.0, note='a "//" /* b')
-        index["frames"][0]["file_path"] = "images/frame_00001"
-
-    edit(transforms / "transforms.json", change)
-    text = (transforms / "transforms.json").read_text()
-    (transforms / "transforms.json").write_text("// written by hand\n/* also\nthis */" + text + "/* open")
+    """Comments, a BMP without its suffix."""
+    path = transforms / "transforms.json"
+    edit(path, lambda index: index.update(x_fov=60.0, note='a "//" /* b'))
+    edit(path, lambda index: index["frames"][0].update(file_path="images/frame_00001"))
+    text = path.read_text()
+    path.write_text("// written by hand\n/* also\nthis */" + text + "/* open")
     formats.save(transforms / "images/frame_00001.bmp", formats.image(".bmp", VIEWS[0].srgb8))
     (transforms / "images/frame_00001.png").unlink()
-    frame, *_ = frames = list(open_capture(transforms))
-    assert len(frames) == 4
-    assert frame.intrinsics.fx == pytest.approx(16 / np.tan(np.pi / 6))
-    assert frame.intrinsics.fy == pytest.approx(12 / np.tan(np.radians(24)))
-    (transforms / "transforms.json").write_text(text.replace("60.0", "180.0"))
+    notes_of(transforms, frames=4)
+    path.write_text(text.replace("fl_", "other_").replace("60.0", "180.0"))
     unreadable(transforms, r"x_fov is 180\.0; it must be below 180 degrees")
 
 
