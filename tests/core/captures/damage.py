@@ -167,7 +167,7 @@ def copied(original: Path, folder: Path) -> Path:
     """Copy a capture (folder or archive)."""
     path = folder / original.name
     folder.mkdir(parents=True, exist_ok=True)
-    return shutil.copytree(original, path) if original.is_dir() else shutil.copy(original, path)
+    return Path(shutil.copytree(original, path) if original.is_dir() else shutil.copy(original, path))
 
 
 def damaged(original: Path, scratch: Path, rng: random.Random) -> Path:

@@ -171,16 +171,16 @@ def video(
     stored: str = "yuv420p",
     file: dict[str, Any] | None = None,
     metadata: dict[str, str] | None = None,
-    **tags: int,
+    tags: dict[str, int] | None = None,
 ) -> Path:
     """Encode pictures, RGB or RGBA; `file` are options of the container, `tags` the codec's fields of colour."""
     path.parent.mkdir(parents=True, exist_ok=True)
     height, width, channels = pictures[0].shape
     with av.open(str(path), "w", **{"format": "mp4", **(file or {})}) as container:
         container.metadata.update(metadata or {})
-        stream = container.add_stream(codec, rate=rate, options=options or {"crf": "4", "g": "2"})
+        stream: Any = container.add_stream(codec, rate=rate, options=options or {"crf": "4", "g": "2"})
         stream.width, stream.height, stream.pix_fmt = width, height, stored
-        for name, value in tags.items():
+        for name, value in (tags or {}).items():
             setattr(stream.codec_context, name, value)
         for picture in pictures:
             frame = av.VideoFrame.from_ndarray(picture, format="rgba" if channels == 4 else "rgb24")

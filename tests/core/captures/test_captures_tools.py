@@ -289,7 +289,7 @@ def test_names_of_a_windows_code_page_in_a_binary_model(tmp_path: Path) -> None:
 
 
 def renamed(topics: dict[str, str], messages: list[Message]) -> list[Message]:
-    return [(topics.get(topic, topic), *rest) for topic, *rest in messages]
+    return [(topics.get(topic, topic), kind, time_s, data) for topic, kind, time_s, data in messages]
 
 
 REALSENSE = {

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import formats
 import numpy as np
@@ -93,7 +94,7 @@ def test_an_unfinished_capture_is_unreadable_and_replaced(tmp_path: Path) -> Non
     ("changes", "says"),
     [({"srgb8": VIEWS[0].srgb8[:20]}, "32 x 20"), ({"camera_to_world": np.eye(4) * np.nan}, "lost tracking")],
 )
-def test_an_invalid_frame_is_not_written(tmp_path: Path, changes: dict[str, np.ndarray], says: str) -> None:
+def test_an_invalid_frame_is_not_written(tmp_path: Path, changes: dict[str, Any], says: str) -> None:
     with pytest.raises(OutputError, match=says), CaptureWriter(tmp_path / "a") as writer:
         writer.add(**vars(FRAMES[0]) | changes)
 

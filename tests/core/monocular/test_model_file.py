@@ -182,7 +182,7 @@ def test_whole_numbers_and_channels_last_get_the_picture_from_0_to_255(
 ) -> None:
     path = _echo(tmp_path / "own.onnx", shape=shape, kind=kind)
     path.with_suffix(".json").write_text(json.dumps({"kind": "inverse"}))
-    answer = DepthModelFile(path).estimate(halves(0.25, 0.5) * np.float32([1, 0, 0]), LENS).inverse
+    answer = DepthModelFile(path).estimate(halves(0.25, 0.5) * np.array([1, 0, 0], np.float32), LENS).inverse
     assert (answer[0, 0], answer[0, -1]) == (64, 128)
 
 
