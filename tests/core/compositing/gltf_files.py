@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from present import present
+from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
 
 
@@ -143,6 +145,21 @@ def face_normals(mesh: TriangleMesh) -> np.ndarray:
     """Return twice the area of each triangle along its normal."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
     return np.cross(b - a, c - a)
+
+
+def texels(texture: Texture | None) -> np.ndarray:
+    """Return the picture of a texture that is there, RGBA from 0 to 1."""
+    return present(texture).texels / 65535
+
+
+def shows(texture: Texture | None, pixels: np.ndarray) -> bool:
+    """Whether a texture has the sRGB pixels."""
+    return texture is not None and np.array_equal(texture.texels, Texture.from_srgb8(pixels).texels)
+
+
+def left_out(found: VirtualObject) -> list[str]:
+    """Return what the notes of an object say that was left out."""
+    return [note.left_out for note in found.notes]
 
 
 def area(found: VirtualObject) -> float:

@@ -57,13 +57,10 @@ def test_names_of_materials_stay_apart(tmp_path: Path, names: tuple[str, str], c
     assert not found.notes
 
 
-def test_a_texture_has_a_number_sign_in_its_name(tmp_path: Path) -> None:
+def test_a_clear_coat_is_read_and_a_texture_with_a_number_sign_in_its_name(tmp_path: Path) -> None:
     (tmp_path / "red #1.png").write_bytes(png(RED))
-    assert material_of(quad_of(tmp_path, "newmtl m\nmap_Kd\tred #1.png\n")).base_colour_texture is not None
-
-
-def test_a_clear_coat_is_read(tmp_path: Path) -> None:
-    material = material_of(quad_of(tmp_path, "newmtl m\nKd 1 0 0\nPc 0.8\nPcr 0.2\n"))
+    material = material_of(quad_of(tmp_path, "newmtl m\nmap_Kd\tred #1.png\nPc 0.8\nPcr 0.2\n"))
+    assert material.base_colour_texture is not None
     assert (material.clearcoat, material.clearcoat_roughness) == (0.8, 0.2)
 
 
@@ -242,8 +239,9 @@ def test_a_texture_is_found_under_a_name_of_another_code_page(tmp_path: Path, st
     assert material_of(path).base_colour_texture is not None
 
 
-def test_libraries_on_a_line_are_limited(tmp_path: Path) -> None:
-    path = quad_of(tmp_path, "newmtl m\n")
-    path.write_text(path.read_text().replace("mtllib a.mtl", "mtllib a.mtl" + " b" * 300))
+@pytest.mark.parametrize(("materials", "libraries"), [(300, 0), (1, 300)])
+def test_materials_and_libraries_on_a_line_are_limited(tmp_path: Path, materials: int, libraries: int) -> None:
+    path = quad_of(tmp_path, "".join(f"newmtl m{number}\n" for number in range(materials)))
+    path.write_text(path.read_text().replace("mtllib a.mtl", "mtllib a.mtl" + " b" * libraries))
     with pytest.raises(ObjectError, match="materials are limited to 256"):
         load_object(path)

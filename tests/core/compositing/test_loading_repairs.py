@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gltf_files import GltfFile, face_normals, ply
+from gltf_files import GltfFile, face_normals, ply, texels
 
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.gltf import materials
@@ -55,14 +55,6 @@ def test_normals_that_oppose_the_order_of_corners_are_made_to_agree(
     assert not load_object(octahedron(kind, 1, 1.0), kind).notes  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize("distance", [1e7, 3.4028235e38])
-def test_a_distance_that_stands_for_infinity_attenuates_nothing(distance: float) -> None:
-    volume = {"thicknessFactor": 0.2, "attenuationDistance": distance, "attenuationColor": [0.25, 0.5, 1.0]}
-    glass = {"KHR_materials_transmission": {"transmissionFactor": 1}, "KHR_materials_volume": volume}
-    ((_, material),) = load_object(GltfFile().quad(extensions=glass).glb()).parts
-    np.testing.assert_allclose(material.base_colour, [1, 1, 1], atol=1e-6)
-
-
 def skinned_quad(joints: list[int], weights: list[float]) -> GltfFile:
     """A quad whose vertices have these joints and weights; joint 0 moves by 5, joint 1 by 9."""
     file = GltfFile().quad()
@@ -88,12 +80,6 @@ def test_a_skin_without_joints_of_the_vertices_is_left_out() -> None:
     found = load_object(file.glb())
     assert found.bounds()[0, 0] == 2
     assert "its skin" in found.notes[0].left_out
-
-
-def test_variants_show_the_default_materials() -> None:
-    file = GltfFile().quad()
-    file.tree["extensionsUsed"] = ["KHR_materials_variants"]
-    assert load_object(file.glb()).notes[0].effect == "its default materials are shown"
 
 
 def test_an_object_of_a_long_file_name_has_its_beginning_as_name(tmp_path: Path) -> None:
@@ -163,22 +149,9 @@ def test_mirrored_textures_are_reduced_before_they_are_mirrored(monkeypatch: pyt
     file.quad(pbrMetallicRoughness={"baseColorTexture": {"index": file.image(pixels)}})
     file.tree["samplers"] = [{"wrapS": 33648, "wrapT": 33648}]
     file.tree["textures"][0]["sampler"] = 0
-    texture = load_object(file.glb()).parts[0][1].base_colour_texture
-    assert texture is not None
-    assert texture.texels.shape == (8, 8, 4)
-    np.testing.assert_allclose(texture.texels[..., 0] / 65535, 0.5, atol=0.01)  # the mean of light, not of sRGB
-
-
-def test_names_in_another_encoding_refuse_no_gltf() -> None:
-    file = GltfFile().quad()
-    file.tree["nodes"][0]["name"] = "Tur"
-    assert load_object(file.glb().replace(b"Tur", b"T\xfcr")).triangles == 2
-
-
-def test_rounding_in_the_last_row_of_a_matrix_is_passed_over() -> None:
-    file = GltfFile().quad()
-    file.tree["nodes"][0]["matrix"] = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 1e-6, 3, 0, 0, 0.99999]
-    assert load_object(file.glb()).bounds()[0, 0] == 3
+    picture = texels(load_object(file.glb()).parts[0][1].base_colour_texture)
+    assert picture.shape == (8, 8, 4)
+    np.testing.assert_allclose(picture[..., 0], 0.5, atol=0.01)  # the mean of light, not of sRGB
 
 
 def test_joints_may_stand_beside_the_scene() -> None:
