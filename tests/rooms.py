@@ -4,7 +4,7 @@ World: metres, y up; the room is centred on the origin in x and z and stands on 
 pattern of its own, so that swapped axes or an offset of half a pixel change the colours.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -81,6 +81,12 @@ class BoxRoom:
         directions = (rays / length[..., None]) @ camera_to_world[:3, :3].T
         image, distance = self.cast(camera_to_world[:3, 3], directions)
         return image, (distance / length).astype(np.float32)
+
+
+def saturated(frame, white=1.0):
+    """The frame as a camera gives it that clips at this radiance."""
+    clipped = frame.image.max(axis=-1) >= np.float32(white)
+    return replace(frame, image=np.minimum(frame.image, np.float32(white)), clipped=clipped)
 
 
 def pinhole(width, height, fov_degrees=75.0):

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
-from roomlight.engine.session import Session, SessionOptions
-from roomlight.engine.state.encoding import records_of_snapshot, saved_session
 from roomlight.engine.state.kept_frames import base_of_frame
-from roomlight.engine.state.records import pack_records
 from roomlight.metrics import log_l2
 from rooms import BoxRoom, camera_at
+from sessions import session_from, session_of, state_of
 
 LAMP = ((0.3, 1.6, -2.5), 0.35)
 ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)), lamp=LAMP)
-OPTIONS = SessionOptions(model="classical", height=48)
+HEIGHT = 48
 PROBES = ((0.3, 1.0, -0.5), (-0.8, 0.8, 0.8))
 
 
@@ -36,14 +34,11 @@ GAINS = np.exp(-0.6 * np.sin(_PHASE) + 0.12 * (np.sin(_PHASE * [1.0, 1.3, 1.7] +
 
 
 def _run(frames):
-    session = Session(OPTIONS)
-    for probe in PROBES:
-        session.track(probe)
-    scores = []
+    session, scores = session_of(probes=PROBES, height=HEIGHT), []
     for frame in frames:
         session.push(frame)
         lights = [session.light(handle).reflection for handle in session.handles]
-        truth = [ROOM.panorama(probe, OPTIONS.height)[0] for probe in PROBES]
+        truth = [ROOM.panorama(probe, HEIGHT)[0] for probe in PROBES]
         scores.append(np.mean([log_l2(light, true) for light, true in zip(lights, truth, strict=True)]))
     return session, float(np.mean(scores))
 
@@ -69,9 +64,7 @@ def test_light_is_as_without_drift():
 def test_without_drift_every_bit_stays():
     stated, _ = _run([replace(_exposed(frame), auto_exposed=False) for frame in FRAMES[:6]])
     unstated, _ = _run([_exposed(frame) for frame in FRAMES[:6]])
-    assert pack_records(records_of_snapshot(stated.snapshot())) == pack_records(
-        records_of_snapshot(unstated.snapshot())
-    )
+    assert state_of(stated) == state_of(unstated)
 
 
 def test_of_stated_exposure_only_the_balance_is_corrected():
@@ -111,14 +104,9 @@ def test_a_saved_session_goes_on_with_the_same_bits():
     frames = [_exposed(frame, gain) for frame, gain in zip(FRAMES, GAINS, strict=True)]
     whole, _ = _run(frames[:9])
     kept = [frame.index for frame in whole.snapshot().kept]
-    bases = {index: base_of_frame(frames[index], OPTIONS) for index in kept}
-    file = pack_records(records_of_snapshot(whole.snapshot(), elsewhere=kept))
-    loaded = [
-        Session.from_snapshot(saved_session(file, "room").snapshot(bases)),
-        Session.from_snapshot(saved_session(pack_records(records_of_snapshot(whole.snapshot())), "room").snapshot()),
-    ]
+    bases = {index: base_of_frame(frames[index], whole.options) for index in kept}
+    loaded = session_from(state_of(whole, kept), bases), session_from(state_of(whole))
     for session in (whole, *loaded):
         for frame in frames[9:13]:
             session.push(frame)
-    states = [pack_records(records_of_snapshot(session.snapshot())) for session in (whole, *loaded)]
-    assert states[0] == states[1] == states[2]
+    assert state_of(whole) == state_of(loaded[0]) == state_of(loaded[1])

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from present import present
 from roomlight.engine.memory import KEYFRAME_BYTES, Footprint
 from roomlight.engine.networks.graphs import SHIPPED, load_graphs
-from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.sglv import Sglv
 from rooms import BoxRoom, camera_at
+from sessions import session_of
 
 
 def arrays_in(thing):
@@ -35,31 +36,15 @@ def held_by(thing):
     return sum(found.values())
 
 
-def pushed(options):
-    session = Session(options)
-    session.track((0.2, 1.2, -0.2))
-    session.push(BoxRoom().frame(camera_at((0.2, 1.4, 0.8)), width=64, height=48))
-    return session
-
-
-def test_the_classical_models_volume():
-    session = pushed(SessionOptions(model="classical", height=16))
-    assert Footprint.of(None, 16).volume == held_by(volume_of(session))
-
-
-def volume_of(session):
-    assert session._room is not None
-    return session._room.volume
-
-
-@pytest.mark.parametrize("form", ["single", "video"])
-def test_the_networks_volume_and_probe(tiny_video, form):
-    graphs = replace(load_graphs(tiny_video[1]), form=form)
-    session = pushed(SessionOptions(model=form, weights=tiny_video[1], height=32))
-    footprint = Footprint.of(graphs, 32)
-    assert footprint.volume == held_by(volume_of(session))
+@pytest.mark.parametrize("model", ["classical", "single", "video"])
+def test_the_volume_and_a_networks_probe(tiny_video, model):
+    weights = None if model == "classical" else tiny_video[1]
+    frame = BoxRoom().frame(camera_at((0.2, 1.4, 0.8)), width=64, height=48)
+    session = session_of([frame], probes=[(0.2, 1.2, -0.2)], model=model, weights=weights, height=32)
+    footprint = Footprint.of(None if weights is None else replace(load_graphs(weights), form=model), 32)
+    assert footprint.volume == held_by(present(session._room).volume)
     probe = session._probes[0]
-    assert footprint.probe == held_by(probe.estimator) + held_by(probe.panorama)
+    assert weights is None or footprint.probe == held_by(probe.estimator) + held_by(probe.panorama)
 
 
 @pytest.mark.parametrize(("started", "expected"), [(False, 300), (True, 300 + 1000 + 3 * KEYFRAME_BYTES)])
@@ -90,8 +75,7 @@ def everything_in(thing, met):
 @pytest.mark.slow
 def test_twenty_keyframes_take_what_is_counted():
     """60 MB with networks: each keyframe held 3.6 MB, of which it can make 2.1 again."""
-    session = Session(SessionOptions(model="classical"))
-    session.track((0.2, 1.2, -0.2))
+    session = session_of(probes=[(0.2, 1.2, -0.2)])
     room = BoxRoom(lamp=((0.0, 2.6, 0.0), 0.4))
     for number in range(40):
         pose = camera_at((0.3, 1.4, 0.2), 37.0 * number, 50.0 * np.sin(number))

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from present import present
 from roomlight.engine.room import LEFT_KEYFRAMES, MOST_LEFT
-from roomlight.engine.session import Session, SessionOptions
-from roomlight.engine.state.encoding import records_of_snapshot, saved_session
-from roomlight.engine.state.records import pack_records
 from roomlight.metrics import log_l2
-from rooms import BoxRoom, camera_at
+from rooms import BoxRoom, camera_at, saturated
+from sessions import session_from, session_of, state_of
 
-OPTIONS = SessionOptions(model="classical", height=48)
+HEIGHT = 48
+PROBE = (0.3, 1.0, -0.5)
 DEEP_M = 5.0
 DIM = 0.6
 """The second room is this much darker, and its colours are others."""
@@ -53,9 +53,7 @@ def _walk(shares, start=0):
     for index, share in enumerate(shares, start):
         z = np.interp(share, [0, 0.35, 0.6, 1], [1.2, 0.5, -4.2, -5.6])
         yaw = np.interp(share, [0, 0.35, 0.6, 1], [-180, 0, 0, 360])
-        frame = ROOMS.frame(camera_at((0.1, 1.4, z), yaw, -5), index=index)
-        image = np.minimum(frame.image, 1)
-        frames.append(replace(frame, image=image, clipped=image.max(-1) >= 1))
+        frames.append(saturated(ROOMS.frame(camera_at((0.1, 1.4, z), yaw, -5), index=index)))
     return frames
 
 
@@ -65,21 +63,15 @@ def walk():
 
 
 def _error(session, handles, probes):
-    truth = [ROOMS.panorama(probe, OPTIONS.height)[0] for probe in probes]
+    truth = [ROOMS.panorama(probe, HEIGHT)[0] for probe in probes]
     lights = [session.light(handle).reflection for handle in handles]
     return float(np.mean([log_l2(light, true) for light, true in zip(lights, truth, strict=True)]))
-
-
-def _bits(session):
-    return pack_records(records_of_snapshot(session.snapshot()))
 
 
 @pytest.fixture(scope="module")
 def walked(walk):
     """A session at the end of the walk, its errors in the second room, and those of a session begun there."""
-    whole, begun = Session(OPTIONS), Session(OPTIONS)
-    for probe in FIRST:
-        whole.track(probe)
+    whole, begun = session_of(probes=FIRST, height=HEIGHT), session_of(height=HEIGHT)
     enters = next(frame.index for frame in walk if frame.camera_to_world[2, 3] < -DEEP_M / 2)
     handles, begun_handles, errors = list[int](), list[int](), []
     for frame in walk:
@@ -102,18 +94,10 @@ def test_the_second_room_is_as_for_a_session_begun_there(walked):
 
 def test_the_first_room_is_remembered(walked, walk):
     whole, _ = walked
-    there, _ = _first(walk[:7])
+    there = session_of(walk[:7], probes=FIRST, height=HEIGHT)
     late = [log_l2(whole.light_at(probe).reflection, there.light_at(probe).reflection) for probe in FIRST]
     assert max(late) < 0.02
     assert len(whole.snapshot().left[0].frames) <= LEFT_KEYFRAMES
-
-
-def _first(frames):
-    session = Session(OPTIONS)
-    handles = [session.track(probe) for probe in FIRST]
-    for frame in frames:
-        session.push(frame)
-    return session, handles
 
 
 def _far(number, index):
@@ -125,25 +109,19 @@ def _far(number, index):
 
 
 def test_the_way_back_ends_in_the_first_rooms_volume():
-    session = Session(OPTIONS)
-    handle = session.track((0.3, 1.0, -0.5))
-    session.push(_far(0, 0))
-    first, seen = session.grid, session.light(handle)
+    session, handle = session_of([_far(0, 0)], probes=[PROBE], height=HEIGHT), 0
+    first, seen = present(session.grid), session.light(handle)
     session.push(_far(1, 1))
-    assert first is not None
-    assert session.grid is not None
-    assert session.grid.volume_to_world[0, 3] == pytest.approx(first.volume_to_world[0, 3] + 20)
+    assert present(session.grid).volume_to_world[0, 3] == pytest.approx(first.volume_to_world[0, 3] + 20)
     session.push(_far(0, 2))
-    np.testing.assert_array_equal(session.grid.volume_to_world, first.volume_to_world)
+    np.testing.assert_array_equal(present(session.grid).volume_to_world, first.volume_to_world)
     assert session.rooms_left == 1
-    truth, _ = BoxRoom().panorama((0.3, 1.0, -0.5), OPTIONS.height)
+    truth, _ = BoxRoom().panorama(PROBE, HEIGHT)
     assert log_l2(session.light(handle).reflection, truth) <= 1.05 * log_l2(seen.reflection, truth)
 
 
 def test_rooms_beyond_the_limit_are_forgotten_and_their_probes_keep_what_was_seen():
-    session = Session(OPTIONS)
-    handle = session.track((0.3, 1.0, -0.5))
-    session.push(_far(0, 0))
+    session, handle = session_of([_far(0, 0)], probes=[PROBE], height=HEIGHT), 0
     seen = session.light(handle)
     for number in range(1, MOST_LEFT + 2):
         session.push(_far(number, number))
@@ -155,35 +133,29 @@ def test_rooms_beyond_the_limit_are_forgotten_and_their_probes_keep_what_was_see
     sure = seen.observed > 0.9
     assert sure.any()
     np.testing.assert_allclose(light.reflection[sure], seen.reflection[sure], rtol=0.02, atol=0.01)
-    loaded = Session.from_snapshot(saved_session(_bits(session), "room").snapshot())
+    loaded = session_from(state_of(session))
     for same in (session, loaded):
         same.push(_far(0, 9))
-    assert _bits(loaded) == _bits(session)
+    assert state_of(loaded) == state_of(session)
 
 
 def test_a_frame_without_depth_begins_no_room():
-    session = Session(OPTIONS)
-    session.push(_far(0, 0))
-    session.push(replace(_far(1, 1), depth_m=np.zeros((120, 160), np.float32)))
-    assert session.rooms_left == 0
+    blind = replace(_far(1, 1), depth_m=np.zeros((120, 160), np.float32))
+    assert session_of([_far(0, 0), blind], height=HEIGHT).rooms_left == 0
 
 
-@pytest.mark.parametrize("model", ["classical", pytest.param("single", marks=pytest.mark.slow), "video"])
+@pytest.mark.parametrize("model", ["classical", "video"])
 def test_a_saved_walk_goes_on_with_the_same_bits(model, tiny_video, walk):
     weights = tiny_video[1] if model != "classical" else None
-    options = SessionOptions(model=model, provider="cpu", height=24, weights=weights)
     walk = walk[::2]
-    whole = Session(options)
-    for probe in (FIRST[0], SECOND[0]):
-        whole.track(probe)
-    for frame in walk[:9]:
-        whole.push(frame)
+    options = {"model": model, "provider": "cpu", "height": 24, "weights": weights}
+    whole = session_of(walk[:9], probes=(FIRST[0], SECOND[0]), **options)
     assert whole.rooms_left == 1
-    loaded = Session.from_snapshot(saved_session(_bits(whole), "walk").snapshot())
-    assert _bits(loaded) == _bits(whole)
+    loaded = session_from(state_of(whole))
+    assert state_of(loaded) == state_of(whole)
     for session in (whole, loaded):
         for frame in walk[9:]:
             session.push(frame)
-    assert _bits(loaded) == _bits(whole)
+    assert state_of(loaded) == state_of(whole)
     for position in (*FIRST, *SECOND):
         assert (loaded.light_at(position).reflection == whole.light_at(position).reflection).all()

@@ -4,15 +4,13 @@ A dim room has a doorway to a bright one. The camera turns to the doorway, stays
 hand, and turns on.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from roomlight.conventions import panorama_solid_angles
 from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED
 from roomlight.engine.session import Session, SessionOptions
-from rooms import BoxRoom, camera_at
+from rooms import BoxRoom, camera_at, saturated
 
 PROBE = (0.2, 1.1, 0.3)
 DIM = 0.08
@@ -46,9 +44,7 @@ def walk():
     for index, yaw in enumerate(yaws):
         position = np.array([0.0, 1.4, 1.2]) + rng.normal(0, 0.01, 3)
         pose = camera_at(position, float(yaw), float(rng.normal(-5, 1)))
-        frame = DoorwayRoom().frame(pose, index=index, width=80, height=60)
-        clipped = frame.image.max(-1) >= 1
-        yield replace(frame, image=np.minimum(frame.image, 1), clipped=clipped)
+        yield saturated(DoorwayRoom().frame(pose, index=index, width=80, height=60))
 
 
 @pytest.fixture(scope="module")
