@@ -18,10 +18,11 @@ from roomlight.engine.lighting import (
 from roomlight.engine.networks.graphs import load_part
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
-from roomlight.engine.session import Session, SessionOptions
+from roomlight.frame import Frame
 from roomlight.sample import sample_capture
 from roomlight_evaluation.objects.lit_objects import SPHERES, LitObjects
 from rooms import BoxRoom, camera_at
+from sessions import session_of
 
 PLACE = (0.3, 0.4, -1.0)
 
@@ -90,10 +91,13 @@ def room() -> BoxRoom:
     return BoxRoom(size_m=(5.0, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
 
 
+def view(room: BoxRoom, pitch: float = 0.0, *, yaw: float = 0.0, index: int = 0) -> Frame:
+    return room.frame(camera_at((0.2, 1.4, 1.2), yaw, pitch), index=index, width=64, height=48)
+
+
 @pytest.mark.parametrize("model", ["classical", "single"])
 def test_every_model_has_light_of_both_uses(model: str, room: BoxRoom) -> None:
-    session = Session(SessionOptions(model=model, height=32))  # pyright: ignore[reportArgumentType]
-    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=-35.0), width=64, height=48))
+    session = session_of([view(room, -35.0)], model=model, height=32)
     handle = session.track(PLACE)
     state = session.panorama_state(handle)
     own, unseen = state.radiance.copy(), state.observed < 0.01
@@ -104,31 +108,19 @@ def test_every_model_has_light_of_both_uses(model: str, room: BoxRoom) -> None:
     assert_array_equal(state.radiance, own)  # the session's own estimate stays
 
 
-def test_mirrors_need_no_network(room: BoxRoom, tmp_path: Path) -> None:
-    write_part(tmp_path / "parts" / "clipping", "clipping", constant=1.0)
-    session = Session(SessionOptions(parts=tmp_path / "parts", provider="cpu", height=32))
-    handle = session.track(PLACE)
-    session.push(room.frame(camera_at((0.2, 1.4, 1.2)), width=64, height=48))
-    assert_array_equal(session.light(handle).reflection, session.panorama_state(handle).radiance)
-
-
 def test_light_is_that_of_its_frame_however_late_it_is_asked_for(room: BoxRoom) -> None:
-    session = Session(SessionOptions(model="classical", height=32))
-    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=-35.0), width=64, height=48))
+    session = session_of([view(room, -35.0)], height=32)
     handle = session.track(PLACE)
     asked, waiting = session.light(handle), session.light(handle)
     before, lights = asked.panorama.copy(), asked.main_light.to_json()
-    session.push(room.frame(camera_at((0.2, 1.4, 1.2), 90.0), index=1, width=64, height=48))
+    session.push(view(room, yaw=90.0, index=1))
     assert_array_equal(waiting.panorama, before)
     assert waiting.main_light.to_json() == lights
     assert waiting.digest() == asked.digest() != session.light(handle).digest()
 
 
 def test_main_light_and_ambient_shade_a_sphere_as_the_light_that_lights_things(room: BoxRoom) -> None:
-    session = Session(SessionOptions(model="classical", height=32))
-    handle = session.track(PLACE)
-    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=20.0), width=64, height=48))
-    light = session.light(handle)
+    light = session_of([view(room, 20.0)], probes=[PLACE], height=32).light(0)
     own = light.used_for("reflection")
     assert own.main_light.intensity.max() > 0
     assert_array_equal(light.main_light.direction, own.main_light.direction)
@@ -143,28 +135,15 @@ def test_main_light_and_ambient_shade_a_sphere_as_the_light_that_lights_things(r
     assert share == pytest.approx(light.main_light.shadow_strength, rel=0.1)
 
 
-def test_the_network_comes_from_the_folder_of_the_options(room: BoxRoom, tmp_path: Path) -> None:
-    write_part(tmp_path / "parts" / "objects", "objects", constant=0.5)
-    session = Session(SessionOptions(parts=tmp_path / "parts", provider="cpu", height=32))
-    session.push(room.frame(camera_at((0.2, 1.4, 1.2)), width=64, height=48))
-    handle = session.track(PLACE)
-    state = session.panorama_state(handle)
-    gain = np.log1p(session.light(handle).panorama) - np.log1p(state.radiance)
-    assert_allclose(gain[state.observed == 0], 0.5, rtol=1e-4, atol=1e-5)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["classical", "single"])
 def test_objects_are_lit_better_than_by_the_session(model: str) -> None:
-    """At the true probes of the sample room, after its whole walk."""
+    """At the true probes of the sample room, after every second frame of its whole walk."""
     capture = open_capture(sample_capture())
-    session = Session(SessionOptions(model=model))  # pyright: ignore[reportArgumentType]
     probes = [probe for probe in capture.probes if probe.panorama_path is not None]
-    handles = [session.track(probe.position) for probe in probes]
-    for frame in capture:
-        session.push(frame)
+    session = session_of(list(capture)[::2], probes=[probe.position for probe in probes], model=model)
     own, lit = dict.fromkeys(SPHERES, 0.0), dict.fromkeys(SPHERES, 0.0)
-    for probe, handle in zip(probes, handles, strict=True):
+    for probe, handle in zip(probes, session.handles, strict=True):
         objects = LitObjects(probe.panorama(), (0.0, -0.5, -0.866))
         before, after = (
             objects.errors(panorama) for panorama in (session.light(handle).reflection, session.light(handle).panorama)

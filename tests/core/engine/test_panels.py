@@ -38,8 +38,7 @@ def test_panels_are_means_of_what_was_observed():
     for found, name in ((panels[:3], "detail"), (panels[4], "clipped"), (panels[5], "depth_m")):
         weight = given["known"].reshape(given["known"].shape + (1,) * (given[name].ndim - 2))
         expected = blocks(weight * given[name])[seen] / count[seen].reshape(-1, *(1,) * (given[name].ndim - 2))
-        assert np.moveaxis(found, 0, -1)[seen] == pytest.approx(expected, rel=1e-4) if found.ndim == 3 else True
-        assert found.ndim == 3 or found[seen] == pytest.approx(expected, rel=1e-4)
+        np.testing.assert_allclose(found[..., seen].T, expected, rtol=1e-4)
         assert (found[..., ~seen] == 0).all()
     assert panels[6:9] == pytest.approx(np.moveaxis(blocks(given["fill"]) / 4, -1, 0), rel=1e-4)
 
@@ -55,23 +54,6 @@ def test_panels_have_one_size_and_limit_for_every_panorama(height):
     panels = panorama_panels(**given)
     limits = (panels[:3].max(), panels[6:].max(), panels[5].max())
     assert limits == pytest.approx((BRIGHTEST, BRIGHTEST, FARTHEST_M))  # to rounding: panels are resampled
-
-
-@pytest.mark.parametrize("height", [32, 60, 120])
-def test_observed_directions_keep_their_bits(height):
-    given = observed(height=height)
-    fill, known = given["fill"], given["known"]
-    result = changed_light(fill, change_of(0.7), 1 - known)
-    assert result.dtype == np.float32
-    assert (result[known == 1] == fill[known == 1]).all()
-    assert np.log1p(result[known == 0]) == pytest.approx(np.log1p(fill[known == 0]) + 0.7, rel=1e-5)
-
-
-def test_partly_observed_directions_change_by_what_is_left():
-    given = observed() | {"known": np.full((120, 240), np.float32(0.25))}
-    result = changed_light(given["fill"], change_of(-0.4), 1 - given["known"])
-    expected = np.maximum(np.expm1(np.log1p(given["fill"]) - 0.3), 0)
-    assert result == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("constant", [-30.0, 30.0])
