@@ -16,11 +16,6 @@ FRAME = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
 GRID = VolumeGrid.from_frame(FRAME, shape=(16, 15, 21))
 
 
-def _put(classical, *, colour, alpha, empty=0.0):
-    classical.volume[:3], classical.volume[3], classical.volume[4] = alpha * colour, alpha, empty
-    return _updated(classical)
-
-
 def _updated(classical):
     classical.update()
     return classical.sglv
@@ -33,16 +28,6 @@ def test_one_frame_is_its_own_volume():
     np.testing.assert_allclose(sglv.alpha, volume[3], atol=1e-6)
     np.testing.assert_allclose(np.moveaxis(sglv.lobes[..., :3], -1, 0) * volume[3], volume[:3], atol=1e-5)
     assert (sglv.lobes[..., 3:] == 0).all()
-
-
-def test_alpha_is_averaged_over_observers_and_colour_by_alpha():
-    classical = ClassicalVolume(GRID)
-    _put(classical, colour=1.0, alpha=1.0)
-    _put(classical, colour=4.0, alpha=0.5)
-    _put(classical, colour=9.0, alpha=0.0)  # not observed: does not count
-    sglv = _put(classical, colour=9.0, alpha=0.0, empty=-1.0)  # observed as empty: counts
-    assert sglv.alpha[0, 0, 0] == pytest.approx((1 + 0.5 + 0) / 3)
-    assert sglv.lobes[0, 0, 0, :3] == pytest.approx([(1 + 4 * 0.5) / 1.5] * 3)
 
 
 def _estimate(classical, state, partial, position):

@@ -7,6 +7,7 @@ import pytest
 
 from fixture_rooms import FOLDER, FRAMES
 from part_models import write_part
+from present import present
 from roomlight.dataset.loader import Dataset
 from roomlight.depth import complete_depth
 from roomlight.engine.networks.clipping import (
@@ -20,7 +21,7 @@ from roomlight.engine.networks.clipping import (
 )
 from roomlight.engine.networks.graphs import load_part
 from roomlight.frame import Frame
-from rooms import BoxRoom, camera_at, pinhole
+from rooms import BoxRoom, camera_at, pinhole, saturated
 
 
 @pytest.fixture
@@ -37,9 +38,9 @@ WHITE = np.float32(0.5)
 
 def clipped(frame):
     """The frame as a camera gives it that saturates at `WHITE`."""
-    marked = frame.image.max(-1) >= WHITE
-    assert 0.02 < marked.mean() < 0.9
-    return replace(frame, image=np.minimum(frame.image, WHITE), clipped=marked)
+    marked = saturated(frame, WHITE)
+    assert 0.02 < marked.clipped.mean() < 0.9
+    return marked
 
 
 def inside(frame, planes):
@@ -132,18 +133,8 @@ def five_times_white(tmp_path_factory):
     return ClippingModel(load_part(folder, "clipping", provider="cpu"))
 
 
-class Forbidden(ClippingModel):
-    """Must not be asked."""
-
-    def __init__(self):
-        pass
-
-    def log_radiance(self, frame, depth_m):
-        raise AssertionError(f"{frame.source} has no clipped pixels and needs no network ({depth_m.shape})")
-
-
-def test_a_frame_without_clipped_pixels_is_not_estimated(frame):
-    assert Forbidden().restore(frame, frame.depth_m) is frame
+def test_a_frame_without_clipped_pixels_is_not_estimated(frame, five_times_white):
+    assert five_times_white.restore(frame, frame.depth_m) is frame
 
 
 def test_the_network_changes_saturated_channels_alone(frame, shipped):
@@ -212,8 +203,7 @@ def test_clipped_light_of_rooms_is_nearer_to_the_truth_than_twice_white(shipped)
         frame = recording.frame(0, recording.depth_mm[0])
         depth_m, where = complete_depth(frame.depth_m), frame.clipped
         assert where.sum() > 1000
-        assert recording.clipped_radiance is not None
-        truth = np.maximum(recording.clipped_radiance[0].astype(np.float32), frame.image)[where]
+        truth = np.maximum(present(recording.clipped_radiance)[0].astype(np.float32), frame.image)[where]
         twice = np.maximum(frame.image, np.float32(2 * white_of(frame)))[where]
         constant, learned = (
             np.square(np.log1p(estimate) - np.log1p(truth)).mean()
@@ -226,8 +216,8 @@ def test_a_large_lamp_comes_out_brighter_than_a_spot(shipped):
     """Lamps of eight times white on a wall, with depth: small clipped spots are mostly highlights."""
 
     def estimated(radius_m):
-        frame = BoxRoom(lamp=((0.5, 2.2, -2.5), radius_m)).frame(camera_at((0, 1.4, 1.0), pitch_degrees=10))
-        marked = replace(frame, image=np.minimum(frame.image, 1), clipped=frame.image.max(-1) >= 1)
-        return float(np.median(shipped.restore(marked, frame.depth_m).image[marked.clipped]))
+        room = BoxRoom(lamp=((0.5, 2.2, -2.5), radius_m))
+        marked = saturated(room.frame(camera_at((0, 1.4, 1.0), pitch_degrees=10)))
+        return float(np.median(shipped.restore(marked, marked.depth_m).image[marked.clipped]))
 
     assert 1 <= estimated(0.15) < estimated(0.4) < estimated(0.7)

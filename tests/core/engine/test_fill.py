@@ -24,15 +24,12 @@ def test_known_pixels_are_kept_to_the_bit_and_others_stay_between_them(height: i
     assert (filled <= known.max(axis=0) + 1e-5).all()
 
 
-def test_nothing_known_gives_zeros_unknown_colour_is_not_read() -> None:
+def test_nothing_known_gives_zeros_unknown_colour_is_not_read_and_all_known_is_kept() -> None:
     image = np.full((6, 12, 3), np.nan, np.float32)
     weight = np.zeros((6, 12), np.float32)
     np.testing.assert_array_equal(push_pull(image, weight), np.zeros((6, 12, 3)))
     image[2, 3], weight[2, 3] = 0.25, 1
     np.testing.assert_allclose(push_pull(image, weight), 0.25, rtol=1e-5)
-
-
-def test_a_complete_panorama_is_returned_unchanged() -> None:
     image, _ = scattered(9, 18, 1.0)
     np.testing.assert_array_equal(push_pull(image, np.full((9, 18), 2.0, np.float32)), image)
 

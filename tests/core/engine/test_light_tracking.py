@@ -95,18 +95,12 @@ def test_an_interrupted_challenge_starts_anew() -> None:
     assert angle_deg(lights[-1].main.direction, LEFT) < 1e-6
 
 
-def test_a_handover_turns_at_most_the_stated_rate() -> None:
+def test_a_handover_turns_at_most_the_stated_rate_and_dims_between_two_lamps() -> None:
     tracker = settled(lamp(LEFT))
     lights = run(tracker, [(lamp(LEFT, 0.2), lamp(RIGHT, 5.0))] * 40)
-    steps = steps_deg(lights)
-    assert max(steps) <= MAX_TURN_DEG + 1e-6
+    assert max(steps_deg(lights)) <= MAX_TURN_DEG + 1e-6
     assert angle_deg(lights[-1].main.direction, RIGHT) < 1e-3
     np.testing.assert_allclose(lights[-1].main.intensity, 5.0, rtol=1e-3)
-
-
-def test_a_turning_main_light_dims_between_two_lamps() -> None:
-    tracker = settled(lamp(LEFT))
-    lights = run(tracker, [(lamp(LEFT, 0.2), lamp(RIGHT, 5.0))] * 40)
     between = [
         one.main
         for one in lights

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from present import present
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.models.interface import Rendered
 from roomlight.engine.models.network_probe import OWN_COLOUR, hedged, muted
@@ -42,6 +43,14 @@ def _options(tiny_video, form, height=HEIGHT):
     return SessionOptions(model=form, weights=tiny_video[1], provider="cpu", height=height, hedge=0.0)
 
 
+def _after(frames, session):
+    """The session with a probe, after frames."""
+    session.track(PROBE)
+    for frame in frames:
+        session.push(frame)
+    return session
+
+
 def _observation(sglv, frame, before):
     """What the session renders at the probe for one frame, as the networks' batch of one."""
     hdr, _ = render_panorama(sglv, PROBE, height=HEIGHT, far="boundary")
@@ -59,11 +68,6 @@ def _observation(sglv, frame, before):
     ldr = filled_detail(state, partial.radiance, partial.depth_m, mask=partial.mask, hdr=hdr)
     depth = partial.depth_m / GRID.depth_max_m
     return Observation(batch(hdr), batch(ldr), batch(partial.mask), batch(depth))
-
-
-def _kept_sglv(session):
-    assert session.sglv is not None
-    return session.sglv
 
 
 def _video_model(checkpoint):
@@ -99,7 +103,7 @@ def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
     for frame, volume, panorama in zip(FRAMES, volumes, panoramas, strict=True):
         session.push(frame)
         # Graph weights are halves (2^-11 relative), and the HDR heads take an exponent of sums of dozens of them
-        sglv = _kept_sglv(session)
+        sglv = present(session.sglv)
         np.testing.assert_allclose(sglv.alpha, volume.alpha, atol=2e-3)
         np.testing.assert_allclose(np.log1p(sglv.lobes[..., :7]), np.log1p(volume.lobes[..., :7]), atol=1e-2)
         light = session.light(0).used_for("reflection")
@@ -123,7 +127,7 @@ def test_single_view_moves_half_way_to_the_mean_volumes_sglv(tiny_video):
         targets.append(target)
         alpha = (alpha + share * (target.alpha - alpha)) * (given[4] == 0)
         lobes = (lobes + share * (target.lobes - lobes)) * (given[4] == 0)[..., None]
-        sglv = _kept_sglv(session)
+        sglv = present(session.sglv)
         np.testing.assert_allclose(sglv.alpha, alpha, atol=2e-3)
         np.testing.assert_allclose(np.log1p(sglv.lobes[..., :7]), np.log1p(lobes[..., :7]), atol=1e-2)
     assert np.abs(alpha - targets[-1].alpha).max() > 1e-2  # it has not reached the target yet
@@ -147,11 +151,9 @@ def test_single_view_inference_moves_half_way(graphs):
 @pytest.mark.parametrize("form", ["single", "video"])
 def test_the_hedge_is_between_networks_and_fill(tiny_video, form):
     alone, half, fill = (
-        Session(dataclasses.replace(_options(tiny_video, form), hedge=share)) for share in (0.0, 0.5, 1.0)
+        _after(FRAMES[:1], Session(dataclasses.replace(_options(tiny_video, form), hedge=share)))
+        for share in (0.0, 0.5, 1.0)
     )
-    for session in (alone, half, fill):
-        session.track(PROBE)
-        session.push(FRAMES[0])
     networks, mean, fills = (np.log1p(session.light(0).reflection @ LUMINANCE) for session in (alone, half, fill))
     np.testing.assert_allclose(mean, (networks + fills) / 2, atol=0.03)
     unseen = half.light(0).observed == 0
@@ -178,31 +180,21 @@ def test_hedged_light_has_no_more_error_than_the_mean_of_both():
     np.testing.assert_allclose(hedged(lights[0], [lights[1]], share=1.0), lights[1], rtol=1e-5)
 
 
-@pytest.mark.parametrize("form", ["single", "video"])
-def test_the_first_frame_is_the_same_in_both_forms(tiny_video, form):
-    session, single = Session(_options(tiny_video, form)), Session(_options(tiny_video, "single"))
-    for each in (session, single):
-        each.track(PROBE)
-        each.push(FRAMES[0])
-    np.testing.assert_array_equal(session.light(0).panorama, single.light(0).panorama)
+def test_the_first_frame_is_the_same_in_both_forms(tiny_video):
+    video, single = (_after(FRAMES[:1], Session(_options(tiny_video, form))) for form in ("video", "single"))
+    np.testing.assert_array_equal(video.light(0).panorama, single.light(0).panorama)
 
 
 @pytest.mark.parametrize("height", [16, 48, 120])
 @pytest.mark.parametrize("form", ["single", "video"])
 def test_panoramas_of_other_heights_than_the_graphs(tiny_video, form, height):
-    session = Session(_options(tiny_video, form, height))
-    session.track(PROBE)
-    for frame in FRAMES[:3]:
-        session.push(frame)
-    light = session.light(0)
+    light = _after(FRAMES[:3], Session(_options(tiny_video, form, height))).light(0)
     assert light.panorama.shape == (height, 2 * height, 3)
     assert np.isfinite(light.panorama).all()
     assert light.panorama.min() >= 0
     assert 0 < light.observed.max() <= 1
-    mask = FrameMesh(FRAMES[0]).render_panorama(np.array(PROBE), height=height).mask
-    for frame in FRAMES[1:3]:
-        mask |= FrameMesh(frame).render_panorama(np.array(PROBE), height=height).mask
-    assert (light.observed[~mask] == 0).all()
+    masks = [FrameMesh(frame).render_panorama(np.array(PROBE), height=height).mask for frame in FRAMES[:3]]
+    assert (light.observed[~np.any(masks, axis=0)] == 0).all()
 
 
 @pytest.mark.parametrize("form", ["single", "video"])
@@ -251,11 +243,9 @@ def test_sessions_on_shared_graphs_do_not_influence_each_other(graphs):
 
 
 def test_warm_up_runs_every_graph_and_keeps_no_state(graphs):
+    fresh = _after(FRAMES[:1], Session(SessionOptions(height=HEIGHT), graphs=graphs))
     warm_up(graphs)
-    fresh, warm = (Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(2))
-    for session in (fresh, warm):
-        session.track(PROBE)
-        session.push(FRAMES[0])
+    warm = _after(FRAMES[:1], Session(SessionOptions(height=HEIGHT), graphs=graphs))
     np.testing.assert_array_equal(fresh.light(0).panorama, warm.light(0).panorama)
 
 
