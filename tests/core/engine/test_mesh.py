@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.engine.surface.mesh import EDGE_RATIO, MAX_VERTICES, FrameMesh, MeshGrid, grid_faces
-from rooms import BoxRoom, camera_at
+from rooms import BoxRoom, camera_at, pan
+from sessions import session_of
 
 ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)))
 POSE = camera_at((0.3, 1.5, 1.2), 8, -6)
@@ -112,17 +113,6 @@ def test_triangles_face_the_camera_and_are_unseen_from_behind():
     assert not from_behind_the_wall.mask[facing_wall].any()
 
 
-def test_an_occluder_hides_the_wall_behind_it():
-    frame = ROOM.frame(POSE)
-    probe = np.array([0.0, 0.9, 0.5])
-    seen = FrameMesh(frame).render_panorama(probe)
-    distance = ROOM.panorama(probe, 120)[1]
-    # no surface is nearer than the true one by more than the width of one triangle
-    relative = (seen.depth_m / distance)[seen.mask]
-    assert relative.min() > 0.93
-    assert np.quantile(relative, 0.05) > 0.999
-
-
 @given(st.integers(2, 700), st.integers(2, 700), st.integers(4, 5000))
 @settings(deadline=None)
 def test_the_vertex_limit_is_kept_by_skipping_samples(height, width, budget):
@@ -193,3 +183,31 @@ def test_every_level_of_the_texture_keeps_its_place(width, height):
     check &= seen.mask
     assert check.sum() > 3
     np.testing.assert_allclose(seen.radiance[check][:, :2], uv[check], atol=0.02)
+
+
+@pytest.mark.parametrize("depth_size", [(160, 120), (320, 240), (256, 192), (61, 46)])
+def test_grid_camera_projects_vertices_to_pixel_centres(depth_size):
+    mesh = FrameMesh(ROOM.frame(POSE, depth_size=depth_size))
+    height, width = mesh.grid_depth_m.shape
+    xy, depth = mesh.grid_camera.project(transform_points(rigid_inverse(mesh.camera_to_world), mesh.vertices))
+    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    assert np.abs(xy.reshape(height, width, 2) - np.stack([columns, rows], axis=-1)).max() < 2e-3
+    assert depth.reshape(height, width) == pytest.approx(mesh.grid_depth_m, abs=1e-5)
+
+
+def test_measured_marks_the_sensors_own_depth():
+    frame = ROOM.frame(POSE)
+    frame.depth_m[30:60, 40:70] = 0
+    ((index, mesh),) = session_of([frame], height=16).meshes
+    assert index == 0
+    assert not mesh.measured[30:60, 40:70].any()
+    assert (mesh.grid_depth_m[30:60, 40:70] > 0).all()  # completed from the hole's rim
+    assert mesh.measured.sum() == mesh.measured.size - 30 * 30
+
+
+def test_session_lists_keyframes_and_the_last_frame():
+    assert session_of(height=16).meshes == []
+    indices = [index for index, _ in session_of(pan(ROOM, 6), height=16, keyframes=3).meshes]
+    assert indices == sorted(indices)
+    assert indices[-1] == 5
+    assert len(indices) in (3, 4)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from roomlight.captures import open_capture
-from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.metrics import log_l2
@@ -66,10 +65,3 @@ def test_light_of_one_frame_is_as_good_as_the_classical_models_and_better_than_a
     colour = first.image.mean(axis=(0, 1))
     errors = [log_l2(np.full_like(truth, colour), truth) for truth in (probe.panorama() for probe in capture.probes)]
     assert scores["single"][0] < 0.65 * np.mean(errors)
-
-
-@pytest.mark.parametrize("model", ["auto", "single"])
-def test_shipped_weights_are_used_by_default_and_by_name(model):
-    chosen = choose_graphs(SessionOptions(model=model, provider="cpu"))
-    assert chosen is not None
-    assert (chosen.path, chosen.form) == (FOLDER, "single")

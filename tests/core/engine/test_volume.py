@@ -1,4 +1,5 @@
-"""Volume initialisation: the paper's numbers at known places, and the kernel against its readable reference."""
+"""Volume initialisation: the paper's numbers at known places, the kernel against its readable reference; and means
+of initial volumes over the frames that observed a voxel."""
 
 import dataclasses
 
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from roomlight.camera import rigid_inverse
 from roomlight.engine.kernels.reference import initial_volume_reference
+from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.grid import (
     DEPTH_MAX_FLOOR_M,
     VOLUME_SHAPE,
@@ -21,6 +23,7 @@ from rooms import BoxRoom, camera_at, pinhole
 
 ROOM = BoxRoom()
 SMALL = (16, 15, 21)  # a quarter of the paper's shape
+TINY = (3, 4, 5)
 
 
 def _plane_frame(depth_m=4.0, *, image=0.5, camera_to_world=None, width=160, height=120):
@@ -169,3 +172,33 @@ def test_half_known_corners_count_by_weight_and_keep_known_depth():
     known = holed[3] > 0
     np.testing.assert_allclose(holed[:, known], whole[:, known], atol=1e-3)
     assert known.sum() > 0.5 * (whole[3] > 0).sum()
+
+
+def volumes(count, seed=0):
+    """Initial volumes as of frames: surfaces, empty voxels, and voxels that were not observed."""
+    random = np.random.default_rng(seed)
+    for _ in range(count):
+        kind = random.integers(0, 3, TINY)
+        alpha = np.where(kind == 1, random.uniform(0.01, 1, TINY), 0).astype(np.float32)
+        colour = random.uniform(0, 4, (3, *TINY)).astype(np.float32)
+        yield np.concatenate([alpha * colour, alpha[None], np.where(kind == 2, -1, 0)[None]]).astype(np.float32)
+
+
+def fused(frames):
+    fusion = FusedVolume.fresh(TINY)
+    for frame in frames:
+        fusion.add(frame)
+    out = np.full((5, *TINY), np.nan, np.float32)
+    fusion.write(out)
+    return out
+
+
+def test_the_fused_volume_is_the_mean_over_the_frames_that_saw_a_voxel():
+    np.testing.assert_array_equal(fused([]), np.zeros((5, *TINY), np.float32))
+    frames = list(volumes(6, seed=1))
+    out = fused(frames)
+    for at in np.ndindex(TINY):
+        seen = [frame[:, *at] for frame in frames if frame[3, *at] > 0 or frame[4, *at] < 0]
+        wanted = np.mean([one[:4] for one in seen], axis=0) if seen else np.zeros(4)
+        np.testing.assert_allclose(out[:4, *at], wanted, rtol=1e-5)
+        assert out[4, *at] == (-1 if seen and all(one[3] == 0 for one in seen) else 0)
