@@ -205,6 +205,7 @@ SMALL = png(np.zeros((4, 4, 3), np.uint8))
 BOMB = SMALL[:16] + (50_000).to_bytes(4, "big") * 2 + SMALL[24:]  # the width and the height that its header declares
 
 
+RED = np.full((4, 4, 3), (200, 10, 20), np.uint8)
 POSITIONS = -140
 """Where they begin in the content: 48 bytes, then 32 of coordinates, 48 of normals and 12 of indices."""
 SPARSE = {"count": 1, "indices": {"bufferView": 1, "componentType": 5125}, "values": {"bufferView": 0}}
@@ -321,3 +322,53 @@ def test_damaged_json_is_refused(text: bytes) -> None:
 def test_hostile_obj_and_ply_are_refused(data: bytes, message: str) -> None:
     with pytest.raises(ObjectError, match=message):
         load_object(data, "ply" if data.startswith(b"ply") else "obj")
+
+
+# Files beside a glTF
+
+
+def gltf_folder(folder: Path, *, buffer: str = "scene.bin", picture: str = "textures/red.png") -> Path:
+    """Write a glTF whose buffer and picture are files, as Sketchfab and Blender export it."""
+    file = textured_quad()
+    file.glb()
+    file.tree["buffers"] = [{"byteLength": len(file.content), "uri": buffer}]
+    file.tree["images"] = [{"uri": picture}] * len(file.tree["images"])
+    (folder / "textures").mkdir(parents=True, exist_ok=True)
+    (folder / "scene.bin").write_bytes(bytes(file.content))
+    (folder / "textures" / "red.png").write_bytes(png(RED))
+    path = folder / "scene.gltf"
+    path.write_text(json.dumps(file.tree))
+    return path
+
+
+@pytest.mark.parametrize(
+    "picture", ["textures/red.png", "./Textures/RED.png", "textures\\red.png", "textures/r%65d.png"]
+)
+def test_gltf_reads_the_files_of_its_folder(tmp_path: Path, picture: str) -> None:
+    path = gltf_folder(tmp_path, picture=picture)
+    ((mesh, material),) = load_object(path).parts
+    ((expected, _),) = load_object(textured_quad().glb()).parts
+    np.testing.assert_array_equal(mesh.vertices, expected.vertices)
+    assert shows(material.base_colour_texture, RED)
+    with pytest.raises(ObjectError, match="outside the file; export as one GLB file"):
+        load_object(path.read_bytes(), "gltf")
+
+
+@pytest.mark.parametrize(
+    "uri", ["../secret.bin", "textures/../../secret.bin", "linked.bin", "missing.bin", "a\0b", "textures"]
+)
+def test_nothing_outside_the_folder_is_read(tmp_path: Path, uri: str) -> None:
+    path = gltf_folder(tmp_path / "model", buffer=uri)
+    (tmp_path / "secret.bin").write_bytes((path.parent / "scene.bin").read_bytes())
+    (path.parent / "linked.bin").symlink_to(tmp_path / "secret.bin")
+    with pytest.raises(ObjectError, match=r"buffer 0: .*; put it into the object's folder"):
+        load_object(path)
+    absolute = gltf_folder(tmp_path / "absolute", buffer=str(tmp_path / "secret.bin"))
+    with pytest.raises(ObjectError, match="not a path inside the folder"):
+        load_object(absolute)
+
+
+def test_files_beside_count_together(tmp_path: Path) -> None:
+    path = gltf_folder(tmp_path)
+    with pytest.raises(ObjectError, match="file bytes are limited to"):
+        load_object(path, limits=ObjectLimits(file_bytes=path.stat().st_size + 10))

@@ -7,25 +7,40 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gltf_files import QUAD as CORNERS
-from gltf_files import QUAD_FACES, GltfFile, area, face_normals, ply, png
+from gltf_files import QUAD_FACES, GltfFile, area, face_normals, left_out, ply, png, shows
+from PIL import Image
 
+from colour_profiles import matrix_profile
+from present import present
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.polygons import corner_normals, ear_clipped
+from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.errors import ObjectError
 
 QUAD = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 FACES = ("f 1/1 2/2 3/3\n", "f 1/1 3/3 4/4\n")
 RED = np.full((4, 4, 3), (200, 10, 20), np.uint8)
+MTL = "newmtl Dark wood\nKd 1 1 1\nmap_Kd -s 1 1 1 maps\\wood red.png\nnewmtl steel\nKd 0.5 0.5 0.5\n"
+MTL += "Ks 0.5 0.5 0.5\nNs 250\nNi 1.0\nPm 1\nd 0.25\nmap_Bump bump.png\n"
 
 
-def quad_of(folder: Path, materials: str | bytes, *, names: tuple[str, ...] = ("m",), code: str = "utf-8") -> Path:
+def quad_of(
+    folder: Path, materials: str, *, names: tuple[str, ...] = ("m",), code: str = "utf-8", library: str = "a.mtl"
+) -> Path:
     """Write a quad, each of its triangles with a material of this name, and its library."""
     used = [f"usemtl {name}\n{face}" for name, face in zip(names * 2, FACES, strict=False)]
-    (folder / "a.mtl").write_bytes(materials if isinstance(materials, bytes) else materials.encode(code))
-    (folder / "a.obj").write_bytes(("mtllib a.mtl\n" + QUAD + "".join(used)).encode(code))
+    (folder / library).write_bytes(materials.encode(code))
+    (folder / "a.obj").write_bytes((f"mtllib {library}\n" + QUAD + "".join(used)).encode(code))
     return folder / "a.obj"
+
+
+def chair_of(folder: Path, materials: str = MTL) -> Path:
+    """Write a quad of dark wood and steel, and a texture in a folder beside it."""
+    (folder / "maps").mkdir()
+    (folder / "maps" / "wood red.png").write_bytes(png(RED))
+    return quad_of(folder, materials, names=("Dark wood", "steel"), library="my room.mtl")
 
 
 def notes_of(found: VirtualObject) -> list[str]:
@@ -245,3 +260,95 @@ def test_materials_and_libraries_on_a_line_are_limited(tmp_path: Path, materials
     path.write_text(path.read_text().replace("mtllib a.mtl", "mtllib a.mtl" + " b" * libraries))
     with pytest.raises(ObjectError, match="materials are limited to 256"):
         load_object(path)
+
+
+# What materials state
+
+
+def test_obj_reads_its_materials_and_their_textures(tmp_path: Path) -> None:
+    chair = load_object(chair_of(tmp_path))
+    (_, wood), (_, steel) = chair.parts
+    assert chair.triangles == 2
+    assert shows(wood.base_colour_texture, RED)
+    assert (wood.specular, wood.roughness, wood.opacity) == (0, 1, 1)
+    assert steel.base_colour == pytest.approx((0.214, 0.214, 0.214), abs=1e-3)
+    assert (steel.metallic, steel.specular, steel.opacity, steel.ior) == (1, 1, 0.25, 1.5)
+    assert steel.roughness == pytest.approx(0.5)  # Ns 250 of 1000
+    assert [note.rpartition(": ")[2] for note in left_out(chair)] == ["relief"]
+
+
+def test_what_lies_not_beside_an_obj_is_noted(tmp_path: Path) -> None:
+    path = chair_of(tmp_path)
+    (tmp_path / "maps" / "wood red.png").unlink()
+    assert any("map_kd" in note.left_out and "object's folder" in note.left_out for note in load_object(path).notes)
+    (tmp_path / "my room.mtl").unlink()
+    (note,) = load_object(path).notes
+    assert "my room.mtl" in note.left_out
+    assert note.effect == "the object is grey"
+    (note,) = load_object(path.read_bytes(), "obj").notes
+    assert "export as GLB" in note.advice
+
+
+@pytest.mark.parametrize("kind", ["bmp", "gif", "tga", "tif", "txt", "deep.tif"])
+def test_pictures_of_an_obj_are_read_in_older_formats_or_noted(tmp_path: Path, kind: str) -> None:
+    path = chair_of(tmp_path, f"newmtl Dark wood\nmap_Kd wood.{kind}\n")
+    if kind == "txt":
+        (tmp_path / "wood.txt").write_text("wood")
+    else:
+        Image.fromarray(RED[..., 0].astype(np.uint16) if kind == "deep.tif" else RED).save(tmp_path / f"wood.{kind}")
+    found = load_object(path)
+    texture = found.parts[0][1].base_colour_texture
+    if kind in ("txt", "deep.tif"):
+        assert texture is None
+        assert ("is neither PNG" if kind == "txt" else "8 bits are read") in found.notes[0].left_out
+    else:
+        assert shows(texture, RED)
+
+
+def test_odd_numbers_in_materials_keep_their_defaults(tmp_path: Path) -> None:
+    path = chair_of(tmp_path, "newmtl Dark wood\nKd nan 1 1\nNs -4\nTr 0,5\nKe 9\nPr 2\nnewmtl steel\nKd 0.2\n")
+    (_, wood), (_, steel) = load_object(path).parts
+    assert wood.base_colour == pytest.approx((0.604,) * 3, abs=1e-3)  # 0.8 in sRGB
+    assert (wood.roughness, wood.opacity, wood.emissive) == (1, 0.5, (9, 9, 9))
+    assert steel.base_colour == pytest.approx((0.0331,) * 3, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("Kd 128 0 0", "Kd of 128"),
+        ("Kd spectral metal.rfl", "Kd spectral"),
+        ("Ps 1", "sheen"),
+        ("Pc 0\nPs 0.0\nPcr 0.03\naniso 0\nanisor 0", ""),
+        ("Tf 1.0000 1.0000 1.0000", ""),
+        ("Tf 1 0.5 1", "coloured glass"),
+        ("Tf spectral glass.rfl", "coloured glass"),
+        ("map_Kd -s 2 2 1 maps/wood red.png", "scale, offset"),
+        ("map_Kd -o 0 0.5 maps/wood red.png", "scale, offset"),
+        ("map_Kd -s 1 1.0 1 -o 0 0 0 maps/wood red.png", ""),
+        ('map_Kd "maps/wood red.png"', ""),
+        ("map_Kd -mm 0 0.5 maps/wood red.png", "-mm"),
+        ("map_Kd -mm 0 1 maps/wood red.png", ""),
+        ("map_Ka maps/wood red.png\nmap_Kd maps/wood red.png", ""),
+        ("map_Ka maps/wood red.png", "map_ka"),
+        ("map_ORM maps/wood red.png", "map_orm"),
+        ("illum 0", "illum 0"),
+        ("Kd 0.5 0 0\nd -halo 0.5", ""),
+    ],
+)
+def test_what_a_material_states_is_read_or_noted(tmp_path: Path, line: str, says: str) -> None:
+    chair = load_object(chair_of(tmp_path, f"newmtl Dark wood\n{line}\nnewmtl steel\n"))
+    assert [says in note for note in left_out(chair)] == [True] * bool(says)
+    wood = chair.parts[0][1]
+    assert (wood.base_colour_texture is not None) == ("map_Kd" in line)
+    assert wood.opacity == (0.5 if "halo" in line else 1)
+    if "128" in line:
+        assert wood.base_colour == pytest.approx((0.2158605, 0, 0), abs=1e-5)
+
+
+def test_textures_of_an_obj_have_a_colour_profile(tmp_path: Path) -> None:
+    path = chair_of(tmp_path)
+    profile = matrix_profile((0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329))
+    Image.fromarray(RED).save(tmp_path / "maps" / "wood red.png", icc_profile=profile)
+    texture = present(load_object(path).parts[0][1].base_colour_texture)
+    assert texture.texels[0, 0, 0] > 1.15 * Texture.from_srgb8(RED).texels[0, 0, 0]  # P3's red is redder
