@@ -38,7 +38,7 @@ WHITE = np.float32(0.5)
 
 def clipped(frame):
     """The frame as a camera gives it that saturates at `WHITE`."""
-    marked = saturated(frame, WHITE)
+    marked = saturated(frame, float(WHITE))
     assert 0.02 < marked.clipped.mean() < 0.9
     return marked
 
