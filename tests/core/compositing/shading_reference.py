@@ -38,6 +38,13 @@ def wall(material: Material, z: float = 0.0) -> VirtualObject:
     return plane(4.0, 4.0, material).transformed(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, z], [0, 0, 0, 1.0]]))
 
 
+def lit_room(seed: int = 7) -> np.ndarray:
+    """Return uneven light with a small lamp, 32 rows."""
+    panorama = np.kron(np.random.default_rng(seed).random((4, 8, 3)), np.ones((8, 8, 1)))
+    panorama[6:9, 20:24] = 20.0
+    return panorama.astype(np.float32)
+
+
 def paths(samples: int, bounces: int = 4, **more) -> RenderSettings:
     return RenderSettings(samples, bounces, denoised=False, **more)
 

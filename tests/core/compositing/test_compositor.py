@@ -19,9 +19,9 @@ from roomlight.compositing.picture.camera_match import CameraModel, add_noise, m
 from roomlight.compositing.picture.layers import encode_srgb8
 from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, SceneObject
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8, srgb8_to_linear
-from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import OptionError, SceneError
 from rooms import BoxRoom, camera_at
+from sessions import session_of
 
 LAMP = ((0.3, 3.0, 0.0), 0.5)
 ROOM = BoxRoom(block=((-0.9, 0.0, -1.2), (-0.3, 0.6, -0.6)), lamp=LAMP, lamp_radiance=20.0)
@@ -55,11 +55,9 @@ def warped_change(frames, layers, depths_m, number):
 
 @pytest.fixture(scope="module")
 def session():
-    held = Session(SessionOptions(model="classical", height=32))
-    for index in range(6):
-        held.push(ROOM.frame(camera_at(EYE, 60 * index, (index % 3) * 40 - 40), index=index, width=96, height=72))
-    held.push(view(index=12))
-    return held
+    poses = [camera_at(EYE, 60 * index, (index % 3) * 40 - 40) for index in range(6)]
+    around = [ROOM.frame(pose, index=index, width=96, height=72) for index, pose in enumerate(poses)]
+    return session_of([*around, view(index=12)], height=32)
 
 
 def test_layers_make_the_image(session):
@@ -285,7 +283,7 @@ def test_paths_are_limited_for_objects_that_cover_many_pixels(session):
 
 def test_what_cannot_be_composited_is_refused(session):
     with pytest.raises(SceneError, match="push a frame first"):
-        Compositor(Session(SessionOptions(model="classical", height=16)), [BALL]).composite(view())
+        Compositor(session_of(height=16), [BALL]).composite(view())
     with pytest.raises(OptionError, match="quality must be one of preview, good, final; got 'best'"):
         Compositor(session, [BALL], quality="best")
     for place, message in (

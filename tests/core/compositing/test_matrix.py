@@ -17,9 +17,10 @@ from roomlight.compositing.objects.teapot import teapot
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.compositing.picture.layers import Composite
 from roomlight.compositing.placement.scene import AtPixel, AtPosition, SceneObject
-from roomlight.engine.session import Session, SessionOptions
+from roomlight.engine.session import Session
 from roomlight.sample import sample_capture
 from rooms import BoxRoom, camera_at
+from sessions import session_of
 
 QUALITIES = ("preview", "good", "final")
 MARKED = [QUALITIES[0], *(pytest.param(quality, marks=pytest.mark.slow) for quality in QUALITIES[1:])]
@@ -41,11 +42,8 @@ VIEW = ROOM.frame(camera_at(EYE, 0, -32), index=20, width=240, height=180)
 
 @pytest.fixture(scope="module")
 def session() -> Session:
-    room = Session(SessionOptions(model="classical", height=32))
-    for index in range(8):
-        room.push(ROOM.frame(camera_at(EYE, 45 * index, (index % 2) * 60 - 35), index=index))
-    room.push(VIEW)
-    return room
+    around = [ROOM.frame(camera_at(EYE, 45 * index, (index % 2) * 60 - 35), index=index) for index in range(8)]
+    return session_of([*around, VIEW], height=32)
 
 
 @pytest.fixture(scope="module", params=MARKED)
@@ -133,20 +131,18 @@ def test_files_are_lit_by_the_room_without_seams_and_stand_on_every_foot(session
 
 @pytest.mark.slow
 def test_objects_in_the_frames_of_a_recording_have_no_seams_and_cast_no_light() -> None:
-    frames = list(open_capture(sample_capture()))
-    session = Session(SessionOptions(height=60))
-    for frame in frames:
-        session.push(frame)
+    frames = list(open_capture(sample_capture()))[::10]
+    session = session_of(frames, model="auto", height=60)
     floor = AtPixel(160.0, 200.0, frames[0].index)
     for quality in QUALITIES:
         made = Compositor(session, [SceneObject("table", table("texture transform"), floor)], quality=quality)
-        for frame in frames[::10]:
+        for frame in frames:
             picture = made.composite(frame)
             assert np.isfinite(picture.radiance).all()
             assert picture.shadow.max() < 1.35
             assert largest_step(picture.objects[..., 1], picture.object_id == 0) < 0.2
-        assert len(frames[::10]) > 2
         made.close()
+    assert len(frames) > 2
 
 
 def check_light(picture: Composite) -> None:

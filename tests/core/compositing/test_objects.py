@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from present import present
 from roomlight.compositing.objects.materials import mirror
 from roomlight.compositing.objects.primitives import chair, cube, plane, sphere, vase
 from roomlight.compositing.objects.teapot import teapot
@@ -125,8 +126,7 @@ def test_object_without_a_part_is_refused() -> None:
 
 def test_tangents_follow_growing_u() -> None:
     ((mesh, _),) = plane(1.0, 1.0).parts
-    tangents = mesh.with_tangents().tangents
-    assert tangents is not None
+    tangents = present(mesh.with_tangents().tangents)
     np.testing.assert_allclose(tangents[:, :3], [[1, 0, 0]] * 4, atol=1e-6)
     # glTF: the bitangent cross(n, t) w points up the image, toward -z here
     bitangent = np.cross(mesh.normals, tangents[:, :3]) * tangents[:, 3:]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from present import present
 from roomlight.camera import transform_points
 from roomlight.compositing.placement.places import (
     Box,
@@ -30,9 +31,18 @@ def view(pitch_degrees, noise_m=0.0):
     if noise_m:
         noise = np.random.default_rng(3).normal(0, noise_m, frame.depth_m.shape).astype(np.float32)
         frame = replace(frame, depth_m=frame.depth_m + noise)
+    return frame, known_by(frame)
+
+
+def known_by(frame):
     geometry = RoomGeometry()
     geometry.add(0, FrameMesh(frame))
-    return frame, geometry
+    return geometry
+
+
+def placed_at(target, frame, geometry, **more):
+    """Place the box at the pixel of a frame that shows a point."""
+    return place_at_pixel(geometry, frame, *pixel_of(frame, target), BOX, **more)
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.004])
@@ -41,16 +51,15 @@ def view(pitch_degrees, noise_m=0.0):
     [(-35, (0.9, 0, -0.8), 1, 0.0), (-25, (0.0, 0.7, -1.3), 1, 0.7), (30, (0.6, 3.0, -1.2), 1, 3.0)],
 )
 def test_object_rests_on_the_plane_behind_the_pixel(pitch, target, axis, height, noise_m):
-    frame, geometry = view(pitch, noise_m)
-    placed = place_at_pixel(geometry, frame, *pixel_of(frame, target), BOX)
+    placed = placed_at(target, *view(pitch, noise_m))
     corners = transform_points(placed.object_to_world, CORNERS)
     gap = corners[:, axis].min() - height if height < 3 else height - corners[:, axis].max()
     assert abs(gap) < 0.005
     assert placed.kind == ("ceiling" if height == 3 else "floor")
-    assert placed.support is not None
-    assert placed.support.normal == pytest.approx([0, -1 if height == 3 else 1, 0])
+    support = present(placed.support)
+    assert support.normal == pytest.approx([0, -1 if height == 3 else 1, 0])
     assert placed.object_to_world[:3, 1] == pytest.approx([0, 1, 0])  # upright, also under a ceiling
-    assert placed.support.point[[0, 2]] == pytest.approx(np.array(target)[[0, 2]], abs=0.02)
+    assert support.point[[0, 2]] == pytest.approx(np.array(target)[[0, 2]], abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -62,9 +71,7 @@ def test_object_stands_upright_on_what_is_nearly_level_and_leans_on_a_slope(tilt
     cos, sin = np.cos(np.radians(tilt_degrees)), np.sin(np.radians(tilt_degrees))
     tilt[:2, :2] = [[cos, -sin], [sin, cos]]
     tilted = replace(frame, camera_to_world=tilt @ frame.camera_to_world, depth_estimated=estimated)
-    geometry = RoomGeometry()
-    geometry.add(0, FrameMesh(tilted))
-    placed = place_at_pixel(geometry, tilted, *pixel_of(frame, (0.9, 0, -0.8)), BOX)
+    placed = place_at_pixel(known_by(tilted), tilted, *pixel_of(frame, (0.9, 0, -0.8)), BOX)
     assert placed.kind == kind
     up = [0, 1, 0] if kind == "floor" else tilt[:3, 1]
     assert placed.object_to_world[:3, 1] == pytest.approx(up, abs=0.002)
@@ -72,17 +79,15 @@ def test_object_stands_upright_on_what_is_nearly_level_and_leans_on_a_slope(tilt
 
 def test_object_does_not_lean_on_the_rim_of_a_table_in_coarse_depth():
     frame = ROOM.frame(camera_at(EYE, pitch_degrees=-35), width=320, height=240, depth_size=(64, 48))
-    geometry = RoomGeometry()
-    geometry.add(0, FrameMesh(frame))
+    geometry = known_by(frame)
     for x in np.linspace(-0.5, 0.4, 19):  # 8 of them leaned
-        placed = place_at_pixel(geometry, frame, *pixel_of(frame, (x, 0.68, -1.0)), BOX)
+        placed = placed_at((x, 0.68, -1.0), frame, geometry)
         assert placed.object_to_world[:3, 1] == pytest.approx([0, 1, 0], abs=1e-6)
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.004])
 def test_object_hangs_flush_on_a_wall(noise_m):
-    frame, geometry = view(0, noise_m)
-    placed = place_at_pixel(geometry, frame, *pixel_of(frame, (1.0, 1.5, -2.5)), BOX)
+    placed = placed_at((1.0, 1.5, -2.5), *view(0, noise_m))
     corners = transform_points(placed.object_to_world, CORNERS)
     assert placed.kind == "wall"
     assert abs(corners[:, 2].min() + 2.5) < (0.008 if noise_m else 0.005)
@@ -92,25 +97,21 @@ def test_object_hangs_flush_on_a_wall(noise_m):
 
 
 def test_yaw_turns_about_the_normal():
-    frame, geometry = view(-35)
-    turned = place_at_pixel(geometry, frame, *pixel_of(frame, (0.9, 0, -0.8)), BOX, yaw_degrees=90.0)
+    turned = placed_at((0.9, 0, -0.8), *view(-35), yaw_degrees=90.0)
     assert turned.object_to_world[:3, 2] == pytest.approx([1, 0, 0], abs=1e-6)
 
 
 def test_near_an_edge_the_pixels_own_surface_is_fitted():
-    frame, geometry = view(-25)
-    placed = place_at_pixel(geometry, frame, *pixel_of(frame, (0.0, 0.7, -1.06)), BOX)
+    placed = placed_at((0.0, 0.7, -1.06), *view(-25))
     assert placed.kind == "floor"
-    assert placed.support is not None
-    assert placed.support.point[1] == pytest.approx(0.7, abs=0.005)
+    assert present(placed.support).point[1] == pytest.approx(0.7, abs=0.005)
 
 
 def test_another_frame_fills_a_hole_behind_the_pixel():
     frame, geometry = view(-35)
     blind = replace(frame, depth_m=np.zeros_like(frame.depth_m))
-    placed = place_at_pixel(geometry, blind, *pixel_of(frame, (0.9, 0, -0.8)), BOX)
-    assert placed.support is not None
-    assert placed.support.point == pytest.approx([0.9, 0, -0.8], abs=0.01)
+    placed = placed_at((0.9, 0, -0.8), blind, geometry)
+    assert present(placed.support).point == pytest.approx([0.9, 0, -0.8], abs=0.01)
 
 
 def test_places_that_cannot_be_are_refused():
@@ -142,8 +143,7 @@ def test_the_anchor_is_put_onto_the_place(anchor, expected):
 def test_support_is_found_under_an_object_placed_by_position():
     _, geometry = view(-35)
     standing = support_below(geometry, place_at(np.array([0.9, 0.0, -0.8]), BOX), BOX)
-    assert standing is not None
-    assert standing.normal == pytest.approx([0, 1, 0])
+    assert present(standing).normal == pytest.approx([0, 1, 0])
     assert support_below(geometry, place_at(np.array([0.9, 0.3, -0.8]), BOX), BOX) is None
 
 

@@ -6,22 +6,19 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from roomlight.compositing.light.probes import ObjectProbes
 from roomlight.compositing.light.temporal import LIGHT_S
-from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
+from sessions import session_of
 
 PLACES = np.array([[0.3, 0.4, -1.0], [-0.5, 0.4, -0.6]])
 
 
-@pytest.fixture
-def room():
-    return BoxRoom(size_m=(5.0, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
+ROOM = BoxRoom(size_m=(5.0, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
+DOWN, UP = (ROOM.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=pitch), width=64, height=48) for pitch in (-35.0, 25.0))
 
 
 @pytest.fixture
-def session(room):
-    session = Session(SessionOptions(height=32))
-    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=-35.0), width=64, height=48))
-    return session
+def session():
+    return session_of([DOWN], model="auto", height=32)
 
 
 def position(place):
@@ -40,12 +37,12 @@ def test_objects_and_their_shadows_have_a_light_each(session):
     assert shown.mean() > 1.1 * casting.mean()  # the floor is seen, and the lamp is not
 
 
-def test_mirrors_show_the_light_that_casts_shadows(session, room):
+def test_mirrors_show_the_light_that_casts_shadows(session):
     probes = ObjectProbes(session)
     probes.add(PLACES)
     first = probes.lights()
     assert probes.lights() is first
-    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=25.0), width=64, height=48))
+    session.push(UP)
     assert probes.advance(20 * LIGHT_S)
     for lights in (first, probes.lights()):
         environment = lights.environment
@@ -54,11 +51,11 @@ def test_mirrors_show_the_light_that_casts_shadows(session, room):
     assert_array_equal(environment.radiance[0], probes.at(position(PLACES[0])).panorama)
 
 
-def test_both_follow_the_session(session, room):
+def test_both_follow_the_session(session):
     probes = ObjectProbes(session)
     probes.add(PLACES)
     handles = [session.track(position(place)) for place in PLACES]
-    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=25.0), width=64, height=48))
+    session.push(UP)
     assert probes.advance(20 * LIGHT_S)
     for place, handle in zip(PLACES, handles, strict=True):
         at, light = position(place), session.light(handle)

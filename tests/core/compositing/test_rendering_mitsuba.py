@@ -4,7 +4,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from shading_reference import look_at, paths
+from shading_reference import lit_room, look_at, paths
 
 from roomlight.camera import Intrinsics
 from roomlight.compositing.light.lighting import ProbeSet
@@ -21,13 +21,6 @@ def mitsuba() -> ModuleType:
     module = pytest.importorskip("mitsuba")
     module.set_variant("scalar_rgb")
     return module
-
-
-def _panorama() -> np.ndarray:
-    rng = np.random.default_rng(7)
-    smooth = np.kron(rng.random((4, 8, 3)), np.ones((8, 8, 1)))
-    smooth[6:9, 20:24] = 20.0
-    return smooth.astype(np.float32)
 
 
 def _mitsuba_panorama(panorama: np.ndarray) -> np.ndarray:
@@ -55,7 +48,7 @@ def _mitsuba_panorama(panorama: np.ndarray) -> np.ndarray:
     ids=["diffuse", "metal", "glass"],
 )
 def test_spheres_agree_with_mitsuba(mitsuba: ModuleType, material: Material, bsdf: dict) -> None:
-    panorama = _panorama()
+    panorama = lit_room()
     degrees = 30.0
     scene = mitsuba.load_dict(
         {

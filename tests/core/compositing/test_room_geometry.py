@@ -5,9 +5,9 @@ import pytest
 
 from roomlight.camera import transform_points
 from roomlight.compositing.placement.room_geometry import MAX_PIECES, RoomGeometry
-from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.surface.mesh import FrameMesh
 from rooms import BoxRoom, camera_at, pan
+from sessions import session_of
 
 ROOM = BoxRoom()
 BLOCKED = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)))
@@ -16,26 +16,27 @@ POSE = camera_at((0.3, 1.5, 1.2), 4, -10)
 
 def cast_at(geometry, frame):
     """Fused distance against the true one along the frame's rays."""
-    k = frame.intrinsics
-    return geometry.depth_image(k, frame.camera_to_world), frame.depth_m
+    return geometry.depth_image(frame.intrinsics, frame.camera_to_world), frame.depth_m
+
+
+def fused(*frames):
+    geometry = RoomGeometry()
+    for index, frame in enumerate(frames):
+        geometry.add(index, FrameMesh(frame))
+    return geometry
 
 
 def test_fused_depth_is_the_rooms():
-    geometry = RoomGeometry()
-    for index, frame in enumerate(pan(BLOCKED, 6, step_degrees=8)):
-        geometry.add(index, FrameMesh(frame))
-    frame = pan(BLOCKED, 1, start_degrees=17)[0]
-    fused, true = cast_at(geometry, frame)
-    known = fused > 0
+    found, true = cast_at(fused(*pan(BLOCKED, 6, step_degrees=8)), pan(BLOCKED, 1, start_degrees=17)[0])
+    known = found > 0
     assert known.mean() > 0.9
-    wrong = np.abs(fused - true)[known] / true[known]
+    wrong = np.abs(found - true)[known] / true[known]
     assert np.percentile(wrong, 90) < 0.002
     assert (wrong > 0.05).mean() < 0.03  # beside edges, where no triangle is
 
 
 def test_what_a_later_frame_sees_through_is_removed():
-    geometry = RoomGeometry()
-    geometry.add(0, FrameMesh(BLOCKED.frame(POSE)))
+    geometry = fused(BLOCKED.frame(POSE))
     before, _ = cast_at(geometry, BLOCKED.frame(POSE))
     geometry.add(1, FrameMesh(ROOM.frame(POSE)))  # the block was taken away
     after, true = cast_at(geometry, ROOM.frame(POSE))
@@ -48,17 +49,14 @@ def test_what_a_later_frame_sees_through_is_removed():
 
 
 def test_the_same_view_adds_hardly_a_triangle():
-    geometry = RoomGeometry()
-    geometry.add(0, FrameMesh(ROOM.frame(POSE)))
+    geometry = fused(ROOM.frame(POSE))
     first = geometry.triangles
     geometry.add(1, FrameMesh(ROOM.frame(POSE)))
     assert geometry.triangles < 1.06 * first
 
 
 def test_a_closer_view_replaces_the_coarse_triangles():
-    geometry = RoomGeometry()
-    geometry.add(0, FrameMesh(ROOM.frame(camera_at((0, 1.5, 2.3)))))
-    geometry.add(1, FrameMesh(ROOM.frame(camera_at((0, 1.5, -1.3)))))
+    geometry = fused(ROOM.frame(camera_at((0, 1.5, 2.3))), ROOM.frame(camera_at((0, 1.5, -1.3))))
     point = np.array([[0.0, 1.5, -2.5]], np.float32)
     near = np.linalg.norm(geometry.points() - point, axis=1) < 0.15
     spacing = 1.2 / ROOM.frame(POSE).intrinsics.fx
@@ -68,21 +66,18 @@ def test_a_closer_view_replaces_the_coarse_triangles():
 def test_completed_depth_is_no_surface():
     frame = ROOM.frame(POSE)
     frame.depth_m[40:80, 60:100] = 0
-    session = Session(SessionOptions(model="classical", height=16))
-    session.push(frame)
-    geometry = RoomGeometry()
+    session, geometry = session_of([frame], height=16), RoomGeometry()
     assert geometry.update(session)
     assert not geometry.update(session)
-    fused, _ = cast_at(geometry, frame)
-    assert (fused[44:76, 64:96] == 0).all()
-    assert (fused[4:36, 4:-4] > 0).mean() > 0.99  # a ray through a vertex may slip through
+    found, _ = cast_at(geometry, frame)
+    assert (found[44:76, 64:96] == 0).all()
+    assert (found[4:36, 4:-4] > 0).mean() > 0.99  # a ray through a vertex may slip through
 
 
 def test_hits_face_the_ray_and_without_frames_nothing_is_hit():
-    geometry = RoomGeometry()
-    empty = geometry.cast(np.zeros((2, 3), np.float32), np.eye(3, dtype=np.float32)[:2])
+    empty = RoomGeometry().cast(np.zeros((2, 3), np.float32), np.eye(3, dtype=np.float32)[:2])
     assert np.isinf(empty.distance_m).all()
-    geometry.add(0, FrameMesh(ROOM.frame(POSE)))
+    geometry = fused(ROOM.frame(POSE))
     direction = transform_points(POSE, np.array([0.0, 0, -1])) - POSE[:3, 3]
     for origin, along in ((POSE[:3, 3], direction), (POSE[:3, 3] + 20 * direction, -direction)):
         hits = geometry.cast(origin[None].astype(np.float32), along[None].astype(np.float32))
@@ -91,8 +86,5 @@ def test_hits_face_the_ray_and_without_frames_nothing_is_hit():
 
 @pytest.mark.slow
 def test_the_number_of_pieces_is_bounded():
-    geometry = RoomGeometry()
-    frame = ROOM.frame(POSE, width=16, height=12)
-    for index in range(MAX_PIECES + 3):
-        geometry.add(index, FrameMesh(frame))
+    geometry = fused(*[ROOM.frame(POSE, width=16, height=12)] * (MAX_PIECES + 3))
     assert len(geometry._pieces) == MAX_PIECES

@@ -6,6 +6,7 @@ from light_rooms import lit, unit
 from shading_reference import moved
 from test_shadows import from_axis
 
+from present import present
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.objects.materials import diffuse
 from roomlight.compositing.objects.primitives import sphere
@@ -69,8 +70,7 @@ def test_the_lit_top_of_the_block_keeps_its_shadow(scene):
 
 
 def test_the_lamp_is_the_brightest_direction_and_even_light_has_none():
-    lamp = lamp_of(LightSampler(SUN))
-    assert lamp is not None
+    lamp = present(lamp_of(LightSampler(SUN)))
     assert lamp.direction @ TOWARD > np.cos(np.radians(2.5))
     assert lamp.intensity == pytest.approx([3000 * np.pi * np.radians(2) ** 2] * 3, rel=0.2)
     for even in (lit(60, [], level=1.0), lit(120, [(TOWARD, 2.0, 1.0)], level=1.0)):

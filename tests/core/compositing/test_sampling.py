@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from shading_reference import look_at, moved, paths
+from shading_reference import lit_room, look_at, moved, paths
 
 from roomlight.camera import Intrinsics
-from roomlight.compositing.kernels.environment import mean_around
+from roomlight.compositing.kernels.environment import mean_around, place_of
 from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glossy, mirror, rough_metal
@@ -13,7 +13,7 @@ from roomlight.compositing.objects.primitives import cube, plane, sphere
 from roomlight.compositing.rendering import tracer
 from roomlight.compositing.rendering.renderer import render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects
-from roomlight.conventions import panorama_directions, panorama_solid_angles
+from roomlight.conventions import direction_to_uv, panorama_directions, panorama_solid_angles
 from roomlight.kernels.common import point
 from roomlight.spheres import resize_panorama
 
@@ -30,13 +30,6 @@ FLOOR = Supports(
 )
 
 
-def lit_room(seed: int = 7) -> np.ndarray:
-    """Return uneven light with a small lamp, 32 rows."""
-    panorama = np.kron(np.random.default_rng(seed).random((4, 8, 3)), np.ones((8, 8, 1)))
-    panorama[6:9, 20:24] = 20.0
-    return panorama.astype(np.float32)
-
-
 def picture(scene: TracedObjects, lights: ProbeSet, samples: int, seed: int = 0, **options) -> np.ndarray:
     """Return the pixels in the middle of an object about the origin, [n, 3]."""
     found = render_objects(scene, CAMERA, POSE, lights, quality=paths(samples), seed=seed, **options)
@@ -49,6 +42,15 @@ def test_points_are_stratified_in_every_shape() -> None:
         for rows in (1, 2, 4, 8, 16, 32, 64):
             cells = np.floor(drawn * [rows, 64 // rows]) @ [64 // rows, 1]
             assert len(np.unique(cells)) == 64, (dimension, rows)
+
+
+def test_panoramas_are_read_where_the_conventions_say() -> None:
+    directions = np.random.default_rng(0).normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = np.concatenate([directions, np.eye(3), 0 - np.eye(3)])
+    places = np.array([place_of(*direction) for direction in directions.tolist()])
+    off = (places - direction_to_uv(directions) + 0.5) % 1 - 0.5  # u wraps around
+    assert np.abs(off * [2 * np.pi, np.pi]).max() < 2e-8
 
 
 def test_faces_under_nothing_are_open() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from present import present
 from roomlight.compositing.compositor import Compositor
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.objects.materials import diffuse
@@ -17,8 +18,8 @@ from roomlight.compositing.placement.scene import AtPosition, SceneObject
 from roomlight.compositing.rendering import unseen_lamps as module
 from roomlight.compositing.rendering.unseen_lamps import ShadowLights, non_negative_factors, unseen_lamps
 from roomlight.conventions import panorama_directions
-from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
+from sessions import session_of
 
 ROOM = BoxRoom(block=((-0.9, 0.0, -1.2), (-0.3, 0.6, -0.6)))
 CENTRE = np.array([0.3, 0.12, -0.4])
@@ -65,10 +66,7 @@ def frames(lamp=2.0, pattern=0.0):
 
 
 def shown(**light):
-    session = Session(SessionOptions(model="classical", height=32))
-    for frame in frames(**light):
-        session.push(frame)
-    room = RoomGeometry()
+    session, room = session_of(frames(**light), height=32), RoomGeometry()
     room.update(session)
     return session, room
 
@@ -84,8 +82,7 @@ def lamps(session, room, surface=FLOOR):
 
 @pytest.mark.slow
 def test_a_lamp_is_found_by_the_shadow_of_a_block(lit):
-    made = lamps(*lit)
-    assert made is not None
+    made = present(lamps(*lit))
     mean = made.energy @ made.directions
     assert np.degrees(np.arccos(mean @ TOWARD / np.linalg.norm(mean))) < 15
     onto_floor = float(made.energy @ made.directions[:, 1])
