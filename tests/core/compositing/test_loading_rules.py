@@ -406,6 +406,9 @@ def test_sparse_and_quantised_accessors() -> None:
     }
     file.node(mesh=mesh)
     assert area(load_object(file.glb())) == pytest.approx(1)
+    file.content[file.tree["bufferViews"][where]["byteOffset"] + 2] = 4
+    with pytest.raises(ObjectError, match="a sparse index points at value 4 of 4"):
+        load_object(file.glb())
     file = GltfFile()
     mesh = file.mesh(QUAD, QUAD_FACES)
     packed_points = np.zeros((4, 4), np.int8)
