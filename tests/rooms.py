@@ -28,12 +28,14 @@ class BoxRoom:
         block: Opposite corners of a block in the room.
         lamp: Centre and radius of a round lamp on the wall that it touches.
         lamp_radiance: Grey radiance of the lamp.
+        pattern: How much the walls' pattern varies.
     """
 
     size_m: tuple[float, float, float] = (6.0, 3.0, 5.0)
     block: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     lamp: tuple[tuple[float, float, float], float] | None = None
     lamp_radiance: float = 8.0
+    pattern: float = 0.25
 
     def cast(self, origins, directions):
         """Radiance [..., 3] and distance [...] along rays with unit directions from inside the room."""
@@ -55,7 +57,7 @@ class BoxRoom:
             distance = np.where(hit, enter, distance)
             face = np.where(hit, 5 - (2 * near.argmax(axis=-1)), face)
         points = origins + distance[..., None] * directions
-        pattern = 0.75 + 0.25 * np.sin(2.0 * points + np.arange(3)).prod(axis=-1)
+        pattern = 1 - self.pattern + self.pattern * np.sin(2.0 * points + np.arange(3)).prod(axis=-1)
         radiance = WALLS[face] * pattern[..., None]
         if self.lamp is not None:
             lit = np.linalg.norm(points - np.array(self.lamp[0]), axis=-1) < self.lamp[1]

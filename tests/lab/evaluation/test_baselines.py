@@ -2,44 +2,18 @@ import numpy as np
 import pytest
 
 from roomlight.camera import Intrinsics
-from roomlight.conventions import panorama_directions
 from roomlight.errors import ProbeError
 from roomlight.frame import Frame
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
+from rooms import WALLS, BoxRoom, camera_at
 
-# The six walls of a box room of 6 x 3 x 4 m about the origin, each in its own colour.
-HALF = np.array([3.0, 1.5, 2.0])
-WALLS = np.array(
-    [[0.9, 0.1, 0.1], [0.1, 0.9, 0.1], [0.1, 0.1, 0.9], [0.8, 0.8, 0.1], [0.1, 0.8, 0.8], [0.8, 0.1, 0.8]], np.float32
-)
-
-
-def cast(origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance along each direction (in its own length) to the box's walls, and the wall's colour."""
-    with np.errstate(divide="ignore"):
-        reach = (np.sign(directions) * HALF - origin) / directions
-    reach[~np.isfinite(reach)] = np.inf
-    axis = reach.argmin(axis=-1)
-    distance = np.take_along_axis(reach, axis[..., None], axis=-1)[..., 0]
-    positive = np.take_along_axis(directions, axis[..., None], axis=-1)[..., 0] > 0
-    return distance, WALLS[2 * axis + positive]
+ROOM = BoxRoom(size_m=(6.0, 3.0, 4.0), pattern=0.0)
 
 
 def frame_at(position: tuple[float, float, float], yaw_deg: float, *, index: int = 0, depth_step: int = 1) -> Frame:
-    """A frame of the box room: yaw 0 looks along -z, 90 along -x."""
-    intrinsics = Intrinsics(60.0, 60.0, 60.0, 45.0, 120, 90)
-    yaw = np.radians(yaw_deg)
-    pose = np.eye(4)
-    pose[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
-    pose[:3, 3] = position
-    rays = intrinsics.rays().astype(np.float64) @ pose[:3, :3].T  # one unit of these is one metre of z-depth
-    depth, colour = cast(pose[:3, 3], rays)
-    depth = depth.astype(np.float32)[depth_step // 2 :: depth_step, depth_step // 2 :: depth_step]
-    return Frame(index, colour, np.zeros((90, 120), bool), depth, intrinsics, pose)
-
-
-def truth(position: tuple[float, float, float], height: int) -> np.ndarray:
-    return cast(np.array(position), panorama_directions(height).astype(np.float64))[1]
+    size = (120 // depth_step, 90 // depth_step)
+    pose = camera_at(position, yaw_deg)
+    return ROOM.frame(pose, index=index, width=120, height=90, depth_size=size, fov_degrees=90.0)
 
 
 def interior(panorama: np.ndarray) -> np.ndarray:
@@ -50,13 +24,13 @@ def interior(panorama: np.ndarray) -> np.ndarray:
     return same
 
 
-@pytest.mark.parametrize("position", [(0.0, 0.0, 0.0), (0.7, -0.4, -1.1)])
+@pytest.mark.parametrize("position", [(0.0, 1.5, 0.0), (0.7, 1.1, -1.1)])
 @pytest.mark.parametrize("depth_step", [1, 3])
 def test_warping_recovers_what_the_camera_sees(position: tuple[float, float, float], depth_step: int) -> None:
     method = WarpAndFill(height=30)
-    method.push(frame_at((0.5, 0.2, 1.0), 20.0, depth_step=depth_step))
+    method.push(frame_at((0.5, 1.7, 1.0), 20.0, depth_step=depth_step))
     panorama, mask = method.warped(position)
-    expected = truth(position, 30)
+    expected, _ = ROOM.panorama(position, height=30)
     seen = (mask == 1) & interior(expected)
     assert seen.mean() > 0.1
     # a third of the depth resolution puts pixels next to a corner onto the wrong wall, nothing else
@@ -68,9 +42,9 @@ def test_a_full_pan_gives_the_room_and_gaps_are_filled() -> None:
     method = WarpAndFill(height=30)
     shares = []
     for index in range(4):
-        method.push(frame_at((0.0, 0.0, 0.0), 90.0 * index, index=index))
-        shares.append(method.warped((0.2, 0.1, 0.3))[1].mean())
-        filled = method.light_at((0.2, 0.1, 0.3))
+        method.push(frame_at((0.0, 1.5, 0.0), 90.0 * index, index=index))
+        shares.append(method.warped((0.2, 1.6, 0.3))[1].mean())
+        filled = method.light_at((0.2, 1.6, 0.3))
         assert np.isfinite(filled).all()
         assert filled.min() >= WALLS.min() - 1e-5
         assert filled.max() <= WALLS.max() + 1e-5
@@ -97,7 +71,7 @@ def test_the_nearest_point_is_kept_and_of_equals_the_newest() -> None:
 
 
 def test_pixels_without_depth_are_not_warped() -> None:
-    frame = frame_at((0.0, 0.0, 0.0), 0.0)
+    frame = frame_at((0.0, 1.5, 0.0), 0.0)
     depth = np.zeros_like(frame.depth_m)
     blind = Frame(0, frame.image, frame.clipped, depth, frame.intrinsics, frame.camera_to_world)
     method = WarpAndFill(height=10)
@@ -108,7 +82,7 @@ def test_pixels_without_depth_are_not_warped() -> None:
 def test_mean_colour_is_the_mean_of_all_pixels_so_far_everywhere() -> None:
     method = MeanColour(height=8)
     np.testing.assert_array_equal(method.light_at((0.0, 0.0, 0.0)), np.zeros((8, 16, 3)))
-    frames = [frame_at((0.0, 0.0, 0.0), yaw) for yaw in (0.0, 77.0)]
+    frames = [frame_at((0.0, 1.5, 0.0), yaw) for yaw in (0.0, 77.0)]
     for frame in frames:
         method.push(frame)
     panorama = method.light_at((1.0, 0.0, 0.0))
