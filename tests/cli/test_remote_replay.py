@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import formats
 import numpy as np
 import pytest
 from server_process import ServerProcess
@@ -19,7 +20,6 @@ from roomlight.images import write_exr, write_png
 from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
-from stray_captures import RecordedFrame, write_stray_scanner
 from written_captures import edited_copy
 
 pytestmark = pytest.mark.usefixtures("small_pictures", "no_pictures")
@@ -64,13 +64,7 @@ def native(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("captures") / "stray"
-    frames = [
-        RecordedFrame(linear_to_srgb8(f.image), f.depth_m, f.intrinsics, f.camera_to_world)
-        for f in pan(ROOM, 2, width=96, height=72)
-    ]
-    write_stray_scanner(path, frames)
-    return path
+    return formats.stray_scanner(tmp_path_factory.mktemp("captures") / "stray", formats.scene(2))
 
 
 def panoramas(out: Path) -> dict[str, bytes]:
@@ -109,16 +103,15 @@ def test_files_are_the_same_as_those_of_a_local_replay(native, server, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["video", "single"])
-def test_networks_give_the_same_files(native, tiny_video, model, tmp_path):
+def test_networks_give_the_same_files(native, tiny_video, tmp_path):
     """The server has the weights; the remote replay names the model only."""
     weights = tiny_video[1]
-    options = ReplayOptions(session=SessionOptions(model=model, height=32, weights=weights), probes=PROBES)
-    remote = replace(options, session=SessionOptions(model=model, height=32))
+    options = ReplayOptions(session=SessionOptions(model="video", height=32, weights=weights), probes=PROBES)
+    remote = replace(options, session=SessionOptions(model="video", height=32))
     with RunningServer(model="video", weights=weights) as running:
         here, there = replay_both(native, f"http://127.0.0.1:{running.port}", tmp_path, options, remote)
     assert lasting(there) == lasting(here)
-    assert here["model"] == model
+    assert here["model"] == "video"
 
 
 def test_video_captures_give_the_same_files(video, server, tmp_path):
