@@ -83,6 +83,16 @@ def render_room(request):
         yield recording(rng, frames=request.frames, facts=facts)
 
 
+def make_dataset(folder, sequences, **options):
+    """A dataset of such recordings, or of another renderer."""
+    from roomlight.dataset.loader import Dataset
+    from roomlight_generator.generate import GenerateOptions, generate
+
+    given = {"seed": 3, "shard_size": 2, "sequences_per_room": 2, "frames": 2, "renderer": NAME, **options}
+    generate(folder, GenerateOptions(sequences, **given), workers=1)
+    return Dataset(folder, given.get("split", "train"))
+
+
 def _steer():
     folder = os.environ.get("STUB_ROOMS")
     path = Path(folder) / "steer.json" if folder else None

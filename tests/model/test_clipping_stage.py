@@ -10,10 +10,8 @@ import torch
 
 import lamp_rooms
 import stub_rooms
-from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.clipping import SIDE
 from roomlight.errors import DatasetError, ModelError
-from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.config import ModelConfig
@@ -38,13 +36,6 @@ def lamp_frames(count: int, *, bright: float = 9.0) -> ClippingFrames:
     geometry[:, 3] = rng.uniform(-1, 1, (count, 1, 1))
     geometry[:, 0, :20] = 0
     return ClippingFrames(radiance, geometry)
-
-
-def dataset(folder: Path, renderer: str = lamp_rooms.NAME) -> Dataset:
-    generate(
-        folder, GenerateOptions(6, seed=3, shard_size=6, sequences_per_room=2, frames=3, renderer=renderer), workers=1
-    )
-    return Dataset(folder, "train")
 
 
 def test_batches_hold_what_a_camera_shows_and_the_truth() -> None:
@@ -101,7 +92,7 @@ def test_it_starts_from_weights_of_its_own_form() -> None:
 @pytest.mark.slow
 def test_frames_hold_the_true_radiance(tmp_path: Path) -> None:
     progress: list[tuple[int, int]] = []
-    lamps = dataset(tmp_path)
+    lamps = stub_rooms.make_dataset(tmp_path, 6, shard_size=6, frames=3, renderer=lamp_rooms.NAME)
     frames = ClippingFrames.read([lamps], seed=0, progress=lambda *state: progress.append(state))
     assert progress[-1] == (6, 6)
     assert len(frames) == 6
@@ -112,4 +103,4 @@ def test_frames_hold_the_true_radiance(tmp_path: Path) -> None:
 
 def test_recordings_without_the_truth_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no sequence holds the radiance of clipped pixels"):
-        ClippingFrames.read([dataset(tmp_path, stub_rooms.NAME)], seed=0)
+        ClippingFrames.read([stub_rooms.make_dataset(tmp_path, 2)], seed=0)

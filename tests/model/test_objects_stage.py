@@ -8,13 +8,12 @@ import pytest
 import torch
 
 import lamp_rooms
+import stub_rooms
 from roomlight.conventions import panorama_directions
-from roomlight.dataset.loader import Dataset
 from roomlight.engine.lighting import LIGHTING_PANELS
 from roomlight.engine.panorama.panels import HEIGHT
 from roomlight.errors import ModelError
 from roomlight_evaluation.objects.lit_objects import LitObjects
-from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.config import ModelConfig
@@ -131,9 +130,8 @@ def test_other_weights_are_refused():
 
 
 def test_streams_hold_what_was_seen_and_the_truth(tmp_path: Path) -> None:
-    options = GenerateOptions(2, seed=3, shard_size=2, sequences_per_room=2, frames=2, renderer=lamp_rooms.NAME)
-    generate(tmp_path, options, workers=1)
-    examples = ProbePanels.read([Dataset(tmp_path, "train")], seed=0, streams=1, models=["classical"])
+    dataset = stub_rooms.make_dataset(tmp_path, 2, renderer=lamp_rooms.NAME)
+    examples = ProbePanels.read([dataset], seed=0, streams=1, models=["classical"])
     assert len(examples) >= 4  # two probes of two recordings, one or two moments
     assert 0 < examples.panels[:, 3].astype(np.float32).mean() < 1
     assert np.isfinite(examples.truth).all()

@@ -9,7 +9,6 @@ import torch
 import stub_rooms
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, OptionError
-from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_model.training.clipping import ClippingOptions
 from roomlight_model.training.recipe import RECIPES, StageRecipe, build_stage, read_recipe
 from roomlight_model.training.single_view import SingleViewOptions
@@ -170,8 +169,7 @@ def test_a_missing_recipe_names_the_shipped_ones(tmp_path) -> None:
     ],
 )
 def test_data_without_what_a_stage_learns_from_is_named(split, stage, message, tmp_path) -> None:
-    rooms = GenerateOptions(2, split=split, shard_size=2, sequences_per_room=1, frames=1, renderer=stub_rooms.NAME)
-    generate(tmp_path / "rooms", rooms, workers=1)
+    stub_rooms.make_dataset(tmp_path / "rooms", 2, split=split, frames=1)
     options = VideoOptions(stage=stage) if stage == "video-joint" else ClippingOptions()
     recipe, device = StageRecipe("run", options, ("rooms",)), torch.device("cpu")
     with pytest.raises(DatasetError, match=message):

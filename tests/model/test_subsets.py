@@ -8,21 +8,10 @@ import pytest
 import stub_rooms
 from recordings import BoxRecordings
 from roomlight.conventions import srgb8_to_linear
-from roomlight.dataset.loader import Dataset
-from roomlight.dataset.recording import Split
 from roomlight.errors import DatasetError
-from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_model.training.subsets import describe, random_split, surround, test_split, train_val_split
 
 setattr(test_split, "__test__", False)  # noqa: B010  (a function of the package, no test)
-
-
-def make(folder, sequences, *, split: Split = "train"):
-    options = GenerateOptions(
-        sequences, seed=3, split=split, shard_size=4, sequences_per_room=2, frames=2, renderer=stub_rooms.NAME
-    )
-    generate(folder, options, workers=1)
-    return Dataset(folder, split)
 
 
 def names(subset):
@@ -31,7 +20,7 @@ def names(subset):
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    return make(tmp_path_factory.mktemp("data") / "rooms", 8)
+    return stub_rooms.make_dataset(tmp_path_factory.mktemp("data") / "rooms", 8, shard_size=4)
 
 
 def test_the_first_rooms_of_the_first_dataset_are_held_out():
@@ -58,9 +47,8 @@ def test_datasets_are_described(dataset):
 
 @pytest.mark.slow
 def test_test_splits_are_found_where_there_are_any(dataset, tmp_path):
-    make(tmp_path / "both", 4)
-    make(tmp_path / "both", 4, split="test")
-    both = Dataset(tmp_path / "both", "train")
+    stub_rooms.make_dataset(tmp_path / "both", 4, split="test")
+    both = stub_rooms.make_dataset(tmp_path / "both", 4)
     splits = test_split([dataset, both, both])
     assert [split.folder for split in splits] == [tmp_path / "both"]
     assert len(splits[0]) == 4

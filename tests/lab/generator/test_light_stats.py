@@ -14,7 +14,6 @@ from roomlight.dataset.recording import Recording
 from roomlight.errors import DatasetError
 from roomlight.images import encode_exr
 from roomlight_generator import light_stats
-from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_generator.light_stats import (
     LightRow,
     compare_light,
@@ -137,23 +136,18 @@ def write_panoramas(folder: Path, count: int) -> Path:
 
 @pytest.mark.slow
 def test_a_dataset_is_compared_with_a_folder(tmp_path):
-    options = GenerateOptions(4, seed=1, shard_size=2, sequences_per_room=2, frames=2, renderer=stub_rooms.NAME)
-    generate(tmp_path / "data", options, workers=1)
-    calls = []
+    dataset, calls = stub_rooms.make_dataset(tmp_path / "data", 4), []
     folder = write_panoramas(tmp_path / "real", 3)
-    light = compare_light(Dataset(tmp_path / "data"), folder, limit=3, progress=lambda *done: calls.append(done))
+    light = compare_light(dataset, folder, limit=3, progress=lambda *done: calls.append(done))
     assert calls == [(k, 6) for k in range(1, 7)]
     assert (light.sequences, light.panoramas) == (3, 3)
     written = json.loads(json.dumps(light.to_json()))
     assert written["rows"]["frame's 80th percentile"]["real"][1] == pytest.approx(light_stats.WHITE_SHARE, rel=1e-3)
-    again = compare_light(Dataset(tmp_path / "data"), folder, limit=3)
-    assert again.rows == light.rows
+    assert compare_light(dataset, folder, limit=3).rows == light.rows
 
 
 def test_an_empty_dataset_or_folder_is_named(tmp_path):
-    options = GenerateOptions(2, seed=1, shard_size=2, sequences_per_room=2, frames=2, renderer=stub_rooms.NAME)
-    generate(tmp_path / "data", options, workers=1)
-    dataset = Dataset(tmp_path / "data")
+    dataset = stub_rooms.make_dataset(tmp_path / "data", 2)
     with pytest.raises(DatasetError, match="holds no panorama"):
         compare_light(dataset, tmp_path)
     with pytest.raises(DatasetError, match="has no sequence to compare"):

@@ -3,19 +3,14 @@
 import pytest
 
 import stub_rooms
-from roomlight.dataset.loader import Dataset
 from roomlight.errors import OutputError
 from roomlight.images import read_colour
-from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_generator.reports.preview import write_previews
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("shown")
-    options = GenerateOptions(20, seed=1, shard_size=4, sequences_per_room=2, frames=4, renderer=stub_rooms.NAME)
-    generate(folder, options, workers=1)
-    return Dataset(folder)
+    return stub_rooms.make_dataset(tmp_path_factory.mktemp("shown"), 20, shard_size=4)
 
 
 def test_a_sheet_has_eight_rooms_and_rooms_are_spread(dataset, tmp_path):
