@@ -12,7 +12,7 @@ from recordings import BoxRecordings
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
-from roomlight_model.training.sequences import WalkExample
+from roomlight_model.training.sequences import WalkExample, read_walk
 from roomlight_model.training.single_view import SingleViewOptions, SingleViewStage
 from roomlight_model.training.video import VideoOptions, VideoStage
 
@@ -72,6 +72,13 @@ def trained_networks(network):
     return {name.split(".")[0] for name, weight in network.named_parameters() if weight.requires_grad}
 
 
+def networks_moved_by(run):
+    """Train a run; the names of the networks whose weights are others then."""
+    before = {name: value.clone() for name, value in run.network.state_dict().items()}
+    run.train()
+    return {name.split(".")[0] for name, value in run.network.state_dict().items() if not value.equal(before[name])}
+
+
 def single_view_weights(config: ModelConfig = TINY) -> Checkpoint:
     """A single-view model whose weights all differ, as trained ones do."""
     with torch.random.fork_rng(devices=[]):
@@ -81,6 +88,13 @@ def single_view_weights(config: ModelConfig = TINY) -> Checkpoint:
             for weight in model.parameters():
                 weight += 0.02 * torch.randn_like(weight)
     return Checkpoint("single", config, model, {"steps": 5, "stage": "single-joint"})
+
+
+def box_walk(rng: np.random.Generator, *, length=4, augment=True, change_light=None) -> WalkExample:
+    """A walk through a box room with exact depth."""
+    return read_walk(
+        BoxRecordings(1), 0, rng, depth="exact", length=length, augment=augment, change_light=change_light
+    )  # fmt: skip
 
 
 def unclipped(walk: WalkExample, rng: np.random.Generator) -> WalkExample:

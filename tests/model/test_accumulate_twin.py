@@ -1,11 +1,9 @@
-"""The panorama recursion in PyTorch against the serving kernel and its reference, and the rule itself."""
+"""The panorama recursion in PyTorch against the serving kernel, and the rule itself."""
 
 import numpy as np
-import pytest
 import torch
 
 from recordings import BoxRecordings
-from roomlight.engine.kernels.reference import accumulate_reference
 from roomlight.engine.panorama import blend as serving
 from roomlight.engine.session import Session, SessionOptions
 from roomlight_model.accumulate import (
@@ -46,13 +44,12 @@ def observed(frame, **clipping):
     return Observation(hdr, ldr, (weight > 0).float(), depth, **clipping), weight
 
 
-@pytest.mark.parametrize("kernel", [serving.accumulate, accumulate_reference])
-def test_agrees_with_serving(kernel):
+def test_agrees_with_serving():
     """Six frames from nothing seen. Tolerance: both are float32, the kernel with fast-math reordering."""
     kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
     state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.observed))
     for frame in frames(6):
-        kernel(kept, **frame)
+        serving.accumulate(kept, **frame)
         seen, weight = observed(frame)
         state = accumulate(state, seen, accepted(weight, seen, state, margin=serving.CLOSER_M))
     for ours, theirs in zip(state[:3], (kept.radiance, kept.depth_m, kept.observed), strict=True):

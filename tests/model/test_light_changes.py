@@ -5,21 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recordings import BoxRecordings
 from roomlight.conventions import panorama_directions
 from roomlight_model.training import light_changes
 from roomlight_model.training.light_changes import LightChanges, SphereLamp
-from roomlight_model.training.sequences import WalkExample, read_walk, revisit
+from roomlight_model.training.sequences import revisit
 from rooms import BoxRoom, camera_at
+from tiny_stages import box_walk
 
 LAMP = SphereLamp(np.array([0.2, 1.5, -1.2]), 0.2, np.array([8.0, 7.0, 6.0], np.float32))
-
-
-def walk_of(seed: int, *, change_light: LightChanges | None = None) -> WalkExample:
-    return read_walk(
-        BoxRecordings(1), 0, np.random.default_rng(seed), depth="exact", length=5, augment=True,
-        change_light=change_light,
-    )  # fmt: skip
 
 
 def frame_at(yaw_deg: float = 0.0):
@@ -76,7 +69,9 @@ def test_images_and_truth_change_at_the_same_frame(lamp_share: float, monkeypatc
     monkeypatch.setattr(light_changes, "_NEAREST_LAMP_M", 0.3)
     brighter, lamps = set(), 0
     for seed in range(8):
-        plain, walk = walk_of(seed), walk_of(seed, change_light=LightChanges(1.0))
+        plain, walk = (
+            box_walk(np.random.default_rng(seed), length=5, change_light=change) for change in (None, LightChanges(1.0))
+        )
         at = int(walk.light_of.argmax())
         assert walk.light_of.tolist() == [0] * at + [1] * (5 - at)
         assert at >= 1
@@ -93,7 +88,7 @@ def test_images_and_truth_change_at_the_same_frame(lamp_share: float, monkeypatc
 
 
 def test_all_sequences_have_two_lights_and_a_share_changes():
-    changed = [walk_of(seed, change_light=LightChanges(0.5)) for seed in range(16)]
+    changed = [box_walk(np.random.default_rng(seed), length=5, change_light=LightChanges(0.5)) for seed in range(16)]
     assert all(len(walk.lights) == 2 for walk in changed)
     assert 4 <= sum(bool(walk.light_of.any()) for walk in changed) <= 12
 

@@ -172,14 +172,14 @@ def test_lost_steps_are_logged_once(finished, tmp_path):
     assert logged(folder) == logged(finished.folder.path)
 
 
-def test_a_finished_run_is_left_as_it_is(tmp_path):
-    run_of(tmp_path / "run")
-    before = logged(tmp_path / "run")
-    assert RunFolder(tmp_path / "run").is_finished(SMALL)
-    assert not RunFolder(tmp_path / "run").is_finished(replace(SMALL, steps=9))
+def test_a_finished_run_is_left_as_it_is(finished, tmp_path):
+    folder = finished.folder.path
+    before = logged(folder)
+    assert RunFolder(folder).is_finished(SMALL)
+    assert not RunFolder(folder).is_finished(replace(SMALL, steps=9))
     assert not RunFolder(tmp_path / "other").is_finished(SMALL)
-    run_of(tmp_path / "run")
-    assert logged(tmp_path / "run") == before
+    run_of(folder)
+    assert logged(folder) == before
 
 
 def test_a_run_can_be_extended_and_continued_after_its_time(tmp_path):

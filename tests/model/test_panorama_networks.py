@@ -51,10 +51,9 @@ def test_shapes_and_range(panels):
     assert weight[seen.mask == 1].mean() > weight[seen.mask == 0].mean() + 0.3  # before any training
 
 
-@pytest.mark.parametrize("height", [24, 30])
-def test_sizes_that_do_not_halve(height):
-    seen = torch.ones(1, 1, height, 2 * height)
-    f0, f1 = BlendEncoder(BLEND, panels=SINGLE_PANELS)(torch.rand(1, 8, height, 2 * height))
+def test_sizes_that_do_not_halve():
+    seen = torch.ones(1, 1, 30, 60)
+    f0, f1 = BlendEncoder(BLEND, panels=SINGLE_PANELS)(torch.rand(1, 8, 30, 60))
     assert BlendDecoder(BLEND)(f0, f1, seen).shape == seen.shape
 
 

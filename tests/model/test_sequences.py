@@ -6,22 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from recordings import BoxRecordings
 from roomlight_model.training.sequences import (
     PreparedWalk,
     collate_walks,
     draw_frames,
     draw_length,
-    read_walk,
     with_views,
 )
-from tiny_stages import SHAPE, dimmed, unclipped
-
-
-def walk_of(rng, *, length=4, augment=True, change_light=None):
-    return read_walk(
-        BoxRecordings(1), 0, rng, depth="exact", length=length, augment=augment, change_light=change_light
-    )  # fmt: skip
+from tiny_stages import SHAPE, box_walk, dimmed, unclipped
 
 
 def batch_of(walk, height=60):
@@ -64,7 +56,7 @@ def test_all_frames_of_a_sequence_show_the_lit_room_of_its_truth():
     """Augmentation is the same in every frame and in the truth: each frame's view from a probe equals the truth."""
     rng = np.random.default_rng(5)
     for _ in range(3):
-        batch = batch_of(walk_of(rng))
+        batch = batch_of(box_walk(rng))
         assert batch.detail is not None
         assert batch.mask is not None
         truth = torch.stack([batch.truth(frame) for frame in range(batch.frames)], dim=1)
@@ -74,7 +66,7 @@ def test_all_frames_of_a_sequence_show_the_lit_room_of_its_truth():
 
 
 def test_a_mirrored_sequence_has_mirrored_volumes():
-    plain = walk_of(np.random.default_rng(0), augment=False)
+    plain = box_walk(np.random.default_rng(0), augment=False)
     mirrored = replace(plain, example=replace(plain.example, mirrored=True))
     one, other = (
         collate_walks([PreparedWalk.of(walk, SHAPE)], panorama_height=None).volume for walk in (plain, mirrored)
@@ -83,8 +75,8 @@ def test_a_mirrored_sequence_has_mirrored_volumes():
 
 
 def test_the_light_of_a_sequence_may_change_at_a_frame():
-    plain = batch_of(walk_of(np.random.default_rng(1), change_light=unclipped))
-    batch = batch_of(walk_of(np.random.default_rng(1), change_light=dimmed))
+    plain = batch_of(box_walk(np.random.default_rng(1), change_light=unclipped))
+    batch = batch_of(box_walk(np.random.default_rng(1), change_light=dimmed))
     assert batch.light_of.tolist() == [[0, 0, 1, 1]]
     for frame, share in enumerate((1, 1, 0.5, 0.5)):
         torch.testing.assert_close(batch.truth(frame), plain.truth(frame) * share)
@@ -94,7 +86,7 @@ def test_the_light_of_a_sequence_may_change_at_a_frame():
 
 
 def test_batches_of_sequences_split_into_pieces():
-    prepared = [PreparedWalk.of(walk_of(np.random.default_rng(k)), SHAPE) for k in range(3)]
+    prepared = [PreparedWalk.of(box_walk(np.random.default_rng(k)), SHAPE) for k in range(3)]
     batch = with_views(collate_walks(prepared, panorama_height=16), prepared, panorama_height=16)
     pieces = batch.pieces(1)
     assert len(pieces) == 3

@@ -14,7 +14,16 @@ from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.networks import VideoModel
 from roomlight_model.training.loop import Run
 from roomlight_model.training.video import Unroll
-from tiny_stages import TINY, WALKS, dimmed, logged, single_view_weights, trained_networks, video_stage
+from tiny_stages import (
+    TINY,
+    WALKS,
+    dimmed,
+    logged,
+    networks_moved_by,
+    single_view_weights,
+    trained_networks,
+    video_stage,
+)  # fmt: skip
 
 STAGES = ["video-sglv", "video-blend", "video-joint"]
 
@@ -23,9 +32,7 @@ STAGES = ["video-sglv", "video-blend", "video-joint"]
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_stage_changes_only_its_own_networks(tmp_path, stage):
     run = Run(video_stage(replace(WALKS, stage=stage, steps=1, batch=1, frames=2)), tmp_path / "run")
-    before = {name: value.clone() for name, value in run.network.state_dict().items()}
-    run.train()
-    moved = {name.split(".")[0] for name, value in run.network.state_dict().items() if not value.equal(before[name])}
+    moved = networks_moved_by(run)
     volume = {"sg_encoder", "sg_decoder", "sg_gru0", "sg_gru1"}
     panorama = {"blend_encoder", "blend_decoder", "blend_gru0", "blend_gru1"}
     assert moved == {STAGES[0]: volume, STAGES[1]: panorama, STAGES[2]: volume | panorama}[stage]

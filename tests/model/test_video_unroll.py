@@ -7,26 +7,18 @@ import pytest
 import torch
 
 from present import present
-from recordings import BoxRecordings
 from roomlight_model.training import video
-from roomlight_model.training.sequences import PreparedWalk, collate_walks, read_walk, with_views
+from roomlight_model.training.sequences import PreparedWalk, collate_walks, with_views
 from roomlight_model.training.video import Unroll
-from tiny_stages import SHAPE, WALKS, dimmed, video_stage
+from tiny_stages import SHAPE, WALKS, box_walk, dimmed, video_stage
 
 STAGES = ["video-sglv", "video-blend", "video-joint"]
 
 
-def batch_of(options, *, length=3, count=1, change_light=None):
-    walks = [
-        PreparedWalk.of(
-            read_walk(
-                BoxRecordings(count), k, np.random.default_rng(k), depth="exact", length=length,
-                augment=change_light is not None, change_light=change_light,
-            ),
-            SHAPE,
-        )
-        for k in range(count)
-    ]  # fmt: skip
+def batch_of(options, *, length=3, change_light=None):
+    changes = change_light is not None
+    walk = box_walk(np.random.default_rng(0), length=length, augment=changes, change_light=change_light)
+    walks = [PreparedWalk.of(walk, SHAPE)]
     if options.stage == "video-sglv":
         return collate_walks(walks, panorama_height=None)
     height = options.panorama_height
