@@ -1,48 +1,30 @@
-"""A briefly trained video model: exported, imported again, and run by the engine as it was trained."""
+"""A video model: exported, imported again, and run by the engine as it is trained."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from export_models import CONFIG, SHAPE
 
-from recordings import BoxRecordings
-from roomlight.engine.networks.graphs import load_graphs
 from roomlight.engine.networks.units import mean_colour
 from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session, SessionOptions
-from roomlight_export.exporting import export_checkpoint
 from roomlight_export.importing import load_exported
 from roomlight_export.inputs import room_volume
 from roomlight_model import volume_networks
-from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.networks import VideoModel
-from roomlight_model.training.examples import Example, example_of
-from roomlight_model.training.loop import Run
-from roomlight_model.training.sequences import PreparedWalk, WalkExample, collate_walks, with_views
+from roomlight_model.training.examples import Example
+from roomlight_model.training.sequences import WalkExample
 from roomlight_model.training.video import Unroll
-from tiny_stages import HEIGHT, SHAPE, WALKS, video_stage
+from tiny_stages import WALKS, box_example, walk_batch
 
-FRAMES = 5
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory):
-    """(checkpoint, model folder) after two steps."""
-    folder = tmp_path_factory.mktemp("video")
-    options = replace(WALKS, steps=2, frames=3, learning_rate=2e-2, ema=0.0)
-    Run(video_stage(options, rooms=2), folder / "run").train()
-    checkpoint = folder / "run" / "model.pt"
-    report = export_checkpoint(checkpoint, folder / "onnx", ort=False)
-    assert report.form == "video"
-    assert len(report.graphs) == 10
-    return checkpoint, folder / "onnx"
+FRAMES, HEIGHT = 5, CONFIG.blend.height
 
 
 def walk():
     """Five unclipped frames whose mean colour changes by less than a stop, in the engine's working size."""
-    recording = BoxRecordings(1).read(0, frames=[0, 4, 8, 12, 16])
-    example = example_of(recording, np.random.default_rng(0), depth="exact")
+    example = box_example(frames=(0, 4, 8, 12, 16))
     resized = [frame.resized(*WORKING_SIZE) for frame in (example.frame, *example.later)]
     frames = [
         replace(frame, index=k, image=frame.image * np.float32(0.6 - 0.06 * k), clipped=np.zeros_like(frame.clipped))
@@ -55,13 +37,13 @@ def walk():
 
 
 @pytest.mark.slow
-def test_the_engine_shows_the_panoramas_of_the_training_forward(trained):
-    checkpoint, folder = trained
+@pytest.mark.parametrize("exported", ["video"], indirect=True)
+def test_the_engine_shows_the_panoramas_of_the_training_forward(exported):
+    folder = exported.folder
     model = load_exported(folder).model  # weights rounded to half precision, as in the graphs
     assert isinstance(model, VideoModel)
     sequence = walk()
-    prepared = [PreparedWalk.of(sequence, SHAPE)]
-    batch = with_views(collate_walks(prepared, panorama_height=HEIGHT), prepared, panorama_height=HEIGHT)
+    batch = walk_batch(sequence, height=HEIGHT, shape=SHAPE)
     options = replace(WALKS, model=model.config)
     session = Session(SessionOptions(model="video", weights=folder, provider="cpu", height=HEIGHT, hedge=0.0))
     handles = [session.track(tuple(position)) for position in sequence.example.positions.tolist()]
@@ -81,22 +63,6 @@ def test_the_engine_shows_the_panoramas_of_the_training_forward(trained):
                 # a pixel at the threshold of the conservative rule may fall on either side
                 assert np.quantile(difference, 0.995) < 2e-3
                 assert difference.mean() < 3e-4
-    assert checkpoint.exists()
-
-
-@pytest.mark.slow
-def test_training_reaches_the_exported_graphs(trained):
-    checkpoint, folder = trained
-    graphs = load_graphs(folder, provider="cpu")
-    assert graphs.form == "video"
-    assert graphs.card["stage"] == "video-joint"
-    assert graphs.card["steps"] == 2
-    assert graphs.card["options"]["frames"] == 3
-    assert graphs.card["before"]["steps"] == 5
-    again = load_exported(folder)
-    kept = load_checkpoint(checkpoint).model.state_dict()
-    for name, value in again.model.state_dict().items():
-        torch.testing.assert_close(value, kept[name], rtol=1e-3, atol=1e-6)
 
 
 def test_mean_colour_equals_its_twin():
