@@ -1,13 +1,13 @@
 """Single views from anywhere, without probes: the data of networks of depth."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from analytic_room import free_space
 
-from roomlight.dataset.loader import Dataset
-from roomlight_generator.generate import GenerateOptions, generate
+from roomlight.dataset import sequence_files
+from roomlight_generator.generate import GenerateOptions
+from roomlight_generator.room_request import RoomRequest
+from roomlight_generator.sequences import any_view
 from roomlight_generator.sequences.any_view import SIZE, draw_views
 
 
@@ -31,10 +31,12 @@ def test_a_room_without_floor_has_no_views() -> None:
 
 
 @pytest.mark.slow
-def test_a_dataset_of_single_views_has_depth_and_no_probes(tmp_path: Path) -> None:
-    options = GenerateOptions(sequences=2, frames=3, sequences_per_room=2, shard_size=2, any_view=True)
-    generate(tmp_path / "views", options, workers=1)
-    recording = Dataset(tmp_path / "views", "train")[0]
+def test_single_views_have_depth_and_no_probes_also_when_stored(coarse_room, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = GenerateOptions(sequences=2, sequences_per_room=2, shard_size=2, any_view=True)
+    assert options.renderer_name == f"{any_view.__name__}:{any_view.render_views.__name__}"
+    monkeypatch.setattr(any_view, "solve_lighting", lambda *_, **__: coarse_room)
+    (made,) = any_view.render_views(RoomRequest(1, 21, "train", count=1, frames=3))
+    recording = sequence_files.decode(sequence_files.encode(made), "here")
     assert recording.depth_mm.shape[0] == 3
     assert (recording.depth_mm > 0).mean() > 0.9
     assert len(recording.probe_positions) == 0

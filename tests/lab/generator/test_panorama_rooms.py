@@ -18,8 +18,6 @@ from roomlight_generator.panoramas.library import split_of
 from roomlight_generator.panoramas.room import PanoramaRoom, classify_surfaces, percentile
 from roomlight_generator.panoramas.shell import draw_shell
 from roomlight_generator.room_request import RoomRequest
-from roomlight_generator.sequences import render as sequences
-from roomlight_generator.sequences.walk import phone_intrinsics
 
 
 def shells():
@@ -167,13 +165,6 @@ def dataset(folder, tmp_path_factory):
     generate(out, options(folder, 2), workers=1)
     generate(out, options(folder, 1, split="test"), workers=1)
     return out
-
-
-@pytest.fixture
-def small_views(monkeypatch):
-    """Frames of 64 x 48 pixels and panoramas of 16 rows."""
-    monkeypatch.setattr(sequences, "PROBE_HEIGHT", 16)
-    monkeypatch.setattr(sequences, "phone_intrinsics", lambda rng: phone_intrinsics(rng, 64, 48))
 
 
 @pytest.mark.slow

@@ -3,34 +3,9 @@
 import numpy as np
 import pytest
 
-from fixture_rooms import lit_room
 from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.sequences import render as room_sequences
 from roomlight_generator.sequences.render import plan_camera_path, render_walks
-from roomlight_generator.sequences.walk import phone_intrinsics
-from roomlight_generator.transport import patches
-
-
-@pytest.fixture(scope="module")
-def room():
-    """A room as in a dataset."""
-    return lit_room(0)
-
-
-@pytest.fixture(scope="module")
-def coarse_room():
-    """A room whose light is solved with few rays."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name, rays in (("GATHER_RAYS", 4), ("FIRST_RAYS", 4), ("SEED_RAYS", 2048)):
-            patch.setattr(patches, name, rays)
-        return lit_room(1)
-
-
-@pytest.fixture
-def small_views(monkeypatch):
-    """Frames of 64 x 48 pixels and panoramas of 16 rows."""
-    monkeypatch.setattr(room_sequences, "PROBE_HEIGHT", 16)
-    monkeypatch.setattr(room_sequences, "phone_intrinsics", lambda rng: phone_intrinsics(rng, 64, 48))
 
 
 def drawn(monkeypatch, paths):
