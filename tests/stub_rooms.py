@@ -16,6 +16,7 @@ import resource
 import signal
 import sys
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
@@ -84,12 +85,21 @@ def render_room(request):
 
 
 def make_dataset(folder, sequences, **options):
-    """A dataset of such recordings, or of another renderer."""
+    """A dataset of such recordings, or of another renderer; made without a worker, whose start takes a second."""
     from roomlight.dataset.loader import Dataset
-    from roomlight_generator.generate import GenerateOptions, generate
+    from roomlight_generator import generate, worker
+
+    class InThisProcess:
+        def __init__(self, *_, **__):
+            pass
+
+        def run(self, tasks):
+            for task in tasks:
+                worker.make_shard(task, worker.find_renderer(task.options.renderer_name), lambda _: None)
 
     given = {"seed": 3, "shard_size": 2, "sequences_per_room": 2, "frames": 2, "renderer": NAME, **options}
-    generate(folder, GenerateOptions(sequences, **given), workers=1)
+    with mock.patch.object(generate, "WorkerPool", InThisProcess):
+        generate.generate(folder, generate.GenerateOptions(sequences, **given))
     return Dataset(folder, given.get("split", "train"))
 
 
