@@ -12,7 +12,9 @@ from recordings import BoxRecordings
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
-from roomlight_model.training.sequences import WalkExample, read_walk
+from roomlight_model.training.batches import collate
+from roomlight_model.training.examples import DepthKind, Example, example_of
+from roomlight_model.training.sequences import PreparedWalk, WalkExample, collate_walks, read_walk, with_views
 from roomlight_model.training.single_view import SingleViewOptions, SingleViewStage
 from roomlight_model.training.video import VideoOptions, VideoStage
 
@@ -88,6 +90,23 @@ def single_view_weights(config: ModelConfig = TINY) -> Checkpoint:
             for weight in model.parameters():
                 weight += 0.02 * torch.randn_like(weight)
     return Checkpoint("single", config, model, {"steps": 5, "stage": "single-joint"})
+
+
+def box_example(*, frames=(0,), depth: DepthKind = "exact") -> Example:
+    """A single view of a box room, and the frames after it."""
+    return example_of(BoxRecordings(1).read(0, frames=[*frames]), np.random.default_rng(0), depth=depth)
+
+
+def view_batch(*examples: Example, height: int | None = None):
+    """A batch of single views, of `box_example` unless others are given."""
+    return collate([*examples] or [box_example()], volume_shape=SHAPE, panorama_height=height)
+
+
+def walk_batch(walk: WalkExample, *, height: int | None, shape=SHAPE):
+    """A batch of a walk, with the views from its probes unless `height` is None."""
+    prepared = [PreparedWalk.of(walk, shape)]
+    batch = collate_walks(prepared, panorama_height=height)
+    return batch if height is None else with_views(batch, prepared, panorama_height=height)
 
 
 def box_walk(rng: np.random.Generator, *, length=4, augment=True, change_light=None) -> WalkExample:

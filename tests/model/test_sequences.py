@@ -13,12 +13,7 @@ from roomlight_model.training.sequences import (
     draw_length,
     with_views,
 )
-from tiny_stages import SHAPE, box_walk, dimmed, unclipped
-
-
-def batch_of(walk, height=60):
-    prepared = [PreparedWalk.of(walk, SHAPE)]
-    return with_views(collate_walks(prepared, panorama_height=height), prepared, panorama_height=height)
+from tiny_stages import SHAPE, box_walk, dimmed, unclipped, walk_batch
 
 
 def test_frames_keep_their_order_and_one_stride():
@@ -56,7 +51,7 @@ def test_all_frames_of_a_sequence_show_the_lit_room_of_its_truth():
     """Augmentation is the same in every frame and in the truth: each frame's view from a probe equals the truth."""
     rng = np.random.default_rng(5)
     for _ in range(3):
-        batch = batch_of(box_walk(rng))
+        batch = walk_batch(box_walk(rng), height=60)
         assert batch.detail is not None
         assert batch.mask is not None
         truth = torch.stack([batch.truth(frame) for frame in range(batch.frames)], dim=1)
@@ -68,15 +63,13 @@ def test_all_frames_of_a_sequence_show_the_lit_room_of_its_truth():
 def test_a_mirrored_sequence_has_mirrored_volumes():
     plain = box_walk(np.random.default_rng(0), augment=False)
     mirrored = replace(plain, example=replace(plain.example, mirrored=True))
-    one, other = (
-        collate_walks([PreparedWalk.of(walk, SHAPE)], panorama_height=None).volume for walk in (plain, mirrored)
-    )
+    one, other = (walk_batch(walk, height=None).volume for walk in (plain, mirrored))
     assert one.flip(-1).equal(other)
 
 
 def test_the_light_of_a_sequence_may_change_at_a_frame():
-    plain = batch_of(box_walk(np.random.default_rng(1), change_light=unclipped))
-    batch = batch_of(box_walk(np.random.default_rng(1), change_light=dimmed))
+    plain = walk_batch(box_walk(np.random.default_rng(1), change_light=unclipped), height=60)
+    batch = walk_batch(box_walk(np.random.default_rng(1), change_light=dimmed), height=60)
     assert batch.light_of.tolist() == [[0, 0, 1, 1]]
     for frame, share in enumerate((1, 1, 0.5, 0.5)):
         torch.testing.assert_close(batch.truth(frame), plain.truth(frame) * share)

@@ -12,7 +12,6 @@ from roomlight.conventions import panorama_rays
 from roomlight.errors import ModelError
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.networks import SingleModel, VideoModel
-from roomlight_model.training.batches import collate
 from roomlight_model.training.examples import example_of, read_example
 from roomlight_model.training.loop import Run
 from roomlight_model.training.losses import BatchGradients, render_rays
@@ -23,11 +22,13 @@ from tiny_stages import (
     SHAPE,
     TINY,
     VIEWS,
+    box_example,
     networks_moved_by,
     single_view_weights,
     trained_networks,
+    view_batch,
     view_stage,
-)  # fmt: skip
+)
 
 
 def losses_of(stage, model, batch):
@@ -61,7 +62,7 @@ def test_it_learns_two_rooms(tmp_path):
     run = Run(view_stage(options, rooms=2), tmp_path / "run")
     recordings = BoxRecordings(2)
     examples = [example_of(recordings.read(k, frames=[0]), np.random.default_rng(0), depth="exact") for k in range(2)]
-    batch = collate(examples, volume_shape=SHAPE, panorama_height=None)
+    batch = view_batch(*examples)
     scored = view_stage(replace(options, rays=512))
 
     def error():
@@ -90,10 +91,7 @@ def test_weights_of_other_networks_are_refused(form):
 
 
 def test_losses_are_finite_in_bf16_too():
-    batch = collate(
-        [example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="arkit")],
-        volume_shape=SHAPE, panorama_height=16,
-    )  # fmt: skip
+    batch = view_batch(box_example(depth="arkit"), height=16)
     for name in ("single-sglv", "single-joint"):
         stage = view_stage(replace(VIEWS, stage=name, bf16=True))
         losses = {name: float(value.detach()) for name, value in losses_of(stage, SingleModel(TINY), batch).items()}
@@ -105,10 +103,8 @@ def test_pieces_of_a_batch_add_up_to_its_gradient():
     """Pieces run on threads and differ in size; gradients have the parameters' strides, for the fused optimiser."""
     stage = view_stage(replace(VIEWS, stage="single-joint", rendering_weight=0.0))  # directions are each piece's own
     recordings = BoxRecordings(3)
-    batch = collate(
-        [read_example(recordings, k, np.random.default_rng(k), depth="exact", augment=False) for k in range(3)],
-        volume_shape=SHAPE, panorama_height=HEIGHT,
-    )  # fmt: skip
+    examples = [read_example(recordings, k, np.random.default_rng(k), depth="exact", augment=False) for k in range(3)]
+    batch = view_batch(*examples, height=HEIGHT)
     model = stage.network()
     parameters = list(model.parameters())
     gradients = BatchGradients(
@@ -128,9 +124,8 @@ def test_pieces_of_a_batch_add_up_to_its_gradient():
 
 def test_a_mirrored_example_is_the_mirrored_room():
     """The mirrored volume gives the same light along mirrored rays."""
-    recordings = BoxRecordings(1)
-    plain = example_of(recordings.read(0, frames=[0]), np.random.default_rng(0), depth="exact")
-    batch = collate([plain, replace(plain, mirrored=True)], volume_shape=SHAPE, panorama_height=None)
+    plain = box_example()
+    batch = view_batch(plain, replace(plain, mirrored=True))
     assert batch.volume[0].flip(-1).equal(batch.volume[1])
     torch.manual_seed(0)
     sglv = SingleModel(TINY)(batch.volume)
@@ -145,9 +140,7 @@ def test_a_mirrored_example_is_the_mirrored_room():
 
 
 def test_detail_of_earlier_frames_stays_without_gradient():
-    recording = BoxRecordings(1).read(0, frames=[0, 16])
-    example = example_of(recording, np.random.default_rng(0), depth="exact")
-    batch = collate([example], volume_shape=SHAPE, panorama_height=24)
+    batch = view_batch(box_example(frames=(0, 16)), height=24)
     assert batch.before is not None
     assert batch.kept is not None
     model = SingleModel(TINY)
@@ -161,8 +154,7 @@ def test_detail_of_earlier_frames_stays_without_gradient():
 
 
 def test_blending_needs_partial_panoramas():
-    example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
-    batch = collate([example], volume_shape=SHAPE, panorama_height=None)
+    batch = view_batch()
     model = SingleModel(TINY)
     with pytest.raises(ValueError, match="panorama_height"):
         predict_panoramas(model, model(batch.volume), batch, bf16=False)
@@ -195,8 +187,7 @@ def test_without_held_out_rooms_nothing_is_scored(tmp_path):
 
 def test_a_weight_of_another_height_is_blended_as_in_training():
     """The network at the panoramas' own height gives the same panoramas by both ways."""
-    example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
-    batch = collate([example], volume_shape=SHAPE, panorama_height=24)
+    batch = view_batch(height=24)
     torch.manual_seed(0)
     model = SingleModel(TINY)
     sglv = model(batch.volume)

@@ -13,20 +13,19 @@ from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session, SessionOptions
 from roomlight_model.training.batches import collate
 from roomlight_model.training.examples import example_of, read_example
-from tiny_stages import SHAPE
+from tiny_stages import box_example, view_batch
 
 
 def blending_batch(examples, *, height=60) -> Any:
     """A batch with partial panoramas."""
-    batch = collate(examples, volume_shape=SHAPE, panorama_height=height)
+    batch = view_batch(*examples, height=height)
     assert batch.kept is not None
     return batch
 
 
 def test_truth_and_image_agree_in_units_and_place():
     """The frame's mesh rendered at a probe equals the truth: poses, units and mirroring agree."""
-    example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
-    batch = blending_batch([example])
+    batch = blending_batch([box_example()])
     seen = batch.mask.expand_as(batch.truth) > 0
     assert seen.float().mean() > 0.05
     assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.02
@@ -68,8 +67,7 @@ def test_exact_depth_has_holes_only_at_panes():
 
 def test_several_frames_are_fused_as_in_the_serving_engine():
     """The volume equals the engine's buffer after the same frames, and the seen pixels equal its probes'."""
-    recording = BoxRecordings(1).read(0, frames=[0, 8, 16])
-    example = example_of(recording, np.random.default_rng(0), depth="exact")
+    example = box_example(frames=(0, 8, 16))
     session = Session(SessionOptions(model="single", height=60))
     handles = [session.track(tuple(position)) for position in example.positions.tolist()]
     frames = [example.completed, *example.later]

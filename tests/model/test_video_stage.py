@@ -23,7 +23,7 @@ from tiny_stages import (
     single_view_weights,
     trained_networks,
     video_stage,
-)  # fmt: skip
+)
 
 STAGES = ["video-sglv", "video-blend", "video-joint"]
 

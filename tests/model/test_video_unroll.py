@@ -8,9 +8,8 @@ import torch
 
 from present import present
 from roomlight_model.training import video
-from roomlight_model.training.sequences import PreparedWalk, collate_walks, with_views
 from roomlight_model.training.video import Unroll
-from tiny_stages import SHAPE, WALKS, box_walk, dimmed, video_stage
+from tiny_stages import WALKS, box_walk, dimmed, video_stage, walk_batch
 
 STAGES = ["video-sglv", "video-blend", "video-joint"]
 
@@ -18,11 +17,7 @@ STAGES = ["video-sglv", "video-blend", "video-joint"]
 def batch_of(options, *, length=3, change_light=None):
     changes = change_light is not None
     walk = box_walk(np.random.default_rng(0), length=length, augment=changes, change_light=change_light)
-    walks = [PreparedWalk.of(walk, SHAPE)]
-    if options.stage == "video-sglv":
-        return collate_walks(walks, panorama_height=None)
-    height = options.panorama_height
-    return with_views(collate_walks(walks, panorama_height=height), walks, panorama_height=height)
+    return walk_batch(walk, height=None if options.stage == "video-sglv" else options.panorama_height)
 
 
 def video_model():
