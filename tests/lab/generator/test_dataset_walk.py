@@ -42,7 +42,7 @@ def walks():
 
 @pytest.fixture(scope="module")
 def many_walks(walks):
-    return [*walks, *((ROOMS[seed % 3], *walk(ROOMS[seed % 3], seed)) for seed in range(len(walks), 150))]
+    return [*walks, *((ROOMS[seed % 3], *walk(ROOMS[seed % 3], seed)) for seed in range(len(walks), 100))]
 
 
 @pytest.mark.slow
@@ -51,7 +51,7 @@ def test_walks_move_as_the_papers_on_average(many_walks):
     motions = [motion_statistics(poses) for _, poses, _ in many_walks]
     steps = np.array([motion.translation_m.mean() for motion in motions])
     turns = np.array([motion.rotation_degrees.mean() for motion in motions])
-    # of 150 walks the mean has a deviation of its own: 0.004 m and 0.19 degrees
+    # of 100 walks the mean has a deviation of its own: 0.005 m and 0.23 degrees
     assert abs(steps.mean() - 0.09) < 0.012
     assert abs(turns.mean() - 4.78) < 0.5
     assert np.percentile(steps, 5) < 0.02

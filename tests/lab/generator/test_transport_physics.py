@@ -24,17 +24,17 @@ def looking_along_minus_z(x=0.0, y=1.2, z=1.0):
     return pose
 
 
-def walls(material, *, without=()):
-    """A room of SIZE about the y axis, standing on y = 0; sides by name."""
+def walls(material, *, without=(), step=0.1):
+    """A room of SIZE about the y axis, standing on y = 0; sides by name, of triangles with edges of `step`."""
     w, h, d = SIZE
     x, z = w / 2, d / 2
     sides = {
-        "floor": rectangle([-x, 0, -z], [0, 0, d], [w, 0, 0]),
-        "ceiling": rectangle([-x, h, -z], [w, 0, 0], [0, 0, d]),
-        "back": rectangle([-x, 0, -z], [w, 0, 0], [0, h, 0]),
-        "front": rectangle([-x, 0, z], [0, h, 0], [w, 0, 0]),
-        "left": rectangle([-x, 0, -z], [0, h, 0], [0, 0, d]),
-        "right": rectangle([x, 0, -z], [0, 0, d], [0, h, 0]),
+        "floor": rectangle([-x, 0, -z], [0, 0, d], [w, 0, 0], step=step),
+        "ceiling": rectangle([-x, h, -z], [w, 0, 0], [0, 0, d], step=step),
+        "back": rectangle([-x, 0, -z], [w, 0, 0], [0, h, 0], step=step),
+        "front": rectangle([-x, 0, z], [0, h, 0], [w, 0, 0], step=step),
+        "left": rectangle([-x, 0, -z], [0, h, 0], [0, 0, d], step=step),
+        "right": rectangle([x, 0, -z], [0, 0, d], [0, h, 0], step=step),
     }
     return [item(name, side, material) for name, side in sides.items() if name not in without]
 
@@ -51,7 +51,7 @@ def solved(items, openings=(), sky=NIGHT):
 @pytest.mark.parametrize("albedo", [0.3, 0.8])
 def test_white_furnace(albedo):
     """In a closed room that emits evenly, radiance is e / (1 - a) in every direction at every point."""
-    light = solved(walls(Material("glow", (albedo, albedo, albedo), emission=(1.0, 2.0, 0.5))))
+    light = solved(walls(Material("glow", (albedo, albedo, albedo), emission=(1.0, 2.0, 0.5)), step=0.25))
     expected = np.array([1.0, 2.0, 0.5]) / (1 - albedo)
     panorama = light.panorama(np.array([0.4, 1.0, 0.3]), 16, seed=0)
     np.testing.assert_allclose(panorama.mean((0, 1)), expected, rtol=0.02)
@@ -63,7 +63,7 @@ def test_white_furnace(albedo):
 @pytest.mark.slow
 def test_a_coat_neither_adds_nor_loses_light():
     """The furnace with coated walls stays within what a linear coat model loses between its layers."""
-    light = solved(walls(Material("coated", (0.5, 0.5, 0.5), roughness=0.2, emission=(1.0, 1.0, 1.0))))
+    light = solved(walls(Material("coated", (0.5, 0.5, 0.5), roughness=0.2, emission=(1.0, 1.0, 1.0)), step=0.25))
     panorama = light.panorama(np.array([0.0, 1.2, 0.0]), 16, seed=0)
     assert 1.7 < panorama.mean() < 2.05
     assert np.abs(panorama / panorama.mean() - 1).max() < 0.25
