@@ -77,11 +77,17 @@ def test_criteria_are_judged_by_their_limits(report):
     assert [criterion.holds for criterion in judged] == [False, True, False]
 
 
+@pytest.fixture(scope="module")
+def server():
+    """A server for 64 phones."""
+    with replace(TINY, sessions=(64,)).server() as running:
+        yield running
+
+
 @pytest.mark.slow
-def test_the_server_takes_the_connections_of_all_phones():
+def test_the_server_takes_the_connections_of_all_phones(server):
     """Two each and those that are opened anew; 64 phones were refused at 128 connections of this address."""
-    options = replace(TINY, sessions=(64,))
-    with ExitStack() as opened, options.server() as server:
+    with ExitStack() as opened:
         for _ in range(3 * 64):
             connection = HTTPConnection("127.0.0.1", server.port, timeout=60)
             opened.callback(connection.close)
@@ -103,13 +109,12 @@ def test_a_server_that_cannot_start_is_an_error_with_its_log(untrained_video):
 
 
 @pytest.mark.slow
-def test_health_is_polled_from_another_process():
-    with ServerProcess(["--model", "classical"]) as server:
-        resident = server.resident_bytes()
-        assert resident is None or resident > 20e6
-        with polling_health(server.port) as end:
-            assert min(end()) > 0
-    with pytest.raises(ServerError, match="healthz"), polling_health(server.port) as end:
+def test_health_is_polled_from_another_process(server):
+    resident = server.resident_bytes()
+    assert resident is None or resident > 20e6
+    with polling_health(server.port) as end:
+        assert min(end()) > 0
+    with pytest.raises(ServerError, match="healthz"), polling_health(1) as end:
         end()
 
 
@@ -121,7 +126,7 @@ def test_numbers_of_sessions_are_checked(counts):
 
 
 @pytest.mark.slow
-def test_refused_frames_are_lost_and_other_errors_raised(monkeypatch):
+def test_refused_frames_are_lost_and_other_errors_raised(server, monkeypatch):
     """A newer frame may overtake an older one on another connection; the server then refuses the older index."""
     answers = {1: ("frame-conflict", 409), 2: ("session-full", 429)}
     run = AsyncClient.run
@@ -142,10 +147,9 @@ def test_refused_frames_are_lost_and_other_errors_raised(monkeypatch):
         async with Phones(url, load) as phones:
             return await phones.stream()
 
-    with ServerProcess(["--model", "classical"]) as server:
-        outcome = asyncio.run(streamed(server.url, 1.0))
-        assert outcome.superseded >= 2
-        assert outcome.sent == outcome.superseded + len(outcome.frame_ms)
-        answers[1] = ("session-failed", 409)
-        with pytest.raises(ConflictError, match="session-failed"):
-            asyncio.run(streamed(server.url, 1.0))
+    outcome = asyncio.run(streamed(server.url, 1.0))
+    assert outcome.superseded >= 2
+    assert outcome.sent == outcome.superseded + len(outcome.frame_ms)
+    answers[1] = ("session-failed", 409)
+    with pytest.raises(ConflictError, match="session-failed"):
+        asyncio.run(streamed(server.url, 1.0))

@@ -31,23 +31,14 @@ CASES = [(name, seed) for name in [*STYLES, "everything"] for seed in range(12 i
 
 
 def finishes() -> Finishes:
-    wall, floor, ceiling, skirting = (Material(name) for name in ("wall", "floor", "ceiling", "skirting"))
-    room = RoomFinishes(wall, floor, ceiling, skirting, Material("accent"), Material("lower"))
-    wall, floor, ceiling, skirting = (Material(f"{name} 2") for name in ("wall", "floor", "ceiling", "skirting"))
-    second = RoomFinishes(wall, floor, ceiling, skirting)
+    surfaces = ("wall", "floor", "ceiling", "skirting")
+    things = (
+        "frame", "door", "door_frame", "handle", "moulding", "beam", "curtain", "blind", "sheer", "translucent_blind",
+    )  # fmt: skip
     return Finishes(
-        room=room,
-        second=second,
-        frame=Material("frame"),
-        door=Material("door"),
-        door_frame=Material("door_frame"),
-        handle=Material("handle"),
-        moulding=Material("moulding"),
-        beam=Material("beam"),
-        curtain=Material("curtain"),
-        blind=Material("blind"),
-        sheer=Material("sheer"),
-        translucent_blind=Material("translucent_blind"),
+        room=RoomFinishes(*map(Material, (*surfaces, "accent", "lower"))),
+        second=RoomFinishes(*(Material(f"{name} 2") for name in surfaces)),
+        **{name: Material(name) for name in things},
     )
 
 
