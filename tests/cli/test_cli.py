@@ -10,6 +10,7 @@ import pytest
 import typer
 from command_runner import RunCommand
 
+import stub_rooms
 from roomlight.errors import FrameError, ModelError, OptionError, RoomLightError
 from roomlight.sample import sample_capture
 from roomlight_cli import console
@@ -18,6 +19,7 @@ from roomlight_cli.commands.bench import BENCHMARKS
 from roomlight_cli.commands.evaluation import EVALUATIONS
 from roomlight_cli.lazy import CommandEntry, load_command
 from roomlight_evaluation.benchmark import benchmark_options
+from written_captures import edited_copy
 
 
 def python(code: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -86,7 +88,6 @@ def test_version(roomlight: RunCommand) -> None:
     [
         (("replay", "nowhere", "--out", "out"), "nowhere"),
         (("replay", ".", "--out", "out"), "roomlight"),
-        (("eval", "captures", "nowhere"), "nowhere"),
         (("export", "nothing.pt", "--out", "model"), "nothing.pt"),
         (("light", "a [bold]photo[/x]", "--depth", "d", "--probe", "0,0,-1", "--out", "out"), "a [bold]photo[/x]:"),
         (("replay", "a [bold]room[/x]", "--out", "out"), "error: a [bold]room[/x]: there is no such file"),
@@ -127,20 +128,15 @@ def test_messages_name_the_flags(error: RoomLightError, message: str) -> None:
     ("option", "says"),
     [
         (("--probe", "1,2"), "X,Y,Z"),
-        (("--probe", "a,b,c"), "X,Y,Z"),
         (("--pixel", "5"), "a pixel is U,V"),
-        (("--pixel", "5,x"), "a pixel is U,V"),
         (("--above", "-1"), "--above"),
-        (("--height", "3"), "--height"),
         (("--height", "3000"), "2048"),
-        (("--max-frames", "0"), "--max-frames"),
         (("--probe", "0,1,0", "--probes-from-capture"), "excludes --probe"),
         (("--pixel", "5,5", "--probes-from-capture"), "excludes --probe"),
         (("--interpolate",), "--interpolate fills in"),
         (("--model", "classical", "--weights", "w"), "leave out --weights"),
         (("--model", "magic"), "magic"),
         (("--world-up", "1,2"), "a position or direction is X,Y,Z"),
-        (("--mode", "classical"), "No such option"),
     ],
 )
 def test_a_bad_argument_is_a_usage_error(
@@ -193,7 +189,9 @@ def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: 
 
 @pytest.mark.slow
 def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
-    result = python("from roomlight_cli.main import main; main()", "demo", "--no-browser", cwd=tmp_path)
+    sample = edited_copy(sample_capture(), tmp_path / "sample", lambda index: index.update(frames=index["frames"][:8]))
+    code = f"from roomlight_cli.commands import demo; demo.sample_capture = lambda: demo.Path({str(sample)!r})"
+    result = python(f"{code}; from roomlight_cli.main import main; main()", "demo", "--no-browser", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     out = tmp_path / "roomlight-demo"
     assert "summary.png" in result.stdout
@@ -208,7 +206,7 @@ def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_benchmark_makes_its_rooms_and_scores_them(tmp_path, roomlight, monkeypatch):
     def short_walks(*, rooms: int, seed: int):
-        return replace(benchmark_options(rooms=rooms, seed=seed), frames=3)
+        return replace(benchmark_options(rooms=rooms, seed=seed), frames=3, renderer=stub_rooms.NAME)
 
     monkeypatch.setattr("roomlight_cli.commands.evaluation.rooms.benchmark_options", short_walks)
     command = ("eval", "benchmark", tmp_path / "rooms", "--rooms", 1, "--model", "classical", "--workers", 1)

@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from itertools import islice
 
 import cv2
@@ -16,7 +15,7 @@ from roomlight.captures import open_capture
 from roomlight.captures.photo import DEFAULT_FOV_DEG, PhotoOptions, read_photo
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
-from roomlight.errors import FrameError, OptionError, OutputError, ProbeError
+from roomlight.errors import FrameError, OptionError, OutputError
 from roomlight.images import read_panorama, write_exr
 from roomlight.imaging.exif import oriented
 from roomlight.imaging.video_writer import VideoWriter
@@ -179,9 +178,6 @@ def test_a_pixel_is_lit_above_its_surface(room):
     expected = point_at_pixel(frame, 20.0, 40.0, above_m=0.2)
     points = PhotoPoints(((0.0, 0.0, -1.0),), ((20.0, 40.0),), above_m=0.2)
     assert points.positions(frame) == [(0.0, 0.0, -1.0), expected]
-    empty = replace(frame, depth_m=np.where(np.arange(64) < 32, 0, frame.depth_m).astype(np.float32))
-    with pytest.raises(ProbeError, match="nearest pixel with depth"):
-        points.positions(empty)
 
 
 def test_an_unknown_field_of_view_and_a_point_behind_the_camera_get_warnings(room, roomlight):

@@ -155,9 +155,7 @@ def test_a_second_run_in_a_folder_is_refused(tmp_path: Path, roomlight: RunComma
     ("change", "arguments", "message"),
     [
         (("", ""), "cats", "one of clipping, depth, objects, single, video"),
-        (("", ""), "recipe.toml --set colour=3", "no stage has an option colour"),
         (("", ""), "recipe.toml --set steps", "--set takes NAME=VALUE"),
-        (("", ""), "recipe.toml --set steps=0", "steps is 0: Input should be greater than or equal to 1"),
         (("", ""), "recipe.toml --set steps=soon", "steps is 'soon': Input should be a valid integer"),
         (("", ""), "recipe.toml --device cuda", "use 'cpu'"),
         (("sequences = 6", "sequences = 0"), "recipe.toml", "data lamps: sequences is 0: Input should be"),
@@ -172,7 +170,6 @@ def test_a_second_run_in_a_folder_is_refused(tmp_path: Path, roomlight: RunComma
             "recipe.toml",
             "data/hdris: is no folder; the dataset",
         ),
-        (("sequences = 6", 'sequences = "6"'), "recipe.toml", "data lamps: sequences is '6': Input should be"),
         (("steps = 3", 'start_from = "shipped/cats"'), "recipe.toml", "stage run: start_from is 'shipped/cats', but"),
         (("steps = 3", 'start_from = "run/best.pt"'), "recipe.toml", "stage run: start_from is 'run/best.pt', but"),
         (
