@@ -59,14 +59,8 @@ def test_a_dataset_has_the_requested_sequences(undisturbed):
     assert verify(undisturbed).whole == 12
     for number, recording in enumerate(dataset):
         made = recording.facts["made"]
-        assert made == {
-            "seed": 7,
-            "split": "train",
-            "room": number // 2,
-            "walk": number % 2,
-            "attempt": 0,
-            "room_seed": 7,
-        }
+        place = {"room": number // 2, "walk": number % 2}
+        assert made == {"seed": 7, "split": "train", "attempt": 0, "room_seed": 7} | place
         assert recording.facts["room_type"] == stub_rooms.TYPES[number // 2 % 3]
 
 
@@ -76,26 +70,20 @@ def test_a_worker_has_one_thread_and_imports_no_other_package(undisturbed):
 
 
 @pytest.mark.slow
-def test_two_workers_make_the_same_bytes(undisturbed, tmp_path):
-    reports = []
-    generate(tmp_path / "two", options(), workers=2, progress=reports.append)
-    assert bytes_of(tmp_path / "two") == bytes_of(undisturbed)
-    assert [report.finished for report in reports] == list(range(13))
+def test_two_workers_grow_a_dataset_in_steps_to_the_same_bytes(undisturbed, tmp_path):
+    folder, reports = tmp_path / "steps", []
+    for sequences in (1, 5, 12):
+        assert generate(folder, options(sequences), workers=2, progress=reports.append).sequences == sequences
+    assert bytes_of(folder) == bytes_of(undisturbed)
+    assert [report.finished for report in reports] == [*range(2), *range(1, 6), *range(5, 13)]
     assert reports[0].per_hour is None
     assert reports[-1].left_s == 0
     assert reports[-1].bytes == sum(
         entry.length for tar in undisturbed.glob("*.tar") for entry in read_index(tar).entries
     )
-
-
-@pytest.mark.slow
-def test_a_dataset_grows_in_steps_to_the_same_bytes(undisturbed, tmp_path):
-    for sequences in (1, 5, 12):
-        assert generate(tmp_path / "steps", options(sequences), workers=2).sequences == sequences
-    assert bytes_of(tmp_path / "steps") == bytes_of(undisturbed)
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "steps").glob("*.*") if path.name != LOCK}
-    assert generate(tmp_path / "steps", options(12), workers=2).made == 0
-    assert generate(tmp_path / "steps", options(3), workers=2).made == 0
+    before = {path: path.stat().st_mtime_ns for path in folder.glob("*.*") if path.name != LOCK}
+    assert generate(folder, options(12), workers=2).made == 0
+    assert generate(folder, options(3), workers=2).made == 0
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
@@ -115,11 +103,8 @@ def start(folder, workers):
     )
 
 
-slow = pytest.mark.slow
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("gate", [[2, 1], pytest.param([0, 0], marks=slow), pytest.param([5, 1], marks=slow)])
+@pytest.mark.parametrize("gate", [[2, 1], [0, 0], [5, 1]], ids=["within a shard", "first", "last"])
 def test_a_killed_run_continues_to_the_same_bytes(gate, undisturbed, tmp_path, steer):
     out = tmp_path / "killed"
     pipes = steer(gate=gate)

@@ -14,7 +14,7 @@ from roomlight_generator.rooms.planner import free_floor
 from roomlight_generator.sequences.exposure import BRIGHT_LEVEL, PERCENTILE
 from roomlight_generator.sequences.render import LitRoom, plan_camera_path
 from roomlight_generator.sequences.walk import FreeSpace
-from roomlight_generator.transport import RoomLight, Tracer, patches
+from roomlight_generator.transport import RoomLight, Tracer
 from roomlight_generator.transport.lights.sun_spots import sun_spots
 
 SEED = 6
@@ -40,15 +40,6 @@ def first(kind):
     raise AssertionError(f"none of 60 rooms is lit by {kind}")
 
 
-@pytest.fixture(scope="module")
-def few_rays():
-    """Light solved with few rays."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name, rays in (("GATHER_RAYS", 4), ("FIRST_RAYS", 4), ("SEED_RAYS", 2048)):
-            patch.setattr(patches, name, rays)
-        yield
-
-
 def lit(built):
     """Return a room with its light solved."""
     tracer = Tracer(built.scene)
@@ -72,7 +63,7 @@ def first_views(lit_room, views=6):
 @pytest.mark.statistical
 def test_each_kind_has_about_its_share():
     """A kind that a room has no place for becomes mixed: the others have half of their share at least."""
-    rooms = 160
+    rooms = 100
     counts = Counter(room(index).facts["light"]["kind"] for index in range(rooms))
     for kind, share in LIGHT_KINDS.items():
         noise = 2.6 * np.sqrt(share * (1 - share) / rooms)
