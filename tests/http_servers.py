@@ -4,6 +4,7 @@ import asyncio
 import http.client
 import json
 import socket
+import struct
 import threading
 import time
 from dataclasses import dataclass
@@ -11,11 +12,12 @@ from functools import cache, wraps
 from typing import ClassVar
 
 import numpy as np
+from websockets.sync.client import connect
 
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session
 from roomlight.wire.frame_header import FrameHeader
-from roomlight.wire.frame_message import column_major, pack
+from roomlight.wire.frame_message import MAGIC, column_major, pack
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight_server.answers import light_forms
 from roomlight_server.app import create_app
@@ -25,6 +27,8 @@ from roomlight_server.work import workers
 from rooms import BoxRoom, camera_at
 
 LATE = "/v1/sessions/room/probes"
+TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+"""An object as an OBJ file."""
 
 
 def once(work):
@@ -133,6 +137,11 @@ class RunningServer:
     def state(self, name="room", **more):
         return self.call("GET", f"/v1/sessions/{name}", **more).json
 
+    def stream(self, name="room", *, token=None, **more):
+        """Connect to the WebSocket of a session."""
+        access = {} if token is None else {"additional_headers": {"Authorization": f"Bearer {token}"}}
+        return connect(f"ws://127.0.0.1:{self.port}/v1/sessions/{name}/stream", **access | more)
+
     def wait_until(self, condition):
         """Wait on the event loop, one request after the other; each must succeed."""
 
@@ -146,6 +155,10 @@ class RunningServer:
 
     def wait_until_ready(self):
         self.wait_until(lambda: self.call("GET", "/readyz").status == 200)
+
+    def wait_until_saved(self, index, name="room", **more):
+        """Wait until a frame is on disk."""
+        self.wait_until(lambda: self.state(name, **more)["frames"]["durable_index"] == index)
 
 
 def metric(server, name):
@@ -266,6 +279,31 @@ def header_of(shot, **changes):
 
 def parts_of(shot):
     return linear_to_srgb8(np.clip(shot.image, 0, 1)).tobytes(), shot.depth_m.astype("<f4").tobytes()
+
+
+def with_parts(colour=None, depth=None, confidence=None, **changes):
+    """Return a frame of the box room whose header is not checked.
+
+    Parts are (description, bytes), by default those of the room; lengths are filled in. Without depth if it is False.
+    """
+    header, parts = header_of(box_shot(0), **changes), []
+    for name, given, default in zip(("colour", "depth"), (colour, depth), parts_of(box_shot(0)), strict=True):
+        if given is False:
+            del header[name]
+            continue
+        described, data = given if given is not None else ({}, default)
+        header[name] = header[name] | described | {"bytes": len(data)}
+        parts.append(data)
+    if confidence is not None:
+        header["confidence"] = {"width": 48, "height": 36, "bytes": len(confidence[1])} | confidence[0]
+        parts.append(confidence[1])
+    return build(header, *parts)
+
+
+def build(header, *parts):
+    """Return a frame message of a header and parts that are not checked."""
+    text = json.dumps(header).encode()
+    return MAGIC + struct.pack("<I", len(text)) + text + b"".join(parts)
 
 
 @cache

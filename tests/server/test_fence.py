@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
 
 from http_servers import SMALL, HeldSession, InThread, RunningServer, frame, wait_until
 from roomlight.errors import ServerError
@@ -136,10 +135,6 @@ def filled(server, count=3):
         assert server.push(index, frame(YAWS[index])).json["status"] == "processed"
 
 
-def wait_until_saved(server, index):
-    server.wait_until(lambda: server.state()["frames"]["durable_index"] == index)
-
-
 def wait_until_quiet(server):
     """Ask until nothing is to be saved now."""
     states = server.app.state.context.states
@@ -156,7 +151,7 @@ def moved(answer):
 def test_each_request_finds_that_the_session_moved(pair, path):
     first, second = pair
     filled(first)
-    wait_until_saved(first, 2)
+    first.wait_until_saved(2)
     second.state()
     method, body = ("PUT", frame(YAWS[3])) if "frames" in path else ("GET", None)
     assert moved(first.call(method, f"/v1/sessions/room{path}", body))
@@ -193,7 +188,7 @@ def test_lost_frames_are_asked_for_and_light_is_the_same(tmp_path):
 def test_a_session_that_is_opened_again_may_begin_anywhere(tmp_path):
     with server_on(tmp_path) as server:
         filled(server, 1)
-        wait_until_saved(server, 0)
+        server.wait_until_saved(0)
         assert server.call("DELETE", "/v1/sessions/room").status == 204
         server.open()
         assert server.push(7, frame(YAWS[1])).json["epoch"] == 3  # deleting claims it too
@@ -236,7 +231,7 @@ def test_a_stopped_server_releases_its_sessions(tmp_path):
 def test_deleting_on_another_server_ends_the_session(tmp_path, pair):
     first, second = pair
     filled(first)
-    wait_until_saved(first, 2)
+    first.wait_until_saved(2)
     assert second.call("DELETE", "/v1/sessions/room").status == 204
     assert moved(first.push(3, frame(YAWS[3])))
     assert first.call("GET", "/v1/sessions/room").status == 404
@@ -262,8 +257,8 @@ def test_a_moved_session_leaves_memory_without_requests(tmp_path, monkeypatch):
 def test_a_stream_of_a_moved_session_is_closed(pair):
     first, second = pair
     filled(first)
-    wait_until_saved(first, 2)
-    with connect(f"ws://127.0.0.1:{first.port}/v1/sessions/room/stream", compression=None) as socket:
+    first.wait_until_saved(2)
+    with first.stream() as socket:
         second.state()
         socket.send(frame(YAWS[3], index=3))
         with pytest.raises(ConnectionClosed) as closed:

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from websockets.sync.client import connect
 
 from http_servers import LATE, RunningServer, frame, post, with_small_buffer
 from roomlight.engine.session_view import SessionView
@@ -23,12 +22,8 @@ def noise(height):
     return Light((0.0, 0.0, 0.0), image, (image[..., 0] > 1).astype(np.float32), 0.5, etag="")
 
 
-SIZES = [pytest.param(size, marks=[pytest.mark.slow] * (size > 64)) for size in FACE_SIZES]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("height", [16, 120])
-@pytest.mark.parametrize("size", [None, *SIZES])
+@pytest.mark.parametrize(("size", "height"), [(None, 16), *((size, 120) for size in (None, *FACE_SIZES))])
 @pytest.mark.parametrize("name", MEDIA_TYPES)
 def test_the_estimate_bounds_incompressible_light(name, size, height):
     if name == "specular" and size not in (None, 16):
@@ -52,7 +47,7 @@ def test_an_answer_is_bounded_by_the_height_of_the_session(accept):
         assert (answer.status, answer.json["field"]) == (422, "forms")
         body["probes"] = body["probes"][:7]
         assert server.call("POST", "/v1/sessions/room/probes", body, headers=accept).status == 200
-        with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
+        with server.stream() as stream:
             stream.send(json.dumps({"type": "subscribe", "forms": [{"format": "npy"}]}))
             assert json.loads(stream.recv(timeout=60))["problem"]["field"] == "forms"
 
@@ -85,7 +80,7 @@ def test_frames_in_flight_are_bounded(monkeypatch):
         server.open()
         answer = server.push(0)
         assert (answer.status, answer.kind) == (503, "server-busy")
-        with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
+        with server.stream() as stream:
             stream.send(frame(0, index=0))
             event = json.loads(stream.recv(timeout=60))
             assert (event["index"], event["problem"]["status"]) == (0, 503)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from gltf_files import packed, textured_quad
 
-from http_servers import InThread, RunningServer, box_shot
+from http_servers import TETRAHEDRON, InThread, RunningServer, box_shot
 from present import present
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.materials import Material
@@ -32,7 +32,6 @@ from roomlight_server.answers import composites
 from roomlight_server.work.object_packing import object_bytes, pack_object, unpack_object
 from rooms import BoxRoom, camera_at
 
-TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 BALL = {"shape": "sphere", "size_m": 0.4, "material": {"kind": "diffuse"}, "position": [0.2, 1.1, -0.4]}
 COMPOSITE = "/v1/sessions/room/composite"
 OTHER = "another-token-of-16"

@@ -5,7 +5,6 @@ import json
 import socket
 
 import pytest
-from websockets.sync.client import connect
 
 from http_servers import RunningServer, is_closed
 
@@ -139,8 +138,7 @@ def wait_until_admitted(server, count):
 def test_a_websocket_is_counted_until_it_closes():
     with RunningServer(max_connections=2) as server:
         server.open()
-        address = f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream"
-        with connect(address), connect(address), dial(server) as third:
+        with server.stream(), server.stream(), dial(server) as third:
             assert answer_of(third)[0] == 503
         while server.call("GET", "/healthz").status != 200:
             pass
@@ -169,7 +167,7 @@ def test_headers_that_stop_arriving_are_answered(before, caplog):
 def test_a_websocket_stays_open_beyond_the_limit_of_headers():
     with RunningServer(header_timeout_s=0.2) as server:
         server.open()
-        with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
+        with server.stream() as stream:
             with pytest.raises(TimeoutError):
                 stream.recv(timeout=0.6)
             stream.send('{"type": "track", "name": "table", "position": [0, 0, -1]}')

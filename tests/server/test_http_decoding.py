@@ -1,7 +1,6 @@
 """Images that take long to decode, and decoders that die: each costs one frame, over a real socket."""
 
 import fcntl
-import json
 import os
 import re
 import resource
@@ -15,10 +14,9 @@ import numpy as np
 import pytest
 from slow_images import jpeg_of_scans, png_of_texts
 
-from http_servers import InThread, RunningServer, box_shot, header_of, parts_of
+from http_servers import InThread, RunningServer, with_parts
 from present import present
-from roomlight.wire.frame_header import FrameHeader
-from roomlight.wire.frame_message import FrameLimits, pack, parse
+from roomlight.wire.frame_message import FrameLimits, parse
 from roomlight_server.work import processes
 from roomlight_server.work.decode_worker import MAX_MEMORY_BYTES
 from roomlight_server.work.shared_block import SharedBlock
@@ -26,11 +24,9 @@ from roomlight_server.work.shared_block import SharedBlock
 
 def colour_frame(encoding, data, width=48, height=36):
     """Return a frame message of the box room with this image file."""
-    scale = width / 48
-    lens = {"fx": 30.0 * scale, "fy": 30.0 * scale, "cx": width / 2, "cy": height / 2, "width": width, "height": height}
-    changes = {"colour": {"encoding": encoding, "bytes": len(data)}, "intrinsics": lens}
-    header = FrameHeader.model_validate_json(json.dumps(header_of(box_shot(0)) | changes))
-    return pack(header, data, parts_of(box_shot(0))[1])
+    focal = 30.0 * width / 48
+    lens = {"fx": focal, "fy": focal, "cx": width / 2, "cy": height / 2, "width": width, "height": height}
+    return with_parts(({"encoding": encoding}, data), intrinsics=lens)
 
 
 def jpeg(width=48, height=36):

@@ -31,7 +31,7 @@ def test_the_docs_page_needs_no_other_host_and_no_token(server):
             assert all(each.strip("\"'").startswith("data:") for each in references)
 
 
-def test_the_openapi_document_has_schemas_of_all_answers_and_the_headers_of_etags(server):
+def test_the_openapi_document_has_schemas_of_all_answers_and_messages_and_the_headers_of_etags(server):
     document = server.call("GET", "/openapi.json").json
     for operations in document["paths"].values():
         for operation in operations.values():
@@ -40,6 +40,10 @@ def test_the_openapi_document_has_schemas_of_all_answers_and_the_headers_of_etag
             assert all(content["schema"] for content in contents), operation["summary"]
             headers = {entry["name"] for entry in operation.get("parameters", ()) if entry["in"] == "header"}
             assert ("If-None-Match" in headers) == ("304" in answers), operation["summary"]
+            for status, answer in answers.items():
+                if status.startswith(("4", "5")) and status != "503":
+                    assert "application/problem+json" in answer["content"], (operation["summary"], status)
+    assert {"FrameHeader", "Problem", "LightingUpdate", "Subscribe"} <= document["components"]["schemas"].keys()
     film = document["paths"]["/v1/recordings/{recording_id}/film"]["get"]["responses"]["200"]
     assert film["content"]["video/mp4"]["schema"] == {"type": "string", "format": "binary"}
 

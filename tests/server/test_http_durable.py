@@ -100,21 +100,16 @@ def test_frames_after_a_restart_keep_their_order(saved, tmp_path):
         assert server.state()["frames"]["gaps"] == 5
 
 
-def test_opening_joins_the_saved_session(saved, tmp_path):
+def test_opening_joins_the_saved_session_whose_composite_needs_no_new_frame(saved, tmp_path):
+    body = {"objects": [{"shape": "sphere", "size_m": 0.2, "pixel": [24, 24]}], "quality": "preview"}
     with server_on(copied(saved[0], tmp_path / "state")) as server:
+        assert server.registry.items() == []
+        assert server.call("POST", "/v1/sessions/room/composite", body).status == 200
         conflict = server.call("PUT", "/v1/sessions/room", SMALL | {"height": 24})
         assert (conflict.status, conflict.kind) == (409, "session-conflict")
         assert server.open().status == 200
         assert server.state()["frames"]["processed"] == 4
         assert server.call("GET", "/v1/sessions/another").status == 404
-
-
-def test_a_composite_needs_no_new_frame_after_a_restart(saved, tmp_path):
-    body = {"objects": [{"shape": "sphere", "radius": 0.1, "position": [0.2, 1.2, -0.5]}], "quality": "preview"}
-    with server_on(copied(saved[0], tmp_path / "state")) as server:
-        assert server.registry.items() == []
-        answer = server.call("POST", "/v1/sessions/room/composite", body)
-        assert answer.status != 409, answer
 
 
 def test_requests_at_once_restore_a_session_once(saved, tmp_path, monkeypatch):
@@ -160,8 +155,7 @@ def test_the_disk_of_a_token_is_limited(tmp_path):
         first, other = tokens
         server.open(token=first)
         server.push(0, token=first)
-        while server.state(token=first)["frames"]["durable_index"] != 0:
-            pass
+        server.wait_until_saved(0, token=first)
         answer = server.call("PUT", "/v1/sessions/second", SMALL, token=first)
         assert (answer.status, answer.kind, answer.json["field"]) == (429, "owner-quota", "session")
         assert server.push(1, token=first).json["status"] == "processed"

@@ -7,9 +7,8 @@ import ssl
 import time
 
 import pytest
-from websockets.sync.client import connect
 
-from http_servers import RunningServer, is_closed
+from http_servers import RunningServer, is_closed, metric
 from roomlight_server.base import tls
 from roomlight_server.serving import allow_files
 from roomlight_server.transport import tls_listener
@@ -64,10 +63,8 @@ def flood(connection, data):
 
 
 def refused(server, kind):
-    """Return how many connections were closed for this reason, from /metrics."""
-    line = f'roomlight_connections_refused_total{{kind="{kind}"}} '
-    text = server.call("GET", "/metrics").body.decode()
-    return sum(float(each.removeprefix(line)) for each in text.splitlines() if each.startswith(line))
+    """Return how many connections were closed for this reason."""
+    return metric(server, f'roomlight_connections_refused_total{{kind="{kind}"}}')
 
 
 @pytest.mark.parametrize(
@@ -142,7 +139,7 @@ def test_the_answer_to_a_close_is_read_at_once(connection, monkeypatch):
 
 
 def test_a_fragmented_message_of_usual_pieces_is_read(server):
-    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
+    with server.stream() as stream:
         text = '{"type": "track", "name": "table", "position": [0, 0, -1]}'
         stream.send([text, *([" " * 2048] * 20)])
         assert json.loads(stream.recv(timeout=60))["type"] == "probes"
@@ -151,7 +148,7 @@ def test_a_fragmented_message_of_usual_pieces_is_read(server):
 
 
 def test_messages_that_arrive_together_are_answered_one_after_the_other(server):
-    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream", max_queue=1000) as stream:
+    with server.stream(max_queue=1000) as stream:
         names = [f"p{number}" for number in range(300)]
         for name in names:
             stream.send(json.dumps({"type": "untrack", "name": name}))
@@ -232,6 +229,4 @@ def test_a_late_event_loop_is_measured_and_named(server, caplog):
     while not lines():
         server.call("GET", "/healthz")
     assert lines()[0]["late_s"] >= 0.5
-    text = server.call("GET", "/metrics").body.decode()
-    lag = next(line for line in text.splitlines() if line.startswith("roomlight_event_loop_lag_seconds "))
-    assert float(lag.split()[1]) > 0.5
+    assert metric(server, "roomlight_event_loop_lag_seconds") > 0.5

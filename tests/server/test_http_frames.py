@@ -1,16 +1,16 @@
 """Frames over a real socket: order, replays, the queue, engine failures, multipart."""
 
+import gc
 import json
+import logging
 import threading
 
 import cv2
 import numpy as np
 import pytest
 
-from http_servers import SMALL, HeldSession, InThread, RunningServer, box_shot, frame, header_of, parts_of
+from http_servers import SMALL, HeldSession, InThread, RunningServer, box_shot, frame, header_of, parts_of, with_parts
 from roomlight.errors import FrameError
-from roomlight.wire.frame_header import FrameHeader
-from roomlight.wire.frame_message import pack
 from roomlight_server.base.request_context import current_flow
 from roomlight_server.sessions import live_session
 
@@ -162,7 +162,7 @@ def test_a_frame_rejected_by_the_engine_frees_its_index(held):
     assert held.push(3, frame(9)).json["status"] == "processed"
 
 
-def test_deleting_a_session_answers_waiting_requests(held):
+def test_deleting_a_session_answers_waiting_requests_and_logs_no_error(held, caplog):
     first = InThread(held.push, 0)
     HeldSession.wait_entered()
     second = InThread(held.push, 1, frame(1))
@@ -173,6 +173,8 @@ def test_deleting_a_session_answers_waiting_requests(held):
     held.open()
     HeldSession.release()
     assert held.push(0).status == 200
+    gc.collect()  # errors that nobody has asked for
+    assert [record for record in caplog.records if record.levelno >= logging.ERROR] == []
 
 
 def multipart(parts):
@@ -265,6 +267,19 @@ def test_a_part_that_is_given_twice_is_refused(server):
     assert (answer.status, answer.json["field"]) == (400, "colour")
 
 
+@pytest.mark.parametrize(
+    "charset", ["undefined", "utf-7", "unicode_escape", "raw_unicode_escape", "punycode", "utf-16"]
+)
+def test_a_multipart_charset_must_be_utf8(server, caplog, charset):
+    """Starlette decodes with any codec of Python; `undefined` and others raised a UnicodeError and a 500."""
+    server.open("curl")
+    body, headers = multipart(curl_parts())
+    headers["Content-Type"] += f"; charset={charset}"
+    answer = server.push(0, body, name="curl", headers=headers)
+    assert (answer.status, answer.kind, answer.json["field"]) == (400, "bad-request", "Content-Type")
+    assert not [record for record in caplog.records if record.exc_info]
+
+
 def test_malformed_multipart_is_rejected(server):
     server.open("curl-broken")
     for headers, body in (
@@ -351,13 +366,9 @@ def test_a_frame_that_fails_to_decode_late_is_rejected(held):
     queued(held, 1, body=frame(1))
     HeldSession.wait_entered()
     queued(held, 2, body=frame(2))
-    shot = box_shot(3)
-    header = header_of(shot, colour={"encoding": "png", "bytes": 0})
-    png = cv2.imencode(".png", np.random.default_rng(1).integers(0, 255, shot.image.shape, np.uint8))[1].tobytes()
+    png = cv2.imencode(".png", np.random.default_rng(1).integers(0, 255, (36, 48, 3), np.uint8))[1].tobytes()
     torn = png[:60] + bytes(len(png) - 72) + png[-12:]  # complete by its header and end marker
-    header["colour"]["bytes"] = len(torn)
-    body = pack(FrameHeader.model_validate_json(json.dumps(header)), torn, parts_of(shot)[1])
-    broken = InThread(held.push, 3, body)
+    broken = InThread(held.push, 3, with_parts(({"encoding": "png"}, torn)))
     wait_for_queue(held, last=3)
     HeldSession.release()
     refused = broken.result()

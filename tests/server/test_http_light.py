@@ -152,17 +152,6 @@ def test_named_probes_are_tracked_moved_and_deleted(server):
     assert server.call("PUT", f"{path}/fourth", POINT).status == 201
 
 
-def test_a_named_probe_is_tracked_by_the_engine(server):
-    """Its light is tracked from the first frame, not computed from keyframes."""
-    server.open("own")
-    server.call("PUT", "/v1/sessions/own/probes/table", POINT)
-    for index in range(3):
-        server.push(index, frame(20 * index), name="own")
-    followed = get(server, "?format=npy", path="/probes/table", name="own").body
-    batch = post(server, {"probes": [{"name": "table"}], "forms": [{"format": "npy"}]}, name="own").json
-    assert base64.b64decode(batch["results"][0]["forms"][0]["data"]) == followed
-
-
 def test_a_batch_answers_in_order_after_the_same_frame(server):
     body = {
         "probes": [POINT, {"position": [0, 1, 0]}],

@@ -6,7 +6,6 @@ import re
 
 import pytest
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
 
 from http_servers import HeldSession, InThread, RunningServer, frame, metric
 from roomlight_server import serving
@@ -43,8 +42,7 @@ def test_problems_carry_the_request_id(server, monkeypatch):
 
 
 def test_a_stream_returns_its_request_id(server):
-    url = f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream"
-    with connect(url, additional_headers={ID: "stream-1"}) as stream:
+    with server.stream(additional_headers={ID: "stream-1"}) as stream:
         assert stream.response is not None
         assert stream.response.headers["X-Request-Id"] == "stream-1"
 
@@ -118,7 +116,7 @@ def test_metrics_show_queues_refusals_and_memory(monkeypatch):
         assert metric(server, 'roomlight_problems_total{kind="session-not-found"}') == 1
         assert metric(server, "roomlight_decode_seconds_count") == 4
         assert metric(server, 'roomlight_queue_seconds_count{pool="decode"}') >= 4
-        with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
+        with server.stream() as stream:
             stream.send(json.dumps({"type": "track", "name": "table", "position": [0, 0, 0]}))
             stream.recv(timeout=60)
         assert metric(server, 'roomlight_stream_messages_total{direction="received",type="track"}') == 1
@@ -133,7 +131,7 @@ def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
         server.open()
         server.open("streamed")
         push = InThread(server.push, 0)
-        with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/streamed/stream") as stream:
+        with server.stream("streamed") as stream:
             stream.send(frame(0, index=0))
             HeldSession.wait_entered()
             while metric(server, 'roomlight_queued_jobs{pool="engine"}') != 1:
@@ -146,7 +144,7 @@ def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
             assert (refused.status, refused.kind, refused.headers["retry-after"]) == (503, "stopping", "5")
             assert server.call("PUT", "/v1/sessions/new", {}).kind == "stopping"
             with pytest.raises(InvalidStatus, match="503"):
-                connect(f"ws://127.0.0.1:{server.port}/v1/sessions/streamed/stream")
+                server.stream("streamed")
             stream.send(frame(1, index=1))
             event = json.loads(stream.recv(timeout=60))
             assert (event["index"], event["problem"]["status"]) == (1, 503)

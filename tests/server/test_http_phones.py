@@ -11,7 +11,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from http_servers import SMALL, RunningServer, frame, metric
+from http_servers import SMALL, TETRAHEDRON, RunningServer, frame, metric
 from roomlight.errors import ServerError
 from roomlight_server.base.problems import ProblemError
 from roomlight_server.serving import _phone_link
@@ -68,8 +68,7 @@ def test_the_operator_uses_and_deletes_what_its_phones_have(server):
     assert listed(server, OPERATOR) == ["room"]
     assert server.call("GET", "/v1/sessions/room/colour", token=OPERATOR).status == 200
     assert server.open(token=OPERATOR).status == 200  # it joins
-    url = f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream"
-    with connect(url, additional_headers={"Authorization": f"Bearer {OPERATOR}"}, compression=None) as stream:
+    with server.stream(token=OPERATOR) as stream:
         stream.send(json.dumps({"type": "track", "name": "table", "position": [0, 1, 0]}))
         assert json.loads(stream.recv(timeout=60))["probes"] == {"table": [0.0, 1.0, 0.0]}
     assert list(server.state(token=phone)["probes"]) == ["table"]
@@ -80,11 +79,10 @@ def test_the_operator_uses_and_deletes_what_its_phones_have(server):
 def test_the_operator_uses_and_deletes_objects_and_recordings_of_its_phones(server):
     """Its list of objects and recordings was empty, and a phone's object could not be put into a phone's session."""
     (_, phone), (_, second) = paired(server), paired(server)
-    body, kind = (
-        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n",
-        {"Content-Type": "model/obj"},
-    )
-    uploaded = [server.call("POST", "/v1/objects", body, token=token, headers=kind).json for token in (phone, second)]
+    kind = {"Content-Type": "model/obj"}
+    uploaded = [
+        server.call("POST", "/v1/objects", TETRAHEDRON, token=token, headers=kind).json for token in (phone, second)
+    ]
     recorded = server.call("POST", "/v1/recordings", {"name": "hall", "bytes": 10, "files": 1}, token=phone).json
     for path, key, made in (("objects", "objects", uploaded[0]), ("recordings", "recordings", recorded)):
         seen = server.call("GET", f"/v1/{path}", token=OPERATOR).json
@@ -142,8 +140,7 @@ def test_phones_pair_and_list_none(server):
 def test_a_removed_phone_is_disconnected_and_its_sessions_stay(server):
     phone, token = paired(server)
     server.open("room", token=token)
-    url = f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream"
-    with connect(url, additional_headers={"Authorization": f"Bearer {token}"}, compression=None) as stream:
+    with server.stream(token=token) as stream:
         stream.send(json.dumps({"type": "track", "name": "table", "position": [0, 1, 0]}))
         stream.recv(timeout=60)
         assert server.call("DELETE", f"/v1/phones/{phone}", token=OPERATOR).status == 204

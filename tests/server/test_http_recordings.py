@@ -408,18 +408,6 @@ def test_a_reader_that_hangs_is_killed(server, monkeypatch):
     assert "more than 0.01 s" in finished(server, url, "failed")["problem"]["detail"]
 
 
-def test_pages_of_allowed_origins_can_upload(tmp_path):
-    asked = {
-        "Origin": "https://room.example",
-        "Access-Control-Request-Method": "PUT",
-        "Access-Control-Request-Headers": "upload-offset",
-    }
-    with RunningServer(recordings_folder=tmp_path, allow_origins=("https://room.example",)) as server:
-        assert server.call("OPTIONS", f"{URL}/r-0/files/a", headers=asked).status == 200
-        answer = server.call("GET", URL, headers={"Origin": "https://room.example"})
-        assert "Upload-Offset" in answer.headers["access-control-expose-headers"]
-
-
 @pytest.mark.slow
 def test_uploads_of_a_killed_server_are_removed_by_the_next(tmp_path, caplog):
     """Pictures of a room stayed in the folder for temporary files for ever."""

@@ -12,7 +12,7 @@ from websockets import Subprotocol
 from websockets.exceptions import InvalidMessage, InvalidStatus
 from websockets.sync.client import connect
 
-from http_servers import SMALL, RunningServer, box_shot, frame, header_of, parts_of
+from http_servers import SMALL, RunningServer, frame, with_parts
 from server_processes import Process
 
 TOKEN = "a-token-of-sixteen-or-more"
@@ -69,28 +69,6 @@ def test_a_content_length_of_any_digits_is_refused(server, errors, digits):
     assert errors() == []
 
 
-def multipart(charset):
-    """Return (headers, body) of the frame of a box room as multipart form data of a charset."""
-    colour, depth = parts_of(box_shot(0))
-    lines = [b"--limit"]
-    for name, data in (("header", json.dumps(header_of(box_shot(0))).encode()), ("colour", colour), ("depth", depth)):
-        file = b"" if name == "header" else b'; filename="f"'
-        lines += [f'Content-Disposition: form-data; name="{name}"'.encode() + file, b"", data, b"--limit"]
-    return {"Content-Type": f"multipart/form-data; boundary=limit; charset={charset}"}, b"\r\n".join(lines) + b"--\r\n"
-
-
-@pytest.mark.parametrize(
-    "charset", ["undefined", "utf-7", "unicode_escape", "raw_unicode_escape", "punycode", "utf-16"]
-)
-def test_a_multipart_charset_must_be_utf8(server, errors, charset):
-    """Starlette decodes with any codec of Python; `undefined` and others raised a UnicodeError and a 500."""
-    headers, body = multipart(charset)
-    answer = server.call("PUT", "/v1/sessions/room/frames/0", body.replace(b"box", b"b\\ud800x"), headers=headers)
-    assert (answer.status, answer.kind) == (400, "bad-request")
-    assert answer.json["field"] == "Content-Type"
-    assert errors() == []
-
-
 def heic(tmp_path, *, primary):
     """Return a HEIC file, or one whose primary image does not exist."""
     heif = pytest.importorskip("pillow_heif")
@@ -102,15 +80,6 @@ def heic(tmp_path, *, primary):
         at = data.index(b"pitm")
         data[at + 8 : at + 10] = b"\x00\x63"
     return bytes(data)
-
-
-def with_colour(encoding, data, **changes):
-    from roomlight.wire.frame_header import FrameHeader
-    from roomlight.wire.frame_message import pack
-
-    colour = {"colour": {"encoding": encoding, "bytes": len(data)}}
-    header = FrameHeader.model_validate_json(json.dumps(header_of(box_shot(0)) | colour | changes))
-    return pack(header, data, parts_of(box_shot(0))[1])
 
 
 @pytest.mark.parametrize("content_type", [None, "application/x-www-form-urlencoded", "text/plain"])
@@ -163,8 +132,8 @@ def test_head_is_answered_as_get_without_a_body(server, path):
 def test_a_heic_without_a_primary_image_is_invalid(server, errors, tmp_path):
     """pillow_heif raised an IndexError, which was a 500."""
     server.open("heic")
-    assert server.push(0, with_colour("heic", heic(tmp_path, primary=True)), name="heic").status == 200
-    answer = server.push(1, with_colour("heic", heic(tmp_path, primary=False)), name="heic")
+    assert server.push(0, with_parts(({"encoding": "heic"}, heic(tmp_path, primary=True))), name="heic").status == 200
+    answer = server.push(1, with_parts(({"encoding": "heic"}, heic(tmp_path, primary=False))), name="heic")
     assert (answer.status, answer.json.get("field")) == (422, "colour"), answer.json
     assert errors() == []
 
@@ -183,19 +152,19 @@ def test_a_client_that_hangs_up_is_no_error(server, errors, caplog):
 
 def test_websocket_messages_are_not_compressed(server):
     """permessage-deflate was on: 6.9 MB on the wire became 3.8 GB of memory."""
-    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream", compression="deflate") as websocket:
+    with server.stream(compression="deflate") as websocket:
         assert websocket.protocol.extensions == []
 
 
 @pytest.mark.parametrize("length", [9_000, 20_000])
 def test_a_websocket_with_a_long_header_is_refused(server, errors, length):
     with pytest.raises((InvalidStatus, InvalidMessage, ConnectionError)):
-        connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream", additional_headers={"X-Long": "x" * length})
+        server.stream(additional_headers={"X-Long": "x" * length})
     assert errors() == []
 
 
 def test_text_that_is_not_utf8_closes_without_traceback(server, errors):
-    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as websocket:
+    with server.stream() as websocket:
         websocket.send(b"\xff\xfe", text=True)
         with pytest.raises(Exception, match="1007"):
             websocket.recv(timeout=60)
@@ -210,7 +179,7 @@ def test_every_line_of_the_log_is_json_without_tokens():
     token, path = {"Authorization": f"Bearer {TOKEN}"}, "/v1/sessions/room"
     with Process("--log-level", "debug", "--access-log", ROOMLIGHT_TOKENS=TOKEN) as server:
         assert server.call("PUT", path, SMALL, token)[0] == 201
-        server.call("PUT", f"{path}/frames/0", with_colour("jpeg", bytes(damaged)), token)
+        server.call("PUT", f"{path}/frames/0", with_parts(({"encoding": "jpeg"}, bytes(damaged))), token)
         server.call("PUT", f"{path}/frames/1", frame(1), token)
         address = f"ws://127.0.0.1:{server.port}{path}/stream"
         offered = [Subprotocol("roomlight.v1"), Subprotocol(f"bearer.{TOKEN}")]

@@ -28,6 +28,12 @@ def server():
         yield running
 
 
+def opened(server, name, **options):
+    """Open another session than `room`; returns its path."""
+    server.open(name, **options)
+    return f"/v1/sessions/{name}"
+
+
 def glb_arrays(data):
     magic, version, length = struct.unpack_from("<4sII", data)
     assert (magic, version, length) == (b"glTF", 2, len(data))
@@ -59,21 +65,20 @@ def test_a_token_lists_its_own_sessions():
         assert [each["id"] for each in server.call("GET", "/v1/sessions", token=OTHER).json["sessions"]] == ["hidden"]
 
 
-def test_the_picture_is_the_last_frame_as_it_was_sent():
+def test_the_picture_is_the_last_frame_as_it_was_sent(server):
     shot = box_shot(0)
     jpeg = cv2.imencode(".jpg", np.full((36, 48, 3), 120, np.uint8))[1].tobytes()
     body = pack_camera_frame(CameraFrame(jpeg, shot.depth_m.astype(np.float32), shot.intrinsics, shot.camera_to_world))
-    with RunningServer() as server:
-        server.open()
-        assert server.call("GET", f"{ROOM}/colour").kind == "no-frame"
-        server.push(0, body)
-        answer = server.call("GET", f"{ROOM}/colour")
-        assert (answer.body, answer.headers["content-type"]) == (jpeg, "image/jpeg")
-        assert answer.headers["roomlight-frame"] == "0"
-        etag = answer.headers["etag"]
-        assert server.call("GET", f"{ROOM}/colour", headers={"If-None-Match": etag}).status == 304
-        server.push(1, body)
-        assert server.call("GET", f"{ROOM}/colour", headers={"If-None-Match": etag}).status == 200
+    room = opened(server, "picture")
+    assert server.call("GET", f"{room}/colour").kind == "no-frame"
+    server.push(0, body, "picture")
+    answer = server.call("GET", f"{room}/colour")
+    assert (answer.body, answer.headers["content-type"]) == (jpeg, "image/jpeg")
+    assert answer.headers["roomlight-frame"] == "0"
+    etag = answer.headers["etag"]
+    assert server.call("GET", f"{room}/colour", headers={"If-None-Match": etag}).status == 304
+    server.push(1, body, "picture")
+    assert server.call("GET", f"{room}/colour", headers={"If-None-Match": etag}).status == 200
 
 
 def test_a_raw_picture_is_sent_as_jpeg(server):
@@ -99,22 +104,20 @@ def test_the_camera_has_path_and_volume(server):
     assert size == pytest.approx(depth_max_m * np.array([2.2, 1.6, 1.7]))
 
 
-def test_the_exposure_of_the_camera_is_against_the_first_frame():
-    with RunningServer() as server:
-        server.open(options={"model": "classical", "height": 16})
-        for index, exposure in enumerate((0.5, 2.0)):
-            server.push(index, frame(0, exposure=exposure))
-            assert server.call("GET", f"{ROOM}/camera").json["exposure"] == pytest.approx(exposure / 0.5)
+def test_the_exposure_of_the_camera_is_against_the_first_frame(server):
+    room = opened(server, "exposed", options={"model": "classical", "height": 16})
+    for index, exposure in enumerate((0.5, 2.0)):
+        server.push(index, frame(0, exposure=exposure), "exposed")
+        assert server.call("GET", f"{room}/camera").json["exposure"] == pytest.approx(exposure / 0.5)
 
 
-def test_a_session_without_a_frame_has_no_camera():
-    with RunningServer() as server:
-        server.open()
-        view = server.call("GET", f"{ROOM}/camera").json
-        expected = {"frame": -1, "intrinsics": None, "camera_to_world": None, "exposure": None}
-        assert view == expected | {"path": [], "volume": None}
-        assert server.call("GET", f"{ROOM}/mesh").kind == "no-frame"
-        assert server.call("GET", f"{ROOM}/history").json["entries"] == []
+def test_a_session_without_a_frame_has_no_camera(server):
+    room = opened(server, "empty")
+    view = server.call("GET", f"{room}/camera").json
+    expected = {"frame": -1, "intrinsics": None, "camera_to_world": None, "exposure": None}
+    assert view == expected | {"path": [], "volume": None}
+    assert server.call("GET", f"{room}/mesh").kind == "no-frame"
+    assert server.call("GET", f"{room}/history").json["entries"] == []
 
 
 def test_the_mesh_shows_the_walls_of_the_room(server):
@@ -132,15 +135,14 @@ def test_the_mesh_shows_the_walls_of_the_room(server):
     assert colours[:, :3].max() > 1000
 
 
-def test_the_mesh_changes_with_the_keyframes_only():
-    with RunningServer() as server:
-        server.open()
-        server.push(0, frame(0))
-        etag = server.call("GET", f"{ROOM}/mesh").headers["etag"]
-        server.push(1, frame(0))  # shows nothing new
-        assert server.call("GET", f"{ROOM}/mesh", headers={"If-None-Match": etag}).status == 304
-        server.push(2, frame(90))
-        assert server.call("GET", f"{ROOM}/mesh", headers={"If-None-Match": etag}).status == 200
+def test_the_mesh_changes_with_the_keyframes_only(server):
+    room = opened(server, "keyframes")
+    server.push(0, frame(0), "keyframes")
+    etag = server.call("GET", f"{room}/mesh").headers["etag"]
+    server.push(1, frame(0), "keyframes")  # shows nothing new
+    assert server.call("GET", f"{room}/mesh", headers={"If-None-Match": etag}).status == 304
+    server.push(2, frame(90), "keyframes")
+    assert server.call("GET", f"{room}/mesh", headers={"If-None-Match": etag}).status == 200
 
 
 def test_the_mesh_keeps_to_its_bound(server):
@@ -236,18 +238,15 @@ def test_a_history_of_no_bytes_keeps_nothing():
         }  # fmt: skip
 
 
-def test_a_session_goes_on_when_a_frame_is_not_recorded(monkeypatch):
-    from roomlight_server.sessions import history
-
+def test_a_session_goes_on_when_a_frame_is_not_recorded(server, monkeypatch):
     def fail(*_):
         raise RuntimeError("no memory")
 
-    monkeypatch.setattr(history, "_lights", fail)
-    with RunningServer() as server:
-        server.open()
-        assert server.push(0).json["status"] == "processed"
-        assert server.push(1).json["status"] == "processed"
-        assert server.call("GET", f"{ROOM}/history").json["entries"] == []
+    monkeypatch.setattr("roomlight_server.sessions.history._lights", fail)
+    room = opened(server, "unrecorded")
+    assert server.push(0, name="unrecorded").json["status"] == "processed"
+    assert server.push(1, name="unrecorded").json["status"] == "processed"
+    assert server.call("GET", f"{room}/history").json["entries"] == []
 
 
 def test_a_mesh_is_made_once_for_all_clients(server, monkeypatch):

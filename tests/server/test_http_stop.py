@@ -10,7 +10,7 @@ from http_servers import SMALL, InThread, RunningServer, frame
 from roomlight_server.routes.light import encode_lights
 from server_processes import BOUND_S, Process
 
-SESSIONS = 4
+SESSIONS = 2
 LATE = {"probes": [{"position": [0.2, 1.2, -0.01 * number]} for number in range(8)], "forms": [{"format": "sh"}]}
 LIGHT = "/probe?x=0.2&y=1.2&z=-0.5&format=npy"
 

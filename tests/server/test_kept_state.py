@@ -44,8 +44,7 @@ def test_a_deleted_session_leaves_no_byte(tmp_path, shared):
         server.open("a-room-that-is-deleted")
         message = frame(0)
         server.push(0, message, name="a-room-that-is-deleted")
-        while server.state("a-room-that-is-deleted")["frames"]["durable_index"] != 0:
-            pass
+        server.wait_until_saved(0, "a-room-that-is-deleted")
         assert any(message in data for data in files_of(state).values())
         assert server.call("DELETE", "/v1/sessions/a-room-that-is-deleted").status == 204
         left = files_of(tmp_path)
