@@ -12,7 +12,7 @@ import zipfile
 import cv2
 import numpy as np
 import pytest
-from js_package import PACKAGE, run
+from js_package import PACKAGE, build, run
 from light_rooms import lit, room
 
 from http_servers import SMALL, RunningServer, box_shot
@@ -26,12 +26,12 @@ pytestmark = pytest.mark.js
 
 TOKEN = "a-token-for-the-js-tests"
 NODE = ["node", "--experimental-websocket"]
-TESTS = [*NODE, "--test", "--test-timeout=60000", "--test-reporter=spec"]
+TESTS = [*NODE, "--test", "--test-timeout=180000", "--test-reporter=spec"]
 
 
 @pytest.fixture(scope="module")
 def built() -> None:
-    run(["npm", "run", "--silent", "build:tests"])
+    build()
 
 
 @pytest.fixture(scope="module")

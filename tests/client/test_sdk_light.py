@@ -92,13 +92,6 @@ def test_a_file_that_was_sent_comes_as_it_is(name):
     assert received(name).file(name) == ENGINE.file(name)
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png", ".ktx2", ".json"])
-def test_both_save_the_same_file(suffix, tmp_path):
-    ENGINE.save(tmp_path / f"engine{suffix}")
-    received(*BOTH).save(tmp_path / f"client{suffix}")
-    assert (tmp_path / f"client{suffix}").read_bytes() == (tmp_path / f"engine{suffix}").read_bytes()
-
-
 def test_json_is_saved_from_harmonics_and_main_light(tmp_path):
     light = received(
         ("sh", ENGINE.harmonics.to_json()),

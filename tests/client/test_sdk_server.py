@@ -10,7 +10,7 @@ import pytest
 from either_client import client_of
 
 import roomlight_client as sdk
-from http_servers import HeldSession, RunningServer
+from http_servers import TETRAHEDRON, HeldSession, RunningServer
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ObjectError, WireError
@@ -162,9 +162,6 @@ def test_the_example_of_the_package_runs(server, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(block.replace("http://localhost:8090", url_of(server)), "example", "exec"), {})
     assert "(120, 240, 3)" in capsys.readouterr().out
-
-
-TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
 @pytest.mark.slow

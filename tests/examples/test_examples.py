@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -19,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 from gltf_files import GltfFile
-from js_package import PACKAGE, run
+from js_package import build, run
 
 import roomlight as rl
 from http_servers import RunningServer
@@ -280,54 +279,19 @@ def test_blender_render(tmp_path: Path) -> None:
     assert_background(tmp_path / "out/blender_render.png", panorama, np.array([0, 0, -1]), fov_deg=39.6, pixels=pixels)
 
 
-@pytest.fixture
-def web_root(tmp_path: Path) -> Iterator[tuple[Path, str]]:
-    """A folder with the example's page, the built client and `out/`, and the address where it is served."""
-    run(["npm", "run", "--silent", "build"])
-    for name in ("examples", "client"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(tmp_path)))
-    thread = Thread(target=server.serve_forever)
-    thread.start()
-    yield tmp_path, f"http://127.0.0.1:{server.server_port}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
-
-
-PAGE_PIXELS = """
+PAGE_VIEWS = """
 import { chromium } from "playwright-core";
-const browser = await chromium.launch({ executablePath: process.argv[1], args: [
+const [executablePath, address, file] = process.argv.slice(1);
+const browser = await chromium.launch({ executablePath, args: [
   "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"] });
 const page = await browser.newPage();
 const errors = [];
 page.on("pageerror", (error) => errors.push(String(error)));
-await page.goto(process.argv[2]);
-await page.waitForFunction("document.title === 'rendered'", undefined, { timeout: 100000 }).catch((error) => {
-  throw new Error(`${error} ${errors}`);
-});
-const pixels = await page.evaluate(() => {
-  const canvas = document.querySelector("canvas"), copy = document.createElement("canvas");
-  [copy.width, copy.height] = [64, 32];
-  copy.getContext("2d").drawImage(canvas, 0, 0, 64, 32);
-  return [...copy.getContext("2d").getImageData(0, 0, 64, 32).data];
-});
-console.log(JSON.stringify(pixels));
-await browser.close();
-"""
-
-
-PAGE_VIEWS = PAGE_PIXELS.replace(
-    PAGE_PIXELS[PAGE_PIXELS.index("const pixels") : PAGE_PIXELS.index("console.log")],
-    """
-if (process.argv[3]) {
-  await page.evaluate(() => (document.title = "waiting"));
-  await page.setInputFiles("#file", process.argv[3]);
-  await page.waitForFunction("document.title === 'rendered'", undefined, { timeout: 100000 });
-}
-await page.selectOption("#shown", "server");
-const shown = [await page.isHidden("canvas"), await page.isVisible("img")];
-const pixels = await page.evaluate(() => {
+const rendered = () =>
+  page.waitForFunction("document.title === 'rendered'", undefined, { timeout: 100000 }).catch((error) => {
+    throw new Error(`${error} ${errors}`);
+  });
+const seen = () => page.evaluate(() => {
   const { pose, view } = placed();
   const views = [...document.querySelectorAll("canvas, img")].map((picture) => {
     const copy = document.createElement("canvas");
@@ -338,37 +302,69 @@ const pixels = await page.evaluate(() => {
   });
   return { pose, view, views, text: document.querySelector("#text").value };
 });
-Object.assign(pixels, { shown });
-""",
-)
+await page.goto(address);
+await rendered();
+await page.selectOption("#shown", "server");
+const shown = [await page.isHidden("canvas"), await page.isVisible("img")];
+const sphere = await seen();
+await page.evaluate(() => (document.title = "waiting"));
+await page.setInputFiles("#file", file);
+await rendered();
+console.log(JSON.stringify({ shown, sphere, file: await seen() }));
+await browser.close();
+"""
 
 
-def in_chromium(script: str, *arguments: object) -> Any:
-    """Run a script of Node that drives Chromium, and return the JSON that it prints."""
-    command = ["node", "--input-type=module", "--eval", script, os.environ.get("CHROMIUM", "/usr/bin/chromium")]
-    return json.loads(run([*command, *map(str, arguments)], folder=PACKAGE))
+def red_box() -> bytes:
+    """Return a GLB file of a box, 0.2 m wide, whose origin is a corner."""
+    box = GltfFile()
+    corners = 0.2 * np.indices((2, 2, 2)).reshape(3, 8).T
+    sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
+    red = box.material(pbrMetallicRoughness={"baseColorFactor": [0.8, 0.02, 0.02, 1], "metallicFactor": 0})
+    box.node(mesh=box.mesh(corners, faces, material=red))
+    return box.glb()
 
 
-def page_views(url: str, *files: Path) -> dict[str, Any]:
-    """Return what `three_js.html` shows of the sample room: two linear pictures, pose, camera, and its text."""
-    with RunningServer(allow_origins=(url,)) as server:
-        address = f"http://127.0.0.1:{server.port}"
-        with Client(address) as client:
-            session = client.open("room")
-            for frame in rl.open_capture(rl.sample_capture(), rl.CaptureOptions(max_frames=3)):
-                session.push(frame)
-        answer = in_chromium(PAGE_VIEWS, f"{url}/examples/three_js.html?server={address}", *files)
-    views = [np.array(view, np.uint8).reshape(120, 160, 4)[..., :3] for view in answer["views"]]
-    return answer | {"views": [srgb8_to_linear(view) for view in views]}
+@pytest.fixture(scope="module")
+def three_js_page(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Return what `three_js.html` shows of the sample room with its sphere, and then with the file of a red box."""
+    build()
+    file = tmp_path_factory.mktemp("box") / "box.glb"
+    file.write_bytes(red_box())
+    web = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(ROOT)))
+    thread = Thread(target=web.serve_forever)
+    thread.start()
+    url = f"http://127.0.0.1:{web.server_port}"
+    try:
+        with RunningServer(allow_origins=(url,)) as server:
+            address = f"http://127.0.0.1:{server.port}"
+            with Client(address) as client:
+                session = client.open("room")
+                for frame in rl.open_capture(rl.sample_capture(), rl.CaptureOptions(max_frames=3)):
+                    session.push(frame)
+            command = ["node", "--input-type=module", "--eval", PAGE_VIEWS]
+            command += [os.environ.get("CHROMIUM", "/usr/bin/chromium")]
+            command += [f"{url}/examples/three_js.html?server={address}", str(file)]
+            return json.loads(run(command))
+    finally:
+        web.shutdown()
+        thread.join()
+        web.server_close()
+
+
+def linear_views(seen: dict[str, Any]) -> list[np.ndarray]:
+    """Return the linear pictures of three.js and of the compositor."""
+    return [srgb8_to_linear(np.array(view, np.uint8).reshape(120, 160, 4)[..., :3]) for view in seen["views"]]
 
 
 @pytest.mark.js
-def test_three_js_page(web_root: tuple[Path, str]) -> None:
+def test_three_js_page(three_js_page: dict[str, Any]) -> None:
     """Frame, sphere and shadow are where the compositor has them; the sphere is as bright."""
-    answer = page_views(web_root[1])
-    three, ours = answer["views"]
+    answer = three_js_page["sphere"]
+    three, ours = linear_views(answer)
     assert answer["text"] == "Frame 2: click a surface, or drag the object"
-    assert answer["shown"] == [True, True]
+    assert three_js_page["shown"] == [True, True]
     assert abs(three[:40] - ours[:40]).mean() < 0.01  # the frame, far from the object
     lens, camera = answer["view"]["intrinsics"], np.reshape(answer["view"]["camera_to_world"], (4, 4)).T
     x, y, z, _ = np.linalg.inv(camera) @ answer["pose"][12:]
@@ -383,77 +379,7 @@ def test_three_js_page(web_root: tuple[Path, str]) -> None:
 
 
 @pytest.mark.js
-def test_three_js_page_shows_a_glb_file(web_root: tuple[Path, str]) -> None:
-    folder, url = web_root
-    box = GltfFile()  # red, 0.2 m wide; its origin is a corner
-    corners = 0.2 * np.indices((2, 2, 2)).reshape(3, 8).T
-    sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-    faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
-    red = box.material(pbrMetallicRoughness={"baseColorFactor": [0.8, 0.02, 0.02, 1], "metallicFactor": 0})
-    box.node(mesh=box.mesh(corners, faces, material=red))
-    (folder / "box.glb").write_bytes(box.glb())
-    three, ours = (
-        (view[..., 0] > 4 * view[..., 1:].max(axis=-1)) for view in page_views(url, folder / "box.glb")["views"]
-    )
+def test_three_js_page_shows_a_glb_file(three_js_page: dict[str, Any]) -> None:
+    three, ours = (view[..., 0] > 4 * view[..., 1:].max(axis=-1) for view in linear_views(three_js_page["file"]))
     assert ours.sum() > 200
     assert (three & ours).sum() > 0.85 * (three | ours).sum()
-
-
-SPHERE_PAGE = """<!doctype html><title>waiting</title><canvas></canvas>
-<script type="importmap">{"imports": {"three": "/client/js/node_modules/three/build/three.module.js",
-  "roomlight": "/client/js/dist/index.js", "roomlight/three": "/client/js/dist/three.js"}}</script>
-<script type="module">
-import * as THREE from "three";
-import { applyToScene } from "roomlight/three";
-const light = await (await fetch("light.json")).json(), view = await (await fetch("view.json")).json();
-const data = new Uint8Array(await (await fetch("light.hdr")).arrayBuffer());
-const forms = { hdr: { format: "hdr", data }, sh: { format: "sh", values: light.harmonics } };
-const renderer = new THREE.WebGLRenderer({ canvas: document.querySelector("canvas"), preserveDrawingBuffer: true });
-renderer.setSize(128, 64, false);
-const camera = new THREE.PerspectiveCamera(20, 1, 0.01, 20);
-new THREE.Matrix4().set(...view.camera_to_world.flat()).decompose(camera.position, camera.quaternion, camera.scale);
-camera.lookAt(...view.position);
-renderer.setScissorTest(true);
-for (const [column, form] of ["hdr", "sh"].entries()) {
-  const scene = new THREE.Scene(), material = new THREE.MeshPhysicalMaterial({ roughness: 1, specularIntensity: 0 });
-  material.color.setRGB(...view.colour);
-  const sphere = new THREE.Mesh(new THREE.SphereGeometry(view.radius_m, 64, 32), material);
-  sphere.position.set(...view.position);
-  scene.add(sphere);
-  applyToScene(scene, { position: view.position, etag: form, coverage: 1, forms: [forms[form]] });
-  renderer.setViewport(64 * column, 0, 64, 64);
-  renderer.setScissor(64 * column, 0, 64, 64);
-  renderer.render(scene, camera);
-}
-document.title = "rendered";
-</script>"""
-
-
-@pytest.mark.js
-def test_a_sphere_is_as_bright_in_three_js_as_in_the_compositor(web_root: tuple[Path, str]) -> None:
-    """The same matte sphere in our default light: by the compositor, and by three.js with `hdr` and with `sh`."""
-    folder, url = web_root
-    frames = list(rl.open_capture(rl.sample_capture()))[:3]
-    session = rl.Session()
-    for frame in frames:
-        session.push(frame)
-    camera = frames[-1].camera_to_world
-    x, y, z = (float(axis) for axis in camera[:3, 3] - 0.7 * camera[:3, 2])
-    position = (x, y, z)
-    sphere = {"name": "ball", "shape": "sphere", "size_m": 0.2, "position": position}
-    material = {"kind": "diffuse", "base_colour": [0.2, 0.2, 0.2]}
-    (folder / "scene.json").write_text(json.dumps({"objects": [sphere | {"material": material}]}))
-    picture = rl.Compositor(session, rl.load_scene(folder / "scene.json"), match_camera=False).composite(frames[-1])
-    ours = picture.objects[picture.alpha > 0.99].mean(axis=0)
-
-    light = session.light_at(position)
-    for name in ("light.hdr", "light.json"):
-        light.save(folder / name)
-    view = {"position": position, "camera_to_world": camera.tolist(), "radius_m": 0.1, "colour": [0.2, 0.2, 0.2]}
-    (folder / "view.json").write_text(json.dumps(view))
-    (folder / "sphere.html").write_text(SPHERE_PAGE)
-    pixels = np.array(in_chromium(PAGE_PIXELS, f"{url}/sphere.html"), np.uint8)
-    image = srgb8_to_linear(pixels.reshape(32, 64, 4)[..., :3])
-    for half in (image[:, :32], image[:, 32:]):
-        theirs = half[half.sum(axis=-1) > 0.2 * half.sum(axis=-1).max()].mean(axis=0)
-        np.testing.assert_allclose(theirs, ours, rtol=0.05)

@@ -98,13 +98,25 @@ test("harmonics shade like the light, main light counted once", async () => {
 test("a sphere is lit as the server's composite lights it", async () => {
   const { session, view, inside, radiance } = JSON.parse(readFileSync(process.env["ROOMLIGHT_SPHERE"]!, "utf8"));
   const server = new RoomLight(process.env["ROOMLIGHT_SERVER"]!, { token: process.env["ROOMLIGHT_TOKEN"]! });
-  const light = await (await server.join(session)).lightAt(view.position, [{ format: "sh" }, { format: "main_light" }]);
-  const shown = await call("sphere", light, view);
+  const joined = await server.join(session);
   const wanted = radiance as number[];
-  const seen = (inside as number[]).map((at) => shown[at]!);
   const mean = (values: number[]) => values.reduce((sum, value) => sum + value, 0) / values.length;
+  const seenIn = async (...formats: ("hdr" | "main_light" | "sh")[]) => {
+    const light = await joined.lightAt(view.position, formats.map((format) => ({ format })));
+    const shown = await call("sphere", light, view);
+    return (inside as number[]).map((at) => shown[at]!);
+  };
+  const seen = await seenIn("sh", "main_light");
   const apart = mean(seen.map((value, at) => Math.abs(value - wanted[at]!))) / mean(wanted);
   assert.ok(seen.length > 150 && apart < 0.05, `${apart} of the mean apart, at ${seen.length} values`);
+  for (const form of ["hdr", "sh"] as const) {
+    const ofChannel = (values: number[], channel: number) => mean(values.filter((_, at) => at % 3 === channel));
+    const alone = await seenIn(form);
+    for (const channel of [0, 1, 2]) {
+      const ratio = ofChannel(alone, channel) / ofChannel(wanted, channel);
+      assert.ok(Math.abs(ratio - 1) < 0.05, `with ${form} alone, channel ${channel} is ${ratio} times as bright`);
+    }
+  }
 });
 
 test("a shader samples each level of the specular mips", async () => {

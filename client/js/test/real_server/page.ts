@@ -106,11 +106,13 @@ export interface SphereView {
   height: number;
 }
 
-/** A matte sphere lit by harmonics and main light: RGB of all pixels, rows from the bottom. */
+/** A matte sphere lit by any forms: RGB of all pixels, rows from the bottom. */
 function sphere(light: Light, view: SphereView): number[] {
   const scene = new THREE.Scene();
-  applyToScene(scene, light);
-  const material = new THREE.MeshLambertMaterial();
+  const { environment } = applyToScene(scene, light);
+  const material = environment // which Lambert's material does not take
+    ? new THREE.MeshPhysicalMaterial({ roughness: 1, specularIntensity: 0 })
+    : new THREE.MeshLambertMaterial();
   material.color.setScalar(view.albedo);
   const ball = new THREE.Mesh(new THREE.SphereGeometry(view.radius_m, 128, 64), material);
   ball.position.set(...view.position);
