@@ -17,19 +17,19 @@ class PageServer:
     Commands are POST requests to `control_url`: `/push?session=NAME&count=N` opens the session where there is none and
     sends its next frames, `/stop` and `/start` the server, `/expire` makes all sessions idle for a day,
     `/state?session=NAME` returns the state of a session, `/scene?session=NAME` its scene, `/clear?session=NAME` removes
-    the objects that are kept with it.
+    the objects that are kept with it. The server's clock goes `pace` times as fast as ours, and so do recordings.
     """
 
-    def __init__(self, **settings):
+    def __init__(self, *, pace=1, **settings):
         self._settings = settings
-        self._passed_s = 0.0
+        self._pace, self._passed_s = pace, 0.0
         self._next = {}
         self._token = (settings.get("tokens") or (None,))[0]
         self._running: RunningServer | None = RunningServer(clock=self._clock, **settings)
         self._control = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
 
     def _clock(self):
-        return time.monotonic() + self._passed_s  # it goes on: recordings are played by it
+        return self._pace * time.monotonic() + self._passed_s
 
     @property
     def running(self):

@@ -78,5 +78,5 @@ def test_recordings(tmp_path):
         stated["timestamp_s"] = number * 100_000_000  # nanoseconds, which is a note
     (folder / "capture.json").write_text(json.dumps(index))
     archive = formats.record3d(tmp_path / "hall.r3d", views)
-    with PageServer() as server:
+    with PageServer(pace=4) as server:
         drive("recordings", server, FOLDER=str(folder), ARCHIVE=str(archive))

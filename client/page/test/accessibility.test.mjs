@@ -30,33 +30,39 @@ test("the first link leads the keyboard to the panels, and the page stays", asyn
   await page.close();
 });
 
-test("the page without a session", async () => {
-  for (const view of VIEWS) {
-    const { page } = await openPage(browser, view);
-    await page.waitForSelector("#empty:not([hidden])");
-    assert.deepEqual(await violations(page), [], JSON.stringify(view));
-    await page.close();
+/** Look at a page in each view. */
+async function inEachView(page, look) {
+  for (const { colorScheme, ...size } of VIEWS) {
+    await page.emulateMedia({ colorScheme });
+    await page.setViewportSize(size);
+    assert.deepEqual(await violations(page), [], `${colorScheme}, ${size.width} px wide`);
+    await look?.(size);
   }
+  await page.close();
+}
+
+test("the page without a session", async () => {
+  const { page } = await openPage(browser);
+  await page.waitForSelector("#empty:not([hidden])");
+  await inEachView(page);
 });
 
 test("the panels of a session", async () => {
   await control("push", { session: "room", count: 4 });
-  for (const view of VIEWS) {
-    const { page } = await openPage(browser, view);
-    await waitForLight(page);
-    await page.click("#picture-button");
-    await page.waitForSelector("#objects .chip");
-    await page.check("#false-colour");
-    assert.deepEqual(await violations(page), [], JSON.stringify(view));
+  const { page } = await openPage(browser);
+  await waitForLight(page);
+  await page.click("#picture-button");
+  await page.waitForSelector("#objects .chip");
+  await page.check("#false-colour");
+  await inEachView(page, async (view) => {
     const overflow = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
     assert.ok(overflow <= 0, `${overflow} px are cut off at ${view.width} px`);
     const { height } = await page.locator("#room-canvas").boundingBox();
     assert.ok(height < 0.8 * view.height, `a room of ${height} px leaves nothing to scroll by at ${view.height} px`);
-    await page.close();
-  }
+  });
 });
 
-test("the dialogs", async () => {
+test("the dialogs, and a menu that closes with Escape, and by a click elsewhere", async () => {
   const { page } = await openPage(browser);
   for (const [button, dialog] of [["open-recording", "recording-dialog"], ["open-phone", "phone-dialog"], ["open-film", "film-dialog"]]) {
     await page.click(`#${button}`);
@@ -65,10 +71,6 @@ test("the dialogs", async () => {
     await page.keyboard.press("Escape");
     await page.waitForFunction((id) => !document.getElementById(id).open, dialog);
   }
-});
-
-test("a menu closes with Escape, and by a click elsewhere", async () => {
-  const { page } = await openPage(browser);
   await page.click(".menu summary");
   await page.check("#show-coverage");
   await page.keyboard.press("Escape");

@@ -2,22 +2,40 @@
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { after, before, beforeEach, test } from "node:test";
-import { control, difference, launch, openPage, PAGE_URL, pixelsOf, waitForChange, waitForFrame, waitForLight, waitForState } from "./support.mjs";
+import { after, afterEach, before, beforeEach, test } from "node:test";
+import { control, difference, launch, openPage, PAGE_URL, pixelsOf, SELDOM, waitForChange, waitForFrame, waitForLight, waitForState } from "./support.mjs";
 
+const ROOM = `${PAGE_URL}/#session=room`;
 let browser, page, errors;
+let isLoadedAgain = true; // for the next test; without, it joins the session again, which forgets all but the forms
 
 before(async () => {
   browser = await launch();
   await control("push", { session: "room", count: 8 });
+  await control("push", { session: "between", count: 1 });
 });
 after(() => browser?.close());
 beforeEach(async () => {
-  await page?.close();
   await control("clear");
-  ({ page, errors } = await openPage(browser));
+  if (isLoadedAgain) {
+    await page?.close();
+    ({ page, errors } = await openPage(browser, { url: ROOM }));
+  } else {
+    await page.click('[data-session="between"]');
+    await page.waitForFunction(() => document.title.startsWith("between"));
+    await page.click('[data-session="room"]');
+    errors.length = 0;
+  }
+  isLoadedAgain = false;
   await waitForLight(page);
 });
+afterEach(({ passed }) => (isLoadedAgain ||= !passed));
+
+/** Wait until the server keeps one object; until it is elsewhere than at its first pose. */
+const isKept = (tab) =>
+  tab.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects.length === 1, null, SELDOM);
+const isMoved = (tab, first) =>
+  tab.waitForFunction(async (x) => (await (await fetch("v1/sessions/room/scene")).json()).objects[0].pose[12] !== x, first[12], SELDOM);
 
 const noNotices = async () => assert.deepEqual(await page.locator(".notice:not(.calm)").allInnerTexts(), []);
 
@@ -83,7 +101,7 @@ test("a placed object is turned and moved, and both are undone", async () => {
   await page.click("#object-undo");
   await page.waitForSelector("#objects .chip");
   await page.click('#objects .chip button[aria-label^="Remove"]');
-  await page.selectOption("#object-shape", "sphere");
+  await page.selectOption("#object-shape", "sphere"); // with its usual size and material
   await noNotices();
 });
 
@@ -93,10 +111,10 @@ test("placed objects are kept with the session and seen by everyone, who can mov
   await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.75 * height } });
   const placed = await waitForChange(page, "#picture-image", before);
   const pose = async () => (await control("scene")).objects[0]?.pose;
-  await page.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects.length === 1);
+  await isKept(page);
   const first = await pose();
 
-  const { page: other } = await openPage(browser);
+  const { page: other } = await openPage(browser, { url: ROOM });
   await other.waitForSelector("#objects .chip");
   assert.match(await other.locator("#objects .chip").innerText(), /sphere-1, mirror/);
   await waitForChange(other, "#picture-image", before);
@@ -109,10 +127,7 @@ test("placed objects are kept with the session and seen by everyone, who can mov
   assert.equal(await page.locator('#picture-outlines [data-name="sphere-1"]').count(), 1);
   await page.mouse.up();
   await waitForChange(page, "#picture-image", placed);
-  await page.waitForFunction(
-    async (first) => (await (await fetch("v1/sessions/room/scene")).json()).objects[0].pose[12] !== first[12],
-    first,
-  );
+  await isMoved(page, first);
   assert.equal(await page.locator("#objects .chip").count(), 1);
 
   await other.click('#objects .chip button[aria-label^="Remove"]');
@@ -122,7 +137,7 @@ test("placed objects are kept with the session and seen by everyone, who can mov
 });
 
 test("what two place at once is kept, and each undoes its own", async () => {
-  const { page: other, errors: heard } = await openPage(browser);
+  const { page: other, errors: heard } = await openPage(browser, { url: ROOM });
   await waitForLight(other);
   const shownIn = (tab, names) =>
     tab.waitForFunction(
@@ -215,7 +230,7 @@ test("a session is renamed, and its address is shared", async () => {
 test("a finger drags an object, and a size has limits", async () => {
   const context = await browser.newContext({ viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true });
   const phone = await context.newPage();
-  await phone.goto(PAGE_URL);
+  await phone.goto(ROOM);
   await waitForLight(phone);
   const before = await pixelsOf(phone, "#picture-image");
   await phone.fill("#object-size", "400");
@@ -227,7 +242,7 @@ test("a finger drags an object, and a size has limits", async () => {
   await phone.touchscreen.tap(x + 0.5 * width, y + 0.75 * height);
   await waitForChange(phone, "#picture-image", before);
   const placed = async () => (await control("scene")).objects[0]?.pose;
-  await phone.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects.length === 1);
+  await isKept(phone);
   const first = await placed();
   const devtools = await context.newCDPSession(phone);
   const touch = (type, ...touchPoints) => devtools.send("Input.dispatchTouchEvent", { type, touchPoints });
@@ -236,10 +251,7 @@ test("a finger drags an object, and a size has limits", async () => {
     await touch("touchMove", { x: x + (0.5 - 0.025 * step) * width, y: y + 0.775 * height });
   }
   await touch("touchEnd");
-  await phone.waitForFunction(
-    async (first) => (await (await fetch("v1/sessions/room/scene")).json()).objects[0].pose[12] !== first[12],
-    first,
-  );
+  await isMoved(phone, first);
   await context.close();
 });
 
@@ -319,9 +331,9 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   await noNotices();
 
   // another page says what is missing, and places other objects
-  await page.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects[0]?.size_m === 0.6);
+  await page.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects[0]?.size_m === 0.6, null, SELDOM);
   await page.close();
-  ({ page, errors } = await openPage(browser));
+  ({ page, errors } = await openPage(browser, { url: ROOM }));
   await waitForLight(page);
   await page.waitForSelector("#objects .chip");
   assert.equal(await page.isVisible("#object-right"), true);
@@ -338,6 +350,7 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   const { width, height } = await page.locator("#picture-image").boundingBox();
   await page.click("#picture-button", { position: { x: 0.35 * width, y: 0.8 * height } });
   await waitForChange(page, "#picture-image", before);
+  isLoadedAgain = true;
 });
 
 /** Upload a GLB file and place it on the floor. */
@@ -354,6 +367,7 @@ test("the 3D view shows a GLB file that meshopt has packed", async () => {
   await placeFile({ name: "packed.glb", mimeType: "model/gltf-binary", buffer: tetrahedron({ meshopt: true }) });
   await page.waitForFunction(() => globalThis.roomlightPage.litObjects.length === 1);
   await noNotices();
+  isLoadedAgain = true;
 });
 
 test("a box stands for a GLB file that only the server unpacks, and a notice says so", async () => {
@@ -390,6 +404,7 @@ test("a click on a wall of the room places an object, and with the tool Probe a 
   await page.waitForFunction(() => document.getElementById("probe-x").value !== "");
   await page.click("#probe-remove");
   await page.waitForFunction(() => document.getElementById("probe-select").options.length === 1);
+  isLoadedAgain = true;
 });
 
 test("a probe that is dragged gets other light, and the server tracks it there", async () => {

@@ -12,6 +12,8 @@ const ARGUMENTS = [
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
 const PATIENCE_MS = 150_000; // the first composite of a process may compile kernels
+/** For conditions that cost more than a look at an element: they are not asked with each drawing. */
+export const SELDOM = { polling: 100 };
 
 export const PAGE_URL = process.env.PAGE_URL;
 
@@ -63,25 +65,27 @@ export async function waitForFrame(page, selector, frame) {
   await page.waitForFunction(isShown, [selector, frame], { timeout: PATIENCE_MS });
 }
 
-/** The pixels of a canvas that shows a picture, 64 x 32. Waits until it shows one. */
-export function pixelsOf(page, selector) {
-  return page.evaluate(
-    async ([selector, patience_ms]) => {
-      const canvas = document.querySelector(selector);
-      const end = performance.now() + patience_ms;
-      while (canvas.dataset.frame === undefined) {
-        if (performance.now() > end) {
-          throw new Error(`${selector} shows no picture`);
-        }
-        await new Promise((resolve) => requestAnimationFrame(resolve));
-      }
-      const copy = new OffscreenCanvas(64, 32).getContext("2d");
-      copy.drawImage(canvas, 0, 0, 64, 32);
-      return [...copy.getImageData(0, 0, 64, 32).data];
-    },
-    [selector, PATIENCE_MS],
-  );
+/** The pixels of a canvas, 64 x 32. Waits until it shows a picture, and one that differs from `before` by more than `least`. */
+async function readPixels(page, selector, before, least) {
+  const isShown = ([selector, before, least]) => {
+    const canvas = document.querySelector(selector);
+    if (canvas.dataset.frame === undefined) {
+      return null;
+    }
+    const copy = new OffscreenCanvas(64, 32).getContext("2d");
+    copy.drawImage(canvas, 0, 0, 64, 32);
+    const now = [...copy.getImageData(0, 0, 64, 32).data];
+    return before === null || now.some((value, at) => Math.abs(value - before[at]) > least) ? now : null;
+  };
+  const read = await page.waitForFunction(isShown, [selector, before, least], { timeout: PATIENCE_MS, ...SELDOM });
+  return read.jsonValue();
 }
+
+/** The pixels of a canvas that shows a picture, 64 x 32. Waits until it shows one. */
+export const pixelsOf = (page, selector) => readPixels(page, selector, null, 0);
+
+/** Wait until the page draws again: a pause between two questions to the server, which works on the same processor. */
+export const nextDrawing = (page) => page.evaluate(() => new Promise(requestAnimationFrame));
 
 /** Wait until the server's state of a session is as wanted; returns it. */
 export async function waitForState(session, isWanted) {
@@ -104,14 +108,10 @@ export function difference(one, other) {
 
 /** Wait until the pixels differ from `before` by more than `least`; returns them. */
 export async function waitForChange(page, selector, before, least = 8) {
-  const end = Date.now() + PATIENCE_MS;
-  while (Date.now() < end) {
-    const now = await pixelsOf(page, selector);
-    if (difference(now, before) > least) {
-      return now;
-    }
-    await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(resolve)));
+  try {
+    return await readPixels(page, selector, before, least);
+  } catch (error) {
+    const notices = await page.locator(".notice").allInnerTexts();
+    throw new Error(`${selector} did not change (${error}); notices: ${notices.join("; ") || "none"}`);
   }
-  const notices = await page.locator(".notice").allInnerTexts();
-  throw new Error(`${selector} did not change; notices: ${notices.join("; ") || "none"}`);
 }

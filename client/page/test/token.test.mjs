@@ -29,22 +29,18 @@ test("the page asks for the token, and again for a wrong one", async () => {
   await waitForLight(page); // kept for this tab
 });
 
-test("a phone that has been paired is listed and removed", async () => {
+test("a token in the address is used and removed from it; a phone that has been paired is listed and removed", async () => {
   const headers = { authorization: `Bearer ${process.env.PAGE_TOKEN}`, "content-type": "application/json" };
   const { url } = await (await fetch(`${PAGE_URL}/v1/pairing`, { method: "POST", headers })).json();
   const paired = { method: "POST", headers, body: JSON.stringify({ code: url.split("#pair=")[1] }) };
   const { id } = await (await fetch(`${PAGE_URL}/v1/phones`, paired)).json();
   const { page } = await openPage(browser, { url: `${PAGE_URL}/#token=${process.env.PAGE_TOKEN}` });
+  await waitForLight(page);
+  assert.doesNotMatch(page.url(), /token/);
   await page.click("#open-phone");
   assert.match(await page.locator("#phone-body .address").first().innerText(), /\/phone#pair=/);
   assert.doesNotMatch(await page.locator("#phone-body").innerText(), /certificate/); // not of this server
   await page.locator(".phones li", { hasText: id }).getByRole("button", { name: "Remove" }).click();
   await page.locator(".phones li", { hasText: id }).waitFor({ state: "detached" });
   assert.deepEqual((await (await fetch(`${PAGE_URL}/v1/phones`, { headers })).json()).phones, []);
-});
-
-test("a token in the address is used and removed from it", async () => {
-  const { page } = await openPage(browser, { url: `${PAGE_URL}/#token=${process.env.PAGE_TOKEN}` });
-  await waitForLight(page);
-  assert.doesNotMatch(page.url(), /token/);
 });
