@@ -48,7 +48,7 @@ class AsyncClient:
         on_recovery: Callable[[RecoveryEvent], object] | None = None,
         transport: httpx.AsyncBaseTransport | None = None,
     ) -> None:
-        arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
+        arguments = calls.client_arguments(url, token=token)
         self._http = httpx.AsyncClient(transport=transport, **arguments)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._restoring: dict[Recovery, asyncio.Task[None]] = {}
@@ -122,7 +122,7 @@ class AsyncClient:
             self._check_loop()
             calls.check_open(closed=self._http.is_closed)
             try:
-                response = await self._http.request(**calls.request_arguments(call))
+                response = await self._http.request(**calls.request_arguments(call, self.options.timeouts))
             except httpx.HTTPError as error:
                 outcome = attempt.failed(error)
             else:

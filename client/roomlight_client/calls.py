@@ -8,7 +8,7 @@ import operator
 import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from ipaddress import ip_address
 from typing import Any, Final, Generic, TypeVar, cast
 from urllib.parse import urlsplit
@@ -70,7 +70,10 @@ SESSION_HEADER: Final = "X-Session-Id"
 
 @dataclass(frozen=True)
 class Call(Generic[T]):
-    """A request, and the parser of its response. `expected`: statuses that `read` accepts besides 200 to 299."""
+    """A request, and the parser of its response.
+
+    `expected`: statuses that `read` accepts besides 200 to 299. `is_composite`: it has the time limit of composites.
+    """
 
     method: str
     path: str
@@ -79,6 +82,7 @@ class Call(Generic[T]):
     content: bytes | None = None
     params: Mapping[str, str] = field(default_factory=dict[str, str])
     expected: frozenset[int] = frozenset()
+    is_composite: bool = False
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,10 @@ class Attempt(Generic[T]):
             UnreachableError: If no attempt is left.
         """
         self._made += 1
-        delay_s = None if isinstance(error, PERMANENT) else self._retry.delay_s(self._made, jitter=_waiting.jitter())
+        permanent = isinstance(error, PERMANENT) or (
+            isinstance(error, httpx.ReadTimeout) and self._call.method == "POST"
+        )
+        delay_s = None if permanent else self._retry.delay_s(self._made, jitter=_waiting.jitter())
         if delay_s is not None:
             return delay_s
         attempts = f"{self._made} attempts" if self._made > 1 else "one attempt"
@@ -132,7 +139,7 @@ class Attempt(Generic[T]):
         ) from error
 
 
-def client_arguments(url: str, *, token: str | None, timeouts: Timeouts) -> dict[str, Any]:
+def client_arguments(url: str, *, token: str | None) -> dict[str, Any]:
     """Return the arguments of httpx's client. Raises OptionError if the address or the token is invalid."""
     try:
         parts = urlsplit(url)
@@ -148,10 +155,9 @@ def client_arguments(url: str, *, token: str | None, timeouts: Timeouts) -> dict
         if not token or not token.isascii() or not token.isprintable():
             raise OptionError("token must be printable ASCII, exactly as configured on the server")
         headers["Authorization"] = f"Bearer {token}"
-    limits = httpx.Timeout(timeouts.read_s, connect=timeouts.connect_s, write=timeouts.write_s)
     # Proxies set in the environment do not apply to this machine itself; its certificates do.
     mounts = {f"{parts.scheme}://": None} if is_loopback(host) else None
-    return {"base_url": url.rstrip("/"), "headers": headers, "timeout": limits, "mounts": mounts}
+    return {"base_url": url.rstrip("/"), "headers": headers, "mounts": mounts}
 
 
 def check_open(*, closed: bool) -> None:
@@ -160,9 +166,11 @@ def check_open(*, closed: bool) -> None:
         raise RemoteError("the client was closed: make a new one, or close it after its last call")
 
 
-def request_arguments(call: Call[Any]) -> dict[str, Any]:
+def request_arguments(call: Call[Any], timeouts: Timeouts) -> dict[str, Any]:
     """Return the arguments of httpx's `request` for a call."""
+    read_s = timeouts.composite_s if call.is_composite else timeouts.read_s
     return {
+        "timeout": httpx.Timeout(read_s, connect=timeouts.connect_s, write=timeouts.write_s),
         "method": call.method,
         "url": call.path,
         "params": dict(call.params) or None,
@@ -297,7 +305,8 @@ class SessionCalls:
 
     def composite(self, request: CompositeRequest) -> Call[CompositeFile]:
         """Get the last processed frame with objects in it."""
-        return self._call("POST", "/composite", parse_composite, json=request, headers={"Accept": "*/*"})
+        call = self._call("POST", "/composite", parse_composite, json=request, headers={"Accept": "*/*"})
+        return replace(call, is_composite=True)
 
     def track(self, name: str, position: Position) -> Call[None]:
         """Track a point under a name.

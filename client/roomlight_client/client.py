@@ -63,7 +63,7 @@ class Client:
         on_recovery: Callable[[RecoveryEvent], object] | None = None,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
-        arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
+        arguments = calls.client_arguments(url, token=token)
         self._http = httpx.Client(transport=transport, **arguments)
         self._retry, self._url = retry or Retry(), url
         self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
@@ -176,7 +176,7 @@ class Client:
         while True:
             calls.check_open(closed=self._http.is_closed)
             try:
-                response = self._http.request(**calls.request_arguments(call))
+                response = self._http.request(**calls.request_arguments(call, self.options.timeouts))
             except httpx.HTTPError as error:
                 outcome = attempt.failed(error)
             else:

@@ -3,7 +3,8 @@
 Every call of the interface is idempotent: PUT and DELETE by definition (the server answers a frame whose index and
 bytes it has seen before as a replay), and the POST of probes only reads. Both clients repeat a call after a failed
 connection, after a lost response, and after the statuses 408, 429, 502, 503 and 504. They do not repeat it after any
-other status: a second attempt would get the same one.
+other status: a second attempt would get the same one. A POST without an answer in time is not repeated either: the
+server would do its work twice.
 """
 
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ class Timeouts:
         write_s: Without a byte sent. Mobile networks stall for seconds.
         read_s: Without a byte of the response. The server answers a frame after processing it: 0.1 to 1 s on two
             cores, after the frames of other sessions.
+        composite_s: The same for a composite, for which servers take up to 120 s.
 
     Raises:
         OptionError: If a timeout is not above 0.
@@ -30,9 +32,10 @@ class Timeouts:
     connect_s: float = 5.0
     write_s: float = 30.0
     read_s: float = 60.0
+    composite_s: float = 130.0
 
     def __post_init__(self) -> None:
-        for name, value in (("connect_s", self.connect_s), ("write_s", self.write_s), ("read_s", self.read_s)):
+        for name, value in vars(self).items():
             if not value > 0:
                 raise OptionError(f"{name} must be above 0, got {value}")
 

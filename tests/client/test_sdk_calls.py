@@ -568,3 +568,12 @@ def test_the_client_imports_no_engine():
     assert {"roomlight", "roomlight_client", "httpx"} <= loaded
     engine = {"torch", "onnxruntime", "roomlight_server", "roomlight_model", "embreex", "numba", "fastapi", "av"}
     assert not loaded & engine
+
+
+@BOTH
+def test_a_composite_has_its_own_time_limit_and_is_not_repeated_after_it(kind):
+    script = Script(OPENED, httpx.ReadTimeout("slow"))
+    place = {"shape": "sphere", "size_m": 0.2, "pixel": [3, 4]}
+    with pytest.raises(sdk.UnreachableError, match="one attempt"):
+        run(script, kind, lambda session: session.composite([place]))
+    assert [request.extensions["timeout"]["read"] for request in script.requests] == [60.0, 130.0]

@@ -12,7 +12,7 @@ export interface ClientOptions {
   token?: string | undefined;
   /** Retries after 429, 502, 503, 504 and lost connections; default 3. */
   retries?: number | undefined;
-  /** Time limit of each attempt; default 30 s. */
+  /** Time limit of each attempt; default 30 s. `composite` has its own. A POST that exceeds its limit is not repeated. */
   timeout_s?: number | undefined;
   /** Longest Retry-After to wait for; default 10 s. After a longer one the request fails at once. */
   maxRetryAfter_s?: number | undefined;
@@ -32,6 +32,8 @@ export interface HttpRequest {
   body?: Uint8Array<ArrayBuffer> | string;
   headers?: Record<string, string>;
   signal?: AbortSignal | undefined;
+  /** Replaces the client's `timeout_s`. */
+  timeout_s?: number | undefined;
   /** Replaces the client's `retries`. */
   retries?: number | undefined;
   /** Called before each further attempt, with the reason for it. What it throws ends the attempts. */
@@ -78,12 +80,14 @@ export class Http {
       if (outcome instanceof Response) {
         return outcome;
       }
-      const [error, retryAfter_s] = outcome;
+      const [error, retryAfter_s, isTimeout = false] = outcome;
       if (request.method === "DELETE" && error.status === 404 && attempt > 0) {
         return new Response(null, { status: 204 }); // an earlier attempt deleted it, and its response was lost
       }
       const delay_s = retryAfter_s ?? FIRST_DELAY_S * 2 ** attempt * (0.5 + waiting.random());
-      if (attempt >= retries || !(error.status === 0 || RETRIED.has(error.status)) || delay_s > maxRetryAfter_s) {
+      const isWorkedOn = isTimeout && request.method === "POST"; // the server would do it twice
+      const isTemporary = !isWorkedOn && (error.status === 0 || RETRIED.has(error.status));
+      if (attempt >= retries || !isTemporary || delay_s > maxRetryAfter_s) {
         throw error;
       }
       await waiting.delay(delay_s, request.signal);
@@ -91,11 +95,11 @@ export class Http {
     }
   }
 
-  /** The response, or the error and the server's Retry-After in seconds. */
-  private async attempt(request: HttpRequest): Promise<Response | [RoomLightError, number | null]> {
+  /** The response, or the error, the server's Retry-After in seconds, and whether the time limit was the reason. */
+  private async attempt(request: HttpRequest): Promise<Response | [RoomLightError, number | null, boolean?]> {
     request.signal?.throwIfAborted();
-    const { token, timeout_s = 30 } = this.options;
-    const { method, path, body = null, signal } = request;
+    const { token } = this.options;
+    const { method, path, body = null, signal, timeout_s = this.options.timeout_s ?? 30 } = request;
     const headers = { ...request.headers, ...(token ? { authorization: `Bearer ${token}` } : {}) };
     const limit = new AbortController();
     const abort = () => limit.abort(signal?.reason);
@@ -113,7 +117,7 @@ export class Http {
     } catch (cause) {
       signal?.throwIfAborted();
       if (cause === timeout) {
-        return [timeout, null];
+        return [timeout, null, true];
       }
       const reason = `no connection (${reasonOf(cause)})`;
       return [new RoomLightError(`${method} ${this.address(path)}: ${reason}`, 0, null, { cause }), null];

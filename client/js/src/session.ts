@@ -198,9 +198,14 @@ export class Session {
     };
   }
 
-  /** The last processed frame with objects in it: lit by the room, with shadows, behind real things in front. */
-  async composite(request: CompositeRequest, options: CallOptions = {}): Promise<CompositeFile> {
-    const http: HttpRequest = { method: "POST", path: `${this.path}/composite`, signal: options.signal };
+  /**
+   * The last processed frame with objects in it: lit by the room, with shadows, behind real things in front.
+   *
+   * `timeout_s` is its time limit; by default the client's, but at least 130 s: servers take up to 120 s.
+   */
+  async composite(request: CompositeRequest, options: CallOptions & { timeout_s?: number | undefined } = {}): Promise<CompositeFile> {
+    const { signal, timeout_s = Math.max(COMPOSITE_S, this.http.options.timeout_s ?? 0) } = options;
+    const http: HttpRequest = { method: "POST", path: `${this.path}/composite`, signal, timeout_s };
     const response = await sendJson(this.requests, http, request);
     return {
       data: await response.blob(),
@@ -254,6 +259,7 @@ export class Session {
 }
 
 const OBJECTS = "v1/objects";
+const COMPOSITE_S = 130;
 
 function pathOf(id: string): string {
   return `v1/sessions/${encodeURIComponent(id)}`;

@@ -69,7 +69,9 @@ test("objects and composites", async (context) => {
   assert.deepEqual((await roomlight.objects()).objects, [info]);
   const session = await roomlight.open({ id: "room" });
   const request = { objects: [{ shape: "sphere", size_m: 0.2, pixel: [3, 4] }], quality: "good" } as const;
+  const timers = context.mock.method(globalThis, "setTimeout");
   const made = await session.composite(request);
+  assert.ok(timers.mock.calls.some((call) => call.arguments[1] === 130_000));
   assert.deepEqual([made.frame, made.poses, made.data.type], [7, poses, "image/png"]);
   assert.deepEqual(new Uint8Array(await made.data.arrayBuffer()), Uint8Array.of(1, 2, 3));
   await roomlight.deleteObject(info.id);
@@ -208,6 +210,9 @@ test("a timeout and an unreachable server are errors", async (context) => {
     (error) => error instanceof RoomLightError && error.status === 0 && /0\.5 s/.test(error.message),
   );
   assert.equal(server.requests.length, 2);
+  const upload = new RoomLight(server.url, { timeout_s: 0.1 }).upload(Uint8Array.of(1));
+  await assert.rejects(upload, /no answer in 0\.1 s/);
+  assert.equal(server.requests.length, 3); // not repeated
   const unreachable = new RoomLight("http://127.0.0.1:1", { retries: 0 }).open();
   await assert.rejects(
     unreachable,
