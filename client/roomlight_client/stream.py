@@ -221,11 +221,9 @@ class AsyncStream:
 
         def expired() -> None:
             error = UnreachableError(f"{name}: no answer in {limit_s:g} s")
-            self._fail(name, error)
-            kind, _, number = name.partition(" ")
-            if kind == "frame":
-                self._memory.frames.remove(int(number))
-            self._drop(error)  # a connection that lost its network says nothing either
+            if name in self._light_calls:
+                self._fail(name, error)
+            self._drop(error)  # without its network it says nothing either; the next one tells whether a frame arrived
 
         old = self._timers.pop(name, None)
         if old is not None:

@@ -300,11 +300,15 @@ def test_a_conflict_of_a_frame_sent_again_means_it_is_there():
 
 
 def test_a_call_without_an_answer_fails_and_connects_again():
+    """A frame waits until the server says whether it has arrived."""
+
     async def work(room, _, stream):
-        room.silent.add(0)
-        with pytest.raises(sdk.UnreachableError, match=r"frame 0: no answer in 0\.2 s"):
-            await stream.push(FRAMES[0])
+        with pytest.raises(sdk.UnreachableError, match=r"light r1: no answer in 0\.2 s"):
+            await stream.light_at("table")
         await room.until("open", 2)
+        room.silent.add(0)
+        assert (await stream.push(FRAMES[0])).status == "queued"
+        assert frames_of(room) == ["frame 0"]
 
     play(work, timeouts=sdk.Timeouts(read_s=0.2))
 

@@ -209,11 +209,10 @@ export class Stream {
     clearTimeout(call.timer);
     call.timer = setTimeout(() => {
       const error = new RoomLightError(`${name}: no answer in ${timeout_s} s`, 0);
-      this.take(name)?.reject(error);
-      if (name.startsWith("frame ")) {
-        this.link.memory.frames.remove(Number(name.slice("frame ".length)));
+      if (call.message) {
+        this.take(name)?.reject(error);
       }
-      this.drop(error); // a connection that lost its network says nothing either
+      this.drop(error); // without its network it says nothing either; the next one tells whether a frame has arrived
     }, timeout_s * 1000);
   }
 

@@ -274,6 +274,14 @@ test("a frame that ends each connection is given up", async (context) => {
   assert.equal(room.log.filter((entry) => entry === "frame 0").length, 3);
 });
 
+test("a frame without an answer in time is kept until the server says whether it arrived", async (context) => {
+  const room = new Room();
+  const { stream } = await room.stream(context, { timeout_s: 0.2 });
+  room.answer = () => null;
+  assert.equal((await stream.push(plainFrame())).status, "queued");
+  assert.equal(room.log.filter((entry) => entry === "frame 0").length, 1);
+});
+
 test("a frame that a stopping server refuses waits for the next", async (context) => {
   const room = new Room();
   const { stream } = await room.stream(context);
