@@ -217,3 +217,43 @@ def test_a_client_that_does_not_read_is_closed(caplog):
             )
             while not refusals(caplog, "slow-reader"):
                 assert server.call("GET", "/healthz").status == 200
+
+
+CHUNKED = b"PUT /v1/sessions/a HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n"
+
+
+@pytest.mark.parametrize(
+    "request_bytes",
+    [
+        CHUNKED + b"Content-Length: 4\r\n\r\n",
+        CHUNKED + b"\r\nZZ\r\n",
+        GET + b"Content-Length: -1\r\n\r\n",
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+        b"GET http://[ HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    ],
+    ids=["two lengths", "chunk size", "negative length", "HTTP/2", "target"],
+)
+def test_what_is_not_http_is_a_problem(server, request_bytes, caplog):
+    """It was plain text without an id, and neither logged with its address nor counted."""
+    caplog.clear()
+    with dial(server) as connection:
+        connection.sendall(request_bytes)
+        answer = http.client.HTTPResponse(connection)
+        answer.begin()
+        problem = json.loads(answer.read())
+        assert is_closed(connection)
+    assert (answer.status, problem["type"]) == (400, "urn:roomlight:problem:bad-request"), problem
+    assert len(answer.headers["x-request-id"]) == 32
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    (line,) = refusals(caplog, "bad-request")
+    assert vars(line)["address"] == "127.0.0.1"
+    assert 'problems_total{kind="bad-request"}' in server.call("GET", "/metrics").body.decode()
+
+
+@pytest.mark.parametrize(("authority", "status"), [(b"evil.example", 403), (b"localhost:1", 404)])
+def test_the_host_of_an_absolute_target_is_checked(server, authority, status):
+    """It was answered as its allowed header Host (RFC 9112, section 3.2.2)."""
+    with dial(server) as connection:
+        target = b"GET http://" + authority + b"/v1/sessions/none HTTP/1.1\r\n"
+        connection.sendall(target + b"Host: localhost\r\n\r\n")
+        assert answer_of(connection)[0] == status

@@ -21,8 +21,16 @@ PARTS = {
     HttpToolsProtocol: (
         *("self.pipeline.appendleft", "self.pipeline.pop()", "self.flow.resume_reading()", "self.flow.pause_reading()"),
         *("self.cycle.more_body = False", "self._start_asgi_task(", "self.app_state.copy()", "set_protocol(protocol)"),
+        *("self.send_400_response(msg)", "self.url += url"),
     ),
-    RequestResponseCycle: ("self.flow.resume_reading()", "self.on_response()", "self.more_body", "response_complete"),
+    RequestResponseCycle: (
+        "self.flow.resume_reading()",
+        "self.on_response()",
+        "self.more_body",
+        "response_complete",
+        "self.response_started",
+        "self.disconnected",
+    ),
     FlowControl: ("def resume_reading(self)", "self._transport.resume_reading()"),
     WebSocketsSansIOProtocol: (
         *("self.queue: asyncio.Queue", "self.read_paused", "self.frames: list[bytes]", "self.curr_msg_data_type"),

@@ -7,15 +7,20 @@ not public (`cycle`, `pipeline`, `flow`, `scope`), so `pyproject.toml` has an up
 
 import asyncio
 import json
+import sys
+import uuid
 from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any, Final
+from urllib.parse import urlsplit
 
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from roomlight_server.base.problems import MEDIA_TYPE, ProblemError
+from roomlight_server.base.request_context import REQUEST_ID_HEADER, request_id
 from roomlight_server.transport.guard import LINGER_S, TRANSPORT, ConnectionGuard, Transport, WatchedWriting, WriteWatch
+from roomlight_server.transport.security_headers import HEADERS
 
 DISCARDED_BYTES: Final = 16 * 2**20
 """Bytes of a refused request that are read and discarded: a client that sends a whole frame first reads its answer."""
@@ -50,6 +55,7 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
         super().__init__(*args, **kwargs)
         app: Any = self.config.app
         self._guard: ConnectionGuard = app.state.context.guard
+        self._problems = app.state.context.metrics.problems
         self._address = ""
         self.handshake: Transport | None = None
         """The TLS handshake that counted as this connection."""
@@ -112,7 +118,7 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
             return
         self._reported_bytes = 0
         super().data_received(data)
-        if self._upgraded or self.transport.is_closing():
+        if self._upgraded or self._refused or self.transport.is_closing():
             return
         self._count_unparsed(len(data))
         limit = self._guard.settings.max_header_bytes
@@ -158,6 +164,9 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
         self._too_many_waiting |= len(self.pipeline) >= MAX_WAITING
         if self._is_beyond_limits():
             return
+        authority = urlsplit(self.url).netloc
+        if authority:  # a proxy's form of a request: Host is ignored (RFC 9112, section 3.2.2)
+            self.headers[:] = [(name, authority if name == b"host" else value) for name, value in self.headers]
         self._reading_headers = False
         self._stop_timer()
         self._guard.busy(self.transport)
@@ -191,6 +200,18 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
             self._stop_timer()
             self._upgraded = True
             super().handle_websocket_upgrade()
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is not HTTP, with the parser's reason; close alone if an earlier request waits for its answer."""
+        reason = str(sys.exception() or "") or msg
+        cycle = self._cycle
+        if cycle is not None and not cycle.response_complete:
+            if self.pipeline or cycle.response_started or not cycle.more_body:
+                self._close("bad-request")
+                return
+            cycle.disconnected = True  # its body is what cannot be read: it sends no other answer
+            cycle.message_event.set()
+        self._refuse(ProblemError("bad-request", f"the request is not valid HTTP/1.1: {reason}", rule=reason))
 
     def _count_unparsed(self, size: int) -> None:
         if self._reading_headers and not self._follows_another:
@@ -237,8 +258,11 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
         """Answer with the problem and close, after a client that still sends had time to read the answer."""
         self._refused = True
         self._stop_timer()
+        self._problems.labels(problem.kind).inc()
+        name = request_id.set(uuid.uuid4().hex)
         self._guard.record(problem.kind, self._address)
         self.transport.write(_response(problem))
+        request_id.reset(name)
         if self.transport.can_write_eof():
             self.transport.write_eof()
         self._timer = self.loop.call_later(LINGER_S, self.transport.abort)
@@ -252,6 +276,8 @@ def _response(problem: ProblemError) -> bytes:
         f"Content-Type: {MEDIA_TYPE}",
         f"Content-Length: {len(body)}",
         "Connection: close",
+        f"{REQUEST_ID_HEADER}: {request_id.get()}",
+        *(f"{name}: {value}" for name, value in HEADERS.items()),
     ]
     if problem.retry_after_s is not None:
         lines.append(f"Retry-After: {problem.retry_after_s}")

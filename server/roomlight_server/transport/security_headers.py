@@ -22,6 +22,9 @@ DOCS: Final = "; ".join(
 )
 """Policy of Swagger UI, whose files come from this server."""
 
+HEADERS: Final = {_POLICY: NOTHING, "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY"}
+"""Of each answer that has none of its own."""
+
 
 class SecurityHeadersMiddleware:
     """Adds the headers to each answer."""
@@ -39,9 +42,9 @@ class SecurityHeadersMiddleware:
             if message["type"] == "http.response.start":
                 message.setdefault("headers", [])
                 headers = MutableHeaders(scope=message)
-                headers.setdefault(_POLICY, DOCS if scope["path"] == "/docs" else NOTHING)
-                headers.setdefault("X-Content-Type-Options", "nosniff")
-                headers.setdefault("X-Frame-Options", "DENY")
+                own = {_POLICY: DOCS} if scope["path"] == "/docs" else {}
+                for name, value in (HEADERS | own).items():
+                    headers.setdefault(name, value)
             await send(message)
 
         await self._app(scope, receive, send_with_headers)
