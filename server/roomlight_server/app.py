@@ -11,9 +11,11 @@ from fastapi import Depends, FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
 from fastapi_offline import FastAPIOffline
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 from starlette.requests import ClientDisconnect
+from starlette.types import Receive, Scope, Send
 
 from roomlight import __version__
 from roomlight.errors import RoomLightError
@@ -106,6 +108,16 @@ _CORS_ANSWER_HEADERS: Final = (
     recording_routes.OFFSET_HEADER,
     room_routes.KEYFRAMES_HEADER,
 )
+
+
+class _AllowedOriginsMiddleware(CORSMiddleware):
+    """CORS for the origins that are allowed; the check of origins answers all others, preflights too."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle an ASGI connection."""
+        origin = Headers(scope=scope).get("origin") if scope["type"] == "http" else None
+        allowed = origin is None or self.is_allowed_origin(origin)
+        await (super().__call__ if allowed else self.app)(scope, receive, send)
 
 
 def create_app(
@@ -223,7 +235,7 @@ def _add_middleware(app: FastAPI, context: Context) -> None:
     )
     if settings.allow_origins:
         app.add_middleware(
-            CORSMiddleware,
+            _AllowedOriginsMiddleware,
             allow_origins=settings.allow_origins,
             allow_methods=["GET", "PUT", "POST", "DELETE"],
             allow_headers=_CORS_REQUEST_HEADERS,

@@ -190,6 +190,9 @@ def test_an_allowed_origin_opens_a_session():
         for path, name in (("sessions/page", "authorization"), ("recordings/r-0/files/a", "upload-offset")):
             asked = {"Access-Control-Request-Method": "PUT", "Access-Control-Request-Headers": name}
             assert server.call("OPTIONS", f"/v1/{path}", headers=headers | asked).status == 200
+        refused = server.call("OPTIONS", "/v1/sessions/page", headers={**asked, "Origin": "https://other.example"})
+        assert (refused.status, refused.kind) == (403, "forbidden-origin")
+        assert "allow_origins" in refused.json["detail"]
 
 
 def test_an_unknown_method_is_answered_with_the_allowed_ones(server):
