@@ -1,5 +1,6 @@
 """Images that take long to decode, and decoders that die: each costs one frame, over a real socket."""
 
+import errno
 import fcntl
 import os
 import re
@@ -16,6 +17,7 @@ from slow_images import jpeg_of_scans, png_of_texts
 
 from http_servers import InThread, RunningServer, with_parts
 from present import present
+from roomlight.errors import ServerError
 from roomlight.wire.frame_message import FrameLimits, parse
 from roomlight_server.work import processes
 from roomlight_server.work.decode_worker import MAX_MEMORY_BYTES
@@ -192,3 +194,14 @@ def test_a_decoded_frame_has_arrays_of_its_own(one_decoder):
     message = parse(colour_frame("jpeg", jpeg()), FrameLimits(2**30, 2**30, 2**30))
     frame = processes.decode(message, 1, 1.0, 0, (320, 240))
     assert all(array.base is None for array in (frame.image, frame.clipped, frame.depth_m))
+
+
+def test_memory_that_the_system_refuses_is_named(monkeypatch):
+    """A limit of the size of files (`ulimit -f`) applies to it too, and ended the server in a traceback."""
+
+    def refuse(*_):
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+
+    monkeypatch.setattr(os, "ftruncate", refuse)
+    with pytest.raises(ServerError, match=r"268435456 bytes cannot be made \(File too large\); raise .*ulimit -f"):
+        SharedBlock()

@@ -4,11 +4,14 @@ The file behind it has no name and no fixed place on disk, and cannot be resized
 cannot cut it while the server reads. The server copies what it reads before it looks at it.
 """
 
+import errno
 import fcntl
 import mmap
 import os
 import tempfile
 from typing import Final
+
+from roomlight.errors import ServerError
 
 BLOCK_BYTES: Final = 2**28
 """Largest request or result of a process; only pages that were written take memory."""
@@ -20,9 +23,18 @@ class SharedBlock:
     """The memory; each side maps it, and one side uses it at a time."""
 
     def __init__(self, descriptor: int | None = None) -> None:
-        """Map the block of a file descriptor, or make one (None)."""
+        """Map the block of a file descriptor, or make one (None).
+
+        Raises:
+            ServerError: The system refuses memory of this size.
+        """
         if descriptor is None:
-            descriptor = _new_file()
+            try:
+                descriptor = _new_file()
+            except OSError as error:
+                advice = "raise the limit of the size of files (ulimit -f, LimitFSIZE)"
+                problem = f"shared memory of {BLOCK_BYTES} bytes cannot be made ({error.strerror})"
+                raise ServerError(f"{problem}; {advice}" if error.errno == errno.EFBIG else problem) from error
         self.descriptor = descriptor
         self._map = mmap.mmap(descriptor, BLOCK_BYTES)
 
