@@ -137,10 +137,10 @@ class RunningServer:
     def state(self, name="room", **more):
         return self.call("GET", f"/v1/sessions/{name}", **more).json
 
-    def stream(self, name="room", *, token=None, **more):
+    def stream(self, name="room", *, token=None, headers=None, **more):
         """Connect to the WebSocket of a session."""
-        access = {} if token is None else {"additional_headers": {"Authorization": f"Bearer {token}"}}
-        return connect(f"ws://127.0.0.1:{self.port}/v1/sessions/{name}/stream", **access | more)
+        sent = {**(headers or {}), **({} if token is None else {"Authorization": f"Bearer {token}"})}
+        return connect(f"ws://127.0.0.1:{self.port}/v1/sessions/{name}/stream", additional_headers=sent, **more)
 
     def wait_until(self, condition):
         """Wait on the event loop, one request after the other; each must succeed."""

@@ -42,7 +42,7 @@ def test_problems_carry_the_request_id(server, monkeypatch):
 
 
 def test_a_stream_returns_its_request_id(server):
-    with server.stream(additional_headers={ID: "stream-1"}) as stream:
+    with server.stream(headers={ID: "stream-1"}) as stream:
         assert stream.response is not None
         assert stream.response.headers["X-Request-Id"] == "stream-1"
 

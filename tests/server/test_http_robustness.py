@@ -159,7 +159,7 @@ def test_websocket_messages_are_not_compressed(server):
 @pytest.mark.parametrize("length", [9_000, 20_000])
 def test_a_websocket_with_a_long_header_is_refused(server, errors, length):
     with pytest.raises((InvalidStatus, InvalidMessage, ConnectionError)):
-        server.stream(additional_headers={"X-Long": "x" * length})
+        server.stream(headers={"X-Long": "x" * length})
     assert errors() == []
 
 

@@ -91,7 +91,7 @@ def test_every_attack_reaches_the_server(tmp_path):
 
     async def attack(port, name):
         client = Hostile(port, TOKEN, name)
-        work = asyncio.create_task(ATTACKS[name](client))
+        work = asyncio.ensure_future(ATTACKS[name](client))
         while not (client.requests or work.done()):
             await asyncio.sleep(0)
         work.cancel()
