@@ -1,5 +1,9 @@
 """The `roomlight` command: which commands there are, in the order in which a newcomer needs them."""
 
+import logging
+import os
+import sys
+from collections.abc import Iterable
 from typing import Annotated, Final
 
 import typer
@@ -88,4 +92,15 @@ def _root(  # pyright: ignore[reportUnusedFunction]  (typer calls it)
 
 def main() -> None:
     """Run the command of `sys.argv`. A RoomLightError is one line on standard error and exit code 1."""
+    if sys.argv[1:2] == ["serve"]:
+        _log_starting([*sys.argv[2:], os.environ.get("ROOMLIGHT_LOG_LEVEL", "")])
     console.run(app)
+
+
+def _log_starting(words: Iterable[str]) -> None:
+    """Log that a server starts: its imports alone take 20 s on busy cores. Not for help, or a log of warnings alone."""
+    if any(word.removeprefix("--log-level=") in ("-h", "--help", "warning", "error") for word in words):
+        return
+    from roomlight_server.base.logs import JsonLines
+
+    console.err.file.write(JsonLines().format(logging.makeLogRecord({"levelname": "INFO", "msg": "starting"})) + "\n")

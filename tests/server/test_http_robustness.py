@@ -189,6 +189,7 @@ def test_every_line_of_the_log_is_json_without_tokens():
                 websocket.recv(timeout=120)
         server.stop()
         lines = server.lines
+    assert json.loads(lines[0])["event"] == "starting"
     assert any("Corrupt JPEG" in json.loads(line)["event"] for line in lines)
     assert not any(TOKEN in line for line in lines)
 
