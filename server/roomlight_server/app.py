@@ -132,8 +132,8 @@ def create_app(
     """
     context = _make_context(settings, clock)
 
-    def lifespan(_: FastAPI) -> AbstractAsyncContextManager[None]:
-        return _running(context, when_ready)
+    def lifespan(app: FastAPI) -> AbstractAsyncContextManager[None]:
+        return _running(app, context, when_ready)
 
     app = FastAPIOffline(
         docs_url="/docs",
@@ -189,12 +189,12 @@ def _make_context(settings: ServerSettings, clock: Clock) -> Context:
 
 
 @asynccontextmanager
-async def _running(context: Context, when_ready: Callable[[], object] | None) -> AsyncGenerator[None]:
+async def _running(app: FastAPI, context: Context, when_ready: Callable[[], object] | None) -> AsyncGenerator[None]:
     """Run the tasks of a server; at the end, save the sessions and end all work."""
     registry, states = context.registry, context.states
     tasks = [
-        asyncio.create_task(_prepare(context, when_ready)),
-        asyncio.create_task(Watchdog(context.metrics, context.guard).run()),
+        asyncio.create_task(_prepare(app, context, when_ready)),
+        asyncio.create_task(Watchdog(context.metrics, context.guard, lambda: context.ready).run()),
         asyncio.create_task(_expire(context, every_s=min(5.0, context.settings.idle_expiry_s / 4))),
     ]
     if states is not None:
@@ -256,13 +256,14 @@ def _operation_id(route: Any) -> str:  # an APIRoute, or FastAPI's private conte
     return route.name
 
 
-async def _prepare(context: Context, when_ready: Callable[[], object] | None) -> None:
-    """Load weights and compile kernels in the background; `/healthz` is answered meanwhile."""
+async def _prepare(app: FastAPI, context: Context, when_ready: Callable[[], object] | None) -> None:
+    """Load weights, compile kernels and build the document in the background; `/healthz` is answered meanwhile."""
     try:
         await asyncio.gather(
             context.workers.start(),
             context.workers.run_in_encode_pool(light_forms.warm_up),
             context.workers.run_in_encode_pool(composites.load),
+            context.workers.run_in_encode_pool(app.openapi),  # requests with unknown parameters read it
         )
     except RoomLightError as error:
         _log.error("server cannot become ready: %s", error)

@@ -5,6 +5,7 @@ import logging
 import sys
 import threading
 import time
+from collections.abc import Callable
 from types import FrameType
 from typing import Any, Final
 
@@ -22,9 +23,9 @@ LATE_S: Final = 0.5
 class Watchdog:
     """Measures the event loop on the loop itself, and observes it from a thread while it is stuck."""
 
-    def __init__(self, metrics: Metrics, guard: ConnectionGuard) -> None:
-        """Create a watchdog; `run` starts it."""
-        self._gauge, self._guard = metrics.loop_lag, guard
+    def __init__(self, metrics: Metrics, guard: ConnectionGuard, is_ready: Callable[[], bool]) -> None:
+        """Create a watchdog; `run` starts it. Until the server is ready, all lateness is that of its startup."""
+        self._gauge, self._guard, self._is_ready = metrics.loop_lag, guard, is_ready
         self._beat_s = time.monotonic()
         self._ended = threading.Event()
 
@@ -53,12 +54,17 @@ class Watchdog:
             late_s = time.monotonic() - beat_s - BEAT_S
             if late_s > LATE_S and beat_s != logged_s:
                 logged_s = beat_s
-                task: asyncio.Task[Any] | None = asyncio.current_task(loop)
-                connection = self._guard.parsing or (task.get_name() if task else "none")
-                # faulthandler prints stacks but does not return them
-                place = _place(sys._current_frames().get(thread_id))  # pyright: ignore[reportPrivateUsage]
-                fields = {"late_s": round(late_s, 2), "connection": connection, "place": place}
-                _log.warning("the event loop is late", extra=fields)
+                fields = self._cause(loop, thread_id) if self._is_ready() else {"place": "startup"}
+                _log.warning("the event loop is late", extra={"late_s": round(late_s, 2), **fields})
+
+    def _cause(self, loop: asyncio.AbstractEventLoop, thread_id: int) -> dict[str, str]:
+        """Return where the loop is, and for which client if it works for one."""
+        task: asyncio.Task[Any] | None = asyncio.current_task(loop)
+        connection = self._guard.parsing or (task.get_name() if task else "")
+        # faulthandler prints stacks but does not return them
+        place = _place(sys._current_frames().get(thread_id))  # pyright: ignore[reportPrivateUsage]
+        is_client = bool(connection) and not connection.startswith("Task-")
+        return {"place": place} | ({"connection": connection} if is_client else {})
 
 
 def _place(frame: FrameType | None) -> str:
