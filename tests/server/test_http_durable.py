@@ -328,9 +328,20 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
         now_s[0] += 201
         server.registry.expire()
         assert server.registry.items() == []
+        assert idle_times(server)["room"] >= 200
+        (state,) = (tmp_path / "state/sessions").glob("*/state")
+        server.open("another")
+        now_s[0] += 50
+        os.utime(state)  # as one that another server has just used
+        assert list(idle_times(server)) == ["room", "another"]
         assert server.call("GET", f"/v1/sessions/room{LIGHTS[1]}").body == light
         text = server.call("GET", "/metrics").body.decode()
         assert 'roomlight_sessions_ended_total{reason="saved"} 1.0' in text
+
+
+def idle_times(server):
+    """Return the idle time of each session, in the order of the list."""
+    return {one["id"]: one["idle_s"] for one in server.call("GET", "/v1/sessions").json["sessions"]}
 
 
 @pytest.mark.slow

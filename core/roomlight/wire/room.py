@@ -20,8 +20,7 @@ class SessionSummary(WireModel):
         title: as its viewers have named it; empty: they have not.
         status: `saved` is on disk and not in memory; its next request restores it.
         probes: names of the tracked probes.
-        idle_s: seconds since its last request; 0 while a request or a WebSocket uses it. Of a saved session, seconds
-            since it was written or left memory.
+        idle_s: seconds since its last request; 0 while a request or a WebSocket uses it.
     """
 
     id: Id

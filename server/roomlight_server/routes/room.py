@@ -40,9 +40,10 @@ def _binary(*kinds: str) -> dict[int | str, dict[str, Any]]:
 
 @router.get("/v1/sessions", summary="List the sessions", responses=documented("unauthorized"))
 async def list_sessions(context: ContextDep, owner: OwnerDep) -> SessionList:
-    """Return the sessions of this token: those in memory, last used first, then those on disk alone (`saved`)."""
+    """Return the sessions of this token, in memory or on disk alone (`saved`), last used first."""
     listed = [_summary(live, idle_s) for live, idle_s in context.registry.listed(owner)]
     listed += [_saved_summary(head) for head in await context.registry.saved(owner)]
+    listed.sort(key=lambda summary: summary.idle_s)
     settings = context.settings
     return SessionList(sessions=listed, max_sessions=settings.max_sessions, idle_expiry_s=settings.idle_expiry_s)
 

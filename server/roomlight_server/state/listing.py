@@ -23,7 +23,7 @@ class SavedHead:
     Attributes:
         values: of the server.
         model: of the engine.
-        idle_s: seconds since it was written, or left memory.
+        idle_s: seconds since its last use, by the date of its file.
         bytes: of its files.
     """
 

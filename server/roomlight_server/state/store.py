@@ -55,6 +55,7 @@ class Saveable(Protocol):
     name: str
     request: SessionRequest
     lease: SessionLease | None
+    last_used_s: float
 
     @property
     def journal(self) -> Journal | None:
@@ -228,8 +229,8 @@ class StateStore:
                 task.cancel()
             if unsaved := len(_unsaved(sessions)):
                 _log.error("%d sessions were not saved: %s", unsaved, self.failing or "no time was left")
-        for _, live in sessions():
-            self._release(live)
+        for (owner, _), live in sessions():
+            self.left_memory(owner, live)
         await asyncio.to_thread(self._pool.shutdown, wait=True, cancel_futures=True)
         await asyncio.to_thread(self._fence_pool.shutdown, wait=True)
         os.close(self._lock_file)
@@ -315,9 +316,13 @@ class StateStore:
         return existed
 
     def left_memory(self, owner: str, live: Saveable) -> None:
-        """Begin the time to expiry of a saved session again, and let another server own it."""
+        """Begin the time to expiry of a saved session again, and let another server own it.
+
+        The date of its file is that of its last use.
+        """
         with contextlib.suppress(OSError):
-            os.utime(self._folder(owner, live.name) / STATE)
+            used_s = time.time() - max(0.0, self._clock() - live.last_used_s)
+            os.utime(self._folder(owner, live.name) / STATE, (used_s, used_s))
         self._release(live)
 
     def _erase_expired(self, open_folders: set[str]) -> None:
