@@ -53,6 +53,8 @@ _NEAR: Final = 0.02
 """Distance from where the poses put a feature within which it is looked for, relative to the width."""
 _LOST: Final = 0.4
 """Distance from which on the assumed one is wrong, relative to the features' movement: 0.01 to 0.3 in captures."""
+_HANGING: Final = -0.5
+"""Mean cosine of the cameras' up with the assumed one below which they hang upside down."""
 _FALLING, _ODD_RATIO = -0.6, 5.0
 """Correlation of depth and its estimate below which it is pointed out, and their ratio beyond which it is."""
 _LENGTHS: Final = (1e-3, 1e-2, 1e2, 1e3)
@@ -84,6 +86,7 @@ class Disagreement:
         focal: Factor on the focal lengths that makes features move as they do.
         known: Whether one of these explains it.
         axis: Axis of the stored world about which the cameras are level, if it is not the assumed up.
+        up: Opposite of the assumed up, if the cameras hang upside down; an axis of the stored world.
     """
 
     inverse: bool = False
@@ -94,6 +97,7 @@ class Disagreement:
     focal: float = 1.0
     known: bool = True
     axis: str | None = None
+    up: str | None = None
 
 
 class PoseCheck:
@@ -141,8 +145,7 @@ class PoseCheck:
         stated = [frame.camera_to_world for _, frame in self._views]
         if len(stated) < _LEAST_PAIRS:
             return None
-        axis = self._level_axis(np.stack(stated)[:, :3, :3])
-        lying = None if axis is None else Disagreement(axis=axis)
+        lying = self._lying(np.stack(stated)[:, :3, :3])
         pairs = [pair for at in range(len(stated) - 1) if (pair := self._tracks(at)) is not None]
         if len(pairs) < _LEAST_PAIRS:
             return lying
@@ -247,13 +250,16 @@ class PoseCheck:
         )
         return there[:, 0], np.where(there_is[:, 0] > 0, unlike[:, 0], np.float32(np.inf))
 
-    def _level_axis(self, turns: Float[np.ndarray, "n 3 3"]) -> str | None:
-        """Return the axis of the stored world about which the cameras turned upright, if it is not the assumed one."""
+    def _lying(self, turns: Float[np.ndarray, "n 3 3"]) -> Disagreement | None:
+        """Return what is wrong with the assumed up; None if cameras are level about it, or nothing tells."""
+        if turns[:, 1, 1].mean() < _HANGING:
+            down = -self._to_y_up[1, :3]
+            return Disagreement(up=max(UP_AXES, key=lambda name: float(down @ UP_AXES[name])))
         seen = {name: turns.transpose(0, 2, 1) @ self._to_y_up[:3, :3] @ np.array(UP_AXES[name]) for name in "xyz"}
         up, axis = turns[:, 1], max(seen, key=lambda name: float(np.abs(seen[name][:, 1]).mean()))
         assumed, other = (np.linalg.norm(way - way.mean(axis=0), axis=1).mean() for way in (up, seen[axis]))
         wrong = assumed > 0.1 and other < 0.5 * assumed and np.abs(up[:, 1]).mean() < 0.5
-        return axis if wrong and np.abs(seen[axis][:, 1]).mean() > 0.8 else None
+        return Disagreement(axis=axis) if wrong and np.abs(seen[axis][:, 1]).mean() > 0.8 else None
 
 
 def _coarse(image: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "ch cw"]:

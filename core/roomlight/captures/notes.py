@@ -21,7 +21,7 @@ _OF_QUATERNIONS: Final = ("tum", "stray-scanner", "record3d", "rtabmap", "ros-ba
 _MOST_BY_POSES: Final = 4.0
 """Most that poses enlarge estimated depth: 1.5 times in captures. They reduce it wrongly where their noise is large."""
 _OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
-"""Formats whose depth comes from any tool; that of the others is a sensor's, or has one unit."""
+"""Formats whose depth and world come from any tool; those of the others are a sensor's, or have one unit and up."""
 _BLACK: Final = 0.003
 """Linear value up to which a pixel may be a black bar's: 10 of 255 in sRGB."""
 _LEAST_BAR: Final = 0.02
@@ -104,6 +104,12 @@ def wrong_poses(name: str, wrong: Disagreement, convention: CameraConvention, di
             f"{name}: the cameras are level about the {wrong.axis} axis of the stored world, not the assumed up",
             "the panorama may be turned by 90 degrees",
             f"state world_up (--world-up {wrong.axis} or -{wrong.axis})",
+        )
+    if wrong.up is not None:
+        return Note(
+            f"{name}: the cameras hang upside down in the world that is assumed",
+            "the panorama is upside down, unless they did",
+            f"state world_up (--world-up {wrong.up})",
         )
     if wrong.length != 1:
         return wrong_scale(name, None if wrong.length is None else 1 / wrong.length)
@@ -252,6 +258,8 @@ class PassChecks:
     def _notes_of_poses(self) -> Iterator[Note]:
         """Yield a note of what contradicts the pictures in the assumed conventions, once in a pass."""
         wrong = self._poses.disagreement()
-        if wrong is not None and (wrong.axis is None or self._up_is_assumed):
+        if wrong is None or (wrong.up is not None and self._format not in _OF_ANY_TOOL):  # a phone may be held so
+            return
+        if self._up_is_assumed or wrong.axis is wrong.up is None:
             self._poses_are_done = True
             yield wrong_poses(self._name, wrong, *self._conventions)

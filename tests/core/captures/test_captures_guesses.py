@@ -34,21 +34,25 @@ def turning(count: int) -> list[formats.View]:
     return views
 
 
-def test_cameras_that_are_level_about_another_axis_are_pointed_out(tmp_path: Path) -> None:
-    """ARKit's poses in a transforms.json, whose world counts as z-up."""
+@pytest.mark.parametrize(
+    ("turn", "said", "up"), [(0.0, "level about the y axis", "y"), (-90.0, "hang upside down", "-z")]
+)
+def test_a_world_whose_up_is_another_is_pointed_out(tmp_path: Path, turn: float, said: str, up: str) -> None:
+    """ARKit's poses in a transforms.json, whose world counts as z-up; and poses of a world whose z is down."""
     views = turning(9)
     path = formats.nerfstudio(tmp_path / "level", views)
     assert not notes_of(path)
 
     def change(index: dict) -> None:
         for frame, view in zip(index["frames"], views, strict=True):
-            frame["transform_matrix"] = view.pose.tolist()
+            pose = np.pad(formats.rotation("x", turn), (0, 1)) @ view.pose
+            frame["transform_matrix"] = [*pose[:3].tolist(), [0, 0, 0, 1]]
 
     edit(path / "transforms.json", change)
     (note,) = notes_of(path)
-    assert "level about the y axis" in note
-    assert "--world-up y" in note
-    assert not notes_of(path, CaptureOptions(world_up="y"))
+    assert said in note
+    assert f"--world-up {up}" in note
+    assert not notes_of(path, CaptureOptions(world_up=up))
 
 
 @pytest.mark.parametrize(
