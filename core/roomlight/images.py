@@ -49,7 +49,7 @@ _EXR: Final = b"\x76\x2f\x31\x01"
 
 @dataclass(frozen=True)
 class OwnDepth:
-    """The depth map that a portrait photo (HEIC) holds.
+    """The depth map that a picture holds: a portrait's (HEIC), or the channel of an EXR.
 
     Attributes:
         depth_m: Depth in metres, float32 [dh, dw], 0 = unknown; turned like the picture.
@@ -126,7 +126,9 @@ def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> Colour
         for shown in (exr.seen, None if alpha is None else alpha >= MIN_ALPHA):
             seen = seen if shown is None else np.logical_and(seen, shown)
         image = _finite(stored, name)
-        return ColourImage(image, np.zeros(image.shape[:2], bool), _unless_all(seen), exr.notes)
+        depth = exr.depth_of_colour()
+        own = None if depth is None or not depth.any() else OwnDepth(clean_depth(depth), None, ())
+        return ColourImage(image, np.zeros(image.shape[:2], bool), _unless_all(seen), exr.notes, own)
     if is_heic(data):
         return _decode_heic(data, name)
     if data[:2] == _HDR:

@@ -17,6 +17,7 @@ from roomlight.errors import ImageError
 from roomlight.files import FolderSource
 from roomlight.images import MAX_PIXELS, MIN_ALPHA, ColourImage, decode_depth, decode_grey8, decode_picture, peek_size
 from roomlight.imaging.other_formats import as_png
+from roomlight.notes import Note
 
 _TIFF: Final = (b"II*\0", b"MM\0*")
 _COLMAP: Final = re.compile(rb"(\d{1,5})&(\d{1,5})&1&")
@@ -46,6 +47,11 @@ def read_rgbd(
     """
     picture = read_picture(pictures or source, colour_name)
     if depth_name is None:
+        if picture.own_depth is not None:
+            left_out = f"{(pictures or source).label(colour_name)}: the depth that the picture holds"
+            advice = "name an EXR as the frame's depth file too, save a HEIC's depth as a file"
+            note = Note(left_out, "it is not read", advice)
+            picture = replace(picture, notes=(*picture.notes, note))
         return Rgbd(picture, np.zeros(picture.image.shape[:2], np.float32))
     depth_m = decode_depth_map(source.read(depth_name), source.label(depth_name), unit_m=unit_m, integer_m=integer_m)
     return Rgbd(picture, depth_m)

@@ -6,7 +6,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from roomlight.captures.decoding import read_rgbd
 from roomlight.errors import ImageError
+from roomlight.files import FolderSource
 from roomlight.images import decode_depth, decode_picture, write_exr
 from roomlight.imaging.colour_spaces import DISPLAY_P3, to_rec709
 from roomlight.imaging.exr import sequence_metadata
@@ -180,3 +182,13 @@ def test_rates_are_whole_or_those_of_television_where_they_are_close(rate, exact
 @pytest.mark.parametrize("rate", [0.2, 120.0])
 def test_rates_that_timecode_does_not_count(rate):
     assert list(sequence_metadata(5, rate)) == ["framesPerSecond"]
+
+
+@pytest.mark.parametrize(("channels", "holds"), [({**PLANE, "Z": DEPTH}, True), (dict.fromkeys("RGB", DEPTH), False)])
+def test_a_picture_holds_the_depth_beside_its_colour(tmp_path: Path, channels: dict[str, np.ndarray], holds: bool):
+    written(tmp_path / "p.exr", channels)
+    own = decode_picture((tmp_path / "p.exr").read_bytes(), "p.exr").own_depth
+    assert (own is not None) == holds
+    assert own is None or np.array_equal(own.depth_m, DEPTH)
+    frame = read_rgbd(FolderSource(tmp_path), "p.exr", None, unit_m=None)
+    assert any("depth that the picture holds" in note.left_out for note in frame.picture.notes) == holds
