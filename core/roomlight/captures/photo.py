@@ -99,7 +99,7 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     Args:
         image: JPEG, PNG, HEIC, WebP, TIFF, BMP, or linear EXR. Its orientation is applied.
         depth: A 16-bit PNG or integer .npy or TIFF in millimetres, an EXR or float .npy or TIFF in metres. None: the
-            depth that the photo itself holds, as portraits of phones and EXR with Z do; without, a network estimates it.
+            depth that the photo itself holds, as phones' portraits and EXR with Z do; without, a network estimates it.
         options: What the files do not state.
 
     Raises:

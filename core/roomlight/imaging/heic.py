@@ -72,12 +72,17 @@ def heic_size(data: bytes, name: str) -> tuple[int, int]:
 
 def heic_exif(data: bytes, name: str) -> ExifCamera:
     """Read the EXIF without decoding pixels; its orientation is 1, because the picture comes out upright."""
+    return exif_camera_of(_exif(_opened(data, name)), upright=True)
+
+
+def _exif(photo: Any) -> Image.Exif:
+    """Return the EXIF; an empty one if it is missing or damaged."""
     exif = Image.Exif()
     try:
-        exif.load(bytes(_opened(data, name).info.get("exif") or b""))
+        exif.load(bytes(photo.info.get("exif") or b""))
     except (SyntaxError, ValueError, KeyError, struct.error):
-        return ExifCamera()
-    return exif_camera_of(exif, upright=True)
+        return Image.Exif()
+    return exif
 
 
 def read_heic(data: bytes, name: str) -> HeicPhoto:
@@ -106,6 +111,10 @@ def read_heic(data: bytes, name: str) -> HeicPhoto:
     if any(_GAIN_MAP in str(kind) or "21496" in str(kind) for kind in info.get("aux") or {}):
         text = "highlights end at the photo's white"
         notes = (*notes, Note(f"{name}: its HDR gain map", text, "give a linear EXR for the full range"))
+    turn = exif_camera_of(_exif(photo)).orientation
+    if turn != 1 and not any(box in data for box in (b"irot", b"imir")):
+        text = f"{name}: EXIF orientation {turn}, and the HEIC itself is not rotated"
+        notes = (*notes, Note(text, "pixels are read as stored", "rotate the picture if it is not upright"))
     return HeicPhoto(
         pixels=pixels,
         space=space,

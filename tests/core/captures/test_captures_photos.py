@@ -288,3 +288,14 @@ def test_a_crop_whose_exif_states_the_whole_picture_is_pointed_out(
     photo = other_file(tmp_path / "photo.jpg", pixels, exif=exif)
     notes = read_photo(photo, options=PhotoOptions(world_up="y")).notes
     assert any("cropped, by its EXIF from an aspect of 1.33 to 1.2" in note.left_out for note in notes) == cropped
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_orientation_that_a_heic_has_in_its_exif_alone_is_noted(tmp_path: Path, turned: bool) -> None:
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    heif = heic_files.pillow_heif.from_pillow(Image.fromarray(scene()[0]))
+    heif.save(tmp_path / "p.heic", exif=exif.tobytes())
+    data = (tmp_path / "p.heic").read_bytes()
+    notes = decode_picture(data if turned else data.replace(b"irot", b"free"), "p.heic").notes
+    assert ["orientation 6, and the HEIC itself is not" in note.left_out for note in notes] == [True] * (not turned)
