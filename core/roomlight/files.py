@@ -206,10 +206,11 @@ class FolderSource:
         return full
 
     def within(self, name: str) -> str:
-        """Return an absolute path as a name in the folder: where it is inside, or by its longest end that is there.
+        """Return an absolute path (or `file://` URL) as a name in the folder, if it is inside or an end of it is there.
 
-        Relative names, and those of which no end is there, come back unchanged.
+        The longest end counts. Relative names, and those of which no end is there, come back unchanged.
         """
+        name = name.removeprefix("file://")
         if not _ABSOLUTE.match(name):
             return name
         path = PurePosixPath(name.replace("\\", "/"))

@@ -8,7 +8,7 @@ from typing import Final
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from roomlight.camera import Intrinsics
 from roomlight.captures.source import Source
@@ -20,6 +20,7 @@ from roomlight.imaging.other_formats import as_png
 from roomlight.notes import Note
 
 _TIFF: Final = (b"II*\0", b"MM\0*")
+_NPZ: Final = b"PK\x03\x04"
 _COLMAP: Final = re.compile(rb"(\d{1,5})&(\d{1,5})&1&")
 """Width, height and channels at the start of a COLMAP map; rows of float32 follow."""
 
@@ -112,6 +113,8 @@ def decode_depth_map(
         depth = _tiff_values(data, label)
     elif data[:6] == b"\x93NUMPY":
         depth = _npy_values(data, label)
+    elif data[:4] == _NPZ:
+        raise ImageError(f"{label}: an .npz holds several arrays; save the depth alone as .npy")
     else:
         return decode_depth(data, label, unit_m=unit_m, integer_m=integer_m)
     default_m = 1.0 if depth.dtype.kind == "f" else integer_m
@@ -126,12 +129,15 @@ def _tiff_values(data: bytes, label: str) -> Shaped[np.ndarray, "h w"]:
     """Return the stored values of a TIFF of one channel. Raises ImageError."""
     try:
         with Image.open(io.BytesIO(data), formats=("TIFF",)) as image:
-            if image.mode in ("I;16", "I;16B", "F") and image.width * image.height <= MAX_PIXELS:
+            pictures = getattr(image, "n_frames", 1)
+            if image.mode in ("I;16", "I;16B", "F") and image.width * image.height <= MAX_PIXELS and pictures == 1:
                 return np.asarray(image)
             what = f"is {image.width} x {image.height} of the kind {image.mode}"
+            what = f"holds {pictures} pictures" if pictures != 1 else what
     except Exception as error:  # Pillow raises whatever the damaged bytes lead to
-        what = f"does not decode ({error})"
-    raise ImageError(f"{label}: depth must be a grey TIFF of 16 bits or floats, this {what}; convert it to .npy or EXR")
+        what = f"does not decode ({'of an unknown layout' if isinstance(error, UnidentifiedImageError) else error})"
+    kinds = "16 bits or floats of 32 bits"
+    raise ImageError(f"{label}: depth must be a grey TIFF of {kinds}, this {what}; convert it to .npy or EXR")
 
 
 def _npy_values(data: bytes, label: str) -> Shaped[np.ndarray, "h w"]:

@@ -208,7 +208,11 @@ def coordinates(values: list[Any] | tuple[Any, ...], what: str) -> Float[np.ndar
 
 
 def matrix4(value: object, what: str) -> Float[np.ndarray, "4 4"]:
-    """Convert nested lists to a 4 x 4 matrix; a 3 x 4 matrix gets the last row 0 0 0 1."""
+    """Convert nested lists, or 16 numbers row by row, to a 4 x 4 matrix; a 3 x 4 matrix gets the last row 0 0 0 1."""
+    if isinstance(value, list) and len(value) == 16:
+        if value[12:] != [0, 0, 0, 1]:
+            raise ValueError(f"{what} is 16 numbers, not row by row, whose last are 0 0 0 1; write it as 4 rows of 4")
+        value = [value[at : at + 4] for at in range(0, 16, 4)]
     if not isinstance(value, list) or len(value) not in (3, 4):
         raise ValueError(f"{what} is {_short(value)}, not a 4 x 4 matrix")
     whole = value if len(value) == 4 else [*value, [0.0, 0.0, 0.0, 1.0]]

@@ -1,5 +1,6 @@
 """Every rule for bad input: the frame is skipped or the capture refused, and the message names file and reason."""
 
+import io
 import json
 import os
 import re
@@ -17,6 +18,7 @@ from PIL import Image
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures import source as source_module
+from roomlight.captures.decoding import decode_depth_map
 from roomlight.errors import CaptureError, FrameError, ImageError
 
 VIEWS = formats.scene()
@@ -41,6 +43,7 @@ NAN = float("nan")
         ("eye", "4 x 4"),
         ([[1, 0, 0, "0"], [0, 1, 0, 0], [0, 0, 1, 0]], "not a number"),
         (None, "4 x 4"),
+        (np.vstack([np.eye(4)[:3], [1, 2, 3, 1]]).ravel().tolist(), "16 numbers, not row by row"),
     ],
 )
 def test_an_invalid_pose_skips_the_frame(transforms: Path, matrix: object, says: str) -> None:
@@ -128,6 +131,11 @@ def test_a_data_sets_own_camera_is_scaled_to_its_aspect_alone(tmp_path: Path, ki
     (path / "camera-intrinsics.txt").unlink()
     camera = first_of(path).intrinsics
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((focal / 20, focal / 20, 16, 12))
+    if kind == "tum":  # as ETH3D's SLAM benchmark has it
+        (path / "calibration.txt").write_text("26 27 15.5 11.5\n")
+        camera = next(iter(open_capture(path))).intrinsics
+        assert (camera.fx, camera.fy, camera.cx, camera.cy) == (26, 27, 16, 12)
+        (path / "calibration.txt").unlink()
     for picture in path.rglob("*.color.jpg" if kind == "seven-scenes" else "rgb/*.png"):
         picture.write_bytes(formats.image(".png", VIEWS[0].srgb8[:18]))
     unreadable(path, r"32 x 18.*640 x 480.*write camera-intrinsics\.txt")
@@ -397,3 +405,19 @@ def test_frame_at_raises_what_iterating_skips(native: Path) -> None:
     with pytest.raises(FrameError, match=r"depth/000001\.png"):
         capture.frame_at(1)
     assert capture.frame_at(2).index == 2
+
+
+@pytest.mark.parametrize(
+    ("pages", "says"), [(2, "holds 2 pictures"), (1, r"does not decode \(of an unknown layout\)"), (0, "an .npz holds")]
+)
+def test_depth_of_other_containers_is_refused(pages: int, says: str) -> None:
+    """Of two pages, of a page of 64-bit floats, and an .npz."""
+    stream = io.BytesIO()
+    if pages:
+        page = np.full((24, 32), 1500, np.uint16)
+        Image.fromarray(page).save(stream, "TIFF", save_all=True, append_images=[Image.fromarray(page)] * (pages - 1))
+    else:
+        np.savez(stream, depth=np.ones((24, 32)))
+    data = stream.getvalue() if pages != 1 else cv2.imencode(".tiff", np.ones((24, 32)))[1].tobytes()
+    with pytest.raises(ImageError, match=says):
+        decode_depth_map(data, "d", unit_m=None)

@@ -219,10 +219,12 @@ def test_transforms_world_up_key_and_unit(transforms: Path) -> None:
         index["world_up"], index["depth_unit_scale_factor"] = "y", 0.002
         for frame, view in zip(index["frames"], VIEWS, strict=True):
             frame["transform_matrix"] = view.pose.tolist()[:3]
+        index["frames"][1]["transform_matrix"] = VIEWS[1].pose.ravel().tolist()
 
     edit(transforms / "transforms.json", change)
-    frame = first_of(transforms / "transforms.json")
+    frame, second, *_ = open_capture(transforms / "transforms.json")
     np.testing.assert_allclose(frame.camera_to_world, VIEWS[0].pose, atol=1e-12)
+    np.testing.assert_allclose(second.camera_to_world, VIEWS[1].pose, atol=1e-12)
     np.testing.assert_allclose(frame.depth_m, 2 * VIEWS[0].depth_m, rtol=1e-5)
 
 

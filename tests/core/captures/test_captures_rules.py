@@ -233,7 +233,7 @@ def test_names_of_other_systems_are_found(transforms: Path, stored: str, named: 
     assert capture.skipped == []
 
 
-@pytest.mark.parametrize("root", ["", "/home/me/scan", "D:\\scans"])
+@pytest.mark.parametrize("root", ["", "/home/me/scan", "D:\\scans", "file:///data/scan"])
 def test_absolute_paths_of_files_in_the_folder_are_read(transforms: Path, root: str) -> None:
     def change(index: dict) -> None:
         for frame, key in ((frame, key) for frame in index["frames"] for key in ("file_path", "depth_file_path")):

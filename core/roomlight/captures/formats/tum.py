@@ -10,8 +10,8 @@ system), while its pictures are stored from the top: the y axes are turned round
 239.5, and its times are numbers of frames, 30 a second.
 
 Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
-`camera-intrinsics.txt` (3 x 3) if it exists, else the data set's default of 525, 525, 319.5, 239.5 for
-640 x 480, scaled to images of that aspect. K has pixel centres at whole numbers, so that half a pixel is added here.
+`camera-intrinsics.txt` (3 x 3) or ETH3D's `calibration.txt` (`fx fy cx cy`) if one exists, else the data set's default
+of 525, 525, 319.5, 239.5 for 640 x 480, scaled to images of that aspect. K has pixel centres at whole numbers, so that half a pixel is added here.
 """
 
 import math
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float
 
 from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
@@ -38,6 +39,7 @@ MAX_GAP_S: Final = 0.02
 """Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
 
 PAIRS: Final = "associations.txt"
+ETH3D_INTRINSICS: Final = "calibration.txt"
 ICL_POSES: Final = ".gt.freiburg"
 _DEFAULT_CAMERA: Final = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
 _ICL_CAMERA: Final = Intrinsics(481.2, 480.0, 320.0, 240.0, 640, 480)
@@ -73,7 +75,7 @@ class TumReader(ListedReader):
         if self._icl:
             self.conventions = PoseConventions("opencv", "camera-to-world", (0.0, -1.0, 0.0))
         default = _ICL_CAMERA if self._icl else _DEFAULT_CAMERA
-        self._matrix = read_matrix(source) if source.has(INTRINSICS) else default
+        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _eth3d_matrix(source, default)
         if isinstance(self._matrix, Intrinsics):
             self.notes.append(assumed_camera(folder, self._matrix))
 
@@ -94,6 +96,18 @@ class TumReader(ListedReader):
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_of(self._matrix, width=width, height=height, shift=0.5)
         return self._raw_frame(index, read, depth_name, intrinsics, pose)
+
+
+def _eth3d_matrix(source: FolderSource, default: Intrinsics) -> Float[np.ndarray, "3 3"] | Intrinsics:
+    """Return the K of `calibration.txt`; the default without it. Raises CaptureError."""
+    if not source.has(ETH3D_INTRINSICS):
+        return default
+    label = source.label(ETH3D_INTRINSICS)
+    text = " ".join(fields.parse_text(read_index(source, ETH3D_INTRINSICS), label))
+    with fields.naming(label, CaptureError):
+        values = fields.numbers_of_line(text, 4, "fx fy cx cy")
+        fx, fy, cx, cy = (fields.positive(value, "fx, fy, cx or cy") for value in values)
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
 def _stream(
