@@ -11,7 +11,8 @@ system), while its pictures are stored from the top: the y axes are turned round
 
 Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
 `camera-intrinsics.txt` (3 x 3) or ETH3D's `calibration.txt` (`fx fy cx cy`) if one exists, else the data set's default
-of 525, 525, 319.5, 239.5 for 640 x 480, scaled to images of that aspect. K has pixel centres at whole numbers, so that half a pixel is added here.
+of 525, 525, 319.5, 239.5 for 640 x 480, scaled to images of that aspect. K has pixel centres at whole
+numbers, so that half a pixel is added here.
 """
 
 import math
