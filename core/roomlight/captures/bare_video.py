@@ -35,8 +35,8 @@ DEFAULT_FOV_DEG: Final = 64.0
 """Field of view along the longer side without any better knowledge: of phones' main cameras, 60 to 68 degrees."""
 USUAL_FOV_DEG: Final = (42.0, 90.0)
 """Along the longer side, of phones' main cameras and their videos, which may be cropped."""
-_WIDEST: Final = 2.5
-"""Longer side by the shorter of pictures that one view has; wider films are rare."""
+_WIDEST: Final = 2.4
+"""Longer side by the shorter of pictures that one view has: films' 2.39 or 2.4 are the widest that are usual."""
 _BENDING: Final = re.compile(r"fish.?eye|gopro|insta360|theta", re.IGNORECASE)
 """Names of lenses that see so much that no pinhole stands for them."""
 _FILM_WIDTH_MM: Final = 34.6

@@ -84,10 +84,13 @@ def wrong_scale(name: str, factor: float | None) -> Note:
 
 def unlikely_depth(name: str, frames: Sequence[Frame]) -> Note | None:
     """Make the note for depth that the picture contradicts; else None."""
+    instead = "or none (of a recording: --depth network): it is then estimated"
+    if frames and all(float(frame.depth_m.max()) == 1 for frame in frames):
+        text = f"{name}: its largest depth is exactly 1, as where depth is normalised"
+        return Note(text, "it is read as metres", f"give depth in metres, {instead}")
     if (odd := odd_depth(frames)) is None:
         return None
     falls, ratio = odd
-    instead = "or none (of a recording: --depth network): it is then estimated"
     if falls:
         text = f"{name}: depth is small where the picture shows what is far, as 1 / depth (disparity) is"
         return Note(text, "it is read as depth", f"give depth in metres, {instead}")
@@ -197,6 +200,23 @@ def black_bars(name: str, within: Sequence[tuple[int, int, int, int] | None]) ->
         "they are read as black walls, and the field of view or intrinsics as those of all the picture",
         f"crop them (ffmpeg -i IN -vf crop={width}:{height}:{left}:{top} OUT)",
     )
+
+
+def round_picture(name: str, image: Float[np.ndarray, "h w 3"]) -> Note | None:
+    """Make the note for a disc in black corners, as a circular fisheye's picture is; else None."""
+    lit: Bool[np.ndarray, "h w"] = image.max(axis=2) > _BLACK
+    if not 0.2 < lit.mean() < 0.9:
+        return None
+    rows, columns = (np.flatnonzero(lit.mean(axis=axis) > _LEAST_BAR) for axis in (1, 0))
+    centre = (rows[0] + rows[-1]) / 2, (columns[0] + columns[-1]) / 2
+    y, x = np.ogrid[: lit.shape[0], : lit.shape[1]]
+    distance = np.hypot(y - centre[0], x - centre[1]) / (max(np.ptp(rows), np.ptp(columns), 1) / 2)
+    rim, outside = lit[(distance > 0.85) & (distance < 0.95)], lit[distance > 1.05]
+    off_centre = np.abs(np.divide(centre, lit.shape) - 0.5).max() > 0.1
+    if off_centre or rim.mean() < 0.9 or outside.size < 0.1 * lit.size or outside.mean() > _LEAST_BAR:
+        return None
+    text = f"{name}: it shows a disc within black, as a circular fisheye does"
+    return Note(text, "it is read as the picture of a pinhole camera", "undistort it, and state fov_deg (--fov)")
 
 
 class PassChecks:

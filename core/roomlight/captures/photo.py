@@ -17,7 +17,7 @@ from jaxtyping import Float
 from roomlight.camera import Intrinsics
 from roomlight.captures.bare_video import DEFAULT_FOV_DEG, bending_lens, panorama_like, unsure_horizon
 from roomlight.captures.decoding import decode_depth_map
-from roomlight.captures.notes import black_bars, unlikely_depth, within_bars
+from roomlight.captures.notes import black_bars, round_picture, unlikely_depth, within_bars
 from roomlight.captures.options import up_vector
 from roomlight.conventions import rotation_to_y_up
 from roomlight.depth import without_unseen
@@ -120,6 +120,8 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     notes = picture.notes if shape is None else (*picture.notes, shape)
     if (barred := black_bars(str(image), [within_bars(colour)])) is not None:
         notes = (*notes, barred)
+    if (disc := round_picture(str(image), colour)) is not None:
+        notes = (*notes, disc)
     estimated = depth is None and (own is None or options.depth_model is not None)
     if depth is not None:
         depth_m = decode_depth_map(read_bytes(depth), str(depth), unit_m=options.depth_unit_m)

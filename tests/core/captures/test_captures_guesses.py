@@ -287,6 +287,7 @@ def seen_room() -> Frame:
         (lambda depth: depth, ""),
         (lambda depth: 3 / depth, r"as 1 / depth \(disparity\) is: .*--depth network"),
         (lambda depth: depth / 8, r"depth is 0.1\d* times what the picture lets expect: .*state depth_unit_m"),
+        (lambda depth: depth / depth.max(), "its largest depth is exactly 1"),
         (lambda depth: 6 * depth, r"depth is \d[.\d]* times what the picture lets expect"),
     ],
 )

@@ -13,6 +13,7 @@ from PIL import ExifTags, Image, ImageCms
 
 from roomlight.captures import open_capture
 from roomlight.captures.bare_video import panorama_like
+from roomlight.captures.notes import round_picture
 from roomlight.captures.photo import PhotoOptions, read_photo
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import ImageError, RoomLightError
@@ -252,6 +253,7 @@ def test_a_zoom_and_a_lens_that_exif_names_are_pointed_out(
 
 def test_a_picture_of_a_panorama_s_aspect_is_pointed_out() -> None:
     assert "by its aspect of 7.68" in str(panorama_like("a.jpg", 500, 3840))
+    assert panorama_like("a.jpg", 1920, 800) is None  # a film
 
 
 @pytest.mark.parametrize(
@@ -299,3 +301,10 @@ def test_an_orientation_that_a_heic_has_in_its_exif_alone_is_noted(tmp_path: Pat
     data = (tmp_path / "p.heic").read_bytes()
     notes = decode_picture(data if turned else data.replace(b"irot", b"free"), "p.heic").notes
     assert ["orientation 6, and the HEIC itself is not" in note.left_out for note in notes] == [True] * (not turned)
+
+
+@pytest.mark.parametrize(("radius", "shift", "noted"), [(48, 0, True), (44, 3, True), (80, 0, False), (30, 20, False)])
+def test_a_disc_within_black_is_pointed_out(radius: int, shift: int, noted: bool) -> None:
+    y, x = np.mgrid[:96, :128]
+    picture = np.where(np.hypot(y - 48, x - 64 - shift) < radius, 0.2, 0.001).astype(np.float32)
+    assert (round_picture("fish.jpg", np.repeat(picture[..., None], 3, axis=2)) is not None) == noted
