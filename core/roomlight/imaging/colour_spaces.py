@@ -22,6 +22,8 @@ _D65: Final = (0.3127, 0.3290)
 _C: Final = (0.310, 0.316)
 REC709: Final[Chromaticities] = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, *_D65)
 ADOBE_RGB: Final[Chromaticities] = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *_D65)
+ACES_AP0: Final[Chromaticities] = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.0770, 0.32168, 0.33767)
+"""Of an EXR that is an ACES image container (SMPTE ST 2065-4)."""
 DISPLAY_P3: Final[Chromaticities] = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *_D65)
 
 PRIMARIES: Final[dict[int, Chromaticities]] = {

@@ -20,7 +20,7 @@ import OpenEXR
 from jaxtyping import Bool, Float, Shaped
 
 from roomlight.errors import ImageError
-from roomlight.imaging.colour_spaces import REC709, to_rec709
+from roomlight.imaging.colour_spaces import ACES_AP0, REC709, to_rec709
 from roomlight.imaging.rates import exact_rate
 from roomlight.notes import Note, oblong_pixels
 
@@ -242,8 +242,9 @@ def _joined(parts: list[tuple[dict[str, Any], dict[str, np.ndarray]]], name: str
                     seen[target] = True
             channels[full] = whole
     stated = parts[0][0].get("chromaticities")
-    primaries = tuple(float(value) for value in np.ravel(stated)) if stated is not None else REC709
-    primaries = primaries if len(primaries) == 8 else REC709
+    default = ACES_AP0 if parts[0][0].get("acesImageContainerFlag") == 1 else REC709
+    primaries = tuple(float(value) for value in np.ravel(stated)) if stated is not None else default
+    primaries = primaries if len(primaries) == 8 else default
     return ExrChannels(name, channels, primaries, seen, tuple(_notes(parts[0][0], name)))
 
 

@@ -10,7 +10,7 @@ from roomlight.captures.decoding import read_rgbd
 from roomlight.errors import ImageError
 from roomlight.files import FolderSource
 from roomlight.images import decode_depth, decode_picture, write_exr
-from roomlight.imaging.colour_spaces import DISPLAY_P3, to_rec709
+from roomlight.imaging.colour_spaces import DISPLAY_P3, REC709, to_rec709
 from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.rates import exact_rate
 
@@ -111,6 +111,9 @@ def test_primaries_of_aces(tmp_path: Path) -> None:
     image = decode_picture(written(tmp_path / "w.exr", grey, chromaticities=ap0), "w.exr").image
     np.testing.assert_allclose(image[0, 0], 0.5, rtol=1e-3)
     np.testing.assert_allclose(to_rec709(ap0)[0], [2.5217, -1.1341, -0.3876], atol=2e-3)
+    for flagged, primaries in ((1, ap0), (0, REC709)):  # SMPTE ST 2065-4's flag stands for them
+        flag = decode_picture(written(tmp_path / "f.exr", PLANE, acesImageContainerFlag=flagged), "f.exr").image
+        np.testing.assert_allclose(flag[0, 0], np.maximum(to_rec709(primaries) @ [0.5, 0.25, 0.125], 0), atol=1e-3)
 
 
 def test_parts_are_layers(tmp_path: Path) -> None:
