@@ -9,6 +9,7 @@ convention says.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Final, NamedTuple
 
 import cv2
@@ -25,13 +26,17 @@ FRAMES: Final = 12
 """Frames that are compared."""
 _SAMPLED: Final = 4
 _COLUMNS: Final = 64
-_PAIRS: Final = 6
+_PAIRS, _TRIED = 6, 24
+_ALONG: Final = 0.8
+"""Cosine between the views of cameras that may share much."""
 _FACTORS: Final = tuple(float(2 ** (step / 2)) for step in range(-7, 8))
 _MIN_MOVE: Final = 0.03
 """Least movement between two cameras, relative to the depth, that tells factors apart."""
 _MIN_SHARED: Final = 0.2
-_CLEAR: Final = 0.5
-"""Disagreement that the best factor may leave, of that without it."""
+_CLEAR, _BACK = 0.5, 0.35
+"""Disagreement that the best factor may leave, and maps that are turned back, of that without."""
+_MEETS, _TOGETHER = 0.08, 0.02
+"""Disagreement up to which maps meet at all (at most 0.05 in captures), and up to which nothing else is tried."""
 
 
 _TURN_DEG: Final = 3.0
@@ -55,8 +60,8 @@ _LOST: Final = 0.4
 """Distance from which on the assumed one is wrong, relative to the features' movement: 0.01 to 0.3 in captures."""
 _HANGING: Final = -0.5
 """Mean cosine of the cameras' up with the assumed one below which they hang upside down."""
-_FALLING, _SMALL, _LARGE = -0.6, 0.2, 4.0
-"""Correlation of depth and its estimate below which it is pointed out, and their ratios beyond which it is."""
+_FALLING, _ODD_RATIO = -0.6, 5.0
+"""Correlation of depth and its estimate below which it is pointed out, and their ratio beyond which it is."""
 _LENGTHS: Final = (1e-3, 1e-2, 1e2, 1e3)
 _FINE: Final = tuple(10 ** (step / 4) for step in range(-14, 15))
 """A power of ten is named only where it is clearly the best of these."""
@@ -282,7 +287,7 @@ def odd_depth(frames: Sequence[Frame]) -> tuple[bool, float] | None:
     """Compare depth with what the network inside the package estimates from each picture alone.
 
     On 120 captures and walks their logarithms correlate by -0.50 to 0.99, and their ratio is 0.67 to 2.9; 0.2 to 3.25
-    for single pictures of 50 rooms.
+    for single pictures of 50 rooms, 4.5 of a drawn one.
 
     Returns:
         Whether depth falls where the estimate rises, as 1 / depth does, and how many times as large it is: medians over
@@ -305,11 +310,11 @@ def odd_depth(frames: Sequence[Frame]) -> tuple[bool, float] | None:
         return None
     correlation, ratio = np.median(compared, axis=0).tolist()
     falls = correlation < _FALLING
-    return (falls, ratio) if falls or not _SMALL < ratio < _LARGE else None
+    return (falls, ratio) if falls or not 1 / _ODD_RATIO < ratio < _ODD_RATIO else None
 
 
 class DepthCheck:
-    """Collects the first frames of a pass; `factor` compares them, `samples` are some of them."""
+    """Collects the first frames of a pass; `mismatch` compares them, `samples` are some of them."""
 
     def __init__(self) -> None:
         self.samples: list[Frame] = []
@@ -324,30 +329,61 @@ class DepthCheck:
         small = cv2.resize(frame.depth_m, size, interpolation=cv2.INTER_NEAREST)
         self._maps.append((small, frame.intrinsics.resized(*size), frame.camera_to_world @ OPENCV_TO_OPENGL))
 
-    def factor(self) -> float | None:
-        """Return the factor on depth that brings maps and poses together; None if 1 does, or none is clear."""
+    def mismatch(self) -> float | str | None:
+        """Return the factor on depth, or the turn of the stored maps, by which maps and poses meet.
+
+        None if they meet as they are, or nothing clearly brings them together.
+        """
         if len(self._maps) < FRAMES:
             return None
         moves = sorted(
             ((self._move(first, second), first, second) for second in range(FRAMES) for first in range(second)),
             reverse=True,
         )
-        errors = np.zeros(len(_FACTORS))
-        pairs = 0
+        errors, pairs = np.zeros(len(_FACTORS)), 0
+        stored = [depth_m for depth_m, _, _ in self._maps]
         for _, first, second in moves:
             if pairs == _PAIRS:
                 break
-            of_pair = [self._disagreement(first, second, factor) for factor in _FACTORS]
+            of_pair = [self._disagreement(first, second, stored, factor) for factor in _FACTORS]
             known = [error for error in of_pair if error is not None]
             if len(known) >= len(_FACTORS) // 2:
                 errors += [max(known) if error is None else error for error in of_pair]
                 pairs += 1
+        if pairs < _LEAST_PAIRS:
+            return None
+        errors /= pairs
         best = int(np.argmin(errors))
         same = len(_FACTORS) // 2
-        moved = moves and moves[0][0] * _FACTORS[-1] > _MIN_MOVE
-        if pairs < 3 or not moved or best in (0, len(_FACTORS) - 1) or abs(best - same) < 2:
+        if errors[same] > _TOGETHER and (turned := self._turned(moves, stored, errors[best])) is not None:
+            return turned
+        moved = moves[0][0] * _FACTORS[-1] > _MIN_MOVE
+        if not moved or best in (0, len(_FACTORS) - 1) or abs(best - same) < 2:
             return None
-        return _FACTORS[best] if errors[best] < _CLEAR * errors[same] else None
+        clear = errors[best] < min(_MEETS, _CLEAR * errors[same])
+        return _FACTORS[best] if clear else None
+
+    def _turned(
+        self, moves: Sequence[tuple[float, int, int]], stored: Sequence[Float[np.ndarray, "h w"]], by_factor: float
+    ) -> str | None:
+        """Return how the maps are stored, if they meet when they are turned back; None if not clearly.
+
+        They must meet better than by a factor, and the same views clearly better than as they are.
+        """
+        facing = [-pose[:3, 2] for _, _, pose in self._maps]
+        pairs = [pair for _, *pair in moves if facing[pair[0]] @ facing[pair[1]] > _ALONG][:_TRIED]
+        rests: dict[str, float] = {}
+        for turn, maps in (
+            ("", stored),
+            ("upside down", [depth_m[::-1] for depth_m in stored]),
+            ("mirrored", [depth_m[:, ::-1] for depth_m in stored]),
+            ("turned by 180 degrees", [depth_m[::-1, ::-1] for depth_m in stored]),
+        ):
+            of_pair = (self._disagreement(first, second, maps) for first, second in pairs)
+            known = list(islice((rest for rest in of_pair if rest is not None), _PAIRS))
+            rests[turn] = float(np.mean(known)) if len(known) >= _LEAST_PAIRS else math.inf
+        best = min(rests, key=rests.__getitem__)
+        return best if rests[best] < min(_MEETS, by_factor, _BACK * rests[""]) else None
 
     def _move(self, first: int, second: int) -> float:
         """Return the way between two cameras, relative to the first one's depth."""
@@ -356,11 +392,13 @@ class DepthCheck:
         known = depth_m[depth_m > 0]
         return way / float(np.median(known)) if known.size else 0.0
 
-    def _disagreement(self, first: int, second: int, factor: float) -> float | None:
-        """Return the median relative difference of two maps; None where they share too little."""
-        (depth_a, camera_a, pose_a), (depth_b, camera_b, pose_b) = self._maps[first], self._maps[second]
-        scaled = depth_a * np.float32(factor)
+    def _disagreement(
+        self, first: int, second: int, depths: Sequence[Float[np.ndarray, "h w"]], factor: float = 1.0
+    ) -> float | None:
+        """Return the median relative difference of two of these maps; None where they share too little."""
+        (_, camera_a, pose_a), (_, camera_b, pose_b) = self._maps[first], self._maps[second]
+        scaled = depths[first] * np.float32(factor)
         moved = registered(scaled, camera_a, camera_b, rigid_inverse(pose_b) @ pose_a)
-        there = cv2.resize(depth_b, moved.shape[::-1], interpolation=cv2.INTER_NEAREST) * np.float32(factor)
+        there = cv2.resize(depths[second], moved.shape[::-1], interpolation=cv2.INTER_NEAREST) * np.float32(factor)
         both = (moved > 0) & (there > 0)
         return float(np.median(np.abs(moved[both] / there[both] - 1))) if both.mean() > _MIN_SHARED else None

@@ -82,6 +82,12 @@ def wrong_scale(name: str, factor: float | None) -> Note:
     )
 
 
+def turned_maps(name: str, turn: str) -> Note:
+    """Make the note for depth that meets by the poses only if its maps are turned back."""
+    advice = "store them in the rows and columns of their pictures"
+    return Note(f"{name}: depth agrees with the poses if its maps are {turn}", "light comes from wrong places", advice)
+
+
 def unlikely_depth(name: str, frames: Sequence[Frame]) -> Note | None:
     """Make the note for depth that the picture contradicts; else None."""
     instead = "or none (of a recording: --depth network): it is then estimated"
@@ -268,8 +274,9 @@ class PassChecks:
 
     def _notes_of_first(self) -> Iterator[Note]:
         """Yield notes of depth that contradicts the poses, or, where any tool wrote it, the pictures; and of bars."""
-        if (factor := self._depths.factor()) is not None:
-            yield wrong_scale(self._name, factor)
+        if (mismatch := self._depths.mismatch()) is not None:
+            is_turned = isinstance(mismatch, str)
+            yield turned_maps(self._name, mismatch) if is_turned else wrong_scale(self._name, mismatch)
         elif self._format in _OF_ANY_TOOL and (odd := unlikely_depth(self._name, self._depths.samples)) is not None:
             yield odd
         if (barred := black_bars(self._name, self._within)) is not None:

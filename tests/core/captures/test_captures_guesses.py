@@ -15,7 +15,9 @@ import tool_formats
 from capture_checks import edit, first_of, notes_of, one_skipped, refused, same_views
 from slow_images import chunk
 
+from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions, open_capture
+from roomlight.captures.consistency import DepthCheck
 from roomlight.captures.photo import PhotoOptions, read_photo
 from roomlight.errors import UnknownFormatError
 from roomlight.frame import Frame
@@ -308,3 +310,12 @@ def test_depth_that_the_picture_contradicts_is_pointed_out(
         notes = [note for note in notes_of(tmp_path) if "first pose is the identity" not in note]
         assert "lets expect" not in str(notes_of(tmp_path, CaptureOptions(depth_unit_m=1.0)))
     assert re.search(said, " ".join(notes)) if said else not notes
+
+
+def test_maps_that_are_mirrored_are_pointed_out() -> None:
+    check, lens = DepthCheck(), Intrinsics(28.0, 27.0, 16.0, 12.0, 32, 24)
+    picture = np.zeros((24, 32, 3), np.float32)
+    for view in formats.scene(12):
+        mirrored = np.ascontiguousarray(view.depth_m[:, ::-1], np.float32)
+        check.add(Frame(0, picture, picture[..., 0] > 0, mirrored, lens, view.pose, source="frame"))
+    assert check.mismatch() == "mirrored"
