@@ -42,8 +42,8 @@ def light(
         reading: How to read the photograph.
         options: How to estimate the light.
         out: Folder for panoramas and pictures.
-        depth: Its depth: 16-bit PNG in millimetres, EXR in metres, or .npy or TIFF (integers: mm, floats: m). Default:
-            the depth map inside a HEIC portrait, else estimated.
+        depth: Its depth along the view's axis: 16-bit PNG in millimetres, EXR in metres, or .npy or TIFF (integers: mm,
+            floats: m). Default: the depth inside a HEIC portrait or an EXR, else estimated.
         forms: Also write the light in this form: usdz, glb, ktx2, ... Repeatable.
     """
     if image.suffix.lower() in DEMUXERS:
