@@ -50,10 +50,12 @@ from roomlight.compositing.rendering import shadows
 from roomlight.compositing.rendering.renderer import RenderedObjects, render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects, is_rigid
 from roomlight.compositing.rendering.unseen_lamps import ShadowLights
+from roomlight.conventions import srgb8_to_linear
 from roomlight.depth import complete_depth
+from roomlight.engine.networks.clipping import white_of
 from roomlight.engine.session import Session
 from roomlight.errors import OptionError, SceneError
-from roomlight.frame import Frame
+from roomlight.frame import CLIPPED_SRGB8, Frame
 
 Quality = Literal["preview", "good", "final"]
 
@@ -64,8 +66,18 @@ LIGHT_EVERY_S: Final[dict[Quality, float]] = {"preview": 0.13, "good": 0.0, "fin
 DEPTH_COLUMNS: Final[dict[Quality, int]] = {"preview": 256, "good": 640, "final": 640}
 SAME_MOVE: Final = 1e-6
 """Objects whose transforms differ by less have moved together: a micrometre."""
+NEAR_WHITE: Final = 235
+"""8-bit sRGB value from which a window's pixels keep their light, ever more up to `CLIPPED_SRGB8`."""
 SHADOW_COLUMNS: Final = 640
 """Shadows of wider frames are computed as for frames of about this width, and interpolated."""
+
+
+def clipped_share(frame: Frame, crop: Crop) -> Float32[np.ndarray, "ch cw"]:
+    """Return how far all channels of the pixels of a crop are clipped: 0 below `NEAR_WHITE`, 1 at white."""
+    low, high = srgb8_to_linear(np.array([NEAR_WHITE, CLIPPED_SRGB8], np.uint8))
+    red, green, blue = np.moveaxis(frame.image[crop.slices], -1, 0)
+    least = np.minimum(np.minimum(red, green), blue) / np.float32(white_of(frame) if frame.clipped.any() else np.inf)
+    return np.clip((least - low) / (high - low), 0, 1)
 
 
 def shadow_step(quality: Quality, width: int) -> int:
@@ -327,6 +339,7 @@ class Compositor:
             replace(shadows.QUALITIES[self.quality], step=shadow_step(self.quality, frame.intrinsics.width)),
             supports=posed.planes,
             smooth=smooth,
+            white=clipped_share(frame, crop),
         )
 
     def _caster(self, members: list[int], posed: PosedObjects) -> shadows.Caster:

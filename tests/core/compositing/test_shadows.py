@@ -220,3 +220,25 @@ def test_ratios_around_a_ball_on_a_grey_floor_are_those_of_mitsuba(albedo, sides
         beside = np.hypot(grid.points[..., 0], grid.points[..., 2])
         for (begin, end), expected in zip(((0.22, 0.27), (0.27, 0.35), (0.35, 0.5)), sides, strict=True):
             assert ratio[(beside > begin) & (beside < end)].mean() == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize("place", ["wall", "floor"])
+def test_a_window_keeps_its_light_and_the_suns_patch_on_a_floor_does_not(place):
+    toward = unit(0.3, 0.8, -0.5) if place == "wall" else unit(0.3, -0.05, 0.0)
+    shaded = ball(lit(120, [(toward, 12.0, 30.0)], level=0.3), height=0.8)
+    shaded.reflection.position = (0.0, 0.0, 0.0) if place == "wall" else (0.0, 0.05, 0.0)
+    pose = camera_at((0.0, 0.8, 1.6)) if place == "wall" else POSE
+    depth_m = np.full((120, 160), 2.1, np.float32) if place == "wall" else floor_depth()
+    bare, kept = (
+        shadow_ratio([shaded], depth_m, CAMERA, pose, QUALITIES["good"], white=white)
+        for white in (None, np.ones_like(depth_m))
+    )
+    grid = surface_grid(depth_m, CAMERA, pose, [FLOOR])
+    offset = grid.points - np.array(shaded.reflection.position, np.float32)
+    window = offset @ toward > np.cos(np.radians(10)) * np.linalg.norm(offset, axis=-1)
+    assert np.abs(bare[window] - 1).max() > 0.02
+    if place == "wall":
+        np.testing.assert_allclose(kept[window], 1, atol=1e-3)
+        assert kept.min() < 0.95
+    else:
+        np.testing.assert_array_equal(kept, bare)

@@ -63,6 +63,8 @@ _MOST_REFLECTED: Final = np.float32(12.0)
 """Of one pixel's few rays, relative to its irradiance; the mean over neighbours is limited by `RATIO_RANGE`."""
 _MOST_ALBEDO: Final = 0.8
 """Of floors and tables: white paint."""
+_FACING_UP: Final = 0.7
+"""Cosine to the vertical of floors and tables, at least."""
 _LEAST_ROUGHNESS: Final = 0.3
 """Of mirrors that light matte surfaces, as in the renderer's paths."""
 _BLOCK_RAYS: Final = 1 << 17
@@ -169,6 +171,7 @@ def shadow_ratio(
     *,
     supports: list[Plane] | None = None,
     smooth: Smoothing | None = None,
+    white: Float32[np.ndarray, "h w"] | None = None,
 ) -> Float32[np.ndarray, "h w 3"]:
     """Return light with objects / light without them on the real surfaces of an image.
 
@@ -180,6 +183,7 @@ def shadow_ratio(
         quality: Effort; its `step` is the distance of the pixels that are computed.
         supports: Planes that objects stand on; default: those of the casters.
         smooth: Changes the ratio of the computed pixels, given their surfaces, depth and camera.
+        white: How far a pixel of the image is clipped, 0 to 1: windows and lamps there keep their light.
     """
     step = quality.step
     coarse_depth = np.ascontiguousarray(depth_m[step // 2 :: step, step // 2 :: step], np.float32)
@@ -196,14 +200,33 @@ def shadow_ratio(
     if smooth is not None:
         ratio = smooth(ratio, grid, coarse_depth, coarse_camera)
     out = spread_ratio(ratio, grid.known, coarse_depth, depth_m, step)
-    if step == 1:
-        return out
     pixel_m = coarse_depth / np.float32(coarse_camera.fx)
     for caster, (part, occluder_m) in zip(casters, parts, strict=True):
         fine = grid.known & (occluder_m < _CONTACT_PIXELS * pixel_m) & (part.min(axis=-1) < _CONTACT_RATIO)
-        if fine.any():
+        if step > 1 and fine.any():
             coarse = _Coarse(part, grid.known, coarse_depth, fine)
             _add_contact(out, caster, coarse, depth_m, (camera, camera_to_world, supports), quality)
+    if white is not None and white.any():
+        emits = np.max([_emits(caster, grid) for caster in casters], axis=0)
+        share = cv2.resize(cv2.dilate(emits, np.ones((5, 5), np.uint8)), white.shape[::-1]) * white
+        out = 1 + (out - 1) * (1 - share[..., None])
+    return out
+
+
+def _emits(caster: Caster, grid: SurfaceGrid) -> Float32[np.ndarray, "h w"]:
+    """Return where the panorama shows more light than a white surface would reflect: windows and lamps, 0 to 1.
+
+    What faces up counts as a floor or table in the sun, whose light the panorama may lack.
+    """
+    out = np.zeros(grid.known.shape, np.float32)
+    normals = grid.normals[grid.known]
+    toward = grid.points[grid.known] - np.array(caster.reflection.position, np.float32)
+    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), np.float32(1e-6))
+    matte = caster.light.prefiltered[-1]
+    u, v = np.moveaxis(direction_to_uv(normals), -1, 0)
+    rows, columns = (np.minimum(at * size, size - 1).astype(int) for at, size in ((v, len(matte)), (u, matte.shape[1])))
+    shown, most = (light @ _THIRDS for light in (caster.reflection.radiance(toward), matte[rows, columns]))
+    out[grid.known] = np.clip(shown / np.maximum(most, np.float32(1e-6)) - 1, 0, 1) * (normals[:, 1] < _FACING_UP)
     return out
 
 
@@ -377,7 +400,7 @@ def _at_least_seen(
     matte = caster.light.prefiltered[-1]
     u, v = direction_to_uv(-up[None])[0]
     below = matte[min(int(v * len(matte)), len(matte) - 1), min(int(u * matte.shape[1]), matte.shape[1] - 1)]
-    facing = (normals @ up.astype(np.float32) > 0.7)[:, None]
+    facing = (normals @ up.astype(np.float32) > _FACING_UP)[:, None]
     return np.where(facing, np.maximum(irradiance, np.float32(np.pi / _MOST_ALBEDO) * below), irradiance)
 
 
