@@ -516,3 +516,18 @@ def test_clear_coat_and_sheen_are_read_with_their_textures() -> None:
     assert material.clearcoat_roughness_texture is material.clearcoat_texture
     assert material.sheen_roughness_texture is material.clearcoat_texture
     assert ["clear coat" in note.left_out for note in one.notes] == [True]
+
+
+@pytest.mark.parametrize(
+    ("mode", "double", "one_sided"), [("BLEND", False, True), ("BLEND", True, False), ("MASK", False, False)]
+)
+def test_backs_of_single_sided_surfaces_are_not_blended(mode: str, double: bool, one_sided: bool) -> None:
+    material, one = material_of({"alphaMode": mode, "doubleSided": double})
+    assert (material.one_sided, one.notes) == (one_sided, ())
+
+
+def test_frosted_glass_is_noted() -> None:
+    clear = {"KHR_materials_transmission": {"transmissionFactor": 1}}
+    for roughness in (0.05, 0.5):
+        _, one = material_of({"extensions": clear, "pbrMetallicRoughness": {"roughnessFactor": roughness}})
+        assert ["frosted" in note.effect for note in one.notes] == [True] * (roughness > 0.1)

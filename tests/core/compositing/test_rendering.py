@@ -313,3 +313,10 @@ def test_rays_meet_and_miss_objects() -> None:
     np.testing.assert_allclose(hits.distance_m, [1.5, 1.75, np.inf], rtol=1e-3)
     assert scene.blocked(origins, directions).tolist() == [True, True, False]
     assert scene.blocked(origins, directions, np.full(3, 1.6, np.float32)).tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize(("one_sided", "share"), [(True, 0.4), (False, 0.64)])
+def test_opacity_covers_evenly_and_once_where_backs_are_not_there(one_sided: bool, share: float) -> None:
+    ball = sphere(0.5, Material(opacity=0.4, one_sided=one_sided))
+    alpha = rendered([ball], 1.0, paths(64, 3)).alpha[20:28, 28:36]
+    np.testing.assert_allclose(alpha, share, atol=1 / 64 + 1e-6)

@@ -295,15 +295,18 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         # 2. What the ray meets: colours, side and place.
         b, c = hits.u[i], hits.v[i]
         d = (paths.direction[i, 0], paths.direction[i, 1], paths.direction[i, 2])
-        base, shares, emitted = colours(world, face, b, c)
         key = view.key[slot // settings.samples]
         number = settings.first + slot % settings.samples
         chance, choice = point(key, number, dimension)
         flat = geometric_normal(world.surfaces, face)
         side = 1.0 if flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] < 0 else -1.0
+        base, shares, emitted = colours(world, face, b, c, side)
         flat = (flat[0] * side, flat[1] * side, flat[2] * side)
         place = points(world.surfaces, face, b, c, side)
-        # 3. A cut-out lets the ray pass; as it stops shadow rays, the path brings all of the light behind it.
+        # 3. A cut-out lets the ray pass; as it stops shadow rays, the path brings all of the light behind it. What a
+        # camera ray passes is decided by one number, so that the shares of several layers are as even as of one.
+        if settings.depth > 0 and paths.flags[i] & PRIMARY:
+            chance = paths.layer[i] * 1.0
         if chance >= shares[2]:
             through = (
                 place[0][0] - settings.offset_m * flat[0],
@@ -314,6 +317,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
                 escaped += _escape(world, paths, i, film, settings, weights, escape, escaped)
             else:
                 _continue(paths, i, live, through, d, (1.0, 1.0, 1.0), 1.0, paths.flags[i])
+                paths.layer[live] = (chance - shares[2]) / (1 - shares[2])
                 live += 1
             continue
         # 4. The first surface of a camera ray is recorded; every surface adds the light that it emits.

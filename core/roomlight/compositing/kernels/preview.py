@@ -106,9 +106,9 @@ def shade_hits(world, mips, view, paths, hits, film, begin, end):
             continue
         b, c = hits.u[i], hits.v[i]
         d = (paths.direction[i, 0] * 1.0, paths.direction[i, 1] * 1.0, paths.direction[i, 2] * 1.0)
-        base, shares, emitted = colours(world, face, b, c)
         flat = geometric_normal(world.surfaces, face)
         side = 1.0 if flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] < 0 else -1.0
+        base, shares, emitted = colours(world, face, b, c, side)
         place = points(world.surfaces, face, b, c, side)[0]
         normal = shading_normal(world, face, b, c, d, side, True)
         probe_weights(world.light.position, place[0], place[1], place[2], weights)

@@ -55,8 +55,8 @@ def texture_coordinates(surfaces, face, b, c):
 
 
 @njit(**JIT)
-def colours(world, face, b, c):
-    """Return the material's (base r, g, b), (metallic, roughness, opacity) and (emissive r, g, b)."""
+def colours(world, face, b, c, side):
+    """Return (base r, g, b), (metallic, roughness, opacity) and (emissive r, g, b); `side` is -1 for a face's back."""
     materials, textures = world.materials, world.textures
     m = world.surfaces.material[face]
     red, green, blue = materials.base[m, 0], materials.base[m, 1], materials.base[m, 2]
@@ -82,6 +82,8 @@ def colours(world, face, b, c):
     cutoff = materials.cutoff[m]
     if cutoff >= 0:
         shares = (shares[0], shares[1], 1.0 if shares[2] >= cutoff else 0.0)
+    if side < 0 and materials.one_sided[m]:
+        shares = (shares[0], shares[1], 0.0)
     return base, shares, emitted
 
 

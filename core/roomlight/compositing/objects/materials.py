@@ -22,7 +22,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Bool, Float32, Int32
 
 from roomlight.compositing.objects.textures import Texture, TextureArrays, texture_arrays
 from roomlight.errors import ObjectError
@@ -58,6 +58,7 @@ class Material:
         transmission: Share of the surface that is smooth glass.
         opacity: Share of the surface that is there; rays pass straight through the rest.
         alpha_cutoff: If given, the surface is there where opacity x texture alpha reaches it, and nowhere else.
+        one_sided: Whether the surface is not there for what the camera sees of its back.
         clearcoat: Strength of a clear coat over the surface.
         clearcoat_roughness: Of the coat, perceptual.
         sheen: Linear RGB that cloth reflects at grazing angles; black is none.
@@ -85,6 +86,7 @@ class Material:
     transmission: float = 0.0
     opacity: float = 1.0
     alpha_cutoff: float | None = None
+    one_sided: bool = False
     clearcoat: float = 0.0
     clearcoat_roughness: float = 0.0
     sheen: Colour = (0.0, 0.0, 0.0)
@@ -152,6 +154,7 @@ class MaterialArrays(NamedTuple):
     transmission: Float32[np.ndarray, " m"]
     opacity: Float32[np.ndarray, " m"]
     cutoff: Float32[np.ndarray, " m"]
+    one_sided: Bool[np.ndarray, " m"]
     clearcoat: Float32[np.ndarray, " m"]
     clearcoat_roughness: Float32[np.ndarray, " m"]
     sheen: Float32[np.ndarray, "m 3"]
@@ -189,6 +192,7 @@ def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, Text
         transmission=column("transmission"),
         opacity=column("opacity"),
         cutoff=np.array([-1 if cutoff is None else cutoff for cutoff in cutoffs], np.float32),
+        one_sided=np.array([material.one_sided for material in materials]),
         clearcoat=column("clearcoat"),
         clearcoat_roughness=column("clearcoat_roughness"),
         sheen=np.array([material.sheen for material in materials], np.float32),

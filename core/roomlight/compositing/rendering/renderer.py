@@ -119,6 +119,7 @@ class _Paths(NamedTuple):
     direction: Float32[np.ndarray, "n 3"]
     throughput: Float32[np.ndarray, "n 3"]
     share: Float32[np.ndarray, " n"]
+    layer: Float32[np.ndarray, " n"]
     flags: UInt8[np.ndarray, " n"]
     slot: Int32[np.ndarray, " n"]
 
@@ -268,8 +269,9 @@ def _film(count: int, *, extra: bool = True) -> _Film:
 
 def _paths(count: int) -> _Paths:
     origin, direction, throughput = np.empty((3, count, 3), np.float32)
-    share, flags, slot = np.empty(count, np.float32), np.empty(count, np.uint8), np.empty(count, np.int32)
-    return _Paths(origin, direction, throughput, share, flags, slot)
+    share, layer = np.empty((2, count), np.float32)
+    flags, slot = np.empty(count, np.uint8), np.empty(count, np.int32)
+    return _Paths(origin, direction, throughput, share, layer, flags, slot)
 
 
 def _queue(count: int) -> _Queue:

@@ -33,6 +33,8 @@ from roomlight.notes import Note
 
 _DIELECTRIC = 0.04
 _MAX_GLASS_IOR = 3.0
+_MOST_CLEAR = 0.1
+"""Roughness of glass above which what is behind it would be blurred."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +113,13 @@ class MaterialReader:
             material = self._tinted_by_depth(material, stated, label, notes)
         material = self._rest(material, stated, coat, sheen, pixels, means)
         material = self._with_edges(material, slots)
+        if stated.alphaMode == "BLEND" and not stated.doubleSided and material.transmission == 0:
+            material = replace(material, one_sided=True)
+        grains = pixels["rough"]
+        frosted = material.roughness * (1.0 if grains is None else float(grains[..., 1].mean()) / 255)
+        if material.transmission > 0 and frosted > _MOST_CLEAR:
+            frosting = f"{label}: the roughness of its glass ({frosted:.2g})"
+            notes.append(Note(frosting, "it is clear, not frosted", "use alphaMode BLEND to veil what is behind"))
         if coat.clearcoatNormalTexture is not None:
             notes.append(Note(f"{label}: relief of its clear coat", "the coat is smooth", "nothing to do"))
         if stated.occlusionTexture is not None:

@@ -128,7 +128,7 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
         notes.append(Note(f"{name}: primitives of points or lines ({lines})", "they are missing", "export surfaces"))
     for surface in surfaces.values():
         notes.extend(surface.notes)
-    single_sided = [mesh for mesh, surface in drawn if not surface.double_sided]
+    single_sided = [mesh for mesh, surface in drawn if not surface.double_sided and not surface.material.one_sided]
     if any(material.doubleSided for material in gltf.materials) and _are_open(single_sided):
         lost = f"{name}: single-sided surfaces that enclose nothing"
         notes.append(Note(lost, "they show from behind as well", "nothing to do if it looks right"))
