@@ -19,7 +19,7 @@ from roomlight.compositing.picture.layer_files import (
     encode_picture,
 )
 from roomlight.compositing.picture.layers import Composite
-from roomlight.compositing.placement.scene import Scene, load_scene
+from roomlight.compositing.placement.scene import MAX_SIZE_M, Scene, load_scene
 from roomlight.compositing.recordings import composite_capture, scene_of_object
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError, OutputError
@@ -62,7 +62,7 @@ class ObjectOptions:
     object: Annotated[str | None, Flag(metavar="FILE|SHAPE")] = None
     pixel: tuple[float, float] | None = None
     material: Literal["diffuse", "glossy", "metal", "mirror", "glass"] | None = None
-    size_m: Annotated[float | None, Flag(metavar="M")] = None
+    size_m: Annotated[float | None, Interval(gt=0, le=MAX_SIZE_M), Flag(metavar="M")] = None
     yaw_degrees: float = 0.0
     up: Literal["y", "z"] = "y"
 
@@ -204,7 +204,8 @@ class _ReportedFrames:
 
     def __iter__(self) -> Iterator[Frame]:
         name, total = next(self._passes), self._capture.frame_count
-        self._report(name, 0, total)
+        is_read = name.startswith("reading")  # else the first frame takes longest, and is not of the pace
+        self._report(name if is_read else f"{name}: places, light and first picture", 0, total)
         size = ""
         for number, frame in enumerate(self._capture, 1):
             own = f"{frame.intrinsics.width} x {frame.intrinsics.height}"

@@ -144,8 +144,9 @@ def test_progress_counts_the_frames_of_each_pass(roomlight, capture, tmp_path, m
     shown = []
     monkeypatch.setattr(Progress, "count_of", lambda _, *state: shown.append(state))
     assert roomlight("composite", capture, *BALL, *FAST, "--out", tmp_path / "out").code == 0
-    passes = ("reading the room (pass 1 of 2)", "compositing (pass 2 of 2)")
-    assert shown == [(name, done, 3) for name in passes for done in range(4)]
+    first, second = "reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"
+    begun = (f"{second}: places, light and first picture", 0, 3)
+    assert shown == [*((first, done, 3) for done in range(4)), begun, *((second, done, 3) for done in range(1, 4))]
 
 
 @pytest.mark.slow
@@ -163,7 +164,7 @@ def test_what_makes_long_work_shorter_is_told(roomlight, capture, tmp_path, monk
         (("--object", "sphere"), "--object needs --pixel"),
         (("--object", "sphere", "--pixel", "3"), "a pixel is U,V"),
         (("--object", "blob", "--pixel", "3,3"), "neither a file nor one of the shapes sphere"),
-        (("--object", "sphere", "--size", "-1", "--pixel", "3,3"), "size_m"),
+        (("--object", "sphere", "--size", "-1", "--pixel", "3,3"), "Invalid value: --size is -1.0"),
         (("--object", "sphere", "--pixel", "300,3"), "must lie in the image of 64 x 48 pixels"),
         (("--scene", "missing.json"), "missing.json: cannot be read"),
         (("--scene", "missing.json", "--size", "1"), "--size: belongs to --object"),

@@ -12,7 +12,8 @@ from typing import Any
 from roomlight.captures import open_capture
 from roomlight.compositing.compositor import Compositor
 from roomlight.compositing.picture.layers import Composite
-from roomlight.compositing.placement.scene import SHAPE_SIZE_M, Scene, SceneObject, load_scene, parse_scene
+from roomlight.compositing.placement.places import check_pixel
+from roomlight.compositing.placement.scene import SHAPE_SIZE_M, AtPixel, Scene, SceneObject, load_scene, parse_scene
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, OptionError, SceneError
 from roomlight.frame import Frame
@@ -103,7 +104,8 @@ def _composited(
     frames: Iterable[Frame], compositor: Compositor, session: Session, *, online: bool
 ) -> Iterator[Composite]:
     if not online:
-        for frame in frames:
+        for number, frame in enumerate(frames):
+            _check_pixels(compositor.scene, frame, is_first=number == 0)
             session.push(frame)
     any_frame = False
     for frame in frames:
@@ -115,3 +117,14 @@ def _composited(
         raise CaptureError("the recording has no usable frame")
     if compositor.waiting:
         raise SceneError(f"{', '.join(compositor.waiting)}: the recording has no frame of the index that `frame` names")
+
+
+def _check_pixels(scene: Scene, frame: Frame, *, is_first: bool) -> None:
+    """Raise SceneError for an object whose pixel lies outside this frame: before the recording is read to its end."""
+    for number, item in enumerate(scene.objects):
+        place = item.place
+        if isinstance(place, AtPixel) and (place.frame == frame.index or (is_first and place.frame is None)):
+            try:
+                check_pixel(frame, place.u, place.v)
+            except SceneError as error:
+                raise SceneError(f"objects[{number}] ({item.name}): {error}") from error

@@ -37,7 +37,7 @@ def test_online_pictures_know_only_earlier_frames():
     assert (made(FRAMES, online=True)[0].image == first.image).all()
 
 
-def test_recordings_that_do_not_fit_are_refused():
+def test_recordings_that_do_not_fit_are_refused(monkeypatch):
     with pytest.raises(OptionError, match="can be read once"):
         made(iter(FRAMES))
     assert len(made(iter(FRAMES), online=True)) == 3
@@ -46,6 +46,10 @@ def test_recordings_that_do_not_fit_are_refused():
     late = [SceneObject("late", sphere(0.1), AtPixel(32.0, 36.0, frame=99))]
     with pytest.raises(SceneError, match="late: the recording has no frame"):
         made(FRAMES, late, online=True)
+    outside = [SceneObject("outside", sphere(0.1), AtPixel(300.0, 3.0))]
+    monkeypatch.setattr(rl.Session, "push", lambda *_: pytest.fail("a frame was read for its light"))
+    with pytest.raises(SceneError, match=r"objects\[0\] \(outside\): pixel: must lie in the image"):
+        made(FRAMES, outside)
 
 
 @pytest.mark.parametrize("shape", SHAPE_SIZE_M)

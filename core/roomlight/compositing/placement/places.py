@@ -154,6 +154,16 @@ def place_at_pixel(
     return Placement(place_by_pose(pose, box, anchor=anchor).object_to_world, plane, kind)
 
 
+def check_pixel(frame: Frame, u: float, v: float) -> None:
+    """Raise SceneError for a pixel outside the image."""
+    height, width = frame.image.shape[:2]
+    if not (0 <= u < width and 0 <= v < height):
+        raise SceneError(
+            f"pixel: must lie in the image of {width} x {height} pixels (columns 0 to {width - 1}, rows 0 to "
+            f"{height - 1}); got {u:g},{v:g}"
+        )
+
+
 def surface_at_pixel(
     geometry: RoomGeometry, frame: Frame, u: float, v: float, *, radius_m: float = 0.1
 ) -> tuple[Plane, SurfaceKind]:
@@ -165,12 +175,7 @@ def surface_at_pixel(
     Raises:
         SceneError: the pixel is outside the image, or no surface is known behind it.
     """
-    height, width = frame.image.shape[:2]
-    if not (0 <= u < width and 0 <= v < height):
-        raise SceneError(
-            f"pixel: must lie in the image of {width} x {height} pixels (columns 0 to {width - 1}, rows 0 to "
-            f"{height - 1}); got {u:g},{v:g}"
-        )
+    check_pixel(frame, u, v)
     row, column, ray = depth_pixel(frame, u, v)
     direction = frame.camera_to_world[:3, :3] @ (ray / np.linalg.norm(ray))
     origin = frame.camera_to_world[:3, 3]
