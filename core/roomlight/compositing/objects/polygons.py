@@ -95,7 +95,7 @@ def face_normals(points: Float[np.ndarray, "n 3"], faces: Integer[np.ndarray, "f
 
 def row_keys(rows: Float[np.ndarray, "n c"]) -> UInt64[np.ndarray, " n"]:
     """Return a number for each row, the same for equal rows: sorting rows themselves takes ten times as long."""
-    bits = (np.ascontiguousarray(rows, np.float32) + np.float32(0)).view(np.uint32).astype(np.uint64)
+    bits = (np.ascontiguousarray(rows, np.float32) + np.float32(0)).view(np.uint32)
     keys = np.zeros(len(rows), np.uint64)
     for column in range(bits.shape[1]):
         keys = (keys ^ bits[:, column]) * np.uint64(0x9E3779B97F4A7C15)

@@ -80,9 +80,9 @@ def joined_corners(
     in_order = np.argsort(first)
     rank = np.empty(len(first), np.int64)
     rank[in_order] = np.arange(len(first))
-    kept = rows[first[in_order]]
-    mesh = TriangleMesh.build(kept[:, :3], rank[index].reshape(-1, 3), normals=kept[:, 5:8], uvs=kept[:, 3:5])
-    return mesh, None if colours is None else kept[:, 8:]
+    rows = rows[first[in_order]]
+    mesh = TriangleMesh.build(rows[:, :3], rank[index].reshape(-1, 3), normals=rows[:, 5:8], uvs=rows[:, 3:5])
+    return mesh, None if colours is None else rows[:, 8:]
 
 
 def colours_in_range(encoded: Float[np.ndarray, "n c"], name: str) -> tuple[Float[np.ndarray, "n c"], list[Note]]:

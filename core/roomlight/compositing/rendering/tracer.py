@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Float32, Int32
 from roomlight.camera import rigid_inverse
 from roomlight.compositing.kernels.rigid import fill_open, grow_boxes, turn_vectors
 from roomlight.compositing.objects.materials import Material, material_arrays
+from roomlight.compositing.objects.polygons import row_keys
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.conventions import panorama_directions
 from roomlight.errors import ObjectError
@@ -21,7 +22,7 @@ MAX_TRIANGLES: Final = 2_000_000
 _RIGID: Final = 1e-6
 _OPEN_TESTS: Final = 200_000_000
 """Most tests of a corner against a plane for `TracedObjects.is_open`: 0.1 s; a sphere of 14,000 triangles."""
-_EVERYWHERE: Final = panorama_directions(12).reshape(-1, 3).T.astype(np.float32)
+_EVERYWHERE: Final = panorama_directions(12).reshape(-1, 3).astype(np.float32)
 """Directions in which the farthest corners are tested first; most planes have one of them above."""
 _NOWHERE: Final = np.zeros(3, np.float32)
 
@@ -155,9 +156,10 @@ class TracedObjects:
 
     @cached_property
     def _is_open(self) -> Bool[np.ndarray, " f"]:
-        vertices = np.unique(self.surfaces.corners.reshape(-1, 3), axis=0)
+        corners = self.surfaces.corners.reshape(-1, 3)
+        vertices = corners[np.unique(row_keys(corners), return_index=True)[1]]
         open_faces = np.zeros(len(self.surfaces.corners), bool)
-        extremes = vertices[np.unique(np.argmax(vertices @ _EVERYWHERE, axis=0))]
+        extremes = vertices[np.unique([np.argmax(vertices @ toward) for toward in _EVERYWHERE])]
         tolerance = np.float32(0.25 * self.offset_m())
         fill_open(self.surfaces.corners, extremes, tolerance, np.ones_like(open_faces), open_faces)
         if int(open_faces.sum()) * len(vertices) > _OPEN_TESTS:

@@ -363,8 +363,9 @@ def _flat(
 ) -> tuple[TriangleMesh, Float32[np.ndarray, "m 4"] | None]:
     """Give each triangle its own corners and normal. Raises ObjectError."""
     corners = arrays.faces.reshape(-1)
-    normals = np.repeat(face_normals(points, arrays.faces), 3, axis=0)
+    normals = face_normals(points, arrays.faces)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    normals = np.repeat(normals.astype(np.float32), 3, axis=0)
     uvs = np.zeros((len(corners), 2), np.float32) if arrays.uvs is None else arrays.uvs[corners]
     return joined_corners(points[corners], uvs, normals, None if arrays.colours is None else arrays.colours[corners])
 
