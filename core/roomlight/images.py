@@ -31,7 +31,7 @@ from roomlight.imaging.colour_spaces import ColourSpace
 from roomlight.imaging.exif import ExifCamera, oriented, read_exif
 from roomlight.imaging.exr import exr_size, read_exr
 from roomlight.imaging.heic import heic_exif, heic_size, is_heic, read_heic
-from roomlight.imaging.limits import MAX_JPEG_SEGMENTS, check_jpeg, check_png
+from roomlight.imaging.limits import MAX_JPEG_SEGMENTS, check_jpeg, check_png, png_of_pixels
 from roomlight.imaging.radiance import read_header, standard_size
 from roomlight.imaging.tags import ImageTags, profile_to_srgb8, read_tags
 from roomlight.notes import Note, oblong_pixels
@@ -305,7 +305,7 @@ def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray
     if data[:2] == _JPEG and check_jpeg(data, name) is None:
         data = _ended(data, name)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        image = cv2.imdecode(np.frombuffer(png_of_pixels(data), np.uint8), flags)
     except cv2.error as error:
         raise ImageError(f"{name}: does not decode ({error.err})") from error
     if image is None:  # pyright: ignore[reportUnnecessaryComparison]  (OpenCV's own stub leaves the None out)

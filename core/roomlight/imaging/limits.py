@@ -23,6 +23,7 @@ MAX_PNG_COMPRESSED_CHUNKS: Final = 8
 _MARKER: Final = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")
 _START_OF_SCAN, _END = 0xDA, 0xD9
 _COMPRESSED: Final = (b"zTXt", b"iTXt", b"iCCP")
+_PIXELS: Final = (b"IHDR", b"PLTE", b"tRNS", b"acTL", b"fcTL", b"IDAT", b"fdAT", b"IEND")
 
 
 def check_jpeg(data: bytes, name: str) -> int | None:
@@ -66,3 +67,19 @@ def check_png(data: bytes, name: str) -> int | None:
         if kind == b"IEND":
             return offset if offset <= len(data) else None
     return None
+
+
+def png_of_pixels(data: bytes) -> bytes:
+    """Return a PNG without the chunks that hold no pixels; other files, and PNGs without an end, as they are.
+
+    libpng prints what is wrong with such chunks on standard error, without the file's name.
+    """
+    offset, parts = 8, [data[:8]]
+    while data[:4] == b"\x89PNG" and offset + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, offset)
+        if kind in _PIXELS:
+            parts.append(data[offset : offset + 12 + length])
+        offset += 12 + length
+        if kind == b"IEND":
+            return b"".join(parts)
+    return data

@@ -60,3 +60,10 @@ def test_truncated_files_end_the_check(end):
     check_png(cv2.imencode(".png", pixels())[1].tobytes()[:end], "a")
     check_jpeg(cv2.imencode(".jpg", pixels())[1].tobytes()[:end], "a")
     check_png(zlib.compress(bytes(end)), "a")
+
+
+def test_chunks_that_hold_no_pixels_print_nothing(capfd):
+    data = cv2.imencode(".png", pixels())[1].tobytes()
+    twice = data[:33] + chunk(b"gAMA", b"\0\0\xb1\x8f") * 2 + chunk(b"tIME", b"short") + data[33:]
+    np.testing.assert_array_equal(decode_colour(twice, "a")[0], decode_colour(data, "a")[0])
+    assert capfd.readouterr() == ("", "")

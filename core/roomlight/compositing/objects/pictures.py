@@ -10,7 +10,7 @@ from PIL import Image
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.errors import ImageError, ObjectError
 from roomlight.images import peek_size
-from roomlight.imaging.limits import check_png
+from roomlight.imaging.limits import check_png, png_of_pixels
 
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 _OTHERS = ("WebP", "AVIF")
@@ -74,7 +74,7 @@ def _decode(data: bytes, label: str, size: tuple[int, int], formats: tuple[str, 
         except Exception as error:  # as above
             raise ObjectError(f"{label} does not decode ({error})") from error
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(png_of_pixels(data), np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise ObjectError(f"{label} does not decode ({error.err})") from error
     if image is None or image.shape[:2] != size:  # pyright: ignore[reportUnnecessaryComparison]  (the stub lacks None)
