@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, cast, get_args
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
@@ -74,10 +75,12 @@ SHADOW_COLUMNS: Final = 640
 
 def clipped_share(frame: Frame, crop: Crop) -> Float32[np.ndarray, "ch cw"]:
     """Return how far all channels of the pixels of a crop are clipped: 0 below `NEAR_WHITE`, 1 at white."""
+    if not frame.clipped[crop.slices].any():
+        return np.zeros(crop.shape, np.float32)
     low, high = srgb8_to_linear(np.array([NEAR_WHITE, CLIPPED_SRGB8], np.uint8))
-    red, green, blue = np.moveaxis(frame.image[crop.slices], -1, 0)
-    least = np.minimum(np.minimum(red, green), blue) / np.float32(white_of(frame) if frame.clipped.any() else np.inf)
-    return np.clip((least - low) / (high - low), 0, 1)
+    red, green, blue = cv2.split(frame.image[crop.slices])
+    least = cv2.min(cv2.min(red, green), blue) / np.float32(white_of(frame))
+    return np.clip((least - low) / (high - low), 0, 1).astype(np.float32)
 
 
 def shadow_step(quality: Quality, width: int) -> int:

@@ -207,27 +207,38 @@ def shadow_ratio(
             coarse = _Coarse(part, grid.known, coarse_depth, fine)
             _add_contact(out, caster, coarse, depth_m, (camera, camera_to_world, supports), quality)
     if white is not None and white.any():
-        emits = np.max([_emits(caster, grid) for caster in casters], axis=0)
-        share = cv2.resize(cv2.dilate(emits, np.ones((5, 5), np.uint8)), white.shape[::-1]) * white
-        out = 1 + (out - 1) * (1 - share[..., None])
+        box = np.ones((5, 5), np.uint8)
+        near = grid.known & (cv2.dilate(np.ascontiguousarray(white[step // 2 :: step, step // 2 :: step]), box) > 0)
+        emits = np.max([_emits(caster, grid, near) for caster in casters], axis=0)
+        share = cv2.resize(cv2.dilate(emits, box), white.shape[::-1]) * white
+        kept = share > 0
+        out[kept] -= share[kept, None] * (out[kept] - 1)
     return out
 
 
-def _emits(caster: Caster, grid: SurfaceGrid) -> Float32[np.ndarray, "h w"]:
+def _emits(caster: Caster, grid: SurfaceGrid, where: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Return where the panorama shows more light than a white surface would reflect: windows and lamps, 0 to 1.
 
     What faces up counts as a floor or table in the sun, whose light the panorama may lack.
     """
     out = np.zeros(grid.known.shape, np.float32)
-    normals = grid.normals[grid.known]
-    toward = grid.points[grid.known] - np.array(caster.reflection.position, np.float32)
+    normals = grid.normals[where]
+    toward = grid.points[where] - np.array(caster.reflection.position, np.float32)
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), np.float32(1e-6))
-    matte = caster.light.prefiltered[-1]
-    u, v = np.moveaxis(direction_to_uv(normals), -1, 0)
-    rows, columns = (np.minimum(at * size, size - 1).astype(int) for at, size in ((v, len(matte)), (u, matte.shape[1])))
-    shown, most = (light @ _THIRDS for light in (caster.reflection.radiance(toward), matte[rows, columns]))
-    out[grid.known] = np.clip(shown / np.maximum(most, np.float32(1e-6)) - 1, 0, 1) * (normals[:, 1] < _FACING_UP)
+    shown, most = _grey(caster.reflection.panorama, toward), _grey(caster.light.prefiltered[-1], normals)
+    out[where] = np.clip(shown / np.maximum(most, np.float32(1e-6)) - 1, 0, 1) * (normals[:, 1] < _FACING_UP)
     return out
+
+
+def _grey(
+    panorama: Float32[np.ndarray, "ph pw 3"], directions: Float32[np.ndarray, "n 3"]
+) -> Float32[np.ndarray, " n"]:
+    """Return the mean of the channels of the nearest pixels."""
+    height, width = panorama.shape[:2]
+    u, v = direction_to_uv(directions).T
+    return (
+        panorama[np.minimum(v * height, height - 1).astype(int), np.minimum(u * width, width - 1).astype(int)] @ _THIRDS
+    )
 
 
 @dataclass(frozen=True)
