@@ -14,13 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, cast, get_args
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from roomlight.camera import transform_points
 from roomlight.compositing.kernels.ground import Supports
-from roomlight.compositing.kernels.shadows import SurfaceGrid
+from roomlight.compositing.kernels.shadows import SurfaceGrid, fill_clipped_share
 from roomlight.compositing.light.probes import LightAt, ObjectProbes
 from roomlight.compositing.light.temporal import (
     SHADOW_S,
@@ -75,12 +74,13 @@ SHADOW_COLUMNS: Final = 640
 
 def clipped_share(frame: Frame, crop: Crop) -> Float32[np.ndarray, "ch cw"]:
     """Return how far all channels of the pixels of a crop are clipped: 0 below `NEAR_WHITE`, 1 at white."""
-    if not frame.clipped[crop.slices].any():
-        return np.zeros(crop.shape, np.float32)
-    low, high = srgb8_to_linear(np.array([NEAR_WHITE, CLIPPED_SRGB8], np.uint8))
-    red, green, blue = cv2.split(frame.image[crop.slices])
-    least = cv2.min(cv2.min(red, green), blue) / np.float32(white_of(frame))
-    return np.clip((least - low) / (high - low), 0, 1).astype(np.float32)
+    share = np.zeros(crop.shape, np.float32)
+    if frame.clipped[crop.slices].any():
+        sampled = frame.image[::4, ::4][frame.clipped[::4, ::4]]  # enough to know the white
+        white = np.median(sampled.max(axis=1)) if len(sampled) else white_of(frame)
+        low, high = srgb8_to_linear(np.array([NEAR_WHITE, CLIPPED_SRGB8], np.uint8)) * np.float32(white)
+        fill_clipped_share(frame.image[crop.slices], low, high, share)
+    return share
 
 
 def shadow_step(quality: Quality, width: int) -> int:

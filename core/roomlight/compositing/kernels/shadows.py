@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from roomlight.kernels.common import JIT
+from roomlight.kernels.common import JIT, KERNEL
 
 
 class SurfaceGrid(NamedTuple):
@@ -169,3 +169,12 @@ def upsample_ratio(ratio, known, depth, fine_depth, step, edge, out, start, stop
                         blue += weight * (ratio[row, column, 2] - one)
                 scale = one / total if total > np.float32(1e-9) else np.float32(0)
                 out[i, j, 0], out[i, j, 1], out[i, j, 2] = one + red * scale, one + green * scale, one + blue * scale
+
+
+@njit(**KERNEL)
+def fill_clipped_share(image, low, high, out):
+    """Fill [h, w] with how far all channels are clipped: 0 at `low` or below, 1 at `high`."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            least = min(image[i, j, 0], image[i, j, 1], image[i, j, 2])
+            out[i, j] = min(max((least - low) / (high - low), np.float32(0)), np.float32(1))

@@ -210,9 +210,10 @@ def shadow_ratio(
         box = np.ones((5, 5), np.uint8)
         near = grid.known & (cv2.dilate(np.ascontiguousarray(white[step // 2 :: step, step // 2 :: step]), box) > 0)
         emits = np.max([_emits(caster, grid, near) for caster in casters], axis=0)
-        share = cv2.resize(cv2.dilate(emits, box), white.shape[::-1]) * white
-        kept = share > 0
-        out[kept] -= share[kept, None] * (out[kept] - 1)
+        if emits.any():
+            share = cv2.resize(cv2.dilate(emits, box), white.shape[::-1]) * white
+            kept = share > 0
+            out[kept] -= share[kept, None] * (out[kept] - 1)
     return out
 
 
