@@ -1,6 +1,7 @@
 """`roomlight demo` with and without a browser, and `roomlight serve --lan` as it is printed."""
 
 import asyncio
+import json
 import logging
 import webbrowser
 from pathlib import Path
@@ -160,7 +161,7 @@ def test_serving_the_network_says_how_to_reach_it(monkeypatch, roomlight: RunCom
     assert line["phone"] is None  # which could not open it
     assert line["url"] == f"https://127.0.0.1:8443/#token={token}"
     assert line["fingerprint"].count(":") == 31
-    assert result.err == ""
+    assert [json.loads(line)["event"] for line in result.err.splitlines()] == ["starting"]
 
 
 @pytest.mark.usefixtures("state")
