@@ -178,3 +178,15 @@ def fill_clipped_share(image, low, high, out):
         for j in range(out.shape[1]):
             least = min(image[i, j, 0], image[i, j, 1], image[i, j, 2])
             out[i, j] = min(max((least - low) / (high - low), np.float32(0)), np.float32(1))
+
+
+@njit(**KERNEL)
+def fade_ratio(ratio, emits, clipped):
+    """Fade a ratio [h, w, 3] to 1 by the product of two shares [h, w]."""
+    one = np.float32(1)
+    for i in range(ratio.shape[0]):
+        for j in range(ratio.shape[1]):
+            share = emits[i, j] * clipped[i, j]
+            if share > 0:
+                for axis in range(3):
+                    ratio[i, j, axis] += share * (one - ratio[i, j, axis])

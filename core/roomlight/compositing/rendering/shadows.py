@@ -34,7 +34,7 @@ from roomlight.compositing.kernels.shadow_rays import (
     light_rays,
     object_rays,
 )
-from roomlight.compositing.kernels.shadows import Change, SurfaceGrid, filter_change, upsample_ratio
+from roomlight.compositing.kernels.shadows import Change, SurfaceGrid, fade_ratio, filter_change, upsample_ratio
 from roomlight.compositing.kernels.surfaces import BASE_COLOUR, EMISSIVE, METALLIC_ROUGHNESS
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.picture.crop import CropCamera
@@ -211,9 +211,7 @@ def shadow_ratio(
         near = grid.known & (cv2.dilate(np.ascontiguousarray(white[step // 2 :: step, step // 2 :: step]), box) > 0)
         emits = np.max([_emits(caster, grid, near) for caster in casters], axis=0)
         if emits.any():
-            share = cv2.resize(cv2.dilate(emits, box), white.shape[::-1]) * white
-            kept = share > 0
-            out[kept] -= share[kept, None] * (out[kept] - 1)
+            fade_ratio(out, cv2.resize(cv2.dilate(emits, box), white.shape[::-1]), white)
     return out
 
 
