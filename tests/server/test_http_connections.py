@@ -250,10 +250,16 @@ def test_what_is_not_http_is_a_problem(server, request_bytes, caplog):
     assert 'problems_total{kind="bad-request"}' in server.call("GET", "/metrics").body.decode()
 
 
-@pytest.mark.parametrize(("authority", "status"), [(b"evil.example", 403), (b"localhost:1", 404)])
-def test_the_host_of_an_absolute_target_is_checked(server, authority, status):
+@pytest.mark.parametrize(
+    ("target", "host", "status"),
+    [
+        (b"http://evil.example/v1/sessions/none", b"localhost", 403),
+        (b"http://localhost:1/v1/sessions/none", b"localhost", 404),
+        (b"//localhost/v1/sessions/none", b"evil.example", 403),  # a path, whatever it looks like
+    ],
+)
+def test_the_host_of_an_absolute_target_is_checked(server, target, host, status):
     """It was answered as its allowed header Host (RFC 9112, section 3.2.2)."""
     with dial(server) as connection:
-        target = b"GET http://" + authority + b"/v1/sessions/none HTTP/1.1\r\n"
-        connection.sendall(target + b"Host: localhost\r\n\r\n")
+        connection.sendall(b"GET " + target + b" HTTP/1.1\r\nHost: " + host + b"\r\n\r\n")
         assert answer_of(connection)[0] == status

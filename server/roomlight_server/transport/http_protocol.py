@@ -164,8 +164,8 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
         self._too_many_waiting |= len(self.pipeline) >= MAX_WAITING
         if self._is_beyond_limits():
             return
-        authority = urlsplit(self.url).netloc
-        if authority:  # a proxy's form of a request: Host is ignored (RFC 9112, section 3.2.2)
+        if not self.url.startswith(b"/") and (authority := urlsplit(self.url).netloc):
+            # a proxy's form of a request: Host is ignored (RFC 9112, section 3.2.2)
             self.headers[:] = [(name, authority if name == b"host" else value) for name, value in self.headers]
         self._reading_headers = False
         self._stop_timer()
