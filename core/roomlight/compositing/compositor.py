@@ -45,7 +45,7 @@ from roomlight.compositing.placed_object import (
 )
 from roomlight.compositing.placement.places import Placement
 from roomlight.compositing.placement.room_geometry import RoomGeometry
-from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject
+from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject, naming_object
 from roomlight.compositing.rendering import shadows
 from roomlight.compositing.rendering.renderer import RenderedObjects, render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects, is_rigid
@@ -236,10 +236,8 @@ class Compositor:
             if number in done or (isinstance(place, AtPixel) and place.frame not in (None, frame.index)):
                 continue
             self.geometry.update(self._session)
-            try:
+            with naming_object(number, scene_object.name):
                 new.append(place_object(number, scene_object, self.geometry, frame))
-            except SceneError as error:
-                raise SceneError(f"objects[{number}] ({scene_object.name}): {error}") from error
         for placed in new:
             self._probes.add(probe_positions(placed))
         self._placed = sorted([*self._placed, *new], key=lambda placed: placed.number)

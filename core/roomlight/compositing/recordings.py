@@ -13,7 +13,15 @@ from roomlight.captures import open_capture
 from roomlight.compositing.compositor import Compositor
 from roomlight.compositing.picture.layers import Composite
 from roomlight.compositing.placement.places import check_pixel
-from roomlight.compositing.placement.scene import SHAPE_SIZE_M, AtPixel, Scene, SceneObject, load_scene, parse_scene
+from roomlight.compositing.placement.scene import (
+    SHAPE_SIZE_M,
+    AtPixel,
+    Scene,
+    SceneObject,
+    load_scene,
+    naming_object,
+    parse_scene,
+)
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, OptionError, SceneError
 from roomlight.frame import Frame
@@ -124,7 +132,5 @@ def _check_pixels(scene: Scene, frame: Frame, *, is_first: bool) -> None:
     for number, item in enumerate(scene.objects):
         place = item.place
         if isinstance(place, AtPixel) and (place.frame == frame.index or (is_first and place.frame is None)):
-            try:
+            with naming_object(number, item.name):
                 check_pixel(frame, place.u, place.v)
-            except SceneError as error:
-                raise SceneError(f"objects[{number}] ({item.name}): {error}") from error

@@ -10,7 +10,8 @@ Lengths are metres, world axes (y up); colours are linear RGB; quaternions are x
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -338,8 +339,17 @@ def slerp(first: Float[np.ndarray, "4"], second: Float[np.ndarray, "4"], share: 
     return (np.sin((1 - share) * angle) * first + np.sin(share * angle) * second) / np.sin(angle)
 
 
-def _built(spec: ObjectSpec, number: int, load: LoadObject) -> SceneObject:
+@contextmanager
+def naming_object(number: int, name: str) -> Generator[None]:
+    """Put the object in front of an ObjectError or SceneError that is raised inside the block."""
     try:
+        yield
+    except (ObjectError, SceneError) as error:
+        raise type(error)(f"objects[{number}] ({name}): {error}") from error
+
+
+def _built(spec: ObjectSpec, number: int, load: LoadObject) -> SceneObject:
+    with naming_object(number, spec.name):
         geometry = load(spec.file) if spec.file is not None else _shape(spec.shape or "")
         if spec.up == "z":
             geometry = geometry.transformed(Z_UP)
@@ -351,8 +361,6 @@ def _built(spec: ObjectSpec, number: int, load: LoadObject) -> SceneObject:
         elif (own_m := float(np.ptp(geometry.bounds(), axis=0).max())) > MAX_SIZE_M:
             limit = f"its size of {own_m:.3g} m is beyond {MAX_SIZE_M:g} m"
             raise ObjectError(f"{limit}; {SIZE_ADVICE} of its longest side in metres")
-    except ObjectError as error:
-        raise ObjectError(f"objects[{number}] ({spec.name}): {error}") from error
     return SceneObject(spec.name, geometry, _place(spec), spec.motion)
 
 
