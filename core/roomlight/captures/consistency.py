@@ -150,10 +150,10 @@ class PoseCheck:
         stated = [frame.camera_to_world for _, frame in self._views]
         if len(stated) < _LEAST_PAIRS:
             return None
-        lying = self._lying(np.stack(stated)[:, :3, :3])
+        wrong_up = self._wrong_up(np.stack(stated)[:, :3, :3])
         pairs = [pair for at in range(len(stated) - 1) if (pair := self._tracks(at)) is not None]
         if len(pairs) < _LEAST_PAIRS:
-            return lying
+            return wrong_up
 
         def error(poses: Sequence[Float[np.ndarray, "4 4"]], length: float = 1.0, focal: float = 1.0) -> float:
             return float(np.median([self._error(pair, poses, length, focal) for pair in pairs]))
@@ -162,9 +162,9 @@ class PoseCheck:
         if assumed < _LEAST_ERROR:
             worst = max(pairs, key=lambda pair: self._error(pair, stated))
             jumps = self._error(worst, stated) > _JUMP and not self._repeats(worst, stated)
-            return Disagreement(known=False) if jumps else lying
+            return Disagreement(known=False) if jumps else wrong_up
         if 2 * sum(self._repeats(pair, stated) for pair in pairs) >= len(pairs):
-            return lying
+            return wrong_up
         axes = OPENCV_TO_OPENGL if self._opencv else np.eye(4)
         stored = [rigid_inverse(self._to_y_up) @ pose @ axes for pose in stated]
         choices = {Disagreement(length=length): error(stated, length) for length in _LENGTHS}
@@ -188,7 +188,7 @@ class PoseCheck:
             return Disagreement(length=_FINE[finest] if clear and math.log10(_FINE[finest]).is_integer() else None)
         moved = np.median([np.median(np.linalg.norm(pair.end - pair.start, axis=1)) for pair in pairs])
         lost = assumed > max(2 * _LEAST_ERROR, _LOST * float(moved) / self._views[0][0].shape[1])
-        return Disagreement(known=False) if lost else lying
+        return Disagreement(known=False) if lost else wrong_up
 
     def _tracks(self, at: int) -> Tracks | None:
         """Follow features of a view into the next one; None for too few."""
@@ -255,7 +255,7 @@ class PoseCheck:
         )
         return there[:, 0], np.where(there_is[:, 0] > 0, unlike[:, 0], np.float32(np.inf))
 
-    def _lying(self, turns: Float[np.ndarray, "n 3 3"]) -> Disagreement | None:
+    def _wrong_up(self, turns: Float[np.ndarray, "n 3 3"]) -> Disagreement | None:
         """Return what is wrong with the assumed up; None if cameras are level about it, or nothing tells."""
         if turns[:, 1, 1].mean() < _HANGING:
             down = -self._to_y_up[1, :3]

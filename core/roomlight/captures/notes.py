@@ -287,6 +287,6 @@ class PassChecks:
         wrong = self._poses.disagreement()
         if wrong is None or (wrong.up is not None and self._format not in _OF_ANY_TOOL):  # a phone may be held so
             return
-        if self._up_is_assumed or wrong.axis is wrong.up is None:
+        if self._up_is_assumed or (wrong.axis is None and wrong.up is None):
             self._poses_are_done = True
             yield wrong_poses(self._name, wrong, *self._conventions)

@@ -116,18 +116,17 @@ class ExrChannels:
             what = "several channels that can be the depth" if names else "no depth channel (Z, Depth.Z or Depth.V)"
             listed = _listed(names or self.channels)
             raise ImageError(f"{self.name}: the EXR has {what}: {listed}; export depth in a file of its own")
-        return self._hit(names[0])
+        return self._depth_of(names[0])
 
     def depth_of_colour(self) -> Float[np.ndarray, "h w"] | None:
         """Return the depth beside the colour as `depth` does; None without, and where several channels can be it."""
         names = self._depth_channels()
-        return (
-            self._hit(names[0])
-            if self._colour_layer() is not None and names not in ([], ["R"]) and len(names) == 1
-            else None
-        )
+        if self._colour_layer() is None or len(names) != 1 or names == ["R"]:
+            return None
+        return self._depth_of(names[0])
 
-    def _hit(self, name: str) -> Float[np.ndarray, "h w"]:
+    def _depth_of(self, name: str) -> Float[np.ndarray, "h w"]:
+        """Return a channel of depth, 0 where rays met nothing."""
         depth = self.channels[name].astype(np.float32)
         return np.where(depth >= _DEEPEST, np.float32(0), depth)
 
