@@ -6,6 +6,7 @@ import pytest
 
 from roomlight.errors import OptionError
 from roomlight_bench.compositing.composite import PARTS, CompositeSize, objects, run_composite
+from roomlight_bench.compositing.report import PartTimes
 
 SIZE = CompositeSize(width=64, height=48, depth=(32, 24), keyframes=3, panorama_height=16)
 
@@ -22,6 +23,12 @@ def test_every_part_of_every_preset_is_reported():
         assert row.frames == 1
     assert "Open Image Denoise is " in str(report.tables()[0].caption)
     assert len(json.loads(json.dumps(report.to_json()))["criteria"]) == 3
+
+
+def test_a_part_has_median_percentile_and_mean():
+    part = PartTimes.of("light", [1.0, 2.0, 9.0], [0.0, 0.0, 3.0])
+    assert (part.wall_median_ms, part.cpu_median_ms, part.cpu_mean_ms) == (2.0, 0.0, 1.0)
+    assert part.wall_p95_ms == pytest.approx(8.3)
 
 
 def test_a_run_without_frames_is_refused():
