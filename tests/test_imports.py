@@ -54,6 +54,23 @@ def test_import_layers_of_pyproject_are_kept():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_functions_that_kernels_alone_call_are_not_called_from_python():
+    """Numba makes no entry for Python with `no_cpython_wrapper`: a call would be a segmentation fault."""
+    made = re.compile(r"@njit\(\*\*(?:JIT|_INLINED)\)\ndef (\w+)")
+    kernels = [path for path in files_of("core") if "kernels" in path.parts]
+    inlined = {path.stem: set(made.findall(path.read_text())) for path in kernels}
+    assert sum(map(len, inlined.values())) > 70
+    assert "shading_normal" in inlined["surfaces"]
+    for path in [path for folder in (*SOURCES, "tests") for path in files_of(folder) if "kernels" not in path.parts]:
+        text = path.read_text()
+        called = set(re.findall(r"(?<![\w.])(\w+)\(", text))
+        through_module = set(re.findall(r"(?<![\w.])(\w+\.\w+)\(", text))
+        wrong = through_module & {f"{module}.{name}" for module, names in inlined.items() for name in names}
+        for module, imported in re.findall(r"from [\w.]+\.kernels\.(\w+) import (\([^)]*\)|.*)", text):
+            wrong |= set(re.findall(r"\w+", imported)) & called & inlined.get(module, set())
+        assert not wrong, f"{path.relative_to(ROOT)} calls {sorted(wrong)}"
+
+
 def test_base_install_needs_no_training_extra():
     loaded = loaded_after(modules_of("core", "server", "client", "lab/roomlight_evaluation"))
     assert {"roomlight", "numpy"} <= loaded

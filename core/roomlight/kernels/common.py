@@ -7,10 +7,14 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-KERNEL: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy"}
-"""Of functions that Python calls. Contraction and reciprocals only: infinities must stay infinities."""
-JIT: dict[str, Any] = KERNEL | {"cache": False, "_nrt": False, "forceinline": True}
-"""Of functions that kernels call. They are cached within the kernels: code from a cache of their own cannot be inlined.
+CACHED: dict[str, Any] = {"nogil": True, "cache": True, "no_cfunc_wrapper": True}
+"""Of functions that Python calls. Nobody calls one through a C pointer."""
+KERNEL: dict[str, Any] = CACHED | {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy"}
+"""The same with contraction and reciprocals only: infinities must stay infinities."""
+JIT: dict[str, Any] = KERNEL | {"cache": False, "_nrt": False, "forceinline": True, "no_cpython_wrapper": True}
+"""Of functions that kernels alone call: a call from Python ends the process. Code that reads Python's arguments was a
+quarter of all compiling.
+They are cached within the kernels: code from a cache of their own cannot be inlined.
 A kernel's cache does not notice that they changed: delete `__pycache__` after editing them, or old code runs.
 They allocate nothing, so numba need not count references to the arrays of the tuples that they are given. The two made
 three quarters of a preview's shading."""

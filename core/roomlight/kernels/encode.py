@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight.kernels.common import JIT
+from roomlight.kernels.common import CACHED, JIT
 
 
 @njit(**JIT)
@@ -15,14 +15,14 @@ def _code(value, table):
     return table[int(limited * np.float32(65535) + np.float32(0.5))]
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def encode_values(linear, table, out, start, stop):
     """Encode values start..stop; `table` holds the code of i / 65535."""
     for i in range(start, stop):
         out[i] = _code(linear[i], table)
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def compose_rows(frame, ratio, objects, corner, table, encoded, start, stop):
     """Encode frame x ratio x (1 - alpha) + objects for rows start..stop; pixels that nothing changes stay.
 
@@ -47,7 +47,7 @@ def compose_rows(frame, ratio, objects, corner, table, encoded, start, stop):
                     encoded[i, j, c] = _code(frame[i, j, c] * ratio[i, j, c], table)
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def add_pattern(image, alpha, noise, pattern, corner, start, stop):
     """Add noise to the part `alpha` of rows start..stop of an encoded image [h, w, 3], in place; clip to 0 to 1.
 

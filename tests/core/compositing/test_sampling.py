@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kernel_calls import compiled
 from shading_reference import lit_room, look_at, moved, paths
 
 from roomlight.camera import Intrinsics
@@ -38,7 +39,7 @@ def picture(scene: TracedObjects, lights: ProbeSet, samples: int, seed: int = 0,
 
 def test_points_are_stratified_in_every_shape() -> None:
     for dimension in range(3):
-        drawn = np.array([point(np.uint64(1234), index, dimension) for index in range(64)])
+        drawn = np.array([compiled(point)(np.uint64(1234), index, dimension) for index in range(64)])
         for rows in (1, 2, 4, 8, 16, 32, 64):
             cells = np.floor(drawn * [rows, 64 // rows]) @ [64 // rows, 1]
             assert len(np.unique(cells)) == 64, (dimension, rows)
@@ -48,7 +49,7 @@ def test_panoramas_are_read_where_the_conventions_say() -> None:
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     directions = np.concatenate([directions, np.eye(3), 0 - np.eye(3)])
-    places = np.array([place_of(*direction) for direction in directions.tolist()])
+    places = np.array([compiled(place_of)(*direction) for direction in directions.tolist()])
     off = (places - direction_to_uv(directions) + 0.5) % 1 - 0.5  # u wraps around
     assert np.abs(off * [2 * np.pi, np.pi]).max() < 2e-8
 
@@ -131,7 +132,7 @@ def test_irradiance_agrees_with_a_dense_sum(rows: int) -> None:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     exact = np.maximum(normals @ toward.T, 0) @ fine
     environment = ProbeSet.single(panorama).environment
-    known = np.array([mean_around(environment, np.ones(1), tuple(normal)) for normal in normals])
+    known = np.array([compiled(mean_around)(environment, np.ones(1), tuple(normal)) for normal in normals])
     np.testing.assert_allclose(known, exact, rtol=0.003)
 
 

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import CACHED
+
 UNKNOWN = 0
 FREE = 1
 ON_SURFACE = 2
@@ -27,7 +29,7 @@ class DepthView(NamedTuple):
     measured: np.ndarray
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def classify_points(points, view, margin_m, margin_share, out, start, stop):
     """Write to out[start:stop] whether a point is unknown to the view, in free space, or on a surface that it sees.
 

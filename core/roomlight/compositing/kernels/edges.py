@@ -6,8 +6,10 @@ import math
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import CACHED
 
-@njit(nogil=True, cache=True, fastmath=True)
+
+@njit(**CACHED, fastmath=True)
 def resample_depth(depth, smooth, corner, scale, out, certain, start, stop):
     """Fill rows start..stop of a finer image: linear where the nearest sample is `smooth`, else the nearest sample.
 
@@ -39,7 +41,7 @@ def resample_depth(depth, smooth, corner, scale, out, certain, start, stop):
             out[i, j] = upper + down * (lower - upper)
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def guide_by_colour(visible, certain, wanted, guide, radius, spread, doubt, contrast, out, start, stop):
     """Fill rows start..stop of `out` where `wanted`: the mean of neighbours, weighted by colour and distance.
 

@@ -6,10 +6,12 @@ import math
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import CACHED
+
 _RADIUS = 3
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def average_samples(film, samples, out, start, stop):
     """Average the samples of pixels start..stop; the object is the nearest sample's, depth the covered ones' mean.
 
@@ -52,7 +54,7 @@ def average_samples(film, samples, out, start, stop):
                 out.albedo[i, axis], out.normal[i, axis] = albedo / samples, normal / samples
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def smooth_alike(film, out, start, stop):
     """Average rows start..stop over neighbours of one object that look alike (joint bilateral filter).
 

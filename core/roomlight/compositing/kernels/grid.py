@@ -6,8 +6,10 @@ import math
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import CACHED
 
-@njit(nogil=True, cache=True, fastmath=True)
+
+@njit(**CACHED, fastmath=True)
 def fill_points(depth, lens, camera_to_world, out, start, stop):
     """Fill the world positions of rows start..stop of a depth image.
 
@@ -27,7 +29,7 @@ def fill_points(depth, lens, camera_to_world, out, start, stop):
                 out[i, j, axis] = far * (m[axis, 0] * x + m[axis, 1] * y - m[axis, 2]) + m[axis, 3]
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def fill_surfaces(raw, depth, eye, planes, tolerance, points, normals, start, stop):
     """Fill normals of rows start..stop by differences of neighbours, and move points near a plane onto it.
 

@@ -4,8 +4,10 @@
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import CACHED
 
-@njit(nogil=True, cache=True, fastmath=True)
+
+@njit(**CACHED, fastmath=True)
 def splat_depth(depth, age, lens, transform, new_lens, out, out_age):
     """Project an earlier depth image into a later camera; the nearest surface wins, gaps stay 0.
 
@@ -40,7 +42,7 @@ def splat_depth(depth, age, lens, transform, new_lens, out, out_age):
                 out_age[row, column] = age[i, j]
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def accumulate_image(
     image, fresh, known, points, world_to_before, lens, before, before_known, share, slack, start, stop
 ):

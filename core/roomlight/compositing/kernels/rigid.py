@@ -5,8 +5,10 @@ import math
 
 from numba import njit
 
+from roomlight.kernels.common import CACHED
 
-@njit(nogil=True, cache=True, fastmath=True)
+
+@njit(**CACHED, fastmath=True)
 def turn_vectors(vectors, rotation, offset, out, start, stop):
     """Write rotation x vector + offset of rows start..stop of `vectors` [n, 3] to `out`."""
     r = rotation
@@ -17,7 +19,7 @@ def turn_vectors(vectors, rotation, offset, out, start, stop):
         out[i, 2] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + offset[2]
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def grow_boxes(corners, object_id, boxes):
     """Extend each object's box [objects, 2, 3], least and greatest corner, by its triangles' corners [f, 3, 3]."""
     for f in range(len(corners)):
@@ -29,7 +31,7 @@ def grow_boxes(corners, object_id, boxes):
                 box[1, axis] = max(box[1, axis], value)
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def fill_open(corners, vertices, tolerance, asked, out):
     """Fill whether no vertex is above the plane of each triangle (counter-clockwise side) by more than a tolerance.
 

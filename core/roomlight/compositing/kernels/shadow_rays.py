@@ -9,7 +9,7 @@ from numba import njit
 
 from roomlight.compositing.kernels.environment import place_of
 from roomlight.compositing.kernels.ground import light_left
-from roomlight.kernels.common import JIT
+from roomlight.kernels.common import CACHED, JIT
 
 
 class Receivers(NamedTuple):
@@ -114,7 +114,7 @@ def _look_up(panorama, x, y, z):
     return min(int(place[1] * height), height - 1), min(max(int(place[0] * width), 0), width - 1)
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def light_rays(receivers, light, places, of_lamp, spheres, lift_m, matte, unblocked, irradiance, rays, start, stop):
     """Sum the irradiance of points start..stop; store the rays to the light that meet a bounding sphere.
 
@@ -186,7 +186,7 @@ def light_rays(receivers, light, places, of_lamp, spheres, lift_m, matte, unbloc
     return count
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def add_blocked(rays, share, distance, blocked, squares, nearness):
     """Add the light that each ray's point loses.
 
@@ -212,7 +212,7 @@ def add_blocked(rays, share, distance, blocked, squares, nearness):
         nearness[i] += lost / max(distance[p], np.float32(1e-3))
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def object_rays(receivers, spheres, lift_m, numbers, reach, rays, start, stop):
     """Store rays from points start..stop toward bounding spheres, for the light that objects reflect.
 
@@ -285,7 +285,7 @@ def _ground_seen(ground, p, d):
     return light_left(ground.spheres, n, p[0] + far * d[0], p[1] + far * d[1], p[2] + far * d[2])
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def add_bounced(rays, face, distance, object_ids, looks, levels, ground, bounced):
     """Add the light that the met surfaces reflect, from prefiltered panoramas, to each ray's point.
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from roomlight.kernels.common import JIT, KERNEL
+from roomlight.kernels.common import CACHED, JIT, KERNEL
 
 
 class SurfaceGrid(NamedTuple):
@@ -46,7 +46,7 @@ _SPREAD = np.float32(0.5)
 """Width of the filter over the distance of what takes the light."""
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
     """Smooth rows start..stop over one surface, and write dark + glow.
 
@@ -122,7 +122,7 @@ def _is_unity(ratio, known, row, near, far):
     return True
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def upsample_ratio(ratio, known, depth, fine_depth, step, edge, out, start, stop):
     """Interpolate a ratio image to rows start..stop of a finer grid, across no depth edge.
 

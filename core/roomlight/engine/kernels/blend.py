@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float32
 from numba import njit
 
+from roomlight.kernels.common import CACHED
+
 HIGHER: Final = np.float32(1.2)
 """A lower bound of the radiance counts as higher from this ratio on: a quarter of a stop."""
 NOISE: Final = np.float32(0.1)
@@ -68,7 +70,7 @@ class DetailArrays(NamedTuple):
     camera: Float32[np.ndarray, "3"]
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def better_share(clipped, bound, new_clipped, new_bound):
     """Return how much of an observation a new one of the same surface replaces (`roomlight.engine.surface.bracket`)."""
     zero, one = np.float32(0), np.float32(1)
@@ -82,13 +84,13 @@ def better_share(clipped, bound, new_clipped, new_bound):
     return zero
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def luminance(red, green, blue):
     """Return the luminance of a linear RGB radiance (`roomlight.conventions.LUMINANCE`)."""
     return np.float32(0.2126) * red + np.float32(0.7152) * green + np.float32(0.0722) * blue
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**CACHED, error_model="numpy")
 def find_extremes(radiance, clipped, guessed, weight, reach, around):
     """Write what `reference.extremes_around` returns of each seen pixel into `around` [3, h, w]; others are undefined.
 
@@ -138,7 +140,7 @@ def find_extremes(radiance, clipped, guessed, weight, reach, around):
     return top, bottom
 
 
-@njit(nogil=True, cache=True, fastmath={"nnan", "nsz"})
+@njit(**CACHED, fastmath={"nnan", "nsz"})
 def _widened(values, step, reach, lower):
     """Return the least, or the greatest, of each value and the 2 `reach` that follow it, `step` apart."""
     out = values.copy()
@@ -153,7 +155,7 @@ def _widened(values, step, reach, lower):
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def same_view(before, now, ray, distance):
     """Return whether two cameras, relative to the probe, see the point at `distance` along `ray` from one direction."""
     before_squared, now_squared, dot = np.float32(0), np.float32(0), np.float32(0)
@@ -168,7 +170,7 @@ def same_view(before, now, ray, distance):
     return dot >= SAME_VIEW * np.sqrt(before_squared * now_squared)
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def compare_rows(state, detail, rays, closer_m, comparison, start, stop):
     """Write into `comparison` [h, w] how rows start..stop of a frame compare with the state; see `APART`.
 
@@ -206,7 +208,7 @@ def compare_rows(state, detail, rays, closer_m, comparison, start, stop):
                     state.viewed_from[row, column, axis] = detail.camera[axis]
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def accumulate_rows(state, hdr, detail, replaced, closer_m, only_seen, start, stop):
     """Update rows start..stop of the state (`StateArrays`); `detail` is `DetailArrays`, hdr [h, w, 3].
 

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float32
 from numba import njit
 
 from roomlight.engine.kernels.blend import better_share
+from roomlight.kernels.common import CACHED
 
 
 class SourceArrays(NamedTuple):
@@ -34,7 +35,7 @@ class PointArrays(NamedTuple):
     clipped: Bool[np.ndarray, " n"]
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def take_radiance(points, source, tolerance_m):
     """Take each clipped point's radiance from the source, where that knows more; return how many were taken.
 
@@ -84,7 +85,7 @@ def take_radiance(points, source, tolerance_m):
     return taken
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def _beside_clipped(clipped, row, column):
     height, width = clipped.shape
     for r in range(max(row - 1, 0), min(row + 2, height)):

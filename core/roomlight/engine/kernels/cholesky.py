@@ -10,8 +10,10 @@ import math
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import CACHED
 
-@njit(nogil=True, cache=True, fastmath=True)
+
+@njit(**CACHED, fastmath=True)
 def solve_in_place(matrix, values):
     """Solve matrix x = values by Cholesky's decomposition: `values` [c, n] becomes x, `matrix` [n, n] is overwritten.
 
@@ -42,7 +44,7 @@ def solve_in_place(matrix, values):
                 own[k] -= matrix[i, k] * own[i]
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def multiply(matrix, values, out):
     """Write the product of a matrix [m, n] with each channel of `values` [c, n] into `out` [c, m]; all float32."""
     for i in range(matrix.shape[0]):

@@ -9,11 +9,12 @@ import numpy as np
 from numba import njit
 
 from roomlight.engine.kernels.blend import luminance
+from roomlight.kernels.common import CACHED
 
 _TINY = np.finfo(np.float32).tiny
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def premultiply(image, weight, out):
     """Write the finest level [h, w, c + 1] of an image [h, w, c]; return whether every pixel has full weight.
 
@@ -32,7 +33,7 @@ def premultiply(image, weight, out):
     return complete
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def put_before(image, weight, filled):
     """Put an image [h, w, c] before a fill of the same size, in place: weight x image + (1 - weight) x fill."""
     zero, one = np.float32(0), np.float32(1)
@@ -46,7 +47,7 @@ def put_before(image, weight, filled):
                 )
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def mix_beyond(hdr, ldr, mask, weight, colour_share, dark, out):
     """Compute `roomlight.engine.panorama.blend.fill_in` into `out` [h, w, 3]."""
     height, width = mask.shape
@@ -66,7 +67,7 @@ def mix_beyond(hdr, ldr, mask, weight, colour_share, dark, out):
                 out[row, column, channel] += colour_share * (mixed * colour - out[row, column, channel])
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def mute(light, colour, own, out):
     """Move the colour of light [h, w, 3] toward `colour` [3] of luminance 1, into `out`; `own` is its share."""
     height, width, _ = light.shape
@@ -78,7 +79,7 @@ def mute(light, colour, own, out):
                 out[row, column, channel] = grey + own * (light[row, column, channel] - grey)
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def halve(pixels, row_sums, out):
     """Write the next coarser level, by the tent filter (1 3 3 1) / 8, with Gortler's gain of the weights.
 
@@ -90,19 +91,16 @@ def halve(pixels, row_sums, out):
     height, width, channels = pixels.shape
     eighth, three, tiny = np.float32(0.125), np.float32(3), np.float32(_TINY)
     for row in range(out.shape[0]):
-        # 1. four rows, or the only one
-        if height == 1:
-            row_sums[:] = pixels[0]
-        else:
-            a, b = max(2 * row - 1, 0), 2 * row
-            c, d = min(2 * row + 1, height - 1), min(2 * row + 2, height - 1)
-            for column in range(width):
-                for channel in range(channels):
-                    row_sums[column, channel] = eighth * (
-                        pixels[a, column, channel]
-                        + three * (pixels[b, column, channel] + pixels[c, column, channel])
-                        + pixels[d, column, channel]
-                    )
+        # 1. four rows, of which the first and last may be one
+        a, b = max(2 * row - 1, 0), 2 * row
+        c, d = min(2 * row + 1, height - 1), min(2 * row + 2, height - 1)
+        for column in range(width):
+            for channel in range(channels):
+                row_sums[column, channel] = eighth * (
+                    pixels[a, column, channel]
+                    + three * (pixels[b, column, channel] + pixels[c, column, channel])
+                    + pixels[d, column, channel]
+                )
         # 2. four columns, or the only one
         for column in range(out.shape[1]):
             a, b = (2 * column - 1) % width, 2 * column
@@ -124,7 +122,7 @@ def halve(pixels, row_sums, out):
                 out[row, column, channel] *= gain
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def pull(coarse, level, row_sums, out):
     """Write the filled level: its own colour, and that of the coarser one where its weight leaves room.
 
@@ -138,16 +136,13 @@ def pull(coarse, level, row_sums, out):
     rows, columns, colours = coarse.shape[0], coarse.shape[1], channels - 1
     near, far, one = np.float32(0.75), np.float32(0.25), np.float32(1)
     for row in range(height):
+        this, other = row, row
         if rows < height:
             this = row // 2
             other = min(this + 1, rows - 1) if row % 2 else max(this - 1, 0)
-            for column in range(columns):
-                for channel in range(colours):
-                    row_sums[column, channel] = (
-                        near * coarse[this, column, channel] + far * coarse[other, column, channel]
-                    )
-        else:
-            row_sums[:] = coarse[row]
+        for column in range(columns):
+            for channel in range(colours):
+                row_sums[column, channel] = near * coarse[this, column, channel] + far * coarse[other, column, channel]
         for column in range(width):
             this, other = column, column
             if columns < width:

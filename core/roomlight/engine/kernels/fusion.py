@@ -4,8 +4,10 @@
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import CACHED
 
-@njit(nogil=True, cache=True)
+
+@njit(**CACHED)
 def add_volume(volume, colour, opacity, count):
     """Add an initial volume [5, n] to the sums of colour [n, 3], opacity [n] and count [n]."""
     for voxel in range(len(count)):
@@ -17,7 +19,7 @@ def add_volume(volume, colour, opacity, count):
                 colour[voxel, channel] += volume[channel, voxel]
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def write_mean(colour, opacity, count, out):
     """Write the mean as an initial volume [5, n]: e = -1 where every observation was empty."""
     zero, one = np.float32(0), np.float32(1)
@@ -29,7 +31,7 @@ def write_mean(colour, opacity, count, out):
         out[4, voxel] = -one if count[voxel] > zero and opacity[voxel] == zero else zero
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def write_surfaces(colour, opacity, count, alpha, lobes, volume):
     """Write the mean opacity [n] and its colour, the first three channels of `lobes` [n, c].
 
@@ -45,7 +47,7 @@ def write_surfaces(colour, opacity, count, alpha, lobes, volume):
                 lobes[voxel, channel] = colour[voxel, channel] / opacity[voxel]
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def move_towards(values, target, share, observed, start, stop):
     """Move the voxels start..stop of `values` [n, c] by a share to `target`; 0 where `observed` [n] is below 0."""
     for voxel in range(start, stop):

@@ -20,6 +20,8 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from roomlight.kernels.common import CACHED
+
 OPAQUE = np.float32(1e-4)
 """A ray stops when its transmittance is below this; the remainder is dropped. With a window of twice white the
 reference differs by 1.2e-3 at a threshold of 1e-3 and by 1.2e-4 at this one, which costs 4 % more time."""
@@ -46,7 +48,7 @@ class MarchRays(NamedTuple):
     boundary: bool
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def march_rays(volume, rays, radiance, transmittance, start, stop):
     """Render rays start..stop into radiance [n, 3] and transmittance [n]; see `roomlight.engine.volume.sglv`."""
     alpha, lobes, lower, voxel = volume.alpha, volume.lobes, volume.lower, volume.voxel

@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Float32, Int32
 from numba import njit
 
+from roomlight.kernels.common import CACHED
+
 WIDE = np.float32(0.5)
 """Triangles that span more azimuth than this, in radians, are bounded by a cone instead of by their corners."""
 MARGIN = np.float32(0.02)
@@ -27,7 +29,7 @@ _WIDEST_CONE = np.float32(0.2)
 """Least cosine of a bounding cone's half angle; wider triangles are tested at every pixel."""
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def join_quads(depth, ratio, faces, numbers):
     """Write the triangles of a depth grid's quads into `faces` [n, 3], upper ones first; return their number.
 
@@ -71,7 +73,7 @@ class Raster(NamedTuple):
     front: Int32[np.ndarray, " p"]
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def raise_vertices(depth, uv, camera, camera_to_world, vertices):
     """Write the vertices [v, 3] of depth samples [v] at `uv` [v, 2], 0 to 1 in the image, in world metres.
 
@@ -91,7 +93,7 @@ def raise_vertices(depth, uv, camera, camera_to_world, vertices):
             vertices[i, axis] = turned + camera_to_world[axis, 3]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(**CACHED, error_model="numpy")
 def leave_out_shown(vertices, wanted, other, relative, least_m):
     """Clear `wanted` [v] for those of the vertices [v, 3] whose surface another depth grid shows too.
 
@@ -121,7 +123,7 @@ def leave_out_shown(vertices, wanted, other, relative, least_m):
         wanted[i] = min(abs(between - away), beside) > np.float32(relative) * away + np.float32(least_m)
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath={"nsz", "contract"})
+@njit(**CACHED, error_model="numpy", fastmath={"nsz", "contract"})
 def place_vertices(vertices, position, height, offsets, places):
     """Write the offsets of vertices [n, 3] from `position` [3, n], and their columns and rows in the panorama [2, n].
 
@@ -141,7 +143,7 @@ def place_vertices(vertices, position, height, offsets, places):
         rows[i] = per_radian * _angle(np.sqrt(flat), y) + nowhere
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath={"nsz", "contract"})
+@njit(**CACHED, error_model="numpy", fastmath={"nsz", "contract"})
 def _angle(y, x):
     """Return atan2(y, x), by 4.4.49 of Abramowitz and Stegun."""
     across, along = abs(y), abs(x)
@@ -154,7 +156,7 @@ def _angle(y, x):
     return -angle if y < 0 else angle
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def near_centres(places, shape, numbers, flags, chosen):
     """Write the numbers of the triangles that may hold the centre of a pixel into `chosen`; return how many.
 
@@ -193,7 +195,7 @@ def near_centres(places, shape, numbers, flags, chosen):
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def rasterise(faces, numbers, offsets, places, rays, height, raster):
     """Rasterise triangles of `faces` [n, 3], those of these ascending numbers, into `raster`.
 
@@ -260,7 +262,7 @@ def rasterise(faces, numbers, offsets, places, rays, height, raster):
     return min(first_changed, after_changed), after_changed
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def _corner_bounds(places, i, j, k, height):
     """Return (left, right, top, bottom) of a narrow triangle, in pixels; columns may lie beyond the edges."""
     width, middle = np.float32(2 * height), np.float32(height)
@@ -277,12 +279,12 @@ def _corner_bounds(places, i, j, k, height):
     return left - MARGIN, right + MARGIN, min(u, v, w) - margin, max(u, v, w) + margin
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def _unwrapped(column, middle, width):
     return column + width if column < middle else column
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def _cone_bounds(offsets, i, j, k, height):
     """Return (left, right, top, bottom) of the cone about a triangle's corners, in pixels."""
     width, rows = np.float32(2 * height), np.float32(height)
@@ -329,7 +331,7 @@ class Surface(NamedTuple):
     depth_m: Float32[np.ndarray, " v"]
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def locate(raster, surface, per_pixel, seen, maps, levels, distance):
     """Find the pixels that see the front of a mesh; return how many, and each one's place, pyramid level and distance.
 
@@ -353,7 +355,7 @@ def locate(raster, surface, per_pixel, seen, maps, levels, distance):
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def _place_in_image(raster, surface, pixel, per_pixel, place):
     """Write the (column, row) in the image that a pixel sees; return its pyramid level."""
     one, number = np.float32(1), raster.triangle[pixel]
@@ -385,7 +387,7 @@ class Nearest(NamedTuple):
     mesh: Int32[np.ndarray, " p"]
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def take_nearer(raster, start, stop, surface, per_pixel, number, closer_m, nearest, seen, maps, levels):
     """Take the pixels start..stop of a mesh that are nearer by `closer_m`, and clear the raster there.
 
@@ -410,7 +412,7 @@ def take_nearer(raster, start, stop, surface, per_pixel, number, closer_m, neare
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit(**CACHED)
 def sample_level(image, shape, seen, maps, levels, level, last, out):
     """Sample one pyramid level [h, w, c] bilinearly into `out` [p, c], at the pixels of this level.
 

@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float32
 from numba import njit
 
+from roomlight.kernels.common import CACHED
+
 
 class ViewArrays(NamedTuple):
     """A frame and its camera: `lens` is (fx/w, fy/h, cx/w, cy/h), `camera` the camera's centre in the volume frame.
@@ -30,7 +32,7 @@ class GridArrays(NamedTuple):
     edge: np.float32
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def initialise_slices(view, grid, far_unknown, volume, clipping, start, stop):
     """Fill volume[:, start:stop], [5, z, y, x]; see `roomlight.engine.volume.grid.initial_volume`.
 

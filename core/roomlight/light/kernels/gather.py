@@ -4,8 +4,10 @@
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import CACHED
 
-@njit(nogil=True, cache=True, fastmath=True)
+
+@njit(**CACHED, fastmath=True)
 def gather_rows(starts, sources, weights, values, out, begin, end):
     """out[r] = sum of weights x values[sources] over starts[r] .. starts[r + 1], for r in begin .. end."""
     channels = values.shape[1]
@@ -18,7 +20,7 @@ def gather_rows(starts, sources, weights, values, out, begin, end):
                 out[row, channel] += weight * values[source, channel]
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def _add_texels(pyramid, first, size, x, y, z, weight, total):
     """Add weight x the bilinear value along (x, y, z) of the level whose padded faces begin at `first`."""
     ax, ay, az = abs(x), abs(y), abs(z)
@@ -49,7 +51,7 @@ def _add_texels(pyramid, first, size, x, y, z, weight, total):
         )
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def gather_lobes(pyramid, firsts, sizes, normals, samples, out, begin, end):
     """One lobe about each normal: samples are (x, y, z, level, weight) with z along the normal; levels blend."""
     total = np.zeros(3, np.float32)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from roomlight.kernels.common import mixed, tangents
+from roomlight.kernels.common import CACHED, mixed, tangents
 from roomlight.kernels.microfacets import dielectric, distribution, masking
 
-ALLOCATING: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": True, "error_model": "numpy"}
+ALLOCATING: dict[str, Any] = CACHED | {"fastmath": True, "error_model": "numpy"}
 """For kernels that make arrays of their own."""
 JIT: dict[str, Any] = {**ALLOCATING, "_nrt": False}
 """For all others: with reference counting on, each call counts a reference to every array argument, 5 ns each."""
