@@ -181,9 +181,17 @@ export class LiveSession {
   private selectShown(): void {
     const { selectedProbe, liveProbes } = this.state;
     const selected = selectedProbe.value ?? "";
-    if (!liveProbes.value.has(selected) && !this.awaited.has(selected)) {
-      const wanted = this.state.wantedProbe;
-      selectedProbe.value = wanted !== null && liveProbes.value.has(wanted) ? wanted : (liveProbes.value.keys().next().value ?? null);
+    if (liveProbes.value.has(selected) || this.awaited.has(selected)) {
+      return;
+    }
+    const wanted = this.state.wantedProbe;
+    const shown = wanted !== null && liveProbes.value.has(wanted) ? wanted : (liveProbes.value.keys().next().value ?? null);
+    selectedProbe.value = shown;
+    if (shown !== null) { // light arrives for all probes at once
+      this.state.wantedProbe = null; // what is deleted later is not wanted any more
+      if (wanted !== null && shown !== wanted) {
+        this.report(new Error(`The address names the probe ${wanted}, which this session does not have: ${shown} is shown.`));
+      }
     }
   }
 

@@ -221,6 +221,11 @@ test("a session is renamed, and its address is shared", async () => {
   await other.goBack();
   await other.waitForFunction(() => document.title === "newer · RoomLight");
   await other.close();
+  const { page: moved } = await openPage(browser, { url: address.replace("probe-1", "gone") });
+  await moved.waitForSelector(".notice");
+  assert.match(await moved.textContent(".notice"), /names the probe gone, which this session does not have: probe-1 is shown/);
+  assert.equal(moved.url(), address);
+  await moved.close();
   const { page: lost } = await openPage(browser, { url: address.replace("room", "no-such") });
   await lost.waitForSelector("#ended:not([hidden])");
   await lost.close();
