@@ -286,8 +286,10 @@ def test_seven_scenes_defaults(tmp_path: Path) -> None:
     formats.save(path / "frame-000000.color.png", formats.image(".png", grey))
     formats.save(path / "frame-000000.depth.png", formats.image(".png", depth))
     formats.save(path / "frame-000000.pose.txt", b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
-    (frame,) = open_capture(path)
+    (frame,) = (capture := open_capture(path))
     np.testing.assert_allclose(frame.camera_to_world, np.eye(4), atol=1e-12)
+    assert "gravity-direction.txt" in str(capture.notes)
+    assert "gravity" not in str(open_capture(path, CaptureOptions(world_up="-y")).notes)
     k = frame.intrinsics
     assert (k.fx, k.fy, k.cx, k.cy) == (585, 585, 320, 240)
     assert not frame.depth_m[:10].any()
