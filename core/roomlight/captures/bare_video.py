@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from roomlight.camera import Intrinsics
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
@@ -120,6 +121,8 @@ class BareVideoReader:
                 continue
             aspect = image.shape[1] / image.shape[0]
             if motion is None:
+                if _has_hues_at_left(image):
+                    raise _rgbd_video(self._path)
                 first = aspect
                 lens, known = self._lens(image.shape[1], image.shape[0])
                 motion = CameraMotion(model, lens, focal_is_known=known)
@@ -229,9 +232,25 @@ def _refuse_rgbd(path: Path, stated: tuple[str, ...]) -> None:
         file.seek(max(0, path.stat().st_size - _TAIL_BYTES))
         tail = file.read()
     if _RGBD.encode() in tail or any(_RGBD in value for value in stated):
-        raise CaptureError(
-            f"{path}: is Record3D's RGBD video, whose left half is depth as hues; export the recording as .r3d"
-        )
+        raise _rgbd_video(path)
+
+
+def _has_hues_at_left(image: Float[np.ndarray, "h w 3"]) -> bool:
+    """Whether most of a picture's left half, and little of its right one, has the purest hues, of several kinds.
+
+    They cover up to 0.26 of a half in captures, all but what has no depth of an RGBD video's.
+    """
+    most = image.max(axis=2)
+    pure: Bool[np.ndarray, "h w"] = (most > 0.6) & (image.min(axis=2) < 0.1 * most)
+    half = image.shape[1] // 2
+    shares = pure[:, :half].mean(), pure[:, half:].mean()
+    return bool(shares[0] > 0.6 and shares[1] < 0.4 and np.ptp(image[:, :half].argmax(axis=2)[pure[:, :half]]) > 0)
+
+
+def _rgbd_video(path: Path) -> CaptureError:
+    return CaptureError(
+        f"{path}: is Record3D's RGBD video, whose left half is depth as hues; export the recording as .r3d or EXR + JPG"
+    )
 
 
 def bending_lens(source: str, *stated: str) -> list[Note]:

@@ -47,7 +47,7 @@ _TWO_VIEWS: Final = {
 
 
 class VideoFrames:
-    """The frames of the first video stream of an MP4 or Matroska file, numbered in order of presentation.
+    """The frames of the largest video stream in colour of an MP4 or Matroska file, numbered in order of presentation.
 
     Packets are numbered by presentation time before decoding, so that a packet that does not decode loses only its
     own frame and does not shift the numbers of later frames. Packets that an edit list cuts off, which only help to
@@ -201,13 +201,21 @@ def _demuxer(path: Path) -> str:
 
 
 def _main_stream(container: Any, label: str) -> tuple[Any, tuple[Note, ...]]:
-    """Return the video stream that is no cover picture, and what is unusual about it. Raises ValueError for none."""
+    """Return the largest video stream in colour that is no cover picture, and what is unusual about it.
+
+    Raises ValueError for none. Depth and infrared are streams too, grey or smaller.
+    """
     streams = [stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic]
     if not streams:
         raise ValueError("it holds no pictures")
-    stream, notes = streams[0], list[Note]()
+    sizes = [(getattr(stream, "width", 0), getattr(stream, "height", 0)) for stream in streams]
+    kinds = [getattr(stream, "pix_fmt", None) or "of an unknown codec" for stream in streams]
+    best = max(range(len(streams)), key=lambda at: (not kinds[at].startswith("gray"), sizes[at][0] * sizes[at][1]))
+    stream, notes = streams[best], list[Note]()
     if len(streams) > 1:
-        notes.append(Note(f"{label}: {len(streams)} video streams", "the first is read", "keep the one that is meant"))
+        listed = ", ".join(f"{width} x {height} {kind}" for (width, height), kind in zip(sizes, kinds, strict=True))
+        text = f"{label}: {len(streams)} video streams ({listed})"
+        notes.append(Note(text, f"number {best + 1} is read", "keep the one that is meant"))
     shape = getattr(stream, "sample_aspect_ratio", None)
     return stream, (*notes, *oblong_pixels(label, float(shape or 1)))
 

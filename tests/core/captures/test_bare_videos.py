@@ -4,6 +4,7 @@ import struct
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import formats
@@ -338,16 +339,33 @@ def test_what_is_no_video_is_named(tmp_path: Path) -> None:
     refused(tmp_path / "walk.mov", r"walk\.mov: is not a readable video \(it is cut off.*copy or export it again")
 
 
-@pytest.mark.parametrize("at_end", [True, False])
-def test_record3ds_rgbd_video_is_refused(tmp_path: Path, at_end: bool) -> None:
-    """Its left half is depth as hues; its JSON is at the end of the file, or a comment before the pictures."""
+@pytest.mark.parametrize("told_by", ["end", "comment", "hues"])
+def test_record3ds_rgbd_video_is_refused(tmp_path: Path, told_by: str) -> None:
+    """Its left half is depth as hues; its JSON is at the end of the file, a comment before the pictures, or lost."""
     path, stated = tmp_path / "walk.mp4", '{"rangeOfEncodedDepth": [0, 3], "intrinsicMatrix": [9]}'
     picture = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
-    comment, file = {} if at_end else {"comment": stated}, {"options": {"movflags": "faststart"}}
+    if told_by == "hues":
+        picture[:, :160] = np.where(np.arange(160)[:, None] < 80, (255, 0, 80), (0, 255, 40))
+    comment, file = {"comment": stated} if told_by == "comment" else {}, {"options": {"movflags": "faststart"}}
     formats.video(path, [picture], rate=5, options={"crf": "0"}, file=file, metadata=comment)
-    if at_end:
+    if told_by == "end":
         path.write_bytes(path.read_bytes() + stated.encode())
-    refused(path, r"walk\.mp4: is Record3D's RGBD video.*export the recording as \.r3d")
+    unreadable(path, r"walk\.mp4: is Record3D's RGBD video.*export the recording as \.r3d")
+
+
+def test_the_largest_stream_in_colour_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "walk.mkv"
+    packets: list[Any] = []
+    with av.open(str(path), "w") as file:
+        for codec, stored, width in (("ffv1", "gray16le", 96), ("libx264", "yuv420p", 32), ("libx264", "yuv420p", 64)):
+            stream: Any = file.add_stream(codec, rate=5)
+            stream.width, stream.height, stream.pix_fmt = width, 48, stored
+            packets += [*stream.encode(av.VideoFrame(width, 48, stored)), *stream.encode()]
+        file.mux(packets)
+    with VideoFrames(path, "walk.mkv") as video:
+        picture = video.frame(0)
+    assert picture.image.shape == (48, 64, 3)
+    assert "96 x 48 gray16le, 32 x 48 yuv420p, 64 x 48" in picture.notes[0].left_out
 
 
 def test_a_stated_focal_length_is_taken(tmp_path: Path) -> None:

@@ -2,10 +2,10 @@
 
 Files are `frame-XXXXXX.color.png|jpg`, `.depth.png`, `.pose.txt`, optionally `camera-intrinsics.txt`.
 
-Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera's or another fit's. Up is
-the opposite of `gravity-direction.txt` (three numbers); without that file the world is assumed to be an upright
-OpenCV camera's, up = -y, which is noted. Depth is uint16 millimetres, 0 and 65535 unknown. K is used unchanged, with pixel centres at
-half integers: the data set's default of 585, 585, 320, 240 for 640 x 480 puts the principal point at the centre of the
+Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera's or another fit's. Up is the opposite
+of `gravity-direction.txt` (three numbers); without that file the world is assumed to be an upright OpenCV camera's, up
+= -y, which is noted. Depth is uint16 millimetres, 0 and 65535 unknown. K is used unchanged, with pixel centres at half
+integers: the data set's default of 585, 585, 320, 240 for 640 x 480 puts the principal point at the centre of the
 image; it is scaled to images of that aspect, and none other. A K of a file has no size and must fit the image.
 `info.txt`, in 3RScan `_info.txt`, is the header of a `.sens` as text: both cameras, their sizes and the unit of depth
 are read as ScanNet's; `camera-intrinsics.txt` goes before its K.
