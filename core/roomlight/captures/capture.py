@@ -433,8 +433,10 @@ class Capture:
             upward = float(-frame.camera_to_world[1, 2])
             if np.abs(pose[:3, :3] - np.eye(3)).max() < 0.02 and abs(upward) > 0.99 and self._up_is_assumed:
                 self._notes[lying_camera(frame.source, self._camera_convention, upward)] = None
-            if (odd := odd_camera(frame.source, raw.stated or frame.intrinsics)) is not None:
-                self._notes[odd] = None
+        odd = odd_camera(frame.source, raw.stated or frame.intrinsics)
+        if odd is not None and "camera" not in self._noted:
+            self._noted.add("camera")
+            self._notes[odd] = None
 
     def _to_conventions(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         rigid = pose

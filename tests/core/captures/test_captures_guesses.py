@@ -77,6 +77,11 @@ def test_black_bars_are_pointed_out(transforms: Path, bars: tuple, crop: str | N
     assert crop is None or crop in said[0]
 
 
+def test_a_camera_of_another_size_is_noted_on_a_later_frame_too(transforms: Path) -> None:
+    edit(transforms / "transforms.json", lambda index: index["frames"][2].update(cx=30))
+    assert any("00003.png: a principal point at (30," in note for note in notes_of(transforms, frames=4))
+
+
 def test_several_colmap_models_are_noted(tmp_path: Path) -> None:
     path = formats.colmap(tmp_path / "capture", VIEWS)
     shutil.copytree(path / "sparse/0", path / "sparse/1")

@@ -528,6 +528,7 @@ def test_polycam_without_loops_and_in_its_other_layout(tmp_path: Path) -> None:
             for kind in ("images", "cameras"):
                 shutil.rmtree(path / f"keyframes/corrected_{kind}")
                 assert first_of(path).camera_to_world[0, 3] == 99.0
+                assert ("corrected_cameras" in str(open_capture(path).notes)) == (kind == "images")
         for folder in (path / "keyframes").iterdir():
             folder.rename(path / folder.name)
         (path / "keyframes").rmdir()

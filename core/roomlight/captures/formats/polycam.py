@@ -54,9 +54,14 @@ class PolycamReader(ListedReader):
         self._root = images.rpartition("/")[0] + "/" if "/" in images else ""
         colour, taken = (files_of(source, at, _SUFFIXES) for at in (images, images.replace("corrected_", "")))
         if not files_of(source, self._cameras, (".json",)):
-            raise CaptureError(f"{source.label(self._cameras)}: has no camera; export Polycam's raw data")
+            text = f"{source.label(self._cameras)}: has no camera of the pictures in {images}"
+            raise CaptureError(f"{text}; export Polycam's raw data again")
         super().__init__(folder, options, colour, expected="keyframes/images/TIME.jpg")
         self._border_noted = False
+        corrected = f"{self._root}corrected_cameras"
+        if self._cameras != corrected and files_of(source, corrected, (".json",)):
+            text = f"{source.label(corrected)}: the poses of closed loops, without corrected_images"
+            self.notes.append(Note(text, f"{self._cameras}, which drift, are read", "export Polycam's raw data again"))
         if len(taken) > len(colour):
             what = f"{source.label(images)}: holds {len(colour)} of the {len(taken)} pictures that were taken"
             self.notes.append(Note(what, "the others are not read", "nothing to do, if the app left them out"))
