@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.captures.consistency import FRAMES
 from roomlight.captures.lenses import fitted
-from roomlight.captures.notes import PassChecks, lying_camera, odd_camera, scaled_poses, unread_depth
+from roomlight.captures.notes import PassChecks, odd_camera, scaled_poses, unread_depth
 from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
@@ -206,7 +206,7 @@ class Capture:
         self._pose_direction: PoseDirection = options.pose_direction or conventions.pose
         up = up_vector(options.world_up) if options.world_up is not None else conventions.world_up
         self._to_y_up = rotation_to_y_up(np.array(up, np.float64))
-        self._up_is_assumed, self._first_pose, self._noted = options.world_up is None, True, set[str]()
+        self._noted = set[str]()
         self._min_confidence = 1 if options.min_confidence is None else options.min_confidence
         if reader.count == 0:
             raise CaptureError(f"{path}: has no frames")
@@ -274,7 +274,7 @@ class Capture:
         at = self._at = _Place()
         self._depth_stream = None
         if after is not None:
-            at.good, at.last, self._first_pose = after.good, after.last, False
+            at.good, at.last = after.good, after.last
             self._noted.update(after.noted)
             self._notes |= dict.fromkeys(after.notes)
             if after.depth is not None:
@@ -285,7 +285,7 @@ class Capture:
             self.format,
             (self._camera_convention, self._pose_direction),
             self._to_y_up,
-            up_is_assumed=self._up_is_assumed,
+            up_is_assumed=self._options.world_up is None,
             unit_is_assumed=self._options.depth_unit_m is None,
             scale_is_assumed=self._options.camera_height_m is None,
             poses_are_estimated=isinstance(self._reader, Preparing),
@@ -369,20 +369,19 @@ class Capture:
                 image, depth_m = hidden(image, depth_m, picture.seen)
                 if measured and not depth_m.any():
                     raise FrameError(f"{raw.name}: no pixel that is seen has a known depth")
-            pose = check_rigid(raw.pose)
             frame = Frame(
                 index=index,
                 image=image,
                 clipped=picture.clipped,
                 depth_m=depth_m,
                 intrinsics=intrinsics,
-                camera_to_world=self._to_conventions(pose),
+                camera_to_world=self._to_conventions(check_rigid(raw.pose)),
                 timestamp_s=self._timeline.times_s[index],
                 source=raw.name,
                 seen=picture.seen,
                 auto_exposed=raw.auto_exposed,
             )
-            self._take_notes(replace(raw, picture=picture), pose, frame)
+            self._take_notes(replace(raw, picture=picture), frame)
             if stored:
                 return frame
             frame = self._in_metres(frame)
@@ -421,18 +420,13 @@ class Capture:
 
         return open_depth_stream(self._options.depth_model, height_m=self._options.camera_height_m)
 
-    def _take_notes(self, raw: RawFrame, pose: Float[np.ndarray, "4 4"], frame: Frame) -> None:
+    def _take_notes(self, raw: RawFrame, frame: Frame) -> None:
         """Keep the notes of a frame, one for all frames of a kind: the first frame's file stands for the others."""
         for note in raw.picture.notes:
             kind = note.left_out.replace(raw.name, "")
             if kind not in self._noted:
                 self._noted.add(kind)
                 self._notes[note] = None
-        if self._first_pose:
-            self._first_pose = False
-            upward = float(-frame.camera_to_world[1, 2])
-            if np.abs(pose[:3, :3] - np.eye(3)).max() < 0.02 and abs(upward) > 0.99 and self._up_is_assumed:
-                self._notes[lying_camera(frame.source, self._camera_convention, upward)] = None
         odd = odd_camera(frame.source, raw.stated or frame.intrinsics)
         if odd is not None and "camera" not in self._noted:
             self._noted.add("camera")

@@ -7,7 +7,7 @@ convention says.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Final, NamedTuple
@@ -62,9 +62,11 @@ _HANGING: Final = -0.5
 """Mean cosine of the cameras' up with the assumed one below which they hang upside down."""
 _FALLING, _ODD_RATIO = -0.6, 5.0
 """Correlation of depth and its estimate below which it is pointed out, and their ratio beyond which it is."""
-_LENGTHS: Final = (1e-3, 1e-2, 1e2, 1e3)
-_FINE: Final = tuple(10 ** (step / 4) for step in range(-14, 15))
-"""A power of ten is named only where it is clearly the best of these."""
+_LENGTHS: Final = tuple(10 ** (step / 8) for step in range(-28, 29))
+_LEAST_LENGTH: Final = 1.5
+"""Factor on positions, either way, from which on it is looked for where features are near where they should be."""
+_NOISE: Final = 0.004
+"""Distance of features, relative to the width, that hardly tells a factor on positions."""
 _BODY_TO_OPENGL: Final = np.array([[0.0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """Turn from axes x forward, y left, z up, as robots have them."""
 
@@ -90,7 +92,7 @@ class Disagreement:
         body_axes: The camera has a robot's axes: x forward, y left, z up.
         focal: Factor on the focal lengths that makes features move as they do.
         known: Whether one of these explains it.
-        axis: Axis of the stored world about which the cameras are level, if it is not the assumed up.
+        axis: Direction of the stored world about which the cameras are level, upward, if it is not the assumed up.
         up: Opposite of the assumed up, if the cameras hang upside down; an axis of the stored world.
     """
 
@@ -145,8 +147,11 @@ class PoseCheck:
         self._resting = self._frames if complete else 0
         return complete
 
-    def disagreement(self) -> Disagreement | None:
-        """Return what is wrong; None for nothing, and if the pictures do not tell."""
+    def disagreement(self, *, measured: bool) -> Disagreement | None:
+        """Return what is wrong; None for nothing, and if the pictures do not tell.
+
+        `measured`: depth is no estimate, whose scale may be wrong.
+        """
         stated = [frame.camera_to_world for _, frame in self._views]
         if len(stated) < _LEAST_PAIRS:
             return None
@@ -161,13 +166,19 @@ class PoseCheck:
         assumed = error(stated)
         if assumed < _LEAST_ERROR:
             worst = max(pairs, key=lambda pair: self._error(pair, stated))
-            jumps = self._error(worst, stated) > _JUMP and not self._repeats(worst, stated)
-            return Disagreement(known=False) if jumps else wrong_up
+            if self._error(worst, stated) > _JUMP and not self._repeats(worst, stated):
+                return Disagreement(known=False)
+            if measured and assumed > _NOISE:
+                length, left, is_clear = _best_length(lambda length: error(stated, length))
+                if is_clear and left < _SHARE * assumed and not 1 / _LEAST_LENGTH < length < _LEAST_LENGTH:
+                    return Disagreement(length=length)
+            return wrong_up
         if 2 * sum(self._repeats(pair, stated) for pair in pairs) >= len(pairs):
             return wrong_up
         axes = OPENCV_TO_OPENGL if self._opencv else np.eye(4)
         stored = [rigid_inverse(self._to_y_up) @ pose @ axes for pose in stated]
-        choices = {Disagreement(length=length): error(stated, length) for length in _LENGTHS}
+        length, left, is_clear = _best_length(lambda length: error(stated, length))
+        choices = {Disagreement(length=length): left} if measured or not 0.1 < length < 10 else {}
         choices |= {Disagreement(focal=focal): error(stated, focal=focal) for focal in (0.5, 2.0)}
         choices[Disagreement(body_axes=True)] = error([pose @ _BODY_TO_OPENGL for pose in stored])
         choices[Disagreement(w_first=True)] = error([_reordered(pose) @ axes for pose in stored])
@@ -180,12 +191,7 @@ class PoseCheck:
         if choices[best] < min(_LEAST_ERROR, _SHARE * assumed):
             if best.w_first and not self._quaternions:  # of a tool before, or by chance: poses in another order
                 return Disagreement(known=False)
-            if best.length == 1:
-                return best
-            errors = [error(stated, length) for length in _FINE]
-            finest = int(np.argmin(errors[1:-1])) + 1
-            clear = min(errors[finest - 1], errors[finest + 1]) > 2 * errors[finest]
-            return Disagreement(length=_FINE[finest] if clear and math.log10(_FINE[finest]).is_integer() else None)
+            return best if best.length == 1 or is_clear else Disagreement(length=None)
         moved = np.median([np.median(np.linalg.norm(pair.end - pair.start, axis=1)) for pair in pairs])
         lost = assumed > max(2 * _LEAST_ERROR, _LOST * float(moved) / self._views[0][0].shape[1])
         return Disagreement(known=False) if lost else wrong_up
@@ -264,7 +270,15 @@ class PoseCheck:
         up, axis = turns[:, 1], max(seen, key=lambda name: float(np.abs(seen[name][:, 1]).mean()))
         assumed, other = (np.linalg.norm(way - way.mean(axis=0), axis=1).mean() for way in (up, seen[axis]))
         wrong = assumed > 0.1 and other < 0.5 * assumed and np.abs(up[:, 1]).mean() < 0.5
-        return Disagreement(axis=axis) if wrong and np.abs(seen[axis][:, 1]).mean() > 0.8 else None
+        upward = float(seen[axis][:, 1].mean())
+        return Disagreement(axis=axis if upward > 0 else f"-{axis}") if wrong and abs(upward) > 0.8 else None
+
+
+def _best_length(error: Callable[[float], float]) -> tuple[float, float, bool]:
+    """Return the factor on positions of least error, to a twentieth, its error, and whether it is clearly that one."""
+    near = min(_LENGTHS, key=error)
+    best = min((near * 10 ** (step / 32) for step in (0, -1, 1, -2, 2)), key=error)
+    return best, error(best), min(error(0.6 * best), error(best / 0.6)) > 2 * error(best)
 
 
 def _coarse(image: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "ch cw"]:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from roomlight.camera import Intrinsics
 from roomlight.captures.consistency import FRAMES, DepthCheck, Disagreement, PoseCheck, odd_depth
 from roomlight.captures.options import CameraConvention, PoseDirection
+from roomlight.conventions import OPENCV_TO_OPENGL
 from roomlight.frame import Frame
 from roomlight.notes import Note
 
@@ -110,9 +111,9 @@ def wrong_poses(name: str, wrong: Disagreement, convention: CameraConvention, di
     """Make the note for poses that do not fit the pictures, or a world that lies on its side."""
     if wrong.axis is not None:
         return Note(
-            f"{name}: the cameras are level about the {wrong.axis} axis of the stored world, not the assumed up",
+            f"{name}: the cameras are level about the {wrong.axis[-1]} axis of the stored world, not the assumed up",
             "the panorama may be turned by 90 degrees",
-            f"state world_up (--world-up {wrong.axis} or -{wrong.axis})",
+            f"state world_up (--world-up {wrong.axis}, unless they hung upside down)",
         )
     if wrong.up is not None:
         return Note(
@@ -246,12 +247,20 @@ class PassChecks:
         self._up_is_assumed, self._unit_is_assumed = up_is_assumed, unit_is_assumed
         self._scale_is_assumed = scale_is_assumed
         self._count, self._poses_are_done = passed, poses_are_estimated
+        self._measured, self._scale_is_noted = True, False
+        self._unturned, self._lies = to_y_up @ (OPENCV_TO_OPENGL if conventions[0] == "opencv" else np.eye(4)), False
         self._depths, self._within = DepthCheck(), list[tuple[int, int, int, int] | None]()
         self._poses = PoseCheck(to_y_up, opencv=conventions[0] == "opencv", quaternions=format in _OF_QUATERNIONS)
 
     def add(self, frame: Frame, depth: "DepthStream | None") -> Iterator[Note]:
         """Take a frame, and what estimated its depth; yields what contradicts."""
         self._count += 1
+        self._measured = depth is None
+        if self._count == 1 and self._up_is_assumed:
+            turn, upward = frame.camera_to_world[:3, :3], float(-frame.camera_to_world[1, 2])
+            self._lies = abs(upward) > 0.99 and np.abs(turn - self._unturned[:3, :3]).max() < 0.02
+            if self._lies:
+                yield lying_camera(frame.source, self._conventions[0], upward)
         if self._count <= FRAMES:
             self._within.append(within_bars(frame.image))
             if depth is None and self._unit_is_assumed:
@@ -275,8 +284,11 @@ class PassChecks:
     def _notes_of_first(self) -> Iterator[Note]:
         """Yield notes of depth that contradicts the poses, or, where any tool wrote it, the pictures; and of bars."""
         if (mismatch := self._depths.mismatch()) is not None:
-            is_turned = isinstance(mismatch, str)
-            yield turned_maps(self._name, mismatch) if is_turned else wrong_scale(self._name, mismatch)
+            if isinstance(mismatch, str):
+                yield turned_maps(self._name, mismatch)
+            elif not self._scale_is_noted:
+                self._scale_is_noted = True
+                yield wrong_scale(self._name, mismatch)
         elif self._format in _OF_ANY_TOOL and (odd := unlikely_depth(self._name, self._depths.samples)) is not None:
             yield odd
         if (barred := black_bars(self._name, self._within)) is not None:
@@ -284,9 +296,15 @@ class PassChecks:
 
     def _notes_of_poses(self) -> Iterator[Note]:
         """Yield a note of what contradicts the pictures in the assumed conventions, once in a pass."""
-        wrong = self._poses.disagreement()
+        wrong = self._poses.disagreement(measured=self._measured)
         if wrong is None or (wrong.up is not None and self._format not in _OF_ANY_TOOL):  # a phone may be held so
+            return
+        if wrong.axis is not None and self._lies:  # the note of the first pose names the axis
             return
         if self._up_is_assumed or (wrong.axis is None and wrong.up is None):
             self._poses_are_done = True
+            if wrong.length != 1:
+                if self._scale_is_noted:
+                    return
+                self._scale_is_noted = True
             yield wrong_poses(self._name, wrong, *self._conventions)

@@ -37,7 +37,8 @@ def turning(count: int) -> list[formats.View]:
 
 
 @pytest.mark.parametrize(
-    ("turn", "said", "up"), [(0.0, "level about the y axis", "y"), (-90.0, "hang upside down", "-z")]
+    ("turn", "said", "up"),
+    [(0.0, "level about the y axis", "y"), (180.0, "level about the y axis", "-y"), (-90.0, "hang upside down", "-z")],
 )
 def test_a_world_whose_up_is_another_is_pointed_out(tmp_path: Path, turn: float, said: str, up: str) -> None:
     """ARKit's poses in a transforms.json, whose world counts as z-up; and poses of a world whose z is down."""
