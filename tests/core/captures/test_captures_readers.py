@@ -228,6 +228,28 @@ def test_transforms_world_up_key_and_unit(transforms: Path) -> None:
     np.testing.assert_allclose(frame.depth_m, 2 * VIEWS[0].depth_m, rtol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("turned", "level"),
+    [
+        ([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]], True),  # nerfstudio's since 2024
+        ([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]], True),  # and before
+        (np.eye(4).tolist(), False),
+        ("none", False),
+    ],
+)
+def test_up_of_a_colmap_world_that_nerfstudio_turned(transforms: Path, turned: list, level: bool) -> None:
+    matrix = np.array([*turned[:3], [0, 0, 0, 1]]) if level else np.eye(4)
+
+    def change(index: dict) -> None:
+        index["applied_transform"] = turned
+        for frame, view in zip(index["frames"], VIEWS, strict=True):
+            frame["transform_matrix"] = (matrix @ formats.FLIP @ view.pose).tolist()
+
+    edit(transforms / "transforms.json", change)
+    up = first_of(transforms).camera_to_world[1, :3] @ VIEWS[0].pose[1, :3]
+    assert up == pytest.approx(1.0) if level else up < 0.9
+
+
 def test_transforms_depth_key_chooses_among_several(transforms: Path) -> None:
     small = cv2.resize(formats.millimetres(VIEWS[0]), (16, 12), interpolation=cv2.INTER_NEAREST)
     formats.save(transforms / "lidar.png", formats.image(".png", small))

@@ -7,10 +7,11 @@ Pixels of a mask that are 0 are not seen; instant-ngp's `dynamic_mask_NAME.png` 
 nor are pixels farther than `fisheye_crop_radius` from the centre of the image.
 Frames that are marked `is_bad` are skipped.
 
-Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up`
-(x, y, z, -x, -y, -z or three numbers), or is NeRFCapture's (it alone has `depth_path` or `*integer_*scale`
-keys), whose world is ARKit's, y-up. cx and cy are used unchanged: pixel centres at half integers, as
-nerfstudio and ARKit have them. Translations are divided by `applied_scale`.
+Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up` (x, y, z,
+-x, -y, -z or three numbers), or is NeRFCapture's (it alone has `depth_path` or `*integer_*scale` keys), whose world is
+ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its -y, taken for up, became -x
+(`applied_transform`), and ScanNet++ its own z-up one in this way so that up became -z. cx and cy are used unchanged:
+pixel centres at half integers, as nerfstudio and ARKit have them. Translations are divided by `applied_scale`.
 
 Depth: 16-bit PNG, .npy, TIFF or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, of
 NeRFCapture's script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder
@@ -48,6 +49,9 @@ _DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic", ".webp", ".tif", ".tiff", ".bmp")
 _PICTURE_FOLDERS: Final = ("../images", "../resized_images", "../resized_undistorted_images")
 _MASK_FOLDERS: Final = ("../masks", "../resized_anon_masks", "../resized_undistorted_masks")
+_SCANNETPP: Final = "resized_"
+"""Beginning of the folders of ScanNet++'s own pictures."""
+_SWAPPED: Final = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 _LENS_KEYS: Final = ("fl_x", "camera_angle_x", "x_fov")
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
 _READ: Final = frozenset(
@@ -103,7 +107,6 @@ class NerfstudioReader:
             self._nerfcapture = any(key in self._shared for key in _NERFCAPTURE_SCALES) or any(
                 "depth_path" in frame for frame in self._frames
             )
-            self.conventions = PoseConventions("opengl", "camera-to-world", self._world_up())
             self._stated_unit_m = options.depth_unit_m
             self._depth_unit({})  # refuses the capture for what concerns all frames
             fields.positive(self._shared.get("applied_scale", 1.0), "applied_scale")
@@ -116,6 +119,8 @@ class NerfstudioReader:
         self.notes = [*self._unread_keys(), *self._made_relative()]
         self._pictures = self._source_of("file_path", _PICTURE_FOLDERS)
         self._masks = self._source_of("mask_path", _MASK_FOLDERS)
+        with fields.naming(self._label, CaptureError):
+            self.conventions = PoseConventions("opengl", "camera-to-world", self._world_up())
 
     def name_of(self, index: int) -> str:
         """Return the colour file as the index names it."""
@@ -279,7 +284,12 @@ class NerfstudioReader:
     def _world_up(self) -> tuple[float, float, float]:
         stated: Any = self._shared.get("world_up")
         if stated is None:
-            return up_vector("y" if self._nerfcapture else "z")
+            if self._nerfcapture:
+                return up_vector("y")
+            if self._pictures.root.name.startswith(_SCANNETPP):
+                return up_vector("-z")
+            turn: Any = self._shared.get("applied_transform")
+            return up_vector("-x" if isinstance(turn, list) and turn[:3] == _SWAPPED else "z")
         if isinstance(stated, list):
             components = fields.vector(stated, 3, "world_up").tolist()
             x, y, z = (fields.number(value, "world_up") for value in components)
