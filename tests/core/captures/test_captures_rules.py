@@ -576,6 +576,16 @@ def test_names_of_the_scanner_app_in_capitals_keep_their_depth(tmp_path: Path) -
     assert capture.notes == ()
 
 
+@pytest.mark.parametrize("folder", ["vga_wide", "wide"])
+def test_arkitscenes_in_another_size(tmp_path: Path, folder: str) -> None:
+    path = formats.arkit_scenes(tmp_path / "capture", VIEWS)
+    for kind in ("", "_intrinsics"):
+        (path / f"lowres_wide{kind}").rename(path / f"{folder}{kind}")
+    if folder == "wide":
+        (path / "lowres_depth").rename(path / "highres_depth")
+    same_views(open_capture(path, CaptureOptions(depth="file")), VIEWS)
+
+
 def test_arkitscenes_without_a_pose_near_in_time(tmp_path: Path) -> None:
     path = formats.arkit_scenes(tmp_path / "capture", VIEWS)
     lines = (path / "lowres_wide.traj").read_text().splitlines()

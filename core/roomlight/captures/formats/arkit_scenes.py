@@ -1,5 +1,6 @@
 """ARKitScenes: `lowres_wide/ID_TIME.png`, `lowres_depth`, `confidence`, `lowres_wide_intrinsics/ID_TIME.pincam` and
-`lowres_wide.traj`.
+`lowres_wide.traj`. Where `lowres_wide` was not downloaded, `vga_wide` or `wide` is read with its own
+intrinsics, and `highres_depth` where `lowres_depth` was not.
 
 Each image takes the pose at its time, interpolated between those at most 0.5 s apart, and the intrinsics nearest in
 time: their names differ by a millisecond.
@@ -10,6 +11,7 @@ world z-up. A `.pincam` holds `width height fx fy cx cy`, used unchanged. Depth 
 """
 
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
@@ -19,7 +21,7 @@ from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import read_rgbd
-from roomlight.captures.formats.listed import ListedReader, files_of
+from roomlight.captures.formats.listed import ListedReader, files_of, first_folder
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.poses import pose_at
 from roomlight.captures.source import read_index
@@ -28,6 +30,8 @@ from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
 
 TRAJECTORY = "lowres_wide.traj"
+_PICTURES: Final = ("lowres_wide", "vga_wide", "wide")
+_DEPTHS: Final = ("lowres_depth", "highres_depth")
 
 
 class ArkitScenesReader(ListedReader):
@@ -38,15 +42,16 @@ class ArkitScenesReader(ListedReader):
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
         source = FolderSource(folder)
-        colour = files_of(source, "lowres_wide", (".png", ".jpg"))
-        super().__init__(folder, options, colour, expected="lowres_wide/*.png")
+        self._pictures, self._depth = first_folder(source, *_PICTURES), first_folder(source, *_DEPTHS)
+        colour = files_of(source, self._pictures, (".png", ".jpg"))
+        super().__init__(folder, options, colour, expected=f"{' or '.join(_PICTURES)}/*.png")
         label = source.label(TRAJECTORY)
         self._poses = fields.parsed_lines(read_index(source, TRAJECTORY), label, _timed_pose, self.notes)
         self._poses.sort(key=lambda pose: pose[0])
         if not self._poses:
             raise CaptureError(f"{label}: has no pose")
         self._times = [time for time, _ in self._poses]
-        pincams = files_of(source, "lowres_wide_intrinsics", (".pincam",))
+        pincams = files_of(source, f"{self._pictures}_intrinsics", (".pincam",))
         self._pincams = sorted((time, name) for name in pincams if (time := _time_of(name)) is not None)
 
     def timestamps(self) -> list[float | None]:
@@ -55,8 +60,8 @@ class ArkitScenesReader(ListedReader):
 
     def _read(self, index: int) -> RawFrame:
         colour_name, label = self._colour[index], self.name_of(index)
-        file = Path(colour_name).name
-        depth_name = f"lowres_depth/{file}" if self._source.has("lowres_depth") else None
+        file = f"{Path(colour_name).stem}.png"
+        depth_name = f"{self._depth}/{file}" if self._source.has(self._depth) else None
         with fields.naming(label, FrameError):
             time_s = _time_of(colour_name)
             if time_s is None:
@@ -69,7 +74,7 @@ class ArkitScenesReader(ListedReader):
 
     def _intrinsics(self, time_s: float, label: str) -> Intrinsics:
         if not self._pincams:
-            raise FrameError(f"{label}: there is no lowres_wide_intrinsics/*.pincam")
+            raise FrameError(f"{label}: there is no {self._pictures}_intrinsics/*.pincam")
         name = self._pincams[nearest([time for time, _ in self._pincams], time_s)][1]
         pincam = self._source.label(name)
         lines = fields.parse_text(self._source.read(name, max_bytes=4096), pincam)
