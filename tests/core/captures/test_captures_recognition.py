@@ -35,7 +35,7 @@ def test_metadata_of_another_program_is_not_record3ds(tmp_path: Path, kind: str)
 def test_record3ds_files_without_poses_are_named(tmp_path: Path) -> None:
     path = formats.record3d_export(tmp_path / "capture", VIEWS[:1])
     (path / "metadata.json").write_text('{"w": 32, "h": 24}')
-    refused(path, r"metadata\.json: poses is missing")
+    refused(path, r"metadata\.json: poses is missing.*record with LiDAR.*roomlight light")
 
 
 @pytest.mark.parametrize("kind", ["record3d", "polycam"])

@@ -194,7 +194,8 @@ def _list(metadata: dict[str, Any], key: str, *, needed: bool = True) -> list[An
     if value is None and not needed:
         return []
     if not isinstance(value, list):
-        raise ValueError(f"{key} is missing or not a list; Record3D's metadata with poses is needed")
+        instead = "; record with LiDAR, which tracks, or `roomlight light` one of its pictures" if needed else ""
+        raise ValueError(f"{key} is missing or not a list{instead}")
     return value
 
 
