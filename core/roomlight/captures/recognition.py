@@ -29,7 +29,7 @@ _PARTS: Final[dict[str, tuple[str, ...]]] = {
     "seven-scenes": ("frame-*.color.*", "frame-*.depth.*", "frame-*.pose.txt"),
     "polycam": ("keyframes/images|images", "keyframes/cameras|cameras"),
     "3d-scanner-app": ("frame_*.jpg", "frame_*.json"),
-    "arkitscenes": ("lowres_wide", "lowres_depth", "lowres_wide_intrinsics", TRAJECTORY),
+    "arkitscenes": ("lowres_wide|vga_wide|wide", "lowres_depth|highres_depth", "*wide_intrinsics", TRAJECTORY),
     "scannet": ("color", "pose", "intrinsic/intrinsic_color.txt"),
     "scannetpp": (scannetpp.INDEX, "rgb|rgb.mkv"),
     "rtabmap": ("*rgb", "*calib", "*camera_poses.txt"),
@@ -37,6 +37,9 @@ _PARTS: Final[dict[str, tuple[str, ...]]] = {
     "colmap": ("sparse/0/cameras.*|sparse/cameras.*", "sparse/0/images.*|sparse/images.*", "images"),
 }
 """Files and folders that each format needs; `|` stands between alternatives."""
+
+_COMMON: Final = ("metadata", "metadata.json", "rgb", "*rgb", "color", "pose", "images", "cameras")
+"""Names that many programs write; one of them alone tells no format."""
 
 _IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr", ".heic", ".heif", ".avif", ".webp", ".tif", ".tiff", ".bmp")
 _VIDEOS: Final = (*DEMUXERS, ".avi", ".wmv", ".3gp", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg", ".hevc", ".gif", ".lrv")
@@ -142,7 +145,8 @@ def _nearest(path: Path) -> str:
     for name, parts in _PARTS.items():
         there = [part for part in parts if _is_there(path, part)]
         share = len(there) / len(parts)
-        if there and share < 1 and (share, len(there)) > best[:2]:
+        own = any(pattern not in _COMMON and _is_there(path, pattern) for part in there for pattern in part.split("|"))
+        if (own or len(there) > 1) and share < 1 and (share, len(there)) > best[:2]:
             lacking = " and ".join(part.replace("|", " or ") for part in parts if part not in there)
             best = share, len(there), f"The nearest is {name}, which lacks {lacking}. "
     return best[2]
@@ -157,14 +161,20 @@ def _known_otherwise(path: Path) -> str:
     files = [path] if path.is_file() else [file for file in islice(path.iterdir(), _LISTED) if file.is_file()]
     files = [file for file in files if file.name[0] != "." and file.stem.lower() not in _SMALL_COPIES]
     ends = {file.suffix.lower() for file in files}
+    if {"data.jsonl", "calibration.json"} <= {file.name for file in files}:
+        return (
+            "is a raw recording of Spectacular AI; process it (sai-cli process --format nerfstudio IN OUT), or open "
+            "its video (data.mov) alone"
+        )
+    if parts := sorted(file.name for file in files if file.name.startswith("transforms_") and file.suffix == ".json"):
+        return f"holds {', '.join(parts[:4])}, and no transforms.json; rename one of them, or put their frames into it"
     models = [file.name for file in files if file.suffix.lower() in _MODELS]
-    if models and not ends & {*_IMAGES, *_VIDEOS, ".json", ".txt", ".csv"}:
+    is_flat = path.is_file() or not any(file.is_dir() for file in islice(path.iterdir(), _LISTED))
+    if models and not ends & {*_IMAGES, *_VIDEOS, ".txt", ".csv"} and (is_flat or ".json" not in ends):
         return (
             f"{models[0]} is a model, not a recording; Scaniverse exports models only. Record the room with Record3D, "
             "Stray Scanner, NeRFCapture, Polycam (export raw data) or 3D Scanner App (export all data)"
         )
-    if parts := sorted(file.name for file in files if file.name.startswith("transforms_") and file.suffix == ".json"):
-        return f"holds {', '.join(parts[:4])}, and no transforms.json; rename one of them, or put their frames into it"
     if program := next((name for file in files if (name := _reconstruction_program(file))), ""):
         return f"holds the cameras that {program} found; export them from there as COLMAP, beside the pictures"
     if recording := next((file.name for file in files if file.suffix.lower() in _RECORDINGS), ""):

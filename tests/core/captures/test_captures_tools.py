@@ -647,7 +647,11 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
     formats.save(tmp_path / "scan/scene.glb", b"x")
     refused(tmp_path / "scan", r"scene\.glb is a model", error=UnknownFormatError)
     formats.save(tmp_path / "scan/thumb.jpg", b"x")
+    formats.save(tmp_path / "scan/metadata.json", b"{}")
     refused(tmp_path / "scan", r"scene\.glb is a model", error=UnknownFormatError)
+    for name in ("data.jsonl", "calibration.json", "data.mov", "metadata.json"):
+        formats.save(tmp_path / "spectacular" / name, b"{}")
+    refused(tmp_path / "spectacular", "sai-cli process --format nerfstudio", error=UnknownFormatError)
     for name, words in (
         ("cameras.xml", "the cameras that Metashape found; export them from there as COLMAP"),
         ("scene.sfm", "that Meshroom found"),
@@ -669,6 +673,7 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
         (["lowres_wide/a_1.0.png", "lowres_depth/a_1.0.png", "lowres_wide_intrinsics/a"], r"lacks lowres_wide\.traj"),
         (["rgb.mp4", "depth/000000.png"], r"nearest is stray-scanner, which lacks odometry\.csv and camera_matrix"),
         (["sparse/0/cameras.bin", "images/1.jpg"], r"nearest is colmap, which lacks sparse/0/images\.\* or"),
+        (["images/1.jpg", "metadata.json"], r"recognised\. Set"),  # of any program
     ],
 )
 def test_the_nearest_format_and_what_it_lacks_are_named(tmp_path: Path, files: list[str], message: str) -> None:
