@@ -276,8 +276,9 @@ def _add_contact(
         return
     share = cv2.resize(soft[rows, columns], None, fx=step, fy=step, interpolation=cv2.INTER_LINEAR)[:height, :width]
     grid = surface_grid(sampled, lens, pose, supports)
-    wanted = share[fine // 2 :: fine, fine // 2 :: fine] > 0.1
-    detailed, _ = coarse_ratio(caster, grid, quality, wanted)
+    # beyond, no ratio is computed: neither the filter nor the interpolation may take it for 1
+    grid = grid._replace(known=grid.known & (share[fine // 2 :: fine, fine // 2 :: fine] > 0.1))
+    detailed, _ = coarse_ratio(caster, grid, quality)
     detailed = spread_ratio(detailed, grid.known, sampled, part, fine)
     cut = [np.ascontiguousarray(values[rows, columns]) for values in (coarse.ratio, coarse.known, coarse.depth_m)]
     change = detailed / np.maximum(spread_ratio(cut[0], cut[1], cut[2], part, step), RATIO_RANGE[0])
@@ -286,16 +287,16 @@ def _add_contact(
 
 
 def coarse_ratio(
-    caster: Caster, grid: SurfaceGrid, quality: ShadowQuality, wanted: Bool[np.ndarray, "h w"] | None = None
+    caster: Caster, grid: SurfaceGrid, quality: ShadowQuality
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
-    """Return the ratio of one caster on the wanted points of a grid, and how far what takes the light there is (mean).
+    """Return the ratio of one caster on the known points of a grid, and how far what takes the light there is (mean).
 
     The ratio is 1 beyond the caster's reach and where the surface is not known.
     """
     height, width = grid.known.shape
     out = np.ones((height, width, 3), np.float32)
     fade = _fade(caster.spheres, grid, quality.reach)
-    near = grid.known & (fade > 0) if wanted is None else grid.known & (fade > 0) & wanted
+    near = grid.known & (fade > 0)
     rows, columns = np.nonzero(near)
     if len(rows) == 0:
         return out, np.full((height, width), _FAR_M, np.float32)
