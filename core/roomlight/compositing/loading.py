@@ -15,9 +15,10 @@ AVIF and (extra `ktx2`) KTX2 of Basis Universal | animations, lamps, occlusion t
 coats | relief, textures of gloss, curves |
 | PLY | polygons, normals, texture coordinates, colours; text and binary | texture files |
 
-Surfaces show from both sides, whatever glTF's `doubleSided` says, but those that it blends. Volumes tint glass by their
-stated thickness. Faces of OBJ and PLY files without normals shade smoothly where they meet at less than 40 degrees.
-Objects without colours are grey and diffuse until `VirtualObject.with_material` gives them a material.
+Surfaces show from both sides, whatever glTF's `doubleSided` says, but those that it blends and thin glass. glTF's glass
+is tinted by its stated thickness; without one it is thin and does not bend light. Faces of OBJ and PLY files without
+normals shade smoothly where they meet at less than 40 degrees. Objects without colours are grey and diffuse until
+`VirtualObject.with_material` gives them a material.
 """
 
 from dataclasses import replace

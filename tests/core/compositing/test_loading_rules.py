@@ -441,16 +441,20 @@ def test_draco_skins_stand_in_the_pose_of_their_joints() -> None:
 
 
 @pytest.mark.parametrize(
-    ("distance", "tint"),  # twice, at the two surfaces: colour ** 2; the last ones stand for infinity
-    [(0.1, [0.25, 0.5, 1.0]), (1e7, [1, 1, 1]), (3.4028235e38, [1, 1, 1])],
+    ("thickness", "distance", "tint"),  # twice the distance: colour ** 2; the last distances stand for infinity
+    [
+        *((0.2, 0.1, [0.0625, 0.25, 1.0]), (0, 0.1, [1, 1, 1])),
+        *((0.2, distance, [1, 1, 1]) for distance in (0, 1e7, 3.4028235e38)),
+    ],
 )
-def test_glass_is_tinted_by_its_stated_thickness(distance: float, tint: list[float]) -> None:
-    volume = {"thicknessFactor": 0.2, "attenuationDistance": distance, "attenuationColor": [0.25, 0.5, 1.0]}
+def test_glass_is_tinted_by_its_stated_thickness(thickness: float, distance: float, tint: list[float]) -> None:
+    volume = {"thicknessFactor": thickness, "attenuationDistance": distance, "attenuationColor": [0.25, 0.5, 1.0]}
     clear, shiny = {"transmissionFactor": 0.9}, {"specularFactor": 0.3}
     glass = {"transmission": clear, "specular": shiny, "volume": volume}
     extensions = {f"KHR_materials_{name}": values for name, values in glass.items()}
     material, one = material_of({"extensions": extensions}, extensionsUsed=list(extensions))
     assert (material.transmission, material.specular) == (0.9, 0.3)
+    assert material.is_thin == material.one_sided == (thickness == 0)
     np.testing.assert_allclose(material.base_colour, tint, atol=1e-6)
     assert "thickness" in " ".join(note.effect for note in one.notes)
 

@@ -183,6 +183,20 @@ def test_glass_shows_the_background_behind_it() -> None:
     np.testing.assert_allclose(picture.radiance[:, :24], 0.25, rtol=1e-4)
 
 
+@pytest.mark.parametrize("quality", ["preview", paths(64, 8)])
+def test_glass_tints_light_once_and_thin_walls_do_not_bend_it(quality) -> None:
+    solid = glass(tint=(0.25, 0.5, 1.0))
+    thin = replace(solid, is_thin=True, one_sided=True)
+    for shape in (sphere(0.5, solid), sphere(0.5, thin), wall(replace(thin, one_sided=False)), wall(thin)):
+        middle = rendered([shape], 1, quality).radiance[22:26, 30:34].mean((0, 1))
+        np.testing.assert_allclose(middle, [0.28, 0.52, 1.0], atol=0.02)  # 4 to 8 % is reflected
+    light = np.zeros((32, 64, 3), np.float32)
+    light[:16] = 1
+    above = rendered([sphere(0.5, replace(thin, base_colour=(1.0, 1.0, 1.0)))], light, quality).radiance[:, 32, 1]
+    assert above[14] > 0.9
+    assert above[34] < 0.2
+
+
 def test_more_glass_than_paths_can_cross_is_not_black() -> None:
     nested = [cube(0.2 + 0.15 * k, glass()) for k in range(4)]  # eight surfaces, of which paths cross four
     picture = rendered(nested, 1)

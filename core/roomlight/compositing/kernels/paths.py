@@ -35,6 +35,7 @@ from roomlight.compositing.kernels.surfaces import (
     cloth_sheen,
     colours,
     geometric_normal,
+    ior_beyond,
     points,
     shading_normal,
 )
@@ -129,8 +130,11 @@ def _record(film, slot, world, hit, view):
 
 
 @njit(**JIT)
-def _glass(paths, i, live, place, normal, face_normal, ratio, tint, choice, offset):
-    """Reflect at smooth glass or refract through it; ratio is ior beyond / ior here."""
+def _glass(paths, i, live, place, normal, face_normal, ratio, is_thin, tint, choice, offset):
+    """Reflect at smooth glass or refract through it; ratio is ior beyond / ior here.
+
+    A thin wall bends no ray and tints it once; light passes two surfaces of a solid, each of which tints it by half.
+    """
     point_flat, point_smooth = place
     d = (paths.direction[i, 0], paths.direction[i, 1], paths.direction[i, 2])
     cosine = -(d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2])
@@ -145,6 +149,10 @@ def _glass(paths, i, live, place, normal, face_normal, ratio, tint, choice, offs
         )
         _continue(paths, i, live, origin, out, (1.0, 1.0, 1.0), 1.0, flags)
         return
+    if is_thin:
+        ratio, refracted = 1.0, cosine
+    else:
+        tint = (math.sqrt(tint[0]), math.sqrt(tint[1]), math.sqrt(tint[2]))
     along = cosine / ratio - refracted
     out = (d[0] / ratio + along * normal[0], d[1] / ratio + along * normal[1], d[2] / ratio + along * normal[2])
     origin = (
@@ -334,8 +342,8 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
                 escaped += _escape(world, paths, i, film, settings, weights, escape, escaped)
             continue
         if is_glass:
-            ratio = world.materials.ior[material] if side > 0 else 1 / world.materials.ior[material]
-            _glass(paths, i, live, place, normal, flat, ratio, base, choice, settings.offset_m)
+            ratio, is_thin = ior_beyond(world, material, side)
+            _glass(paths, i, live, place, normal, flat, ratio, is_thin, base, choice, settings.offset_m)
             live += 1
             continue
         # 6. A clear coat reflects some of the rays, as a white metal does; the others get to what is under it.

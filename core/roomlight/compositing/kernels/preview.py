@@ -15,6 +15,7 @@ from roomlight.compositing.kernels.surfaces import (
     cloth_sheen,
     colours,
     geometric_normal,
+    ior_beyond,
     points,
     shading_normal,
 )
@@ -84,8 +85,7 @@ def _shade(world, mips, weights, at, base, shares, normal, place, d, side):
             p, q, s = _reflected(world, mips, weights, place, along, roughness)
             red, green, blue = red + coat * (p - red), green + coat * (q - green), blue + coat * (s - blue)
     if clear > 0:
-        ratio = world.materials.ior[material] if side > 0 else 1 / world.materials.ior[material]
-        reflected, _ = dielectric(n_v, ratio)
+        reflected, _ = dielectric(n_v, ior_beyond(world, material, side)[0])
         p, q, s = mixed_at(world.light.mirrored, weights, place_of(mirrored[0], mirrored[1], mirrored[2]))
         t, u, v = mixed_at(world.light.mirrored, weights, place_of(d[0], d[1], d[2]))
         let = 1 - reflected

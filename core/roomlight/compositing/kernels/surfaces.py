@@ -88,6 +88,13 @@ def colours(world, face, b, c, side):
 
 
 @njit(**JIT)
+def ior_beyond(world, material, side):
+    """Return the index of refraction beyond glass / on the viewer's side, and whether the glass is a thin wall."""
+    ior, is_thin = world.materials.ior[material] * 1.0, world.materials.is_thin[material]
+    return ior if side > 0 or is_thin else 1 / ior, is_thin
+
+
+@njit(**JIT)
 def clear_coat(world, face, b, c):
     """Return strength and roughness of the clear coat; strength 0 is none."""
     materials, m = world.materials, world.surfaces.material[face]

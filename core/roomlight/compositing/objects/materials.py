@@ -13,7 +13,8 @@ Over it lie sheen (KHR_materials_sheen: Charlie's distribution, spread over the 
 and a clear coat of index 1.5 (KHR_materials_clearcoat), without the relief of the normal texture.
 
 A share `transmission` of a surface is smooth glass: exact Fresnel reflection and refraction at `ior`, whatever the
-roughness; light that passes into it is multiplied by the base colour once at each surface.
+roughness. Light that passes through a solid is multiplied by the base colour, by half at each of its two surfaces (the
+square root); a thin wall multiplies it as a whole and does not bend it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -56,6 +57,7 @@ class Material:
         specular: Scales the lobe of a dielectric; 0 leaves a Lambertian surface.
         ior: Index of refraction, 1 to `MAX_IOR`; glass has 1 to 3.
         transmission: Share of the surface that is smooth glass.
+        is_thin: Whether glass is a thin wall; else its surface encloses a solid.
         opacity: Share of the surface that is there; rays pass straight through the rest.
         alpha_cutoff: If given, the surface is there where opacity x texture alpha reaches it, and nowhere else.
         one_sided: Whether the surface is not there for what the camera sees of its back.
@@ -84,6 +86,7 @@ class Material:
     specular: float = 1.0
     ior: float = 1.5
     transmission: float = 0.0
+    is_thin: bool = False
     opacity: float = 1.0
     alpha_cutoff: float | None = None
     one_sided: bool = False
@@ -139,7 +142,7 @@ def diffuse(base_colour: Colour = (0.8, 0.8, 0.8)) -> Material:
 
 
 def glass(ior: float = 1.5, tint: Colour = (1.0, 1.0, 1.0)) -> Material:
-    """Return smooth clear glass; `tint` multiplies the light at each surface it passes."""
+    """Return solid, smooth glass; `tint` is the share of light that passes through it, less what it reflects."""
     return Material(base_colour=tint, roughness=0.0, ior=ior, transmission=1.0)
 
 
@@ -152,6 +155,7 @@ class MaterialArrays(NamedTuple):
     specular: Float32[np.ndarray, " m"]
     ior: Float32[np.ndarray, " m"]
     transmission: Float32[np.ndarray, " m"]
+    is_thin: Bool[np.ndarray, " m"]
     opacity: Float32[np.ndarray, " m"]
     cutoff: Float32[np.ndarray, " m"]
     one_sided: Bool[np.ndarray, " m"]
@@ -190,6 +194,7 @@ def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, Text
         specular=column("specular"),
         ior=column("ior"),
         transmission=column("transmission"),
+        is_thin=np.array([material.is_thin for material in materials]),
         opacity=column("opacity"),
         cutoff=np.array([-1 if cutoff is None else cutoff for cutoff in cutoffs], np.float32),
         one_sided=np.array([material.one_sided for material in materials]),

@@ -110,10 +110,11 @@ class MaterialReader:
         else:
             material = self._from_metallic(material, stated, pixels, means)
         if material.transmission > 0:
-            material = self._tinted_by_depth(material, stated, label, notes)
+            material = self._with_thickness(material, stated, label, notes)
         material = self._rest(material, stated, coat, sheen, pixels, means)
         material = self._with_edges(material, slots)
-        if stated.alphaMode == "BLEND" and not stated.doubleSided and material.transmission == 0:
+        blended = stated.alphaMode == "BLEND" and material.transmission == 0
+        if (blended or material.is_thin) and not stated.doubleSided:
             material = replace(material, one_sided=True)
         grains = pixels["rough"]
         frosted = material.roughness * (1.0 if grains is None else float(grains[..., 1].mean()) / 255)
@@ -223,15 +224,17 @@ class MaterialReader:
             metallic_roughness_texture=self._texture(pixels["rough"], "values"),
         )
 
-    def _tinted_by_depth(self, material: Material, stated: GltfMaterial, label: str, notes: list[Note]) -> Material:
-        """Tint glass by its stated thickness: half of it at each of the two surfaces that light passes."""
+    def _with_thickness(self, material: Material, stated: GltfMaterial, label: str, notes: list[Note]) -> Material:
+        """Tint glass by its stated thickness; without one it is a thin wall."""
         volume = extension(Volume, stated, "KHR_materials_volume", label, self._clamped)
-        if volume is None or volume.attenuationDistance == 0:
+        if volume is None or volume.thicknessFactor == 0:
+            return replace(material, is_thin=True)
+        if volume.attenuationDistance == 0:
             return material
         texture = volume.thicknessTexture
         pixels = None if texture is None else self._pixels(texture, f"{label}.thicknessTexture", notes)
         thickness = volume.thicknessFactor * (1.0 if pixels is None else float(pixels[..., 1].mean()) / 255)
-        share = np.array(volume.attenuationColor) ** (thickness / volume.attenuationDistance / 2)
+        share = np.array(volume.attenuationColor) ** (thickness / volume.attenuationDistance)
         return replace(material, base_colour=colour_of(np.array(material.base_colour) * share))
 
     def _from_glossy(
