@@ -171,13 +171,14 @@ def test_closed_box_of_mirrors_ends_paths() -> None:
     assert picture.radiance.max() == 0  # no light gets in
 
 
-def test_glass_shows_the_background_behind_it() -> None:
+@pytest.mark.parametrize("quality", [FEW, "preview"])
+def test_glass_shows_the_background_behind_it(quality) -> None:
     def background(directions: np.ndarray) -> np.ndarray:
         seen = np.tile(np.array([3.0, 0, 0], np.float32), (len(directions), 1))
         seen[directions[:, 0] < 0] = np.nan  # not in the frame
         return seen
 
-    picture = rendered([wall(glass(ior=1.0))], 0.25, background=background)
+    picture = rendered([wall(glass(ior=1.0))], 0.25, quality, background=background)
     assert picture.alpha.min() == 1
     np.testing.assert_allclose(picture.radiance[:, 40:], np.broadcast_to([3, 0, 0], (48, 24, 3)), rtol=1e-4)
     np.testing.assert_allclose(picture.radiance[:, :24], 0.25, rtol=1e-4)

@@ -4,6 +4,8 @@
 `shade_hits` is the kernel.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -62,8 +64,8 @@ def _reflected(world, mips, weights, place, mirrored, roughness):
 
 
 @njit(**JIT)
-def _shade(world, mips, weights, at, base, shares, normal, place, d, side):
-    """Return the radiance of a surface, at (face, b, c), toward the viewer."""
+def _shade(world, mips, weights, at, base, shares, normal, place, d, side, behind):
+    """Return the radiance of a surface, at (face, b, c), toward the viewer; glass shows `behind`, if NaN the light."""
     face, b, c = at
     material = world.surfaces.material[face]
     n_v, mirrored = _mirrored(d, normal)
@@ -87,7 +89,9 @@ def _shade(world, mips, weights, at, base, shares, normal, place, d, side):
     if clear > 0:
         reflected, _ = dielectric(n_v, ior_beyond(world, material, side)[0])
         p, q, s = mixed_at(world.light.mirrored, weights, place_of(mirrored[0], mirrored[1], mirrored[2]))
-        t, u, v = mixed_at(world.light.mirrored, weights, place_of(d[0], d[1], d[2]))
+        t, u, v = behind
+        if t != t:
+            t, u, v = mixed_at(world.light.mirrored, weights, place_of(d[0], d[1], d[2]))
         let = 1 - reflected
         red += clear * (reflected * p + let * base[0] * t - red)
         green += clear * (reflected * q + let * base[1] * u - green)
@@ -96,8 +100,12 @@ def _shade(world, mips, weights, at, base, shares, normal, place, d, side):
 
 
 @njit(**KERNEL)
-def shade_hits(world, mips, view, paths, hits, film, begin, end):
-    """Fill the film of the slots begin .. end from their camera rays' first hits, but for albedo and normal."""
+def shade_hits(world, mips, view, paths, hits, behind, film, begin, end):
+    """Fill the film of the slots begin .. end from their camera rays' first hits, but for albedo and normal.
+
+    Args:
+        behind: [end - begin, 3] radiance that glass shows straight behind it, NaN: the panorama's; or no rows.
+    """
     weights = np.empty(world.light.radiance.shape[0])
     m = view.camera_to_world
     for i in range(begin, end):
@@ -112,7 +120,11 @@ def shade_hits(world, mips, view, paths, hits, film, begin, end):
         place = points(world.surfaces, face, b, c, side)[0]
         normal = shading_normal(world, face, b, c, d, side, True)
         probe_weights(world.light.position, place[0], place[1], place[2], weights)
-        red, green, blue = _shade(world, mips, weights, (face, b, c), base, shares, normal, place, d, side)
+        through = (math.nan, math.nan, math.nan)
+        if len(behind):
+            row = i - begin
+            through = (behind[row, 0] * 1.0, behind[row, 1] * 1.0, behind[row, 2] * 1.0)
+        red, green, blue = _shade(world, mips, weights, (face, b, c), base, shares, normal, place, d, side, through)
         there = shares[2]
         film.radiance[i, 0] = there * (red + emitted[0])
         film.radiance[i, 1] = there * (green + emitted[1])

@@ -179,7 +179,7 @@ def render_objects(
         lights: The light at the objects.
         quality: `preview`, `good`, `final`, or settings of one's own.
         seed: Chooses the sampling points; keep it from frame to frame.
-        background: What glass shows of the frame behind it; None: the probes' light. Previews do not use it.
+        background: What glass shows of the frame behind it; None: the probes' light.
         supports: Surfaces that the objects stand on, which they reflect as near ones; None: all light is far away.
         max_paths: Limit on the paths of the picture: where objects cover so many pixels that it is exceeded, each pixel
             gets half as many paths, and so on, but one at least. None: no limit.
@@ -201,7 +201,7 @@ def render_objects(
         key = _mixed_keys(pixels, seed)
         view = _View(pose, camera.fx, camera.fy, camera.cx, camera.cy, column, row, key, jitter=True)
         if settings.samples == 0:
-            _preview(scene, world, lights, view, film, camera)
+            _preview(scene, world, lights, view, film, camera, background)
         else:
             settings = _sampled(scene, world, view, film, camera, settings, background, max_paths)
     shape = camera.height, camera.width
@@ -296,13 +296,19 @@ def _camera_hits(scene: TracedObjects, view: _View, samples: int) -> tuple[_Path
 
 
 def _preview(
-    scene: TracedObjects, world: _World, lights: ProbeSet, view: _View, film: _Film, camera: Intrinsics
+    scene: TracedObjects,
+    world: _World,
+    lights: ProbeSet,
+    view: _View,
+    film: _Film,
+    camera: Intrinsics,
+    background: Background | None,
 ) -> None:
     """Shade pixel centres, and several points of the pixels on outlines."""
     pixels = view.row * camera.width + view.column
     centres = view._replace(jitter=False)
     paths, hits = _camera_hits(scene, centres, 1)
-    shaded = _shaded(world, lights, centres, paths, hits)
+    shaded = _shaded(world, lights, centres, paths, hits, background)
     _store(film, pixels, shaded)
     chosen = np.flatnonzero(_on_outline(film.object_id.reshape(camera.height, camera.width), view))
     if len(chosen) == 0:
@@ -313,14 +319,25 @@ def _preview(
     mixed = (ids >= 0).any(axis=1)  # also where all meet one object: a mirror's rim shows a half of the room in a pixel
     rays = np.repeat(mixed, _EDGE_SAMPLES)
     paths, hits = _Paths(*(column[rays] for column in paths)), RayHits(*(column[rays] for column in hits))
-    shaded = _shaded(world, lights, part.part(np.flatnonzero(mixed)), paths, hits)
+    shaded = _shaded(world, lights, part.part(np.flatnonzero(mixed)), paths, hits, background)
     _store(film, pixels[chosen[mixed]], _reduced(shaded, _EDGE_SAMPLES, extra=False))
 
 
-def _shaded(world: _World, lights: ProbeSet, view: _View, paths: _Paths, hits: RayHits) -> _Film:
+def _shaded(
+    world: _World, lights: ProbeSet, view: _View, paths: _Paths, hits: RayHits, background: Background | None
+) -> _Film:
     film = _film(len(paths.slot), extra=False)
     mips = lights.prefiltered
-    parallel_for(lambda begin, end: shade_hits(world, mips, view, paths, hits, film, begin, end), len(paths.slot))
+
+    def work(begin: int, end: int) -> None:
+        behind = np.empty((0 if background is None else end - begin, 3), np.float32)
+        if background is not None:
+            face = hits.face[begin:end]
+            glass = (face >= 0) & (world.materials.transmission[world.surfaces.material[face]] > 0)
+            behind[glass] = background(paths.direction[begin:end][glass])
+        shade_hits(world, mips, view, paths, hits, behind, film, begin, end)
+
+    parallel_for(work, len(paths.slot), most=_BLOCK_RAYS)
     return film
 
 
