@@ -27,7 +27,7 @@ from roomlight.depth import clean_depth
 from roomlight.errors import ImageError, OutputError
 from roomlight.files import write_atomic
 from roomlight.frame import clipped_pixels
-from roomlight.imaging.colour_spaces import ColourSpace
+from roomlight.imaging.colour_spaces import REC709, ColourSpace
 from roomlight.imaging.exif import ExifCamera, oriented, read_exif
 from roomlight.imaging.exr import exr_size, read_exr
 from roomlight.imaging.heic import heic_exif, heic_size, is_heic, read_heic
@@ -247,7 +247,7 @@ def read_panorama(path: Path) -> Float[np.ndarray, "h w 3"]:
 
 
 def encode_exr(image: Float[np.ndarray, "h w c"], *, metadata: Mapping[str, object] | None = None) -> bytes:
-    """Encode linear RGB, or RGB times alpha with alpha, as a half-float, ZIP-compressed EXR.
+    """Encode linear RGB, or RGB times alpha with alpha, as a half-float, ZIP-compressed EXR with Rec. 709's primaries.
 
     The same image and metadata give the same bytes. Values beyond half's range are clipped to 65504, the largest half,
     so that no infinity reaches a renderer.
@@ -269,7 +269,7 @@ def encode_depth_exr(depth_m: Float[np.ndarray, "h w"], *, metadata: Mapping[str
 
 def _encode_exr(channels: str, pixels: Float[np.ndarray, "h w *c"], metadata: Mapping[str, object] | None) -> bytes:
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    header.update(metadata or {})
+    header |= {"chromaticities": REC709, **(metadata or {})}
     try:
         with tempfile.TemporaryDirectory() as folder:  # the library writes into memory from 3.5 on only
             path = Path(folder) / "image.exr"

@@ -79,6 +79,7 @@ def test_exr_keeps_radiance_to_half_precision(tmp_path):
     assert back == pytest.approx(LINEAR, rel=2**-11)  # half has 11 significant bits
     with OpenEXR.File(str(tmp_path / "p.exr")) as file:
         assert file.header()["probe"] == "1 2 3"
+        assert file.header()["chromaticities"] == pytest.approx((0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329))
 
 
 def test_beyond_half_becomes_its_largest_value(tmp_path):
