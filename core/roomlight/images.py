@@ -258,13 +258,15 @@ def encode_exr(image: Float[np.ndarray, "h w c"], *, metadata: Mapping[str, obje
     return _encode_exr("RGBA"[: image.shape[2]], np.clip(image, -65504, 65504).astype(np.float16), metadata)
 
 
-def encode_depth_exr(depth_m: Float[np.ndarray, "h w"], *, metadata: Mapping[str, object] | None = None) -> bytes:
-    """Encode depth as compositing programs look for it: the channel Z, in floats.
+def encode_channel_exr(
+    name: str, values: Shaped[np.ndarray, "h w"], *, metadata: Mapping[str, object] | None = None
+) -> bytes:
+    """Encode one channel in floats; compositing programs look for depth in Z.
 
     Raises:
-        OutputError: The depth cannot be encoded.
+        OutputError: The channel cannot be encoded.
     """
-    return _encode_exr("Z", depth_m.astype(np.float32), metadata)
+    return _encode_exr(name, values.astype(np.float32), metadata)
 
 
 def _encode_exr(channels: str, pixels: Float[np.ndarray, "h w *c"], metadata: Mapping[str, object] | None) -> bytes:

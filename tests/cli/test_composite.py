@@ -50,7 +50,7 @@ def test_pictures_and_layers_are_written(roomlight, capture, tmp_path):
     assert (done.code, done.err) == (0, "")
     assert "3 frames; pictures:" in done.out
     names = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*.*")}
-    layers = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr")
+    layers = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr", "object_id.exr")
     folders = ("000000", "000001", "000002")
     assert names == {f"{folder}.png" for folder in folders} | {f"{f}/{name}" for f in folders for name in layers}
     assert (picture(tmp_path / "out/000001.png") == picture(tmp_path / "out/000001/image.png")).all()
@@ -77,6 +77,8 @@ def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(
     assert list(channels) == ["Z"]
     assert channels["Z"].pixels.dtype == np.float32
     assert 1.0 < channels["Z"].pixels.max() < 3.0
+    numbers = OpenEXR.File(str(out / "000003/object_id.exr")).channels()["id"].pixels
+    assert (numbers == np.where(channels["Z"].pixels > 0, 0, -1)).all()
 
 
 def test_overwrite_leaves_no_picture_of_an_earlier_run(roomlight, capture, tmp_path):

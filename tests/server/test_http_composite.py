@@ -23,6 +23,7 @@ from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
+from roomlight.compositing.picture.layer_files import LAYER_FILES
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.memory import release_free_memory
 from roomlight.engine.session import Session, SessionOptions
@@ -105,7 +106,7 @@ def test_formats_and_layers_agree(server):
     assert pixels_of(jpeg).shape == (36, 48, 3)
     linear, _ = decode_colour(exr.body, "answer")
     with zipfile.ZipFile(io.BytesIO(layers.body)) as archive:
-        assert sorted(archive.namelist()) == ["alpha.png", "depth.exr", "image.png", "objects.exr", "shadow.exr"]
+        assert archive.namelist() == list(LAYER_FILES)
         assert archive.read("image.png") == png.body
         objects, _ = decode_colour(archive.read("objects.exr"), "objects")
         shadow, _ = decode_colour(archive.read("shadow.exr"), "shadow")

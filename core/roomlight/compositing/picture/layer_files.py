@@ -8,11 +8,11 @@ import numpy as np
 
 from roomlight.compositing.picture.layers import Composite
 from roomlight.errors import OutputError
-from roomlight.images import encode_depth_exr, encode_exr, encode_png
+from roomlight.images import encode_channel_exr, encode_exr, encode_png
 
 PictureFormat = Literal["png", "jpeg", "exr"]
 PICTURE_ENDINGS: Final[dict[PictureFormat, str]] = {"png": "png", "jpeg": "jpg", "exr": "exr"}
-LAYER_FILES: Final = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr")
+LAYER_FILES: Final = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr", "object_id.exr")
 _JPEG_QUALITY: Final = 95
 
 
@@ -41,8 +41,8 @@ def encode_picture(
 def encode_layers(made: Composite, *, metadata: Mapping[str, object] | None = None) -> dict[str, bytes]:
     """Encode the layers by file name; `frame x shadow x (1 - alpha) + objects` is the composite in linear radiance.
 
-    The objects' file has alpha as the channel A too; depth is the channel Z in floats. `metadata` goes into the headers
-    of EXR files.
+    The objects' file has alpha as the channel A too; depth is the channel Z and `object_id` the channel id, in floats.
+    `metadata` goes into the headers of EXR files.
 
     Raises:
         OutputError: A layer cannot be encoded.
@@ -53,6 +53,7 @@ def encode_layers(made: Composite, *, metadata: Mapping[str, object] | None = No
         encode_exr(np.dstack([made.objects, alpha]), metadata=metadata),
         encode_png(np.rint(alpha * 65535).astype(np.uint16)),
         encode_exr(made.shadow, metadata=metadata),
-        encode_depth_exr(made.depth_m, metadata=metadata),
+        encode_channel_exr("Z", made.depth_m, metadata=metadata),
+        encode_channel_exr("id", made.object_id, metadata=metadata),
     )
     return dict(zip(LAYER_FILES, layers, strict=True))
