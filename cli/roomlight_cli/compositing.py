@@ -1,5 +1,6 @@
 """Compositing of a recording into a folder of pictures or a film: options, output, progress and messages."""
 
+import sys
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -8,7 +9,7 @@ from typing import Annotated, Final, Literal
 
 import numpy as np
 import typer
-from annotated_types import Interval
+from annotated_types import Ge, Interval
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.compositing.picture.layer_files import (
@@ -39,6 +40,7 @@ DEFAULT_RATE: Final = 30.0
 LONG_S: Final = 300.0
 """Time left of more than this is told with what makes it shorter."""
 _STEM: Final = "[0-9]" * 6
+_ENDINGS: Final = tuple(f".{ending}" for ending in PICTURE_ENDINGS.values())
 
 
 @dataclass(frozen=True)
@@ -104,11 +106,13 @@ class CompositeOptions:
         layers: Also write objects, alpha, shadow, depth and object_id of each frame apart.
         fps: Frames a second of the film. Default: the recording's, or 30.
         online: Light each frame by the frames up to it, as an app would, instead of the whole recording.
+        first_frame: Write the pictures from this number on, as they would be among all; those before stay.
+        last_frame: Write the pictures up to this number.
         overwrite: Replace the film or the pictures in `--out`.
 
     Raises:
         OptionError: A value is out of range.
-        OutputError: Something is at `out` already, or its name is of another film format.
+        OutputError: What would be written is at `out` already, or its name is of another film format.
     """
 
     out: Path
@@ -117,10 +121,14 @@ class CompositeOptions:
     layers: bool = False
     fps: Annotated[float, Interval(ge=0.1, le=240)] | None = None
     online: bool = False
+    first_frame: Annotated[int, Ge(0)] = 0
+    last_frame: Annotated[int, Ge(0)] | None = None
     overwrite: bool = False
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.last_frame is not None and self.last_frame < self.first_frame:
+            raise OptionError(f"`last_frame` {self.last_frame} is before `first_frame` {self.first_frame}")
         try:
             self._check_out(self.out)
         except OSError as error:  # a name too long, a folder that may not be entered
@@ -139,8 +147,26 @@ class CompositeOptions:
             raise OutputError(f"{path}: is a folder; name a file that ends with .mp4")
         if not self.is_film and path.is_file():
             raise OutputError(f"{path}: is a file; the pictures need a folder, a film a name that ends with .mp4")
-        if not self.overwrite and (path.is_file() or (path.is_dir() and any(path.iterdir()))):
+        if self.overwrite or not path.exists():
+            return
+        if not self.is_film and (self.first_frame or self.last_frame is not None):
+            if made := self.numbers(*_ENDINGS):
+                raise OutputError(
+                    f"{path}: has pictures from {made[0]} to {made[-1]}; go on with --first-frame {int(made[-1]) + 1}, "
+                    "or replace them with --overwrite"
+                )
+        elif path.is_file() or any(path.iterdir()):
             raise OutputError(f"{path}: exists already; choose another --out, or replace it with --overwrite")
+
+    def numbers(self, *endings: str) -> list[str]:
+        """Return the numbers, as they are written, of what is in `out` in place of the frames to write."""
+        names = {path.stem for ending in endings for path in self.out.glob(_STEM + ending)}
+        return sorted(name for name in names if self.first_frame <= int(name) <= self.last)
+
+    @property
+    def last(self) -> int:
+        """The number of the last picture to write."""
+        return sys.maxsize if self.last_frame is None else self.last_frame
 
     @property
     def is_film(self) -> bool:
@@ -165,30 +191,41 @@ def composite_recording(
     """
     check_writable(options.out if options.is_film else options.out / "000000.png")
     print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
-    capture, count, advised, unseen = open_capture(path, reading), 0, False, dict(enumerate(scene.objects))
+    capture, advised, unseen = open_capture(path, reading), False, dict(enumerate(scene.objects))
+    count = following = 0
+    last = min(options.last, capture.frame_count * reading.every - 1)
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
     try:
         with ExitStack() as stack:
             progress = stack.enter_context(Progress(passes[0]))
             frames = _ReportedFrames(capture, passes, progress.count_of, options.out if options.is_film else None)
-            made = composite_capture(frames, scene, quality=options.quality, online=options.online, options=light)
+            made = composite_capture(
+                frames,
+                scene,
+                quality=options.quality,
+                online=options.online,
+                first_frame=options.first_frame,
+                last_frame=options.last_frame,
+                options=light,
+            )
             capture.prepare(progress.count_of)
             write = stack.enter_context(_output(options, capture, reading.every))
             for picture in made:
                 write(picture)
-                count += 1
+                count, following = count + 1, picture.frame.index + 1
                 if count > 1 and options.quality != "preview":  # the first has compilation in its time
-                    advised = advised or _advise(picture, capture.frame_count - count)
+                    advised = advised or _advise(picture, (last - picture.frame.index) // reading.every)
                 for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
                     unseen.pop(number, None)
     except KeyboardInterrupt:
-        kept = f"{options.out} keeps {counted(count, 'picture')}" if count else "nothing was written"
+        kept = f"{options.out} keeps {counted(count, 'picture')}; go on with --first-frame {following}"
+        kept = kept if count else "nothing was written"
         err.print(f"stopped; {'no film was written' if options.is_film else kept}", soft_wrap=True, markup=False)
         raise typer.Exit(130) from None
     print_notes(capture.notes)
     for item in unseen.values():
         size_m = float(np.ptp(item.geometry.bounds(), axis=0).max())
-        remark("warning:", f"object {item.name!r}, {size_m:.3g} m long, covers no pixel of any frame")
+        remark("warning:", f"object {item.name!r}, {size_m:.3g} m long, covers no pixel of any picture")
     skipped = f", {len(capture.skipped)} skipped" if capture.skipped else ""
     kind = "film" if options.is_film else "pictures"
     return f"{count} frames{skipped}; {kind}: {options.out}"
@@ -231,7 +268,7 @@ def _output(options: CompositeOptions, capture: Capture, every: int) -> Generato
     def write(picture: Composite) -> None:
         nonlocal is_clear
         if not is_clear:
-            _clear(options.out, picture.frame, capture.path)
+            _clear(options, picture.frame, capture.path)
             is_clear = True
         _write_pictures(picture, options, rate)
 
@@ -246,15 +283,15 @@ def _advise(picture: Composite, left: int) -> bool:
     return left_s > LONG_S
 
 
-def _clear(out: Path, frame: Frame, recording: Path) -> None:
-    """Remove the pictures and layers of an earlier run, which may have had more frames; other files stay.
+def _clear(options: CompositeOptions, frame: Frame, recording: Path) -> None:
+    """Remove the pictures and layers that an earlier run left in place of the frames to write; other files stay.
 
     Within the recording's folder all stay, which may be its own.
 
     Raises:
         OutputError: A file cannot be removed, or `out` holds the recording's own pictures.
     """
-    source = Path(frame.source)
+    source, out = Path(frame.source), options.out
     try:
         if source.match(f"{_STEM}.*") and source.parent.resolve() == out.resolve():
             raise OutputError(f"{out}: holds the recording's own pictures; choose another --out")
@@ -262,8 +299,9 @@ def _clear(out: Path, frame: Frame, recording: Path) -> None:
             return
     except OSError as error:
         raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
-    pictures = (f"{_STEM}.{ending}" for ending in PICTURE_ENDINGS.values())
-    remove_outputs(out, (*pictures, *(f"{_STEM}/{layer}" for layer in LAYER_FILES)), folders=_STEM)
+    for number in options.numbers("", *_ENDINGS):
+        files = *(number + ending for ending in _ENDINGS), *(f"{number}/{layer}" for layer in LAYER_FILES)
+        remove_outputs(out, files, folders=number)
 
 
 def _write_pictures(picture: Composite, options: CompositeOptions, rate: float | None) -> None:
@@ -273,7 +311,7 @@ def _write_pictures(picture: Composite, options: CompositeOptions, rate: float |
         metadata["roomlight:timestamp_s"] = f"{frame.timestamp_s:.6f}"
     form = options.picture or "png"
     name = f"{index:06d}.{PICTURE_ENDINGS[form]}"
-    write_atomic(options.out / name, encode_picture(picture, form, metadata=metadata))
     if options.layers:
         for layer, data in encode_layers(picture, metadata=metadata).items():
             write_atomic(options.out / f"{index:06d}" / layer, data)
+    write_atomic(options.out / name, encode_picture(picture, form, metadata=metadata))  # last: its frame is whole

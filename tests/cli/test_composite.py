@@ -99,8 +99,29 @@ def test_overwrite_leaves_no_picture_of_an_earlier_run(roomlight, capture, tmp_p
     assert {path.name for path in masks.iterdir()} == {"000000.jpg", "000002.png"}
 
 
+def test_parts_of_a_recording_are_the_pictures_of_the_whole(roomlight, capture, tmp_path):
+    motion = {"unit": "frames", "keys": [{"at": 0}, {"at": 2, "offset_m": [0.3, 0, 0]}]}
+    scene = tmp_path / "scene.json"
+    scene.write_text(json.dumps({"objects": [{"name": "a", "shape": "sphere", "pixel": [20, 36], "motion": motion}]}))
+    command = "composite", capture, "--scene", scene, *FAST, "--online", "--layers", "--picture", "exr", "--out"
+    assert roomlight(*command, tmp_path / "whole").code == 0
+    assert "2 frames" in roomlight(*command, tmp_path / "parts", "--last-frame", "1").out
+    again = roomlight(*command, tmp_path / "parts", "--first-frame", "1")
+    assert "has pictures from 000001 to 000001; go on with --first-frame 2" in again.err
+    assert roomlight(*command, tmp_path / "parts", "--first-frame", "2").code == 0
+    assert roomlight(*command, tmp_path / "parts", "--first-frame", "1", "--last-frame", "1", "--overwrite").code == 0
+    whole, parts = (
+        {path.relative_to(out): path.read_bytes() for path in out.rglob("*.*")}
+        for out in (tmp_path / "whole", tmp_path / "parts")
+    )
+    assert whole == parts
+    none = roomlight(*command, tmp_path / "none", "--first-frame", "3")
+    assert "the recording has no usable frame from index 3 on" in none.err
+
+
 @pytest.mark.parametrize(
-    ("out", "said"), [("out", "stopped; out keeps 3 pictures"), ("a.mp4", "stopped; no film was written")]
+    ("out", "said"),
+    [("out", "stopped; out keeps 3 pictures; go on with --first-frame 3"), ("a.mp4", "stopped; no film was written")],
 )
 def test_ctrl_c_says_what_is_kept(roomlight, capture, tmp_path, monkeypatch, out, said):
     def stop(_, __, done, total):
@@ -125,7 +146,7 @@ def test_a_film_shows_the_moving_object_and_a_tiny_one_is_told(roomlight, captur
     done = roomlight("composite", capture, "--scene", scene, *FAST, "--fps", "10", "--online", "--out", film)
     assert done.code == 0, done.err
     assert "tiny.ply: its size of 1e-05 m: its numbers are taken for metres; state size_m" in done.err
-    assert done.err.endswith("warning: object 'tiny', 1e-05 m long, covers no pixel of any frame\n")
+    assert done.err.endswith("warning: object 'tiny', 1e-05 m long, covers no pixel of any picture\n")
     with av.open(str(film)) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.average_rate) == ("h264", 10)
@@ -176,6 +197,10 @@ def test_what_makes_long_work_shorter_is_told(roomlight, capture, tmp_path, monk
         ((*BALL, "--out", "film.webm"), "films are written as .mp4"),
         ((*BALL, "--out", "held.txt"), "is a file"),
         ((*BALL, "--out", "full"), "exists already"),
+        (
+            (*BALL, "--first-frame", "3", "--last-frame", "2", "--out", "new"),
+            "--last-frame 2 is before --first-frame 3",
+        ),
     ],
 )
 def test_a_wrong_call_writes_nothing(roomlight, capture, tmp_path, arguments, message):

@@ -173,6 +173,17 @@ class Compositor:
         Raises:
             SceneError: the session has no frame yet, or a pixel of this frame shows no known surface; nothing changed.
         """
+        return self._step(frame, is_drawn=True)
+
+    def follow(self, frame: Frame) -> None:
+        """Do what later pictures need of a frame, without its picture: places, eased light, depth and shadows.
+
+        Raises:
+            SceneError: as `composite`.
+        """
+        self._step(frame, is_drawn=False)
+
+    def _step(self, frame: Frame, *, is_drawn: bool) -> Composite:
         if self._session.frames == 0:
             raise SceneError("the session has no light and no geometry yet: push a frame first")
         clock = StageClock()
@@ -196,12 +207,14 @@ class Compositor:
             self._follow_camera(image)
         with clock.stage("scene"):
             objects = self._built(posed.matrices)
-        with clock.stage("render"):
-            rendered = self._render(frame, objects, supports_of(objects, posed.spheres, posed.supports))
         with clock.stage("depth"):
             depth = self._room_depth(depth_m, frame, crops.shadow)
         with clock.stage("shadow"):
             shadow = self._shadow_ratio(frame, crops.shadow, depth.shaded_m, posed, share_of(step_s, SHADOW_S))
+        if not is_drawn:
+            return unchanged(frame, image, clock, self.waiting)
+        with clock.stage("render"):
+            rendered = self._render(frame, objects, supports_of(objects, posed.spheres, posed.supports))
         with clock.stage("occlusion"):
             layer = self._layer(frame, image, depth.real, rendered, crops, posed)
         with clock.stage("combine"):

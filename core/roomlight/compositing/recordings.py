@@ -5,6 +5,7 @@ for picture in composite_capture("my-capture", scene):
     picture.image
 """
 
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -74,9 +75,11 @@ def composite_capture(
     quality: str = "good",
     seed: int = 0,
     online: bool = False,
+    first_frame: int = 0,
+    last_frame: int | None = None,
     options: SessionOptions | None = None,
 ) -> Iterator[Composite]:
-    """Yield every frame of a recording with the objects in it.
+    """Yield the frames of a recording with the objects in them.
 
     The recording is read twice: first for the light and the geometry of the room, then for the pictures. Objects are
     placed at the first frame, or at the frame that their pixel belongs to; earlier frames are yielded without them.
@@ -87,11 +90,14 @@ def composite_capture(
         quality: preview, good or final.
         seed: Of the sampling points.
         online: Read the recording once: each picture knows only the frames up to its own, as in an app.
+        first_frame: Index of the first frame to yield. Shadows of earlier ones are computed: the pictures have the
+            same bytes.
+        last_frame: Index of the last frame to yield; None: the recording's last.
         options: Of the session that estimates the light.
 
     Raises:
         OptionError: The quality is unknown, or an iterator is given without `online`.
-        CaptureError: The recording cannot be read, or has no frame.
+        CaptureError: The recording cannot be read, or has no such frame.
         SceneError: The scene or a place is refused.
 
     Examples:
@@ -105,11 +111,14 @@ def composite_capture(
         raise OptionError("capture is an iterator, which can be read once: give a list, or online=True")
     session = Session(options or SessionOptions())
     loaded = load_scene(scene) if isinstance(scene, str | Path) else scene
-    return _composited(frames, Compositor(session, loaded, quality=quality, seed=seed), session, online=online)
+    compositor = Compositor(session, loaded, quality=quality, seed=seed)
+    return _composited(
+        frames, compositor, session, online, first_frame, sys.maxsize if last_frame is None else last_frame
+    )
 
 
 def _composited(
-    frames: Iterable[Frame], compositor: Compositor, session: Session, *, online: bool
+    frames: Iterable[Frame], compositor: Compositor, session: Session, online: bool, first: int, last: int
 ) -> Iterator[Composite]:
     if not online:
         for number, frame in enumerate(frames):
@@ -117,13 +126,18 @@ def _composited(
             session.push(frame)
     any_frame = False
     for frame in frames:
+        if frame.index > last:
+            break
         if online:
             session.push(frame)
+        if frame.index < first:
+            compositor.follow(frame)
+            continue
         yield compositor.composite(frame)
         any_frame = True
     if not any_frame:
-        raise CaptureError("the recording has no usable frame")
-    if compositor.waiting:
+        raise CaptureError(f"the recording has no usable frame{f' from index {first} on' if first else ''}")
+    if compositor.waiting and last == sys.maxsize:
         raise SceneError(f"{', '.join(compositor.waiting)}: the recording has no frame of the index that `frame` names")
 
 
