@@ -134,7 +134,7 @@ def _replay(
                 run = _Run(out, capture, session, options, state, step=read.every * stride)
             run.add(waiting, frame, report)
             waiting.clear()
-            if is_due(len(state.reports)) and passed is not None:
+            if passed is not None and (state.passed is None or is_due(len(state.reports))):
                 state.passed, state.wall_s = passed, time.perf_counter() - began
                 state.pictures = run.pictures.end_part()
                 if isinstance(session, Session):

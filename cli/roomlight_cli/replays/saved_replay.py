@@ -23,7 +23,8 @@ from roomlight_cli.replays.pictures import PicturesState
 FOLDER: Final = ".replay"
 _STATE: Final = "state"
 SAVE_EVERY: Final = 25
-"""Frames after which the state is saved (10 to 20 MB, 0.1 s); in a long replay, a hundredth of the frames so far."""
+"""Frames after which the state is saved (10 to 20 MB, 0.1 s), from the first on that a pass can go on after; in a long
+replay, a hundredth of the frames so far."""
 
 
 @dataclass

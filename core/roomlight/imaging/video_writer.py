@@ -102,7 +102,7 @@ def join_videos(parts: Sequence[Path], path: Path) -> None:
     try:
         with av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as whole:
             joined: VideoStream | None = None
-            start = 0
+            start, before = 0, -(1 << 62)
             for part in parts:
                 with av.open(str(part), format="mp4") as container:
                     stream = container.streams.video[0]
@@ -110,7 +110,9 @@ def join_videos(parts: Sequence[Path], path: Path) -> None:
                     for packet in container.demux(stream):
                         if packet.dts is None or packet.pts is None:  # the end
                             continue
-                        packet.dts, packet.pts, packet.stream = packet.dts + start, packet.pts + start, joined
+                        # pictures that are stored out of order begin before a part: more than a short one lasts
+                        before = max(packet.dts + start, before + 1)
+                        packet.dts, packet.pts, packet.stream = before, packet.pts + start, joined
                         whole.mux(packet)
                     start += stream.duration or 0
         temporary.replace(path)

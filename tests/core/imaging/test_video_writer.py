@@ -42,12 +42,15 @@ def test_a_video_plays_back_what_was_written(tmp_path: Path) -> None:
 
 
 def test_colours_are_those_of_the_tags_also_of_a_joined_video(tmp_path: Path) -> None:
-    red, part = (200, 40, 40), tmp_path / "part.mp4"
+    red, part, longer = (200, 40, 40), tmp_path / "part.mp4", tmp_path / "longer.mp4"
     write_video(part, np.full((48, 64, 3), red, np.uint8))
-    join_videos([part, part], tmp_path / "whole.mp4")
+    write_video(longer, *[np.full((48, 64, 3), red, np.uint8)] * 5)  # stored out of order
+    join_videos([part, longer, part], tmp_path / "whole.mp4")
     for path in (part, tmp_path / "whole.mp4"):
         with av.open(str(path)) as container:
-            for frame in container.decode(video=0):
+            frames = list(container.decode(video=0))
+            assert [frame.time for frame in frames] == pytest.approx([0.1 * n for n in range(len(frames))])
+            for frame in frames:
                 assert (frame.colorspace, frame.color_primaries, frame.color_trc, frame.color_range) == (1, 1, 13, 1)
         with VideoFrames(path, path.name) as read:
             linear = read.frame(0).image.mean(axis=(0, 1))
