@@ -11,11 +11,6 @@ from roomlight_generator.rooms.furniture.files.properties import numbered_entrie
 from roomlight_generator.rooms.furniture.files.textures import decode_image
 
 
-def areas(obj):
-    corners = obj.positions[obj.faces]
-    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-
-
 def test_a_box_has_twelve_outward_facing_triangles():
     obj = parse_obj(box_obj().encode(), "box")
     corners = obj.positions[obj.faces] - 0.5
@@ -26,52 +21,25 @@ def test_a_box_has_twelve_outward_facing_triangles():
     assert obj.libraries == ("m.mtl",)
 
 
-def test_indices_may_be_negative_and_corner_parts_missing():
-    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0.5 0.25\nvn 0 0 1\nf -3//1 -2/-1 -1/1/1\n"
+def test_indices_may_be_negative_corner_parts_missing_and_lines_continued():
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0.5 0.25\nvn 0 0 1\nf -3//1 \\\n -2/-1 -1/1/1\n"
     obj = parse_obj(text.encode(), "t")
     assert obj.faces.tolist() == [[0, 1, 2]]
     assert obj.uv_faces.tolist() == [[-1, 0, 0]]
 
 
-def test_continued_lines_and_vertex_colours_are_handled():
-    obj = parse_obj(b"v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 2 0\nf 1 2 \\\n 3\n", "t")
-    assert areas(obj).sum() == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(
-    ("outline", "area"),
-    [
-        ([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], 3.0),  # an L
-        ([(0, 0), (1, 0.2), (2, 0), (1, 2)], 1.8),  # a dart
-        ([(0, 0), (4, 0), (4, 3), (3, 3), (3, 1), (1, 1), (1, 3), (0, 3)], 8.0),  # a U
-    ],
-)
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("backward", [False, True])
-def test_concave_polygons_cover_what_they_enclose(outline, area, axis, backward):
-    points = np.insert(np.array(outline[::-1] if backward else outline, float), axis, 0.3, axis=1)
-    text = "".join(f"v {x} {y} {z}\n" for x, y, z in points) + "f " + " ".join(map(str, range(1, len(points) + 1)))
-    obj = parse_obj(text.encode(), "t")
-    assert len(obj.faces) == len(points) - 2
-    assert areas(obj).sum() == pytest.approx(area)
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("v 0 0 0\n", "no faces"),
-        ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "not in the file"),
-        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 x\n", "malformed face"),
-        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf -1 -x 2\n", "malformed face"),
-        ("v 0 zero 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n", "not numbers"),
-        ("v 0 nan 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n", "not finite"),
-        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf -9 2 3\n", "not in the file"),
+        ("v 0 0 0\n", "no face"),
+        ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "v 3 of 2"),
+        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf -1 -x 2\n", "line 4 has the corner '-x'"),
+        ("v 0 nan 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n", "finite"),
     ],
 )
 def test_damaged_models_are_refused_by_name(text, said):
-    with pytest.raises(FurnitureError, match=said) as caught:
+    with pytest.raises(FurnitureError, match=f"library: sofa.obj.*{said}"):
         parse_obj(text.encode(), "library: sofa.obj")
-    assert "library: sofa.obj" in str(caught.value)
 
 
 def test_materials_are_read_and_malformed_lines_skipped():

@@ -5,6 +5,7 @@ Colours at vertices are sRGB.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -38,11 +39,13 @@ _LEFT_OUT: Final = {
 
 
 @dataclass
-class _Content:
-    """What the lines hold: values with their lines, and corners with their polygons."""
+class ObjContent:
+    """What the lines hold: values, the corners that differ, and polygons of them."""
 
     values: dict[bytes, list[list[float]]] = field(default_factory=lambda: {key: [] for key in _VALUES})
-    corners: list[tuple[int, int, int]] = field(default_factory=list)
+    different: list[tuple[int, int, int]] = field(default_factory=list)
+    spelled: dict[bytes, int] = field(default_factory=dict)
+    corners: list[int] = field(default_factory=list)
     sizes: list[int] = field(default_factory=list)
     groups: list[int] = field(default_factory=list)
     states_groups: bool = False
@@ -53,20 +56,32 @@ class _Content:
     notes: list[Note] = field(default_factory=list[Note])
 
 
-def read_obj(
-    data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside
-) -> tuple[tuple[tuple[TriangleMesh, Material], ...], tuple[Note, ...]]:
-    """Read an OBJ file; see `roomlight.compositing.loading`. Raises ObjectError."""
+@dataclass(frozen=True, eq=False)
+class ObjPolygons:
+    """Polygons of a file: corners of all, as rows of a point, a texture coordinate and a normal (-1: none), and their
+    sizes. Points of no face may be 0 instead of what is stated."""
+
+    content: ObjContent
+    points: Float[np.ndarray, "n 3"]
+    texture: Float[np.ndarray, "t 2"]
+    normals: Float[np.ndarray, "m 3"]
+    corners: Int64[np.ndarray, "c 3"]
+    sizes: Int64[np.ndarray, " p"]
+
+
+def obj_polygons(data: bytes, name: str, limits: ObjectLimits) -> ObjPolygons:
+    """Read the polygons of an OBJ file. Raises ObjectError, whose message begins with `name`."""
     content = _content(plain_text(data), name, limits)
     if not content.sizes:
         raise ObjectError(f"{name}: has no face; a point cloud has no surface to light")
     limits.check("triangles", sum(content.sizes) - 2 * len(content.sizes), name)
     points, texture, given = (
-        np.array([[*row, 0.0][:width] for row in content.values[key]], np.float64).reshape(-1, width)
+        np.fromiter(chain.from_iterable([*row, 0.0][:width] for row in content.values[key]), np.float64).reshape(
+            -1, width
+        )
         for key, width in ((b"v", 3), (b"vt", 2), (b"vn", 3))
     )
-    corners = np.array(content.corners, np.int64)
-    sizes = np.array(content.sizes, np.int64)
+    corners = np.array(content.different, np.int64)[content.corners]
     stated_values = (points, "v"), (texture, "texture coordinates"), (given, "normals")
     for column, (values, what) in enumerate(stated_values):
         absent = corners[:, column] >= len(values)
@@ -83,7 +98,16 @@ def read_obj(
             content.left_out.add(f"{what} that are not finite numbers".encode())
             corners[odd, column] = -1
     points[~np.isfinite(points).all(axis=1)] = 0  # of no face
-    points, moved = near_origin(points, corners[:, 0], name)
+    return ObjPolygons(content, points, texture, given, corners, np.array(content.sizes, np.int64))
+
+
+def read_obj(
+    data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside
+) -> tuple[tuple[tuple[TriangleMesh, Material], ...], tuple[Note, ...]]:
+    """Read an OBJ file; see `roomlight.compositing.loading`. Raises ObjectError."""
+    file = obj_polygons(data, name, limits)
+    content, corners, sizes = file.content, file.corners, file.sizes
+    points, moved = near_origin(file.points, corners[:, 0], name)
     try:
         triangles = triangles_of(sizes, corners[:, 0], points)
     except ObjectError as error:
@@ -92,13 +116,13 @@ def read_obj(
     at = triangles.reshape(-1)
     faces = corners[at, 0].reshape(-1, 3)
     groups = np.array(content.groups, np.int32)[owner] if content.states_groups else None
-    normals = _normals(given, points, faces, corners[at, 2], groups)
+    normals = _normals(file.normals, points, faces, corners[at, 2], groups)
     order, normals, turned = agreeing_corners(points[corners[at, 0]], normals, name)
     at = at[order]
     uvs = np.zeros((len(at), 2), np.float32)
     stated = corners[at, 1] >= 0
     if stated.any():
-        uvs[stated] = texture[corners[at, 1][stated]] * [1, -1] + [0, 1]  # v grows downward here
+        uvs[stated] = file.texture[corners[at, 1][stated]] * [1, -1] + [0, 1]  # v grows downward here
     colours = _colours(content, name)
     materials, notes = _materials(content, beside, limits, name)
     parts: list[tuple[TriangleMesh, Material]] = []
@@ -131,7 +155,7 @@ def _by_material(used: Int64[np.ndarray, " f"], apart: bool) -> Iterator[tuple[i
 
 
 def _materials(
-    content: _Content, beside: FilesBeside, limits: ObjectLimits, name: str
+    content: ObjContent, beside: FilesBeside, limits: ObjectLimits, name: str
 ) -> tuple[dict[int, Material], tuple[Note, ...]]:
     """Return the materials that faces use, by number, and what was left out."""
     reader, read, notes = MtlReader(beside, limits, name), dict[str, Material](), list[Note]()
@@ -162,8 +186,8 @@ def _materials(
     return {number: read[key] for key, number in content.materials.items() if key in read}, distinct(notes)
 
 
-def _content(data: bytes, name: str, limits: ObjectLimits) -> _Content:
-    content, group, material = _Content(), 0, -1
+def _content(data: bytes, name: str, limits: ObjectLimits) -> ObjContent:
+    content, group, material = ObjContent(), 0, -1
     for number, raw in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
         words = raw.split(b"#", 1)[0].split()
         if not words:
@@ -187,15 +211,17 @@ def _content(data: bytes, name: str, limits: ObjectLimits) -> _Content:
             material = content.materials.setdefault(statement(raw)[1], len(content.materials))
         elif keyword in _LEFT_OUT:
             content.left_out.add(_LEFT_OUT[keyword])
+    content.spelled.clear()
     return content
 
 
 def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list[float]:
     try:
-        values = [float(word.replace(b",", b".")) for word in words[1:8]]
+        values = list(map(float, words[1:8]))
     except ValueError:
-        if NAN.search(line := b" ".join(words)):
-            return _numbers(NAN.sub(b"nan", line).split(), keyword, name, number)
+        line = b" ".join(words)
+        if (mended := NAN.sub(b"nan", line.replace(b",", b"."))) != line:
+            return _numbers(mended.split(), keyword, name, number)
         values = []
     if len(values) < _VALUES[keyword]:
         text = b" ".join(words)[:60].decode("utf-8", "replace")
@@ -205,23 +231,16 @@ def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list
     return values
 
 
-def _add_face(content: _Content, words: list[bytes], group: int, material: int, name: str, number: int) -> None:
-    counts = [len(content.values[key]) for key in (b"v", b"vt", b"vn")]
-    face: list[tuple[int, int, int]] = []
+def _add_face(content: ObjContent, words: list[bytes], group: int, material: int, name: str, number: int) -> None:
+    face: list[int] = []
     for word in words:
-        parts = [*word.split(b"/"), b"", b""][:3]
-        try:
-            stated = [int(part) if part else 0 for part in parts]
-        except ValueError:
-            stated = [0, 0, 0]
-        # negative indices count back from the line; later vertices may still follow for positive ones
-        a, b, c = (
-            index - 1 if index > 0 else count + index if index else -1
-            for index, count in zip(stated, counts, strict=True)
-        )
-        if a < 0 or stated[0] == 0 or min(b, c) < -1:
-            raise ObjectError(f"{name}: line {number} has the corner {word[:40].decode('utf-8', 'replace')!r}")
-        face.append((a, b, c))
+        at = content.spelled.get(word)
+        if at is None:
+            at = len(content.different)
+            content.different.append(_corner(content, word, name, number))
+            if b"-" not in word:
+                content.spelled[word] = at
+        face.append(at)
     if len(face) > _MAX_CORNERS:
         raise ObjectError(f"{name}: line {number} is a face of {len(face)} corners; up to {_MAX_CORNERS} are read")
     if len(face) < 3:
@@ -231,6 +250,22 @@ def _add_face(content: _Content, words: list[bytes], group: int, material: int, 
     content.sizes.append(len(face))
     content.groups.append(group)
     content.used.append(material)
+
+
+def _corner(content: ObjContent, word: bytes, name: str, number: int) -> tuple[int, int, int]:
+    parts = [*word.split(b"/"), b"", b""][:3]
+    try:
+        stated = [int(part) if part else 0 for part in parts]
+    except ValueError:
+        stated = [0, 0, 0]
+    # negative indices count back from the line; later vertices may still follow for positive ones
+    a, b, c = (
+        index - 1 if index > 0 else len(content.values[key]) + index if index else -1
+        for index, key in zip(stated, _VALUES, strict=True)
+    )
+    if a < 0 or stated[0] == 0 or min(b, c) < -1:
+        raise ObjectError(f"{name}: line {number} has the corner {word[:40].decode('utf-8', 'replace')!r}")
+    return a, b, c
 
 
 def _normals(
@@ -250,7 +285,7 @@ def _normals(
     return normals
 
 
-def _colours(content: _Content, name: str) -> Float[np.ndarray, "n 4"] | None:
+def _colours(content: ObjContent, name: str) -> Float[np.ndarray, "n 4"] | None:
     """Return linear colours of the vertices if each line has six numbers."""
     rows = content.values[b"v"]
     coloured = sum(len(row) >= 6 and bool(np.isfinite(row[3:6]).all()) for row in rows)

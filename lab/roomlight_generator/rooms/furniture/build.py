@@ -29,7 +29,7 @@ SUFFIX: Final = ".sh3f"
 def build_cache(
     sources: Sequence[Path], out: Path, *, warn: WarningCallback, progress: ProgressCallback | None = None
 ) -> None:
-    """Write a cache file from libraries (about a minute for the five of Debian, on one core).
+    """Write a cache file from libraries (one to two minutes for the five of Debian, on one core).
 
     A model that cannot be read, or whose id was in an earlier library, is left out with a warning.
 

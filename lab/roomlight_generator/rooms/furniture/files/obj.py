@@ -1,7 +1,6 @@
 """Wavefront OBJ and MTL text as arrays, with a material for each face.
 
-trimesh is not used: it merges parts by material, drops groups it does not know and takes four times as long. The parser
-reads `v`, `vt`, `f`, `usemtl`, `mtllib`; normals are recomputed later, since they are often missing in these files.
+Normals are recomputed later, since they are often missing in these files.
 """
 
 import math
@@ -11,11 +10,13 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
+from roomlight.compositing.objects.limits import ObjectLimits, statement
 from roomlight.compositing.objects.mtl import file_of_map
+from roomlight.compositing.objects.obj import obj_polygons
 from roomlight.compositing.objects.polygons import triangles_of
-from roomlight.errors import FurnitureError
+from roomlight.errors import FurnitureError, ObjectError
 
-MAX_TRIANGLES: Final = 3_000_000
+_LIMITS: Final = ObjectLimits(triangles=3_000_000, vertices=9_000_000)
 """The largest of Debian's 820 models has 198,396."""
 
 
@@ -54,54 +55,24 @@ def parse_obj(data: bytes, name: str) -> Obj:
     Raises:
         FurnitureError: the file is damaged; the message starts with `name`.
     """
-    positions: list[bytes] = []
-    uvs: list[bytes] = []
-    corners: list[bytes] = []
-    sizes: list[int] = []
-    face_materials: list[int] = []
-    materials: dict[str, int] = {}
-    libraries: list[str] = []
-    current = -1
-    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
-        if line.startswith(b"v "):
-            positions.append(line[2:])
-        elif line.startswith(b"vt "):
-            uvs.append(line[3:])
-        elif line.startswith(b"f "):
-            tokens = line.split()[1:]
-            if b"-" in line:
-                tokens = _absolute(tokens, len(positions), len(uvs), name)
-            if len(tokens) < 3:
-                continue
-            corners += tokens
-            sizes.append(len(tokens))
-            if current < 0:
-                current = materials.setdefault("", len(materials))
-            face_materials.append(current)
-        elif line.startswith(b"usemtl"):
-            current = materials.setdefault(_text(line[6:]), len(materials))
-        elif line.startswith(b"mtllib"):
-            libraries.append(_text(line[6:]))
-    triangles = sum(sizes) - 2 * len(sizes)
-    if not triangles:
-        raise FurnitureError(f"{name}: has no faces")
-    if triangles > MAX_TRIANGLES:
-        raise FurnitureError(f"{name}: has {triangles} triangles; the maximum is {MAX_TRIANGLES}")
-    points = _numbers(positions, 3, name)
-    coordinates = _numbers(uvs, 2, name)
-    corner_points, corner_uvs = _corners(corners, len(points), len(coordinates), name)
-    index = triangles_of(np.array(sizes), corner_points, points)
-    face_of = np.repeat(np.arange(len(sizes)), sizes)[index[:, 0]]
+    try:
+        file = obj_polygons(data, name, _LIMITS)
+        index = triangles_of(file.sizes, file.corners[:, 0], file.points)
+    except ObjectError as error:
+        raise FurnitureError(str(error)) from error
+    face_of = np.repeat(np.arange(len(file.sizes)), file.sizes)[index[:, 0]]
     order = np.argsort(face_of, kind="stable")
-    index, face_of = index[order], face_of[order]
+    corners = file.corners[index[order]]
+    used = np.array(file.content.used, np.int32)[face_of[order]]
+    names = tuple(file.content.materials)
     return Obj(
-        positions=points,
-        uvs=coordinates,
-        faces=corner_points[index],
-        uv_faces=corner_uvs[index],
-        face_materials=np.array(face_materials, np.int32)[face_of],
-        material_names=tuple(materials),
-        libraries=tuple(libraries),
+        positions=file.points,
+        uvs=file.texture,
+        faces=corners[..., 0],
+        uv_faces=corners[..., 1],
+        face_materials=np.where(used < 0, len(names), used),
+        material_names=(*names, "") if (used < 0).any() else names,
+        libraries=tuple(file.content.libraries),
     )
 
 
@@ -110,12 +81,12 @@ def parse_mtl(data: bytes) -> dict[str, MtlMaterial]:
     with a wrong colour is still usable."""
     materials: dict[str, dict[str, object]] = {}
     current: dict[str, object] = {}
-    for line in data.decode("utf-8", "replace").splitlines():
-        key, *others = line.split(maxsplit=1)[:2] or [""]
+    for line in data.splitlines():
+        key, *others = line.decode("utf-8", "replace").split(maxsplit=1)[:2] or [""]
         rest = others[0] if others else ""
         words = rest.split()
         if key == "newmtl":
-            current = materials.setdefault(rest.strip(), {})
+            current = materials.setdefault(statement(line)[1], {})
         elif key == "map_Kd" and words:
             current["texture"] = file_of_map(rest)
         elif key in ("Kd", "Ks", "Ns", "d", "Tr"):
@@ -133,61 +104,9 @@ def parse_mtl(data: bytes) -> dict[str, MtlMaterial]:
     return {name: MtlMaterial(name, **values) for name, values in materials.items()}  # pyright: ignore[reportArgumentType]
 
 
-def _text(raw: bytes) -> str:
-    return raw.decode("utf-8", "replace").strip()
-
-
 def _number(word: str) -> float | None:
     try:
         value = float(word)
     except ValueError:
         return None
     return value if math.isfinite(value) else None
-
-
-def _numbers(lines: list[bytes], count: int, name: str) -> Float[np.ndarray, "n count"]:
-    """Parse the first `count` numbers of each line."""
-    try:
-        flat = np.array(b" ".join(lines).split(), np.float64)
-        if flat.size != count * len(lines):
-            rows = [(line.split() + [b"0"] * count)[:count] for line in lines]
-            flat = np.array([word for row in rows for word in row], np.float64)
-    except ValueError as error:
-        raise FurnitureError(f"{name}: has coordinates that are not numbers ({error})") from error
-    if not np.isfinite(flat).all():
-        raise FurnitureError(f"{name}: has coordinates that are not finite")
-    return flat.reshape(-1, count)
-
-
-def _absolute(tokens: list[bytes], points: int, uvs: int, name: str) -> list[bytes]:
-    """Convert indices relative to the latest line (negative) to absolute ones."""
-    try:
-        out: list[bytes] = []
-        for token in tokens:
-            parts = token.split(b"/")
-            for place, total in ((0, points), (1, uvs)):
-                if place < len(parts) and parts[place] and int(parts[place]) < 0:
-                    parts[place] = b"%d" % (total + 1 + int(parts[place]))
-            out.append(b"/".join(parts[:2]))
-        return out
-    except ValueError as error:
-        raise FurnitureError(f"{name}: has a malformed face ({error})") from error
-
-
-def _corners(
-    tokens: list[bytes], points: int, uvs: int, name: str
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return point and texture indices of corner tokens `p`, `p/t`, `p/t/n`, `p//n`, each parsed once."""
-    spellings: dict[bytes, int] = {}
-    which = np.array([spellings.setdefault(token, len(spellings)) for token in tokens], np.int64)
-    table = np.empty((len(spellings), 2), np.int64)
-    try:
-        for row, token in enumerate(spellings):
-            parts = token.split(b"/")
-            table[row] = int(parts[0]) - 1, int(parts[1]) - 1 if len(parts) > 1 and parts[1] else -1
-    except (ValueError, OverflowError) as error:
-        raise FurnitureError(f"{name}: has a malformed face ({error})") from error
-    if table[:, 0].min() < 0 or table[:, 0].max() >= points:
-        raise FurnitureError(f"{name}: has faces with vertices that are not in the file (it has {points})")
-    table[(table[:, 1] < 0) | (table[:, 1] >= uvs), 1] = -1
-    return table[which, 0], table[which, 1]
