@@ -5,8 +5,7 @@ The pixels of a kept frame can be stored elsewhere: `records_of_snapshot` leaves
 """
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -14,10 +13,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from roomlight import __version__
 from roomlight.conventions import Position
-from roomlight.depth import UnknownDepth
 from roomlight.engine.models.interface import Arrays
-from roomlight.engine.networks.providers import Provider
-from roomlight.engine.options import ModelName, SessionOptions
+from roomlight.engine.options import SessionOptions
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.state.kept_frames import (
@@ -36,22 +33,13 @@ from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import RoomLightError, StateError
 
 _ROLES = ("keyframe", "latest")
+_SAME = ("options", "networks", "frames", "last_index", "next_handle", "pending", "present", "drift")
+"""Values of a snapshot that are saved as they are."""
 _PLANES = ("radiance", "depth_m", "observed", "clipped", "guessed", "changed", "viewed_from")
 
 
 class _Values(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
-class _Options(_Values):
-    model: ModelName
-    weights: Path | None
-    hedge: float
-    parts: Path | None
-    provider: Provider
-    height: int
-    keyframes: int
-    unknown_depth: UnknownDepth
 
 
 class _Grid(_Values):
@@ -85,7 +73,7 @@ class _Kept(_Values):
 
 class _Session(_Values):
     version: str
-    options: _Options
+    options: SessionOptions
     networks: dict[str, str]
     frames: int
     last_index: int
@@ -110,7 +98,7 @@ class SavedSession:
     @property
     def options(self) -> SessionOptions:
         """Options of the saved session."""
-        return SessionOptions(**self.values.options.model_dump())
+        return self.values.options
 
     @property
     def elsewhere(self) -> tuple[int, ...]:
@@ -141,20 +129,13 @@ class SavedSession:
             for number, room in enumerate(values.left)
         ]
         return SessionSnapshot(
-            options=self.options,
-            networks=values.networks,
-            frames=values.frames,
-            last_index=values.last_index,
-            next_handle=values.next_handle,
+            **{name: getattr(values, name) for name in _SAME},
             grid=None if values.grid is None else _grid_of(values.grid),
             volume=_under("volume", self.arrays),
-            pending=values.pending,
             probes=tuple(self._probe(probe) for probe in values.probes),
             keyframes=tuple(kept["keyframe"]),
             latest=kept["latest"][0] if kept["latest"] else None,
             left=tuple(left),
-            present=values.present,
-            drift=values.drift,
         )
 
     def _kept(self, frame: _Kept, bases: Mapping[int, FrameMesh]) -> KeptFrame:
@@ -196,20 +177,12 @@ def _values_of(snapshot: SessionSnapshot, elsewhere: Collection[int]) -> _Sessio
     grid = snapshot.grid
     return _Session(
         version=__version__,
-        options=_Options(**asdict(snapshot.options)),
-        networks=snapshot.networks,
-        frames=snapshot.frames,
-        last_index=snapshot.last_index,
-        next_handle=snapshot.next_handle,
+        **{name: getattr(snapshot, name) for name in _SAME},
         grid=None if grid is None else _values_of_grid(grid),
-        pending=snapshot.pending,
         probes=[
             _Probe(
-                handle=probe.handle,
-                position=probe.position,
                 tracker=probe.tracker.to_json(),
-                room=probe.room,
-                forgotten=probe.forgotten,
+                **{name: getattr(probe, name) for name in ("handle", "position", "room", "forgotten")},
             )
             for probe in snapshot.probes
         ],
@@ -224,8 +197,6 @@ def _values_of(snapshot: SessionSnapshot, elsewhere: Collection[int]) -> _Sessio
             for frame in snapshot.kept
         ],
         left=[_Left(grid=_values_of_grid(room.grid), frames=room.frames) for room in snapshot.left],
-        present=snapshot.present,
-        drift=snapshot.drift,
     )
 
 
