@@ -57,8 +57,8 @@ class Report(Protocol):
 class Scores(Protocol):
     """What an evaluation returns."""
 
-    def write(self, path: Path) -> None:
-        """Write every score as JSON. Raises OutputError."""
+    def to_json(self) -> Any:
+        """Return what `write_json` writes."""
         ...
 
 
@@ -140,5 +140,5 @@ def show_scores(scores: Scores, json: Path | None, *tables: RenderableType) -> N
     """Print tables of scores, and write the scores as JSON where a file is given. Raises OutputError."""
     print_tables(*tables)
     if json:
-        scores.write(json)
+        write_json(json, scores.to_json())
         say(f"Scores: {json}")

@@ -148,13 +148,15 @@ def write_json(path: Path, values: Any) -> None:
 
 
 def json_text(values: Any, *, indent: int | None = None) -> str:
-    """Return plain values as JSON; NaN and infinity, which JSON does not have, become null."""
+    """Return plain values and arrays as JSON; NaN and infinity, which JSON does not have, become null."""
     return json.dumps(_finite(values), indent=indent, allow_nan=False)
 
 
 def _finite(values: Any) -> Any:
     if isinstance(values, Mapping):
         return {key: _finite(value) for key, value in cast(Mapping[str, Any], values).items()}
+    if hasattr(values, "tolist"):  # of NumPy, which this module does not import: help takes no time
+        return _finite(values.tolist())
     if isinstance(values, list | tuple):
         return [_finite(value) for value in cast(Iterable[Any], values)]
     return None if isinstance(values, float) and not math.isfinite(values) else values

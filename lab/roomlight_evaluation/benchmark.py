@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -23,7 +23,6 @@ from roomlight.dataset.recording import Recording
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError, FrameError
-from roomlight.files import write_json
 from roomlight.imaging.tables import figure_table
 from roomlight.metrics import SPHERES, SphereScorer
 from roomlight.spheres import Material, SphereRenderer, view_toward
@@ -77,12 +76,12 @@ class BenchmarkScores:
             for key, name in ERRORS.items()
         ]
 
-    def write(self, path: Path) -> None:
-        """Write every room's errors as JSON."""
+    def to_json(self) -> dict[str, Any]:
+        """Return every room's errors as plain JSON values."""
         rows = [
             {"method": method, "moment": moment, "errors": errors} for (method, moment), errors in self.errors.items()
         ]
-        write_json(path, {"rooms": self.rooms, "scores": rows})
+        return {"rooms": self.rooms, "scores": rows}
 
 
 def benchmark_options(*, rooms: int, seed: int) -> GenerateOptions:

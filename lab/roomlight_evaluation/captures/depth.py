@@ -8,7 +8,7 @@ out. At true panoramas, light by estimated depth is compared with light by exact
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -24,7 +24,6 @@ from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
-from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.imaging.tables import figure_table
 from roomlight.monocular.stream import DepthStream, open_depth_stream
@@ -94,9 +93,9 @@ class DepthScores:
             table.add_row(title, *(mean_cell(mean, 2) for mean in means))
         return table
 
-    def write(self, path: Path) -> None:
-        """Write all scores as JSON. Raises OutputError."""
-        write_json(path, {"scores": [asdict(score) for score in self.scores]})
+    def to_json(self) -> dict[str, Any]:
+        """Return all scores as plain JSON values."""
+        return asdict(self)
 
 
 def evaluate_depth(

@@ -10,10 +10,10 @@ scored for jumps and light from below, at the point in view of the first frame.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -23,7 +23,6 @@ from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import Position
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.files import write_json
 from roomlight.imaging.tables import figure_table
 from roomlight.light.main_light import main_light
 from roomlight.placement import point_in_view
@@ -103,22 +102,14 @@ class MainLightScores:
             last_error_deg=mean_with_interval([error[-1] for error in errors]),
         )
 
-    def write(self, path: Path) -> None:
-        """Write every direction and score as JSON. Raises OutputError."""
-        tracks = [
-            {
-                "capture": track.capture,
-                "probe": track.probe,
-                "method": track.method,
-                "directions": [direction.tolist() for direction in track.directions],
-                "truth": None if track.truth is None else track.truth.tolist(),
-                "largest_jump_deg": max(track.jumps_deg, default=0.0),
-                "below": track.below,
-                "errors_deg": track.errors_deg,
-            }
-            for track in self.tracks
-        ]
-        write_json(path, {"tracks": tracks})
+    def to_json(self) -> dict[str, Any]:
+        """Return every direction and score as JSON values and arrays."""
+
+        def scored(track: DirectionTrack) -> dict[str, Any]:
+            scores = {"largest_jump_deg": max(track.jumps_deg, default=0.0), "below": track.below}
+            return asdict(track) | scores | {"errors_deg": track.errors_deg}
+
+        return {"tracks": [scored(track) for track in self.tracks]}
 
 
 def evaluate_main_lights(

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -24,7 +24,6 @@ from roomlight.captures.photo import read_photo
 from roomlight.conventions import Position, direction_to_uv, linear_to_srgb8, panorama_directions
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError
-from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.images import write_png
 from roomlight.imaging.tables import figure_table
@@ -95,9 +94,9 @@ class PoseScores:
             table.add_row("worst", *(f"{value:.3g}" for value in worst))
         return table
 
-    def write(self, path: Path) -> None:
-        """Write all scores as JSON. Raises OutputError."""
-        write_json(path, {"scores": [asdict(score) for score in self.scores]})
+    def to_json(self) -> dict[str, Any]:
+        """Return all scores as plain JSON values."""
+        return asdict(self)
 
 
 def evaluate_poses(

@@ -14,13 +14,11 @@ A track's smoothness has one value fewer than it has frames: value i compares fr
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.files import write_json
 from roomlight.metrics import METRICS, PAPER_INTERVALS, interval_means, intervals
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 
@@ -136,25 +134,8 @@ class CaptureScores:
                 for method in self.methods
                 for metric in METRICS
             ],
-            "tracks": [
-                {
-                    "capture": track.capture,
-                    "probe": track.probe,
-                    "method": track.method,
-                    "frames": list(track.frames),
-                    "scores": dict(track.scores),
-                }
-                for track in self.tracks
-            ],
+            "tracks": [asdict(track) for track in self.tracks],
         }
-
-    def write(self, path: Path) -> None:
-        """Write `to_json` to a file atomically.
-
-        Raises:
-            OutputError: The file cannot be written.
-        """
-        write_json(path, self.to_json())
 
 
 def _span(frames: Sequence[int]) -> str:

@@ -7,7 +7,7 @@ A room is a walk of a dataset or a capture with ground truth. All methods see th
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +20,6 @@ from roomlight.dataset.recording import Split
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, FrameError
-from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.spheres import resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
@@ -76,9 +75,9 @@ class ObjectScores:
         """Return the greatest of the rooms' errors relative to that of `HARMONICS`."""
         return max(room.errors[method][look] / room.errors[HARMONICS][look] for room in self.rooms)
 
-    def write(self, path: Path) -> None:
-        """Write every room's errors as JSON."""
-        write_json(path, [asdict(room) for room in self.rooms])
+    def to_json(self) -> list[dict[str, Any]]:
+        """Return every room's errors as plain JSON values."""
+        return [asdict(room) for room in self.rooms]
 
 
 def evaluate_objects(

@@ -8,6 +8,7 @@ import pytest
 from recordings import BoxWalks
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError
+from roomlight.files import json_text
 from roomlight.metrics import SPHERES, SphereScorer
 from roomlight.spheres import SphereRenderer, view_toward
 from roomlight_evaluation.benchmark import (
@@ -83,10 +84,9 @@ def test_tone_mapped_errors_do_not_know_brightness_and_sum_over_channels():
     assert judge.errors(red, "diffuse")["toned_rmse"] == pytest.approx(0.5, rel=1e-3)  # 1, 0.5, 0.5 for 0.5 each
 
 
-def test_tables_and_json_hold_every_room(scores, tmp_path):
+def test_tables_and_json_hold_every_room(scores):
     assert [table.row_count for table in scores.tables(title="boxes")] == [6] * 6
-    scores.write(tmp_path / "scores.json")
-    written = json.loads((tmp_path / "scores.json").read_text())
+    written = json.loads(json_text(scores.to_json()))
     assert len(written["rooms"]) == 2
     first = written["scores"][0]
     assert first["errors"] == scores.errors[first["method"], first["moment"]]

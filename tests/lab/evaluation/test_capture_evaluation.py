@@ -13,6 +13,7 @@ from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, ImageError, ModelError, OptionError
+from roomlight.files import json_text
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
@@ -202,9 +203,7 @@ def test_scores_are_written_as_json(tmp_path: Path) -> None:
     scores = evaluate_captures(
         [capture_of(tmp_path / "room"), capture_of(tmp_path / "short", frames=1)], lambda: [MeanColour(16)]
     )
-    path = tmp_path / "scores" / "eval.json"
-    scores.write(path)
-    data = json.loads(path.read_text())
+    data = json.loads(json_text(scores.to_json()))
     assert data["schema"] == "roomlight-evaluation-1"
     assert len(data["summary"]) == 3 * len(METRICS)  # both captures and their mean, one method
     one_frame = next(

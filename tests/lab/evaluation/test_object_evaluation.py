@@ -10,6 +10,7 @@ from fixture_rooms import FOLDER
 from roomlight.conventions import panorama_directions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
+from roomlight.files import json_text
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
 from roomlight_evaluation.objects.evaluation import COMPOSITED, TRUTH, evaluate_objects
 from roomlight_evaluation.objects.lit_objects import (
@@ -104,13 +105,12 @@ def test_walks_of_a_dataset_are_rooms_too():
     assert np.isfinite([found.mean("classical", look).mean for look in LOOKS]).all()
 
 
-def test_tables_and_json_show_every_method(scores, tmp_path):
+def test_tables_and_json_show_every_method(scores):
     *errors, unseen = object_tables(scores)
     for table in errors:
         assert list(table.columns[0].cells) == list(scores.methods)
     assert list(unseen.columns[0].cells) == [MEAN_COLOUR, HARMONICS, WARPED, "classical", TRUTH]
-    scores.write(tmp_path / "scores.json")
-    assert json.loads((tmp_path / "scores.json").read_text())[0]["errors"][HARMONICS].keys() == set(LOOKS)
+    assert json.loads(json_text(scores.to_json()))[0]["errors"][HARMONICS].keys() == set(LOOKS)
 
 
 def test_unseen_directions_are_as_coloured_and_uneven_as_they_are():
