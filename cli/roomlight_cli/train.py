@@ -5,7 +5,7 @@ import sys
 import time
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Final, get_args
+from typing import Any, Final, get_args
 
 import cv2
 import torch
@@ -25,6 +25,7 @@ from roomlight_model.checkpoint import load_checkpoint, save_mean
 from roomlight_model.training.loop import Run, TrainingProgress
 from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage, read_options
 from roomlight_model.training.run_folder import RunFolder
+from roomlight_model.training.subsets import describe
 
 LOCK: Final = "training.lock"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -60,12 +61,12 @@ def train_recipe(
     wanted = {name: _generation(recipe, name, data) for name in recipe.data}
     for stage in recipe.stages:
         _start_path(recipe, stage, out)
-        if not RunFolder(out / stage.name).is_finished(stage.options):
+        if not _is_finished(recipe, stage, out, data):
             for name in stage.data:
                 _check_source(data / name, wanted[name])
     with locked(out, LOCK):
         for stage in recipe.stages:
-            if RunFolder(out / stage.name).is_finished(stage.options):
+            if _is_finished(recipe, stage, out, data):
                 console.print(f"{stage.name}: finished")
                 continue
             for name in dict.fromkeys(stage.data):
@@ -83,6 +84,20 @@ def train_recipe(
         folder = out / "onnx" / ("" if form in get_args(NetworkForm) else form)
         with Progress("exporting and verifying the graphs", console) as progress:
             return export_checkpoint(checkpoint, folder, progress=progress.say)
+
+
+def _is_finished(recipe: Recipe, stage: StageRecipe, out: Path, data: Path) -> bool:
+    """Return whether a stage is trained; refuse a run on other data or from other weights than are there now."""
+    run, known = RunFolder(out / stage.name), dict[str, Any]()
+    if not run.has_run:
+        return False
+    folders = [data / name for name in stage.data]
+    if all((folder / MANIFEST).exists() for folder in folders):
+        known["data"] = describe([Dataset(folder, "train") for folder in folders])
+    start = _start_path(recipe, stage, out)
+    if start is None or start.exists():
+        known["start_from"] = None if start is None else load_weights(start).digest
+    return run.is_finished(stage.options, **known)
 
 
 def _shipped(recipe: Recipe, out: Path) -> Path:

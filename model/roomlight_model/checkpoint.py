@@ -4,6 +4,7 @@ A file is one `torch.save` of {"format": 2, "form", "config", "state", "card"}. 
 plain JSON values (steps, seed, data, scores); a card with steps = 0 says that the weights are untrained.
 """
 
+import hashlib
 import json
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -51,6 +52,14 @@ class Checkpoint:
     config: ModelConfig
     model: Network
     card: dict[str, Any]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the weights."""
+        digest = hashlib.sha256()
+        for name, value in self.model.state_dict().items():
+            digest.update(name.encode() + value.contiguous().numpy().tobytes())
+        return digest.hexdigest()
 
 
 def build_network(form: str, config: ModelConfig) -> Network:
@@ -149,7 +158,10 @@ def _read(path: Path) -> object:
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror or error})") from error
     if not zipfile.is_zipfile(BytesIO(data)):
-        raise ModelError(f"{path}: not a PyTorch checkpoint, or a truncated one")
+        raise ModelError(
+            f"{path}: not a PyTorch checkpoint, or a truncated one; give another, or delete its run's folder to train "
+            "it again"
+        )
     try:
         return torch.load(BytesIO(data), weights_only=True, map_location="cpu")
     except Exception as error:  # the unpickler raises any type for damaged bytes

@@ -100,7 +100,7 @@ def test_one_command_makes_data_weights_and_a_model(tmp_path: Path, roomlight: R
     assert "use them with --parts out/onnx\n" in done.out
     card = load_checkpoint(tmp_path / "out" / "run" / "model.pt").card
     assert (card["steps"], card["stage"]) == (3, "clipping")
-    assert card["data"] == [{"seed": 3, "frames": 3, "sequences": 6}]
+    assert [(data["seed"], data["sequences"], data["renderer"]) for data in card["data"]] == [(3, 6, lamp_rooms.NAME)]
     best = load_checkpoint(tmp_path / "out" / "run" / "best.pt")
     graph = load_part(tmp_path / "out" / "onnx" / "clipping", "clipping", provider="cpu")
     assert set(graph.inputs) == {"planes"}
@@ -138,6 +138,10 @@ def test_a_stopped_run_continues_and_a_finished_one_is_kept(
     refused = roomlight("train", "recipe.toml", "--out", "out", "--set", "seed=9", cwd=tmp_path)
     assert refused.code == 1
     assert "other options (seed)" in refused.err
+    write(tmp_path, CLIPPING.replace("steps = 3", 'start_from = "out/run/model.pt"'))
+    refused = roomlight("train", "recipe.toml", "--out", "out", "--set", "steps=4", cwd=tmp_path)
+    assert refused.code == 1
+    assert "out/run: its run started from other weights (start_from); delete the folder" in refused.err
     logged = [json.loads(line) for line in (tmp_path / "out" / "run" / "log.jsonl").read_text().splitlines()]
     assert [entry["step"] for entry in logged if "scores" in entry] == [1, 2, 3, 4]
 
@@ -210,6 +214,9 @@ def test_all_kinds_of_stages_follow_each_other(tmp_path: Path, roomlight: RunCom
     assert len(list((tmp_path / "out" / "recurrent" / "pictures").iterdir())) == 1
     assert load_checkpoint(tmp_path / "out" / "recurrent" / "best.pt").form == "video"
     assert load_part(tmp_path / "out" / "onnx" / "objects", "objects", provider="cpu").inputs
+    longer = roomlight("train", "recipe.toml", "--out", "out", "--data", "data", "--set", "steps=3", cwd=tmp_path)
+    assert longer.code == 1
+    assert "its run started from other weights (start_from); delete the folder to train the stage again" in longer.err
 
 
 @pytest.mark.slow

@@ -83,9 +83,9 @@ def test_it_starts_from_weights_of_its_own_form() -> None:
     frames = lamp_frames(2)
     weights = Checkpoint("clipping", ModelConfig(), ClippingNetwork(), {"steps": 3})
     stage = ClippingStage(replace(SHORT, seed=9), frames, frames, start_from=weights)
-    assert stage.before == {"steps": 3}
+    assert stage.start_from is weights
     assert all(v.equal(weights.model.state_dict()[k]) for k, v in stage.network().state_dict().items())
-    with pytest.raises(ModelError, match="stage clipping cannot start from a objects network"):
+    with pytest.raises(ModelError, match="cannot start from objects weights; give `start_from` clipping"):
         ClippingStage(SHORT, frames, frames, start_from=Checkpoint("objects", ModelConfig(), ObjectLightNetwork(), {}))
 
 

@@ -16,8 +16,9 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from roomlight.errors import ModelError, OptionError, OutputError
-from roomlight_model.checkpoint import load_checkpoint
+from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.clipping_network import ClippingNetwork
+from roomlight_model.config import ModelConfig
 from roomlight_model.training.clipping import ClippingBatch, ClippingOptions
 from roomlight_model.training.loop import Run, learning_rate
 from roomlight_model.training.run_folder import LAST, RunFolder
@@ -29,9 +30,12 @@ SMALL = ClippingOptions(steps=6, batch=2, learning_rate=0.005, seed=5, validate_
 class SmallStage:
     """The network of clipped radiance on squares of 32 pixels."""
 
-    def __init__(self, options=SMALL, *, examples=6, scored=True, factor=1.0):
+    def __init__(self, options=SMALL, *, examples=6, data=None, start_seed=0, scored=True, factor=1.0):
         self.options, self.device, self.piece_size = options, torch.device("cpu"), 1
-        self.data, self.before = [{"seed": 3, "sequences": examples}], {"steps": 1}
+        self.data = data or [{"seed": 3, "sequences": examples}]
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(start_seed)
+            self.start_from = Checkpoint("clipping", ModelConfig(), ClippingNetwork(), {"steps": 1})
         self._planes = torch.from_numpy(np.random.default_rng(0).random((examples, 11, 32, 32)).astype(np.float32))
         self._scored, self._factor = scored, factor
 
@@ -213,9 +217,26 @@ def test_other_options_are_refused_by_name(change, finished):
         Run(SmallStage(replace(SMALL, **change)), folder)
     with pytest.raises(ModelError, match=rf"other options \({next(iter(change))}\)"):
         RunFolder(folder).is_finished(replace(SMALL, **change))
-    with pytest.raises(ModelError, match=r"other options \(data\)"):
+    for data in ([{"seed": 3, "sequences": 7}], [{"seed": 4, "sequences": 6, "frames": 3}], []):
+        with pytest.raises(ModelError, match=r"other options \(data\)"):
+            RunFolder(folder).is_finished(SMALL, data=data)
+    with pytest.raises(ModelError, match=r"other options \(data\); delete the folder to train the stage again"):
         Run(SmallStage(examples=7), folder)
+    with pytest.raises(ModelError, match=r"started from other weights \(start_from\); delete the folder"):
+        Run(SmallStage(start_seed=1), folder)
+    with pytest.raises(ModelError, match="started from other weights"):
+        RunFolder(folder).is_finished(SMALL, start_from=None)
     assert (folder / "options.json").read_bytes() == before
+
+
+def test_a_run_of_an_earlier_version_that_recorded_less_goes_on(tmp_path):
+    Run(SmallStage(), tmp_path)
+    recorded = json.loads((tmp_path / "options.json").read_text())
+    del recorded["start_from"]
+    (tmp_path / "options.json").write_text(json.dumps(recorded))
+    Run(SmallStage(data=[{"seed": 3, "sequences": 6, "generator": "1"}], start_seed=1), tmp_path)
+    with pytest.raises(ModelError, match=r"options \(data, start_from\)"):
+        Run(SmallStage(data=[{"seed": 3, "sequences": 6, "generator": "2"}]), tmp_path)
 
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path):
@@ -235,7 +256,7 @@ def test_a_damaged_state_or_that_of_another_version_names_the_remedy(tmp_path):
     Run(SmallStage(), tmp_path / "run")
     for content in (b"", b"nonsense", b"PK\x03\x04 damaged"):
         (tmp_path / "run" / LAST).write_bytes(content)
-        with pytest.raises(ModelError, match=r"last\.pt: cannot be resumed from .*delete it"):
+        with pytest.raises(ModelError, match=r"last\.pt: cannot be resumed from \(it is cut off.*delete it"):
             Run(SmallStage(), tmp_path / "run")
     torch.save({"step": 3}, tmp_path / "run" / LAST)
     with pytest.raises(ModelError, match=r"last\.pt: cannot be resumed from \('network'\); delete it"):

@@ -125,7 +125,7 @@ def test_it_learns_what_its_examples_show(tmp_path):
 
 def test_other_weights_are_refused():
     weights = Checkpoint("clipping", ModelConfig(), ClippingNetwork(), {})
-    with pytest.raises(ModelError, match="stage objects cannot start from a clipping network"):
+    with pytest.raises(ModelError, match="stage objects cannot start from clipping weights"):
         ObjectsStage(SHORT, half_rooms(2), half_rooms(1), start_from=weights)
 
 

@@ -78,7 +78,7 @@ def test_the_next_stage_starts_from_the_weights_before():
     weights = single_view_weights()
     stage = view_stage(replace(VIEWS, stage="single-blend", model=VIEWS.model), start_from=weights)
     assert stage.options.model == weights.config
-    assert stage.before == weights.card
+    assert stage.start_from is weights
     for name, value in stage.network().state_dict().items():
         assert value.equal(weights.model.state_dict()[name])
 
@@ -86,7 +86,7 @@ def test_the_next_stage_starts_from_the_weights_before():
 @pytest.mark.parametrize("form", ["video", "objects"])
 def test_weights_of_other_networks_are_refused(form):
     weights = Checkpoint(form, TINY, VideoModel(TINY), {})
-    with pytest.raises(ModelError, match=f"single-sglv trains a single-view model, not a {form} one"):
+    with pytest.raises(ModelError, match=f"cannot start from {form} weights; give `start_from` single-view"):
         view_stage(start_from=weights)
 
 

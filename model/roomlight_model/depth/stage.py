@@ -182,7 +182,7 @@ class DepthStage(SmallStage[DepthOptions, DepthFrames]):
             ModelError: The published encoder cannot be read or is another network.
         """
         network: DepthNetwork = super().network()
-        if self.before is None and self.options.encoder is not None:
+        if self.start_from is None and self.options.encoder is not None:
             network.start_encoder(_published(self.options.encoder))
         return network.to(self.device, memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 

@@ -22,7 +22,7 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from roomlight.errors import ModelError
-from roomlight_model.checkpoint import Network
+from roomlight_model.checkpoint import Checkpoint, Network
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.losses import BatchGradients, Losses
 from roomlight_model.training.run_folder import RunFolder, RunOptions
@@ -60,8 +60,8 @@ class Stage(Protocol):
         ...
 
     @property
-    def before(self) -> dict[str, Any] | None:
-        """The card of the weights that the stage starts from; None for fresh ones."""
+    def start_from(self) -> Checkpoint | None:
+        """The weights that the stage starts from; None for fresh ones."""
         ...
 
     def __len__(self) -> int:
@@ -127,8 +127,8 @@ class Run:
         """Start a run in an empty folder, or resume the folder's run.
 
         Raises:
-            ModelError: The folder's run has other options or data (`steps` may differ) or is damaged, or there are
-                fewer examples than a batch needs.
+            ModelError: The folder's run has other options, data or weights to start from (`steps` may differ) or is
+                damaged, or there are fewer examples than a batch needs.
             OutputError: The folder holds other files, or cannot be written.
         """
         options = stage.options
@@ -158,7 +158,8 @@ class Run:
         self.stopped_by: int | None = None
         self._losses: dict[str, float] = {}  # sums since the last report
         self._scores: dict[str, float] | None = None  # of the present step
-        self.folder.open({**options.to_dict(), "data": stage.data})
+        start = None if stage.start_from is None else stage.start_from.digest
+        self.folder.open({**options.to_dict(), "data": stage.data, "start_from": start})
         self._resume()
 
     def train(
@@ -277,7 +278,7 @@ class Run:
             "date": datetime.now(UTC).date().isoformat(),
             "options": self.stage.options.to_dict(),
             **({} if self._scores is None else {"scores": self._scores}),
-            **({} if self.stage.before is None else {"before": self.stage.before}),
+            **({} if self.stage.start_from is None else {"before": self.stage.start_from.card}),
         }
 
     def _validate(self, curves: SummaryWriter) -> TrainingProgress:

@@ -1,6 +1,6 @@
 """A run on disk: the options that all stages share, and the files of a run's folder.
 
-    options.json      the options and the data; a resumed run must have the same ones
+    options.json      the options, the data, the digest of the weights to start from; the same in a resumed run
     last.pt           the state to resume from: written atomically every few minutes
     model.pt          the averaged (EMA) weights as a checkpoint that `roomlight export` reads, and their scores
     best.pt           likewise, with the lowest score on held-out examples
@@ -13,7 +13,8 @@
 """
 
 import json
-from collections.abc import Iterator, Mapping
+import zipfile
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -101,7 +102,7 @@ class RunFolder:
         """Write the options of a new run, or check that the folder's run has the same ones.
 
         Raises:
-            ModelError: The folder's run has other options or data, or is of another version.
+            ModelError: The folder's run has other options, data or weights to start from, or is of another version.
             OutputError: The folder holds other files, or cannot be written.
         """
         path = self.path / OPTIONS
@@ -111,25 +112,39 @@ class RunFolder:
             self._check(options)
         write_atomic(path, (json.dumps({"format": FORMAT, **options}, indent=1) + "\n").encode())
 
-    def is_finished(self, options: RunOptions) -> bool:
+    @property
+    def has_run(self) -> bool:
+        """Whether a run began in the folder."""
+        return (self.path / OPTIONS).exists()
+
+    def is_finished(self, options: RunOptions, **known: Any) -> bool:
         """Return whether the folder's run has made all steps and scored its weights.
+
+        Args:
+            options: The run's options.
+            known: `data` and `start_from` as `open` takes them; what is left out is not compared.
 
         Raises:
             ModelError: The folder's run has other options, is damaged, or is of another version.
         """
-        if not (self.path / OPTIONS).exists():
+        if not self.has_run:
             return False
-        self._check(options.to_dict(), ignored=("data", "model"))  # the data, and the widths of the first weights
+        # the widths of a model are those of the weights to start from
+        self._check({**options.to_dict(), **known}, ignored={"model", "data", "start_from"} - set(known))
         state = self.load_state(torch.device("cpu"))
         return state is not None and state.get("scores") is not None and state.get("step", 0) >= options.steps
 
-    def _check(self, options: Mapping[str, Any], ignored: tuple[str, ...] = ()) -> None:
+    def _check(self, options: Mapping[str, Any], ignored: Set[str] = frozenset()) -> None:
         theirs = _read_options(self.path / OPTIONS)
         names = {*options, *theirs} - {"format", *_MAY_CHANGE, *ignored}
-        changed = sorted(name for name in names if options.get(name) != theirs.get(name))
+        if "start_from" not in theirs:  # earlier versions did not write it
+            names.discard("start_from")
+        changed = sorted(name for name in names if not _agree(name, options.get(name), theirs.get(name)))
         if changed:
+            other = "started from other weights" if changed == ["start_from"] else "has other options"
             raise ModelError(
-                f"{self.path}: its run has other options ({', '.join(changed)}); use another folder or the same options"
+                f"{self.path}: its run {other} ({', '.join(changed)}); delete the folder to train the stage again, or "
+                "use another folder or the same options"
             )
 
     def load_state(self, device: torch.device) -> dict[str, Any] | None:
@@ -141,6 +156,8 @@ class RunFolder:
         path = self.path / LAST
         if not path.exists():
             return None
+        if not zipfile.is_zipfile(path):
+            raise self.cannot_resume(ValueError("it is cut off, or no state of PyTorch"))
         try:
             return dict(torch.load(path, map_location=device, weights_only=True))
         except Exception as error:  # the unpickler raises any type for damaged bytes
@@ -187,6 +204,13 @@ class RunFolder:
             except (ValueError, KeyError, TypeError):
                 break  # a line that was cut off when the process was killed
         write_atomic(log, "".join(line + "\n" for line in kept).encode())
+
+
+def _agree(name: str, ours: Any, theirs: Any) -> bool:
+    """Return whether an option is the same; datasets are compared by what both say: earlier versions said less."""
+    if name != "data" or not isinstance(theirs, list) or len(ours) != len(theirs):
+        return ours == theirs
+    return all(a[key] == b[key] for a, b in zip(ours, theirs, strict=True) for key in a.keys() & b.keys())
 
 
 def _read_options(path: Path) -> dict[str, Any]:

@@ -130,12 +130,14 @@ class SingleViewStage:
         """
         if start_from is not None:
             if start_from.form != "single":
-                raise ModelError(f"stage {options.stage} trains a single-view model, not a {start_from.form} one")
+                raise ModelError(
+                    f"stage {options.stage} cannot start from {start_from.form} weights; give `start_from` single-view "
+                    "ones"
+                )
             options = replace(options, model=start_from.config)
         self.options, self.device, self.data = options, device, data or []
         self.piece_size = 2  # views in a pass on one thread; see `training.losses`
-        self.before = None if start_from is None else start_from.card
-        self._training, self._held_out, self._start_from = training, held_out, start_from
+        self._training, self._held_out, self.start_from = training, held_out, start_from
 
     # --- data
 
@@ -162,8 +164,8 @@ class SingleViewStage:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.options.seed)
             model = SingleModel(self.options.trained_model)
-        if self._start_from is not None:
-            model.load_state_dict(self._start_from.model.state_dict())
+        if self.start_from is not None:
+            model.load_state_dict(self.start_from.model.state_dict())
         volume, panorama = (model.sg_encoder, model.sg_decoder), (model.blend_encoder, model.blend_decoder)
         train_only(model, self.options.stage, volume=volume, panorama=panorama)
         channels_last(volume)

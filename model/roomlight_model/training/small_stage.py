@@ -52,10 +52,12 @@ class SmallStage(Generic[OptionsT, ExamplesT]):
             ModelError: `start_from` holds another network.
         """
         if start_from is not None and start_from.form != options.stage:
-            raise ModelError(f"stage {options.stage} cannot start from a {start_from.form} network")
+            raise ModelError(
+                f"stage {options.stage} cannot start from {start_from.form} weights; give `start_from` {options.stage} "
+                "ones"
+            )
         self.options, self.device, self.data = options, device, data or []
-        self.before = None if start_from is None else start_from.card
-        self.training, self.held_out, self._start_from = training, held_out, start_from
+        self.training, self.held_out, self.start_from = training, held_out, start_from
 
     @property
     def piece_size(self) -> int:
@@ -71,8 +73,8 @@ class SmallStage(Generic[OptionsT, ExamplesT]):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.options.seed)
             network = build_network(self.options.stage, ModelConfig())
-        if self._start_from is not None:
-            network.load_state_dict(self._start_from.model.state_dict())
+        if self.start_from is not None:
+            network.load_state_dict(self.start_from.model.state_dict())
         return network
 
     def held_out_parts(self, size: int) -> Iterator[ExamplesT]:

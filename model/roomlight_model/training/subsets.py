@@ -103,15 +103,8 @@ def random_split(count: int, seed: int) -> tuple[list[int], list[int]]:
 
 
 def describe(datasets: Sequence[Dataset]) -> list[dict[str, Any]]:
-    """Describe datasets for a model's card: seed, frames and number of sequences of each."""
-    return [
-        {
-            "seed": dataset.manifest.settings.seed,
-            "frames": dataset.manifest.settings.frames,
-            "sequences": len(dataset),
-        }
-        for dataset in datasets
-    ]
+    """Describe datasets for a model's card: the settings and the number of sequences of each."""
+    return [{**vars(dataset.manifest.settings), "sequences": len(dataset)} for dataset in datasets]
 
 
 def surround(recording: Recording) -> float:

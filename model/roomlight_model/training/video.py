@@ -131,9 +131,9 @@ class VideoStage:
                 "model folder, or the checkpoint of the video stage before"
             )
         self.options = options = replace(options, model=start_from.config)
-        self.device, self.data, self.before = device, data or [], start_from.card
+        self.device, self.data, self.start_from = device, data or [], start_from
         self.piece_size = 1  # the frames of a sequence are work enough for a thread
-        self._training, self._held_out, self._start_from = training, held_out, start_from
+        self._training, self._held_out = training, held_out
         if change_light is None and options.light_changes:
             change_light = LightChanges(options.light_changes)
         self._change_light = change_light
@@ -211,11 +211,11 @@ class VideoStage:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.options.seed)
             model = VideoModel(self.options.trained_model)
-        if isinstance(self._start_from.model, SingleModel):
-            model.single.load_state_dict(self._start_from.model.state_dict())
+        if isinstance(self.start_from.model, SingleModel):
+            model.single.load_state_dict(self.start_from.model.state_dict())
             model.warm_start()
         else:
-            model.load_state_dict(self._start_from.model.state_dict())
+            model.load_state_dict(self.start_from.model.state_dict())
         volume = (model.sg_encoder, model.sg_decoder, model.sg_gru0, model.sg_gru1)
         panorama = (model.blend_encoder, model.blend_decoder, model.blend_gru0, model.blend_gru1)
         train_only(model, self.options.stage, volume=volume, panorama=panorama)
