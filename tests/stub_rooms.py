@@ -24,6 +24,7 @@ from roomlight.camera import Intrinsics
 from roomlight.dataset.recording import GLASS, LIGHT, Recording
 
 NAME = f"{__name__}:render_room"
+VIEWS = f"{__name__}:render_views"
 FOREIGN = {"torch", "av", "onnxruntime", "fastapi", "lzfse", "filelock", "roomlight.captures", "roomlight_server"}
 TYPES = ("kitchen", "study", "hall")
 
@@ -82,6 +83,12 @@ def render_room(request):
             os.kill(os.getpid(), signal.SIGKILL)
         rng = np.random.default_rng([seed, request.split == "train", room_index, walk])
         yield recording(rng, frames=request.frames, facts=facts)
+
+
+def render_views(request):
+    """Yield recordings without probes."""
+    for view in range(request.count):
+        yield recording(np.random.default_rng([request.seed, request.index, view]), frames=request.frames, probes=0)
 
 
 def make_dataset(folder, sequences, **options):

@@ -198,7 +198,7 @@ def evaluate_walks(
     limit: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> CaptureScores:
-    """Score every comparison on the walks of datasets; walks with an unusable first frame are left out.
+    """Score every comparison on the walks of datasets; those without probes or a usable first frame are left out.
 
     Args:
         datasets: Test splits: rooms that no network was trained on.
@@ -219,10 +219,10 @@ def evaluate_walks(
         recording = dataset[number]
         name = f"{dataset.folder.name}/{recording.name}"
         try:
-            walk_tracks = score_walk(recording, models, name=name)
+            walk_tracks = score_walk(recording, models, name=name) if len(recording.probe_positions) else []
         except FrameError:
-            walk_tracks = None
-        if walk_tracks is not None:
+            walk_tracks = []
+        if walk_tracks:
             tracks += walk_tracks
             probes = len({track.probe for track in walk_tracks})
             frames = len(walk_tracks[0].frames)
@@ -230,7 +230,9 @@ def evaluate_walks(
         if progress is not None:
             progress(done, len(chosen))
     if not tracks:
-        raise DatasetError(f"{chosen[0][0].folder}: no walk can be used: their first frames have no depth")
+        raise DatasetError(
+            f"{chosen[0][0].folder}: no walk can be used: they have no probes, or their first frames no depth"
+        )
     return CaptureScores(tuple(summaries), tuple(tracks))
 
 

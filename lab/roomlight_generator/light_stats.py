@@ -82,9 +82,9 @@ class LightComparison:
 
 
 def measure_light(
-    frame: Float[np.ndarray, "h w 3"], clipped: Float[np.ndarray, "n 3"], panorama: Float[np.ndarray, "ph pw 3"]
+    frame: Float[np.ndarray, "h w 3"], clipped: Float[np.ndarray, "n 3"], panorama: Float[np.ndarray, "ph pw 3"] | None
 ) -> Measures:
-    """Measure one frame and one panorama near it.
+    """Measure one frame and one panorama near it, or a frame alone.
 
     "above 3 x frame" means above three times the frame's mean; ceiling, walls and floor are the means over the
     directions more than 30 degrees above the horizon, less than 30 from it, and more than 30 below.
@@ -96,6 +96,15 @@ def measure_light(
     """
     luminances = frame @ _LUMA
     mean = max(float(luminances.mean()), _TINY)
+    of_frame = {
+        "frame's mean": mean,
+        "frame's median": float(np.median(luminances)),
+        f"frame's {WHITE_PERCENTILE}th percentile": float(np.percentile(luminances, WHITE_PERCENTILE)),
+        "frame's clipped share": float((frame.max(axis=-1) >= _CLIPPED).mean()),
+        "clipped pixels' radiance": float(np.median(clipped.max(axis=-1))) if len(clipped) else np.nan,
+    }
+    if panorama is None:
+        return of_frame
     light = np.asarray(_at_height(panorama) @ _LUMA, np.float64)
     share = np.broadcast_to(panorama_solid_angles(len(light)) / (4 * np.pi), light.shape)
     total = max(float((light * share).sum()), _TINY)
@@ -103,11 +112,7 @@ def measure_light(
     high = float(np.percentile(light, 99.9))
     ceiling, walls, floor = _bands(light, share)
     return {
-        "frame's mean": mean,
-        "frame's median": float(np.median(luminances)),
-        f"frame's {WHITE_PERCENTILE}th percentile": float(np.percentile(luminances, WHITE_PERCENTILE)),
-        "frame's clipped share": float((frame.max(axis=-1) >= _CLIPPED).mean()),
-        "clipped pixels' radiance": float(np.median(clipped.max(axis=-1))) if len(clipped) else np.nan,
+        **of_frame,
         "sphere above white": float(share[white].sum()),
         "energy above white": float((light * share)[white].sum()) / total,
         "panorama's mean": total,
@@ -124,7 +129,7 @@ def measure_light(
 
 
 def recording_light(recording: Recording) -> list[Measures]:
-    """Measure a recording's first frame with each of its probes.
+    """Measure a recording's first frame with each of its probes, or alone if it has none.
 
     Raises:
         DatasetError: if the recording lacks the radiance of clipped pixels.
@@ -136,7 +141,8 @@ def recording_light(recording: Recording) -> list[Measures]:
         raise DatasetError(f"{recording.name}: lacks the radiance of clipped pixels; generate the dataset again")
     clipped = stored[0][saturated].astype(np.float32)
     clipped = np.maximum(clipped, frame[saturated])  # noise and JPEG clip pixels that were not
-    return [measure_light(frame, clipped, panorama) for panorama in recording.probe_panoramas]
+    panoramas = [*recording.probe_panoramas] or [None]
+    return [measure_light(frame, clipped, panorama) for panorama in panoramas]
 
 
 def panorama_light(
@@ -193,12 +199,13 @@ def compare_light(
 
 
 def compare_measures(generated: Sequence[Measures], real: Sequence[Measures]) -> tuple[LightRow, ...]:
-    """Return the quartiles of each measure."""
-    return tuple(LightRow(name, _quartiles(generated, name), _quartiles(real, name)) for name in real[0])
+    """Return the quartiles of each measure that has values on both sides."""
+    rows = (LightRow(name, _quartiles(generated, name), _quartiles(real, name)) for name in real[0])
+    return tuple(row for row in rows if np.isfinite([*row.generated, *row.real]).all())
 
 
 def _quartiles(measured: Sequence[Measures], name: str) -> tuple[float, float, float]:
-    values = np.array([measures[name] for measures in measured])
+    values = np.array([measures.get(name, np.nan) for measures in measured])
     values = values[np.isfinite(values)]
     if not len(values):
         return np.nan, np.nan, np.nan

@@ -155,6 +155,13 @@ def test_a_prior_is_written_if_its_folder_can_be(made, tmp_path, run, monkeypatc
     assert f"use it with --parts {tmp_path / 'new'}" in fitted.out
 
 
+def test_a_prior_is_not_fitted_to_views_without_probes(tmp_path, run):
+    stub_rooms.make_dataset(tmp_path / "views", 2, renderer=stub_rooms.VIEWS)
+    refused = run("prior", "views", "--out", "new", cwd=tmp_path)
+    assert refused.code == 1
+    assert "error: views: no sequence has probes to fit to" in refused.err
+
+
 @pytest.mark.slow
 def test_ctrl_c_stops_and_the_same_command_continues(tmp_path, monkeypatch, run):
     monkeypatch.setenv("STUB_ROOMS", str(tmp_path))

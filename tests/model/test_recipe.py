@@ -10,6 +10,7 @@ import stub_rooms
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, OptionError
 from roomlight_model.training.clipping import ClippingOptions
+from roomlight_model.training.objects import ObjectsOptions
 from roomlight_model.training.recipe import RECIPES, StageRecipe, build_stage, read_recipe
 from roomlight_model.training.single_view import SingleViewOptions
 from roomlight_model.training.video import VideoOptions
@@ -162,15 +163,16 @@ def test_a_missing_recipe_names_the_shipped_ones(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("split", "stage", "message"),
+    ("data", "options", "message"),
     [
-        ("test", "clipping", "rooms: has no sequence of the split train"),
-        ("train", "video-joint", "rooms: its walks have 1 frame; stage video-joint needs 2 or more"),
+        ({"split": "test"}, ClippingOptions(), "rooms: has no sequence of the split train"),
+        ({}, VideoOptions(), "rooms: its walks have 1 frame; stage video-sglv needs 2 or more"),
+        ({"renderer": stub_rooms.VIEWS}, SingleViewOptions(), "rooms: has no probes, whose light stage single-sglv"),
+        ({"renderer": stub_rooms.VIEWS}, ObjectsOptions(), "rooms: has no probes, whose light stage objects learns"),
     ],
 )
-def test_data_without_what_a_stage_learns_from_is_named(split, stage, message, tmp_path) -> None:
-    stub_rooms.make_dataset(tmp_path / "rooms", 2, split=split, frames=1)
-    options = VideoOptions(stage=stage) if stage == "video-joint" else ClippingOptions()
+def test_data_without_what_a_stage_learns_from_is_named(data, options, message, tmp_path) -> None:
+    stub_rooms.make_dataset(tmp_path / "rooms", 2, frames=1, **data)
     recipe, device = StageRecipe("run", options, ("rooms",)), torch.device("cpu")
     with pytest.raises(DatasetError, match=message):
         build_stage(recipe, [tmp_path / "rooms"], tmp_path / "run", start_from=None, device=device)

@@ -237,6 +237,9 @@ def prior(
                 count += 1
                 yield panorama
             progress.count(number + 1, total)
+        if not count:
+            names = ", ".join(map(str, folders))
+            raise DatasetError(f"{names}: no sequence has probes to fit to; generate walks, without --any-view")
 
     with Progress("fitting") as progress:
         fitted = PanoramaPrior.fit(panoramas(progress))

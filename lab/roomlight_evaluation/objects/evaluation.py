@@ -100,7 +100,7 @@ def evaluate_objects(
         progress: Called as (room, rooms done, rooms in all) before each room.
 
     Raises:
-        CaptureError: A capture has no ground truth, or no frame can be used.
+        CaptureError: A capture has no ground truth, no frame can be used, or no walk has a probe.
         DatasetError: A dataset is damaged.
         ModelError: The weights are missing, damaged or untrained.
     """
@@ -111,12 +111,14 @@ def evaluate_objects(
         if progress is not None:
             progress(name, done, len(rooms))
         room_frames, truths = read()
+        if not truths:  # single views, made for depth
+            continue
         try:
             scored.append(_score(name, room_frames, truths, sessions))
         except FrameError as error:
             raise CaptureError(f"{name}: its first frame cannot begin a stream: {error}") from error
     if not scored:
-        what = f"give captures with ground truth or datasets with walks of the split {split} (--split)"
+        what = f"give captures with ground truth, or datasets with probes in walks of the split {split} (--split)"
         raise CaptureError(f"no room to score: {what}")
     return ObjectScores(tuple(scored))
 

@@ -205,11 +205,16 @@ def build_stage(
     """
     opened = {folder: Dataset(folder, "train") for folder in folders}
     datasets, options = [opened[folder] for folder in folders], recipe.options
+    lights = isinstance(options, SingleViewOptions | ObjectsOptions)
     for folder, dataset in opened.items():
         if not len(dataset):
             raise DatasetError(f"{folder}: has no sequence of the split train, which stages learn from; generate some")
         if isinstance(options, VideoOptions) and dataset.manifest.settings.frames < 2:
             raise DatasetError(f"{folder}: its walks have 1 frame; stage {options.stage} needs 2 or more")
+        if lights and not len(dataset.read(0, frames=[0]).probe_positions):
+            raise DatasetError(
+                f"{folder}: has no probes, whose light stage {options.stage} learns; generate it without any_view"
+            )
     data = describe(datasets)
     if isinstance(options, SingleViewOptions):
         training, held_out = train_val_split(datasets, options.held_out)

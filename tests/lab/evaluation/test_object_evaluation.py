@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import stub_rooms
 from fixture_rooms import FOLDER
 from roomlight.conventions import panorama_directions
 from roomlight.engine.session import SessionOptions
@@ -128,8 +129,10 @@ def test_unseen_directions_are_as_coloured_and_uneven_as_they_are():
     assert all(np.isnan(value) for value in unseen_look(panorama, np.ones_like(seen)).values())
 
 
-def test_a_capture_without_ground_truth_is_refused(tmp_path):
+def test_recordings_without_ground_truth_are_refused(tmp_path):
     with pytest.raises(CaptureError, match="no ground-truth probes"):
         evaluate_objects([write_room(tmp_path / "bare", probes=False)], SessionOptions(model="classical"))
-    with pytest.raises(CaptureError, match="no room to score"):
-        evaluate_objects([], SessionOptions(model="classical"))
+    views = stub_rooms.make_dataset(tmp_path / "views", 2, split="test", renderer=stub_rooms.VIEWS)
+    for sources in ([], [views.folder]):
+        with pytest.raises(CaptureError, match="no room to score"):
+            evaluate_objects(sources, SessionOptions(model="classical"))

@@ -150,13 +150,17 @@ def test_phone_depth_is_seeded_by_the_walk_s_name():
     assert not np.array_equal(once, [frame.depth_m for frame in walk_frames(renamed, "arkit")])
 
 
-def test_walks_without_depth_are_left_out():
+@pytest.mark.parametrize("lacking", ["depth_mm", "probe_positions"])
+def test_walks_without_depth_or_probes_are_left_out(lacking):
     models = drift_models(SessionOptions(model="classical", height=HEIGHT))
 
     class Blind(BoxWalks):
         def __getitem__(self, number):
             recording = super().__getitem__(number)
-            return recording if number else replace(recording, depth_mm=np.zeros_like(recording.depth_mm))
+            if number:
+                return recording
+            without = recording.depth_mm * np.uint16(0) if lacking == "depth_mm" else recording.probe_positions[:0]
+            return replace(recording, **{lacking: without})
 
     assert len(evaluate_walks([Blind(2, height=HEIGHT)], models).captures) == 1
     with pytest.raises(DatasetError, match="no walk can be used"):

@@ -110,6 +110,15 @@ def test_stored_radiance_is_that_of_clipped_pixels():
     (measured,) = recording_light(lit_recording(clipped_radiance=clipped))
     assert measured["clipped pixels' radiance"] == pytest.approx(40)
     assert measured["frame's clipped share"] == pytest.approx(0.5)
+    (alone,) = recording_light(
+        lit_recording(
+            clipped_radiance=clipped,
+            probe_panoramas=np.zeros((0, 60, 120, 3), np.float32),
+            probe_positions=np.zeros((0, 3)),
+        )
+    )
+    assert alone == {name: value for name, value in measured.items() if name in alone}
+    assert len(alone) == 5
     with pytest.raises(DatasetError, match="lit: lacks the radiance of clipped pixels"):
         recording_light(lit_recording())
 
@@ -122,7 +131,7 @@ def test_rows_are_alike_within_a_quarter():
 
 
 def test_quartiles_leave_out_missing_values():
-    (row,) = compare_measures([{"m": 1.0}, {"m": np.nan}, {"m": 3.0}], [{"m": 2.0}])
+    (row,) = compare_measures([{"m": 1.0}, {"m": np.nan}, {"m": 3.0}], [{"m": 2.0, "of no generated frame": 1.0}])
     assert (row.generated, row.real) == ((1.5, 2.0, 2.5), (2.0, 2.0, 2.0))
 
 
