@@ -28,11 +28,12 @@ SPHERES: Final[tuple[Material, ...]] = ("mirror", "matte", "diffuse")
 
 @dataclass(frozen=True)
 class Metric:
-    """A column of the results: its key in JSON, its heading, and the factor of the paper's tables."""
+    """A column of the results: its key in JSON, its heading, the factor of the paper's tables, and the best value."""
 
     key: str
     title: str
     shown_times: float = 1.0
+    best: float = 0.0
 
 
 METRICS: Final = (
@@ -42,8 +43,9 @@ METRICS: Final = (
     Metric("render_l2", "render L2 (1e-2)", 1e2),
     *(Metric(f"si_rmse_{sphere}", f"si-RMSE {sphere}") for sphere in SPHERES),
     *(Metric(f"angular_deg_{sphere}", f"angular {sphere} (deg)") for sphere in SPHERES),
+    Metric("energy", "energy (1 is right)", best=1.0),
 )
-"""All metrics, in the order of the tables. For all of them lower is better."""
+"""All metrics, in the order of the tables. Energy is a ratio; of all others lower is better."""
 
 
 def log_l2(prediction: Panorama, truth: Panorama) -> float:

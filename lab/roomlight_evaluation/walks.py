@@ -237,7 +237,7 @@ def evaluate_walks(
 
 
 def score_walk(recording: Recording, models: Compared, *, name: str) -> list[Track]:
-    """Score every comparison on one walk.
+    """Score every comparison on one walk that gives an answer there: late probes need `LATE_FROM` frames.
 
     Raises:
         FrameError: The first frame cannot begin a stream.
@@ -249,7 +249,7 @@ def score_walk(recording: Recording, models: Compared, *, name: str) -> list[Tra
         if estimators:
             frames = islice(walk_frames(recording, depth), models.frames)
             tracks += score_frames(name, frames, probes, estimators)[1]
-    return tracks
+    return [track for track in tracks if np.isfinite(track.scores["log_l2"]).any()]
 
 
 def walk_frames(recording: Recording, depth: DepthKind) -> Iterable[Frame]:

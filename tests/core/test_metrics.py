@@ -89,7 +89,7 @@ def test_sphere_scores_are_zero_for_the_truth_and_detect_errors() -> None:
 
 def test_every_metric_has_a_column() -> None:
     judge = SphereScorer(panorama(height=8), SphereRenderer((0.0, 0.0, -1.0), size=8))
-    measured = {"log_l2", "ldr_l2", "smoothness", *judge.scores(panorama(height=8))}
+    measured = {"log_l2", "ldr_l2", "smoothness", "energy", *judge.scores(panorama(height=8))}
     assert {metric.key for metric in METRICS} == measured
 
 

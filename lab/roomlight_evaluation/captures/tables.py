@@ -19,8 +19,9 @@ def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[
     """Return one table of all metrics with 95 % intervals of the overall mean, then one per capture if requested.
 
     After those of captures come ratios of the last method's errors to those of the method before it, baselines aside:
-    the model's to the classical one's, or predictions' to the model's. The lowest (best) mean of each metric and column
-    is bold. Values are shown times the factor in the heading.
+    the model's to the classical one's, or predictions' to the model's. Without `per_capture` they are each method's to
+    the first one's, baselines aside, over all captures. The best mean of each metric and column is bold. Values are
+    shown times the factor in the heading.
     """
     captures, probes = len(scores.captures), sum(capture.probes for capture in scores.captures)
     noun = "capture" if captures == 1 else "captures"
@@ -35,7 +36,22 @@ def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[
     models = [method for method in scores.methods if method not in (MeanColour.name, WarpAndFill.name)]
     if per_capture and len(models) > 1:
         tables.append(_ratios(scores, models[-1], to=models[-2]))
+    elif len(models) > 1:
+        tables.append(_ratios_of_all(scores, to=models[0]))
     return tables
+
+
+def _ratios_of_all(scores: CaptureScores, *, to: str) -> Table:
+    return figure_table(
+        f"ratios to {to}",
+        [*_COMPARED.values()],
+        (
+            [method, *(mean_cell(scores.ratio(key, method, to)) for key in _COMPARED)]
+            for method in scores.methods
+            if method != to
+        ),
+        caption="of mean errors of all frames (95 % bootstrap interval over captures)",
+    )
 
 
 def _ratios(scores: CaptureScores, method: str, *, to: str) -> Table:
@@ -56,7 +72,10 @@ def _table(scores: CaptureScores, title: str, *, capture: str | None = None, cap
     table = figure_table(title, [*scores.columns, "95 %"], caption=caption, gap=0)
     for metric in METRICS:
         rows = {method: scores.means(method, metric.key, capture=capture) for method in scores.methods}
-        best = [min(cell.mean for cell in column) for column in zip(*rows.values(), strict=True)]
+        best = [
+            min((cell.mean for cell in column), key=lambda mean: abs(mean - metric.best))
+            for column in zip(*rows.values(), strict=True)
+        ]
         table.add_row(f"[bold]{metric.title}[/bold]")
         for number, (method, cells) in enumerate(rows.items()):
             table.add_row(

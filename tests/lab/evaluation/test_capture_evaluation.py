@@ -83,7 +83,7 @@ def test_the_truth_scores_zero_and_baselines_do_not(tmp_path: Path) -> None:
     assert seen == [("room", done, 3) for done in range(1, 4)]
     for metric in METRICS:
         for track in values(scores, "oracle", metric.key):
-            assert track == pytest.approx([0.0] * len(track), abs=1e-6)
+            assert track == pytest.approx([metric.best] * len(track), abs=1e-6)
             assert len(track) == (2 if metric.key == "smoothness" else 3)
     for metric in ("log_l2", "ldr_l2", "render_l2", "si_rmse_mirror"):
         assert min(min(track) for track in values(scores, "mean colour", metric)) > 0.001
@@ -247,6 +247,8 @@ def test_captures_are_compared_with_the_classical_model() -> None:
         ["a", "b", "all 2"],
         ["0.500", "1.000", "0.750 (0.500 to 1.000)"],
     ]
+    *_, table = capture_tables(scores)
+    assert [list(column.cells) for column in table.columns][:2] == [["single"], ["0.750 (0.500 to 1.000)"]]
 
 
 @pytest.mark.slow
