@@ -58,8 +58,8 @@ ScoredNetworks = Annotated[SessionOptions, Without("model", "hedge", "keyframes"
 
 @contextmanager
 def scoring_progress() -> Generator[Progress]:
-    """Show the progress of an evaluation, whose kernels are compiled first."""
-    with Progress("compiling kernels (first run only)") as progress:
+    """Show the progress of an evaluation, whose kernels are loaded first."""
+    with Progress("loading kernels (the first run compiles them)") as progress:
         warm_up()
         yield progress
 

@@ -49,6 +49,8 @@ class ExportReport:
     tolerance: float
     parity: dict[str, Parity]
     """By network: "sg" and "blend", or the small network's form."""
+    untrained: tuple[str, ...] = ()
+    """Of "sglv" and "blending": what no stage of the card trained, if it names stages."""
 
 
 def export_checkpoint(
@@ -98,9 +100,20 @@ def export_checkpoint(
             ort_bytes=sum(path.stat().st_size for path in folder.glob("ort/*.ort")),
             tolerance=tolerance,
             parity=parity,
+            untrained=_untrained(loaded),
         )
         _describe(folder, loaded, graphs, report)
     return report
+
+
+def _untrained(loaded: Checkpoint) -> tuple[str, ...]:
+    card, ends = loaded.card, set[str]()
+    while card:
+        ends.add(str(card.get("stage", "")).rpartition("-")[2])
+        card = card.get("before") or {}
+    if loaded.form not in ("single", "video") or ends == {""}:
+        return ()
+    return tuple(name for name, own in (("sglv", "sglv"), ("blending", "blend")) if not ends & {own, "joint"})
 
 
 def _metadata(loaded: Checkpoint, name: str) -> dict[str, str]:

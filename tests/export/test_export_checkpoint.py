@@ -147,13 +147,23 @@ def test_graphs_of_another_checkpoint_are_refused(tmp_path):
 
 
 @pytest.mark.usefixtures("traced")
+def test_networks_that_no_stage_trained_are_reported(single, tmp_path):
+    network = load_checkpoint(single.checkpoint).model
+    for stage, untrained in (("single-sglv", ("blending",)), ("single-joint", ())):
+        card = {"steps": 3, "stage": stage, "before": {"steps": 2, "stage": "single-sglv"}}
+        save_checkpoint(tmp_path / "weights.pt", network, card=card)
+        assert export_checkpoint(tmp_path / "weights.pt", tmp_path / "out", ort=False).untrained == untrained
+
+
+@pytest.mark.usefixtures("traced")
 def test_an_old_model_is_replaced_and_nothing_printed(single, tmp_path, capfd):
     out = tmp_path / "model"
     out.mkdir()
     (out / "model.json").write_text('{"graphs": {}}')
     (out / "stale.onnx").write_text("old")
     messages: list[str] = []
-    export_checkpoint(single.checkpoint, out, ort=False, progress=messages.append)
+    report = export_checkpoint(single.checkpoint, out, ort=False, progress=messages.append)
+    assert report.untrained == ()
     assert {path.name for path in out.iterdir()} == {f"{name}.onnx" for name in SINGLE} | {"model.json"}
     assert [path.name for path in tmp_path.iterdir()] == ["model"]
     assert len(messages) == 5

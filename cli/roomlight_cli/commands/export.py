@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from roomlight_cli.console import say
+from roomlight_cli.console import remark, say
 from roomlight_cli.progress import Progress
-from roomlight_export.exporting import export_checkpoint
+from roomlight_export.exporting import ExportReport, export_checkpoint
 
 
 def export(checkpoint: Path, *, out: Path, ort: bool = True) -> None:
@@ -19,6 +19,7 @@ def export(checkpoint: Path, *, out: Path, ort: bool = True) -> None:
     """
     with Progress("exporting and verifying the graphs") as progress:
         report = export_checkpoint(checkpoint, out, ort=ort, progress=progress.say)
+    warn_of_untrained(report)
     say(
         f"{report.form} model, {report.parameters / 1e6:.2f} M parameters: {len(report.graphs)} graphs in {out}, "
         f"{report.onnx_bytes / 1e6:.1f} MB of ONNX"
@@ -29,3 +30,11 @@ def export(checkpoint: Path, *, out: Path, ort: bool = True) -> None:
             f"  {network}: largest difference to PyTorch {parity.largest:.2e} over {parity.steps} steps "
             f"(tolerance {report.tolerance:.0e})"
         )
+
+
+def warn_of_untrained(report: ExportReport) -> None:
+    """Print which networks of an exported model no stage trained."""
+    for name in report.untrained:
+        end = "sglv" if name == "sglv" else "blend"
+        stages = f"{report.form}-{end} or {report.form}-joint"
+        remark("warning:", f"{report.out}: its {name} network is untrained, so its light is wrong; train {stages} too")

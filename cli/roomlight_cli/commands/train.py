@@ -8,6 +8,7 @@ import typer
 from annotated_types import Ge
 
 from roomlight_cli import console
+from roomlight_cli.commands.export import warn_of_untrained
 from roomlight_cli.options import Flag
 from roomlight_cli.shared_options import Device
 from roomlight_cli.train import train_recipe
@@ -38,6 +39,7 @@ def train(
     read = read_recipe(recipe).changed(_parse_changes(changes))
     report = train_recipe(read, out, data=data or out / "data", device=device, minutes=minutes, console=console.err)
     if report is not None:
+        warn_of_untrained(report)
         model, weights = report.out, ", ".join(str(out / part) for part in read.ships)
         parts = f"--parts {model.parent}"
         uses = {"clipping": parts, "objects": parts, "depth": f"--depth-model {model}"}

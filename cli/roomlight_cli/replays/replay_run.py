@@ -30,7 +30,7 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
         say(f"{folder} already holds this replay, finished; --overwrite makes it again")
         _print_result(folder, report)
         return
-    with Progress("compiling kernels (first run only)") as progress:
+    with Progress("loading kernels (the first run compiles them)") as progress:
         if options.server is None:
             warm_up()
         progress.say("replaying")

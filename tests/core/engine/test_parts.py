@@ -41,8 +41,10 @@ def test_other_folders_are_refused_with_the_reason(tmp_path):
     for folder, form, message in refused:
         with pytest.raises(ModelError, match=message):
             load_part(folder, form, provider="cpu")
-    with pytest.raises(ModelError, match="the form objects, which no model runs by itself"):
+    with pytest.raises(ModelError, match=rf"objects, which no model runs by itself; use it with `parts` {tmp_path}$"):
         load_graphs(objects, provider="cpu")
+    with pytest.raises(ModelError, match=r"holds clipping, objects, .*depth and no model; use it with `parts`"):
+        load_graphs(SHIPPED)
 
 
 def test_threads_share_the_network_and_get_the_same():

@@ -84,10 +84,14 @@ def load_graphs(path: Path, *, provider: Provider = "auto") -> LightingGraphs:
         ModelError: it is not a model directory, a graph is missing or differs from its digest, the provider is not
             available, or the weights were never trained.
     """
+    parts = [name for name in (*PARTS, "depth") if (path / name).is_dir()]
+    if parts and not (path / DESCRIPTION).exists():
+        raise ModelError(f"{path}: holds {', '.join(parts)} and no model; {_use_of(parts[0], path / parts[0])}")
     index = read_description(path)
     form, card, entries = index["form"], index["card"], index["graphs"]
     if form not in get_args(NetworkForm):
-        raise ModelError(f"{path}: holds networks of the form {form}, which no model runs by itself")
+        use = _use_of(form, path)
+        raise ModelError(f"{path}: holds networks of the form {form}, which no model runs by itself; {use}")
     if not card.get("steps"):
         raise ModelError(
             f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
@@ -95,6 +99,10 @@ def load_graphs(path: Path, *, provider: Provider = "auto") -> LightingGraphs:
         )
     names = SINGLE_GRAPHS + (VIDEO_GRAPHS if form == "video" else ())
     return LightingGraphs(path, form, card, _open_checked(path, names, entries, provider))
+
+
+def _use_of(part: str, folder: Path) -> str:
+    return f"use it with `depth_model` {folder}" if part == "depth" else f"use it with `parts` {folder.parent}"
 
 
 def load_part(path: Path, form: PartForm, *, provider: Provider = "auto") -> Graph:
