@@ -108,7 +108,7 @@ class MtlReader:
             if key == "newmtl":
                 current = materials.setdefault(rest, _Stated())
             elif key in _VALUES:
-                numbers = _finite(rest.removeprefix("-halo").split()[: _VALUES[key]])
+                numbers = finite_numbers(rest.removeprefix("-halo").split()[: _VALUES[key]])
                 if numbers:
                     stated = numbers if len(numbers) == _VALUES[key] else numbers[:1] * _VALUES[key]
                     current.values[key] = self._in_range(key, stated)
@@ -125,7 +125,7 @@ class MtlReader:
                 if _GAIN.search(options):
                     self._left_out.add("brightness and contrast of textures (-mm)")
             elif key in _LEFT_OUT:
-                if key in _DEFAULTS and set(_finite(rest.split())) == {_DEFAULTS[key]}:
+                if key in _DEFAULTS and set(finite_numbers(rest.split())) == {_DEFAULTS[key]}:
                     continue
                 self._left_out.add(_LEFT_OUT[key])
             elif key == "map_ka":
@@ -213,7 +213,8 @@ def file_of_map(rest: str) -> str:
     return rest[start:].strip('"')
 
 
-def _finite(words: list[str]) -> tuple[float, ...]:
+def finite_numbers(words: list[str]) -> tuple[float, ...]:
+    """Return the numbers that words state, none if one of them is no finite number; a comma is a decimal point."""
     try:
         numbers = tuple(float(word.replace(",", ".")) for word in words)
     except ValueError:

@@ -3,7 +3,6 @@
 Normals are recomputed later, since they are often missing in these files.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roomlight.compositing.objects.limits import ObjectLimits, statement
-from roomlight.compositing.objects.mtl import file_of_map
+from roomlight.compositing.objects.mtl import file_of_map, finite_numbers
 from roomlight.compositing.objects.obj import obj_polygons
 from roomlight.compositing.objects.polygons import triangles_of
 from roomlight.errors import FurnitureError, ObjectError
@@ -90,23 +89,15 @@ def parse_mtl(data: bytes) -> dict[str, MtlMaterial]:
         elif key == "map_Kd" and words:
             current["texture"] = file_of_map(rest)
         elif key in ("Kd", "Ks", "Ns", "d", "Tr"):
-            numbers = [_number(word) for word in words[:3]]
-            if not numbers or None in numbers:
+            numbers = finite_numbers(words[:3])
+            if not numbers:
                 continue
-            values = [min(max(value, 0.0), 1.0) for value in numbers if value is not None]
+            values = [min(max(value, 0.0), 1.0) for value in numbers]
             if key in ("Kd", "Ks"):
                 colour = tuple(values) if len(values) == 3 else (values[0],) * 3
                 current["diffuse" if key == "Kd" else "specular"] = colour
             elif key == "Ns":
-                current["shininess"] = max(float(numbers[0] or 0.0), 0.0)
+                current["shininess"] = max(numbers[0], 0.0)
             else:
                 current["opacity"] = values[0] if key == "d" else 1 - values[0]
     return {name: MtlMaterial(name, **values) for name, values in materials.items()}  # pyright: ignore[reportArgumentType]
-
-
-def _number(word: str) -> float | None:
-    try:
-        value = float(word)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
