@@ -82,6 +82,8 @@ def obj_polygons(data: bytes, name: str, limits: ObjectLimits) -> ObjPolygons:
         for key, width in ((b"v", 3), (b"vt", 2), (b"vn", 3))
     )
     corners = np.array(content.different, np.int64)[content.corners]
+    for read in (content.spelled, content.different, content.corners):
+        read.clear()
     stated_values = (points, "v"), (texture, "texture coordinates"), (given, "normals")
     for column, (values, what) in enumerate(stated_values):
         absent = corners[:, column] >= len(values)
@@ -211,7 +213,6 @@ def _content(data: bytes, name: str, limits: ObjectLimits) -> ObjContent:
             material = content.materials.setdefault(statement(raw)[1], len(content.materials))
         elif keyword in _LEFT_OUT:
             content.left_out.add(_LEFT_OUT[keyword])
-    content.spelled.clear()
     return content
 
 
