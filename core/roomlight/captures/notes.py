@@ -247,7 +247,7 @@ class PassChecks:
         self._up_is_assumed, self._unit_is_assumed = up_is_assumed, unit_is_assumed
         self._scale_is_assumed = scale_is_assumed
         self._count, self._poses_are_done = passed, poses_are_estimated
-        self._measured, self._scale_is_noted = True, False
+        self._measured, self._set_is_whole, self._depth_is_noted = True, False, False
         self._unturned, self._lies = to_y_up @ (OPENCV_TO_OPENGL if conventions[0] == "opencv" else np.eye(4)), False
         self._depths, self._within = DepthCheck(), list[tuple[int, int, int, int] | None]()
         self._poses = PoseCheck(to_y_up, opencv=conventions[0] == "opencv", quaternions=format in _OF_QUATERNIONS)
@@ -265,13 +265,15 @@ class PassChecks:
             self._within.append(within_bars(frame.image))
             if depth is None and self._unit_is_assumed:
                 self._depths.add(frame)
+        if not self._poses_are_done and self._poses.add(frame):
+            self._set_is_whole = True
         if self._count == FRAMES:
             yield from self._notes_of_first()
             if depth is not None and not self._poses_are_done and self._scale_is_assumed:
                 ratio = 1 / depth.state.per_metre
                 if depth.model.kind == "metric" and ratio > _MOST_BY_POSES:
                     yield large_poses(self._name, ratio)
-        if not self._poses_are_done and self._poses.add(frame):
+        elif self._count > FRAMES and self._set_is_whole:
             yield from self._notes_of_poses()
 
     def end(self) -> Iterator[Note]:
@@ -282,20 +284,28 @@ class PassChecks:
             yield from self._notes_of_poses()
 
     def _notes_of_first(self) -> Iterator[Note]:
-        """Yield notes of depth that contradicts the poses, or, where any tool wrote it, the pictures; and of bars."""
-        if (mismatch := self._depths.mismatch()) is not None:
-            if isinstance(mismatch, str):
-                yield turned_maps(self._name, mismatch)
-            elif not self._scale_is_noted:
-                self._scale_is_noted = True
-                yield wrong_scale(self._name, mismatch)
-        elif self._format in _OF_ANY_TOOL and (odd := unlikely_depth(self._name, self._depths.samples)) is not None:
+        """Yield notes of depth that contradicts the poses, or, where any tool wrote it, the pictures; and of bars.
+
+        Turned maps come first: features contradict them too. Features tell a scale better than maps.
+        """
+        mismatch = self._depths.mismatch()
+        if isinstance(mismatch, str):
+            self._depth_is_noted = True
+            yield turned_maps(self._name, mismatch)
+        if self._set_is_whole:
+            yield from self._notes_of_poses()
+        if isinstance(mismatch, float) and not self._depth_is_noted:
+            self._depth_is_noted = True
+            yield wrong_scale(self._name, mismatch)
+        of_any_tool = self._format in _OF_ANY_TOOL and not self._depth_is_noted
+        if of_any_tool and (odd := unlikely_depth(self._name, self._depths.samples)) is not None:
             yield odd
         if (barred := black_bars(self._name, self._within)) is not None:
             yield barred
 
     def _notes_of_poses(self) -> Iterator[Note]:
         """Yield a note of what contradicts the pictures in the assumed conventions, once in a pass."""
+        self._set_is_whole = False
         wrong = self._poses.disagreement(measured=self._measured)
         if wrong is None or (wrong.up is not None and self._format not in _OF_ANY_TOOL):  # a phone may be held so
             return
@@ -304,7 +314,7 @@ class PassChecks:
         if self._up_is_assumed or (wrong.axis is None and wrong.up is None):
             self._poses_are_done = True
             if wrong.length != 1:
-                if self._scale_is_noted:
+                if self._depth_is_noted:
                     return
-                self._scale_is_noted = True
+                self._depth_is_noted = True
             yield wrong_poses(self._name, wrong, *self._conventions)

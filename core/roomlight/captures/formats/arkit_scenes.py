@@ -1,6 +1,6 @@
 """ARKitScenes: `lowres_wide/ID_TIME.png`, `lowres_depth`, `confidence`, `lowres_wide_intrinsics/ID_TIME.pincam` and
 `lowres_wide.traj`. Where `lowres_wide` was not downloaded, `vga_wide` or `wide` is read with its own
-intrinsics, and `highres_depth` where `lowres_depth` was not.
+intrinsics; with `wide` also `highres_depth`, which has the same times, in place of `lowres_depth`.
 
 Each image takes the pose at its time, interpolated between those at most 0.5 s apart, and the intrinsics nearest in
 time: their names differ by a millisecond.
@@ -31,7 +31,6 @@ from roomlight.files import FolderSource
 
 TRAJECTORY = "lowres_wide.traj"
 _PICTURES: Final = ("lowres_wide", "vga_wide", "wide")
-_DEPTHS: Final = ("lowres_depth", "highres_depth")
 
 
 class ArkitScenesReader(ListedReader):
@@ -42,7 +41,8 @@ class ArkitScenesReader(ListedReader):
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
         source = FolderSource(folder)
-        self._pictures, self._depth = first_folder(source, *_PICTURES), first_folder(source, *_DEPTHS)
+        self._pictures = first_folder(source, *_PICTURES)
+        self._depth = first_folder(source, "lowres_depth", *(["highres_depth"] if self._pictures == "wide" else []))
         colour = files_of(source, self._pictures, (".png", ".jpg"))
         super().__init__(folder, options, colour, expected=f"{' or '.join(_PICTURES)}/*.png")
         label = source.label(TRAJECTORY)
