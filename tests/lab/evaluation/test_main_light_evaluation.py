@@ -86,7 +86,7 @@ def test_every_method_is_scored_at_every_probe(tmp_path) -> None:
         assert np.degrees(np.arccos(track.truth @ unit(0.3, 0.3, -1))) < 3
     assert scores.summary("tracked").largest_jump_deg < 10.001
     written = json.loads(json_text(scores.to_json()))["tracks"]
-    assert [track["truth"] for track in written] == [track.truth.tolist() for track in scores.tracks]
+    np.testing.assert_array_equal([track["truth"] for track in written], [track.truth for track in scores.tracks])
 
 
 def test_a_capture_without_truth_is_scored_for_jumps(tmp_path) -> None:
