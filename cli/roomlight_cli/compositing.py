@@ -152,8 +152,8 @@ class CompositeOptions:
         if not self.is_film and (self.first_frame or self.last_frame is not None):
             if made := self.numbers(*_ENDINGS):
                 raise OutputError(
-                    f"{path}: has pictures from {made[0]} to {made[-1]}; go on with --first-frame {int(made[-1]) + 1}, "
-                    "or replace them with --overwrite"
+                    f"{path}: has pictures of these frames, {made[0]} to {made[-1]}; give others by --first-frame and "
+                    "--last-frame, or replace them with --overwrite"
                 )
         elif path.is_file() or any(path.iterdir()):
             raise OutputError(f"{path}: exists already; choose another --out, or replace it with --overwrite")
@@ -198,7 +198,8 @@ def composite_recording(
     try:
         with ExitStack() as stack:
             progress = stack.enter_context(Progress(passes[0]))
-            frames = _ReportedFrames(capture, passes, progress.count_of, options.out if options.is_film else None)
+            film = options.out if options.is_film else None
+            frames = _ReportedFrames(capture, last // reading.every + 1, passes, progress.count_of, film)
             made = composite_capture(
                 frames,
                 scene,
@@ -232,16 +233,26 @@ def composite_recording(
 
 
 class _ReportedFrames:
-    """A capture that reports each frame it yields, by the name of the iteration; those of a film have one size."""
+    """A capture that reports each frame it yields, by the name of the iteration; those of a film have one size.
+
+    `count` of its frames are composited.
+    """
 
     def __init__(
-        self, capture: Capture, passes: list[str], report: Callable[[str, int, int], None], film: Path | None
+        self,
+        capture: Capture,
+        count: int,
+        passes: list[str],
+        report: Callable[[str, int, int], None],
+        film: Path | None,
     ) -> None:
         self._capture, self._passes, self._report, self._film = capture, iter(passes), report, film
+        self._count = count
 
     def __iter__(self) -> Iterator[Frame]:
-        name, total = next(self._passes), self._capture.frame_count
+        name = next(self._passes)
         is_read = name.startswith("reading")  # else the first frame takes longest, and is not of the pace
+        total = self._capture.frame_count if is_read else self._count
         self._report(name if is_read else f"{name}: places, light and first picture", 0, total)
         size = ""
         for number, frame in enumerate(self._capture, 1):

@@ -75,7 +75,7 @@ class PassState:
         good: Number of frames so far.
         skipped: As in `Capture`.
         notes: As in `Capture`.
-        noted: Kinds of notes of pictures that are not repeated.
+        noted: Kinds of notes that are not repeated.
         depth: What the stream of estimated depth knows; None where depth is measured.
     """
 
@@ -290,6 +290,7 @@ class Capture:
             scale_is_assumed=self._options.camera_height_m is None,
             poses_are_estimated=isinstance(self._reader, Preparing),
             passed=at.good,
+            noted=self._noted,
         )
         with self._reader.records() as read:
             for index in self._indices:

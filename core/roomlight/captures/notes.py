@@ -23,6 +23,8 @@ _MOST_BY_POSES: Final = 4.0
 """Most that poses enlarge estimated depth: 1.5 times in captures. They reduce it wrongly where their noise is large."""
 _OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
 """Formats whose depth and world come from any tool; those of the others are a sensor's, or have one unit and up."""
+_LYING, _DEPTH = "lying camera", "scale of depth"
+"""Notes after which others are not given."""
 _BLACK: Final = 0.003
 """Linear value up to which a pixel may be a black bar's: 10 of 255 in sRGB."""
 _LEAST_BAR: Final = 0.02
@@ -241,14 +243,18 @@ class PassChecks:
         scale_is_assumed: bool,
         poses_are_estimated: bool,
         passed: int,
+        noted: set[str],
     ) -> None:
-        """Begin after the first `passed` frames. What is not assumed, or estimated by the pictures, is not checked."""
+        """Begin after the first `passed` frames. What is not assumed, or estimated by the pictures, is not checked.
+
+        `noted` is what a pass that goes on must know of the notes so far; it is added to.
+        """
         self._name, self._format, self._conventions = name, format, conventions
         self._up_is_assumed, self._unit_is_assumed = up_is_assumed, unit_is_assumed
         self._scale_is_assumed = scale_is_assumed
         self._count, self._poses_are_done = passed, poses_are_estimated
-        self._measured, self._set_is_whole, self._depth_is_noted = True, False, False
-        self._unturned, self._lies = to_y_up @ (OPENCV_TO_OPENGL if conventions[0] == "opencv" else np.eye(4)), False
+        self._measured, self._set_is_whole, self._noted = True, False, noted
+        self._unturned = to_y_up @ (OPENCV_TO_OPENGL if conventions[0] == "opencv" else np.eye(4))
         self._depths, self._within = DepthCheck(), list[tuple[int, int, int, int] | None]()
         self._poses = PoseCheck(to_y_up, opencv=conventions[0] == "opencv", quaternions=format in _OF_QUATERNIONS)
 
@@ -258,8 +264,8 @@ class PassChecks:
         self._measured = depth is None
         if self._count == 1 and self._up_is_assumed:
             turn, upward = frame.camera_to_world[:3, :3], float(-frame.camera_to_world[1, 2])
-            self._lies = abs(upward) > 0.99 and np.abs(turn - self._unturned[:3, :3]).max() < 0.02
-            if self._lies:
+            if abs(upward) > 0.99 and np.abs(turn - self._unturned[:3, :3]).max() < 0.02:
+                self._noted.add(_LYING)
                 yield lying_camera(frame.source, self._conventions[0], upward)
         if self._count <= FRAMES:
             self._within.append(within_bars(frame.image))
@@ -290,14 +296,14 @@ class PassChecks:
         """
         mismatch = self._depths.mismatch()
         if isinstance(mismatch, str):
-            self._depth_is_noted = True
+            self._noted.add(_DEPTH)
             yield turned_maps(self._name, mismatch)
         if self._set_is_whole:
             yield from self._notes_of_poses()
-        if isinstance(mismatch, float) and not self._depth_is_noted:
-            self._depth_is_noted = True
+        if isinstance(mismatch, float) and _DEPTH not in self._noted:
+            self._noted.add(_DEPTH)
             yield wrong_scale(self._name, mismatch)
-        of_any_tool = self._format in _OF_ANY_TOOL and not self._depth_is_noted
+        of_any_tool = self._format in _OF_ANY_TOOL and _DEPTH not in self._noted
         if of_any_tool and (odd := unlikely_depth(self._name, self._depths.samples)) is not None:
             yield odd
         if (barred := black_bars(self._name, self._within)) is not None:
@@ -309,12 +315,12 @@ class PassChecks:
         wrong = self._poses.disagreement(measured=self._measured)
         if wrong is None or (wrong.up is not None and self._format not in _OF_ANY_TOOL):  # a phone may be held so
             return
-        if wrong.axis is not None and self._lies:  # the note of the first pose names the axis
+        if wrong.axis is not None and _LYING in self._noted:  # the note of the first pose names the axis
             return
         if self._up_is_assumed or (wrong.axis is None and wrong.up is None):
             self._poses_are_done = True
             if wrong.length != 1:
-                if self._depth_is_noted:
+                if _DEPTH in self._noted:
                     return
-                self._depth_is_noted = True
+                self._noted.add(_DEPTH)
             yield wrong_poses(self._name, wrong, *self._conventions)

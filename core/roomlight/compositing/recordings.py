@@ -127,6 +127,7 @@ def _composited(
     any_frame = False
     for frame in frames:
         if frame.index > last:
+            waiting = ()  # for frames that are not composited
             break
         if online:
             session.push(frame)
@@ -135,10 +136,13 @@ def _composited(
             continue
         yield compositor.composite(frame)
         any_frame = True
+    else:
+        waiting = compositor.waiting
     if not any_frame:
-        raise CaptureError(f"the recording has no usable frame{f' from index {first} on' if first else ''}")
-    if compositor.waiting and last == sys.maxsize:
-        raise SceneError(f"{', '.join(compositor.waiting)}: the recording has no frame of the index that `frame` names")
+        of = f" of index {first} to {last}" if last < sys.maxsize else f" from index {first} on" if first else ""
+        raise CaptureError(f"the recording has no usable frame{of}")
+    if waiting:
+        raise SceneError(f"{', '.join(waiting)}: the recording has no frame of the index that `frame` names")
 
 
 def _check_pixels(scene: Scene, frame: Frame, *, is_first: bool) -> None:

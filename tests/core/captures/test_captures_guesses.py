@@ -58,6 +58,27 @@ def test_a_world_whose_up_is_another_is_pointed_out(tmp_path: Path, turn: float,
     assert not notes_of(path, CaptureOptions(world_up=up))
 
 
+def test_a_pass_that_goes_on_gives_the_notes_of_a_whole_one(tmp_path: Path) -> None:
+    """Where the first pose is the identity the world's up is told by that note alone."""
+    views = turning(16)
+    path = formats.nerfstudio(tmp_path / "resized_room", views)  # no folder of ScanNet++'s, whose world is z-down
+    np.testing.assert_allclose(next(iter(open_capture(path))).camera_to_world, views[0].pose, atol=1e-9)
+    poses = [np.linalg.inv(views[0].pose) @ view.pose for view in views]
+    edit(
+        path / "transforms.json",
+        lambda index: [
+            frame.update(transform_matrix=pose.tolist()) for frame, pose in zip(index["frames"], poses, strict=True)
+        ],
+    )
+    capture = open_capture(path)
+    states = [capture.passed() for _ in capture]
+    (note,) = map(str, capture.notes)
+    assert "first pose is the identity" in note
+    again = open_capture(path)
+    assert len(list(again.frames(states[12]))) == 3
+    assert again.notes == capture.notes
+
+
 @pytest.mark.parametrize(
     ("bars", "crop"),
     [

@@ -286,7 +286,7 @@ class NerfstudioReader:
         if stated is None:
             if self._nerfcapture:
                 return up_vector("y")
-            if self._pictures.root.name.startswith(_SCANNETPP):
+            if self._pictures is not self._source and self._pictures.root.name.startswith(_SCANNETPP):
                 return up_vector("-z")
             turn: Any = self._shared.get("applied_transform")
             return up_vector("-x" if isinstance(turn, list) and turn[:3] == _SWAPPED else "z")
