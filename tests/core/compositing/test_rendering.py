@@ -65,6 +65,14 @@ def test_diffuse_sphere_under_constant_light_is_its_albedo() -> None:
         np.testing.assert_allclose(inside.mean(axis=0), [0.8, 1.0, 0.6], rtol=tolerance)
 
 
+def test_glass_has_no_dark_dots_where_few_samples_miss_a_window() -> None:
+    """16 samples that all miss it look free of noise: 133 pixels were too dark, of which neighbours told 116."""
+    light = np.full((32, 64, 3), 0.3, np.float32)
+    light[4:24, 44:64] = 10.0
+    few, whole = (rendered([sphere(0.5, glass())], light, paths(64, 6, least=least)).radiance for least in (16, 0))
+    assert (few < 0.7 * whole).all(axis=2).sum() < 30
+
+
 def test_pixels_without_noise_get_the_least_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """A mirror under smooth light needs all samples on its outline alone, a glossy sphere under lamps elsewhere too."""
     counts: list[int] = []

@@ -396,7 +396,7 @@ def _spared(
     """Trace the least samples, and twice as many of the pixels where these differ, until they are all."""
     count = settings.least
     out = _reduced(_traced(scene, world, view, settings, (0, count), background), count)
-    noisy = np.flatnonzero(_is_noisy(out, settings.smoothed))
+    noisy = np.flatnonzero(_is_noisy(out, view, settings.smoothed))
     while len(noisy) and count < settings.samples:
         more = _reduced(_traced(scene, world, view.part(noisy), settings, (count, count), background), count)
         total = _film(len(noisy))
@@ -404,16 +404,26 @@ def _spared(
             _accumulate(total, half, 0.5)
         for whole, own in zip(out, total, strict=True):
             whole[noisy] = own
-        noisy = noisy[_is_noisy(total, settings.smoothed)]
+        noisy = noisy[_is_noisy(total, view.part(noisy), settings.smoothed)]
         count *= 2
     return out
 
 
-def _is_noisy(film: _Film, smoothed: bool) -> Bool[np.ndarray, " p"]:
-    """Return which pixels are on an outline, or have a visible standard error."""
+def _is_noisy(film: _Film, view: _View, smoothed: bool) -> Bool[np.ndarray, " p"]:
+    """Return which pixels are on an outline, or have a visible standard error.
+
+    Of mirrors and glass also those beside them: few samples of glass may all have missed a window that its neighbours'
+    have met, and would stay as dark dots.
+    """
     slope = 0.44 * np.maximum(film.radiance.mean(axis=1), 0.005) ** (1 / 2.4 - 1)  # of sRGB's curve
     most = _SMOOTHED_NOISE if smoothed else _LEAST_NOISE
-    return (np.sqrt(np.abs(film.doubt)) * slope > most) | ((film.alpha > 0) & (film.alpha < 1))
+    noisy = np.sqrt(np.abs(film.doubt)) * slope > most
+    row, column = view.row - view.row.min(), view.column - view.column.min()
+    image = np.zeros((row.max() + 1, column.max() + 1), np.uint8)
+    image[row, column] = noisy & (film.alpha == 1)
+    beside = cv2.dilate(image, np.ones((3, 3), np.uint8))[row, column] > 0
+    beside &= np.signbit(film.doubt) & (film.alpha > 0)  # also -0.0: all samples are equal
+    return noisy | beside | ((film.alpha > 0) & (film.alpha < 1))
 
 
 def _smoothed(film: _Film, pixels: Int64[np.ndarray, " p"], camera: Intrinsics) -> Float32[np.ndarray, "h w 3"]:
