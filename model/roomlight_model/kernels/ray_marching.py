@@ -14,6 +14,8 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from roomlight.kernels.common import CACHED
+
 SAMPLES = 256
 """Largest number of samples on a ray."""
 CHANNELS: Final = 12
@@ -38,13 +40,13 @@ class RayArrays(NamedTuple):
     directions: NDArray[np.float32]
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(**CACHED, inline="always")
 def _corner(at, axis_count):
     low = min(max(int(at), 0), max(axis_count - 2, 0))
     return low, at - np.float32(low)
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(**CACHED, inline="always")
 def _corners(i, j, k, nx, ny, right, up, deep):
     """Return where the channels of a cell's eight voxels begin."""
     first = CHANNELS * ((k * ny + j) * nx + i)
@@ -52,7 +54,7 @@ def _corners(i, j, k, nx, ny, right, up, deep):
     return first, first + right, above, above + right, behind, behind + right, behind + up, behind + up + right
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(**CACHED, inline="always")
 def _weights(fx, fy, fz):
     """Return the trilinear weights of these voxels."""
     gx, gy, gz = np.float32(1) - fx, np.float32(1) - fy, np.float32(1) - fz
@@ -119,7 +121,7 @@ _mix: Any = intrinsic(_typed_mix)
 _spread: Any = intrinsic(_typed_spread)
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(**CACHED, fastmath=True)
 def march_forward_backward(volume, rays, samples, boundary, radiance, gradient, with_gradient):
     """March the rays of one volume (`VolumeArrays`, `RayArrays`), one mean voxel edge a step.
 

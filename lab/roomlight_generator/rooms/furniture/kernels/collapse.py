@@ -9,6 +9,8 @@ across a seam, where v has none, is rejected.
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import CACHED
+
 _BORDER_WEIGHT = 8.0
 """Weight of the planes that preserve open borders, seams and edges between materials."""
 
@@ -16,7 +18,7 @@ _MIN_NORMAL_COSINE = 0.3
 """Minimum cosine between a triangle's normals before and after: a collapse must not fold a surface over."""
 
 
-@njit(cache=True, nogil=True)
+@njit(**CACHED)
 def incidence(faces, vertex_count):
     """Return the triangles around each vertex: those of v are `around[starts[v] : starts[v + 1]]`."""
     starts = np.zeros(vertex_count + 1, np.int64)
@@ -35,7 +37,7 @@ def incidence(faces, vertex_count):
     return starts, around
 
 
-@njit(cache=True, nogil=True)
+@njit(**CACHED)
 def _add_plane(quadric, nx, ny, nz, d, weight):
     plane = (nx, ny, nz, d)
     k = 0
@@ -45,7 +47,7 @@ def _add_plane(quadric, nx, ny, nz, d, weight):
             k += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(**CACHED)
 def _error(quadric, p):
     x, y, z = p[0], p[1], p[2]
     return (
@@ -58,7 +60,7 @@ def _error(quadric, p):
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(**CACHED)
 def quadrics(points, faces, wedges, materials):
     """Return the quadric of every vertex: planes of its triangles weighted by area, and of the borders they end at."""
     result = np.zeros((len(points), 10))
@@ -110,7 +112,7 @@ def quadrics(points, faces, wedges, materials):
     return result
 
 
-@njit(cache=True, nogil=True)
+@njit(**CACHED)
 def _wedge_of_target(faces, wedges, starts, around, u, v, wedge):
     """Return the wedge of v that replaces `wedge` of u; -2 if the two share no triangle with it."""
     for k in range(starts[u], starts[u + 1]):
@@ -126,7 +128,7 @@ def _wedge_of_target(faces, wedges, starts, around, u, v, wedge):
     return -2
 
 
-@njit(cache=True, nogil=True)
+@njit(**CACHED)
 def _may_collapse(points, faces, wedges, starts, around, u, v, strict):
     survivors = 0
     for k in range(starts[u], starts[u + 1]):
@@ -154,7 +156,7 @@ def _may_collapse(points, faces, wedges, starts, around, u, v, strict):
     return survivors > 0
 
 
-@njit(cache=True, nogil=True)
+@njit(**CACHED)
 def collapse_round(points, faces, wedges, quadric, target, strict):
     """Collapse the cheapest edges that do not touch each other; returns the mask of remaining faces.
 
