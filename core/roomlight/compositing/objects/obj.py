@@ -40,13 +40,10 @@ _LEFT_OUT: Final = {
 
 @dataclass
 class ObjContent:
-    """What the lines hold: values, the corners that differ, and polygons of them."""
+    """What the lines hold beside the corners of their polygons: values, and of each polygon its smoothing group and
+    the number of its material (-1: none)."""
 
     values: dict[bytes, list[list[float]]] = field(default_factory=lambda: {key: [] for key in _VALUES})
-    different: list[tuple[int, int, int]] = field(default_factory=list)
-    spelled: dict[bytes, int] = field(default_factory=dict)
-    corners: list[int] = field(default_factory=list)
-    sizes: list[int] = field(default_factory=list)
     groups: list[int] = field(default_factory=list)
     states_groups: bool = False
     libraries: list[str] = field(default_factory=list)
@@ -54,6 +51,17 @@ class ObjContent:
     used: list[int] = field(default_factory=list)
     left_out: set[bytes] = field(default_factory=set)
     notes: list[Note] = field(default_factory=list[Note])
+
+
+@dataclass
+class _Lines:
+    """Lines as they are read: the corners that differ, where each spelling is among them, and polygons of them."""
+
+    content: ObjContent = field(default_factory=ObjContent)
+    different: list[tuple[int, int, int]] = field(default_factory=list)
+    spelled: dict[bytes, int] = field(default_factory=dict)
+    corners: list[int] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,19 +79,19 @@ class ObjPolygons:
 
 def obj_polygons(data: bytes, name: str, limits: ObjectLimits) -> ObjPolygons:
     """Read the polygons of an OBJ file. Raises ObjectError, whose message begins with `name`."""
-    content = _content(plain_text(data), name, limits)
-    if not content.sizes:
+    lines = _lines(plain_text(data), name, limits)
+    content, sizes = lines.content, np.array(lines.sizes, np.int64)
+    if not len(sizes):
         raise ObjectError(f"{name}: has no face; a point cloud has no surface to light")
-    limits.check("triangles", sum(content.sizes) - 2 * len(content.sizes), name)
+    limits.check("triangles", int(sizes.sum()) - 2 * len(sizes), name)
     points, texture, given = (
         np.fromiter(chain.from_iterable([*row, 0.0][:width] for row in content.values[key]), np.float64).reshape(
             -1, width
         )
         for key, width in ((b"v", 3), (b"vt", 2), (b"vn", 3))
     )
-    corners = np.array(content.different, np.int64)[content.corners]
-    for read in (content.spelled, content.different, content.corners):
-        read.clear()
+    corners = np.array(lines.different, np.int64)[lines.corners]
+    del lines
     stated_values = (points, "v"), (texture, "texture coordinates"), (given, "normals")
     for column, (values, what) in enumerate(stated_values):
         absent = corners[:, column] >= len(values)
@@ -100,7 +108,7 @@ def obj_polygons(data: bytes, name: str, limits: ObjectLimits) -> ObjPolygons:
             content.left_out.add(f"{what} that are not finite numbers".encode())
             corners[odd, column] = -1
     points[~np.isfinite(points).all(axis=1)] = 0  # of no face
-    return ObjPolygons(content, points, texture, given, corners, np.array(content.sizes, np.int64))
+    return ObjPolygons(content, points, texture, given, corners, sizes)
 
 
 def read_obj(
@@ -188,8 +196,9 @@ def _materials(
     return {number: read[key] for key, number in content.materials.items() if key in read}, distinct(notes)
 
 
-def _content(data: bytes, name: str, limits: ObjectLimits) -> ObjContent:
-    content, group, material = ObjContent(), 0, -1
+def _lines(data: bytes, name: str, limits: ObjectLimits) -> _Lines:
+    lines, group, material = _Lines(), 0, -1
+    content = lines.content
     for number, raw in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
         words = raw.split(b"#", 1)[0].split()
         if not words:
@@ -202,7 +211,7 @@ def _content(data: bytes, name: str, limits: ObjectLimits) -> ObjContent:
             if len(content.values[keyword]) > limits.vertices:
                 limits.check("vertices", len(content.values[keyword]), name)
         elif keyword == b"f":
-            _add_face(content, words[1:], group, material, name, number)
+            _add_face(lines, words[1:], group, material, name, number)
         elif keyword == b"s":
             group = int(words[1]) if len(words) > 1 and words[1].isdigit() and len(words[1]) < 9 else 0
             content.states_groups = True
@@ -213,7 +222,7 @@ def _content(data: bytes, name: str, limits: ObjectLimits) -> ObjContent:
             material = content.materials.setdefault(statement(raw)[1], len(content.materials))
         elif keyword in _LEFT_OUT:
             content.left_out.add(_LEFT_OUT[keyword])
-    return content
+    return lines
 
 
 def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list[float]:
@@ -232,25 +241,25 @@ def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list
     return values
 
 
-def _add_face(content: ObjContent, words: list[bytes], group: int, material: int, name: str, number: int) -> None:
+def _add_face(lines: _Lines, words: list[bytes], group: int, material: int, name: str, number: int) -> None:
     face: list[int] = []
     for word in words:
-        at = content.spelled.get(word)
+        at = lines.spelled.get(word)
         if at is None:
-            at = len(content.different)
-            content.different.append(_corner(content, word, name, number))
+            at = len(lines.different)
+            lines.different.append(_corner(lines.content, word, name, number))
             if b"-" not in word:
-                content.spelled[word] = at
+                lines.spelled[word] = at
         face.append(at)
     if len(face) > _MAX_CORNERS:
         raise ObjectError(f"{name}: line {number} is a face of {len(face)} corners; up to {_MAX_CORNERS} are read")
     if len(face) < 3:
-        content.left_out.add(b"faces of less than three corners")
+        lines.content.left_out.add(b"faces of less than three corners")
         return
-    content.corners.extend(face)
-    content.sizes.append(len(face))
-    content.groups.append(group)
-    content.used.append(material)
+    lines.corners.extend(face)
+    lines.sizes.append(len(face))
+    lines.content.groups.append(group)
+    lines.content.used.append(material)
 
 
 def _corner(content: ObjContent, word: bytes, name: str, number: int) -> tuple[int, int, int]:
