@@ -302,6 +302,7 @@ def test_damaged_json_is_refused(text: bytes) -> None:
         (b"v 0 0 0\n", "has no face"),
         (OBJ + b"f 1 2 9\n", "damaged|point at"),
         (OBJ + b"f 1 2 999999999\n", "damaged|point at"),
+        (OBJ + b"f 1 2 99999999999999999999999\n", "line 11 has the corner"),
         (OBJ + b"f 0 1 2\n", "line 11"),
         (OBJ + b"f -1 -2 -9\n", "line 11"),
         (OBJ + b"f 1 2\n", "has no face"),

@@ -207,6 +207,8 @@ def test_coordinates_and_colours_that_an_obj_lost_are_noted() -> None:
     assert area(lost) == pytest.approx(1)
     np.testing.assert_allclose(np.abs(lost.parts[0][0].normals), [[0, 0, 1]] * 4)
     assert set(left_out(lost)) == {"object: texture coordinates 4 of 0", "object: normals 1 of 0"}
+    before = load_object(OBJ.replace("f 1 2 3 4", "f 1/-9 2/-9 3/-9 4/-9").encode(), "obj")
+    assert left_out(before) == ["object: texture coordinates -9 of 0"]
     for colour in ("1 0 0", "nan 0 0"):
         text = OBJ.replace("v 0 0 0", f"v 0 0 0 {colour}").replace("v 1 0 0", "v 1 0 0 1 0 0")
         assert ["vertices" in text for text in left_out(load_object(text.encode(), "obj"))] == [True]

@@ -21,11 +21,11 @@ def test_a_box_has_twelve_outward_facing_triangles():
     assert obj.libraries == ("m.mtl",)
 
 
-def test_indices_may_be_negative_corner_parts_missing_and_lines_continued():
-    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0.5 0.25\nvn 0 0 1\nf -3//1 \\\n -2/-1 -1/1/1\n"
+def test_indices_may_be_negative_corner_parts_missing_normals_unreadable_and_lines_continued():
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0.5 0.25\nvn 0 0 one\nf -3//1 \\\n -2/-1 -1/1/1\nf 1/-9 2/1 3/1\n"
     obj = parse_obj(text.encode(), "t")
-    assert obj.faces.tolist() == [[0, 1, 2]]
-    assert obj.uv_faces.tolist() == [[-1, 0, 0]]
+    assert obj.faces.tolist() == [[0, 1, 2]] * 2
+    assert obj.uv_faces.tolist() == [[-1, 0, 0]] * 2
 
 
 @pytest.mark.parametrize(
@@ -34,6 +34,7 @@ def test_indices_may_be_negative_corner_parts_missing_and_lines_continued():
         ("v 0 0 0\n", "no face"),
         ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "v 3 of 2"),
         ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf -1 -x 2\n", "line 4 has the corner '-x'"),
+        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 99999999999999999999999\n", "line 4 has the corner '9"),
         ("v 0 nan 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n", "finite"),
     ],
 )

@@ -30,6 +30,8 @@ from roomlight.notes import Note, distinct
 
 _MAX_CORNERS: Final = 4096
 """Corners of one polygon: clipping ears takes their square."""
+_MAX_INDEX: Final = 2**40
+"""Of a corner, either way: what is beyond does not fit an array."""
 _VALUES: Final = {b"v": 3, b"vt": 1, b"vn": 3}
 _LEFT_OUT: Final = {
     **dict.fromkeys((b"curv", b"curv2", b"surf", b"parm", b"cstype"), b"free-form curves and surfaces"),
@@ -94,11 +96,11 @@ def obj_polygons(data: bytes, name: str, limits: ObjectLimits) -> ObjPolygons:
     del lines
     stated_values = (points, "v"), (texture, "texture coordinates"), (given, "normals")
     for column, (values, what) in enumerate(stated_values):
-        absent = corners[:, column] >= len(values)
+        absent = (corners[:, column] < -1) | (corners[:, column] >= len(values))
         if absent.any() and column == 0:
             raise ObjectError(f"{name}: faces point at v {int(corners[:, 0].max()) + 1} of {len(points)}")
         if absent.any():  # exporters and editors lose them
-            content.left_out.add(f"{what} {int(corners[:, column].max()) + 1} of {len(values)}".encode())
+            content.left_out.add(f"{what} {int(corners[absent, column].max()) + 1} of {len(values)}".encode())
             corners[absent, column] = -1
         odd = np.append(~np.isfinite(values).all(axis=1), False)[corners[:, column]]
         if odd.any() and column == 0:
@@ -233,6 +235,8 @@ def _numbers(words: list[bytes], keyword: bytes, name: str, number: int) -> list
         if (mended := NAN.sub(b"nan", line.replace(b",", b"."))) != line:
             return _numbers(mended.split(), keyword, name, number)
         values = []
+    if len(values) < 3 and keyword == b"vn":  # normals can be computed
+        return [np.nan] * 3
     if len(values) < _VALUES[keyword]:
         text = b" ".join(words)[:60].decode("utf-8", "replace")
         raise ObjectError(
@@ -270,10 +274,10 @@ def _corner(content: ObjContent, word: bytes, name: str, number: int) -> tuple[i
         stated = [0, 0, 0]
     # negative indices count back from the line; later vertices may still follow for positive ones
     a, b, c = (
-        index - 1 if index > 0 else len(content.values[key]) + index if index else -1
-        for index, key in zip(stated, _VALUES, strict=True)
+        count + index if -count <= index < 0 else index - 1
+        for index, count in zip(stated, map(len, content.values.values()), strict=True)
     )
-    if a < 0 or stated[0] == 0 or min(b, c) < -1:
+    if a < 0 or max(map(abs, stated)) > _MAX_INDEX:
         raise ObjectError(f"{name}: line {number} has the corner {word[:40].decode('utf-8', 'replace')!r}")
     return a, b, c
 

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from roomlight.errors import FurnitureError, ObjectError
+from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture.assemble import build_mesh
 from roomlight_generator.rooms.furniture.cache import CacheWriter
 from roomlight_generator.rooms.furniture.classify import elevation_m, has_surface, role_of
@@ -66,7 +66,7 @@ def build_cache(
             for entry, role in chosen:
                 try:
                     _add(writer, archive, entry, role, warn)
-                except (FurnitureError, ObjectError) as error:  # an OBJ with a polygon of too many corners
+                except FurnitureError as error:
                     warn(f"{error}; model {entry.id!r} is left out")
                 done += 1
                 if progress is not None:
