@@ -50,7 +50,7 @@ class ExportReport:
     parity: dict[str, Parity]
     """By network: "sg" and "blend", or the small network's form."""
     untrained: tuple[str, ...] = ()
-    """Of "sglv" and "blending": what no stage of the card trained, if it names stages."""
+    """Of "sglv" and "blending": what no stage of the card trained, if it names all stages."""
 
 
 def export_checkpoint(
@@ -107,11 +107,11 @@ def export_checkpoint(
 
 
 def _untrained(loaded: Checkpoint) -> tuple[str, ...]:
-    card, ends = loaded.card, set[str]()
-    while card:
-        ends.add(str(card.get("stage", "")).rpartition("-")[2])
-        card = card.get("before") or {}
-    if loaded.form not in ("single", "video") or ends == {""}:
+    cards = [loaded.card]
+    while (before := cards[-1].get("before")) is not None:
+        cards.append(before)
+    ends = {str(card.get("stage", "")).rpartition("-")[2] for card in cards}
+    if loaded.form not in ("single", "video") or "" in ends:
         return ()
     return tuple(name for name, own in (("sglv", "sglv"), ("blending", "blend")) if not ends & {own, "joint"})
 

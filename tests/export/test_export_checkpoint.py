@@ -149,8 +149,13 @@ def test_graphs_of_another_checkpoint_are_refused(tmp_path):
 @pytest.mark.usefixtures("traced")
 def test_networks_that_no_stage_trained_are_reported(single, tmp_path):
     network = load_checkpoint(single.checkpoint).model
-    for stage, untrained in (("single-sglv", ("blending",)), ("single-joint", ())):
-        card = {"steps": 3, "stage": stage, "before": {"steps": 2, "stage": "single-sglv"}}
+    sglv, joint = ({"steps": 2, "stage": f"single-{end}"} for end in ("sglv", "joint"))
+    for card, untrained in (
+        ({**sglv, "before": sglv}, ("blending",)),
+        ({**joint, "before": sglv}, ()),
+        ({**sglv, "before": {"steps": 1}}, ()),
+        ({}, ()),
+    ):
         save_checkpoint(tmp_path / "weights.pt", network, card=card)
         assert export_checkpoint(tmp_path / "weights.pt", tmp_path / "out", ort=False).untrained == untrained
 
