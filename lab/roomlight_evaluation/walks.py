@@ -200,6 +200,8 @@ def evaluate_walks(
 ) -> CaptureScores:
     """Score every comparison on the walks of datasets; those without probes or a usable first frame are left out.
 
+    So are methods without an answer on any walk: late probes need `LATE_FROM` frames.
+
     Args:
         datasets: Test splits: rooms that no network was trained on.
         models: The networks.
@@ -233,11 +235,12 @@ def evaluate_walks(
         raise DatasetError(
             f"{chosen[0][0].folder}: no walk can be used: they have no probes, or their first frames no depth"
         )
-    return CaptureScores(tuple(summaries), tuple(tracks))
+    answered = {track.method for track in tracks if np.isfinite(track.scores["log_l2"]).any()}
+    return CaptureScores(tuple(summaries), tuple(track for track in tracks if track.method in answered))
 
 
 def score_walk(recording: Recording, models: Compared, *, name: str) -> list[Track]:
-    """Score every comparison on one walk that gives an answer there: late probes need `LATE_FROM` frames.
+    """Score every comparison on one walk.
 
     Raises:
         FrameError: The first frame cannot begin a stream.
@@ -249,7 +252,7 @@ def score_walk(recording: Recording, models: Compared, *, name: str) -> list[Tra
         if estimators:
             frames = islice(walk_frames(recording, depth), models.frames)
             tracks += score_frames(name, frames, probes, estimators)[1]
-    return [track for track in tracks if np.isfinite(track.scores["log_l2"]).any()]
+    return tracks
 
 
 def walk_frames(recording: Recording, depth: DepthKind) -> Iterable[Frame]:

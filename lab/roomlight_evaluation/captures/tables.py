@@ -19,9 +19,9 @@ def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[
     """Return one table of all metrics with 95 % intervals of the overall mean, then one per capture if requested.
 
     After those of captures come ratios of the last method's errors to those of the method before it, baselines aside:
-    the model's to the classical one's, or predictions' to the model's. Without `per_capture` they are each method's to
-    the first one's, baselines aside, over all captures. The best mean of each metric and column is bold. Values are
-    shown times the factor in the heading.
+    the model's to the classical one's, or predictions' to the model's. Without `per_capture` they are those of each
+    method, baselines too, to the first that is no baseline, over all captures; a method that lacks frames has none. The
+    best mean of each metric and column is bold. Values are shown times the factor in the heading.
     """
     captures, probes = len(scores.captures), sum(capture.probes for capture in scores.captures)
     noun = "capture" if captures == 1 else "captures"
@@ -42,13 +42,14 @@ def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[
 
 
 def _ratios_of_all(scores: CaptureScores, *, to: str) -> Table:
+    ratios = {method: [scores.ratio(key, method, to) for key in _COMPARED] for method in scores.methods if method != to}
     return figure_table(
         f"ratios to {to}",
         [*_COMPARED.values()],
         (
-            [method, *(mean_cell(scores.ratio(key, method, to)) for key in _COMPARED)]
-            for method in scores.methods
-            if method != to
+            [method, *map(mean_cell, found)]
+            for method, found in ratios.items()
+            if any(math.isfinite(ratio.mean) for ratio in found)
         ),
         caption="of mean errors of all frames (95 % bootstrap interval over captures)",
     )

@@ -12,11 +12,14 @@ from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import DatasetError, OptionError
 from roomlight.metrics import log_l2
-from roomlight_evaluation.captures.estimators import EngineEstimator
+from roomlight_evaluation.baselines import MeanColour
+from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
+from roomlight_evaluation.captures.tables import capture_tables
 from roomlight_evaluation.drift import FOLLOWED, STATED, drift_gain, drift_models
 from roomlight_evaluation.walks import (
     LATE_FROM,
     NO_RNN,
+    Compared,
     FrameAlone,
     LateProbe,
     SimpleAverage,
@@ -81,6 +84,32 @@ def test_a_late_probe_has_no_light_before_it_is_asked_for(options):
     late = present(estimator.light_at(position))
     assert tracked is not None
     assert not np.array_equal(late, tracked)  # it has blended no earlier frame
+
+
+def test_late_probes_are_scored_on_the_walks_that_are_long_enough(tiny_video, monkeypatch):
+    class TwoLengths(BoxWalks):
+        def __getitem__(self, number):
+            return self.read(number, frames=range(FRAMES - number))
+
+    monkeypatch.setattr("roomlight_evaluation.walks.LATE_FROM", FRAMES)
+    video = SessionOptions(model="video", weights=tiny_video[1], height=HEIGHT)
+    graphs = choose_graphs(video)
+
+    def estimators() -> list[Estimator]:
+        tracked = EngineEstimator(video, graphs)
+        return [MeanColour(), tracked, LateProbe(tracked)]
+
+    scores = evaluate_walks([TwoLengths(2, height=HEIGHT)], Compared(estimators))
+    means = [
+        entry["intervals"][-2]["mean"]
+        for entry in scores.to_json()["summary"]
+        if (entry["method"], entry["metric"]) == (LateProbe.name, "log_l2")
+    ]
+    assert means[0] == means[1] > 0
+    assert np.isnan(means[2])
+    table, ratios = capture_tables(scores)
+    assert f" {LateProbe.name}" in table.columns[0].cells
+    assert list(ratios.columns[0].cells) == [MeanColour.name]  # a late probe has no mean of all frames
 
 
 def test_each_frame_alone_knows_nothing_of_earlier_ones(single):
