@@ -15,7 +15,7 @@ from rich.console import Console
 from roomlight.dataset.folder import MANIFEST, locked
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.graphs import SHIPPED, NetworkForm
-from roomlight.errors import DatasetError, OptionError
+from roomlight.errors import DatasetError, ModelError, OptionError
 from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
 from roomlight_export.exporting import ExportReport, export_checkpoint
@@ -52,21 +52,29 @@ def train_recipe(
     Raises:
         OptionError: The device is not there, or the recipe's options of a dataset are wrong.
         DatasetError: A dataset is missing and cannot be generated.
-        ModelError: The weights or a run's folder do not fit the options.
+        ModelError: The weights or a run's folder do not fit the options, or a run started from a stage that is not
+            finished.
         OutputError: Another process trains in `out`, or it cannot be written.
     """
     chosen = _choose_device(device)
     _keep_freed_memory()
     cv2.setNumThreads(1)  # examples are made on the loop's own threads already
     wanted = {name: _generation(recipe, name, data) for name in recipe.data}
+    unfinished = list[str]()
     for stage in recipe.stages:
         _start_path(recipe, stage, out)
+        if RunFolder(out / stage.name).has_run and (stage.start_from or "").partition("/")[0] in unfinished:
+            raise ModelError(
+                f"{out / stage.name}: its run started from {stage.start_from}, whose training is not finished; "
+                "delete the folder to train the stage again, or use another folder or the same options"
+            )
         if not _is_finished(recipe, stage, out, data):
+            unfinished.append(stage.name)
             for name in stage.data:
                 _check_source(data / name, wanted[name])
     with locked(out, LOCK):
         for stage in recipe.stages:
-            if _is_finished(recipe, stage, out, data):
+            if stage.name not in unfinished:
                 console.print(f"{stage.name}: finished")
                 continue
             for name in dict.fromkeys(stage.data):

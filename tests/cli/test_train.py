@@ -216,7 +216,8 @@ def test_all_kinds_of_stages_follow_each_other(tmp_path: Path, roomlight: RunCom
     assert load_part(tmp_path / "out" / "onnx" / "objects", "objects", provider="cpu").inputs
     longer = roomlight("train", "recipe.toml", "--out", "out", "--data", "data", "--set", "steps=3", cwd=tmp_path)
     assert longer.code == 1
-    assert "its run started from other weights (start_from); delete the folder to train the stage again" in longer.err
+    assert "out/blending: its run started from views/best.pt, whose training is not finished; delete" in longer.err
+    assert load_checkpoint(tmp_path / "out" / "views" / "model.pt").card == cards["views"]
 
 
 @pytest.mark.slow
