@@ -47,9 +47,9 @@ def _ratios_of_all(scores: CaptureScores, *, to: str) -> Table:
         f"ratios to {to}",
         [*_COMPARED.values()],
         (
-            [method, *map(mean_cell, found)]
-            for method, found in ratios.items()
-            if any(math.isfinite(ratio.mean) for ratio in found)
+            [method, *map(mean_cell, row)]
+            for method, row in ratios.items()
+            if any(math.isfinite(ratio.mean) for ratio in row)
         ),
         caption="of mean errors of all frames (95 % bootstrap interval over captures)",
     )
