@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 from websockets.sync.client import connect
 
+from kept_exports import BUILTINS
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session
 from roomlight.wire.frame_header import FrameHeader
@@ -38,7 +39,8 @@ def once(work):
     @wraps(work)
     def call(*args):
         if (key := tuple(map(id, args))) not in done:
-            work(*args)
+            with BUILTINS:
+                work(*args)
             done.add(key)
 
     return call

@@ -3,6 +3,7 @@
 import hashlib
 import inspect
 import shutil
+import threading
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
@@ -12,6 +13,9 @@ from filelock import FileLock
 
 ROOT = Path(__file__).parent.parent
 SOURCES = ("core/roomlight/engine/networks", "export/roomlight_export", "model/roomlight_model")
+BUILTINS = threading.Lock()
+"""Held while PyTorch exports, which replaces `max` and `min` in the whole process, and while a server's threads compile
+kernels, which would fail for good with those."""
 
 
 def kept_export(name: str, build: Callable[[Path], object] | partial[object]) -> Path:
@@ -24,7 +28,8 @@ def kept_export(name: str, build: Callable[[Path], object] | partial[object]) ->
                 shutil.rmtree(old)
             unfinished = folder.with_name(f"{name}-unfinished")
             unfinished.mkdir()
-            build(unfinished)
+            with BUILTINS:
+                build(unfinished)
             unfinished.rename(folder)
     return folder
 
