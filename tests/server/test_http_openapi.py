@@ -32,6 +32,11 @@ checks.positive_data_acceptance.enabled = false
 include-operation-id = ["upload_object"]
 generation.mode = "positive"
 
+# A new recording has no film until one is made.
+[[operations]]
+include-operation-id = ["get_film"]
+checks.ensure_resource_availability.enabled = false
+
 # An object has exactly one of position, pose and pixel.
 [[operations]]
 include-operation-id = ["composite", "put_scene", "make_film"]
