@@ -66,7 +66,7 @@ def test_diffuse_sphere_under_constant_light_is_its_albedo() -> None:
 
 
 def test_glass_has_no_dark_dots_where_few_samples_miss_a_window() -> None:
-    """16 samples that all miss it look free of noise: 133 pixels were too dark, of which neighbours told 116."""
+    """16 samples that all miss it look free of noise: 133 pixels were too dark by their own noise alone."""
     light = np.full((32, 64, 3), 0.3, np.float32)
     light[4:24, 44:64] = 10.0
     few, whole = (rendered([sphere(0.5, glass())], light, paths(64, 6, least=least)).radiance for least in (16, 0))
