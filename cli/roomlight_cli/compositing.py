@@ -219,9 +219,10 @@ def composite_recording(
                 for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
                     unseen.pop(number, None)
     except KeyboardInterrupt:
-        kept = f"{options.out} keeps {counted(count, 'picture')}; go on with --first-frame {following}"
-        kept = kept if count else "nothing was written"
-        err.print(f"stopped; {'no film was written' if options.is_film else kept}", soft_wrap=True, markup=False)
+        kept = "no film was written" if options.is_film else "nothing was written"
+        if count and not options.is_film:
+            kept = f"{options.out} keeps {counted(count, 'picture')}; go on with --first-frame {following}"
+        err.print(f"stopped; {kept}", soft_wrap=True, markup=False)
         raise typer.Exit(130) from None
     print_notes(capture.notes)
     for item in unseen.values():

@@ -428,10 +428,11 @@ class Capture:
             if kind not in self._noted:
                 self._noted.add(kind)
                 self._notes[note] = None
-        odd = odd_camera(frame.source, raw.stated or frame.intrinsics)
-        if odd is not None and "camera" not in self._noted:
-            self._noted.add("camera")
-            self._notes[odd] = None
+        if "camera" not in self._noted:
+            odd = odd_camera(frame.source, raw.stated or frame.intrinsics)
+            if odd is not None:
+                self._noted.add("camera")
+                self._notes[odd] = None
 
     def _to_conventions(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         rigid = pose

@@ -8,12 +8,12 @@ import numpy as np
 from numba import njit
 
 CACHED: dict[str, Any] = {"nogil": True, "cache": True, "no_cfunc_wrapper": True}
-"""Of functions that Python calls. Nobody calls one through a C pointer."""
+"""Options for functions that Python calls: kept on disk once compiled, without an entry for C, which nobody uses."""
 KERNEL: dict[str, Any] = CACHED | {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy"}
-"""The same with contraction and reciprocals only: infinities must stay infinities."""
+"""The same for fast arithmetic, of contraction and reciprocals only: infinities must stay infinities."""
 JIT: dict[str, Any] = KERNEL | {"cache": False, "_nrt": False, "forceinline": True, "no_cpython_wrapper": True}
-"""Of functions that kernels alone call: a call from Python ends the process. Code that reads Python's arguments was a
-quarter of all compiling.
+"""Options for functions that kernels alone call: they have no entry for Python either, which took a quarter of the time
+of compiling, so that a call from Python ends the process.
 They are cached within the kernels: code from a cache of their own cannot be inlined.
 A kernel's cache does not notice that they changed: delete `__pycache__` after editing them, or old code runs.
 They allocate nothing, so numba need not count references to the arrays of the tuples that they are given. The two made

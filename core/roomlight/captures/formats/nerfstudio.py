@@ -52,6 +52,7 @@ _MASK_FOLDERS: Final = ("../masks", "../resized_anon_masks", "../resized_undisto
 _SCANNETPP: Final = "resized_"
 """Beginning of the folders of ScanNet++'s own pictures."""
 _SWAPPED: Final = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
+"""`applied_transform` of the COLMAP worlds that nerfstudio wrote until 2024."""
 _LENS_KEYS: Final = ("fl_x", "camera_angle_x", "x_fov")
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
 _READ: Final = frozenset(
