@@ -58,7 +58,7 @@ def test_the_build_names_no_other_host():
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("name", ["panels", "connection", "accessibility"])
+@pytest.mark.parametrize("name", ["objects", "panels", "connection", "accessibility"])
 def test_in_chromium(name):
     with PageServer() as server:
         drive(name, server)
