@@ -121,19 +121,19 @@ class _AllowedOriginsMiddleware(CORSMiddleware):
 
 
 def create_app(
-    settings: ServerSettings, *, clock: Clock = time.monotonic, when_ready: Callable[[], object] | None = None
+    settings: ServerSettings, *, clock: Clock = time.monotonic, when_loaded: Callable[[], object] | None = None
 ) -> FastAPI:
     """Return the application of a server.
 
     Args:
         settings: Settings of the server.
         clock: Monotonic clock in seconds, for the expiry of sessions.
-        when_ready: Called once when kernels are compiled and weights loaded.
+        when_loaded: Called once when everything is loaded: shortly after the server is ready for frames.
     """
     context = _make_context(settings, clock)
 
     def lifespan(app: FastAPI) -> AbstractAsyncContextManager[None]:
-        return _running(app, context, when_ready)
+        return _running(app, context, when_loaded)
 
     app = FastAPIOffline(
         docs_url="/docs",
@@ -189,11 +189,11 @@ def _make_context(settings: ServerSettings, clock: Clock) -> Context:
 
 
 @asynccontextmanager
-async def _running(app: FastAPI, context: Context, when_ready: Callable[[], object] | None) -> AsyncGenerator[None]:
+async def _running(app: FastAPI, context: Context, when_loaded: Callable[[], object] | None) -> AsyncGenerator[None]:
     """Run the tasks of a server; at the end, save the sessions and end all work."""
     registry, states = context.registry, context.states
     tasks = [
-        asyncio.create_task(_prepare(app, context, when_ready)),
+        asyncio.create_task(_prepare(app, context, when_loaded)),
         asyncio.create_task(Watchdog(context.metrics, context.guard, lambda: context.ready).run()),
         asyncio.create_task(_expire(context, every_s=min(5.0, context.settings.idle_expiry_s / 4))),
     ]
@@ -256,24 +256,21 @@ def _operation_id(route: Any) -> str:  # an APIRoute, or FastAPI's private conte
     return route.name
 
 
-async def _prepare(app: FastAPI, context: Context, when_ready: Callable[[], object] | None) -> None:
-    """Load weights, compile kernels and build the document in the background; `/healthz` is answered meanwhile."""
+async def _prepare(app: FastAPI, context: Context, when_loaded: Callable[[], object] | None) -> None:
+    """Load in the background what frames need, then what the first answers of light, composites and schemas need."""
     try:
-        await asyncio.gather(
-            context.workers.start(),
-            context.workers.run_in_encode_pool(light_forms.warm_up),
-            context.workers.run_in_encode_pool(composites.load),
-            context.workers.run_in_encode_pool(app.openapi),  # requests with unknown parameters read it
-        )
+        await context.workers.start()
+        context.ready = True
+        _log.info("ready")
+        for load in (light_forms.warm_up, composites.load, app.openapi):  # unknown parameters look into the document
+            await context.workers.run_in_encode_pool(load)
     except RoomLightError as error:
         _log.error("server cannot become ready: %s", error)
     except Exception:
-        _log.exception("server cannot become ready")
+        _log.exception("the server cannot load all of its parts")
     else:
-        if when_ready is not None:
-            when_ready()
-        context.ready = True
-        _log.info("ready")
+        if when_loaded is not None:
+            when_loaded()
 
 
 async def _expire(context: Context, *, every_s: float) -> None:
@@ -297,7 +294,7 @@ def _add_health(app: FastAPI) -> None:
         responses={503: {"description": "The server is compiling kernels, loading weights or stopping"}},
     )
     async def readyz(context: ContextDep, response: Response) -> dict[str, str]:  # pyright: ignore[reportUnusedFunction]
-        """Return 200 once kernels are compiled and weights loaded. `state` says whether sessions can be saved."""
+        """Return 200 once the kernels and weights of frames are loaded. `state` says whether sessions can be saved."""
         response.status_code = 200 if context.ready else 503
         status = "stopping" if context.registry.stopping else "ready" if context.ready else "loading"
         if context.states is None:

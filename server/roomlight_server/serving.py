@@ -297,7 +297,7 @@ def serve(
         allow_files(settings.max_connections)
         if settings.tls_cert is not None:
             warn_if_expired(settings.tls_cert)
-        app = create_app(settings, when_ready=freeze_garbage_collector)
+        app = create_app(settings, when_loaded=freeze_garbage_collector)
         context: Context = app.state.context
         context.workers.load(graphs)
         if "*" in settings.allow_origins and not settings.tokens:

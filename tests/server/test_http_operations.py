@@ -3,12 +3,14 @@
 import json
 import logging
 import re
+import threading
 
 import pytest
 from websockets.exceptions import InvalidStatus
 
 from http_servers import HeldSession, InThread, RunningServer, frame, metric
 from roomlight_server import serving
+from roomlight_server.answers import light_forms
 from roomlight_server.base.logs import JsonLines
 
 ID = "X-Request-Id"
@@ -19,6 +21,16 @@ def server():
     with RunningServer() as running:
         running.open()
         yield running
+
+
+def test_frames_are_answered_before_all_forms_of_light_are_loaded(monkeypatch):
+    loaded = threading.Event()
+    monkeypatch.setattr(light_forms, "warm_up", loaded.wait)
+    with RunningServer() as server:
+        server.wait_until_ready()
+        server.open()
+        assert server.push(0).status == 200
+        loaded.set()
 
 
 def test_a_request_id_is_returned(server):

@@ -37,7 +37,7 @@ def replica_app(settings: ServerSettings, *, local: bool) -> FastAPI:
     configure_logging(settings.log_level)
     sys.setswitchinterval(SWITCH_S)
     gc.enable()  # Ray switches it off in some of its processes
-    app = create_app(settings, when_ready=freeze_garbage_collector)
+    app = create_app(settings, when_loaded=freeze_garbage_collector)
     context: Context = app.state.context
     context.workers.load()
     lifespan = app.router.lifespan_context
