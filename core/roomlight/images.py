@@ -123,7 +123,7 @@ def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> Colour
         exr = read_exr(data, name)
         stored, alpha = exr.colour(), exr.alpha()
         seen = np.logical_not(np.isnan(stored).any(axis=-1))
-        for shown in (exr.seen, None if alpha is None else alpha >= MIN_ALPHA):
+        for shown in (exr.seen(), None if alpha is None else alpha >= MIN_ALPHA):
             seen = seen if shown is None else np.logical_and(seen, shown)
         image = _finite(stored, name)
         depth = exr.depth_of_colour()

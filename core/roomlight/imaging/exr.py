@@ -34,6 +34,8 @@ _NO_DEPTH: Final = re.compile(
 )
 _DEEPEST: Final = 65504.0
 """Half's largest value: it and beyond, and infinity, mean that nothing was hit."""
+_MOST_VALUES: Final = 320_000_000
+"""Of all channels of a file together: red, green, blue, alpha and depth of the largest picture that is read."""
 
 
 def sequence_metadata(index: int, frames_per_second: float) -> dict[str, object]:
@@ -58,12 +60,12 @@ def sequence_metadata(index: int, frames_per_second: float) -> dict[str, object]
 
 @dataclass(frozen=True)
 class ExrChannels:
-    """The full-size channels of all parts by name, as stored; `seen` is where the data window has pixels."""
+    """The full-size channels of all parts by name, as stored; `cropped`: where those lie that do not fill it."""
 
     name: str
     channels: dict[str, Shaped[np.ndarray, "h w"]]
     primaries: tuple[float, ...]
-    seen: Bool[np.ndarray, "h w"] | None
+    cropped: dict[str, tuple[slice, slice]]
     notes: tuple[Note, ...] = ()
 
     def colour(self) -> Float[np.ndarray, "h w 3"]:
@@ -72,24 +74,43 @@ class ExrChannels:
         Raises:
             ImageError: The file has no colour, or several and none is the main one.
         """
+        image = np.stack([self.channels[key] for key in self._colour_channels()], axis=-1)
         layer = self._colour_layer()
         if layer is not None:
-            image = np.stack([self.channels[f"{layer}{key}"] for key in "RGB"], axis=-1)
             if image.dtype.kind != "f":
                 raise ImageError(f"{self.name}: the EXR holds integers, whose white is not stated; export half floats")
             alpha = self.channels.get(f"{layer}A")
             if alpha is not None:
                 image = image / np.where((alpha > 0) & (alpha < 1), alpha, 1)[..., None]
             return self._to_rec709(image.astype(np.float32))
-        known = set(self.channels) - {"A"}
-        if len(known) != 1:
-            raise ImageError(f"{self.name}: the EXR has no colour (R, G, B); its channels are {_listed(self.channels)}")
-        return np.repeat(self.channels[known.pop()][..., None], 3, axis=-1).astype(np.float32)
+        return image.astype(np.float32)
+
+    def seen(self) -> Bool[np.ndarray, "h w"] | None:
+        """Return where the colour's data window has pixels; None if that is everywhere. Raises ImageError as `colour`.
+
+        Data windows that have no pixel of the picture hide nothing.
+        """
+        red = self._colour_channels()[0]
+        if red not in self.cropped:
+            return None
+        seen = np.zeros(self.channels[red].shape, bool)
+        seen[self.cropped[red]] = True
+        return seen
 
     def alpha(self) -> Float[np.ndarray, "h w"] | None:
         """Return the alpha of the colour's layer; None without one. Raises ImageError as `colour`."""
         layer = self._colour_layer()
         return None if layer is None else self.channels.get(f"{layer}A")
+
+    def _colour_channels(self) -> list[str]:
+        """Return the names of red, green and blue, the only channel three times without them. Raises ImageError."""
+        layer = self._colour_layer()
+        if layer is not None:
+            return [f"{layer}{key}" for key in "RGB"]
+        known = [key for key in self.channels if key != "A"]
+        if len(known) != 1:
+            raise ImageError(f"{self.name}: the EXR has no colour (R, G, B); its channels are {_listed(self.channels)}")
+        return known * 3
 
     def _colour_layer(self) -> str | None:
         """Return the prefix of the colour's channels; None if no layer has R, G and B."""
@@ -181,7 +202,7 @@ def exr_size(data: bytes, name: str) -> tuple[int, int]:
 
 
 def read_exr(data: bytes, name: str) -> ExrChannels:
-    """Decode all channels of a file whose size has been checked. Raises ImageError."""
+    """Decode all channels of a file whose size has been checked. Raises ImageError, also for too many channels."""
     path = Path(name)
     own_copy = None
     named = name.encode(errors="ignore").decode() == name  # the library takes names in UTF-8 alone
@@ -191,12 +212,16 @@ def read_exr(data: bytes, name: str) -> ExrChannels:
         own_copy = path = Path(own_name)
         own_copy.write_bytes(data)
     try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            _check_values([part.header for part in file.parts], name)
         with OpenEXR.File(str(path), separate_channels=True) as file:
             # copies of the headers: leaving the block empties them
             parts = [
                 (dict(part.header), {key: np.asarray(channel.pixels) for key, channel in part.channels.items()})
                 for part in file.parts
             ]
+    except ImageError:
+        raise
     except Exception as error:  # the binding raises bare RuntimeError, ValueError or Iex's own by version
         raise ImageError(f"{name}: the EXR does not decode ({error})") from error
     finally:
@@ -207,12 +232,24 @@ def read_exr(data: bytes, name: str) -> ExrChannels:
     return _joined(parts, name)
 
 
+def _check_values(headers: list[dict[str, Any]], name: str) -> None:
+    """Refuse parts with too many values, each channel in the larger of its own and the picture's window."""
+    values = 0
+    for header in headers:
+        windows = (_window(header["dataWindow"]), _window(headers[0]["displayWindow"]))
+        values += len(header["channels"]) * max((x1 - x0 + 1) * (y1 - y0 + 1) for x0, y0, x1, y1 in windows)
+    if values > _MOST_VALUES:
+        raise ImageError(
+            f"{name}: the channels of the EXR have {values} values; up to {_MOST_VALUES} are read: export fewer passes"
+        )
+
+
 def _joined(parts: list[tuple[dict[str, Any], dict[str, np.ndarray]]], name: str) -> ExrChannels:
     """Join the parts' channels, each laid into the first part's display window."""
     display = _window(parts[0][0]["displayWindow"])
     width, height = display[2] - display[0] + 1, display[3] - display[1] + 1
     channels: dict[str, np.ndarray] = {}
-    seen: np.ndarray | None = None
+    cropped: dict[str, tuple[slice, slice]] = {}
     for header, planes in parts:
         x0, y0, x1, y1 = _window(header["dataWindow"])
         for key, pixels in planes.items():
@@ -236,15 +273,13 @@ def _joined(parts: list[tuple[dict[str, Any], dict[str, np.ndarray]]], name: str
                     slice(columns.start - display[0], columns.stop - display[0]),
                 )
                 whole[target] = pixels[rows.start - y0 : rows.stop - y0, columns.start - x0 : columns.stop - x0]
-                if seen is None:
-                    seen = np.zeros((height, width), bool)
-                    seen[target] = True
+                cropped[full] = target
             channels[full] = whole
     stated = parts[0][0].get("chromaticities")
     default = ACES_AP0 if parts[0][0].get("acesImageContainerFlag") == 1 else REC709
     primaries = tuple(float(value) for value in np.ravel(stated)) if stated is not None else default
     primaries = primaries if len(primaries) == 8 else default
-    return ExrChannels(name, channels, primaries, seen, tuple(_notes(parts[0][0], name)))
+    return ExrChannels(name, channels, primaries, cropped, tuple(_notes(parts[0][0], name)))
 
 
 def _notes(header: dict[str, Any], name: str) -> Iterator[Note]:

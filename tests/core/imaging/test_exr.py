@@ -127,6 +127,23 @@ def test_parts_are_layers(tmp_path: Path) -> None:
     np.testing.assert_array_equal(decode_depth(data, "p.exr"), DEPTH)
 
 
+def test_only_the_data_window_of_the_colour_says_what_is_seen(tmp_path: Path) -> None:
+    display = (np.array([0, 0], np.int32), np.array([7, 5], np.int32))
+    parts = [
+        OpenEXR.Part({**HEADER, "name": "Combined", "displayWindow": display}, dict(PLANE)),
+        OpenEXR.Part({**HEADER, "name": "Depth", "displayWindow": display}, {"Z": DEPTH[:3, :4].copy()}),
+    ]
+    OpenEXR.File(parts).write(str(tmp_path / "p.exr"))
+    assert decode_picture((tmp_path / "p.exr").read_bytes(), "p.exr").seen is None
+
+
+def test_too_many_values_are_refused_before_they_are_decoded(tmp_path: Path) -> None:
+    far = (np.array([0, 0], np.int32), np.array([7999, 7999], np.int32))
+    channels = {f"{key}.{name}": plane for key in "VW" for name, plane in PLANE.items()}
+    with pytest.raises(ImageError, match=r"512000000 values; up to 320000000"):
+        decode_picture(written(tmp_path / "d.exr", channels, displayWindow=far), "d.exr")
+
+
 def test_chromaticities_alpha_and_windows_are_read(tmp_path: Path) -> None:
     wide = decode_picture(written(tmp_path / "w.exr", PLANE, chromaticities=DISPLAY_P3), "w.exr")
     np.testing.assert_allclose(wide.image[0, 0], np.maximum(to_rec709(DISPLAY_P3) @ [0.5, 0.25, 0.125], 0), atol=1e-3)
