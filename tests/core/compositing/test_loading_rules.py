@@ -176,10 +176,10 @@ def material_of(material: dict, **extra: object) -> tuple[Material, VirtualObjec
 
 
 def test_specular_glossiness_is_converted() -> None:
-    glossy = {"diffuseFactor": [0.1, 0.2, 0.7, 1], "specularFactor": [0.04, 0.04, 0.04], "glossinessFactor": 0.3}
+    glossy = {"diffuseFactor": [0.1, 0.2, 0.7, 0.5], "specularFactor": [0.04, 0.04, 0.04], "glossinessFactor": 0.3}
     plastic, _ = material_of({"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}})
     assert plastic.base_colour == pytest.approx((0.1, 0.2, 0.7))
-    assert (plastic.metallic, plastic.roughness) == (0, pytest.approx(0.7))
+    assert (plastic.metallic, plastic.roughness, plastic.opacity) == (0, pytest.approx(0.7), 1)
     gold = {"diffuseFactor": [0, 0, 0, 1], "specularFactor": [1, 0.77, 0.34], "glossinessFactor": 1}
     metal, _ = material_of({"extensions": {"KHR_materials_pbrSpecularGlossiness": gold}})
     assert metal.metallic == pytest.approx(1, abs=0.01)
@@ -188,8 +188,8 @@ def test_specular_glossiness_is_converted() -> None:
 
 def test_specular_glossiness_with_textures_is_converted_by_texel() -> None:
     file = GltfFile()
-    diffuse = np.zeros((4, 4, 3), np.uint8)
-    diffuse[:, :2] = (40, 80, 200)
+    diffuse = np.zeros((4, 4, 4), np.uint8)
+    diffuse[:, :2] = (40, 80, 200, 128)
     specular = np.full((4, 4, 4), 57, np.uint8)  # sRGB of 0.04
     specular[:, 2:, :3], specular[..., 3] = 255, 51
     glossy = {
@@ -201,6 +201,7 @@ def test_specular_glossiness_with_textures_is_converted_by_texel() -> None:
     base, values = texels(material.base_colour_texture), texels(material.metallic_roughness_texture)
     np.testing.assert_allclose(base[0, 0, :3], texels(Texture.from_srgb8(diffuse))[0, 0, :3], atol=0.01)
     np.testing.assert_allclose(base[0, 3, :3], 1, atol=0.01)
+    np.testing.assert_array_equal(base[..., 3:], 1)  # opaque without an alphaMode
     np.testing.assert_allclose(values[0, [0, 3], 2], [0, 1], atol=0.02)
     np.testing.assert_allclose(values[..., 1], 0.8, atol=0.01)
 

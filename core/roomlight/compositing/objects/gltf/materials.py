@@ -106,7 +106,7 @@ class MaterialReader:
         if stated.emissiveTexture is not None and slots["emissive"] is None:
             material = replace(material, emissive=(0.0, 0.0, 0.0))  # else all of it would glow
         if glossy is not None:
-            material = self._from_glossy(material, glossy, pixels, means)
+            material = self._from_glossy(material, glossy, stated.alphaMode == "OPAQUE", pixels, means)
         else:
             material = self._from_metallic(material, stated, pixels, means)
         if material.transmission > 0:
@@ -241,21 +241,21 @@ class MaterialReader:
         self,
         material: Material,
         glossy: SpecularGlossiness,
+        opaque: bool,
         pixels: dict[str, np.ndarray | None],
         means: dict[str, np.ndarray],
     ) -> Material:
         """Convert specular-glossiness, texel by texel where it has textures."""
-        diffuse, alpha = np.array(glossy.diffuseFactor[:3]), glossy.diffuseFactor[3]
+        diffuse, alpha = np.array(glossy.diffuseFactor[:3]), 1.0 if opaque else glossy.diffuseFactor[3]
         specular, gloss = np.array(glossy.specularFactor), glossy.glossinessFactor
         if pixels["base"] is None and pixels["rough"] is None:
             base, metallic = metal_of(diffuse * means["base"][:3], specular * means["rough"][:3])
-            opacity = alpha * float(means["base"][3])
             return replace(
                 material,
                 base_colour=colour_of(base),
                 metallic=float(metallic),
                 roughness=1 - gloss * float(means["rough"][3]),
-                opacity=opacity if material.alpha_cutoff is not None or opacity < 1 else 1.0,
+                opacity=alpha if opaque else alpha * float(means["base"][3]),
             )
         sizes = (image.shape[:2] for image in pixels.values() if image is not None)
         size = max(sizes, key=lambda shape: shape[0] * shape[1])
@@ -269,7 +269,7 @@ class MaterialReader:
             metallic=1.0,
             roughness=1.0,
             opacity=alpha,
-            base_colour_texture=Texture.from_linear(np.dstack([base, alphas]).astype(np.float32)),
+            base_colour_texture=Texture.from_linear((base if opaque else np.dstack([base, alphas])).astype(np.float32)),
             metallic_roughness_texture=Texture.from_linear(values.astype(np.float32)),
         )
 
