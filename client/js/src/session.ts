@@ -122,6 +122,7 @@ export class Session {
   private readonly path: string;
   private readonly memory: SessionMemory;
   private readonly requests: SessionRequests;
+  private lastPacked: Promise<unknown> = Promise.resolve();
 
   constructor(
     private readonly http: Http,
@@ -139,13 +140,13 @@ export class Session {
   /**
    * Send a frame. Resolves when the frame is processed or dropped, or, with `wait: false`, when it is queued.
    *
-   * Frames may be pushed before earlier ones are processed: the server processes the newest and answers `superseded`
-   * for the others.
+   * Frames are sent in the order of the calls. They may be pushed before earlier ones are processed: the server
+   * processes the newest and answers `superseded` for the others.
    */
   async push(frame: Frame, options: CallOptions & { wait?: boolean | undefined } = {}): Promise<FrameResult> {
-    const indexed = withIndex(frame, this);
+    const { index, message } = this.pack(frame);
     const headers: Record<string, string> = options.wait === false ? { prefer: "respond-async" } : {};
-    return this.requests.push(indexed.index, await packFrame(indexed), { headers, signal: options.signal });
+    return this.requests.push(index, await message, { headers, signal: options.signal });
   }
 
   /** Light at one point (a position or the name of a tracked point) in some forms. */
@@ -251,10 +252,25 @@ export class Session {
       address,
       client: this.http.options,
       memory: this.memory,
-      withIndex: (frame) => withIndex(frame, this),
+      pack: (frame) => this.pack(frame),
       resume: (reopen, signal) => this.requests.resume(reopen, signal),
     };
     return Stream.open(link, options);
+  }
+
+  /**
+   * The message of a frame with its own index or the session's next one, which becomes one above it.
+   *
+   * Messages come in the order of the calls: a Blob takes longer to pack, but the server refuses an index below the last.
+   */
+  private pack(frame: Frame): { index: number; message: Promise<Uint8Array<ArrayBuffer>> } {
+    const index = frame.index ?? this.nextIndex;
+    this.nextIndex = Math.max(this.nextIndex, index + 1);
+    const packed = packFrame({ ...frame, index });
+    packed.catch(() => undefined); // may fail before its turn comes
+    const message = this.lastPacked.then(() => packed);
+    this.lastPacked = message.catch(() => undefined);
+    return { index, message };
   }
 }
 
@@ -263,13 +279,6 @@ const COMPOSITE_S = 130;
 
 function pathOf(id: string): string {
   return `v1/sessions/${encodeURIComponent(id)}`;
-}
-
-/** The frame with its own index or the session's next one, which becomes one above it. */
-function withIndex(frame: Frame, session: Session): Frame & { index: number } {
-  const index = frame.index ?? session.nextIndex;
-  session.nextIndex = Math.max(session.nextIndex, index + 1);
-  return { ...frame, index };
 }
 
 function sendJson(http: Http | SessionRequests, request: HttpRequest, json: object): Promise<Response> {

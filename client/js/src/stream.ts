@@ -2,7 +2,7 @@
 // connection is opened again: the server says which frames it has, and gets the others.
 
 import { RoomLightError } from "./errors.js";
-import { packFrame, type Frame } from "./frame.js";
+import { type Frame } from "./frame.js";
 import type { ClientOptions } from "./http.js";
 import { decodeLights, parseLights, type Lights } from "./light.js";
 import type { KeptFrame, SessionMemory } from "./memory.js";
@@ -58,7 +58,7 @@ export interface SessionLink {
   readonly address: URL;
   readonly client: ClientOptions;
   readonly memory: SessionMemory;
-  withIndex(frame: Frame): Frame & { index: number };
+  pack(frame: Frame): { index: number; message: Promise<Uint8Array<ArrayBuffer>> };
   /** One request for the session's state; with `reopen` it opens a missing session again. */
   resume(reopen: boolean, signal: AbortSignal): Promise<{ state: SessionState; reopened: boolean }>;
 }
@@ -86,7 +86,6 @@ export class Stream {
   private current: StreamStatus = { ...QUIET, state: "connecting" };
   private readonly pending = new Map<string, PendingCall>();
   private requests = 0;
-  private lastPush: Promise<unknown> = Promise.resolve();
   private closedWith: RoomLightError | null = null;
   private backlogTop = -1; // frames up to this index are sent one by one: a newer one would supersede a waiting one
   private readonly backoff: Backoff;
@@ -134,12 +133,8 @@ export class Stream {
    * result was lost with the connection.
    */
   push(frame: Frame): Promise<FrameResult> {
-    const indexed = this.link.withIndex(frame);
-    const packed = packFrame(indexed);
-    // A frame with a Blob takes longer to pack, but the server refuses an index below the last one.
-    const inOrder = this.lastPush.then(() => packed);
-    this.lastPush = inOrder.catch(() => undefined);
-    return handled(inOrder.then((message) => this.enqueue(indexed.index, message)));
+    const { index, message } = this.link.pack(frame);
+    return handled(message.then((bytes) => this.enqueue(index, bytes)));
   }
 
   /** Request light now; see `Session.light`. */

@@ -259,6 +259,24 @@ test("a session missing at the second attempt counts as deleted", async (context
   await assert.rejects(session.delete(), (error) => error instanceof RoomLightError && error.status === 404);
 });
 
+test("frames are sent in the order of the calls, also next to an invalid one", async () => {
+  const sent: string[] = [];
+  const answer = async (url: string | URL | Request) => {
+    sent.push(String(url).split("/").at(-1)!);
+    return new Response(JSON.stringify(String(url).includes("/frames/") ? PROCESSED : STATE));
+  };
+  const session = await new RoomLight("http://light.example", { fetch: answer }).open({ id: "room" });
+  const frame = plainFrame();
+  let encoded: (image: Blob) => void;
+  const slow = session.push({ ...frame, colour: { ...frame.colour, data: new Promise<Blob>((done) => (encoded = done)) } });
+  const invalid = session.push({ ...frame, camera_to_world: [] });
+  const next = session.push(frame);
+  await new Promise(setImmediate); // nothing has reported the invalid frame as unhandled
+  encoded!(new Blob([Uint8Array.of(1)]));
+  await Promise.all([slow, assert.rejects(invalid, RangeError), next]);
+  assert.deepEqual(sent, ["room", "0", "2"]);
+});
+
 test("joining a session continues its index and sends no options", async (context) => {
   const frames = { ...STATE.frames, accepted: 8, processed: 8, last_index: 41 };
   const responses: ScriptedResponse[] = [{ body: { ...STATE, frames } }, { body: PROCESSED }, problem(404)];
