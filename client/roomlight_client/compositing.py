@@ -16,6 +16,7 @@ from roomlight.wire.frame_message import to_wire_error
 from roomlight_client.errors import BadReplyError
 
 POSES_HEADER = "roomlight-poses"
+VISIBLE_HEADER = "roomlight-visible"
 FRAME_HEADER = "roomlight-frame"
 
 
@@ -29,12 +30,14 @@ class CompositeFile:
         frame: Index of the frame.
         poses: Pose of each object by name, 16 numbers column by column. Given as `pose` with the anchor `origin`, the
             object stays where it is.
+        visible: Share of each object by name that nothing real hides, 0 to 1.
     """
 
     data: bytes
     media_type: str
     frame: int
     poses: dict[str, list[float]]
+    visible: dict[str, float]
 
     def save(self, path: str | Path) -> None:
         """Write the file. Raises OutputError."""
@@ -59,9 +62,10 @@ def parse_composite(reply: httpx.Response) -> CompositeFile:
     """Return the composite of a response. Raises BadReplyError if the headers are malformed."""
     try:
         frame, poses = int(reply.headers[FRAME_HEADER]), json.loads(reply.headers[POSES_HEADER])
+        visible = json.loads(reply.headers.get(VISIBLE_HEADER, "{}"))
     except (KeyError, ValueError) as error:
         raise BadReplyError(f"the headers of the composite cannot be read: {error}") from error
-    return CompositeFile(reply.content, reply.headers.get("content-type", ""), frame, poses)
+    return CompositeFile(reply.content, reply.headers.get("content-type", ""), frame, poses, visible)
 
 
 def object_file(source: str | Path | bytes, kind: str | None) -> tuple[bytes, str | None]:

@@ -192,6 +192,7 @@ def test_objects_are_uploaded_and_composited(server, kind, tmp_path):
         return made
 
     made = run(server, kind, work, retry=Retry(attempts=1))
+    assert 0 < made.visible["tetra"] <= 1
     assert (made.media_type, made.frame, list(made.poses)) == ("image/png", FRAMES[0].index, ["tetra"])
     made.save(tmp_path / "made.png")
     image, _ = decode_colour((tmp_path / "made.png").read_bytes(), "made")
