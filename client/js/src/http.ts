@@ -10,7 +10,7 @@ import type { Problem } from "./wire.js";
 export interface ClientOptions {
   /** Sent as a bearer token. A session belongs to the token that opened it. */
   token?: string | undefined;
-  /** Retries after 429, 502, 503, 504 and lost connections; default 3. */
+  /** Retries after 408, 429, 502, 503, 504 and lost connections; default 3. */
   retries?: number | undefined;
   /** Time limit of each attempt; default 30 s. `composite` has its own. A POST that exceeds its limit is not repeated. */
   timeout_s?: number | undefined;
@@ -40,7 +40,7 @@ export interface HttpRequest {
   beforeRetry?: (error: RoomLightError) => Promise<void>;
 }
 
-const RETRIED: ReadonlySet<number> = new Set([429, 502, 503, 504]);
+const RETRIED: ReadonlySet<number> = new Set([408, 429, 502, 503, 504]);
 const FIRST_DELAY_S = 0.25; // doubled after each attempt, with jitter so that phones do not retry together
 
 /** The connection to one server. */
@@ -81,8 +81,8 @@ export class Http {
         return outcome;
       }
       const [error, retryAfter_s, isTimeout = false] = outcome;
-      if (request.method === "DELETE" && error.status === 404 && attempt > 0) {
-        return new Response(null, { status: 204 }); // an earlier attempt deleted it, and its response was lost
+      if (request.method === "DELETE" && (error.status === 404 || error.status === 410)) {
+        return new Response(null, { status: 204 }); // it is gone: the response to an earlier attempt may be lost
       }
       const delay_s = retryAfter_s ?? FIRST_DELAY_S * 2 ** attempt * (0.5 + waiting.random());
       const isWorkedOn = isTimeout && request.method === "POST"; // the server would do it twice

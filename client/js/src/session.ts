@@ -91,7 +91,7 @@ export class RoomLight {
     return (await response.json()) as ObjectList;
   }
 
-  /** Delete an object on the server. */
+  /** Delete an object on the server. A missing one is not an error. */
   async deleteObject(id: string, options: CallOptions = {}): Promise<void> {
     const path = `${OBJECTS}/${encodeURIComponent(id)}`;
     await this.http.send({ method: "DELETE", path, signal: options.signal });
@@ -222,7 +222,7 @@ export class Session {
     this.memory.track(name, position);
   }
 
-  /** Stop tracking a point. */
+  /** Stop tracking a point. An unknown name is not an error. */
   async untrack(name: string, options: CallOptions = {}): Promise<void> {
     await this.requests.send({ method: "DELETE", path: this.requests.probePath(name), signal: options.signal });
     this.memory.untrack(name);
@@ -234,7 +234,7 @@ export class Session {
     return (await response.json()) as SessionState;
   }
 
-  /** Delete the session and everything that the server stores for it. */
+  /** Delete the session and everything that the server stores for it. A missing one is not an error. */
   async delete(options: CallOptions = {}): Promise<void> {
     this.memory.deleted = true; // streams end with it
     await this.http.send({ method: "DELETE", path: this.path, signal: options.signal });
