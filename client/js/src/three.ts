@@ -49,12 +49,13 @@ const TEXTURE_MAKERS = { cube: cubeTexture, ktx2: cubeTexture, hdr: equirectText
  *   then has intensity 0: it casts its shadow on a `ShadowMaterial`, as strong as `shadow_strength`, and adds no light.
  * - otherwise `sh`: a `LightProbe`; with `main_light` also a `DirectionalLight`, subtracted from the harmonics.
  *
- * Returns at once if the light is the same (by its ETag). Removes what an earlier light set and this one lacks.
+ * Returns at once if the light is the same: its ETag, point and forms. Removes what an earlier light set and this one lacks.
  */
 export function applyToScene(scene: Scene, light: Light, options: ApplyOptions = {}): SceneLights {
   const { intensity = 1, distance_m = 5 } = options;
   const lights = scenes.get(scene) ?? addLights(scene);
-  const key = `${light.etag} ${light.forms.map((form) => `${form.format}-${form.use ?? ""}`)} ${intensity} ${distance_m}`;
+  const forms = light.forms.map(({ data, ...form }) => ({ ...form, bytes: data?.length }));
+  const key = JSON.stringify([light.etag, light.position, forms, intensity, distance_m]);
   if (key === lights.appliedKey) {
     return lights;
   }

@@ -111,6 +111,15 @@ test("an environment replaces other lights, and equal light is kept", () => {
   assert.equal(directional.position.distanceTo(directional.target.position).toFixed(6), "3.000000");
   assert.equal(applyToScene(scene, { ...full }, { intensity: 2, distance_m: 3 }).environment, environment);
 
+  const other = new Scene();
+  for (const [x, kind] of (["total", "ambient"] as const).entries()) {
+    const forms = [field.harmonicsForm("arcore", kind), field.MAIN_LIGHT];
+    const moved = { ...field.light(forms), position: [x, 0, 0] as Vector };
+    const seen = applyToScene(other, moved);
+    assert.deepEqual(seen.directional.target.position.toArray(), moved.position);
+    assert.deepEqual(seen.probe.sh, applyToScene(new Scene(), moved).probe.sh);
+  }
+
   let disposed = 0;
   environment!.addEventListener("dispose", () => disposed++);
   const next = applyToScene(scene, { ...full, etag: "b" });
