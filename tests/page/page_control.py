@@ -23,7 +23,6 @@ class PageServer:
     def __init__(self, *, pace=1, **settings):
         self._settings = settings
         self._pace, self._passed_s = pace, 0.0
-        self._next = {}
         self._token = (settings.get("tokens") or (None,))[0]
         self._running: RunningServer | None = RunningServer(clock=self._clock, **settings)
         self._control = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
@@ -56,17 +55,16 @@ class PageServer:
         return f"http://127.0.0.1:{self._control.server_address[1]}"
 
     def push(self, session="room", count="1"):
-        self.running.open(session, OPTIONS, token=self._token)
-        for index in range(self._next.get(session, 0), self._next.get(session, 0) + int(count)):
+        last = self.running.open(session, OPTIONS, token=self._token).json["frames"]["last_index"]
+        first = 0 if last is None else last + 1
+        for index in range(first, first + int(count)):
             answer = self.running.push(index, frame(15 * index), session, token=self._token)
             assert answer.status == 200, answer
-            self._next[session] = index + 1
 
     def stop(self):
         if self._running is not None:
             self._running.stop()
         self._running = None
-        self._next = {}
 
     def start(self):
         self._running = RunningServer(clock=self._clock, **self._settings)
@@ -74,7 +72,6 @@ class PageServer:
 
     def expire(self):
         self._passed_s += 86_400
-        self._next = {}
 
     def state(self, session="room"):
         return self.running.state(session, token=self._token)

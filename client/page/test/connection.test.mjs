@@ -77,13 +77,15 @@ test("a lost server is shown, and the page connects again", async () => {
 test("a session that is replaced stays on the screen until its next frame", async () => {
   await waitForFrame(page, "#picture-image", 1);
   await waitForFrame(page, "#panorama-canvas", 1);
+  await page.waitForFunction(() => document.querySelectorAll("#thumbnails canvas").length === 2);
   await page.evaluate(() => {
+    globalThis.before = [...document.querySelectorAll("#thumbnails canvas")];
     globalThis.shown = new Set();
     const observe = (id, what, options) => {
       const element = document.getElementById(id);
       new MutationObserver(() => globalThis.shown.add(what(element))).observe(element, options);
     };
-    observe("workspace", ({ hidden }) => (hidden ? "ended" : "picture-image 2"), { attributeFilter: ["hidden"] });
+    observe("workspace", ({ hidden }) => (hidden ? "ended" : "picture-image 0"), { attributeFilter: ["hidden"] });
     observe("notices", ({ textContent }) => textContent, { childList: true });
     for (const id of ["picture-image", "panorama-canvas"]) {
       observe(id, ({ dataset }) => `${id} ${dataset.frame}`, { attributeFilter: ["data-frame"] });
@@ -91,9 +93,13 @@ test("a session that is replaced stays on the screen until its next frame", asyn
   });
   await fetch(`${PAGE_URL}/v1/sessions/room`, { method: "DELETE" });
   await control("push", { session: "room", count: 1 });
-  await waitForFrame(page, "#picture-image", 2);
-  await waitForFrame(page, "#panorama-canvas", 2);
-  assert.deepEqual(await page.evaluate(() => [...globalThis.shown].sort()), ["panorama-canvas 2", "picture-image 2"]);
+  await waitForFrame(page, "#picture-image", 0);
+  await waitForFrame(page, "#panorama-canvas", 0);
+  assert.deepEqual(await page.evaluate(() => [...globalThis.shown].sort()), ["panorama-canvas 0", "picture-image 0"]);
+  await page.waitForFunction(() => {
+    const [thumbnail, ...others] = document.querySelectorAll("#thumbnails canvas");
+    return thumbnail && others.length === 0 && !globalThis.before.includes(thumbnail);
+  });
   await connection("Live");
 });
 

@@ -106,7 +106,7 @@ class Player {
 
 /** As many thumbnails as fit, evenly from the history. */
 class Thumbnails {
-  private readonly pictures = new Map<string, HTMLCanvasElement>();
+  private readonly pictures = new Map<HistoryEntry, HTMLCanvasElement>();
   readonly update = latestOnly(() => this.show());
 
   constructor(
@@ -120,23 +120,22 @@ class Thumbnails {
     const entries = history.value;
     const count = Math.min(entries.length, Math.floor(box.clientWidth / THUMBNAIL_PX));
     const shown = Array.from({ length: count }, (_, at) => entries[Math.floor(((at + 0.5) * entries.length) / count)]!);
-    const keys = shown.map(({ index }) => `${selected.value}/${index}`);
-    await Promise.all(shown.map(({ index }, at) => this.load(keys[at]!, selected.value!, index)));
-    const pictures = keys.map((key) => this.pictures.get(key) ?? element("span"));
+    await Promise.all(shown.map((entry) => this.load(entry, selected.value!)));
+    const pictures = shown.map((entry) => this.pictures.get(entry) ?? element("span"));
     if (pictures.some((picture, at) => picture !== box.children[at]) || pictures.length < box.children.length) {
       box.replaceChildren(...pictures);
     }
-    [...this.pictures.keys()].filter((key) => !keys.includes(key)).forEach((key) => this.pictures.delete(key));
+    [...this.pictures.keys()].filter((entry) => !shown.includes(entry)).forEach((entry) => this.pictures.delete(entry));
   }
 
   /** Decode a thumbnail before it is shown; one that cannot be read stays empty. */
-  private async load(key: string, session: string, index: number): Promise<void> {
-    if (!this.pictures.has(key)) {
+  private async load(entry: HistoryEntry, session: string): Promise<void> {
+    if (!this.pictures.has(entry)) {
       const canvas = element("canvas");
       try {
-        const file = await this.api.file(`${sessionPath(session)}/history/${index}/colour`);
-        await new PictureView(canvas).show(file!.blob, String(index));
-        this.pictures.set(key, canvas);
+        const file = await this.api.file(`${sessionPath(session)}/history/${entry.index}/colour`);
+        await new PictureView(canvas).show(file!.blob, String(entry.index));
+        this.pictures.set(entry, canvas);
       } catch {
         return; // the history may have removed it meanwhile
       }
