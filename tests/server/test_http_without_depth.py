@@ -12,9 +12,13 @@ from roomlight.wire.frame_encoding import pack_frame
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory):
+def model(tmp_path_factory):
     depth_m = np.linspace(1.5, 3, SIZE[0] * SIZE[1]).reshape(1, *SIZE)
-    model = write_depth_model(tmp_path_factory.mktemp("model") / "metric.onnx", {"depth": depth_m})
+    return write_depth_model(tmp_path_factory.mktemp("model") / "metric.onnx", {"depth": depth_m})
+
+
+@pytest.fixture(scope="module")
+def server(model):
     with RunningServer(depth_model=model) as running:
         yield running
 
@@ -31,12 +35,28 @@ def test_a_frame_without_depth_gives_light(server):
     assert server.state("bare")["coverage"]["lamp"] > 0
 
 
-def test_an_object_stands_on_estimated_depth(server):
-    """What draws into the last frame needs its depth again."""
-    server.open("drawn")
-    assert server.push(0, with_parts(depth=False), name="drawn").status == 200
-    picture = server.call("GET", "/v1/sessions/drawn/colour")
-    assert picture.status == 200
+def test_an_object_stands_on_estimated_depth_which_a_restart_restores(model, tmp_path):
+    """What draws into the last frame needs its depth again, and so does late light from keyframes."""
+    settings = {"depth_model": model, "state_dir": tmp_path, "state_interval_s": 0.1}
+    body = {"objects": [{"shape": "sphere", "size_m": 0.2, "pixel": [24, 24]}], "quality": "preview"}
+    bare, answers, depths_m = with_parts(depth=False), [], []
+    for restarted in (False, True):
+        with RunningServer(**settings) as server:
+            server.open()
+            live = dict(server.registry.items())["anyone", "room"]
+            if not restarted:
+                server.push(0, bare)
+                live._depth.state.per_metre, live._depth.state.unmoved = 0.5, False  # as if features had told it
+                assert [server.push(index, bare).json["keyframe"] for index in (1, 2)] == [True, False]
+            light = server.call("GET", "/v1/sessions/room/probe?x=0.1&y=1.1&z=-0.2&format=npy")
+            composite = server.call("POST", "/v1/sessions/room/composite", body)
+            answers.append((light.status, light.body, composite.headers["roomlight-poses"]))
+            if restarted:
+                assert server.push(3, bare).status == 200
+            depths_m.append(live.latest.depth_m)
+    assert answers[0] == answers[1]
+    assert answers[0][0] == 200
+    assert np.array_equal(*depths_m)
 
 
 def test_confidence_needs_depth(server):

@@ -35,7 +35,7 @@ from roomlight_server.sessions.session_lighting import SessionLighting
 from roomlight_server.sessions.session_parts import SCENE_BYTES, FrameSlots, Limits, cached_lights, volume_of
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import MOVED, SessionLease
-from roomlight_server.state.live_state import LiveState
+from roomlight_server.state.live_state import DepthScale, LiveState
 from roomlight_server.work.composite_processes import Composited, CompositeJob
 from roomlight_server.work.intake import LatestFrame, decode_to_size, index_of, parse_frame
 from roomlight_server.work.workers import Workers
@@ -76,6 +76,7 @@ class LiveSession:
         self._reference = request.reference_exposure
         self._latest: LatestFrame | None = None
         self._depth: DepthStream | None = None
+        self._depth_scale: DepthScale | None = None  # of the stream before a restart
         self.history = History(limits.history_bytes, workers)
         self._composite_lock = asyncio.Lock()
         self._composites_due = 0
@@ -221,7 +222,11 @@ class LiveSession:
 
     def _with_depth(self, frame: Frame) -> Frame:
         """Estimate the depth of the session's next frame. Raises FrameError and ModelError."""
-        self._depth = self._depth or self._workers.new_depth_stream()
+        if self._depth is None:
+            self._depth = self._workers.new_depth_stream()
+            if (scale := self._depth_scale) is not None:
+                state = self._depth.state
+                state.per_metre, state.unmoved, state.fit = scale.per_metre, scale.unmoved, scale.fit
         return self._depth.complete(frame)
 
     async def _decoded_late(self, entry: Entry) -> Frame:
@@ -296,11 +301,7 @@ class LiveSession:
             )
         except WireError as error:
             raise ProblemError.from_wire(error) from error
-        if latest.depth_m is not None:
-            return replace(frame, depth_m=latest.depth_m, depth_estimated=True)
-        if latest.message.depth is None:  # after a restart
-            return await self._workers.run_in_decode_pool(self._workers.new_depth_stream().complete, frame)
-        return frame
+        return frame if latest.depth_m is None else replace(frame, depth_m=latest.depth_m, depth_estimated=True)
 
     async def preview(self, work: Callable[[Session], _R]) -> _R:
         """Run work on the engine on a compositing thread; frames of this session wait for it.
@@ -354,11 +355,16 @@ class LiveSession:
                 return None
             snapshot = await asyncio.get_running_loop().run_in_executor(pool, engine.snapshot)
             queue, probes = self._queue.saved(), lighting.saved()
-            return LiveState(snapshot, self._reference, probes, queue, lighting.frame, self._latest, self.scene)
+            if self._depth is not None:
+                state = self._depth.state
+                self._depth_scale = DepthScale(per_metre=state.per_metre, unmoved=state.unmoved, fit=state.fit)
+            more = lighting.frame, self._latest, self.scene, self._depth_scale
+            return LiveState(snapshot, self._reference, probes, queue, *more)
 
     def resume(self, state: LiveState) -> None:
         """Continue from a saved state, with the engine that was made from its snapshot."""
         self._reference, self._latest, self.scene = state.reference, state.latest, state.scene
+        self._depth_scale = state.depth_scale
         self.lighting.restore(state.probes, state.light_frame)
         self._queue.restore(state.queue)
 

@@ -38,9 +38,12 @@ class Journal:
         self._urgent |= urgent
 
     def processed(self, index: int, message: FrameMessage, *, keyframe: bool) -> None:
-        """Record a processed frame; keep the message of a keyframe until it is written."""
+        """Record a processed frame; keep the message of a keyframe until it is written.
+
+        One without depth makes no frame again, whose depth was estimated: the frame is stored as pixels.
+        """
         self.changed()
-        if keyframe:
+        if keyframe and message.depth is not None:
             body = body_of(message)
             if len(body) <= MAX_MESSAGE_BYTES:
                 self.messages[index] = body

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict
 
 from roomlight.conventions import Position
 from roomlight.engine.state.snapshot import SessionSnapshot
+from roomlight.monocular.fitting import Fit
 from roomlight.wire.compositing import SessionScene
 from roomlight.wire.messages import FrameResult, SessionRequest
 from roomlight_server.work.intake import LatestFrame
@@ -48,6 +49,14 @@ class SavedBase(_Saved):
     kind: Literal["message", "pixels"]
 
 
+class DepthScale(_Saved):
+    """What later frames without depth need of the stream before them (`StreamState`), so that their metres stay."""
+
+    per_metre: float
+    unmoved: bool
+    fit: Fit | None
+
+
 class SavedValues(_Saved):
     """The values of a saved session.
 
@@ -62,6 +71,7 @@ class SavedValues(_Saved):
         bases: files of the kept frames, by index.
         latest: index of the last frame, if its message is in the file or in `bases`.
         scene: title and placed objects.
+        depth_scale: of estimated depth; None: none was estimated.
     """
 
     owner: str
@@ -74,6 +84,7 @@ class SavedValues(_Saved):
     bases: dict[int, SavedBase]
     latest: int | None
     scene: SessionScene = SessionScene()
+    depth_scale: DepthScale | None = None
 
 
 @dataclass(frozen=True)
@@ -87,3 +98,4 @@ class LiveState:
     light_frame: int
     latest: LatestFrame | None
     scene: SessionScene
+    depth_scale: DepthScale | None

@@ -3,6 +3,8 @@
 import asyncio
 from dataclasses import replace
 
+import numpy as np
+
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.session import Session
@@ -49,9 +51,9 @@ class Restorer:
         except WireError as error:
             detail = f"a saved frame cannot be decoded now ({error}); retry later"
             raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
-        latest = None if values.latest is None else LatestFrame(values.latest, reading.messages[values.latest])
         kept = values.reference, values.probes, values.queue, values.light_frame
-        return engine, LiveState(snapshot, *kept, latest, values.scene)
+        latest = _latest(reading, snapshot)
+        return engine, LiveState(snapshot, *kept, latest, values.scene, values.depth_scale)
 
     async def _bases(self, reading: Reading, options: SessionOptions) -> dict[int, FrameMesh]:
         wanted = [index for index in reading.session.elsewhere if index in reading.messages]
@@ -60,6 +62,8 @@ class Restorer:
 
     async def _base(self, reading: Reading, index: int, options: SessionOptions) -> FrameMesh:
         message, processes = reading.messages[index], self._workers.decode_processes
+        if message.depth is None:
+            raise StateError(f"frame {index} came without depth, and what was estimated for it is not saved")
         reference = reading.values.reference or message.header.exposure
         least = reading.values.request.min_confidence
 
@@ -74,3 +78,15 @@ def _engine(
 ) -> tuple[Session, SessionSnapshot]:
     snapshot = reading.session.snapshot(bases)
     return Session.from_snapshot(snapshot, options, graphs=graphs), snapshot
+
+
+def _latest(reading: Reading, snapshot: SessionSnapshot) -> LatestFrame | None:
+    """Return the last frame; one that came without depth has the estimate of its mesh."""
+    index = reading.values.latest
+    if index is None:
+        return None
+    message = reading.messages[index]
+    if message.depth is not None:
+        return LatestFrame(index, message)
+    mesh = next(kept.mesh for kept in snapshot.kept if kept.index == index)
+    return LatestFrame(index, message, np.where(mesh.measured, mesh.grid_depth_m, np.float32(0)))

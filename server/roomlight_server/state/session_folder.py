@@ -82,7 +82,7 @@ def write_session(
             latest = index
         elif len(body) <= MAX_MESSAGE_BYTES:
             latest, records = index, [Record("LAST", {"index": index}, body)]
-            if live.snapshot.latest is not None:
+            if live.snapshot.latest is not None and live.latest.message.depth is not None:
                 elsewhere.add(index)
     values = values.model_copy(update={"bases": named, "latest": latest})
     head = Record("SERV", values.model_dump(mode="json"))

@@ -185,6 +185,7 @@ class StateStore:
             bases={},
             latest=None,
             scene=state.scene,
+            depth_scale=state.depth_scale,
         )
         async with self.lock(*key):
             if journal.closed:  # deleted in the meantime
