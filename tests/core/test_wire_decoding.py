@@ -117,6 +117,7 @@ def test_a_mask_and_whether_depth_was_estimated_are_sent_with_every_encoding(enc
         return decode_frame(parse(pack_frame(replace(own, **changes), colour=encoding)), 0)
 
     np.testing.assert_array_equal(sent().seen, seen)
+    np.testing.assert_array_equal(sent(depth_m=np.zeros_like(own.depth_m)).seen, seen)
     if encoding == "exact":
         np.testing.assert_array_equal(sent().clipped, clipped)
         np.testing.assert_array_equal(sent().image, own.image)

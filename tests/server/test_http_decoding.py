@@ -8,6 +8,7 @@ import resource
 import signal
 import struct
 import termios
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -15,12 +16,14 @@ import numpy as np
 import pytest
 from slow_images import jpeg_of_scans, png_of_texts
 
-from http_servers import InThread, RunningServer, with_parts
+from http_servers import InThread, RunningServer, box_shot, with_parts
 from present import present
 from roomlight.errors import ServerError
+from roomlight.frame import Frame
+from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_message import FrameLimits, parse
-from roomlight_server.work import processes
-from roomlight_server.work.decode_worker import MAX_MEMORY_BYTES
+from roomlight_server.work import decode_worker, processes
+from roomlight_server.work.decode_worker import MAX_MEMORY_BYTES, decode_to_box
 from roomlight_server.work.shared_block import SharedBlock
 
 
@@ -52,6 +55,18 @@ def test_an_image_built_to_decode_slowly_is_rejected(encoding, data, rule):
         assert (answer.status, answer.kind, answer.json["field"]) == (422, "bad-frame", "colour")
         assert rule in answer.json["rule"]
         assert server.push(0).json["status"] == "processed"
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_frame_of_a_decoder_process_is_the_decoded_frame(masked):
+    seen = np.indices((36, 48)).sum(0) % 5 > 0
+    message = parse(pack_frame(replace(box_shot(0), seen=seen if masked else None), colour="png"), FrameLimits())
+    decoded = decode_to_box(message, 3, 1.0, 1, (40, 30))
+    assert (decoded.seen is not None) == masked
+    text, parts = decode_worker.pack_frame(decoded)
+    received = decode_worker.unpack_frame(text, b"".join(parts), message, 3)
+    for field in fields(Frame):
+        np.testing.assert_equal(getattr(received, field.name), getattr(decoded, field.name), field.name)
 
 
 def test_a_frame_beyond_the_time_limit_is_rejected(caplog):

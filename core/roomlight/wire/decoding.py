@@ -35,7 +35,7 @@ def decode_frame(
     depth_m = _depth(message, min_confidence)
     if picture.seen is not None and message.header.colour.encoding != "linear_f32":
         image, depth_m = hidden(image, depth_m, picture.seen)
-        if not depth_m.any():
+        if message.depth is not None and not depth_m.any():
             raise _error("depth", "0 pixels", "at least one pixel that is opaque must have a known depth")
     try:
         return Frame(

@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, BinaryIO, Final
 
 import numpy as np
+from jaxtyping import Bool
 
 from roomlight.camera import Intrinsics
 from roomlight.errors import ObjectError, RoomLightError, WireError
@@ -64,10 +65,12 @@ def pack_frame(frame: Frame) -> Result:
     text = {
         "image": frame.image.shape[:2],
         "depth": frame.depth_m.shape,
+        "masked": frame.seen is not None,
         "intrinsics": [k.fx, k.fy, k.cx, k.cy, k.width, k.height],
     }
     image, depth_m = (values.astype("<f4", copy=False) for values in (frame.image, frame.depth_m))
-    parts = (image, depth_m, frame.clipped.view(np.uint8))
+    masks = (frame.clipped,) if frame.seen is None else (frame.clipped, frame.seen)
+    parts = (image, depth_m, *(mask.view(np.uint8) for mask in masks))
     return text, tuple(np.ascontiguousarray(part).reshape(-1).data.cast("B") for part in parts)
 
 
@@ -82,10 +85,16 @@ def unpack_frame(text: dict[str, Any], data: bytes | memoryview, message: FrameM
     (height, width), (depth_height, depth_width) = text["image"], text["depth"]
     pixels, depth_pixels = height * width, depth_height * depth_width
     depth_at = 12 * pixels
+
+    def mask(number: int) -> Bool[np.ndarray, "h w"]:
+        start = depth_at + 4 * depth_pixels + number * pixels
+        return np.frombuffer(data, np.uint8, pixels, start).reshape(height, width) > 0
+
     return Frame(
         index=index,
         image=np.frombuffer(data, "<f4", 3 * pixels).reshape(height, width, 3).copy(),
-        clipped=np.frombuffer(data, np.uint8, pixels, depth_at + 4 * depth_pixels).reshape(height, width) > 0,
+        clipped=mask(0),
+        seen=mask(1) if text["masked"] else None,
         depth_m=np.frombuffer(data, "<f4", depth_pixels, depth_at).reshape(depth_height, depth_width).copy(),
         intrinsics=Intrinsics(*text["intrinsics"]),
         camera_to_world=message.camera_to_world,
