@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from http_servers import RunningServer, box_shot, frame, header_of
+from http_servers import RunningServer, box_shot, frame, header_of, with_parts
 from present import present
+from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.wire.frame_encoding import CameraFrame, pack_camera_frame
 from roomlight_server.answers.room_mesh import _without_copies, room_mesh, to_glb
@@ -135,14 +136,22 @@ def test_the_mesh_shows_the_walls_of_the_room(server):
     assert colours[:, :3].max() > 1000
 
 
-def test_the_mesh_changes_with_the_keyframes_only(server):
+def exposed(exposure):
+    """Return the frame at yaw 0, taken with an exposure."""
+    return with_parts(({}, linear_to_srgb8(np.clip(exposure * box_shot(0).image, 0, 1)).tobytes()), exposure=exposure)
+
+
+def test_the_mesh_changes_with_the_keyframes_and_their_light_only(server):
     room = opened(server, "keyframes")
-    server.push(0, frame(0), "keyframes")
+    server.push(0, exposed(3), "keyframes")
     etag = server.call("GET", f"{room}/mesh").headers["etag"]
-    server.push(1, frame(0), "keyframes")  # shows nothing new
+    server.push(1, exposed(3), "keyframes")  # shows nothing new
     assert server.call("GET", f"{room}/mesh", headers={"If-None-Match": etag}).status == 304
-    server.push(2, frame(90), "keyframes")
-    assert server.call("GET", f"{room}/mesh", headers={"If-None-Match": etag}).status == 200
+    assert server.push(2, exposed(1), "keyframes").json["keyframe"] is False  # shows what was clipped
+    brighter = server.call("GET", f"{room}/mesh", headers={"If-None-Match": etag})
+    assert brighter.status == 200
+    server.push(3, frame(90), "keyframes")
+    assert server.call("GET", f"{room}/mesh", headers={"If-None-Match": brighter.headers["etag"]}).status == 200
 
 
 def test_the_mesh_keeps_to_its_bound(server):

@@ -152,12 +152,13 @@ async def mesh(
 ) -> Response:
     """Return the surfaces that the keyframes show as binary glTF: world metres, unlit, with a colour per vertex.
 
-    The ETag changes with the keyframes.
+    The ETag changes with the keyframes and what is known of their clipped pixels.
     """
     meshes = await live.read(lambda engine: engine.meshes[: engine.keyframes])
     if not any(len(mesh.faces) for _, mesh in meshes):
         raise ProblemError("no-frame", "the session has no keyframe with a surface yet: push a frame with depth")
-    etag = etag_of(f"{live.history.key} {triangles} {[index for index, _ in meshes]}".encode())
+    shown = await context.workers.run_in_encode_pool(lambda: [(at, mesh.texture.checksum) for at, mesh in meshes])
+    etag = etag_of(f"{live.history.key} {triangles} {shown}".encode())
     headers = {"ETag": etag, KEYFRAMES_HEADER: str(len(meshes))}
     if same := unchanged(request, headers):
         return same
