@@ -197,8 +197,13 @@ def test_every_line_of_the_log_is_json_without_tokens():
 def test_json_of_many_unknown_names_is_refused_before_it_is_checked():
     """Each unknown name became an error with a text: eight connections held the event loop for 1.4 s."""
     with RunningServer() as server:
-        answer = server.call("PUT", "/v1/sessions/room", {f"k{number}": 1 for number in range(5000)})
+        many = {f"k{number}": 1 for number in range(5000)}
+        answer = server.call("PUT", "/v1/sessions/room", many)
         assert (answer.status, answer.kind) == (413, "too-large")
         assert "more than 2048 names" in answer.json["detail"]
+        server.open()
+        with server.stream() as stream:
+            stream.send(json.dumps({"type": "track"} | many))
+            assert json.loads(stream.recv(timeout=60))["problem"]["detail"] == answer.json["detail"]
         few = server.call("PUT", "/v1/sessions/room", {f"k{number}": 1 for number in range(2000)})
         assert (few.status, few.kind) == (422, "invalid")

@@ -26,8 +26,9 @@ from roomlight_server.recordings.files import MAX_PIECE_BYTES, PIECE_PATH
 MAX_JSON_BYTES: Final = 65_536
 """Largest JSON body; a request with 64 probes has 6 kB."""
 MAX_JSON_NAMES: Final = 2048
-"""Most names of a JSON body; one of 64 probes or objects has 1,000. Each unknown name is an error with its own text:
-6,000 of them held the event loop for 0.13 s."""
+"""Most names of a JSON body or message; one of 64 probes or objects has 1,000. Each unknown name is an error with its
+own text: 6,000 of them held the event loop for 0.13 s."""
+MANY_NAMES: Final = f"the JSON has more than {MAX_JSON_NAMES} names, the limit"
 _MAX_LENGTH_DIGITS: Final = 15
 _CHARSETS: Final = ("utf-8", "utf8", "us-ascii", "ascii")
 _FILES: Final = ("colour", "depth", "confidence")
@@ -103,7 +104,7 @@ class BodyMiddleware:
             if limit == MAX_JSON_BYTES:
                 names += message.get("body", b"").count(b":")
             if names > MAX_JSON_NAMES:
-                raise HTTPException(413, f"the JSON has more than {MAX_JSON_NAMES} names, the limit")
+                raise HTTPException(413, MANY_NAMES)
             if received > limit:
                 raise HTTPException(413, f"the body has more than {limit} bytes, the limit")
             return message

@@ -34,7 +34,7 @@ from roomlight.wire.messages import (
     is_id,
 )
 from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError, hold_back, problem_response
-from roomlight_server.routes.bodies import MAX_JSON_BYTES
+from roomlight_server.routes.bodies import MANY_NAMES, MAX_JSON_BYTES, MAX_JSON_NAMES
 from roomlight_server.routes.context import Context
 from roomlight_server.routes.light import answer_bytes, check_size, encode_lights, memory_of
 from roomlight_server.sessions.live_session import LiveSession
@@ -184,6 +184,8 @@ class _Connection:
         if len(text) > MAX_JSON_BYTES:
             rule = f"at most {MAX_JSON_BYTES} characters"
             raise ProblemError("too-large", f"the message has {len(text)} characters", rule=rule)
+        if text.count(":") > MAX_JSON_NAMES:
+            raise ProblemError("too-large", MANY_NAMES)
         try:
             message = _MESSAGES.validate_json(text)
         except ValidationError as error:
