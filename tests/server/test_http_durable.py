@@ -311,6 +311,16 @@ def test_stopping_saves_the_last_frames(tmp_path):
         assert lights(server) == light
 
 
+def test_a_failed_session_does_not_count_as_unsaved(tmp_path, monkeypatch, caplog):
+    HeldSession.serve(monkeypatch)
+    HeldSession.broken = {0: MemoryError()}
+    HeldSession.release()
+    with server_on(tmp_path / "state", state_interval_s=3600.0) as server:
+        server.open()
+        assert server.push(0).kind == "engine-failed"
+    assert "not saved" not in caplog.text
+
+
 def test_idle_sessions_leave_memory_and_come_back(tmp_path):
     now_s = [1000.0]
     with server_on(tmp_path / "state", clock=lambda: now_s[0], idle_expiry_s=100.0) as server:

@@ -133,8 +133,8 @@ class StateStore:
                 if key not in self._saving and live.journal is not None and live.journal.is_due(self._period_s):
                     self._start_saving(key, live)
             open_sessions = dict(sessions())
-            unsaved_s = (live.journal.unsaved_s for live in open_sessions.values() if live.journal is not None)
-            self._metrics.state_unsaved_seconds.set(max(unsaved_s, default=0.0))
+            unsaved_s = max((journal.unsaved_s for _, _, journal in _unsaved(sessions)), default=0.0)
+            self._metrics.state_unsaved_seconds.set(unsaved_s)
             if self._clock() >= self._next_expiry_s:
                 self._next_expiry_s = self._clock() + min(_EXPIRY_PERIOD_S, self._expiry_s)
                 await self._in_thread(self._erase_expired, {self._folder(*key).name for key in open_sessions})
@@ -172,7 +172,8 @@ class StateStore:
 
     async def _save(self, key: tuple[str, str], live: Saveable, journal: Journal) -> None:
         state = await live.copy_state(self._pool)
-        if state is None:
+        if state is None:  # its engine has failed: nothing can be saved any more
+            journal.closed = True
             return
         values = SavedValues(
             owner=digest_of_owner(key[0]),
@@ -223,7 +224,7 @@ class StateStore:
         """Save all changed sessions for the last time, at most twice `CLOSE_S`; release the directory."""
         if self._saving:
             await asyncio.wait(tuple(self._saving.values()), timeout=CLOSE_S)
-        tasks = [asyncio.create_task(self.save(key, live)) for key, live in _unsaved(sessions)]
+        tasks = [asyncio.create_task(self.save(key, live)) for key, live, _ in _unsaved(sessions)]
         if tasks:
             _, late = await asyncio.wait(tasks, timeout=CLOSE_S)
             for task in late:
@@ -357,10 +358,10 @@ class StateStore:
         return await asyncio.get_running_loop().run_in_executor(self._pool, work, *args)
 
 
-def _unsaved(sessions: Sessions) -> list[tuple[tuple[str, str], Saveable]]:
-    """Return the sessions that are not deleted and not on disk as they are now."""
+def _unsaved(sessions: Sessions) -> list[tuple[tuple[str, str], Saveable, Journal]]:
+    """Return the sessions that can be saved and are not on disk as they are now."""
     journals = [(key, live, live.journal) for key, live in sessions()]
-    return [(key, live) for key, live, of in journals if of is not None and not of.closed and of.unsaved_s > 0]
+    return [(key, live, of) for key, live, of in journals if of is not None and not of.closed and of.unsaved_s > 0]
 
 
 def refused(error: StateError, name: str) -> ProblemError:
