@@ -317,6 +317,7 @@ def test_a_failed_session_does_not_count_as_unsaved(tmp_path, monkeypatch, caplo
     HeldSession.release()
     with server_on(tmp_path / "state", state_interval_s=3600.0) as server:
         server.open()
+        server.wait_until(lambda: _unsaved_s(server) == 0)
         assert server.push(0).kind == "engine-failed"
     assert "not saved" not in caplog.text
 
