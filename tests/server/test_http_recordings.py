@@ -268,7 +268,7 @@ def test_an_unused_recording_expires_and_its_files_go(tmp_path):
         assert server.call("GET", url).json["expires_in_s"] == 100
         now[0] = 200.0
         assert server.call("GET", url).kind == "recording-not-found"
-        assert list(next(tmp_path.iterdir()).iterdir()) == []
+        server.wait_until(lambda: list(next(tmp_path.iterdir()).iterdir()) == [])
 
 
 def test_all_files_go_when_the_server_stops(tmp_path):

@@ -291,7 +291,7 @@ class RecordingStore:
             if not (recording.playing or recording.filming) and (removed or recording.last_used_s < limit_s):
                 del self._recordings[recording.id]
                 self._remove_film(recording)
-                recording.files.delete()
+                asyncio.get_running_loop().run_in_executor(None, recording.files.delete)  # 0.6 s for 20,000 files
                 reason = "its files were removed" if removed else "expired"
                 _log.info("recording deleted", extra={"recording": recording.id, "reason": reason})
 
