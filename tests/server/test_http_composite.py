@@ -285,6 +285,9 @@ def test_objects_belong_to_their_token_and_have_limits():
         # a flat strip, so that corners share vertices
         wide = points + b"".join(b"f %d %d %d\n" % (n, n + 1 + n % 2, n + 2 - n % 2) for n in range(1, 1201))
         assert upload(server, wide, token=TOKEN).status == 201
+        store = server.app.state.context.objects
+        key, stored = list(store._stored.items())[-1]
+        assert store.add(*key, stored.virtual_object) == stored.info  # of two uploads at once
         other = wide + b"f 5 8 7\n"  # 53 kB each
         full = upload(server, other, token=TOKEN)
         assert (full.status, full.kind) == (409, "too-many-objects")

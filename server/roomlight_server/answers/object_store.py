@@ -42,12 +42,14 @@ class ObjectStore:
         return self._find(owner, digest).info
 
     def add(self, owner: str, digest: str, virtual_object: VirtualObject) -> ObjectInfo:
-        """Store an object under its digest.
+        """Store an object under its digest, unless another upload of it was faster.
 
         Raises:
             ProblemError: The owner's limit (409) or the server's (503) is reached; nothing is stored.
         """
         self.expire()
+        if (known := self._stored.get((owner, digest))) is not None:
+            return known.info
         low, high = virtual_object.bounds()
         size = object_bytes(virtual_object)
         notes = tuple(str(note) for note in virtual_object.notes[:_MAX_NOTES])
