@@ -4,6 +4,7 @@ import contextlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 from typing import Final
 
 from pydantic import ValidationError
@@ -34,10 +35,11 @@ class SavedHead:
 
 
 class SavedList:
-    """Reads which sessions are on disk. Each file is read again only after it has changed. Used on one thread."""
+    """Reads which sessions are on disk. Each file is read again only after it has changed."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
+        self._lock = Lock()
         self._known: dict[str, tuple[tuple[int, int, int], SavedValues | None, str]] = {}
 
     def of(self, owner: str) -> list[SavedHead]:
@@ -45,6 +47,10 @@ class SavedList:
 
         A file whose first records are damaged or of another version is left out: it does not say whose it is.
         """
+        with self._lock:
+            return self._of(owner)
+
+    def _of(self, owner: str) -> list[SavedHead]:
         heads: list[SavedHead] = []
         folders = session_folders(self._root)
         for folder in folders:
