@@ -196,15 +196,17 @@ def test_the_number_of_phones_is_limited_and_a_server_starts_all_the_same(caplog
 
 
 def test_servers_that_share_a_file_keep_the_phones_of_each_other(tmp_path):
-    """Two servers of one user lost the phones that the other had paired."""
+    """Two servers of one user lost the phones that the other had paired, and served those that it had removed."""
     file, operator = tmp_path / "state" / "phones.json", "operator"
     first, second = Phones(file, expiry_s=DAY_S), Phones(file, expiry_s=DAY_S)
     paired = [phones.pair(phones.link(operator)) for phones in (first, second, first)]
-    assert all(Phones(file, expiry_s=DAY_S).find(token) for _, token in paired)
+    for phones in (first, second, Phones(file, expiry_s=DAY_S)):
+        assert all(phones.find(token) for _, token in paired)
     second.revoke(operator, paired[0][0].id)
+    assert first.find(paired[0][1]) is None
     first.revoke(operator, paired[1][0].id)
     second.pair(second.link(operator))
-    for phones in (second, Phones(file, expiry_s=DAY_S)):
+    for phones in (first, second, Phones(file, expiry_s=DAY_S)):
         assert [bool(phones.find(token)) for _, token in paired] == [False, False, True]
 
 

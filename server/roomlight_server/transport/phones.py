@@ -11,7 +11,7 @@ import logging
 import os
 import secrets
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Collection, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
@@ -74,6 +74,7 @@ class Phones:
         self._file, self._expiry_s, self._clock, self._now = file, expiry_s, clock, now
         self._links: dict[str, tuple[str, float]] = {}  # operator and expiry, by the code's digest
         self._phones = {} if file is None else _read(file)
+        self._version: tuple[int, int, int] | None = None  # of the file as it was read last
 
     def link(self, operator: str) -> str:
         """Return a code that pairs one phone within `LINK_S`.
@@ -82,7 +83,7 @@ class Phones:
             ProblemError: The owner is a phone itself (403), or there are `MAX_PHONES` (429).
         """
         check_operator(operator)
-        if len([phone for phone in self._phones.values() if self._is_valid(phone)]) >= MAX_PHONES:
+        if len([phone for phone in self._current() if self._is_valid(phone)]) >= MAX_PHONES:
             rule = f"at most {MAX_PHONES} phones"
             raise ProblemError("owner-quota", f"{rule} are paired; remove one first", rule=rule, retry_after_s=60)
         code = secrets.token_urlsafe(16)
@@ -119,17 +120,15 @@ class Phones:
     def find(self, token: str) -> Phone | None:
         """Return the phone whose valid token this is."""
         digest = _digest(token)
-        return next(
-            (phone for phone in self._phones.values() if phone.digest == digest and self._is_valid(phone)), None
-        )
+        return next((phone for phone in self._current() if phone.digest == digest and self._is_valid(phone)), None)
 
     def listed(self, operator: str) -> list[Phone]:
         """Return the phones of an operator whose tokens are valid."""
-        return [phone for phone in self._phones.values() if phone.operator == operator and self._is_valid(phone)]
+        return [phone for phone in self._current() if phone.operator == operator and self._is_valid(phone)]
 
     def owners(self, operator: str) -> list[str]:
         """Return the owners of the sessions of an operator's phones, past ones too."""
-        return [phone.owner for phone in self._phones.values() if phone.operator == operator]
+        return [phone.owner for phone in self._current() if phone.operator == operator]
 
     def revoke(self, operator: str, phone_id: str) -> Phone:
         """End the token of a phone; its sessions stay, and the operator sees them.
@@ -147,6 +146,19 @@ class Phones:
 
     def _is_valid(self, phone: Phone) -> bool:
         return bool(phone.digest) and self._now() < phone.expires_s
+
+    def _current(self) -> Collection[Phone]:
+        """Return all phones, also as another server has stored them since."""
+        try:
+            if self._file is not None and self._file.exists():
+                stat = self._file.stat()
+                version = (stat.st_ino, stat.st_mtime_ns, stat.st_size)
+                if version != self._version:
+                    self._version = version
+                    self._add(_read(self._file))
+        except (OSError, ServerError) as error:
+            _log.error("the phones that other servers have stored are not known: %s", error)
+        return self._phones.values()
 
     def _save(self) -> None:
         """Store the phones besides those that another server has stored; one that either has removed stays removed."""
