@@ -35,6 +35,7 @@ def test_a_frame_without_depth_gives_light(server):
     assert server.state("bare")["coverage"]["lamp"] > 0
 
 
+@pytest.mark.slow
 def test_an_object_stands_on_estimated_depth_which_a_restart_restores(model, tmp_path):
     """What draws into the last frame needs its depth again, and so does late light from keyframes."""
     settings = {"depth_model": model, "state_dir": tmp_path, "state_interval_s": 0.1}
