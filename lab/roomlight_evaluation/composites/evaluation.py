@@ -1,5 +1,6 @@
 """Run the comparison of composites with the truth over numbered scenes; finished scenes are kept and not repeated."""
 
+import hashlib
 import pickle
 import zlib
 from collections.abc import Callable, Sequence
@@ -13,6 +14,7 @@ from jaxtyping import Float
 from roomlight.compositing.picture.camera_match import add_noise, measure_camera
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8
 from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.networks.graphs import PARTS, LightingGraphs, part_folder
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import OutputError, SceneError
 from roomlight.files import write_atomic
@@ -25,7 +27,7 @@ from roomlight_evaluation.composites.scores import (
     darkening_of,
     errors_of,
     read_lines,
-    write_line,
+    write_lines,
 )
 
 Picture = Float[np.ndarray, "h w 3"]
@@ -41,7 +43,7 @@ def evaluate_composites(
     pictures: Path | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> CompositeScores:
-    """Score `count` scenes; results are appended to `out`, a file of JSON lines, and scenes in it are not repeated.
+    """Score `count` scenes; results are kept in `out`, a file of JSON lines, and scenes in it are not repeated.
 
     Args:
         count: Scenes. A room without a place for the object is replaced by the next room.
@@ -54,11 +56,12 @@ def evaluate_composites(
         progress: Called as (scenes done, scenes in all, what was done) after each room.
 
     Raises:
-        OutputError: `out` has scores of other settings.
+        OutputError: `out` has scores of other settings or weights, or is damaged.
+        ModelError: The weights cannot be used.
     """
     options = options or SessionOptions()
     graphs = choose_graphs(options)
-    done, settings = read_lines(out), settings_of(options, seed)
+    done, settings = read_lines(out), settings_of(options, seed, graphs)
     for scene in done:
         if scene.settings != settings:
             raise OutputError(f"{out}: has scores of {scene.settings}, not of {settings}; use another file")
@@ -70,8 +73,8 @@ def evaluate_composites(
         except (SceneError, ValueError) as error:  # a room in which no camera can walk is a ValueError
             note = f"room {number}: {error}"
         else:
-            write_line(out, score)
             done.append(score)
+            write_lines(out, done)
             note = f"{score.room}: {score.material} {score.shape}"
         number += 1
         if progress is not None:
@@ -79,9 +82,13 @@ def evaluate_composites(
     return CompositeScores(tuple(done[:count]))
 
 
-def settings_of(options: SessionOptions, seed: int) -> str:
-    """Return what the scores of a file have in common, in words."""
-    return f"seed {seed} and {options}"
+def settings_of(options: SessionOptions, seed: int, graphs: LightingGraphs | None) -> str:
+    """Return what the scores of a file have in common, in words: the options, and the content of what they name."""
+    files = [file for name in PARTS for file in sorted(part_folder(options.parts, name).iterdir())]
+    networks = [file.read_bytes() for file in files if file.suffix in (".onnx", ".npz")]
+    parts = hashlib.sha256(b"".join(networks)).hexdigest()
+    weights = "none" if graphs is None else graphs.digest
+    return f"seed {seed} and {options} with weights {weights[:12]} and parts {parts[:12]}"
 
 
 def kept_scene(folder: Path | None, number: int, *, seed: int) -> CompositeScene:

@@ -6,7 +6,7 @@ the mean squared error in linear light and in sRGB, and the mean absolute differ
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roomlight.conventions import LUMINANCE, linear_to_srgb
-from roomlight.files import json_text
+from roomlight.errors import OutputError
+from roomlight.files import json_text, write_atomic
 from roomlight_evaluation.composites.methods import HARMONICS
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 
@@ -109,18 +110,29 @@ class CompositeScores:
         return [float(scene.errors[method][region][metric]) for scene in chosen]
 
 
-def write_line(path: Path, score: SceneScore) -> None:
-    """Append one scene's scores to a file of JSON lines."""
-    with path.open("a") as file:
-        file.write(json_text(asdict(score)) + "\n")
+def write_lines(path: Path, scores: Sequence[SceneScore]) -> None:
+    """Write the scores of scenes as a file of JSON lines."""
+    write_atomic(path, "".join(json_text(asdict(score)) + "\n" for score in scores).encode())
 
 
 def read_lines(path: Path) -> list[SceneScore]:
-    """Read the scores of a file of JSON lines; none if the file does not exist."""
+    """Read the scores of a file of JSON lines; none if the file does not exist. An unfinished last line is left out.
+
+    Raises:
+        OutputError: A line is damaged.
+    """
     if not path.is_file():
         return []
-    lines = path.read_text().splitlines()
-    return [SceneScore(**json.loads(line, object_hook=_with_nan)) for line in lines if line.strip()]
+    scores: list[SceneScore] = []
+    for number, line in enumerate(path.read_text(errors="replace").splitlines(keepends=True), 1):
+        if not line.strip():
+            continue
+        try:
+            scores.append(SceneScore(**json.loads(line, object_hook=_with_nan)))
+        except (TypeError, ValueError) as error:
+            if line.endswith("\n"):
+                raise OutputError(f"{path}, line {number}: is no scene's scores ({error}); remove the line") from error
+    return scores
 
 
 def _with_nan(values: dict[str, Any]) -> dict[str, Any]:

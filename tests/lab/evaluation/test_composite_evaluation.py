@@ -29,7 +29,7 @@ from roomlight_evaluation.composites.scores import (
     darkening_of,
     errors_of,
     read_lines,
-    write_line,
+    write_lines,
 )
 from roomlight_evaluation.composites.tables import composite_tables, summary, targets_met
 from rooms import BoxRoom, camera_at
@@ -123,10 +123,11 @@ class Unrendered:
 
 def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
     out, made, options = tmp_path / "scores.jsonl", [], SessionOptions(model="classical")
-    settings = composite_evaluation.settings_of(options, 0)
-    write_line(out, replace(score(0, 1.0), settings=settings))
-    write_line(out, replace(score(3, 2.0), settings=settings, darkening={OURS: math.nan}))
+    settings = composite_evaluation.settings_of(options, 0, None)
+    second = replace(score(3, 2.0), settings=settings, darkening={OURS: math.nan})
+    write_lines(out, [replace(score(0, 1.0), settings=settings), second])
     assert "NaN" not in out.read_text()
+    out.write_text(out.read_text() + out.read_text()[:100])  # of a run that stopped
     assert read_lines(out)[1].errors[OURS][OBJECT]["rmse"] == pytest.approx(0.1)
     assert math.isnan(read_lines(out)[1].darkening[OURS])
 
@@ -144,6 +145,16 @@ def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
     assert len(read_lines(out)) == 4
     with pytest.raises(OutputError, match=r"has scores of seed 0 .*, not of seed 9 .*; use another file"):
         composite_evaluation.evaluate_composites(5, out, seed=9, options=options)
+    prior = tmp_path / "parts" / "prior" / "prior.npz"
+    prior.parent.mkdir(parents=True)
+    own = replace(options, parts=tmp_path / "parts")
+    prior.write_bytes(b"one")
+    first = composite_evaluation.settings_of(own, 0, None)
+    prior.write_bytes(b"other")
+    assert composite_evaluation.settings_of(own, 0, None) != first
+    out.write_text("{}\n" + out.read_text())
+    with pytest.raises(OutputError, match=r"scores.jsonl, line 1: is no scene's scores .*; remove the line"):
+        read_lines(out)
 
 
 def test_ratios_are_of_means_over_the_same_scenes():
