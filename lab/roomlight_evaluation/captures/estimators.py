@@ -89,7 +89,17 @@ class PredictionFolder:
     name = "predictions"
 
     def __init__(self, folder: Path, probes: Sequence[Position]) -> None:
-        """Use `folder`, which holds `probe-00`, `probe-01`, ... in the order of `probes`."""
+        """Use `folder`, which holds `probe-00`, `probe-01`, ... in the order of `probes`.
+
+        Raises:
+            CaptureError: Two probes are at one position.
+        """
+        for number, position in enumerate(probes):
+            if position in probes[:number]:
+                raise CaptureError(
+                    f"probes {probes.index(position)} and {number} are both at {position}: a prediction is found by "
+                    "its position; remove one of them from the capture"
+                )
         self._folders = {position: folder / f"probe-{number:02d}" for number, position in enumerate(probes)}
         self._file_name = ""
 
@@ -111,11 +121,14 @@ class PredictionFolder:
         """Read the panorama [h, 2h, 3] of the current frame.
 
         Raises:
-            ImageError: The file does not decode, is no panorama, or has pixels that are not finite.
+            ImageError: The file does not decode, is no panorama, or has pixels that are not finite or negative.
         """
         path = self._folders[position] / self._file_name
         panorama = read_panorama(path)  # which takes what is not finite as dark
-        unknown = ~np.isfinite(read_exr(read_bytes(path), str(path)).colour()).all(axis=-1)
-        if unknown.any():
-            raise ImageError(f"{path}: {unknown.sum()} pixels are not finite; a prediction needs a value for each")
+        colour = read_exr(read_bytes(path), str(path)).colour()
+        unusable = ~(np.isfinite(colour) & (colour >= 0)).all(axis=-1)
+        if unusable.any():
+            raise ImageError(
+                f"{path}: {unusable.sum()} pixels are not finite or negative; a prediction needs radiance for each"
+            )
         return panorama

@@ -80,7 +80,7 @@ def evaluate_captures(
         CaptureError: A capture cannot be read or has no ground truth, two captures have one name, or predictions are
             missing, or a replay's that light scenes.
         OptionError: Two estimators have one name.
-        ModelError: An estimator returned something else than a finite panorama.
+        ModelError: An estimator returned something else than a finite panorama without negative values.
     """
     names = [_capture_name(path) for path in captures]
     for name in names:
@@ -196,35 +196,33 @@ class _ProbeScorer:
         self._truth = truth
         self._judge = judge
         self._previous: Float[np.ndarray, "h w 3"] | None = None
-        self._scores: dict[str, list[float]] = {}
-        self._missing = 0
+        self._scores: dict[str, list[float]] = {metric.key: [] for metric in METRICS}
 
     def add(self, panorama: Float[np.ndarray, "h w 3"] | None, frame: Frame) -> None:
         """Score the panorama after one frame; None scores NaN. Raises ModelError if it is not a panorama."""
-        if panorama is None:
-            self._missing += 1
-            return
-        if panorama.shape[1] != 2 * panorama.shape[0] or not np.isfinite(panorama).all():
-            raise ModelError(
-                f"{self.method}: returned an invalid panorama at {self.position} after frame {frame.index} "
-                f"(shape {panorama.shape}; it must be [h, 2h, 3] and finite)"
-            )
-        current = resize_panorama(panorama, len(self._truth))
-        scores = {"log_l2": log_l2(current, self._truth), "ldr_l2": ldr_l2(current, self._truth)}
-        if self._previous is not None:
-            scores["smoothness"] = smoothness(current, self._previous)
-        scores.update(self._judge.scores(current))
-        scores["energy"] = energy_ratio(current, self._truth)
+        current, scores = None, dict[str, float]()
+        if panorama is not None:
+            height, least = len(panorama), np.min(panorama, initial=math.inf)
+            fits = panorama.shape == (height, 2 * height, 3) and 0 <= least < math.inf
+            if not fits or not np.isfinite(panorama).all():
+                raise ModelError(
+                    f"{self.method}: returned an invalid panorama at {self.position} after frame {frame.index} (shape "
+                    f"{panorama.shape}, least value {least:.4g}; it must be [h, 2h, 3], finite and not negative)"
+                )
+            current = resize_panorama(panorama, len(self._truth))
+            scores = {"log_l2": log_l2(current, self._truth), "ldr_l2": ldr_l2(current, self._truth)}
+            if self._previous is not None:
+                scores["smoothness"] = smoothness(current, self._previous)
+            scores.update(self._judge.scores(current))
+            scores["energy"] = energy_ratio(current, self._truth)
         self._previous = current
-        for key, value in scores.items():
-            self._scores.setdefault(key, []).append(value)
+        for key, values in self._scores.items():
+            values.append(scores.get(key, math.nan))
 
     def track(self, capture: str, indices: Sequence[int]) -> Track:
         """Return all scores; `indices` are those of the frames scored."""
-        missing = (math.nan,) * self._missing
-        known = self._scores or {metric.key: list[float]() for metric in METRICS}
-        scores = {key: (*missing, *values) for key, values in known.items()}
-        scores["smoothness"] = (*missing, *known.get("smoothness", ()))[: max(0, len(indices) - 1)]
+        scores = {key: tuple(values) for key, values in self._scores.items()}
+        scores["smoothness"] = scores["smoothness"][1:]  # none is before the first frame
         return Track(capture, self._probe, self.method, tuple(indices), scores)
 
 

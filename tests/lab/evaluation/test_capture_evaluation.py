@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
-from roomlight_evaluation.captures.estimators import Estimator
+from roomlight_evaluation.captures.estimators import Estimator, PredictionFolder
 from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_engine
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
 from roomlight_evaluation.captures.tables import capture_tables
@@ -152,13 +152,19 @@ def test_a_missing_prediction_is_named(tmp_path: Path) -> None:
         evaluate_captures([capture], list, predictions=tmp_path / "out")
 
 
-def test_a_prediction_that_is_not_finite_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("value", [np.nan, -0.1])
+def test_a_prediction_that_is_not_finite_or_negative_is_refused(tmp_path: Path, value: float) -> None:
     write_predictions(tmp_path / "out", frames=range(3))
     damaged = truth(1)
-    damaged[3, 4] = np.nan
+    damaged[3, 4] = value
     write_exr(tmp_path / "out" / "probe-01" / "light.000001.exr", damaged)
-    with pytest.raises(ImageError, match=r"probe-01/light\.000001\.exr: 1 pixels are not finite"):
+    with pytest.raises(ImageError, match=r"probe-01/light\.000001\.exr: 1 pixels are not finite or negative"):
         evaluate_captures([capture_of(tmp_path / "room")], list, predictions=tmp_path / "out")
+
+
+def test_predictions_of_two_probes_at_one_position_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"probes 0 and 2 are both at \(0.0, 0.0, -1.0\)"):
+        PredictionFolder(tmp_path, [*PROBES, PROBES[0]])
 
 
 def test_a_folder_without_predictions_is_named(tmp_path: Path) -> None:
@@ -182,8 +188,27 @@ def test_a_replay_that_lights_scenes_is_refused(tmp_path: Path) -> None:
 
 
 class Broken(Oracle):
+    def __init__(self, change: Callable[[np.ndarray], np.ndarray]) -> None:
+        super().__init__()
+        self._change = change
+
     def light_at(self, position: tuple[float, float, float]) -> np.ndarray:
-        return super().light_at(position) * np.float32(np.nan)
+        return self._change(super().light_at(position))
+
+
+class Interrupted(Oracle):
+    """Has no estimate after the third frame."""
+
+    def light_at(self, position: tuple[float, float, float]) -> np.ndarray | None:
+        return None if self._frames == 3 else super().light_at(position)
+
+
+def test_a_missing_estimate_has_no_score_and_moves_no_other(tmp_path: Path) -> None:
+    scores = evaluate_captures([capture_of(tmp_path / "room", frames=5)], lambda: [Interrupted(at=1)])
+    for track in scores.tracks:
+        assert [index for index, value in enumerate(track.scores["log_l2"]) if math.isnan(value)] == [2]
+        assert [value > 0 for value in track.scores["log_l2"]] == [True, False, False, False, False]
+        assert [math.isnan(value) for value in track.scores["smoothness"]] == [False, True, True, False]
 
 
 def test_what_cannot_be_scored_is_named(tmp_path: Path) -> None:
@@ -193,7 +218,10 @@ def test_what_cannot_be_scored_is_named(tmp_path: Path) -> None:
         ([bare], [MeanColour(16)], CaptureError, "bare: there is no ground truth"),
         ([room, namesake], [MeanColour(16)], CaptureError, "two captures are called room"),
         ([room], [MeanColour(16), MeanColour(16)], OptionError, "different names"),
-        ([room], [Broken()], ModelError, "oracle: returned an invalid panorama at .* after frame 0"),
+        ([room], [Broken(lambda light: light * np.float32(np.nan))], ModelError, "invalid panorama at .* frame 0"),
+        ([room], [Broken(lambda light: -light)], ModelError, r"least value -\d.*not negative"),
+        ([room], [Broken(lambda light: light[..., :1])], ModelError, r"shape \(16, 32, 1\)"),
+        ([room], [Broken(lambda light: light[..., 0])], ModelError, r"shape \(16, 32\)"),
     ):
         with pytest.raises(error, match=message):
             evaluate_captures(captures, lambda chosen=methods: chosen)
