@@ -1,8 +1,12 @@
-"""Progress and cost of `roomlight dataset generate`, in words."""
+"""Progress and cost of `roomlight dataset generate`, in words, and its end by a signal."""
 
-from collections.abc import Callable, Sequence
+import signal
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from statistics import fmean
 
+import typer
+from rich.console import Console
 from rich.markup import escape
 
 from roomlight_cli.progress import Progress, duration
@@ -18,6 +22,26 @@ def show_generation(progress: Progress) -> Callable[[GenerationProgress], None]:
         progress.count_of(f"generating ({describe(state)})", state.finished, state.wanted)
 
     return show
+
+
+@contextmanager
+def stopped_by_signals(kept: str, console: Console) -> Generator[None]:
+    """At Ctrl-C or SIGTERM say that the same command continues, and end with the signal's exit code."""
+    received = int(signal.SIGINT)
+
+    def stop(number: int, _: object) -> None:
+        nonlocal received
+        received = number
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.print(f"stopped; {kept}, and the same command continues", soft_wrap=True)
+        raise typer.Exit(128 + received) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def describe(progress: GenerationProgress) -> str:

@@ -16,7 +16,7 @@ from roomlight.dataset.folder import MANIFEST, locked
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.graphs import SHIPPED, NetworkForm
 from roomlight.errors import DatasetError, ModelError, OptionError
-from roomlight_cli.generation import show_generation
+from roomlight_cli.generation import show_generation, stopped_by_signals
 from roomlight_cli.progress import Progress
 from roomlight_export.exporting import ExportReport, export_checkpoint
 from roomlight_export.importing import load_weights
@@ -25,7 +25,8 @@ from roomlight_model.checkpoint import load_checkpoint, save_mean
 from roomlight_model.training.loop import Run, TrainingProgress
 from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage, read_options
 from roomlight_model.training.run_folder import RunFolder
-from roomlight_model.training.subsets import describe
+from roomlight_model.training.single_view import SingleViewOptions
+from roomlight_model.training.subsets import describe, held_out_count
 
 LOCK: Final = "training.lock"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -50,7 +51,8 @@ def train_recipe(
         The report of the export; None if training stopped before its end.
 
     Raises:
-        OptionError: The device is not there, or the recipe's options of a dataset are wrong.
+        OptionError: The device is not there, the recipe's options of a dataset are wrong, or it uses the best weights
+            of a stage that scores none.
         DatasetError: A dataset is missing and cannot be generated.
         ModelError: The weights or a run's folder do not fit the options, or a run started from a stage that is not
             finished.
@@ -72,7 +74,8 @@ def train_recipe(
             unfinished.append(stage.name)
             for name in stage.data:
                 _check_source(data / name, wanted[name])
-    with locked(out, LOCK):
+            _check_best(recipe, stage, data / stage.data[0], wanted[stage.data[0]])
+    with locked(out, LOCK), stopped_by_signals("what is finished is kept", console):
         for stage in recipe.stages:
             if stage.name not in unfinished:
                 console.print(f"{stage.name}: finished")
@@ -149,6 +152,8 @@ def _train_stage(
                 rate = f"{now.seconds_a_step:.2f} s a step, {now.waited_for_data:.0%} for data"
                 progress.say(f"{stage.name}, loss {now.losses['loss']:.4f}, {rate}")
             progress.count(now.step, now.steps)
+            if now.scores == {}:
+                console.print(f"{stage.name}: nothing is held out: no scores, no best.pt")
             if now.scores:
                 figures = ", ".join(f"{name} {value:.4f}" for name, value in now.scores.items())
                 best = ", best so far" if now.best else ""
@@ -202,17 +207,29 @@ def _check_source(folder: Path, options: GenerateOptions | None) -> None:
         raise DatasetError(f"{options.panoramas}: is no folder; the dataset {folder.name} needs HDR panoramas there")
 
 
+def _check_best(recipe: Recipe, stage: StageRecipe, folder: Path, options: GenerateOptions | None) -> None:
+    """Refuse a recipe that uses the best weights of a stage that has too few sequences to hold some out."""
+    best = f"{stage.name}/best.pt"
+    used = best in (*recipe.ships, *(other.start_from for other in recipe.stages))
+    if not used or not isinstance(stage.options, SingleViewOptions):  # small networks hold out an example at least
+        return
+    there = len(Dataset(folder, "train")) if (folder / MANIFEST).exists() else 0
+    count = max(there, 0 if options is None else options.sequences)
+    if not held_out_count(count, stage.options.held_out):
+        raise OptionError(
+            f"{recipe.path}: {best} is used, but stage {stage.name} would hold nothing out to find its best weights: "
+            f"held_out is {stage.options.held_out}, and {stage.data[0]} has {count} sequences, at most a quarter of "
+            f"which is held out; raise them, or use {stage.name}/model.pt"
+        )
+
+
 def _complete_dataset(folder: Path, options: GenerateOptions | None, console: Console) -> None:
     """Generate a dataset, or the rest of it; a dataset with enough sequences is used as it is."""
     if options is None or _is_complete(folder, options):
         return
     console.print(f"{folder}: generating {options.sequences} sequences", soft_wrap=True)
     with Progress("generating", console) as progress:
-        try:
-            generate(folder, options, progress=show_generation(progress))
-        except KeyboardInterrupt:
-            console.print("stopped; finished sequences are kept, and the same command continues", soft_wrap=True)
-            raise typer.Exit(130) from None
+        generate(folder, options, progress=show_generation(progress))
 
 
 def _choose_device(device: str) -> torch.device:

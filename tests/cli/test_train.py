@@ -135,6 +135,9 @@ def test_a_stopped_run_continues_and_a_finished_one_is_kept(
     assert load_checkpoint(tmp_path / "out" / "run" / "model.pt").card["steps"] == 4
     finished = roomlight("train", "recipe.toml", "--out", "out", "--set", "steps=4", cwd=tmp_path)
     assert "run: finished" in finished.err
+    fewer = roomlight("train", "recipe.toml", "--out", "out", "--set", "steps=2", cwd=tmp_path)
+    assert fewer.code == 1
+    assert "its run has made 4 steps, and steps is 2" in fewer.err
     refused = roomlight("train", "recipe.toml", "--out", "out", "--set", "seed=9", cwd=tmp_path)
     assert refused.code == 1
     assert "other options (seed)" in refused.err
@@ -176,6 +179,11 @@ def test_a_second_run_in_a_folder_is_refused(tmp_path: Path, roomlight: RunComma
         ),
         (("steps = 3", 'start_from = "shipped/cats"'), "recipe.toml", "stage run: start_from is 'shipped/cats', but"),
         (("steps = 3", 'start_from = "run/best.pt"'), "recipe.toml", "stage run: start_from is 'run/best.pt', but"),
+        (
+            ('stage = "clipping"', 'stage = "single-sglv"\nheld_out = 0'),
+            "recipe.toml",
+            "run/best.pt is used, but stage run would hold nothing out",
+        ),
         (
             (LAMPS, "[data.lamps]\n"),
             "recipe.toml --data mine",

@@ -12,6 +12,7 @@ from roomlight_cli.commands.export import warn_of_untrained
 from roomlight_cli.options import Flag
 from roomlight_cli.shared_options import Device
 from roomlight_cli.train import train_recipe
+from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.training.recipe import read_recipe
 
 
@@ -40,7 +41,9 @@ def train(
     report = train_recipe(read, out, data=data or out / "data", device=device, minutes=minutes, console=console.err)
     if report is not None:
         warn_of_untrained(report)
-        model, weights = report.out, ", ".join(str(out / part) for part in read.ships)
+        steps = {part: load_checkpoint(out / part).card["steps"] for part in read.ships}
+        weights = ", ".join(f"{out / part} (step {step})" for part, step in steps.items())
+        model = report.out
         parts = f"--parts {model.parent}"
         uses = {"clipping": parts, "objects": parts, "depth": f"--depth-model {model}"}
         use = uses.get(report.form, f"--weights {model}")

@@ -125,14 +125,20 @@ class RunFolder:
             known: `data` and `start_from` as `open` takes them; what is left out is not compared.
 
         Raises:
-            ModelError: The folder's run has other options, is damaged, or is of another version.
+            ModelError: The folder's run has other options or made more steps, is damaged, or is of another version.
         """
         if not self.has_run:
             return False
         # the widths of a model are those of the weights to start from
         self._check({**options.to_dict(), **known}, ignored={"model", "data", "start_from"} - set(known))
         state = self.load_state(torch.device("cpu"))
-        return state is not None and state.get("scores") is not None and state.get("step", 0) >= options.steps
+        done = 0 if state is None else state.get("step", 0)
+        if done > options.steps:
+            raise ModelError(
+                f"{self.path}: its run has made {done} steps, and steps is {options.steps}; give steps={done} or more, "
+                "or use another folder"
+            )
+        return state is not None and state.get("scores") is not None and done == options.steps
 
     def _check(self, options: Mapping[str, Any], ignored: Set[str] = frozenset()) -> None:
         theirs = _read_options(self.path / OPTIONS)

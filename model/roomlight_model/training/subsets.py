@@ -71,12 +71,17 @@ def each_sequence(
             progress(done, len(sequences))
 
 
+def held_out_count(sequences: int, most: int) -> int:
+    """Return how many of a first dataset's sequences `train_val_split` holds out."""
+    return min(most, sequences // 4)
+
+
 def train_val_split(datasets: Sequence[Recordings], held_out: int) -> tuple[Subset, Subset]:
     """Split into training and held-out sequences: the first ones of the first dataset, at most a quarter of it.
 
     The first dataset may be listed several times; its held-out sequences are in none of them.
     """
-    count = min(held_out, len(datasets[0]) // 4)
+    count = held_out_count(len(datasets[0]), held_out)
     places = [
         (dataset, number)
         for dataset in datasets
