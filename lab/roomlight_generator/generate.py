@@ -141,13 +141,15 @@ class GenerateReport:
     """A finished run.
 
     Attributes:
-        sequences: Sequences in the split.
+        sequences: Sequences in the split, of all runs.
+        asked: As many as were asked for in the run that asked for most.
         made: Sequences made in this run.
         bytes: Bytes of all sequences.
         core_s: Processor time of each sequence made, in the order in which they were finished.
     """
 
     sequences: int
+    asked: int
     made: int
     bytes: int
     elapsed_s: float
@@ -188,11 +190,9 @@ def generate(
         samples=options.samples if options.scenes else None,
     )
     with locked(out):
-        update_manifest(out, settings, split=options.split, sequences=options.sequences)
-        shards = {
-            shard_path(out, options.split, numbers.start // options.shard_size): numbers
-            for numbers in shards_of(options.sequences, options.shard_size)
-        }
+        manifest = update_manifest(out, settings, split=options.split, sequences=options.sequences)
+        asked = manifest.sequences[options.split]
+        shards, all_shards = _shards(out, options, options.sequences), _shards(out, options, asked)
         todo = deque(
             ShardTask(tar, numbers.start, numbers.stop, replace(options, renderer=options.renderer_name))
             for tar, numbers in shards.items()
@@ -201,8 +201,16 @@ def generate(
         counts = _RunCounts(options.sequences, *_count(shards, options.split), progress or (lambda _: None))
         counts.report()
         WorkerPool(workers or len(os.sched_getaffinity(0)), on_message=counts.add).run(todo)
-        finished, size = _count(shards, options.split)
-    return GenerateReport(finished, len(counts.core_s), size, counts.elapsed_s, tuple(counts.core_s))
+        finished, size = _count(all_shards, options.split)
+    return GenerateReport(finished, asked, len(counts.core_s), size, counts.elapsed_s, tuple(counts.core_s))
+
+
+def _shards(out: Path, options: GenerateOptions, sequences: int) -> dict[Path, range]:
+    """Return the shards of a number of sequences, and which of them each holds."""
+    return {
+        shard_path(out, options.split, numbers.start // options.shard_size): numbers
+        for numbers in shards_of(sequences, options.shard_size)
+    }
 
 
 def _names(split: str, numbers: range) -> set[str]:

@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import typer
 from command_runner import Finished
 from rich.console import Console
 
@@ -19,7 +20,7 @@ from roomlight.dataset.loader import Dataset
 from roomlight.dataset.shards import read_index
 from roomlight.images import encode_exr
 from roomlight_cli.commands import dataset as dataset_commands
-from roomlight_cli.generation import cost_text, show_generation
+from roomlight_cli.generation import cost_text, show_generation, stopped_by_signals
 from roomlight_cli.progress import Progress
 from roomlight_generator.generate import GenerateReport, GenerationProgress
 
@@ -73,7 +74,9 @@ def test_generate_reports_sequences_and_costs(made, run):
     assert "core-seconds each (first half" in result.out
     assert "roomlight dataset preview set [x] --out preview" in result.out
     again = run("generate", "--out", "set [x]", "--sequences", "8", "--seed", "5", *SMALL, cwd=cwd)
-    assert "already has its 8 train sequences" in again.out
+    assert "already has 8 train sequences" in again.out
+    fewer = run("generate", "--out", "set [x]", "--sequences", "4", "--seed", "5", *SMALL, cwd=cwd)
+    assert "already has 8 train sequences" in fewer.out
     other = run("generate", "--out", "set [x]", "--sequences", "8", *SMALL, cwd=cwd)
     assert other.code == 1
     assert "error: set [x]: was generated with seed 5, not 0" in other.err
@@ -184,6 +187,16 @@ def test_ctrl_c_stops_and_the_same_command_continues(tmp_path, monkeypatch, run)
     assert "6 made in" in again.out
 
 
+def test_a_signal_that_ends_a_generation_is_answered():
+    before = signal.getsignal(signal.SIGTERM)
+    stream = io.StringIO()
+    with pytest.raises(typer.Exit) as ended, stopped_by_signals("all is kept", Console(file=stream)):
+        signal.raise_signal(signal.SIGTERM)
+    assert ended.value.exit_code == 128 + signal.SIGTERM
+    assert stream.getvalue() == "stopped; all is kept, and the same command continues\n"
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
 def test_the_state_of_a_run_is_a_line_with_rate_cost_and_time_left():
     stream = io.StringIO()
     with Progress("generating", Console(file=stream, width=120, highlight=False)) as progress:
@@ -208,7 +221,7 @@ def test_generate_names_the_panoramas_of_each_split(run, monkeypatch, tmp_path):
 
     def generated(_out, options, **_):
         asked.append(options)
-        return GenerateReport(3, 0, 0, 0.0, ())
+        return GenerateReport(3, 3, 0, 0, 0.0, ())
 
     monkeypatch.setattr(dataset_commands, "run_generator", generated)
     result = run("generate", "--out", "x", "--sequences", "3", "--panoramas", str(tmp_path), "--furniture-share", "0.2")

@@ -18,7 +18,7 @@ from roomlight.errors import DatasetError, FurnitureError
 from roomlight.files import check_writable, write_json
 from roomlight_cli import console
 from roomlight_cli.console import APP_OPTIONS, say
-from roomlight_cli.generation import cost_text, show_generation
+from roomlight_cli.generation import cost_text, show_generation, stopped_by_signals
 from roomlight_cli.options import Flag, Without, add_command
 from roomlight_cli.progress import Progress, duration
 from roomlight_generator.blender.scene import require_blender
@@ -95,17 +95,16 @@ def render(
 
 
 def _generate(out: Path, options: GenerateOptions, workers: int | None) -> None:
-    with Progress("generating") as progress:
-        try:
-            report = run_generator(out, options, workers=workers, progress=show_generation(progress))
-        except KeyboardInterrupt:
-            console.err.print("stopped; finished sequences are kept, and the same command continues", soft_wrap=True)
-            raise typer.Exit(130) from None
+    with stopped_by_signals("finished sequences are kept", console.err), Progress("generating") as progress:
+        report = run_generator(out, options, workers=workers, progress=show_generation(progress))
+    sequences = f"{report.sequences} {options.split} sequences"
+    if report.sequences < report.asked:
+        sequences += f" of the {report.asked} asked for earlier"
     if not report.made:
-        say(f"{out} already has its {report.sequences} {options.split} sequences")
+        say(f"{out} already has {sequences}")
         return
     say(
-        f"{out}: {report.sequences} {options.split} sequences, {report.bytes / report.sequences / 1e6:.2f} MB each; "
+        f"{out}: {sequences}, {report.bytes / report.sequences / 1e6:.2f} MB each; "
         f"{report.made} made in {duration(report.elapsed_s)}, {3600 * report.made / report.elapsed_s:.0f} per hour, "
         f"{cost_text(report.core_s)}"
     )
@@ -244,7 +243,7 @@ def prior(
     with Progress("fitting") as progress:
         fitted = PanoramaPrior.fit(panoramas(progress))
     fitted.save(out / "prior" / FILE)
-    card = {"panoramas": count, "rooms": total, "split": split, "command": "roomlight dataset prior"}
+    card = {"panoramas": count, "sequences": total, "split": split, "command": "roomlight dataset prior"}
     write_json(out / "prior" / DESCRIPTION, {"form": "prior", "card": card})
     say(f"{out}: fitted to {count} panoramas of {total} sequences; use it with --parts {out}")
 
