@@ -29,6 +29,7 @@ from roomlight.images import write_png
 from roomlight.imaging.tables import figure_table
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.metrics import log_l2
+from roomlight.spheres import resize_panorama
 from roomlight_evaluation.captures.evaluation import ProgressCallback
 
 _RATE: Final = 5.0
@@ -205,9 +206,10 @@ def _light(
         if place is None:
             continue
         truth = probe.panorama()
-        guessed = sessions[0].light_at(place).panorama
-        known = sessions[1].light_at(probe.position).panorama
-        errors.append((log_l2(turned(guessed, turn), truth), log_l2(known, truth)))
+        guessed = turned(sessions[0].light_at(place).reflection, turn)
+        known = sessions[1].light_at(probe.position).reflection
+        first, second = (log_l2(resize_panorama(light, len(truth)), truth) for light in (guessed, known))
+        errors.append((first, second))
     if not errors:
         return None
     first, second = np.mean(errors, axis=0).tolist()
