@@ -40,10 +40,10 @@ def refuse_unused_weights(session: SessionOptions) -> None:
 
 
 def refuse_local_model(server: str, session: SessionOptions) -> None:
-    """Refuse weights and a provider for a session on a server. Raises OptionError."""
-    if session.weights is not None or session.provider != "auto":
+    """Refuse weights, parts and a provider for a session on a server. Raises OptionError."""
+    if session.weights is not None or session.parts is not None or session.provider != "auto":
         raise OptionError(
-            f"`weights` and `provider` are the server's own: give them to the `roomlight serve` at {server}"
+            f"`weights`, `parts` and `provider` are the server's own: give them to the `roomlight serve` at {server}"
         )
 
 

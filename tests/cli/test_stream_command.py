@@ -298,10 +298,10 @@ def test_an_end_before_the_last_frame_prints_what_was_done(timed, monkeypatch, r
     assert "1 server busy" in result.out
 
 
-@pytest.mark.parametrize("options", [SessionOptions(weights=Path("w")), SessionOptions(provider="cpu")])
+@pytest.mark.parametrize("options", [{"weights": Path("w")}, {"parts": Path("p")}, {"provider": "cpu"}])
 def test_engine_options_are_refused_for_a_server(options):
     with pytest.raises(OptionError, match="roomlight serve"):
-        refuse_local_model("http://room.test", options)
+        refuse_local_model("http://room.test", SessionOptions(**options))
     refuse_local_model("http://room.test", SessionOptions())
 
 

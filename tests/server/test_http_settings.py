@@ -210,6 +210,8 @@ def test_an_empty_token_file_is_an_error(tmp_path):
 def test_unusable_weights_are_reported_before_listening(untrained_video):
     with pytest.raises(ModelError, match="never trained"):
         serve(ServerSettings(model="video", weights=untrained_video, port=0), listening=print)
+    with pytest.raises(ModelError, match="has none of the folders clipping, objects, prior"):
+        serve(ServerSettings(parts=untrained_video, port=0), listening=print)
 
 
 def test_a_port_that_needs_rights_is_not_said_to_be_in_use(monkeypatch):

@@ -23,7 +23,7 @@ FLAGS: Final = {
     "Who may use it": (
         "host", "port", "token_file", "allow_origins", "allow_hosts", "tls_cert", "tls_key",
     ),
-    "How to estimate the light": ("model", "weights", "provider"),
+    "How to estimate the light": ("model", "weights", "parts", "provider"),
     "Limits": ("keyframes", "max_sessions", "max_probes", "idle_expiry_s", "max_body_bytes", "engine_threads"),
     "Saved sessions": ("state_dir", "state_interval_s", "state_expiry_s", "state_shared"),
     "Logs": ("log_level", "access_log"),

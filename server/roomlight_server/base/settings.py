@@ -60,6 +60,7 @@ class ServerSettings(BaseSettings):
         phone_expiry_s: Time for which the token of a paired phone is valid.
         model: Model of sessions that ask for auto.
         weights: A model folder of `roomlight export`, instead of the weights inside the package.
+        parts: A folder with `clipping`, `objects` or `prior`, in place of the package's.
         provider: Where the networks run; auto: OpenVINO if it is installed and faster here, else ONNX Runtime.
         depth_model: An ONNX file that estimates the depth of frames without, instead of the network in the package.
         keyframes: Frames kept per session for probes that are requested later, 1.5 MB each.
@@ -137,6 +138,7 @@ class ServerSettings(BaseSettings):
     phone_expiry_s: Annotated[float, Field(gt=0, le=1e9)] = 30 * 86_400.0
     model: ModelName = "auto"
     weights: Path | None = None
+    parts: Path | None = None
     provider: Provider = "auto"
     depth_model: Path | None = None
     keyframes: Annotated[int, Field(ge=1, le=1000)] = DEFAULT_KEYFRAMES
@@ -239,7 +241,13 @@ class ServerSettings(BaseSettings):
     @property
     def session_options(self) -> SessionOptions:
         """Options of the engine on which those of each session are based."""
-        return SessionOptions(model=self.model, weights=self.weights, provider=self.provider, keyframes=self.keyframes)
+        return SessionOptions(
+            model=self.model,
+            weights=self.weights,
+            parts=self.parts,
+            provider=self.provider,
+            keyframes=self.keyframes,
+        )
 
     @property
     def session_expiry_s(self) -> float:

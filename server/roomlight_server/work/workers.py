@@ -17,7 +17,7 @@ from typing import Final, ParamSpec, TypeVar
 
 from roomlight.engine.memory import release_free_memory
 from roomlight.engine.models.choosing import choose_graphs
-from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.networks.graphs import LightingGraphs, part_folder
 from roomlight.engine.options import ModelName
 from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.monocular.stream import DepthStream, open_depth_stream
@@ -88,8 +88,9 @@ class Workers:
             graphs: Those of the settings, if another thread loads them already.
 
         Raises:
-            ModelError: The weights or the depth model cannot be loaded.
+            ModelError: The weights, the parts or the depth model cannot be loaded.
         """
+        part_folder(self._base.parts, "clipping")
         if self._depth_model is not None:
             self.new_depth_stream()
         self._graphs[self._base.model] = choose_graphs(self._base) if graphs is None else graphs.result()
