@@ -5,7 +5,7 @@ import sys
 import time
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import cv2
 import torch
@@ -14,8 +14,9 @@ from rich.console import Console
 
 from roomlight.dataset.folder import MANIFEST, locked
 from roomlight.dataset.loader import Dataset
-from roomlight.engine.networks.graphs import SHIPPED, NetworkForm
+from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, ModelError, OptionError
+from roomlight_cli.commands.export import model_folder
 from roomlight_cli.generation import show_generation, stopped_by_signals
 from roomlight_cli.progress import Progress
 from roomlight_export.exporting import ExportReport, export_checkpoint
@@ -91,8 +92,7 @@ def train_recipe(
                     raise typer.Exit(128 + run.stopped_by)
                 return None
         checkpoint = _shipped(recipe, out)
-        form = load_checkpoint(checkpoint).form
-        folder = out / "onnx" / ("" if form in get_args(NetworkForm) else form)
+        folder = model_folder(out / "onnx", load_checkpoint(checkpoint).form)
         with Progress("exporting and verifying the graphs", console) as progress:
             return export_checkpoint(checkpoint, folder, progress=progress.say)
 

@@ -1,10 +1,13 @@
 """`roomlight export`: a PyTorch checkpoint as a model folder of ONNX graphs."""
 
 from pathlib import Path
+from typing import get_args
 
+from roomlight.engine.networks.graphs import PARTS, NetworkForm
 from roomlight_cli.console import remark, say
 from roomlight_cli.progress import Progress
 from roomlight_export.exporting import ExportReport, export_checkpoint
+from roomlight_model.checkpoint import load_checkpoint
 
 
 def export(checkpoint: Path, *, out: Path, ort: bool = True) -> None:
@@ -14,15 +17,17 @@ def export(checkpoint: Path, *, out: Path, ort: bool = True) -> None:
 
     Args:
         checkpoint: A PyTorch checkpoint that `roomlight train` wrote.
-        out: Model folder to write, for --weights of the other commands.
+        out: Model folder to write, for --weights of the other commands. Of the networks that serve every model
+            (clipping, objects, depth), the folder that is to hold it under its form's name.
         ort: Also write .ort files, ONNX Runtime's format for phones.
     """
     with Progress("exporting and verifying the graphs") as progress:
-        report = export_checkpoint(checkpoint, out, ort=ort, progress=progress.say)
+        folder = model_folder(out, load_checkpoint(checkpoint).form)
+        report = export_checkpoint(checkpoint, folder, ort=ort, progress=progress.say)
     warn_of_untrained(report)
     say(
-        f"{report.form} model, {report.parameters / 1e6:.2f} M parameters: {len(report.graphs)} graphs in {out}, "
-        f"{report.onnx_bytes / 1e6:.1f} MB of ONNX"
+        f"{report.form} model, {report.parameters / 1e6:.2f} M parameters: {len(report.graphs)} graphs in "
+        f"{report.out}, {report.onnx_bytes / 1e6:.1f} MB of ONNX"
         + (f", {report.ort_bytes / 1e6:.1f} MB of .ort" if report.ort_bytes else "")
     )
     for network, parity in report.parity.items():
@@ -30,6 +35,19 @@ def export(checkpoint: Path, *, out: Path, ort: bool = True) -> None:
             f"  {network}: largest difference to PyTorch {parity.largest:.2e} over {parity.steps} steps "
             f"(tolerance {report.tolerance:.0e})"
         )
+    say(f"Use it with {use_of(report)}")
+
+
+def model_folder(out: Path, form: str) -> Path:
+    """Return where a model of a form is written: of networks that serve every model, in a folder of their own."""
+    return out if form in get_args(NetworkForm) else out / form
+
+
+def use_of(report: ExportReport) -> str:
+    """Return the option by which other commands use an exported model."""
+    if report.form == "depth":
+        return f"--depth-model {report.out}"
+    return f"--parts {report.out.parent}" if report.form in PARTS else f"--weights {report.out}"
 
 
 def warn_of_untrained(report: ExportReport) -> None:

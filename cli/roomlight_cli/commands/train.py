@@ -8,7 +8,7 @@ import typer
 from annotated_types import Ge
 
 from roomlight_cli import console
-from roomlight_cli.commands.export import warn_of_untrained
+from roomlight_cli.commands.export import use_of, warn_of_untrained
 from roomlight_cli.options import Flag
 from roomlight_cli.shared_options import Device
 from roomlight_cli.train import train_recipe
@@ -43,11 +43,7 @@ def train(
         warn_of_untrained(report)
         steps = {part: load_checkpoint(out / part).card["steps"] for part in read.ships}
         weights = ", ".join(f"{out / part} (step {step})" for part, step in steps.items())
-        model = report.out
-        parts = f"--parts {model.parent}"
-        uses = {"clipping": parts, "objects": parts, "depth": f"--depth-model {model}"}
-        use = uses.get(report.form, f"--weights {model}")
-        console.say(f"{model}: the weights of {weights}, as ONNX graphs; use them with {use}")
+        console.say(f"{report.out}: the weights of {weights}, as ONNX graphs; use them with {use_of(report)}")
 
 
 def _parse_changes(changes: tuple[str, ...]) -> dict[str, Any]:
