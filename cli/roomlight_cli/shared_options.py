@@ -9,7 +9,7 @@ from rich.markup import escape
 
 from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
-from roomlight_cli.console import err
+from roomlight_cli.console import err, remark
 from roomlight_cli.options import Check, Flag, Without
 from roomlight_cli.probe_notes import counted
 from roomlight_cli.progress import Progress
@@ -30,12 +30,22 @@ ScoresJson = Annotated[Path | None, Flag(text="Also write every score as JSON.")
 Device = Annotated[Literal["auto", "cpu", "cuda"], Flag(text="Where PyTorch runs; auto: a GPU if there is one.")]
 
 
-def refuse_unused_weights(session: SessionOptions) -> None:
-    """Refuse weights for a model without networks. Raises OptionError."""
+def check_weights(session: SessionOptions) -> None:
+    """Refuse weights for a model without networks, and note a prior that it does not use. Raises OptionError."""
     if session.model == "classical" and session.weights is not None:
         raise OptionError(
             f"leave out weights={session.weights}: model={session.model} does not run networks; "
             "or choose another `model`"
+        )
+    if session.model == "classical" and session.parts is not None and (session.parts / "prior").is_dir():
+        remark("note:", f"{session.parts / 'prior'}: model classical does not use it")
+
+
+def note_unused_objects(session: SessionOptions) -> None:
+    """Note a network for the light of objects where reflections are scored, which it does not change."""
+    if session.parts is not None and (session.parts / "objects").is_dir():
+        remark(
+            "note:", f"{session.parts / 'objects'}: reflections are scored, which it does not change; see eval objects"
         )
 
 
@@ -47,10 +57,10 @@ def refuse_local_model(server: str, session: SessionOptions) -> None:
         )
 
 
-LightOptions = Annotated[SessionOptions, Without("hedge", "keyframes"), Check(refuse_unused_weights)]
+LightOptions = Annotated[SessionOptions, Without("hedge", "keyframes"), Check(check_weights)]
 """How to estimate the light, without what only experiments change."""
 
-ScoredLight = Annotated[SessionOptions, Without("hedge", "keyframes", "height"), Check(refuse_unused_weights)]
+ScoredLight = Annotated[SessionOptions, Without("hedge", "keyframes", "height"), Check(check_weights)]
 """How to estimate light that is scored, at one height."""
 ScoredNetworks = Annotated[SessionOptions, Without("model", "hedge", "keyframes", "height")]
 """How to estimate light where the command chooses the models."""

@@ -11,7 +11,7 @@ from roomlight.dataset.recording import Split
 from roomlight.errors import OptionError
 from roomlight_cli.console import show_scores
 from roomlight_cli.options import Without
-from roomlight_cli.shared_options import ScoredLight, ScoresJson, scoring_progress
+from roomlight_cli.shared_options import ScoredLight, ScoresJson, note_unused_objects, scoring_progress
 from roomlight_evaluation.captures.depth import evaluate_depth
 from roomlight_evaluation.captures.evaluation import evaluate_engine
 from roomlight_evaluation.captures.main_light import evaluate_main_lights, main_light_table
@@ -60,6 +60,8 @@ def captures(
         light: How to estimate the light.
         reading: How to read the captures.
     """
+    if not options.main_light:
+        note_unused_objects(light)
     with scoring_progress() as progress:
         if options.main_light:
             scores = evaluate_main_lights(captures, light, options=reading, progress=progress.count_of)
@@ -92,6 +94,7 @@ def depth(
         split: Of dataset folders; no network is trained on test.
         limit: Use this many walks of each dataset.
     """
+    note_unused_objects(light)
     with scoring_progress() as progress:
         scores = evaluate_depth(sources, light, reading, split=split, limit=limit, progress=progress.count_of)
     show_scores(scores, json, scores.table())
@@ -111,6 +114,7 @@ def poses(
         light: How to estimate the light.
         reading: How to read the captures; --fov and --depth-model are for the videos.
     """
+    note_unused_objects(light)
     with scoring_progress() as progress:
         scores = evaluate_poses(captures, light, reading, progress=progress.count_of)
     show_scores(scores, json, scores.table())

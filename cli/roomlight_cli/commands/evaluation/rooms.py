@@ -12,7 +12,13 @@ from roomlight.errors import OptionError
 from roomlight_cli.console import say, show_scores
 from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
-from roomlight_cli.shared_options import ScoredLight, ScoredNetworks, ScoresJson, scoring_progress
+from roomlight_cli.shared_options import (
+    ScoredLight,
+    ScoredNetworks,
+    ScoresJson,
+    note_unused_objects,
+    scoring_progress,
+)
 from roomlight_evaluation.benchmark import benchmark_options, evaluate_benchmark, rooms_digest
 from roomlight_evaluation.captures.tables import capture_tables
 from roomlight_evaluation.drift import drift_models
@@ -46,6 +52,7 @@ def walks(
     if images and drift:
         raise OptionError("drift needs whole walks: leave out `images`")
     compared = drift_models if drift else image_models if images else recurrent_models
+    note_unused_objects(light)
     models = compared(light)
     with scoring_progress() as progress:
         progress.say("scoring")
