@@ -15,10 +15,10 @@ from annotated_types import Interval
 from roomlight.conventions import Position
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.errors import OptionError
+from roomlight.errors import OptionError, OutputError
 from roomlight.files import check_writable, remove_outputs, write_json
 from roomlight.frame import Frame
-from roomlight.images import write_exr, write_png
+from roomlight.images import write_png
 from roomlight.imaging.drawing import LABEL_ROWS, Canvas
 from roomlight.light.light import ENDINGS, Light
 from roomlight.light.sources import SavedFormat
@@ -29,6 +29,8 @@ from roomlight.spheres import Material, SphereRenderer, view_toward
 _SPHERE: Final = 256
 _GAP: Final = 16
 _REPORT: Final = "light.json"
+_ENDINGS: Final = (".png", "-spheres.png", *ENDINGS.values())
+_OUTPUTS: Final = (_REPORT, *(f"probe-{'[0-9]' * digits}{end}" for digits in (2, 3) for end in _ENDINGS))
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,22 @@ class PhotoLight:
         }
 
 
+def check_output(out: Path, *, overwrite: bool) -> None:
+    """Check before long work that light can be written to `out`; leaves nothing behind.
+
+    Args:
+        out: The folder.
+        overwrite: Whether it may hold files of the names that are written.
+
+    Raises:
+        OutputError: It cannot be written, or holds such files.
+    """
+    check_writable(out / _REPORT)
+    there = sorted(path.name for pattern in _OUTPUTS for path in out.glob(pattern))
+    if there and not overwrite:
+        raise OutputError(f"{out}: holds {there[0]} already; choose another --out, or replace it with --overwrite")
+
+
 def light_photo(
     frames: Iterable[Frame],
     positions: Sequence[Position],
@@ -128,7 +146,6 @@ def light_photo(
         ModelError: The weights cannot be used.
         OutputError: `out` cannot be written.
     """
-    check_writable(out / _REPORT)
     session = Session(options, graphs=graphs)
     first: Frame | None = None
     for frame in frames:
@@ -141,7 +158,7 @@ def light_photo(
     for number, position in enumerate(positions):
         light = session.light_at(position)
         files = (f"probe-{number:02d}.exr", f"probe-{number:02d}.png", f"probe-{number:02d}-spheres.png")
-        write_exr(out / files[0], light.panorama)
+        light.save(out / files[0])
         write_png(out / files[1], light.reflection)
         write_png(out / files[2], _spheres(light, view_toward(first.camera_to_world, position)))
         behind = bool((np.array(position) - first.camera_to_world[:3, 3]) @ first.camera_to_world[:3, 2] > 0)
@@ -166,9 +183,7 @@ def _remove_earlier(out: Path) -> None:
         OutputError: A file cannot be removed.
     """
     if (out / _REPORT).is_file():
-        endings = {".png", "-spheres.png", *ENDINGS.values()}
-        files = ("probe-" + digits + end for digits in ("[0-9]" * 2, "[0-9]" * 3) for end in endings)
-        remove_outputs(out, (*files, _REPORT))
+        remove_outputs(out, _OUTPUTS)
 
 
 def _spheres(light: Light, view: tuple[float, float, float]) -> np.ndarray:

@@ -6,6 +6,7 @@ from itertools import islice
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import ExifTags, Image
 
@@ -20,7 +21,7 @@ from roomlight.images import read_panorama, write_exr
 from roomlight.imaging.exif import oriented
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.placement import point_at_pixel
-from roomlight_cli.photo import PhotoPoints, light_photo
+from roomlight_cli.photo import PhotoPoints, check_output, light_photo
 from rooms import BoxRoom, camera_at
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -100,13 +101,26 @@ def test_files_of_an_earlier_run_with_more_points_do_not_stay(room):
 def test_an_output_that_cannot_be_written_is_told_before_any_work(room):
     for out, message in (("photo.png", "is a file; the output needs a folder"), ("photo.png/out", "cannot be written")):
         with pytest.raises(OutputError, match=message):
-            light_photo([], [(0.0, -0.2, -1.5)], room[0] / out, options=CLASSICAL)
+            check_output(room[0] / out, overwrite=True)
+
+
+def test_light_that_a_folder_holds_is_replaced_with_overwrite_alone(room, roomlight):
+    out = room[0] / "out"
+    (out / "other").mkdir(parents=True)
+    check_output(out, overwrite=False)
+    (out / "probe-00.exr").write_text("of another photo")
+    refused = roomlight("light", "photo.png", "--pixel", "1,1", "--out", "out", cwd=room[0])
+    assert refused.code == 1
+    assert "out: holds probe-00.exr already; choose another --out, or replace it with --overwrite" in refused.err
+    check_output(out, overwrite=True)
 
 
 def test_the_exr_holds_the_engine_s_light_with_the_lamp_ahead_above_and_in_view(room):
     folder, frame = room[0], frame_of(room)
     (one,) = light_photo([frame], [(0.0, -0.5, -1.0)], folder / "out", options=CLASSICAL)
     written = read_panorama(folder / "out" / one.files[0])
+    with OpenEXR.File(str(folder / "out" / one.files[0]), header_only=True) as file:
+        assert file.header()["roomlight:use"] == "lighting"
     np.testing.assert_allclose(written, one.light.panorama, rtol=1e-3, atol=1e-4)  # half floats
     elevation, azimuth = one.heading
     assert elevation > 20

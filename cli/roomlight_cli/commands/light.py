@@ -16,7 +16,7 @@ from roomlight.frame import Frame
 from roomlight.light.sources import SavedFormat
 from roomlight_cli.console import out as terminal
 from roomlight_cli.console import print_notes, remark, say
-from roomlight_cli.photo import PhotoLight, PhotoPoints, light_photo
+from roomlight_cli.photo import PhotoLight, PhotoPoints, check_output, light_photo
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import LightOptions
@@ -31,6 +31,7 @@ def light(
     out: Path,
     depth: Path | None = None,
     forms: tuple[SavedFormat, ...] = (),
+    overwrite: bool = False,
 ) -> None:
     """Light points of one photograph, or of a video without poses; what is not given is estimated.
 
@@ -45,7 +46,9 @@ def light(
         depth: Its depth along the view's axis: 16-bit PNG in millimetres, EXR in metres, or .npy or TIFF (integers: mm,
             floats: m). Default: the depth inside a HEIC portrait or an EXR, else estimated.
         forms: Also write the light in this form: usdz, glb, ktx2, ... Repeatable.
+        overwrite: Replace the light that `--out` holds.
     """
+    check_output(out, overwrite=overwrite)
     if image.suffix.lower() in DEMUXERS:
         _light_video(image, points, _video_options(image, depth, reading), options, out, forms)
         return
