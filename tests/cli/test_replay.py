@@ -61,18 +61,20 @@ def test_each_frame_and_probe_gets_a_panorama(capture, tmp_path):
     assert coverage == sorted(coverage)
 
 
-def test_panoramas_and_other_forms_are_those_of_the_session(capture, tmp_path):
+@pytest.mark.parametrize("use", ["lighting", "reflection"])
+def test_panoramas_and_other_forms_are_those_of_the_session(capture, tmp_path, use):
     forms = ("usdz", "glb", "equirect", "confidence")
-    replay(capture, tmp_path / "out", replace(ONE, forms=forms))
+    replay(capture, tmp_path / "out", replace(ONE, use=use, forms=(*forms, "json")))
     session = Session(SMALL)
     session.track(PROBES[0])
     for frame in open_capture(capture):
         session.push(frame)
-    light, folder = session.light(0), tmp_path / "out" / "probe-00"
+    light, folder = session.light(0).used_for(use), tmp_path / "out" / "probe-00"
     last = read_panorama(folder / f"light.{FRAMES - 1:06d}.exr")
     assert (last == light.panorama.astype(np.float16)).all()
     for form, end in zip(forms, (".usdz", ".glb", ".equirect.ktx2", ".confidence.png"), strict=True):
         assert (folder / f"light{end}").read_bytes() == light.file(form)
+    assert json.loads((folder / "light.json").read_text())["use"] == use
 
 
 def test_the_sequence_has_timecode_in_every_file(capture, tmp_path):

@@ -303,7 +303,7 @@ class _Writer:
             stage = sequence_stage(position, names, self._rate)
             write_atomic(folder / "light.usda", stage.encode())
             for form in self._forms:
-                light.save(folder / f"light{ENDINGS[form]}")
+                light.used_for(self._use).save(folder / f"light{ENDINGS[form]}")
 
     def _save(self, folder: Path, index: int, panorama: Float[np.ndarray, "h w 3"], metadata: dict[str, str]) -> None:
         timing = {} if self._rate is None else sequence_metadata(index, self._rate)

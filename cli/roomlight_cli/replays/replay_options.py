@@ -32,8 +32,8 @@ class ReplayOptions:
         probes_from_capture: Light the positions of the capture's own probes.
         every: Process every n-th frame only.
         interpolate: With `--every`: interpolate the frames in between, linearly in radiance (paper, section 5.2).
-        use: Write panoramas of this use as EXR: lighting, to light a scene with as a dome light, or reflection, what a
-            mirror shows. Pictures and the video show reflection.
+        use: Write panoramas and forms of this use: lighting, to light a scene with as a dome light, or reflection, what
+            a mirror shows. Pictures and the video show reflection.
         forms: Also write the light after the last frame in this form, beside its panoramas: usdz, glb, ktx2, ...
             Repeatable.
         overwrite: Replace what the output folder holds, also this replay if it is finished.

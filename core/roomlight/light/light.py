@@ -72,6 +72,7 @@ ENDINGS: Final = {form: end for end, form in SAVED_AS.items()}
 
 _CONVENTIONS: Final = {
     "position": "world metres, right-handed, y up",
+    "use": "what the forms are for: lighting lights a thing, reflection is what a mirror shows",
     "coverage": "share of the sphere of directions that was observed, by solid angle, 0 to 1",
     "radiance": "linear RGB (Rec. 709 primaries), relative: 1.0 is white at the session's reference exposure",
     "main_light.direction": "unit vector in the world, from the position toward the light",
@@ -371,9 +372,10 @@ class Light:
         return stream.getvalue()
 
     def to_json(self) -> dict[str, Any]:
-        """Return position, coverage, main light and harmonics as plain JSON values, with their conventions."""
+        """Return position, use, coverage, main light and harmonics as plain JSON values, with their conventions."""
         return {
             "position": list(self.position),
+            "use": self.use,
             "frame": self.frame,
             "name": self.name,
             "coverage": self.coverage,
