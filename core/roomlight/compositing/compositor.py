@@ -32,7 +32,7 @@ from roomlight.compositing.light.temporal import (
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, blur_layer, measure_camera
 from roomlight.compositing.picture.crop import Crop, CropCamera, crop_of_sphere
 from roomlight.compositing.picture.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8, unchanged
-from roomlight.compositing.picture.occlusion import RealDepth, on_carrier, real_depth, visibility
+from roomlight.compositing.picture.occlusion import RealDepth, extended, on_carrier, real_depth, visibility
 from roomlight.compositing.picture.stage_clock import StageClock
 from roomlight.compositing.placed_object import (
     PlacedObject,
@@ -221,6 +221,11 @@ class Compositor:
             self._combine(frame, image, crops, shadow, layer)
         numbers = np.array([*(placed.number for placed in self._placed), -1], np.int32)
         inner = crops.objects.slices
+        depth_m, object_id = rendered.depth_m[inner], numbers[rendered.object_id[inner]]  # -1 reads the last entry
+        covered = object_id >= 0
+        if (rim := (layer[..., 3] > 0) & ~covered).any() and covered.any():  # blurred as the frame is
+            depth_m = np.where(rim, extended(depth_m, covered), depth_m)
+            object_id = np.where(rim, extended(object_id, covered), object_id)
         return Composite(
             image=image,
             frame=frame,
@@ -232,8 +237,8 @@ class Compositor:
             crop_objects=layer[..., :3],
             crop_alpha=np.ascontiguousarray(layer[..., 3]),
             crop_shadow=shadow,
-            crop_depth_m=rendered.depth_m[inner],
-            crop_object_id=numbers[rendered.object_id[inner]],  # -1 reads the last entry
+            crop_depth_m=depth_m,
+            crop_object_id=object_id,
             samples=rendered.samples,
         )
 

@@ -75,6 +75,16 @@ def test_layers_make_the_image(session):
     assert made.crop.union(made.object_crop) == made.crop
 
 
+def test_the_rim_of_an_object_in_a_soft_frame_has_its_depth_and_number(session, monkeypatch):
+    sharp = composite(session, view(), [BALL], quality="preview")
+    soft = replace(CameraModel.perfect(), blur_px=1.5)
+    monkeypatch.setattr("roomlight.compositing.compositor.measure_camera", lambda _: soft)
+    made = composite(session, view(), [BALL], quality="preview")
+    assert ((made.alpha > 0) & (sharp.alpha == 0)).sum() > 50
+    assert (made.object_id[made.alpha > 0] == 0).all()
+    assert made.depth_m[made.alpha > 0].min() == sharp.depth_m[sharp.depth_m > 0].min()
+
+
 def test_a_sphere_stands_casts_a_shadow_and_has_its_depth(session):
     frame = view()
     made = composite(session, frame, [BALL], quality="preview")

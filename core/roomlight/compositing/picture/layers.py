@@ -65,12 +65,12 @@ class Composite:
 
     @cached_property
     def depth_m(self) -> Float32[np.ndarray, "h w"]:
-        """Depth of the objects (z-depth, metres), 0 where there is none."""
+        """Depth of the objects (z-depth, metres), also where real things hide them, 0 where there is none."""
         return self._whole(self.crop_depth_m, self.object_crop, 0)
 
     @cached_property
     def object_id(self) -> Int32[np.ndarray, "h w"]:
-        """Index of the object in the scene, -1 where there is none."""
+        """Index of the object in the scene, also where real things hide it, -1 where there is none."""
         return self._whole(self.crop_object_id, self.object_crop, -1)
 
     @cached_property

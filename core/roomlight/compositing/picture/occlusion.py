@@ -109,7 +109,7 @@ def visibility(
     covered = np.isfinite(object_depth_m) & (object_depth_m > 0)
     if not covered.any():
         return np.ones(covered.shape, np.float32)
-    depth = _extended(object_depth_m.astype(np.float32), covered)
+    depth = extended(object_depth_m.astype(np.float32), covered)
     tolerance = TOLERANCE_M + TOLERANCE_SHARE * depth
     visible = np.clip((real.depth_m - depth) / tolerance + 1.5, 0, 1).astype(np.float32)
     if on_carrier is not None:
@@ -159,7 +159,7 @@ def on_carrier(
     covered = object_id >= 0
     if not facing or not covered.any():
         return on_plane
-    nearest = object_id if len(planes) == 1 else _extended(object_id, covered)
+    nearest = object_id if len(planes) == 1 else extended(object_id, covered)
     points = (camera.rays() * real.depth_m[..., None]) @ rotation.T + origin
     tolerance = CARRIER_M + CARRIER_SHARE * real.depth_m
     for number in facing:
@@ -171,7 +171,7 @@ def on_carrier(
     return on_plane
 
 
-def _extended(values: Real[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]) -> Real[np.ndarray, "h w"]:
+def extended(values: Real[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]) -> Real[np.ndarray, "h w"]:
     """Continue values of objects beyond their silhouettes by the nearest covered pixel's."""
     if covered.all():
         return values
