@@ -120,29 +120,31 @@ def composite_capture(
 def _composited(
     frames: Iterable[Frame], compositor: Compositor, session: Session, online: bool, first: int, last: int
 ) -> Iterator[Composite]:
+    read: list[int] = []
     if not online:
-        for number, frame in enumerate(frames):
-            _check_pixels(compositor.scene, frame, is_first=number == 0)
+        for frame in frames:
+            _check_pixels(compositor.scene, frame, is_first=not read)
             session.push(frame)
-    any_frame = False
+            read.append(frame.index)
+        _check_frames(compositor.scene, read)
+    any_frame, is_whole = False, True
     for frame in frames:
         if frame.index > last:
-            waiting = ()  # for frames that are not composited
+            is_whole = False
             break
         if online:
             session.push(frame)
+            read.append(frame.index)
         if frame.index < first:
             compositor.follow(frame)
             continue
         yield compositor.composite(frame)
         any_frame = True
-    else:
-        waiting = compositor.waiting
     if not any_frame:
         of = f" of index {first} to {last}" if last < sys.maxsize else f" from index {first} on" if first else ""
         raise CaptureError(f"the recording has no usable frame{of}")
-    if waiting:
-        raise SceneError(f"{', '.join(waiting)}: the recording has no frame of the index that `frame` names")
+    if online and is_whole:
+        _check_frames(compositor.scene, read)
 
 
 def _check_pixels(scene: Scene, frame: Frame, *, is_first: bool) -> None:
@@ -152,3 +154,13 @@ def _check_pixels(scene: Scene, frame: Frame, *, is_first: bool) -> None:
         if isinstance(place, AtPixel) and (place.frame == frame.index or (is_first and place.frame is None)):
             with naming_object(number, item.name):
                 check_pixel(frame, place.u, place.v)
+
+
+def _check_frames(scene: Scene, read: Sequence[int]) -> None:
+    """Raise SceneError for an object whose pixel belongs to none of the frames, by index, that were read."""
+    for number, item in enumerate(scene.objects):
+        index = item.place.frame if isinstance(item.place, AtPixel) else None
+        if read and index is not None and index not in read:
+            with naming_object(number, item.name):
+                among = f"{len(read)} usable frames of index {read[0]} to {read[-1]}"
+                raise SceneError(f"frame: the recording has no frame {index} among its {among}")

@@ -44,8 +44,10 @@ def test_recordings_that_do_not_fit_are_refused(monkeypatch):
     with pytest.raises(CaptureError, match="no usable frame"):
         made([], online=True)
     late = [SceneObject("late", sphere(0.1), AtPixel(32.0, 36.0, frame=99))]
-    with pytest.raises(SceneError, match="late: the recording has no frame"):
-        made(FRAMES, late, online=True)
+    pictures = rl.composite_capture(FRAMES, late, quality="preview", options=OPTIONS)
+    for refused in (lambda: made(FRAMES, late, online=True), lambda: next(pictures)):
+        with pytest.raises(SceneError, match=r"objects\[0\] \(late\): frame: .* no frame 99 among .* index 0 to 2"):
+            refused()
     outside = [SceneObject("outside", sphere(0.1), AtPixel(300.0, 3.0))]
     monkeypatch.setattr(rl.Session, "push", lambda *_: pytest.fail("a frame was read for its light"))
     with pytest.raises(SceneError, match=r"objects\[0\] \(outside\): pixel: must lie in the image"):
