@@ -50,7 +50,8 @@ class ObjectOptions:
     Attributes:
         scene: The objects: a scene.json.
         object: A GLB, glTF, OBJ or PLY file, or sphere, cube, plane, vase, chair, teapot.
-        pixel: Put the object on the surface that this pixel of the first frame shows: column U, row V.
+        pixel: Put the object on the surface that this pixel of the first frame shows: column U, row V, without the
+            distortion of its lens.
         material: Replaces the materials of the file.
         size_m: Longest side in metres. Default: the file's own size; 0.2 for a sphere, 0.85 for a chair.
         yaw_degrees: Turn about the surface, in degrees.
@@ -192,7 +193,7 @@ def composite_recording(
     check_writable(options.out if options.is_film else options.out / "000000.png")
     print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
     capture, advised, unseen = open_capture(path, reading), False, dict(enumerate(scene.objects))
-    count = following = 0
+    count = following = start = 0
     last = min(options.last, capture.frame_count * reading.every - 1)
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
     try:
@@ -213,6 +214,7 @@ def composite_recording(
             write = stack.enter_context(_output(options, capture, reading.every))
             for picture in made:
                 write(picture)
+                start = start if count else picture.frame.index
                 count, following = count + 1, picture.frame.index + 1
                 if count > 1 and options.quality != "preview":  # the first has compilation in its time
                     advised = advised or _advise(picture, (last - picture.frame.index) // reading.every)
@@ -225,6 +227,8 @@ def composite_recording(
         err.print(f"stopped; {kept}", soft_wrap=True, markup=False)
         raise typer.Exit(130) from None
     print_notes(capture.notes)
+    if options.is_film and options.fps is None and (pace := capture.pace_note(count, start, following - 1)):
+        print_notes([pace])
     for item in unseen.values():
         size_m = float(np.ptp(item.geometry.bounds(), axis=0).max())
         remark("warning:", f"object {item.name!r}, {size_m:.3g} m long, covers no pixel of any picture")
@@ -319,6 +323,9 @@ def _clear(options: CompositeOptions, frame: Frame, recording: Path) -> None:
 def _write_pictures(picture: Composite, options: CompositeOptions, rate: float | None) -> None:
     frame, index = picture.frame, picture.frame.index
     metadata = {"roomlight:source": Path(frame.source).name} | ({} if rate is None else sequence_metadata(index, rate))
+    k, pose = frame.intrinsics, frame.camera_to_world.ravel()
+    metadata["roomlight:intrinsics"] = f"{k.fx:.9g} {k.fy:.9g} {k.cx:.9g} {k.cy:.9g}"
+    metadata["roomlight:camera_to_world"] = " ".join(f"{value:.9g}" for value in pose)
     if frame.timestamp_s is not None:
         metadata["roomlight:timestamp_s"] = f"{frame.timestamp_s:.6f}"
     form = options.picture or "png"

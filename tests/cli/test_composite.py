@@ -69,6 +69,10 @@ def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(
         header = OpenEXR.File(str(out / name)).header()
         assert (header["framesPerSecond"], header["timeCode"].frame) == (10, 3)
         assert (header["roomlight:source"], header["roomlight:timestamp_s"]) == ("000003.jpg", "0.300000")
+        k = frame.intrinsics
+        assert header["roomlight:intrinsics"] == f"{k.fx:.9g} {k.fy:.9g} {k.cx:g} {k.cy:g}"
+        matrix = np.array(header["roomlight:camera_to_world"].split(), np.float64).reshape(4, 4)
+        np.testing.assert_allclose(matrix, frame.camera_to_world, atol=1e-8)
     objects = OpenEXR.File(str(out / "000003/objects.exr"), separate_channels=True).channels()
     alpha = picture(out / "000003/alpha.png") / 65535
     np.testing.assert_allclose(objects["A"].pixels, alpha, atol=5e-4)

@@ -220,6 +220,7 @@ class _Run:
 def _report(path: Path, capture: Capture, session: AnySession, state: ReplayState) -> dict[str, Any]:
     """Return the values of `report.json`, without the fingerprint."""
     reports, last = state.reports, session.grid
+    pace = capture.pace_note(len(state.written), state.written[0], state.written[-1])
     return {
         "complete": True,
         "roomlight": __version__,
@@ -244,7 +245,7 @@ def _report(path: Path, capture: Capture, session: AnySession, state: ReplayStat
         ],
         "interpolated": state.interpolated,
         "skipped": [asdict(skipped) for skipped in (*capture.skipped, *state.unusable)],
-        "notes": [asdict(note) for note in capture.notes],
+        "notes": [asdict(note) for note in (*capture.notes, *([pace] if pace else ()))],
     }
 
 

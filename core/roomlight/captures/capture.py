@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.captures.consistency import FRAMES
 from roomlight.captures.lenses import fitted
-from roomlight.captures.notes import PassChecks, odd_camera, scaled_poses, unread_depth
+from roomlight.captures.notes import PassChecks, odd_camera, removed_lens, scaled_poses, uneven_pace, unread_depth
 from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
@@ -237,6 +237,17 @@ class Capture:
         step_s = self._timeline.step_s
         return None if step_s is None else 1.0 / (step_s * self._options.every)
 
+    def pace_note(self, frames: int, first: int, last: int) -> Note | None:
+        """Make the note for so many frames, of index `first` to `last`, whose steps of time are not those of the rate.
+
+        None where a film at `frames_per_second` runs as long as the recording, within 10 %.
+        """
+        rate, start_s, end_s = self.frames_per_second, self._timeline.times_s[first], self._timeline.times_s[last]
+        if rate is None or start_s is None or end_s is None:
+            return None
+        film_s, recorded_s = (frames - 1) / rate, end_s - start_s
+        return uneven_pace(str(self.path), film_s, recorded_s) if abs(film_s - recorded_s) > 0.1 * recorded_s else None
+
     @property
     def notes(self) -> tuple[Note, ...]:
         """What the files state and was left out, guessed or changed, as far as they have been read."""
@@ -428,6 +439,9 @@ class Capture:
             if kind not in self._noted:
                 self._noted.add(kind)
                 self._notes[note] = None
+        if raw.stated not in (None, raw.intrinsics) and "lens" not in self._noted:
+            self._noted.add("lens")
+            self._notes[removed_lens(frame.source, frame.intrinsics)] = None
         if "camera" not in self._noted:
             odd = odd_camera(frame.source, raw.stated or frame.intrinsics)
             if odd is not None:

@@ -74,6 +74,20 @@ def unread_depth(path: Path) -> Note | None:
     )
 
 
+def uneven_pace(name: str, film_s: float, recorded_s: float) -> Note:
+    """Make the note for frames with uneven steps of time, or with skipped ones among them."""
+    text = f"{name}: frames that are skipped or have uneven timestamps"
+    effect = f"the film runs {film_s:.3g} s, the recording {recorded_s:.3g} s"
+    return Note(text, effect, "place its pictures by the timestamps if the pace matters")
+
+
+def removed_lens(name: str, camera: Intrinsics) -> Note:
+    """Make the note for a lens whose distortion was removed."""
+    pinhole = f"fx {camera.fx:.6g}, fy {camera.fy:.6g}, cx {camera.cx:.6g}, cy {camera.cy:.6g}"
+    text, effect = f"{name}: the distortion of its lens", f"pictures and pixels are those of a pinhole with {pinhole}"
+    return Note(text, effect, "use this camera with what is written")
+
+
 def wrong_scale(name: str, factor: float | None) -> Note:
     """Make the note for depth whose unit is not that of the poses; `factor` on depth, None where it is not clear."""
     scale = "at another scale" if factor is None else f"about {float(f'{factor:.2g}'):g} times as large"

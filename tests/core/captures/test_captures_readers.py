@@ -283,9 +283,10 @@ def test_lens_distortion_is_removed(transforms: Path, model: str) -> None:
     """A plane's depth and a linear colour ramp on it stay what they are where the straightened camera looks."""
     k1 = -0.08
     edit(transforms / "transforms.json", lambda index: index.update(k1=k1, camera_model=model))
-    frames = list(open_capture(transforms))
+    frames = list(capture := open_capture(transforms))
     assert len(frames) == 4
     frame, view = frames[0], VIEWS[0]
+    assert f"a pinhole with fx {frame.intrinsics.fx:.6g}" in str(capture.notes[-1])
     rays = frame.intrinsics.rays()
     x, y = rays[..., 0], -rays[..., 1]
     r = np.hypot(x, y)

@@ -128,3 +128,13 @@ def test_a_capture_is_written_by_its_name_or_into_the_empty_folder_where_one_is(
         check(Path(path))
     assert json.loads(Path("capture.json").read_text())["name"] == "here"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["here", "there"]
+
+
+def test_a_film_of_uneven_or_missing_frames_is_noted(tmp_path: Path) -> None:
+    with CaptureWriter(tmp_path / "uneven") as writer:
+        for view, time_s in zip(VIEWS, (0.0, 0.1, 0.2, 1.2), strict=True):
+            add(writer, replace(view, time_s=time_s))
+    capture = open_capture(tmp_path / "uneven")
+    assert capture.pace_note(3, 0, 2) is None
+    assert "the film runs 0.1 s, the recording 0.2 s" in str(capture.pace_note(2, 0, 2))  # one was skipped
+    assert "the film runs 0.3 s, the recording 1.2 s" in str(capture.pace_note(4, 0, 3))

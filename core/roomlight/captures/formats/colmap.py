@@ -181,6 +181,7 @@ class ColmapReader(ListedReader):
                 picture = with_mask(picture, read_mask(self._source, mask))
                 break
         picture, intrinsics = fitted(picture, camera.intrinsics, label)
+        stated = intrinsics
         with fields.naming(label, FrameError):
             if not camera.lens.straight and picture.image.shape[:2] == (intrinsics.height, intrinsics.width):
                 picture, depth_m, intrinsics = straightened(picture, depth_m, intrinsics, camera.lens)
@@ -191,7 +192,7 @@ class ColmapReader(ListedReader):
             depth_name=depth_name and self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=image.pose,
-            stated=camera.intrinsics,
+            stated=stated,
         )
 
 
