@@ -3,12 +3,14 @@
     roomlight replay my-capture --out light
     blender --background SCENE.blend --python examples/blender_replay.py -- light/probe-00 [--out BLEND]
 
-The world of the scene becomes the replay's panoramas: a keyframe for each, held until the next. Blender's world has z
-up; scenes with y up are usually imported as (x, y, z) to (x, -z, y), and then the panoramas need no rotation. Blender's
-own Python runs this script, so it does not import roomlight. Output: the scene, lit (out/blender_replay.blend).
+The world of the scene becomes the replay's panoramas: a keyframe for each, held until the next. The scene gets the
+replay's frames and rate. Blender's world has z up; scenes with y up are usually imported as (x, y, z) to (x, -z, y),
+and then the panoramas need no rotation. Blender's own Python runs this script, so it does not import roomlight. Output:
+the scene, lit (out/blender_replay.blend).
 """
 
 import argparse
+import re
 import sys
 from pathlib import Path
 
@@ -27,6 +29,11 @@ def main() -> None:
     first, last = min(files), max(files)
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = first, last
+    stage = args.panoramas / "light.usda"
+    found = re.search(r"framesPerSecond = (\S+)", stage.read_text()) if stage.is_file() else None
+    rate = float(found[1]) if found else scene.render.fps / scene.render.fps_base
+    scene.render.fps = max(1, round(rate))
+    scene.render.fps_base = scene.render.fps / rate
     scene.world = scene.world or bpy.data.worlds.new("room")
     scene.world.use_nodes = True
     tree = scene.world.node_tree
@@ -52,7 +59,7 @@ def main() -> None:
             point.interpolation = "CONSTANT"
     args.out.parent.mkdir(parents=True, exist_ok=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(args.out.resolve()))
-    print(f"{args.out}: {len(files)} panoramas, frames {first} to {last}")
+    print(f"{args.out}: {len(files)} panoramas, frames {first} to {last} at {rate:.6g} a second")
 
 
 main()

@@ -35,8 +35,6 @@ from roomlight_cli.options import Flag
 from roomlight_cli.probe_notes import counted
 from roomlight_cli.progress import Progress, duration
 
-DEFAULT_RATE: Final = 30.0
-"""Frames a second of the film of a recording without timestamps."""
 LONG_S: Final = 300.0
 """Time left of more than this is told with what makes it shorter."""
 _STEM: Final = "[0-9]" * 6
@@ -105,7 +103,7 @@ class CompositeOptions:
         quality: preview for speed, final for noise-free pictures.
         picture: Format of the pictures; exr is linear. Default: png.
         layers: Also write objects, alpha, shadow, depth and object_id of each frame apart.
-        fps: Frames a second of the film. Default: the recording's, or 30.
+        fps: Frames a second of the film. Default: the recording's, or as of 30 records a second.
         online: Light each frame by the frames up to it, as an app would, instead of the whole recording.
         first_frame: Write the pictures from this number on, as they would be among all; those before stay.
         last_frame: Write the pictures up to this number.
@@ -176,7 +174,7 @@ class CompositeOptions:
 
     def rate(self, capture: Capture) -> float:
         """Return the film's frames a second."""
-        return self.fps or min(max(capture.frames_per_second or DEFAULT_RATE, 0.1), 240.0)
+        return self.fps or min(max(capture.film_rate, 0.1), 240.0)
 
 
 def composite_recording(

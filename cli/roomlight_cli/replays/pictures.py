@@ -21,7 +21,6 @@ from roomlight_cli.replays.video import MAX_PROBES, ReplayPicture
 
 SUMMARY: Final = "summary.png"
 VIDEO: Final = "replay.mp4"
-_DEFAULT_RATE: Final = 10.0
 _RATES: Final = (2.0, 60.0)
 """Bounds of the video's frames per second: players stumble below 2, screens do not show more than 60."""
 
@@ -68,7 +67,7 @@ class ReplayPictures:
         state: What is known so far.
         parts: Folder for the parts of the video.
         frame_count: Frames of the whole replay.
-        frames_per_second: The recording's rate; None if unknown.
+        frames_per_second: The recording's rate.
         truths: Measured panoramas of the probes; None where the capture has none.
         title: The summary's.
         subtitle: The line below it.
@@ -82,7 +81,7 @@ class ReplayPictures:
         *,
         parts: Path,
         frame_count: int,
-        frames_per_second: float | None,
+        frames_per_second: float,
         truths: Sequence[Float[np.ndarray, "th tw 3"] | None],
         title: str,
         subtitle: str,
@@ -96,7 +95,7 @@ class ReplayPictures:
         self._truths = truths
         self._wanted = sheet_times(frame_count)
         self._picture = ReplayPicture(self._labels, views=state.views, frame_size=state.frame_size)
-        self._rate = min(max(frames_per_second or _DEFAULT_RATE, _RATES[0]), _RATES[1])
+        self._rate = min(max(frames_per_second, _RATES[0]), _RATES[1])
         self._video = self._next_part()
 
     def _next_part(self) -> VideoWriter:

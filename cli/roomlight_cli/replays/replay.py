@@ -27,6 +27,7 @@ from roomlight.files import write_atomic, write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.imaging.exr import sequence_metadata
+from roomlight.imaging.rates import DEFAULT_RATE
 from roomlight.light.light import ENDINGS, Light
 from roomlight.light.sources import LightUse
 from roomlight.light.usd import sequence_stage
@@ -184,7 +185,7 @@ class _Run:
             state.pictures,
             parts=out / FOLDER,
             frame_count=capture.frame_count,
-            frames_per_second=capture.frames_per_second,
+            frames_per_second=capture.film_rate,
             truths=_truths(capture, state.positions),
             title=capture.path.name,
             subtitle=f"Light estimated by RoomLight from {frames}, model {session.model}",
@@ -301,7 +302,7 @@ class _Writer:
         _, lights = self.last
         names = {index: _name(index) for index in self._state.written}
         for folder, position, light in zip(self._folders, self._state.positions, lights, strict=True):
-            stage = sequence_stage(position, names, self._rate)
+            stage = sequence_stage(position, names, self._rate or DEFAULT_RATE)
             write_atomic(folder / "light.usda", stage.encode())
             for form in self._forms:
                 light.used_for(self._use).save(folder / f"light{ENDINGS[form]}")

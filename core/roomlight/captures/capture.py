@@ -25,6 +25,7 @@ from roomlight.depth import DEPTH_MEDIAN_M, MAX_DEPTH_M, without_unseen
 from roomlight.errors import CaptureError, FrameError, ImageError, ModelError, RoomLightError
 from roomlight.frame import Frame, hidden
 from roomlight.images import ColourImage, read_panorama
+from roomlight.imaging.rates import DEFAULT_RATE
 from roomlight.monocular.stream_state import StreamState
 from roomlight.notes import Note
 
@@ -236,6 +237,11 @@ class Capture:
         """Rate of the selected records by the median step between timestamps; None without timestamps."""
         step_s = self._timeline.step_s
         return None if step_s is None else 1.0 / (step_s * self._options.every)
+
+    @property
+    def film_rate(self) -> float:
+        """`frames_per_second`; without timestamps as if records were `DEFAULT_RATE` a second."""
+        return self.frames_per_second or DEFAULT_RATE / self._options.every
 
     def pace_note(self, frames: int, first: int, last: int) -> Note | None:
         """Make the note for so many frames, of index `first` to `last`, whose steps of time are not those of the rate.

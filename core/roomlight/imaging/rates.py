@@ -3,6 +3,8 @@
 from fractions import Fraction
 from typing import Final
 
+DEFAULT_RATE: Final = 30.0
+"""Records a second of a recording without timestamps."""
 _SAME: Final = 1e-5
 """Relative difference that rounded numbers and timestamps have; 30 and 30000/1001 differ by a hundred times as much."""
 

@@ -113,20 +113,20 @@ def to_usdz(
     return _package({"light.usda": stage.encode()} | files)
 
 
-def sequence_stage(position: Position, files: Mapping[int, str], frames_per_second: float | None) -> str:
+def sequence_stage(position: Position, files: Mapping[int, str], frames_per_second: float) -> str:
     """Return a stage whose dome light shows a panorama file at each frame, until the next; the last without a time.
 
     Args:
         position: world metres.
         files: names of panoramas beside the stage, by frame; at least one.
-        frames_per_second: rate at which frames count; None: USD's own, 24.
+        frames_per_second: rate at which frames count.
     """
     samples = "".join(f"            {frame}: @./{name}@,\n" for frame, name in sorted(files.items()))
-    rate = None if frames_per_second is None else f"{float(exact_rate(frames_per_second)):.16g}"
-    rates = "" if rate is None else f"    timeCodesPerSecond = {rate}\n    framesPerSecond = {rate}\n"
+    rate = f"{float(exact_rate(frames_per_second)):.16g}"
     return _STAGE.format(
         doc=_doc(position),
-        time=f"    startTimeCode = {min(files)}\n    endTimeCode = {max(files)}\n{rates}",
+        time=f"    startTimeCode = {min(files)}\n    endTimeCode = {max(files)}\n"
+        f"    timeCodesPerSecond = {rate}\n    framesPerSecond = {rate}\n",
         variants="",
         texture=f"        asset inputs:texture:file = @./{files[max(files)]}@\n"
         f"        asset inputs:texture:file.timeSamples = {{\n{samples}        }}\n",

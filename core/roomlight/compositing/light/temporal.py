@@ -18,6 +18,7 @@ from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.picture.crop import CropCamera
 from roomlight.conventions import Position
 from roomlight.frame import Frame
+from roomlight.imaging.rates import DEFAULT_RATE
 from roomlight.threads import parallel_for
 
 LIGHT_S: Final = 0.4
@@ -26,8 +27,6 @@ DEPTH_S: Final = 0.12
 """Time constant of depth: averages the noise of 4 frames at 30 a second."""
 SHADOW_S: Final = 0.08
 """Time constant of shadows: a moving object's shadow lags by less than 3 frames."""
-FRAME_S: Final = 1 / 30
-"""Time between frames without timestamps."""
 SAME_SURFACE: Final = 0.04
 """Largest relative change of depth that counts as noise; beyond it the new depth is another surface."""
 MAX_HELD: Final = 10
@@ -44,7 +43,7 @@ def elapsed_since(first: Frame, frame: Frame) -> float:
     """Return the seconds between two frames: by timestamps, else 1/30 s an index."""
     if first.timestamp_s is not None and frame.timestamp_s is not None:
         return frame.timestamp_s - first.timestamp_s
-    return (frame.index - first.index) * FRAME_S
+    return (frame.index - first.index) / DEFAULT_RATE
 
 
 def elapsed_s(before: Frame, frame: Frame) -> float:
