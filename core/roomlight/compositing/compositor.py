@@ -20,7 +20,7 @@ from jaxtyping import Float, Float32, UInt8
 from roomlight.camera import transform_points
 from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.kernels.shadows import SurfaceGrid, fill_clipped_share
-from roomlight.compositing.light.probes import LightAt, ObjectProbes
+from roomlight.compositing.light.probes import GivenLight, ObjectProbes, given_light
 from roomlight.compositing.light.temporal import (
     SHADOW_S,
     DepthFilter,
@@ -107,7 +107,7 @@ class Compositor:
         quality: str = "good",
         seed: int = 0,
         match_camera: bool = True,
-        light: LightAt | None = None,
+        light: GivenLight | None = None,
         max_paths: int | None = None,
     ) -> None:
         """Begin; objects are placed at the first frame, or at the frame that their pixel belongs to.
@@ -118,13 +118,13 @@ class Compositor:
             quality: preview (30 ms for a sphere in 640 x 480 pixels on two cores), good or final.
             seed: of the sampling points; the same seed gives the same picture.
             match_camera: give objects the frame's noise and blur.
-            light: panorama at a world position, from elsewhere (a light probe, another estimator); default the
-                session's light.
+            light: from elsewhere (a light probe, another estimator): a `Light`, a panorama, or a function that returns
+                the panorama at a world position; default the session's light.
             max_paths: limit on the light paths of a picture, see `render_objects`; `Composite.samples` says what a
                 pixel got.
 
         Raises:
-            OptionError: the quality is unknown.
+            OptionError: the quality is unknown, or the light is none of these.
             SceneError: the scene has no object, too many, or two of one name; a position or pose is refused.
         """
         if quality not in get_args(Quality):
@@ -134,7 +134,7 @@ class Compositor:
         self.geometry = RoomGeometry()
         self._session, self._seed, self._match, self._max_paths = session, seed, match_camera, max_paths
         self._placed: list[PlacedObject] = []
-        self._probes = ObjectProbes(session, light)
+        self._probes = ObjectProbes(session, given_light(light))
         self._shadow_lights = ShadowLights()
         self._depth, self._shadow = DepthFilter(), ShadowHistory()
         self._objects: TracedObjects | None = None
@@ -448,12 +448,18 @@ class _RoomDepth:
 
 
 def composite(
-    session: Session, frame: Frame, scene: Scene | Sequence[SceneObject], *, quality: str = "good", seed: int = 0
+    session: Session,
+    frame: Frame,
+    scene: Scene | Sequence[SceneObject],
+    *,
+    quality: str = "good",
+    seed: int = 0,
+    light: GivenLight | None = None,
 ) -> Composite:
-    """Return one frame with objects in it; for a stream of frames, keep a `Compositor`.
+    """Return one frame with objects in it; for a stream of frames, keep a `Compositor`, which has these options.
 
     Raises:
-        OptionError: the quality is unknown.
+        OptionError: the quality is unknown, or the light is refused.
         SceneError: the session has no frame, the scene or a place is refused, or an object is not in view.
 
     Examples:
@@ -462,7 +468,7 @@ def composite(
         >>> report = session.push(frame)
         >>> picture = rl.composite(session, frame, rl.scene_of_object("sphere", (160.0, 200.0)), quality="preview")
     """
-    compositor = Compositor(session, scene, quality=quality, seed=seed)
+    compositor = Compositor(session, scene, quality=quality, seed=seed, light=light)
     try:
         result = compositor.composite(frame)
         if result.waiting:

@@ -12,6 +12,7 @@ from typing import Any
 
 from roomlight.captures import open_capture
 from roomlight.compositing.compositor import Compositor
+from roomlight.compositing.light.probes import GivenLight
 from roomlight.compositing.picture.layers import Composite
 from roomlight.compositing.placement.places import check_pixel
 from roomlight.compositing.placement.scene import (
@@ -78,6 +79,7 @@ def composite_capture(
     first_frame: int = 0,
     last_frame: int | None = None,
     options: SessionOptions | None = None,
+    light: GivenLight | None = None,
 ) -> Iterator[Composite]:
     """Yield the frames of a recording with the objects in them.
 
@@ -94,9 +96,10 @@ def composite_capture(
             same bytes.
         last_frame: Index of the last frame to yield; None: the recording's last.
         options: Of the session that estimates the light.
+        light: Replaces the estimate, as in `Compositor`.
 
     Raises:
-        OptionError: The quality is unknown, or an iterator is given without `online`.
+        OptionError: The quality is unknown, the light is refused, or an iterator is given without `online`.
         CaptureError: The recording cannot be read, or has no such frame.
         SceneError: The scene or a place is refused.
 
@@ -111,7 +114,7 @@ def composite_capture(
         raise OptionError("capture is an iterator, which can be read once: give a list, or online=True")
     session = Session(options or SessionOptions())
     loaded = load_scene(scene) if isinstance(scene, str | Path) else scene
-    compositor = Compositor(session, loaded, quality=quality, seed=seed)
+    compositor = Compositor(session, loaded, quality=quality, seed=seed, light=light)
     return _composited(
         frames, compositor, session, online, first_frame, sys.maxsize if last_frame is None else last_frame
     )

@@ -12,6 +12,7 @@ from roomlight.camera import rigid_inverse, transform_points
 from roomlight.compositing.compositor import Compositor, composite
 from roomlight.compositing.kernels.reproject import accumulate_image
 from roomlight.compositing.light.lighting import LightSampler
+from roomlight.compositing.light.probes import given_light
 from roomlight.compositing.light.temporal import LIGHT_S, DepthFilter, EasedLight, share_of
 from roomlight.compositing.objects.materials import diffuse, mirror
 from roomlight.compositing.objects.primitives import cube, sphere
@@ -20,6 +21,7 @@ from roomlight.compositing.picture.layers import encode_srgb8
 from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, SceneObject
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8, srgb8_to_linear
 from roomlight.errors import OptionError, SceneError
+from roomlight.light.light import Light
 from rooms import BoxRoom, camera_at
 from sessions import session_of
 
@@ -83,6 +85,16 @@ def test_the_rim_of_an_object_in_a_soft_frame_has_its_depth_and_number(session, 
     assert ((made.alpha > 0) & (sharp.alpha == 0)).sum() > 50
     assert (made.object_id[made.alpha > 0] == 0).all()
     assert made.depth_m[made.alpha > 0].min() == sharp.depth_m[sharp.depth_m > 0].min()
+
+
+def test_light_may_be_a_light_a_panorama_or_a_function(session):
+    panorama = np.full((16, 32, 3), 0.7, np.float32)
+    given = Light((0.0, 0.0, 0.0), panorama), panorama, lambda _: panorama
+    made = [composite(session, view(), [BALL], quality="preview", light=light).image for light in given]
+    assert (made[0] == made[1]).all()
+    assert (made[0] == made[2]).all()
+    with pytest.raises(OptionError, match="light must be a Light, a panorama or a function .* this is 32 x 8"):
+        given_light(panorama[:8])
 
 
 def test_a_sphere_stands_casts_a_shadow_and_has_its_depth(session):

@@ -15,6 +15,9 @@ from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.light.temporal import EasedLight
 from roomlight.conventions import Position
 from roomlight.engine.session import Session
+from roomlight.errors import OptionError
+from roomlight.light.checks import check_panorama
+from roomlight.light.light import Light
 
 BIG_M: Final = 0.5
 """Longest side of an object that one probe is enough for."""
@@ -26,6 +29,24 @@ MAX_TOTAL: Final = 16
 
 LightAt = Callable[[Position], Float[np.ndarray, "h w 3"]]
 """Returns the panorama [h, 2h, 3] of the light that arrives at a world position."""
+GivenLight = Light | Float[np.ndarray, "h w 3"] | LightAt
+"""Light from elsewhere: one for all places, as a `Light` or a panorama [h, 2h, 3], or that at each place."""
+
+
+def given_light(light: GivenLight | None) -> LightAt | None:
+    """Return the light of the caller at each position; None for the session's.
+
+    Raises:
+        OptionError: It is neither a `Light` nor a panorama nor a function.
+        RoomLightError: It is a server's, and its panorama was not requested.
+    """
+    if light is None or (callable(light) and not isinstance(light, Light)):
+        return light
+    try:
+        panorama = check_panorama(np.asarray(light.panorama if isinstance(light, Light) else light, np.float32))
+    except (TypeError, ValueError) as error:
+        raise OptionError(f"light must be a Light, a panorama or a function of the position: {error}") from error
+    return lambda _: panorama
 
 
 def box_probes(
