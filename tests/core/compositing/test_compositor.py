@@ -93,7 +93,7 @@ def test_light_may_be_a_light_a_panorama_or_a_function(session):
     made = [composite(session, view(), [BALL], quality="preview", light=light).image for light in given]
     assert (made[0] == made[1]).all()
     assert (made[0] == made[2]).all()
-    with pytest.raises(OptionError, match="light must be a Light, a panorama or a function .* this is 32 x 8"):
+    with pytest.raises(OptionError, match=r"light must be a Light, a panorama or a function .* this is 32 x 8"):
         given_light(panorama[:8])
 
 
