@@ -3,13 +3,14 @@
     python examples/batch_of_recordings.py [CAPTURE ...] [--frames N] [--out FOLDER]
 
 Every recording gets a session of its own, and is lit in front of its first camera after its last frame. Output:
-FOLDER/<recording>.exr and FOLDER/lights.csv with the coverage, the main light and the number of skipped frames. A
-recording that cannot be read is reported, and the others continue.
+FOLDER/<recording>.exr, numbered where recordings have one name, and FOLDER/lights.csv with the file, the coverage, the
+main light and the number of skipped frames. A recording that cannot be read is reported, and the others continue.
 """
 
 import argparse
 import csv
 import sys
+from itertools import chain, count
 from pathlib import Path
 
 import roomlight as rl
@@ -38,16 +39,23 @@ def main() -> None:
     failures = 0
     with (args.out / "lights.csv").open("w", newline="") as file:
         table = csv.writer(file)
-        table.writerow(["recording", "coverage", "direction_x", "direction_y", "direction_z", "skipped"])
+        table.writerow(["recording", "file", "coverage", "direction_x", "direction_y", "direction_z", "skipped"])
+        names: set[str] = set()
         for path in args.captures:
+            base = path.stem if path.is_file() else path.resolve().name
+            numbered = (f"{base}-{number}" for number in count(2))
+            name = next(name for name in chain([base], numbered) if name not in names)
+            names.add(name)
             try:
                 light, skipped = light_recording(path, args.frames)
             except rl.RoomLightError as error:
                 print(f"error: {error}", file=sys.stderr)
                 failures += 1
                 continue
-            light.save(args.out / f"{path.stem}.exr")
-            table.writerow([path.stem, f"{light.coverage:.3f}", *light.main_light.direction.round(4), skipped])
+            light.save(args.out / f"{name}.exr")
+            table.writerow(
+                [path, f"{name}.exr", f"{light.coverage:.3f}", *light.main_light.direction.round(4), skipped]
+            )
             print(f"{path}: {light.coverage:.0%} of the directions observed")
     sys.exit(failures > 0)
 

@@ -142,12 +142,13 @@ def test_stream_to_server(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_batch_of_recordings(tmp_path: Path) -> None:
-    run_example("batch_of_recordings", "--frames", 2, cwd=tmp_path)
+    run_example("batch_of_recordings", rl.sample_capture(), rl.sample_capture(), "--frames", 2, cwd=tmp_path)
     with (tmp_path / "out/batch_of_recordings/lights.csv").open() as file:
-        (row,) = csv.DictReader(file)
+        row, again = csv.DictReader(file)
+    assert (row["recording"], again["file"]) == (again["recording"], row["file"].replace(".exr", "-2.exr"))
     assert 0.1 < float(row["coverage"]) < 1
     assert np.linalg.norm([float(row[f"direction_{axis}"]) for axis in "xyz"]) == pytest.approx(1, abs=1e-3)
-    assert_indoor_light(tmp_path / f"out/batch_of_recordings/{row['recording']}.exr")
+    assert_indoor_light(tmp_path / f"out/batch_of_recordings/{row['file']}")
 
 
 @pytest.mark.slow
