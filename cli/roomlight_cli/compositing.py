@@ -191,7 +191,7 @@ def composite_recording(
     check_writable(options.out if options.is_film else options.out / "000000.png")
     print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
     capture, advised, unseen = open_capture(path, reading), False, dict(enumerate(scene.objects))
-    count = following = start = 0
+    count = following = start = height = width = 0
     last = min(options.last, capture.frame_count * reading.every - 1)
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
     try:
@@ -213,6 +213,7 @@ def composite_recording(
             for picture in made:
                 write(picture)
                 start = start if count else picture.frame.index
+                height, width = picture.image.shape[:2]
                 count, following = count + 1, picture.frame.index + 1
                 if count > 1 and options.quality != "preview":  # the first has compilation in its time
                     advised = advised or _advise(picture, (last - picture.frame.index) // reading.every)
@@ -227,6 +228,9 @@ def composite_recording(
     print_notes(capture.notes)
     if options.is_film and options.fps is None and (pace := capture.pace_note(count, start, following - 1)):
         print_notes([pace])
+    if options.is_film and (height % 2 or width % 2):
+        even = f"{width - width % 2} x {height - height % 2}"
+        remark("note:", f"H.264 has even sides: the film shows {even} of {width} x {height} pixels, from the top left")
     for item in unseen.values():
         size_m = float(np.ptp(item.geometry.bounds(), axis=0).max())
         remark("warning:", f"object {item.name!r}, {size_m:.3g} m long, covers no pixel of any picture")
