@@ -1,5 +1,6 @@
 """Layouts of data sets and tools beside those that `test_captures_readers` covers, and what is refused by name."""
 
+import json
 import shutil
 import struct
 from collections.abc import Callable
@@ -222,6 +223,24 @@ def test_colmaps_own_depth_maps(tmp_path: Path) -> None:
     np.testing.assert_allclose(doubled.depth_m, 2 * VIEWS[0].depth_m, rtol=1e-6)
     (path / "stereo/depth_maps/frame_00002.png.geometric.bin").write_bytes(b"32&24&1&1234")
     one_skipped(path, 1, "COLMAP map of 32 x 24")
+
+
+def test_relative_depth_beside_a_colmap_model(tmp_path: Path) -> None:
+    """As 3D Gaussian splatting takes it, whose `make_depth_scale.py` fits each map to the model's points."""
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    fits = {}
+    for index, view in enumerate(VIEWS):
+        inverse = 1 / view.depth_m.astype(np.float64)
+        scale, offset = 1.1 * np.ptp(inverse), inverse.min() - 0.05 * np.ptp(inverse)
+        stored = np.rint((inverse - offset) / scale * 65536).astype(np.uint16)
+        formats.save(path / f"depth/frame_{index + 1:05d}.png", formats.image(".png", stored))
+        fits[f"frame_{index + 1:05d}"] = {"scale": scale, "offset": offset}
+    formats.save(path / "sparse/0/depth_params.json", json.dumps(fits).encode())
+    same_views(open_capture(path), VIEWS, depth_atol=1e-3)
+    edit(path / "sparse/0/depth_params.json", lambda stated: stated["frame_00002"].update(scale=0))
+    one_skipped(path, 1, "depth_params.json: scale is 0")
+    edit(path / "sparse/0/depth_params.json", lambda stated: stated.pop("frame_00002"))
+    one_skipped(path, 1, "depth_params.json: has no entry of this image")
 
 
 def workspace(path: Path) -> Path:

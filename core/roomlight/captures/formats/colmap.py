@@ -4,7 +4,8 @@ COLMAP knows neither metres nor gravity: a capture must have been scaled to metr
 its up direction is assumed to be -y, that of a camera held level; both are noted. Depth maps lie in `depth`, `depths`
 or `depth_maps`, named like the image, in the model's unit (integers: a thousandth of it); or COLMAP's own,
 `stereo/depth_maps/NAME.geometric.bin`. Those of a folder `dense` are read with its `sparse` and `images`, which are
-undistorted. Pixels that are 0 in `masks/NAME.png` are not seen.
+undistorted. Beside a model's `depth_params.json` of 3D Gaussian splatting they are relative: 1 / depth is a value of 16
+bits / 65536 x scale + offset. Pixels that are 0 in `masks/NAME.png` are not seen.
 
 Conventions: world-to-camera quaternions (w, x, y, z), OpenCV camera. Principal points have pixel centres at half
 integers and are used unchanged. Lens models are those of `roomlight.captures.lenses`.
@@ -14,7 +15,7 @@ import re
 import struct
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +28,7 @@ from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.lenses import Lens, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, read_index
+from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
 from roomlight.notes import Note
@@ -42,6 +44,7 @@ _DEPTH: Final = (
 )
 _PICTURES: Final = ("images", "images_2", "images_4", "images_8", "colmap/images", "dense/images", "resized_images")
 _OF_MODELS: Final = (".bin", ".txt", ".ply", ".ini")
+_FITS: Final = "depth_params.json"
 _MODELS: Final = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -148,6 +151,9 @@ class ColmapReader(ListedReader):
             "state world_up, and camera_height_m (--camera-height) or scale the model to metres",
         )
         self.notes = [note, *lacking]
+        self._fits = None
+        if source.has(f"{prefix}{_FITS}"):
+            self._fits = fields.parse_json(read_index(source, f"{prefix}{_FITS}"), source.label(f"{prefix}{_FITS}"))
         if self._base and source.has("masks"):
             effect = "are not read: the images read are the undistorted ones"
             self.notes.append(Note(source.label("masks"), effect, f"undistort them into {self._base}masks"))
@@ -174,8 +180,13 @@ class ColmapReader(ListedReader):
                 raise ValueError(f"its camera {image.camera} is not in the model, or its lens is not read")
             if isinstance(camera, str):
                 raise ValueError(camera)
-        read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
+        fitted_by = self._fits if depth_name is not None and depth_name.endswith(".png") else None
+        unit_m = self._unit_m if fitted_by is None else 2.0**-16
+        read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=unit_m)
         picture, depth_m = read.picture, read.depth_m
+        if fitted_by is not None:
+            with fields.naming(f"{label}: {_FITS}", FrameError):
+                depth_m = _from_relative(depth_m, fitted_by.get(stem)) * np.float32(self._unit_m or 1.0)
         for mask in (f"{self._base}masks/{image.name}.png", f"{self._base}masks/{stem}.png"):
             if self._source.has(mask):
                 picture = with_mask(picture, read_mask(self._source, mask))
@@ -211,6 +222,17 @@ def _camera(model: str, width: int, height: int, parameters: list[float]) -> _Ca
         return _Camera(Intrinsics(fx, fy, values["cx"], values["cy"], width, height), lens)
     except ValueError as error:
         return f"its camera model {model[:40]} cannot be used: {error}"
+
+
+def _from_relative(values: Float[np.ndarray, "h w"], fit: Any) -> Float[np.ndarray, "h w"]:
+    """Return depth in the model's unit by the fit of an image to the model's points. Raises ValueError without one."""
+    if not isinstance(fit, dict):
+        raise ValueError("has no entry of this image, whose depth is relative")
+    scale, offset = (fields.number(fit.get(key), key) for key in ("scale", "offset"))
+    if scale <= 0:
+        raise ValueError(f"scale is {scale:g}, as where the image shows too few of the model's points")
+    with np.errstate(divide="ignore"):
+        return clean_depth(np.where(values > 0, 1 / (values * scale + offset), 0))
 
 
 def _pose(quaternion_wxyz: list[float], translation: list[float]) -> Float[np.ndarray, "4 4"] | str:
