@@ -35,9 +35,13 @@ _MIN_MOVE: Final = 0.03
 _MIN_SHARED: Final = 0.2
 _CLEAR, _BACK = 0.5, 0.35
 """Disagreement that the best factor may leave, and maps that are turned back, of that without."""
-_MEETS, _TOGETHER = 0.08, 0.02
-"""Disagreement up to which maps meet at all (at most 0.05 in captures), and up to which nothing else is tried."""
-
+_MEETS, _TOGETHER, _APART = 0.08, 0.02, 0.1
+"""Disagreement up to which maps meet at all (at most 0.05 in captures), and up to which nothing else is tried; and from
+which on they do not meet."""
+_TURNED: Final = {"upside down": (-1, 1), "mirrored": (1, -1), "turned by 180 degrees": (-1, -1)}
+"""Steps along rows and columns that turn back maps stored otherwise."""
+_BETTER: Final = 0.1
+"""Correlation with the estimate by which maps that are turned back are better."""
 
 _TURN_DEG: Final = 3.0
 """Turn between the pictures whose features are compared."""
@@ -307,6 +311,22 @@ def odd_depth(frames: Sequence[Frame]) -> tuple[bool, float] | None:
         Whether depth falls where the estimate rises, as 1 / depth does, and how many times as large it is: medians over
         the frames. None if it agrees, or nothing tells.
     """
+    if not (compared := _compared(frames)):
+        return None
+    correlation, ratio = np.median(compared, axis=0).tolist()
+    falls = correlation < _FALLING
+    return (falls, ratio) if falls or not 1 / _ODD_RATIO < ratio < _ODD_RATIO else None
+
+
+def looks_turned(frames: Sequence[Frame], turn: str) -> bool:
+    """Whether depth agrees with the pictures, by the network's estimate, clearly better if its maps are turned back."""
+    stored, turned = _compared(frames), _compared(frames, _TURNED[turn])
+    both = bool(stored and turned)
+    return both and float(np.median(turned, axis=0)[0]) > float(np.median(stored, axis=0)[0]) + _BETTER
+
+
+def _compared(frames: Sequence[Frame], turn: tuple[int, int] = (1, 1)) -> list[tuple[float, float]]:
+    """Return the correlation of depth, its maps turned, with the estimate, and their ratio; of frames that tell."""
     from roomlight.monocular.estimate import srgb_picture  # onnxruntime takes a while to import
     from roomlight.monocular.network import shipped_depth
 
@@ -314,17 +334,25 @@ def odd_depth(frames: Sequence[Frame]) -> tuple[bool, float] | None:
     for frame in frames:
         small = replace(frame, depth_m=np.zeros(frame.image.shape[:2], np.float32)).resized(_WIDTH, _WIDTH)
         estimated = shipped_depth().estimate(srgb_picture(small), small.intrinsics)
-        own = cv2.resize(frame.depth_m, estimated.inverse.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        turned = np.ascontiguousarray(frame.depth_m[:: turn[0], :: turn[1]])
+        own = cv2.resize(turned, estimated.inverse.shape[::-1], interpolation=cv2.INTER_NEAREST)
         known = own > 0
         stated, seen = np.log(own[known]), -np.log(np.maximum(estimated.inverse[known], 1e-3))
         if known.mean() > _MIN_SHARED:
             tells = min(stated.std(), seen.std()) > 0.1
-            compared.append((np.corrcoef(stated, seen)[0, 1] if tells else 0.0, np.exp(np.median(stated - seen))))
-    if not compared:
-        return None
-    correlation, ratio = np.median(compared, axis=0).tolist()
-    falls = correlation < _FALLING
-    return (falls, ratio) if falls or not 1 / _ODD_RATIO < ratio < _ODD_RATIO else None
+            correlation = float(np.corrcoef(stated, seen)[0, 1]) if tells else 0.0
+            compared.append((correlation, float(np.exp(np.median(stated - seen)))))
+    return compared
+
+
+class Mismatch(NamedTuple):
+    """How maps of depth do not meet by the poses: by a factor on depth or a turn of the maps they would; else neither.
+
+    A turn is one of those in `_TURNED`.
+    """
+
+    factor: float | None = None
+    turn: str | None = None
 
 
 class DepthCheck:
@@ -343,11 +371,8 @@ class DepthCheck:
         small = cv2.resize(frame.depth_m, size, interpolation=cv2.INTER_NEAREST)
         self._maps.append((small, frame.intrinsics.resized(*size), frame.camera_to_world @ OPENCV_TO_OPENGL))
 
-    def mismatch(self) -> float | str | None:
-        """Return the factor on depth, or the turn of the stored maps, by which maps and poses meet.
-
-        None if they meet as they are, or nothing clearly brings them together.
-        """
+    def mismatch(self) -> Mismatch | None:
+        """Return what would bring maps and poses together; None if they meet as they are, or nothing tells."""
         if len(self._maps) < FRAMES:
             return None
         moves = sorted(
@@ -369,35 +394,34 @@ class DepthCheck:
         errors /= pairs
         best = int(np.argmin(errors))
         same = len(_FACTORS) // 2
-        if errors[same] > _TOGETHER and (turned := self._turned(moves, stored, errors[best])) is not None:
-            return turned
+        other = self._turned(moves, stored, errors[best]) if errors[same] > _TOGETHER else None
+        if other is not None and other.turn is not None:
+            return other
         moved = moves[0][0] * _FACTORS[-1] > _MIN_MOVE
         if not moved or best in (0, len(_FACTORS) - 1) or abs(best - same) < 2:
-            return None
+            return other
         clear = errors[best] < min(_MEETS, _CLEAR * errors[same])
-        return _FACTORS[best] if clear else None
+        return Mismatch(factor=_FACTORS[best]) if clear else other
 
     def _turned(
         self, moves: Sequence[tuple[float, int, int]], stored: Sequence[Float[np.ndarray, "h w"]], by_factor: float
-    ) -> str | None:
-        """Return how the maps are stored, if they meet when they are turned back; None if not clearly.
+    ) -> Mismatch | None:
+        """Return how the maps are stored, if they meet when they are turned back, or that they do not meet; else None.
 
         They must meet better than by a factor, and the same views clearly better than as they are.
         """
         facing = [-pose[:3, 2] for _, _, pose in self._maps]
         pairs = [pair for _, *pair in moves if facing[pair[0]] @ facing[pair[1]] > _ALONG][:_TRIED]
         rests: dict[str, float] = {}
-        for turn, maps in (
-            ("", stored),
-            ("upside down", [depth_m[::-1] for depth_m in stored]),
-            ("mirrored", [depth_m[:, ::-1] for depth_m in stored]),
-            ("turned by 180 degrees", [depth_m[::-1, ::-1] for depth_m in stored]),
-        ):
+        for turn, (row, column) in {"": (1, 1), **_TURNED}.items():
+            maps = [depth_m[::row, ::column] for depth_m in stored]
             of_pair = (self._disagreement(first, second, maps) for first, second in pairs)
             known = list(islice((rest for rest in of_pair if rest is not None), _PAIRS))
             rests[turn] = float(np.mean(known)) if len(known) >= _LEAST_PAIRS else math.inf
         best = min(rests, key=rests.__getitem__)
-        return best if rests[best] < min(_MEETS, by_factor, _BACK * rests[""]) else None
+        if rests[best] < min(_MEETS, by_factor, _BACK * rests[""]):
+            return Mismatch(turn=best)
+        return Mismatch() if _APART < rests[""] < math.inf else None
 
     def _move(self, first: int, second: int) -> float:
         """Return the way between two cameras, relative to the first one's depth."""

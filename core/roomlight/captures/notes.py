@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roomlight.camera import Intrinsics
-from roomlight.captures.consistency import FRAMES, DepthCheck, Disagreement, PoseCheck, odd_depth
+from roomlight.captures.consistency import FRAMES, DepthCheck, Disagreement, PoseCheck, looks_turned, odd_depth
 from roomlight.captures.options import CameraConvention, PoseDirection
 from roomlight.conventions import OPENCV_TO_OPENGL
 from roomlight.frame import Frame
@@ -25,6 +25,8 @@ _OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
 """Formats whose depth and world come from any tool; those of the others are a sensor's, or have one unit and up."""
 _LYING, _DEPTH = "lying camera", "scale of depth"
 """Notes after which others are not given."""
+_NORMALISED: Final = ((1.0, 1.0), (0.2549, 0.2551), (64.2, 65.54))
+"""Ranges of the largest depth in metres where floats, 8 or 16 bits are normalised, the integers read as millimetres."""
 _BLACK: Final = 0.003
 """Linear value up to which a pixel may be a black bar's: 10 of 255 in sRGB."""
 _LEAST_BAR: Final = 0.02
@@ -105,11 +107,20 @@ def turned_maps(name: str, turn: str) -> Note:
     return Note(f"{name}: depth agrees with the poses if its maps are {turn}", "light comes from wrong places", advice)
 
 
+def apart(name: str) -> Note:
+    """Make the note for depth that meets by the poses in no way, or only by a turn that the pictures do not show."""
+    advice = "check that depth is in the order of the pictures, and that neither of them is turned or mirrored"
+    return Note(
+        f"{name}: depth of different frames does not meet by the poses", "light comes from wrong places", advice
+    )
+
+
 def unlikely_depth(name: str, frames: Sequence[Frame]) -> Note | None:
     """Make the note for depth that the picture contradicts; else None."""
     instead = "or none (of a recording: --depth network): it is then estimated"
-    if frames and all(float(frame.depth_m.max()) == 1 for frame in frames):
-        text = f"{name}: its largest depth is exactly 1, as where depth is normalised"
+    largest = [float(frame.depth_m.max()) for frame in frames]
+    if largest and any(low <= min(largest) and max(largest) <= high for low, high in _NORMALISED):
+        text = f"{name}: its largest depth is {largest[0]:.4g}, as where depth is normalised"
         return Note(text, "it is read as metres", f"give depth in metres, {instead}")
     if (odd := odd_depth(frames)) is None:
         return None
@@ -154,8 +165,8 @@ def wrong_poses(name: str, wrong: Disagreement, convention: CameraConvention, di
         return Note(
             f"{name}: features of the pictures move otherwise than poses and depth say",
             "light comes from wrong places",
-            "check that pictures, poses and depth are in one order, none of them turned, and that poses do not stand "
-            "still or jump",
+            "check that pictures, poses and depth are in one order, none of them turned or mirrored, and that poses do "
+            "not stand still or jump",
         )
     options: list[str] = []
     if wrong.other_axes:
@@ -308,18 +319,20 @@ class PassChecks:
 
         Turned maps come first: features contradict them too. Features tell a scale better than maps.
         """
-        mismatch = self._depths.mismatch()
-        if isinstance(mismatch, str):
+        mismatch, odd = self._depths.mismatch(), None
+        if mismatch is not None and mismatch.turn and looks_turned(self._depths.samples, mismatch.turn):
             self._noted.add(_DEPTH)
-            yield turned_maps(self._name, mismatch)
+            yield turned_maps(self._name, mismatch.turn)
         if self._set_is_whole:
             yield from self._notes_of_poses()
-        if isinstance(mismatch, float) and _DEPTH not in self._noted:
+        if mismatch is not None and mismatch.factor is not None and _DEPTH not in self._noted:
             self._noted.add(_DEPTH)
-            yield wrong_scale(self._name, mismatch)
+            yield wrong_scale(self._name, mismatch.factor)
         of_any_tool = self._format in _OF_ANY_TOOL and _DEPTH not in self._noted
         if of_any_tool and (odd := unlikely_depth(self._name, self._depths.samples)) is not None:
             yield odd
+        elif mismatch is not None and _DEPTH not in self._noted and not self._poses_are_done:
+            yield apart(self._name)
         if (barred := black_bars(self._name, self._within)) is not None:
             yield barred
 

@@ -5,6 +5,7 @@ import re
 import shutil
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from slow_images import chunk
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions, open_capture
-from roomlight.captures.consistency import DepthCheck
+from roomlight.captures.consistency import DepthCheck, Mismatch, looks_turned
 from roomlight.captures.photo import PhotoOptions, read_photo
 from roomlight.errors import UnknownFormatError
 from roomlight.frame import Frame
@@ -72,8 +73,9 @@ def test_a_pass_that_goes_on_gives_the_notes_of_a_whole_one(tmp_path: Path) -> N
     )
     capture = open_capture(path)
     states = [capture.passed() for _ in capture]
-    (note,) = map(str, capture.notes)
+    note, unmet = map(str, capture.notes)
     assert "first pose is the identity" in note
+    assert "depth of different frames does not meet" in unmet  # it is of the unturned views
     again = open_capture(path)
     assert len(list(again.frames(states[12]))) == 3
     assert again.notes == capture.notes
@@ -316,7 +318,8 @@ def seen_room() -> Frame:
         (lambda depth: depth, ""),
         (lambda depth: 3 / depth, r"as 1 / depth \(disparity\) is: .*--depth network"),
         (lambda depth: depth / 8, r"depth is 0.1\d* times what the picture lets expect: .*state depth_unit_m"),
-        (lambda depth: depth / depth.max(), "its largest depth is exactly 1"),
+        (lambda depth: depth / depth.max(), "its largest depth is 1, as where depth is normalised"),
+        (lambda depth: 65.5 / depth * depth.min(), "its largest depth is 65.5, as"),
         (lambda depth: 6 * depth, r"depth is \d[.\d]* times what the picture lets expect"),
     ],
 )
@@ -339,10 +342,17 @@ def test_depth_that_the_picture_contradicts_is_pointed_out(
     assert re.search(said, " ".join(notes)) if said else not notes
 
 
-def test_maps_that_are_mirrored_are_pointed_out() -> None:
+@pytest.mark.parametrize(("step", "way"), [(1, Mismatch(turn="mirrored")), (-1, Mismatch())])
+def test_maps_that_are_mirrored_or_of_other_frames_are_pointed_out(step: int, way: Mismatch) -> None:
     check, lens = DepthCheck(), Intrinsics(28.0, 27.0, 16.0, 12.0, 32, 24)
-    picture = np.zeros((24, 32, 3), np.float32)
-    for view in formats.scene(12):
-        mirrored = np.ascontiguousarray(view.depth_m[:, ::-1], np.float32)
+    picture, views = np.zeros((24, 32, 3), np.float32), formats.scene(12)
+    for view, other in zip(views, views[::step], strict=True):
+        mirrored = np.ascontiguousarray(other.depth_m[:, ::-1], np.float32)
         check.add(Frame(0, picture, picture[..., 0] > 0, mirrored, lens, view.pose, source="frame"))
-    assert check.mismatch() == "mirrored"
+    assert check.mismatch() == way
+
+
+def test_a_picture_tells_whether_its_map_is_turned(seen_room: Frame) -> None:
+    turned = replace(seen_room, depth_m=np.ascontiguousarray(seen_room.depth_m[:, ::-1]))
+    assert looks_turned([turned], "mirrored")
+    assert not looks_turned([seen_room], "mirrored")
