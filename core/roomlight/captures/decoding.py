@@ -19,6 +19,7 @@ from roomlight.images import MAX_PIXELS, MIN_ALPHA, ColourImage, decode_depth, d
 from roomlight.imaging.other_formats import as_png
 from roomlight.notes import Note
 
+DEPTH_SUFFIXES: Final = (".png", ".exr", ".npy", ".tif", ".tiff")
 _TIFF: Final = (b"II*\0", b"MM\0*")
 _NPZ: Final = b"PK\x03\x04"
 _COLMAP: Final = re.compile(rb"(\d{1,5})&(\d{1,5})&1&")

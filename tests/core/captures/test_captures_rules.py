@@ -702,7 +702,8 @@ def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:
     assert "scale and up direction" in capture.notes[0].left_out
     for model, parameters, says in (
         ("FOV", "0.9", "FOV"),
-        ("EUCM", "0.5 1", "EUCM cannot be used: it is not read; undistort"),
+        ("EUCM", "0.5 1", "EUCM cannot be used: .* is not read; undistort"),
+        ("OTHER", "1", "OTHER cannot be used: it is not read; undistort"),
     ):
         state(model, parameters)
         unreadable(path, says)

@@ -295,6 +295,26 @@ def test_small_pictures_of_a_colmap_model_are_read(tmp_path: Path) -> None:
     refused(path, r"capture: has no pictures \(images, images_2, .*copy frame_00001\.png")
 
 
+def test_other_names_of_a_colmap_models_depth(tmp_path: Path) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    (path / "depth/frame_00001.png").rename(path / "depth/frame_00001.png.png")
+    (path / "depth/frame_00002.png").unlink()
+    formats.save(path / "depth/frame_00002.tif", formats.image(".tif", VIEWS[1].depth_m))
+    same_views(open_capture(path), VIEWS, depth_atol=1e-6)
+
+
+def test_late_camera_models_of_colmap(tmp_path: Path) -> None:
+    """SIMPLE_FISHEYE has no coefficients; EUCM is not read."""
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    size = formats.WIDTH, formats.HEIGHT
+    data = struct.pack("<QiiQQ3d", 1, 1, 14, *size, formats.FX, formats.CX, formats.CY)
+    (path / "sparse/0/cameras.bin").write_bytes(data)
+    assert first_of(path).intrinsics.fx < formats.FX
+    data = struct.pack("<QiiQQ6d", 1, 1, 16, *size, formats.FX, formats.FY, formats.CX, formats.CY, 0.5, 1.0)
+    (path / "sparse/0/cameras.bin").write_bytes(data)
+    unreadable(path, "its camera model EUCM cannot be used")
+
+
 def test_names_of_a_windows_code_page_in_a_binary_model(tmp_path: Path) -> None:
     path = formats.colmap(tmp_path / "capture", VIEWS)
     data = (path / "sparse/0/images.bin").read_bytes()

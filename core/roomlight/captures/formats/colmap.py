@@ -23,7 +23,7 @@ from jaxtyping import Float
 from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
-from roomlight.captures.decoding import read_mask, read_rgbd, with_mask
+from roomlight.captures.decoding import DEPTH_SUFFIXES, read_mask, read_rgbd, with_mask
 from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.lenses import Lens, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions
@@ -45,7 +45,8 @@ _DEPTH: Final = (
 _PICTURES: Final = ("images", "images_2", "images_4", "images_8", "colmap/images", "dense/images", "resized_images")
 _OF_MODELS: Final = (".bin", ".txt", ".ply", ".ini")
 _FITS: Final = "depth_params.json"
-_MODELS: Final = {
+_PRISM: Final = ("s0", "s1", "s2", "s3")
+_MODELS: Final = {  # in the order of COLMAP's numbers
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
     "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
@@ -57,6 +58,13 @@ _MODELS: Final = {
     "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
     "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
     "THIN_PRISM_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"),
+    "RAD_TAN_THIN_PRISM_FISHEYE": ("fx", "fy", "cx", "cy", *(f"k{at}" for at in range(6)), "p0", "p1", *_PRISM),
+    "SIMPLE_DIVISION": ("f", "cx", "cy", "k"),
+    "DIVISION": ("fx", "fy", "cx", "cy", "k"),
+    "SIMPLE_FISHEYE": ("f", "cx", "cy"),
+    "FISHEYE": ("fx", "fy", "cx", "cy"),
+    "EUCM": ("fx", "fy", "cx", "cy", "alpha", "beta"),
+    "EQUIRECTANGULAR": ("w", "h"),
 }
 _NAMES: Final = tuple(_MODELS)
 
@@ -171,7 +179,10 @@ class ColmapReader(ListedReader):
             maps = [f"{self._depth}/{image.name}.{kind}.bin" for kind in ("geometric", "photometric")]
             depth_name = next(filter(self._source.has, maps), maps[0])
         elif self._depth is not None:
-            depth_name = self._source.with_suffix(f"{self._depth}/{stem}", (".png", ".exr", ".npy"))
+            depth_name = self._source.with_suffix(f"{self._depth}/{stem}", DEPTH_SUFFIXES)
+            if not self._source.has(depth_name):
+                whole = (f"{self._depth}/{image.name}{suffix}" for suffix in DEPTH_SUFFIXES)
+                depth_name = next(filter(self._source.has, whole), depth_name)
         with fields.naming(label, FrameError):
             if isinstance(image.pose, str):
                 raise ValueError(image.pose)
