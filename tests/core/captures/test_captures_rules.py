@@ -371,6 +371,26 @@ def test_angles_of_view_that_differ_give_pixels_that_are_not_square(transforms: 
     assert camera.fy == pytest.approx(camera.height / 2 / np.tan(0.25))
 
 
+def test_the_lens_of_a_frame_is_taken_whole(transforms: Path) -> None:
+    """An angle or a focal length beside those of another lens for all frames."""
+
+    def change(index: dict) -> None:
+        index.update(fl_x=50.0, fl_y=40.0)
+        for frame in index["frames"][:2]:
+            frame.pop("fl_x", None), frame.pop("fl_y", None)
+        index["frames"][0].update(camera_angle_x=2 * np.arctan(0.5 * formats.WIDTH / formats.FX))
+        index["frames"][1].update(fl_x=formats.FX)
+
+    edit(transforms / "transforms.json", change)
+    for frame, _ in zip(open_capture(transforms), range(2), strict=False):
+        assert (frame.intrinsics.fx, frame.intrinsics.fy) == pytest.approx((formats.FX, formats.FX))
+
+
+def test_small_pictures_of_nerfstudio_are_read(transforms: Path) -> None:
+    (transforms / "images").rename(transforms / "images_4")
+    notes_of(transforms, frames=4)
+
+
 def test_what_instant_ngp_reads_besides_is_read(transforms: Path) -> None:
     """Comments, a BMP without its suffix."""
     path = transforms / "transforms.json"

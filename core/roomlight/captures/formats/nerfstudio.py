@@ -34,7 +34,7 @@ import numpy as np
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, ReadRecord
-from roomlight.captures.decoding import read_mask, read_rgbd, with_mask
+from roomlight.captures.decoding import DEPTH_SUFFIXES, read_mask, read_rgbd, with_mask
 from roomlight.captures.formats.listed import beside, probes_of
 from roomlight.captures.lenses import MODEL_KEYS, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions, up_vector
@@ -48,6 +48,8 @@ INDEX: Final = "transforms.json"
 _DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic", ".webp", ".tif", ".tiff", ".bmp")
 _PICTURE_FOLDERS: Final = ("../images", "../resized_images", "../resized_undistorted_images")
+_SMALL_PICTURES: Final = ("images_2", "images_4", "images_8")
+"""Folders of nerfstudio's smaller copies; data sets such as DL3DV hold one of them alone."""
 _MASK_FOLDERS: Final = ("../masks", "../resized_anon_masks", "../resized_undistorted_masks")
 _SCANNETPP: Final = "resized_"
 """Beginning of the folders of ScanNet++'s own pictures."""
@@ -118,6 +120,10 @@ class NerfstudioReader:
         self._depth_keys = self._choose_depth(options)
         self._refuse_broken_lens()
         self.notes = [*self._unread_keys(), *self._made_relative()]
+        small = None if self._source.has("images") else next(filter(self._source.has, _SMALL_PICTURES), None)
+        for frame in self._frames:
+            if small is not None and isinstance(frame.get("file_path"), str):
+                frame["file_path"] = re.sub(r"^(\./)?images/", f"{small}/", frame["file_path"])
         self._pictures = self._source_of("file_path", _PICTURE_FOLDERS)
         self._masks = self._source_of("mask_path", _MASK_FOLDERS)
         with fields.naming(self._label, CaptureError):
@@ -153,7 +159,7 @@ class NerfstudioReader:
                 raise FrameError(f"{where}: has no depth ({' or '.join(self._depth_keys)})")
             if depth_name is not None:
                 depth_name = fields.text(depth_name, "the depth file's name")
-                depth_name = self._source.with_suffix(depth_name, (".png", ".exr", ".npy"))
+                depth_name = self._source.with_suffix(depth_name, DEPTH_SUFFIXES)
             lens = lens_of(entry, self._shared)
         colour_label = self._pictures.label(colour_name)
         read = read_rgbd(self._source, colour_name, depth_name, unit_m=unit_m, pictures=self._pictures)
@@ -232,19 +238,22 @@ class NerfstudioReader:
         )
 
     def _intrinsics(self, entry: dict[str, Any], image_width: int, image_height: int) -> Intrinsics:
-        """Build intrinsics: per-frame values override global ones; a missing size is the image's."""
+        """Build intrinsics: a frame's values override global ones, focal lengths and angles as a whole.
+
+        A missing size is the image's.
+        """
         stated_w, stated_h = (fields.first_of(entry, self._shared, key) for key in ("w", "h"))
         width = image_width if stated_w is None else fields.pixels(stated_w, "w")
         height = image_height if stated_h is None else fields.pixels(stated_h, "h")
-        fl_x = fields.first_of(entry, self._shared, "fl_x")
-        angle = self._angle(entry, "x")
+        shared = {} if any(entry.get(key) is not None for key in _LENS_KEYS) else self._shared
+        fl_x, angle = fields.first_of(entry, shared, "fl_x"), _angle(entry, shared, "x")
         if fl_x is not None:
             fx = fields.positive(fl_x, "fl_x")
         elif angle is not None:
             fx = 0.5 * width / math.tan(0.5 * angle)
         else:
             raise ValueError("has neither fl_x nor camera_angle_x nor x_fov")
-        fl_y, high = fields.first_of(entry, self._shared, "fl_y"), self._angle(entry, "y")
+        fl_y, high = fields.first_of(entry, shared, "fl_y"), _angle(entry, shared, "y")
         fy = fx if fl_y is None else fields.positive(fl_y, "fl_y")
         if fl_y is None and fl_x is None and high is not None:
             fy = 0.5 * height / math.tan(0.5 * high)
@@ -257,16 +266,6 @@ class NerfstudioReader:
             width,
             height,
         )
-
-    def _angle(self, entry: dict[str, Any], axis: str) -> float | None:
-        """Return the stated angle of view in radians; None without one."""
-        for key, radians, limit in ((f"camera_angle_{axis}", 1.0, "pi"), (f"{axis}_fov", math.pi / 180, "180 degrees")):
-            if (stated := fields.first_of(entry, self._shared, key)) is not None:
-                angle = fields.positive(stated, key)
-                if angle * radians >= math.pi:
-                    raise ValueError(f"{key} is {angle}; it must be below {limit}")
-                return angle * radians
-        return None
 
     def _refuse_broken_lens(self) -> None:
         """Refuse the capture if its global intrinsics are invalid and some frame needs them."""
@@ -319,6 +318,17 @@ class NerfstudioReader:
             hint = f"its frames have {names}; set depth_key" if present else "depth=auto estimates it"
             raise CaptureError(f"{self._label}: no frame has {' or '.join(keys)}; {hint}")
         return keys
+
+
+def _angle(entry: dict[str, Any], shared: dict[str, Any], axis: str) -> float | None:
+    """Return the stated angle of view in radians; None without one."""
+    for key, radians, limit in ((f"camera_angle_{axis}", 1.0, "pi"), (f"{axis}_fov", math.pi / 180, "180 degrees")):
+        if (stated := fields.first_of(entry, shared, key)) is not None:
+            angle = fields.positive(stated, key)
+            if angle * radians >= math.pi:
+                raise ValueError(f"{key} is {angle}; it must be below {limit}")
+            return angle * radians
+    return None
 
 
 def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
