@@ -154,8 +154,9 @@ def test_icl_nuims_pairs_and_left_handed_poses(tmp_path: Path) -> None:
     same_views(frames, VIEWS, depth_atol=2e-4)
     assert frames[0].intrinsics.fx == pytest.approx(481.2 / 20)
     assert any("focal length of 481.2 pixels" in note.effect for note in capture.notes)
-    (path / "associations.txt").write_text("0 depth/0.png 0")
-    refused(path, r"associations\.txt: line 1: is '0 depth/0\.png 0', not a time")
+    (path / "associations.txt").unlink()
+    (path / "association.txt").write_text("0 depth/0.png 0")
+    refused(path, r"association\.txt: line 1: is '0 depth/0\.png 0', not a time")
 
 
 # RTAB-Map

@@ -2,7 +2,7 @@
 
 The three streams have clocks of their own: each colour image takes the depth and the pose nearest in time, at
 most 0.02 s away (the data set's own tool does the same); without them it is a bad frame. Times in nanoseconds, as
-ORB-SLAM3 writes them, are recognised by their steps. Without a `depth.txt` depth is estimated. Without a `rgb.txt`
+ORB-SLAM3 writes them, are recognised by their size or steps. Without a `depth.txt` depth is estimated. Without a `rgb.txt`
 both are the lines of `associations.txt` (`time file time file`, colour or depth first).
 
 ICL-NUIM names its poses `NAME.gt.freiburg`. They are those of a world with y up and a camera with y up (a left-handed
@@ -39,7 +39,7 @@ from roomlight.notes import Note
 MAX_GAP_S: Final = 0.02
 """Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
 
-PAIRS: Final = "associations.txt"
+PAIRS: Final = ("associations.txt", "association.txt", "associate.txt")
 ETH3D_INTRINSICS: Final = "calibration.txt"
 ICL_POSES: Final = ".gt.freiburg"
 _DEFAULT_CAMERA: Final = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
@@ -63,11 +63,12 @@ class TumReader(ListedReader):
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
         source = FolderSource(folder)
         notes: list[Note] = []
-        if source.has("rgb.txt") or not source.has(PAIRS):
+        pairs = next(filter(source.has, PAIRS), None)
+        if source.has("rgb.txt") or pairs is None:
             self._times = _stream(source, "rgb.txt", notes)
             self._depth = _stream(source, "depth.txt", notes) if source.has("depth.txt") else None
         else:
-            self._times, self._depth = (_stream(source, PAIRS, notes, half=half) for half in (0, 1))
+            self._times, self._depth = (_stream(source, pairs, notes, half=half) for half in (0, 1))
         self._pose_file = pose_file(source)
         self._poses = _stream(source, self._pose_file, notes, most=50 * MAX_FRAMES)
         super().__init__(folder, options, [name for _, name in self._times], expected="rgb.txt")
