@@ -6,8 +6,9 @@ first, then of its namespace, then `aligned` or `registered`. Depth of another f
 by the fixed transforms of tf.
 
 Conventions: the pose is that of the colour image's frame in the root of tf; without one there, TransformStamped, or one
-topic of Odometry or PoseStamped, carries it. Optical frames are OpenCV's, the world is z-up (REP 103). Pixel centres
-are at whole numbers (`CameraInfo`), so that half a pixel is added. 16UC1 is millimetres, 32FC1 metres.
+topic of Odometry or PoseStamped (also with covariance), carries it. Optical frames are OpenCV's, the world is z-up
+(REP 103). Pixel centres are at whole numbers (`CameraInfo`), so that half a pixel is added. 16UC1 is millimetres, 32FC1
+metres.
 """
 
 import importlib
@@ -56,11 +57,15 @@ _NO_RANGE: Final = re.compile(
 )
 """Names of 16-bit and float images that are no depth, where `depth` is not in the name."""
 _INFO: Final = "sensor_msgs/msg/CameraInfo"
-_POSES: Final = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+_POSES: Final = (
+    "nav_msgs/msg/Odometry",
+    *(f"geometry_msgs/msg/{name}Stamped" for name in ("Pose", "PoseWithCovariance", "Transform")),
+)
+_RECTIFIED: Final = re.compile("(^|[/_])rect(ified)?([/_]|$)")
 _TREES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _READ: Final = re.compile(
     "/(Time|Duration|Header|Image|CompressedImage|CameraInfo|RegionOfInterest|TFMessage|Transform|TransformStamped|"
-    "Odometry|PoseStamped|PoseWithCovariance|Pose|TwistWithCovariance|Twist|Point|Vector3|Quaternion)$"
+    "Odometry|PoseStamped|PoseWithCovariance(Stamped)?|Pose|TwistWithCovariance|Twist|Point|Vector3|Quaternion)$"
 )
 """The types of messages that are read, and of their fields: to prepare all 150 takes ten times as long."""
 
@@ -75,7 +80,7 @@ class _Entry:
 
 @dataclass(frozen=True)
 class _Pose:
-    """A pose of an Odometry or a PoseStamped message, which names no `child`."""
+    """A pose of an Odometry, or of a PoseStamped or PoseWithCovarianceStamped message, which name no `child`."""
 
     kind: str
     parent: str
@@ -232,7 +237,7 @@ class RosBagReader:
                 elif kind.endswith("TransformStamped"):
                     self._add(message, fixed=False)
                 else:
-                    pose = message.pose.pose if kind.endswith("Odometry") else message.pose
+                    pose = getattr(message.pose, "pose", message.pose)
                     values, time_s = pose_values(pose.position, pose.orientation), seconds(message.header)
                     parent, child = message.header.frame_id, getattr(message, "child_frame_id", "").lstrip("/")
                     loose.setdefault(topic, []).append(_Pose(kind.split("/")[-1], parent, child, values, time_s))
@@ -274,7 +279,8 @@ class RosBagReader:
         if not topics[best][0].child:
             text = f"taken for the poses of {top or 'the camera'}"
             left = f"{self._path}: the {topics[best][0].kind} messages of {best}"
-            self.notes.append(Note(left, text, "record tf to be sure"))
+            way = f", or leave tf_static out if they are those of {self._frame_id}" if top != self._frame_id else ""
+            self.notes.append(Note(left, text, f"record tf to be sure{way}"))
 
     def _add_image(self, bag: Any, topic: str, kind: str, raw: Any, logged: int) -> None:
         """Keep where an image lies; a damaged one is found when it is read."""
@@ -397,7 +403,7 @@ def _frame_of(message: Any) -> str | None:
 
 def _is_raw(topic: str) -> bool:
     """Whether images are as the lens shows them."""
-    return "rect" not in topic
+    return _RECTIFIED.search(topic) is None
 
 
 def _rank(topic: str, words: tuple[str, ...]) -> int:

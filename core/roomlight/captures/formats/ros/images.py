@@ -43,6 +43,7 @@ _MODELS: Final = (
 )
 """Names of OpenCV's polynomial; the last three are librealsense's, whose code projects points by it."""
 _FISHEYES: Final = ("equidistant", "fisheye", "kannala_brandt4")
+_VIDEO: Final = re.compile("h.?26[45]|hevc|avc|av1|vp[89]|theora")
 _NO_DEPTH: Final = "; record them, or let a network estimate depth (--depth network)"
 _BENDING: Final = re.compile("fish|equi|kannala|theta|omni|mei|atan|fov|sphere|unified")
 """Words of models that bend lines even where all of D is 0."""
@@ -101,6 +102,8 @@ def _matrix(info: Any, key: str) -> list[float]:
 def decode_colour_image(message: Any, label: str) -> ColourImage:
     """Decode an Image or a CompressedImage. Raises ValueError and ImageError."""
     if hasattr(message, "format"):
+        if _VIDEO.search(message.format.lower()):
+            raise ValueError(f"colour of {message.format[:40]!r} is a video's, which is not read; record JPEG or PNG")
         return decode_picture(bytes(message.data), label, as_stored=True)
     encoding = message.encoding.lower()
     if encoding in _CONVERSIONS:
