@@ -28,7 +28,10 @@ _ICC_SEGMENT: Final = b"ICC_PROFILE\0"
 _GAIN_MAPS: Final = (b"hdrgm:Version", b"http://ns.apple.com/HDRGainMap/", b"urn:iso:std:iso:ts:21496:-1")
 
 
-_DEPTH_MAPS: Final = (b"http://ns.google.com/photos/1.0/depthmap/", b'Item:Semantic="Depth"', b"Device:DepthMap")
+_DEPTH_MAPS: Final = (
+    *(f"http://ns.google.com/photos/{version}1.0/depthmap/".encode() for version in ("", "dd/")),
+    *(b'Item:Semantic="Depth"', b"Device:DepthMap"),
+)
 _INSIDE: Final = (
     (_GAIN_MAPS, "HDR gain map", "highlights end at the photo's white", "give a linear EXR for the full range"),
     (_DEPTH_MAPS, "depth map", "it is not read", "extract it, and give it as the depth"),

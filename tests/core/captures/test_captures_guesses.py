@@ -299,8 +299,15 @@ def test_exposure_that_is_not_applied_is_noted(tmp_path: Path) -> None:
     assert "exposureDuration" in notes_of(path)[0]
 
 
-def test_a_depth_map_inside_a_jpeg_is_noted(transforms: Path) -> None:
-    marked = with_xmp(formats.image(".jpg", VIEWS[0].srgb8), b'<Container:Item Item:Semantic="Depth"/>')
+@pytest.mark.parametrize(
+    "text",
+    [
+        b'<Container:Item Item:Semantic="Depth"/>',
+        b'<rdf:Description xmlns:DepthMap="http://ns.google.com/photos/dd/1.0/depthmap/"/>',
+    ],
+)
+def test_a_depth_map_inside_a_jpeg_is_noted(transforms: Path, text: bytes) -> None:
+    marked = with_xmp(formats.image(".jpg", VIEWS[0].srgb8), text)
     (transforms / "images/frame_00001.png").write_bytes(marked)
     (note,) = notes_of(transforms)
     assert "frame_00001.png: its depth map:" in note
