@@ -1,6 +1,7 @@
 """Notes of an open capture: what its poses, lens and depth leave open."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -350,4 +351,7 @@ class PassChecks:
                 if _DEPTH in self._noted:
                     return
                 self._noted.add(_DEPTH)
-            yield wrong_poses(self._name, wrong, *self._conventions)
+            note = wrong_poses(self._name, wrong, *self._conventions)
+            if self._format == "rtabmap" and not wrong.known:  # format 1 looks the same, with other axes
+                note = replace(note, advice=f"export poses with --poses_format 11; {note.advice}")
+            yield note

@@ -182,6 +182,8 @@ def _known_otherwise(path: Path) -> str:
     archives = [*path.glob("*.zip"), *path.glob("*/*.zip")]
     if archives and not ends & {*_IMAGES}:
         return f"holds the archive {archives[0].relative_to(path)}; unpack it, and open what it holds"
+    if ends == {".db"} and files[0].name == "database.db" and (path / "images").is_dir():
+        return "has COLMAP's database and no model; write the model too: colmap mapper makes sparse/0"
     if any(file.suffix.lower() == ".db" for file in files) and ends <= {".db"}:
         return "is RTAB-Map's database; export it: rtabmap-export --images --poses_camera FILE.db"
     if path.is_file() and path.suffix.lower() in _VIDEOS:

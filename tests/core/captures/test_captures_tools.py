@@ -190,7 +190,7 @@ def test_rtabmap_without_a_pose_or_a_camera(tmp_path: Path) -> None:
     path = tool_formats.rtabmap(tmp_path / "capture", VIEWS)
     poses = (path / "room_camera_poses.txt").read_text()
     (path / "room_camera_poses.txt").write_text(poses.replace(" 13\n", " 14\n"))
-    one_skipped(path, 1, "the poses have none")
+    one_skipped(path, 1, "the poses have none of its number or time; export them with --poses_format 11")
     (path / "room_camera_poses.txt").write_text(poses)
     (path / "room_calib/13.yaml").write_text("%YAML:1.0\nimage_width: 32\n")
     one_skipped(path, 1, "13.yaml", "camera_matrix")
@@ -699,6 +699,9 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
     ):
         (tmp_path / name).write_bytes(b"x" * 99)
         refused(tmp_path / name, words, error=UnknownFormatError)
+    for name in ("database.db", "images/1.jpg"):
+        formats.save(tmp_path / "colmap" / name, b"x")
+    refused(tmp_path / "colmap", "COLMAP's database and no model", error=UnknownFormatError)
     formats.save(tmp_path / "scan/scene.glb", b"x")
     refused(tmp_path / "scan", r"scene\.glb is a model", error=UnknownFormatError)
     formats.save(tmp_path / "scan/thumb.jpg", b"x")

@@ -104,7 +104,7 @@ class RtabmapReader(ListedReader):
         node = self._node(colour_name)
         with fields.naming(label, FrameError):
             if node is None:
-                raise ValueError("the poses have none of its number or time")
+                raise ValueError("the poses have none of its number or time; export them with --poses_format 11")
             if isinstance(node[1], str):
                 raise ValueError(node[1])
         calib_name = f"{self._prefix}calib/{stem}.yaml"
