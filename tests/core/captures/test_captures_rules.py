@@ -378,7 +378,7 @@ def test_the_lens_of_a_frame_is_taken_whole(transforms: Path) -> None:
     def change(index: dict) -> None:
         index.update(fl_x=50.0, fl_y=40.0)
         for frame in index["frames"][:2]:
-            frame.pop("fl_x", None), frame.pop("fl_y", None)
+            frame.update(fl_x=None, fl_y=None)
         index["frames"][0].update(camera_angle_x=2 * np.arctan(0.5 * formats.WIDTH / formats.FX))
         index["frames"][1].update(fl_x=formats.FX)
 
