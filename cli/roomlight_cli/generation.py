@@ -1,6 +1,7 @@
 """Progress and cost of `roomlight dataset generate`, in words, and its end by a signal."""
 
 import signal
+import threading
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from statistics import fmean
@@ -27,6 +28,9 @@ def show_generation(progress: Progress) -> Callable[[GenerationProgress], None]:
 @contextmanager
 def stopped_by_signals(kept: str, console: Console) -> Generator[None]:
     """At Ctrl-C or SIGTERM say that the same command continues, and end with the signal's exit code."""
+    if threading.current_thread() is not threading.main_thread():  # which alone has signals
+        yield
+        return
     received = int(signal.SIGINT)
 
     def stop(number: int, _: object) -> None:

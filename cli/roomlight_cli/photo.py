@@ -154,7 +154,7 @@ def light_photo(
     assert session.grid is not None
     assert first is not None
     lights: list[PhotoLight] = []
-    _remove_earlier(out)
+    remove_outputs(out, _OUTPUTS)  # an earlier run may have had more points
     for number, position in enumerate(positions):
         light = session.light_at(position)
         files = (f"probe-{number:02d}.exr", f"probe-{number:02d}.png", f"probe-{number:02d}-spheres.png")
@@ -174,16 +174,6 @@ def light_photo(
     }
     write_json(out / _REPORT, report | {"probes": [light.to_json() for light in lights]})
     return lights
-
-
-def _remove_earlier(out: Path) -> None:
-    """Remove what an earlier run left, which may have had more points; other files stay.
-
-    Raises:
-        OutputError: A file cannot be removed.
-    """
-    if (out / _REPORT).is_file():
-        remove_outputs(out, _OUTPUTS)
 
 
 def _spheres(light: Light, view: tuple[float, float, float]) -> np.ndarray:

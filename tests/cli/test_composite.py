@@ -167,6 +167,7 @@ def test_a_film_of_pictures_of_two_sizes_is_refused_while_the_room_is_read(rooml
     assert "has 48 x 64 pixels and the first 64 x 48; give a folder" in done.err
 
 
+@pytest.mark.slow
 def test_a_film_of_odd_sides_is_told_to_lack_a_row_and_a_column(roomlight, tmp_path):
     recording = write_capture(tmp_path / "odd", [ROOM.frame(camera_at((0.2, 1.4, 1.4)), width=65, height=49)])
     done = roomlight("composite", recording, *BALL, *FAST, "--online", "--out", tmp_path / "a.mp4")

@@ -116,7 +116,7 @@ def write_lines(path: Path, scores: Sequence[SceneScore]) -> None:
 
 
 def read_lines(path: Path) -> list[SceneScore]:
-    """Read the scores of a file of JSON lines; none if the file does not exist. An unfinished last line is left out.
+    """Read the scores of a file of JSON lines; none if the file does not exist.
 
     Raises:
         OutputError: A line is damaged.
@@ -124,14 +124,13 @@ def read_lines(path: Path) -> list[SceneScore]:
     if not path.is_file():
         return []
     scores: list[SceneScore] = []
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(keepends=True), 1):
+    for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1):
         if not line.strip():
             continue
         try:
             scores.append(SceneScore(**json.loads(line, object_hook=_with_nan)))
         except (TypeError, ValueError) as error:
-            if line.endswith("\n"):
-                raise OutputError(f"{path}, line {number}: is no scene's scores ({error}); remove the line") from error
+            raise OutputError(f"{path}, line {number}: is no scene's scores ({error}); remove the line") from error
     return scores
 
 

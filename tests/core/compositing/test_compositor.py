@@ -95,6 +95,8 @@ def test_light_may_be_a_light_a_panorama_or_a_function(session):
     assert (made[0] == made[2]).all()
     with pytest.raises(OptionError, match=r"light must be a Light, a panorama or a function .* this is 32 x 8"):
         given_light(panorama[:8])
+    with pytest.raises(OptionError, match=r"radiance is not negative, got -1"):
+        given_light(panorama * 0 - 1)
 
 
 def test_a_sphere_stands_casts_a_shadow_and_has_its_depth(session):

@@ -40,10 +40,12 @@ def given_light(light: GivenLight | None) -> LightAt | None:
         OptionError: It is neither a `Light` nor a panorama nor a function.
         RoomLightError: It is a server's, and its panorama was not requested.
     """
-    if light is None or (callable(light) and not isinstance(light, Light)):
+    if light is None or (callable(light) and not isinstance(light, Light | type)):
         return light
     try:
-        panorama = check_panorama(np.asarray(light.panorama if isinstance(light, Light) else light, np.float32))
+        panorama = check_panorama(np.array(light.panorama if isinstance(light, Light) else light, np.float32))
+        if panorama.min() < 0:
+            raise ValueError(f"radiance is not negative, got {panorama.min():.4g}")
     except (TypeError, ValueError) as error:
         raise OptionError(f"light must be a Light, a panorama or a function of the position: {error}") from error
     return lambda _: panorama
