@@ -7,7 +7,8 @@
         picture.image                                          # 8-bit sRGB with the objects
         picture.objects, picture.alpha, picture.shadow         # for those who composite elsewhere
 
-Everything is computed in the frame's own linear radiance: its exposure is the light's. World metres, y up.
+Objects are lit in the unit of the session's light and put into the frame in the frame's own, which differs from it by
+the gain of a frame whose exposure drifts. Light of the caller is in the frame's unit. World metres, y up.
 """
 
 from collections.abc import Sequence
@@ -54,6 +55,7 @@ from roomlight.conventions import srgb8_to_linear
 from roomlight.depth import complete_depth
 from roomlight.engine.networks.clipping import white_of
 from roomlight.engine.session import Session
+from roomlight.engine.surface.drift import NO_GAIN, with_gain
 from roomlight.errors import OptionError, SceneError
 from roomlight.frame import CLIPPED_SRGB8, Frame
 
@@ -119,7 +121,7 @@ class Compositor:
             seed: of the sampling points; the same seed gives the same picture.
             match_camera: give objects the frame's noise and blur.
             light: from elsewhere (a light probe, another estimator): a `Light`, a panorama, or a function that returns
-                the panorama at a world position; default the session's light.
+                the panorama at a world position, in the unit of the frames; default the session's light.
             max_paths: limit on the light paths of a picture, see `render_objects`; `Composite.samples` says what a
                 pixel got.
 
@@ -300,18 +302,23 @@ class Compositor:
         return TracedObjects([placed.object.geometry.transformed(matrix) for placed, matrix in pairs])
 
     def _render(self, frame: Frame, objects: TracedObjects, supports: Supports) -> RenderedObjects:
+        gain = NO_GAIN if self._probes.given else self._session.gain_of(frame.index)
         glass = bool((objects.materials.transmission > 0).any())
-        return render_objects(
+        seen = replace(frame, image=with_gain(frame.image, gain)) if glass and gain != NO_GAIN else frame
+        rendered = render_objects(
             objects,
             frame.intrinsics,
             frame.camera_to_world,
             self._probes.lights(),
             quality=self.quality,
             seed=self._seed,
-            background=BehindGlass(frame) if glass else None,
+            background=BehindGlass(seen) if glass else None,
             supports=supports,
             max_paths=self._max_paths,
         )
+        if gain == NO_GAIN:
+            return rendered
+        return replace(rendered, radiance=rendered.radiance / np.array(gain, np.float32))
 
     def _room_depth(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> "_RoomDepth":
         """Return depth at the pixels of a crop, with holes filled from other frames."""

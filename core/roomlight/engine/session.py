@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
+from typing import Final, NoReturn
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from roomlight.engine.probe import Probe
 from roomlight.engine.room import BACK_MARGIN, MOST_LEFT, AnyRoom, Room, RoomView, room_at
 from roomlight.engine.session_view import SessionView
 from roomlight.engine.state.snapshot import KeptFrame, SessionSnapshot
-from roomlight.engine.surface.drift import Drift
+from roomlight.engine.surface.drift import NO_GAIN, Drift, Gain
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Sglv, check_position
@@ -43,6 +43,9 @@ from roomlight.frame import Frame
 from roomlight.light.light import Light
 from roomlight.rules import check_type
 from roomlight.threads import parallel_for
+
+MOST_GAINS: Final = 10_000
+"""Frames whose gains are remembered: five minutes, 3 MB."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +59,15 @@ class FrameReport:
             computed at the same time.
         keyframe: whether it was kept as a keyframe.
         coverage: of each tracked probe, in the order of `Session.handles`.
+        gain: factors of red, green and blue by which its radiance becomes that of the session's light; 1 unless
+            exposure or white balance drift.
     """
 
     index: int
     stage_ms: dict[str, float]
     keyframe: bool
     coverage: tuple[float, ...]
+    gain: Gain = NO_GAIN
 
 
 @dataclass
@@ -111,6 +117,7 @@ class Session:
         self._room: Room | None = None  # from the first frame on
         self._left: tuple[RoomView, ...] = ()  # rooms that the camera was in before
         self._drift = Drift()
+        self._gains: dict[int, Gain] = {}  # of the last frames, by index
         self._probes: dict[int, Probe] = {}  # by handle
         self._pending: dict[int, Position] = {}  # tracked before the first frame, by handle
         self._next_handle = 0
@@ -241,8 +248,26 @@ class Session:
         mesh.forget()
         self._last_index, self._last_number, self._drift = frame.index, number, drift
         self.frames += 1
+        self._remember_gain()
         coverage = tuple(probe.panorama.coverage() for probe in self._probes.values())
-        return FrameReport(frame.index, clock.stage_ms, is_keyframe, coverage)
+        return FrameReport(frame.index, clock.stage_ms, is_keyframe, coverage, drift.gain or NO_GAIN)
+
+    def _remember_gain(self) -> None:
+        self._gains.pop(self._last_index, None)
+        self._gains[self._last_index] = self._drift.gain or NO_GAIN
+        if len(self._gains) > MOST_GAINS:
+            del self._gains[next(iter(self._gains))]
+
+    def gain_of(self, index: int) -> Gain:
+        """Return `FrameReport.gain` of the frame of this index; of one that is not known, that of the nearest.
+
+        Known are the last frames and the keyframes.
+        """
+        if index in self._gains:
+            return self._gains[index]
+        kept = {number: mesh.gain or NO_GAIN for room in self._rooms for number, mesh in room.meshes}
+        known = kept | self._gains
+        return known[min(known, key=lambda number: abs(number - index))] if known else NO_GAIN
 
     def _room_of(self, frame: Frame) -> Room:
         """Return the room that a frame is in: the present one while the camera is in its volume, else another or a new.
@@ -452,6 +477,7 @@ class Session:
         room = self._room = self._new_room(snapshot.grid)
         kept = {frame.index: frame.mesh for frame in snapshot.keyframes}
         self._drift = snapshot.drift
+        self._remember_gain()
         self._left = tuple(RoomView.of_snapshot(saved, kept, room.far, self._new_probe) for saved in snapshot.left)
         keyframes = {index: kept[index] for index in snapshot.present}
         latest = None if snapshot.latest is None else (snapshot.latest.index, snapshot.latest.mesh)

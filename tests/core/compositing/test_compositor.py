@@ -14,12 +14,13 @@ from roomlight.compositing.kernels.reproject import accumulate_image
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.light.probes import given_light
 from roomlight.compositing.light.temporal import LIGHT_S, DepthFilter, EasedLight, share_of
-from roomlight.compositing.objects.materials import diffuse, mirror
+from roomlight.compositing.objects.materials import diffuse, glass, mirror
 from roomlight.compositing.objects.primitives import cube, sphere
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, measure_camera
 from roomlight.compositing.picture.layers import encode_srgb8
 from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, SceneObject
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8, srgb8_to_linear
+from roomlight.engine.session import Session
 from roomlight.errors import OptionError, SceneError
 from roomlight.light.light import Light
 from rooms import BoxRoom, camera_at
@@ -97,6 +98,19 @@ def test_light_may_be_a_light_a_panorama_or_a_function(session):
         given_light(panorama[:8])
     with pytest.raises(OptionError, match=r"radiance is not negative, got -1"):
         given_light(panorama * 0 - 1)
+
+
+@pytest.mark.parametrize("material", [diffuse((0.5, 0.5, 0.5)), glass()])
+def test_objects_darken_at_once_with_a_frame_of_less_exposure(material):
+    first = replace(view(), auto_exposed=True)
+    dark, far = (replace(first, index=index, image=first.image * np.float32(0.4)) for index in (1, 11_000))
+    session = session_of([first, dark], height=16)
+    compositor = Compositor(session, [replace(BALL, geometry=sphere(0.2, material))], quality="preview")
+    full, *darker = (compositor.composite(frame).objects.sum() for frame in (first, dark, far))
+    assert darker == pytest.approx([0.4 * full] * 2, rel=0.05)
+    again = Session.from_snapshot(session.snapshot())
+    assert [again.gain_of(index) for index in (0, 1, 2)] == [session.gain_of(index) for index in (0, 1, 2)]
+    assert again.gain_of(1) == pytest.approx((2.5,) * 3, rel=0.05)
 
 
 def test_a_sphere_stands_casts_a_shadow_and_has_its_depth(session):

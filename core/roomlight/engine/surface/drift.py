@@ -26,6 +26,7 @@ from roomlight.engine.surface.texture import small_logarithm
 from roomlight.frame import Frame
 
 Gain = tuple[float, float, float]
+NO_GAIN: Final[Gain] = (1.0, 1.0, 1.0)
 
 AGREE: Final = 0.12
 """Two surfaces agree if the logarithms of their ratios differ by no more than this."""
