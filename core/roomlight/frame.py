@@ -25,8 +25,8 @@ def clipped_pixels(rgb: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]
 
 
 MAX_POSITION_M: Final = 10_000.0
-"""Largest coordinate of a camera: beyond it float32 metres cannot represent a millimetre; no indoor capture is so
-large."""
+"""Largest coordinate of cameras, objects and probes: beyond it float32 metres cannot represent a millimetre; no indoor
+capture is so large."""
 MAX_RADIANCE: Final = 1e12
 """Brightest pixel: white is 1 and the sun a million; from about 1e19 up its square overflows float32."""
 ASPECT_TOLERANCE: Final = 0.03

@@ -251,6 +251,7 @@ class Compositor:
     def _place_waiting(self, frame: Frame) -> None:
         done = {placed.number for placed in self._placed}
         new: list[PlacedObject] = []
+        positions: list[Float[np.ndarray, "n 3"]] = []
         for number, scene_object in enumerate(self.scene.objects):
             place = scene_object.place
             if number in done or (isinstance(place, AtPixel) and place.frame not in (None, frame.index)):
@@ -258,8 +259,9 @@ class Compositor:
             self.geometry.update(self._session)
             with naming_object(number, scene_object.name):
                 new.append(place_object(number, scene_object, self.geometry, frame))
-        for placed in new:
-            self._probes.add(probe_positions(placed))
+                positions.append(probe_positions(new[-1]))
+        for own in positions:
+            self._probes.add(own)
         self._placed = sorted([*self._placed, *new], key=lambda placed: placed.number)
 
     def _crops(self, frame: Frame, posed: PosedObjects) -> "_Crops":

@@ -15,6 +15,7 @@ from roomlight.compositing.placement.places import (
     Anchor,
     Placement,
     Plane,
+    check_places,
     place_at,
     place_at_pixel,
     place_by_pose,
@@ -106,15 +107,23 @@ def place_object(number: int, scene_object: SceneObject, geometry: RoomGeometry,
 
 
 def probe_positions(placed: PlacedObject) -> Float[np.ndarray, "n 3"]:
-    """Return where the light of an object is asked: at its centre, over its box, or along its path."""
+    """Return where the light of an object is asked: at its centre, over its box, or along its path.
+
+    Raises:
+        SceneError: such a place is too far away.
+    """
     motion, box = placed.object.motion, placed.object.box
     if motion is None:
-        return box_probes(box.low, box.high, placed.placement.object_to_world)
+        positions = box_probes(box.low, box.high, placed.placement.object_to_world)
+        check_places(positions, "place")
+        return positions
     times = [key.at for key in motion.keys]
     path = np.concatenate([np.linspace(a, b, 24) for a, b in pairwise(times)] or [np.array(times)])
     path = path[np.linspace(0, len(path) - 1, min(len(path), 500)).astype(np.int64)]
     matrices = [motion.transform_at(float(at), placed.pivot) @ placed.placement.object_to_world for at in path]
-    return path_probes(np.stack([matrix[:3, :3] @ placed.centre + matrix[:3, 3] for matrix in matrices]))
+    positions = np.stack([matrix[:3, :3] @ placed.centre + matrix[:3, 3] for matrix in matrices])
+    check_places(positions, "motion")
+    return path_probes(positions)
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,7 +83,7 @@ def _clustered(
     """Merge the vertices of each cell into their weighted mean; vertices without a triangle are left out."""
     used, faces = _used(len(vertices), faces)
     vertices, colours, weights = vertices[used], colours[used], weights[used]
-    cells = np.floor(vertices / cell_m).astype(np.int64) + 2**20  # positions are within 1 km
+    cells = np.floor(vertices / cell_m).astype(np.int64) + 2**20  # cameras are within 10 km, 500,000 cells
     key = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
     keys, cluster = np.unique(key, return_inverse=True)
     total = np.bincount(cluster, weights, len(keys))

@@ -18,7 +18,7 @@ from roomlight.compositing.objects.materials import diffuse, glass, mirror
 from roomlight.compositing.objects.primitives import cube, sphere
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, measure_camera
 from roomlight.compositing.picture.layers import encode_srgb8
-from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, SceneObject
+from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, MotionKey, SceneObject
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8, srgb8_to_linear
 from roomlight.engine.session import Session
 from roomlight.errors import OptionError, SceneError
@@ -333,10 +333,17 @@ def test_what_cannot_be_composited_is_refused(session):
             composite(session, view(), [replace(BALL, place=place)], quality="preview")
 
 
-def test_a_refused_pixel_names_the_object_and_changes_nothing(session):
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"place": AtPixel(9999.0, 3.0)}, "pixel"),
+        ({"motion": Motion(keys=[MotionKey(at=0, offset_m=(1e4, 0.0, 0.0))])}, "motion"),
+    ],
+)
+def test_a_refused_place_names_the_object_and_changes_nothing(session, changes, problem):
     before = session.handles
-    compositor = Compositor(session, [BALL, replace(BALL, name="lost", place=AtPixel(9999.0, 3.0))], quality="preview")
-    with pytest.raises(SceneError, match=r"objects\[1\] \(lost\): pixel"):
+    compositor = Compositor(session, [BALL, replace(BALL, name="lost", **changes)], quality="preview")
+    with pytest.raises(SceneError, match=rf"objects\[1\] \(lost\): {problem}"):
         compositor.composite(view())
     assert compositor.waiting == ("ball", "lost")
     assert session.handles == before

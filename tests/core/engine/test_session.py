@@ -180,7 +180,7 @@ def test_a_later_frame_without_depth_changes_no_coverage(pan_frames):
     assert not reports[-1].keyframe
 
 
-@pytest.mark.parametrize("position", [(np.nan, 0.0, 0.0), (0.0, -np.inf, 0.0), (0.0, 0.0, 2000.0)])
+@pytest.mark.parametrize("position", [(np.nan, 0.0, 0.0), (0.0, -np.inf, 0.0), (0.0, 0.0, 2e4)])
 def test_an_invalid_position_is_refused(pan_frames, position):
     session, _ = _run(pan_frames[:1])
     for call in (session.track, session.light_at, Session(CLASSICAL).track):

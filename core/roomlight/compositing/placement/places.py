@@ -99,7 +99,7 @@ def place_by_pose(pose: Float[np.ndarray, "4 4"], box: Box, *, anchor: Anchor = 
         rigid = check_rigid(pose)
     except ValueError as error:
         raise SceneError(f"pose: {error}") from error
-    _check_position(rigid[:3, 3], "pose")
+    check_places(rigid[None, :3, 3], "pose")
     matrix = rigid.copy()
     matrix[:3, 3] -= rigid[:3, :3] @ box.anchor(anchor)
     return Placement(matrix)
@@ -113,7 +113,7 @@ def place_at(
     Raises:
         SceneError: the position is not finite, or beyond the largest coordinate.
     """
-    _check_position(np.asarray(position, np.float64), "position")
+    check_places(np.asarray(position, np.float64)[None], "position")
     pose = np.eye(4)
     pose[:3, :3] = _upright(np.array([0.0, 1, 0]), yaw_degrees)
     pose[:3, 3] = position
@@ -336,8 +336,10 @@ def _patch(
     return np.concatenate([part[np.linalg.norm(part - centre, axis=1) < radius_m] for part in (fused, own)])
 
 
-def _check_position(position: Float[np.ndarray, "3"], field: str) -> None:
-    if not np.isfinite(position).all() or np.abs(position).max() > MAX_POSITION_M:
+def check_places(positions: Float[np.ndarray, "n 3"], field: str) -> None:
+    """Raise SceneError if a coordinate is not finite or too large."""
+    farthest = positions[np.abs(positions).max(axis=1).argmax()]
+    if not np.abs(farthest).max() <= MAX_POSITION_M:
         raise SceneError(
-            f"{field}: coordinates must be finite and within {MAX_POSITION_M:.0f} m; got {position.tolist()}"
+            f"{field}: coordinates must be finite and within {MAX_POSITION_M:.0f} m; got {farthest.tolist()}"
         )

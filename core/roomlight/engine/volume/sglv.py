@@ -21,6 +21,7 @@ from roomlight.conventions import panorama_rays
 from roomlight.engine.kernels.march import MarchRays, MarchVolume, march_rays
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import ProbeError
+from roomlight.frame import MAX_POSITION_M
 from roomlight.rules import is_finite
 from roomlight.threads import parallel_for
 
@@ -50,14 +51,15 @@ def check_position(position_world: tuple[float, float, float]) -> Float[np.ndarr
     """Return the position as float64.
 
     Raises:
-        ProbeError: it is not three finite numbers within 1 km of the origin.
+        ProbeError: it is not three finite numbers within `MAX_POSITION_M`.
     """
     try:
         position = np.array([float(value) if is_finite(value) else np.nan for value in position_world])
     except TypeError:
         position = np.empty(0)
-    if position.shape != (3,) or not np.abs(position).max() <= 1000:
-        raise ProbeError(f"probe position {position_world!r} must be three finite numbers in metres, within 1 km")
+    if position.shape != (3,) or not np.abs(position).max() <= MAX_POSITION_M:
+        rule = f"must be three finite numbers in metres, within {MAX_POSITION_M:.0f} m"
+        raise ProbeError(f"probe position {position_world!r} {rule}")
     return position
 
 
