@@ -230,12 +230,17 @@ def test_depth_is_averaged_where_it_agrees_else_replaced():
     assert depth_filter.push(hole) == pytest.approx(nearer.depth_m)  # held for some frames
 
 
-def test_depth_follows_a_moving_camera():
+def test_depth_follows_a_moving_camera_and_its_lens():
     depth_filter = DepthFilter()
     for index in range(6):
         frame = view(0.7 * index, index)
         result = depth_filter.push(frame)
         assert np.percentile(np.abs(result - frame.depth_m) / frame.depth_m, 95) < 0.01
+    zoomed = replace(frame.intrinsics, fx=2 * frame.intrinsics.fx, fy=2 * frame.intrinsics.fy)
+    held = depth_filter.push(replace(frame, intrinsics=zoomed, depth_m=np.zeros_like(frame.depth_m), index=6))
+    middle, known = np.kron(result[48:144, 64:192], np.ones((2, 2))), held > 0
+    assert known.any()
+    assert np.percentile(np.abs(held - middle)[known] / middle[known], 95) < 0.02
 
 
 def test_noise_and_blur_of_the_frame_are_measured_and_matched():

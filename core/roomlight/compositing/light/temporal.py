@@ -64,10 +64,10 @@ class _AgedDepth:
     ) -> tuple[Float32[np.ndarray, "sh sw"], Float32[np.ndarray, "sh sw"]]:
         """Return depth and age as the camera of a later frame sees them."""
         pose, later = self.frame.camera_to_world, frame.camera_to_world
-        if pose.tobytes() == later.tobytes() and shape == self.depth.shape:
+        lens, new_lens = _lens(self.frame.intrinsics, self.depth.shape), _lens(frame.intrinsics, shape)
+        if np.array_equal(pose, later) and np.array_equal(lens, new_lens) and shape == self.depth.shape:
             return self.depth, self.age
         transform = (rigid_inverse(later) @ pose)[:3].astype(np.float32)
-        lens, new_lens = _lens(self.frame.intrinsics, self.depth.shape), _lens(frame.intrinsics, shape)
         depth, age = np.zeros((2, *shape), np.float32)
         splat_depth(self.depth, self.age, lens, transform, new_lens, depth, age)
         return depth, age
