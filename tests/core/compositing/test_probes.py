@@ -56,6 +56,7 @@ def test_both_follow_the_session(session):
     probes.add(PLACES)
     handles = [session.track(position(place)) for place in PLACES]
     session.push(UP)
+    probes.add(np.array([[0.0, 0.2, 0.0]]))  # of an object that is placed later
     assert probes.advance(20 * LIGHT_S)
     for place, handle in zip(PLACES, handles, strict=True):
         at, light = position(place), session.light(handle)

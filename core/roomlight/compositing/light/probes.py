@@ -94,6 +94,8 @@ class ObjectProbes:
 
     def add(self, positions: Float[np.ndarray, "n 3"]) -> None:
         """Track probes at these positions, as far as `MAX_TOTAL` allows."""
+        if not self._handles:
+            self._frames = self._session.frames
         for position in positions[: MAX_TOTAL - len(self._handles)]:
             x, y, z = position.tolist()
             handle = self._session.track((x, y, z))
@@ -105,7 +107,6 @@ class ObjectProbes:
                 light = self._session.light(handle)
                 self._lighting.add((x, y, z), light.panorama)
                 self._reflection.add((x, y, z), light.reflection)
-        self._frames = self._session.frames
 
     def advance(self, elapsed_s: float, *, every_s: float = 0.0) -> bool:
         """Follow the session's light for a time; return whether any changed.
