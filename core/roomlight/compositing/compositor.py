@@ -145,6 +145,7 @@ class Compositor:
         self._camera, self._camera_age = CameraModel.perfect(), 0
         self._first: Frame | None = None
         self._before: Frame | None = None
+        self._closed = False
         for scene_object in self.scene.objects:  # refuse bad places now, not at the first frame
             if not isinstance(scene_object.place, AtPixel):
                 placement_of(scene_object)
@@ -174,6 +175,7 @@ class Compositor:
 
         Raises:
             SceneError: the session has no frame yet, or a pixel of this frame shows no known surface; nothing changed.
+                Or the compositor is closed.
         """
         return self._step(frame, is_drawn=True)
 
@@ -186,6 +188,8 @@ class Compositor:
         self._step(frame, is_drawn=False)
 
     def _step(self, frame: Frame, *, is_drawn: bool) -> Composite:
+        if self._closed:
+            raise SceneError("the compositor is closed: make a new one, or close it after its last frame")
         if self._session.frames == 0:
             raise SceneError("the session has no light and no geometry yet: push a frame first")
         clock = StageClock()
@@ -245,7 +249,8 @@ class Compositor:
         )
 
     def close(self) -> None:
-        """Stop tracking the objects' positions in the session."""
+        """Stop tracking the objects' positions in the session; no frame can be composited afterwards."""
+        self._closed = True
         self._probes.close()
 
     def _place_waiting(self, frame: Frame) -> None:

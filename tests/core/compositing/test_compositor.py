@@ -327,6 +327,10 @@ def test_paths_are_limited_for_objects_that_cover_many_pixels(session):
 def test_what_cannot_be_composited_is_refused(session):
     with pytest.raises(SceneError, match="push a frame first"):
         Compositor(session_of(height=16), [BALL]).composite(view())
+    compositor = Compositor(session, [BALL])
+    compositor.close()
+    with pytest.raises(SceneError, match="the compositor is closed"):
+        compositor.composite(view())
     with pytest.raises(OptionError, match="quality must be one of preview, good, final; got 'best'"):
         Compositor(session, [BALL], quality="best")
     for place, message in (
