@@ -62,7 +62,7 @@ from roomlight.frame import CLIPPED_SRGB8, Frame
 Quality = Literal["preview", "good", "final"]
 
 CAMERA_EVERY: Final = 30
-"""Noise and blur of the camera are measured again after this many frames."""
+"""Noise and blur of the camera are measured again after this many frames, and at another size of frames."""
 LIGHT_EVERY_S: Final[dict[Quality, float]] = {"preview": 0.13, "good": 0.0, "final": 0.0}
 """Light is moved toward the session's at most this often; each move costs 12 ms a probe."""
 DEPTH_COLUMNS: Final[dict[Quality, int]] = {"preview": 256, "good": 640, "final": 640}
@@ -143,6 +143,7 @@ class Compositor:
         self._matrices: list[bytes] = []
         self._built_at: list[Float[np.ndarray, "4 4"]] = []
         self._camera, self._camera_age = CameraModel.perfect(), 0
+        self._camera_shape: tuple[int, ...] = ()
         self._first: Frame | None = None
         self._before: Frame | None = None
         self._closed = False
@@ -286,8 +287,12 @@ class Compositor:
     def _follow_camera(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
         if not self._match:
             return
+        if image.shape != self._camera_shape:
+            self._camera_age, self._camera_shape = 0, image.shape
         if self._camera_age % CAMERA_EVERY == 0:
             measured = measure_camera(image.astype(np.float32) / np.float32(255))
+            if not measured.known:  # the next frame may tell
+                return
             self._camera = measured if self._camera_age == 0 else self._camera.eased(measured, 0.3)
         self._camera_age += 1
 

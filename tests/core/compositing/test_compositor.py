@@ -293,7 +293,10 @@ def test_noise_of_the_frame_is_given_to_objects(session):
     clean = view()
     noisy = linear_to_srgb(clean.image) + rng.normal(0, 0.02, clean.image.shape)
     frame = replace(clean, image=srgb8_to_linear(np.rint(np.clip(noisy, 0, 1) * 255).astype(np.uint8)))
-    matched = composite(session, frame, [BALL], quality="preview")
+    compositor = Compositor(session, [BALL], quality="preview")
+    compositor.follow(replace(clean, image=0 * clean.image))  # the lens is covered
+    compositor.follow(clean.resized(160, 120))
+    matched = compositor.composite(frame)
     plain = Compositor(session, [BALL], quality="preview", match_camera=False).composite(frame)
     covered = plain.alpha == 1
     difference = (matched.image.astype(float) - plain.image)[covered] / 255

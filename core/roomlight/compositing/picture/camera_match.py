@@ -56,12 +56,14 @@ class CameraModel:
         grain_px: blur of the noise itself; 0 is white.
         blur_px: standard deviation of the point spread, in pixels.
         shared: part of the noise's variance that the channels have in common.
+        known: whether enough pixels were neither black nor white to measure noise at.
     """
 
     noise: Float32[np.ndarray, "levels 3"]
     grain_px: float
     blur_px: float
     shared: float = 0.0
+    known: bool = True
 
     @classmethod
     def perfect(cls) -> "CameraModel":
@@ -88,8 +90,9 @@ def measure_camera(encoded: Float[np.ndarray, "h w 3"]) -> CameraModel:
     high = cv2.filter2D(image, -1, _HIGH_PASS, borderType=cv2.BORDER_REFLECT)
     noise = _by_brightness(high, smooth, flat)
     grain = _grain_of(image, high, flat) if noise.any() else 0.0
-    inside = flat & (smooth > _DARKEST).all(axis=-1) & (smooth < _BRIGHTEST).all(axis=-1)
-    return CameraModel(noise, grain, measure_blur(image), _shared(high[inside]))
+    usable = flat[..., None] & (smooth > _DARKEST) & (smooth < _BRIGHTEST)
+    known = bool(usable.sum(axis=(0, 1)).max() >= _FEWEST)
+    return CameraModel(noise, grain, measure_blur(image), _shared(high[usable.all(axis=-1)]), known)
 
 
 def _flat(encoded: Float[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
