@@ -61,6 +61,8 @@ _CONTACT_RATIO: Final = 0.93
 """Lighter shadows have no contact to show."""
 _MOST_REFLECTED: Final = np.float32(12.0)
 """Of one pixel's few rays, relative to its irradiance; the mean over neighbours is limited by `RATIO_RANGE`."""
+_MOST_LAYERS: Final = 4
+"""Surfaces of glass and of partly transparent things that a ray to the light may meet, the last one included."""
 _MOST_ALBEDO: Final = 0.8
 """Of floors and tables: white paint."""
 _FACING_UP: Final = 0.7
@@ -380,8 +382,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
         rays = _rays((stop - start) * samples, 3)
         arguments = (receivers, light, places, of_lamp, spheres, lift, levels[-1], unblocked, irradiance, rays)
         met = _first(rays, light_rays(*arguments, start, stop))
-        hits = caster.scene.trace(met.origin, met.direction)
-        add_blocked(met, opacity[hits.face], hits.distance_m, blocked, squares, nearness)
+        add_blocked(met, *_taken(caster.scene, met, opacity), blocked, squares, nearness)
         if quality.bounces:
             rays = _rays((stop - start) * quality.bounces * len(spheres), 1)
             met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
@@ -430,10 +431,36 @@ def _first(rays: Rays, count: int) -> Rays:
 
 
 def _opacity(scene: TracedObjects) -> Float32[np.ndarray, " f1"]:
-    """Return the share of light that each face takes, then a 0 that the face -1 reads: glass lets light through."""
+    """Return the share of light that each face takes, then a 0 that the face -1 reads: glass lets light through.
+
+    Each of the two surfaces of solid glass takes half of its tint.
+    """
     table = scene.materials
-    clear = (1 - table.transmission * table.base.mean(axis=1)) * table.opacity
+    tint = table.base.mean(axis=1)
+    clear = (1 - table.transmission * np.where(table.is_thin, tint, np.sqrt(tint))) * table.opacity
     return np.append(clear[scene.surfaces.material], 0).astype(np.float32)
+
+
+def _taken(
+    scene: TracedObjects, rays: Rays, opacity: Float32[np.ndarray, " f1"]
+) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+    """Return the share of each ray's light that objects take, and the distance in metres of what takes most of it."""
+    hits = scene.trace(rays.origin, rays.direction)
+    share, distance_m, ahead_m = opacity[hits.face], hits.distance_m, np.float32(scene.offset_m())
+    onward = np.flatnonzero((share < 1) & (hits.face >= 0))
+    far_m = distance_m[onward]
+    for _ in range(_MOST_LAYERS - 1):
+        if len(onward) == 0:
+            break
+        far_m, direction = far_m + ahead_m, rays.direction[onward]
+        hits = scene.trace(rays.origin[onward] + far_m[:, None] * direction, direction)
+        far_m, before = far_m + hits.distance_m, share[onward]
+        lost = (1 - before) * opacity[hits.face]
+        share[onward] += lost
+        distance_m[onward] = np.where(lost > before, far_m, distance_m[onward])
+        left = (hits.face >= 0) & (opacity[hits.face] < 1)
+        onward, far_m = onward[left], far_m[left]
+    return share, distance_m
 
 
 def _light_places(caster: Caster, light: LightSamples) -> LightPlaces:
