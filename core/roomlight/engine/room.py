@@ -86,7 +86,7 @@ class Room:
             vertices = mesh.vertices[mesh.known] @ self.grid.world_to_volume[:3, :3].T.astype(np.float32)
             local = vertices + self.grid.world_to_volume[:3, 3].astype(np.float32)
             inside = ((local >= self.grid.lower_m) & (local <= self.grid.upper_m)).all(axis=1)
-            if inside.mean(dtype=np.float64) >= _REACHING and self.keyframes.offer(index, mesh):
+            if inside.any() and inside.mean(dtype=np.float64) >= _REACHING and self.keyframes.offer(index, mesh):
                 frame = _frame_of(index, mesh)
                 clipping = clipping_buffer(self.grid, frame)
                 initial_volume(self.grid, frame, far_unknown=False, out=self.volume.volume, clipping=clipping)

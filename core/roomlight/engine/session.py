@@ -287,10 +287,10 @@ class Session:
         else:
             room = self._new_room(VolumeGrid.from_frame(frame, shape=self._model.volume_shape))
             others = self._left
-        self._room = room
         if present is not None:
             room.take_over(present.meshes)
             self._left = (*others, present.left(self._new_probe))[-MOST_LEFT:]
+        self._room = room
         for handle, probe in self._probes.items():
             self._probes[handle] = probe.in_room(room_at(probe.position, self._rooms))
         return room

@@ -141,7 +141,10 @@ def test_rooms_beyond_the_limit_are_forgotten_and_their_probes_keep_what_was_see
 
 def test_a_frame_without_depth_begins_no_room():
     blind = replace(_far(1, 1), depth_m=np.zeros((120, 160), np.float32))
-    assert session_of([_far(0, 0), blind], height=HEIGHT).rooms_left == 0
+    session = session_of([_far(0, 0), blind], height=HEIGHT)
+    assert session.rooms_left == 0
+    session.push(_far(2, 2))
+    assert session.rooms_left == 1
 
 
 @pytest.mark.parametrize("model", ["classical", "video"])
