@@ -46,7 +46,7 @@ class Frame:
             as the image, any size of at least 2 x 2.
         intrinsics: of the image (depth's are the same, resized).
         camera_to_world: rigid 4 x 4, float64.
-        index: number of the frame in its stream.
+        index: number of the frame in its stream, 0 or more.
         timestamp_s: seconds, from any origin.
         source: name of the frame in messages, e.g. its file.
         guessed: float32 [h, w]: luminance of the image that is an estimate for clipped pixels
@@ -88,6 +88,8 @@ class Frame:
             object.__setattr__(self, "index", operator.index(self.index))
         except TypeError as error:
             raise FrameError(f"{name}: the index is {self.index!r}, not a whole number") from error
+        if self.index < 0:
+            raise FrameError(f"{name}: the index is {self.index}; frames are numbered from 0 on")
         if self.timestamp_s is not None:
             if not is_finite(self.timestamp_s):
                 raise FrameError(f"{name}: timestamp_s is {self.timestamp_s!r}, not a number of seconds")

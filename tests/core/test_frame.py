@@ -58,6 +58,7 @@ def test_mismatched_parts_are_refused_with_the_frames_name(parts, message):
         ({"seen": np.zeros((60, 80), bool)}, r"seen pixels is bool of shape \(60, 80\); it must"),
         ({"guessed": np.full((120, 160), np.nan, np.float32)}, "estimated luminance, .* must fit the image"),
         ({"index": 1.0}, "the index is 1.0, not a whole number"),
+        ({"index": -1}, "the index is -1; frames are numbered from 0 on"),
         ({"timestamp_s": "soon"}, "timestamp_s is 'soon', not a number of seconds"),
         ({"timestamp_s": np.nan}, "timestamp_s is nan, not a number of seconds"),
         ({"image": torch.zeros(120, 160, 3)}, r"the image is of the type Tensor \(pass its \.numpy\(\)\), not linear"),
