@@ -68,6 +68,8 @@ _AGREEING: Final = 0.35
 
 _FLOOR_SHARE: Final = 0.5
 """Share of the floor's word in the log of the metres, beside the network's."""
+_MOST_FLOORS: Final = 500
+"""Last frames whose floors count: all are sorted in each frame, and more of a camera in its place tell little."""
 _MOST_BY_FLOOR: Final = 2.0
 """Most that the floor enlarges or reduces depth: what is farther off is a table, or a camera on the ground."""
 
@@ -208,7 +210,7 @@ class DepthStream:
         if not self._gravity or not self.state.unmoved:
             return
         up = frame.camera_to_world[1, :3].astype(np.float64)
-        self.state.floors = [*self.state.floors, camera_height(depth, frame.intrinsics, up)]
+        self.state.floors = [*self.state.floors[1 - _MOST_FLOORS :], camera_height(depth, frame.intrinsics, up)]
         metres = floor_scale(self.state.floors, self._height_m)
         if metres is not None:
             self.state.per_metre = float(np.clip(metres, 1 / _MOST_BY_FLOOR, _MOST_BY_FLOOR)) ** -_FLOOR_SHARE

@@ -19,7 +19,7 @@ class StreamState:
         last: The last frame.
         motion: Of the last frames: log ratio of triangulated to estimated inverse depth, and weight.
         fit: Scale and shift of the last frame.
-        floors: The camera's height in each frame, until features move.
+        floors: The camera's height in each of the last frames, until features move.
         unmoved: Whether none has moved yet.
         per_metre: Times 1 / depth in the stream's unit: 1 / depth in metres.
     """
