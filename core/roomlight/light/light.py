@@ -175,7 +175,9 @@ class Light:
         return result
 
     def digest(self) -> str:
-        """Return an identity of this light, without computing it: equal light has the same, to the bit.
+        """Return an identity of this light, without computing it: equal light has the same.
+
+        Light of one digest is equal to the bit where `ROOMLIGHT_THREADS` is: networks round by the number of threads.
 
         Raises:
             ValueError: the light came from a server; its `etag` is its identity.

@@ -90,7 +90,7 @@ class LightSource(Protocol):
         ...
 
     def digest(self) -> str:
-        """Return an identity, without computing the panoramas: equal sources give equal light, to the bit."""
+        """Return an identity, without computing the panoramas: equal sources give equal light."""
         ...
 
 
