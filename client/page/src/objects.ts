@@ -16,6 +16,8 @@ export interface ObjectFile {
   readonly name: string;
   /** Null if another page has uploaded it: the 3D view then leaves it out. */
   readonly data: Blob | null;
+  /** Its longest side in its own metres; null if another page has uploaded it. */
+  readonly size_m: number | null;
 }
 
 export interface PlacedObject {
@@ -35,7 +37,6 @@ export interface PlacedObject {
 }
 
 const PAUSE_MS = 400; // a session's frames wait while a composite is made
-const MARGIN = 0.02; // of the picture's width and height
 const MOST_UNDONE = 50;
 const BAD_PLACES = new Set(["bad-place", "invalid"]);
 
@@ -184,9 +185,11 @@ export class PlacedObjects {
   /** Render the newest frame with the objects again. */
   readonly update = latestOnly(() => this.render(), PAUSE_MS);
 
-  private async render(): Promise<void> {
+  /** `outside`: objects that the server has found outside the picture. */
+  private async render(outside: readonly PlacedObject[] = []): Promise<void> {
     const session = this.session();
-    const shown = this.list.value.filter((object) => !this.isLost(object) && isInView(object, this.state.camera.value));
+    const { camera } = this.state;
+    const shown = this.list.value.filter((object) => !outside.includes(object) && !this.isLost(object) && isInView(object, camera.value));
     if (!session || shown.length === 0) {
       return this.showComposite(null);
     }
@@ -208,8 +211,10 @@ export class PlacedObjects {
       this.visible.value = visible;
       this.showComposite({ blob: data, frame });
     } catch (error) {
+      const { rule } = error instanceof RoomLightError ? error : { rule: "" };
+      const gone = shown.find(({ name, pose }) => pose !== null && rule.startsWith(`${name}: lies `));
       if (cleared === this.cleared) {
-        await this.refused(error);
+        await (gone ? this.render([...outside, gone]) : this.refused(error));
       }
     } finally {
       this.busy.value = false;
@@ -330,13 +335,28 @@ function turned(pose: readonly number[], degrees: number): readonly number[] {
   ];
 }
 
-/** Whether the middle of a placed object is in the picture; the server refuses objects that are not. */
-function isInView({ pose }: PlacedObject, camera: CameraView | null): boolean {
+/** Whether the box around a placed object touches the picture; the server refuses objects that are outside. */
+function isInView(object: PlacedObject, camera: CameraView | null): boolean {
+  const corners = cornersOf(object, camera);
+  const ahead = corners.filter((corner) => corner !== null);
+  const isAcross = (axis: 0 | 1) => ahead.some((corner) => corner[axis] < 1) && ahead.some((corner) => corner[axis] > 0);
+  return corners.length === 0 || (ahead.length > 0 && (ahead.length < corners.length || (isAcross(0) && isAcross(1))));
+}
+
+/** Corners of the box around an object, as `pixelOf` has them, the four of its base first; none before it is placed. */
+export function cornersOf({ shape, file, size_m, pose }: PlacedObject, camera: CameraView | null): ReturnType<typeof pixelOf>[] {
   if (!pose || !camera?.camera_to_world || !camera.intrinsics) {
-    return true;
+    return [];
   }
-  const pixel = pixelOf([pose[12]!, pose[13]!, pose[14]!], camera);
-  return pixel !== null && pixel.every((value) => value > MARGIN && value < 1 - MARGIN);
+  const [half, bottom, top] = boxOf(shape).map((value) => value * (size_m ?? file?.size_m ?? 1)) as [number, number, number];
+  return [bottom, top].flatMap((y) =>
+    [-half, half].flatMap((z) =>
+      [-half, half].map((x) => {
+        const world = [0, 1, 2].map((axis) => pose[axis]! * x + pose[4 + axis]! * y + pose[8 + axis]! * z + pose[12 + axis]!);
+        return pixelOf(world as unknown as Position, camera);
+      }),
+    ),
+  );
 }
 
 /** Where a point of the world is in the picture, as fractions of its width and height; null behind the camera. */

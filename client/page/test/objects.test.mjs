@@ -140,10 +140,11 @@ test("what two place at once is kept, and each undoes its own", async () => {
   await noNotices();
 });
 
-test("an object behind something real has an outline", async () => {
+test("an object behind something real has an outline, also one that is in the picture in part", async () => {
   await page.evaluate(async () => {
-    const { camera_to_world: pose } = await (await fetch("v1/sessions/room/camera")).json();
-    const position = [0, 1, 2].map((axis) => pose[12 + axis] - 30 * pose[8 + axis]); // behind the wall
+    const { camera_to_world: pose, intrinsics } = await (await fetch("v1/sessions/room/camera")).json();
+    const aside = (30 * (intrinsics.width - intrinsics.cx)) / intrinsics.fx + 1; // its middle is out of the picture
+    const position = [0, 1, 2].map((axis) => pose[12 + axis] - 30 * pose[8 + axis] + aside * pose[axis]); // behind the wall
     const body = JSON.stringify({ objects: [{ name: "far", shape: "cube", size_m: 4, position, anchor: "centre" }] });
     await fetch("v1/sessions/room/scene", { method: "PUT", body, headers: { "content-type": "application/json" } });
   });

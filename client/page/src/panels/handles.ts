@@ -1,8 +1,7 @@
 // The placed objects in the camera's picture: outlines of the selected one and of hidden ones; a drag moves one on surfaces.
 
-import type { Position } from "roomlight";
 import { byId } from "../lib/dom";
-import { boxOf, pixelOf, type PlacedObject, type PlacedObjects } from "../objects";
+import { cornersOf, type PlacedObject, type PlacedObjects } from "../objects";
 import type { State } from "../state";
 
 type Point = readonly [x: number, y: number];
@@ -103,20 +102,9 @@ export function objectHandles(state: State, objects: PlacedObjects): { isClick: 
 }
 
 /** The box around an object in the picture; nothing if a corner is behind the camera. */
-function outlineOf({ name, shape, size_m, pose }: PlacedObject, { camera }: State): Outline[] {
-  if (!pose || !camera.value?.camera_to_world || !camera.value.intrinsics) {
-    return [];
-  }
-  const [half, bottom, top] = boxOf(shape).map((value) => value * (size_m ?? 1)) as [number, number, number];
-  const corners = [bottom, top].flatMap((y) =>
-    [-half, half].flatMap((z) =>
-      [-half, half].map((x) => {
-        const world = [0, 1, 2].map((axis) => pose[axis]! * x + pose[4 + axis]! * y + pose[8 + axis]! * z + pose[12 + axis]!);
-        return pixelOf(world as unknown as Position, camera.value!);
-      }),
-    ),
-  );
-  return corners.includes(null) ? [] : [{ name, corners: corners as Point[] }];
+function outlineOf(object: PlacedObject, { camera }: State): Outline[] {
+  const corners = cornersOf(object, camera.value);
+  return corners.length === 0 || corners.includes(null) ? [] : [{ name: object.name, corners: corners as Point[] }];
 }
 
 function isInside([x, y]: Point, corners: readonly Point[]): boolean {
