@@ -69,10 +69,14 @@ test("a placed object is turned and moved, and both are undone", async () => {
   await page.fill("#object-size", "35");
   await page.press("#object-size", "Tab");
   before = await waitForChange(page, "#picture-image", before);
+  await page.focus("#share");
+  await page.keyboard.press("Delete");
   await page.focus("#objects .chip-name");
+  assert.equal(await page.locator("#objects .chip").count(), 1);
   await page.keyboard.press("Delete");
   await page.waitForFunction(() => document.getElementById("objects").children.length === 0);
-  await page.click("#object-undo");
+  await page.focus("#object-material");
+  await page.keyboard.press("Control+z");
   await page.waitForSelector("#objects .chip");
   await page.click('#objects .chip button[aria-label^="Remove"]');
   await page.selectOption("#object-shape", "sphere"); // with its usual size and material
@@ -158,9 +162,9 @@ test("a finger drags an object, and a size has limits", async () => {
   await phone.goto(ROOM);
   await waitForLight(phone);
   const before = await pixelsOf(phone, "#picture-image");
-  await phone.fill("#object-size", "400");
+  await phone.fill("#object-size", "20000");
   await phone.press("#object-size", "Tab");
-  assert.equal(await phone.inputValue("#object-size"), "300");
+  assert.equal(await phone.inputValue("#object-size"), "10000");
   await phone.fill("#object-size", "20");
   await phone.locator("#picture-button").scrollIntoViewIfNeeded();
   const { x, y, width, height } = await phone.locator("#picture-image").boundingBox();
@@ -240,6 +244,9 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   await page.click("#object-notes summary");
   assert.match(await page.locator("#object-notes li").innerText(), /animations: the object stands in its pose at rest; export the pose you want/);
   await page.waitForFunction(() => globalThis.roomlightPage.litObjects.includes("corner-1"));
+  assert.equal(await page.inputValue("#object-size"), "100");
+  await isKept(page);
+  assert.equal((await control("scene")).objects[0].size_m ?? null, null); // its own metres
   await noNotices();
 
   // a server that was started again has lost the file: the page that has it sends it again

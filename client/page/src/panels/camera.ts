@@ -18,13 +18,12 @@ const PLACES = "Click a surface to place an object there, drag one to move it. K
 export const EARLIER = "This is an earlier frame: press Live to place objects.";
 const TURN_DEG = 15;
 /** Size and material that a shape usually has. */
-const USUAL: Readonly<Record<Shape, { readonly size_cm: number | null; readonly material: Surface }>> = {
+const USUAL: Readonly<Record<Exclude<Shape, "file">, { readonly size_cm: number; readonly material: Surface }>> = {
   sphere: { size_cm: 20, material: "mirror" },
   cube: { size_cm: 20, material: "diffuse" },
   plane: { size_cm: 40, material: "mirror" },
   chair: { size_cm: 85, material: "own" },
   vase: { size_cm: 30, material: "own" },
-  file: { size_cm: null, material: "own" },
 };
 const SLOW = "Rendering: the first picture of a server takes up to a minute";
 const SLOW_MS = 6000;
@@ -168,7 +167,7 @@ function objectTools(state: State, objects: PlacedObjects): void {
     const selected = objects.list.value.find((object) => object.name === name);
     if (selected) {
       material.value = selected.material;
-      size.value = String(Math.round(100 * (selected.size_m ?? 1)));
+      size.value = centimetres(selected.size_m ?? usualSize_m(selected.shape, selected.file));
     }
     show();
   });
@@ -178,25 +177,24 @@ function objectTools(state: State, objects: PlacedObjects): void {
   byId("object-undo").addEventListener("click", () => objects.undo());
   byId("object-redo").addEventListener("click", () => objects.redo());
   addEventListener("keydown", (event) => {
-    const isTyping = event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement;
-    if (!isTyping && (event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z") {
+    const target = event.target as HTMLElement;
+    const key = event.ctrlKey || event.metaKey ? event.key.toLowerCase() : "";
+    if (target.matches("input:is([type=text], [type=number], [type=password])")) {
+      return; // they have their own undo
+    }
+    if (key === "z" || key === "y") {
       event.preventDefault();
-      (event.shiftKey ? () => objects.redo() : () => objects.undo())();
-    } else if (!isTyping && event.key === "Delete" && objects.selected.value) {
+      (event.shiftKey || key === "y" ? () => objects.redo() : () => objects.undo())();
+    } else if (event.key === "Delete" && objects.selected.value && (target === document.body || target.closest("#camera, #room"))) {
       objects.remove(objects.selected.value);
     }
   });
-  shape.addEventListener("change", () => {
-    const usual = USUAL[shape.value as Shape];
-    material.value = usual.material;
-    if (usual.size_cm !== null) {
-      size.value = String(usual.size_cm);
-    }
-  });
+  shape.addEventListener("change", () => showUsual(shape.value as Shape));
   size.addEventListener("change", () => {
-    size.value = String(Math.round(1000 * chosen().size_m!) / 10); // within its limits
-    if (objects.selected.value) {
-      objects.resize(objects.selected.value, chosen().size_m!);
+    const size_m = typedSize_m() ?? usualSize_m(shape.value as Shape);
+    size.value = centimetres(size_m); // within its limits
+    if (objects.selected.value && size_m !== null) {
+      objects.resize(objects.selected.value, size_m);
     }
   });
   material.addEventListener("change", () => objects.selected.value && objects.setMaterial(objects.selected.value, material.value as Surface));
@@ -207,7 +205,10 @@ function listenToFile(api: Api): void {
   const shape = byId<HTMLSelectElement>("object-shape");
   const input = byId<HTMLInputElement>("object-file");
   const option = shape.querySelector<HTMLOptionElement>('option[value="file"]')!;
-  const without = () => (shape.value = chosenFile ? "file" : "sphere");
+  const without = () => {
+    shape.value = chosenFile ? "file" : "sphere";
+    showUsual(shape.value as Shape);
+  };
   shape.addEventListener("change", () => shape.value === "file" && input.click());
   input.addEventListener("cancel", without);
   input.addEventListener("change", async () => {
@@ -216,11 +217,10 @@ function listenToFile(api: Api): void {
     try {
       if (file) {
         const { id, size_m, notes = [] } = await api.uploadGlb(file);
-        chosenFile = { id, name: file.name, data: file };
+        chosenFile = { id, name: file.name, data: file, size_m: Math.max(...size_m) };
         option.textContent = file.name;
-        byId<HTMLSelectElement>("object-material").value = "own";
-        byId<HTMLInputElement>("object-size").value = String(inLimits(Math.round(100 * Math.max(...size_m))));
         shape.value = "file";
+        showUsual("file");
         showNotes(byId<HTMLDetailsElement>("object-notes"), file.name, notes);
       }
     } catch (error) {
@@ -233,14 +233,35 @@ function listenToFile(api: Api): void {
 /** The object that the form describes. */
 export function chosen(): Pick<PlacedObject, "shape" | "file" | "material" | "size_m"> {
   const value = (id: string) => byId<HTMLSelectElement | HTMLInputElement>(id).value;
-  const size_cm = Number(value("object-size"));
   const shape = value("object-shape") as Shape;
+  const isOwnSize = shape === "file" && value("object-size") === centimetres(usualSize_m(shape));
   return {
     shape: shape === "file" && !chosenFile ? "sphere" : shape,
     file: shape === "file" ? chosenFile : null,
     material: value("object-material") as Surface,
-    size_m: inLimits(size_cm || USUAL[shape].size_cm || 20) / 100,
+    size_m: isOwnSize ? null : (typedSize_m() ?? usualSize_m(shape)),
   };
+}
+
+/** Show the size and the material that a shape, or the chosen file, usually has. */
+function showUsual(shape: Shape): void {
+  byId<HTMLSelectElement>("object-material").value = shape === "file" ? "own" : USUAL[shape].material;
+  byId<HTMLInputElement>("object-size").value = centimetres(usualSize_m(shape));
+}
+
+/** A shape's usual size, or a file's own; null where it is unknown. */
+function usualSize_m(shape: Shape, file = chosenFile): number | null {
+  return shape === "file" ? (file?.size_m ?? null) : USUAL[shape].size_cm / 100;
+}
+
+/** The size that the visitor has typed, within the server's limits; null without a number. */
+function typedSize_m(): number | null {
+  const { valueAsNumber: size_cm } = byId<HTMLInputElement>("object-size");
+  return size_cm > 0 ? Math.min(100, Math.max(1e-4, size_cm / 100)) : null;
+}
+
+function centimetres(size_m: number | null): string {
+  return size_m === null ? "" : String(Number((100 * size_m).toPrecision(4)));
 }
 
 function chip({ name, material }: PlacedObject, objects: PlacedObjects): HTMLLIElement {
@@ -256,10 +277,6 @@ function chip({ name, material }: PlacedObject, objects: PlacedObjects): HTMLLIE
   };
   const remove = { type: "button", "aria-label": `Remove ${label}`, click: () => objects.remove(name) };
   return element("li", { class: "chip" }, element("button", select, label), element("button", remove, "×"));
-}
-
-function inLimits(size_cm: number): number {
-  return Math.min(300, Math.max(1, size_cm));
 }
 
 function clamp(value: number): number {
