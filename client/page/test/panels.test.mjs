@@ -131,6 +131,12 @@ test("scrubbing shows an earlier frame, Live the newest", async () => {
   assert.match(await page.locator("#picture-help").innerText(), /press Live to place/);
   await waitForFrame(page, "#panorama-canvas", 8);
   assert.ok(difference(light, await pixelsOf(page, "#panorama-canvas")) > 2);
+  for (const [label, name] of [["HDR", "room-probe-1-8.hdr"], ["Picture", "room-8.jpg"]]) {
+    const download = page.waitForEvent("download");
+    await page.click(`#downloads button:text-is("${label}")`);
+    assert.equal((await download).suggestedFilename(), name);
+  }
+  assert.ok(await page.isDisabled('#downloads button:text-is("EXR")'));
   await page.click("#go-live");
   await waitForFrame(page, "#picture-image", 9);
   assert.equal(await page.locator("#camera-frame").innerText(), "Frame 9");

@@ -14,6 +14,8 @@ interface Download {
   readonly ending: string;
   /** Path of the file for a session and a probe. */
   readonly path: (session: string, probe: string) => string;
+  /** Path of the file of an earlier frame; without, there is none. */
+  readonly pastPath?: (session: string, probe: string, frame: number) => string;
   readonly needsProbe: boolean;
 }
 
@@ -27,7 +29,10 @@ const light = (label: string, format: string, ending: string, title: string): Do
 
 const DOWNLOADS: readonly Download[] = [
   light("EXR", "exr", "exr", "Panorama, linear, half floats"),
-  light("HDR", "hdr", "hdr", "Panorama, Radiance"),
+  {
+    ...light("HDR", "hdr", "hdr", "Panorama, Radiance"),
+    pastPath: (session, probe, frame) => `${sessionPath(session)}/history/${frame}/probes/${encodeURIComponent(probe)}`,
+  },
   light("PNG", "png", "png", "Panorama, 8 bits"),
   light("KTX2", "ktx2", "ktx2", "Cube map"),
   light("USDZ", "usdz", "usdz", "Dome light, and lamps and windows"),
@@ -45,7 +50,7 @@ const DOWNLOADS: readonly Download[] = [
 
 export function downloadsPanel(api: Api, state: State, objects: PlacedObjects): void {
   const buttons = DOWNLOADS.map((download) => {
-    const start = () => void save(api, state, download);
+    const start = () => saveLight(download);
     return { download, button: element("button", { class: "button", type: "button", title: download.title, click: start }, download.label) };
   });
   const picture = element("button", { class: "button", type: "button", title: "The camera's picture with objects", click: savePicture }, "Picture");
@@ -54,10 +59,19 @@ export function downloadsPanel(api: Api, state: State, objects: PlacedObjects): 
   byId("share").addEventListener("click", () => void share());
 
   function savePicture(): void {
+    const [session, past] = [state.selected.value!, pastFrame(state)];
+    if (past !== null) {
+      return void save(api, `${sessionPath(session)}/history/${past}/colour`, `${session}-${past}.jpg`);
+    }
     const shown = objects.composite.value ?? state.picture.value;
     if (shown) {
-      offer(shown.blob, `${state.selected.value}-${shown.frame}.jpg`);
+      offer(shown.blob, `${session}-${shown.frame}.jpg`);
     }
+  }
+  function saveLight({ path, pastPath, ending, needsProbe }: Download): void {
+    const [session, probe, past] = [state.selected.value!, state.selectedProbe.value ?? "", pastFrame(state)];
+    const name = `${session}${needsProbe ? `-${probe}` : ""}${past === null ? "" : `-${past}`}.${ending}`;
+    void save(api, past === null ? path(session, probe) : pastPath!(session, probe, past), name);
   }
   function saveScene(): void {
     const text = JSON.stringify({ objects: objects.list.value.map(sceneObject) }, null, 2);
@@ -71,11 +85,15 @@ export function downloadsPanel(api: Api, state: State, objects: PlacedObjects): 
   state.selected.watch((id) => (byId<HTMLButtonElement>("share").disabled = id === null));
   const enable = () => {
     for (const { download, button } of buttons) {
-      button.disabled = download.needsProbe ? state.selectedProbe.value === null : state.mesh.value === null;
+      const isThere = download.needsProbe ? state.selectedProbe.value !== null : state.mesh.value !== null;
+      const isOfFrame = pastFrame(state) === null || (download.pastPath !== undefined && state.probe !== null);
+      button.disabled = !isThere || !isOfFrame;
+      button.title = isOfFrame ? download.title : "This is an earlier frame: press Live to save it.";
     }
     picture.disabled = state.picture.value === null;
   };
-  state.selectedProbe.watch(enable);
+  state.watchProbes(enable);
+  state.shownEntry.watch(enable);
   state.mesh.watch(enable);
   state.picture.watch(enable);
 }
@@ -104,14 +122,14 @@ async function share(): Promise<void> {
   }
 }
 
-async function save(api: Api, state: State, { path, ending, needsProbe }: Download): Promise<void> {
-  const [session, probe] = [state.selected.value, state.selectedProbe.value ?? ""];
-  if (!session) {
-    return;
-  }
+/** The earlier frame that the timeline shows; null: live. */
+function pastFrame({ shownEntry, entry }: State): number | null {
+  return shownEntry.value === null ? null : (entry?.index ?? null);
+}
+
+async function save(api: Api, path: string, name: string): Promise<void> {
   try {
-    const file = await api.file(path(session, probe));
-    const name = `${session}${needsProbe ? `-${probe}` : ""}.${ending}`;
+    const file = await api.file(path);
     offer(file!.blob, name);
     notify(`Saved ${name}`, true);
   } catch (error) {
