@@ -94,6 +94,11 @@ export class LiveSession {
     this.stream?.track(name, position);
   }
 
+  /** Whether a probe of this session has the name, also one whose light has not arrived. */
+  hasProbe(name: string): boolean {
+    return this.state.liveProbes.value.has(name) || this.awaited.has(name) || (this.tracked?.has(name) ?? false);
+  }
+
   untrack(name: string): void {
     this.awaited.delete(name);
     this.stream?.untrack(name);

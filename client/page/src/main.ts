@@ -187,7 +187,7 @@ function pick(tool: "object" | "probe", { point, normal }: SurfacePoint): void {
 /** Track a new probe under the first free name, and select it. */
 function addProbe(position: Position): void {
   let number = 1;
-  while (state.liveProbes.value.has(`probe-${number}`)) {
+  while (live?.hasProbe(`probe-${number}`)) {
     number++;
   }
   live?.track(`probe-${number}`, position);

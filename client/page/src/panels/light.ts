@@ -73,11 +73,12 @@ function listen(state: State, select: HTMLSelectElement, events: ProbeEvents): v
   }
   const form = byId("probe-form");
   form.addEventListener("submit", (event) => event.preventDefault());
-  form.addEventListener("change", () => {
-    const position = ["x", "y", "z"].map((axis) => byId<HTMLInputElement>(`probe-${axis}`).valueAsNumber);
-    const name = state.selectedProbe.value;
-    if (name && position.every(Number.isFinite)) {
-      events.onMove(name, position as unknown as Position);
+  form.addEventListener("change", ({ target }) => {
+    const { id, valueAsNumber: value } = target as HTMLInputElement;
+    const { probe } = state;
+    if (probe && Number.isFinite(value)) {
+      // the other fields are rounded
+      events.onMove(probe.name, probe.position.map((old, at) => (id === `probe-${"xyz"[at]}` ? value : old)) as unknown as Position);
     }
   });
   byId("probe-add").addEventListener("click", () => events.onAdd());
