@@ -227,7 +227,10 @@ async function readSessions(): Promise<void> {
     follow(sessions);
   } catch (error) {
     if (error instanceof RoomLightError && error.status === 401) {
-      return askForToken(api);
+      await askForToken(api);
+      live?.close(); // refused as well
+      state.ended.value = null;
+      return join(state.selected.value);
     }
     if (error instanceof RoomLightError && isAway(error)) {
       state.connection.value = { state: "disconnected", text: "Server not reachable" };

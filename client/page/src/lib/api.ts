@@ -79,6 +79,10 @@ export class Api {
     return true;
   }
 
+  get hasToken(): boolean {
+    return this.tokenValue !== null;
+  }
+
   set token(token: string) {
     this.tokenValue = token;
     sessionStorage.setItem(TOKEN_KEY, token);

@@ -29,7 +29,7 @@ export function askForToken(api: Api): Promise<void> {
   const input = byId<HTMLInputElement>("token-input");
   const error = byId("token-error");
   asking ??= new Promise<void>((resolve) => {
-    error.textContent = input.value ? "The server does not know this token." : "";
+    error.textContent = api.hasToken ? "The server does not know the token that it was given." : "";
     byId("token-form").onsubmit = (event) => {
       event.preventDefault();
       const token = input.value.trim();
