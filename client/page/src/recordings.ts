@@ -22,6 +22,7 @@ const PIECE_BYTES = 4 * 2 ** 20;
 const PIECE_ATTEMPTS = 10; // within 20 s
 const PARALLEL_FILES = 4;
 const POLL_MS = 500;
+const STALLED_MS = 60_000; // a piece of another page takes less
 const BUSY = new Set([429, 503]);
 const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/;
 
@@ -30,6 +31,7 @@ export class RecordingUpload {
   readonly state: Signal<Upload>;
   private readonly files: readonly NamedFile[];
   private readonly stopped = new AbortController();
+  private isListed = false; // on the server already, and not played by this page
 
   constructor(
     private readonly api: Api,
@@ -51,6 +53,7 @@ export class RecordingUpload {
   static of(api: Api, recording: Recording): RecordingUpload {
     const upload = new RecordingUpload(api, recording.name, []);
     const error = recording.problem ? RoomLightError.fromProblem(recording.problem).message : null;
+    upload.isListed = true;
     upload.show({ bytes: recording.bytes, sent: recording.received, recording, error });
     return upload;
   }
@@ -60,32 +63,38 @@ export class RecordingUpload {
     return error !== null || recording?.status === "finished" || recording?.status === "failed";
   }
 
+  /** Whether it has been uploaded, and nobody plays it. */
+  get canPlay(): boolean {
+    return this.isListed && this.state.value.recording?.status === "ready";
+  }
+
+  /** Play one that is on the server already; as `run`. */
+  async play(playing: (session: string) => void): Promise<void> {
+    this.isListed = false;
+    await this.replay(this.state.value.recording!.id, playing).catch((error: unknown) => this.fail(error));
+  }
+
   /** Upload and play; `playing` is called with the session once the server plays it. */
   async run(playing: (session: string) => void): Promise<void> {
     const { name, bytes } = this.state.value;
     try {
-      let recording = await (this.sample ? this.api.addSample() : this.api.createRecording(name, bytes, this.files.length));
+      const recording = await (this.sample ? this.api.addSample() : this.api.createRecording(name, bytes, this.files.length));
       this.show({ recording });
       if (this.stopped.signal.aborted) {
         return await this.cancel(); // cancelled while the server made it
       }
       await this.send(recording.id);
-      recording = await this.api.replay(recording.id, sessionName(name));
-      this.show({ recording });
-      playing(recording.session ?? sessionName(name));
-      await this.follow(recording.id);
+      await this.replay(recording.id, playing);
     } catch (error) {
-      if (!this.stopped.signal.aborted) {
-        this.show({ error: error instanceof Error ? error.message : String(error) });
-      }
+      this.fail(error);
     }
   }
 
-  /** Follow it to its end if it is played; other requests would only keep it on the server. */
+  /** Follow it while it is uploaded and played; other requests would only keep it on the server. */
   async watch(): Promise<void> {
     const { recording } = this.state.value;
-    if (recording?.status === "playing") {
-      await this.follow(recording.id).catch((error: Error) => this.show({ error: error.message }));
+    if (recording?.status === "playing" || recording?.status === "uploading") {
+      await this.follow(recording.id).catch((error: unknown) => this.fail(error));
     }
   }
 
@@ -141,8 +150,23 @@ export class RecordingUpload {
     }
   }
 
+  private async replay(id: string, playing: (session: string) => void): Promise<void> {
+    const session = sessionName(this.state.value.name);
+    const recording = await this.api.replay(id, session);
+    this.show({ recording });
+    playing(recording.session ?? session);
+    await this.follow(id);
+  }
+
+  private fail(error: unknown): void {
+    if (!this.stopped.signal.aborted) {
+      this.show({ error: error instanceof Error ? error.message : String(error) });
+    }
+  }
+
   private async follow(id: string): Promise<void> {
-    while (!this.stopped.signal.aborted && !this.isDone) {
+    let [received, changed_ms] = [-1, performance.now()];
+    while (!this.stopped.signal.aborted && !this.isDone && !this.canPlay) {
       await new Promise((resolve) => setTimeout(resolve, POLL_MS));
       const recording = await this.api.recording(id).catch((error: RoomLightError) => {
         if (isAway(error) || BUSY.has(error.status)) {
@@ -151,7 +175,12 @@ export class RecordingUpload {
         throw error;
       });
       if (recording) {
-        this.show({ recording });
+        this.show({ recording, ...(this.isListed ? { sent: recording.received } : {}) });
+      }
+      if (recording && recording.received !== received) {
+        [received, changed_ms] = [recording.received, performance.now()];
+      } else if (recording?.status === "uploading" && performance.now() - changed_ms > STALLED_MS) {
+        throw new Error("The upload was interrupted: clear it and choose the recording again.");
       }
       if (recording?.problem) {
         throw RoomLightError.fromProblem(recording.problem);

@@ -34,6 +34,18 @@ test("the sample room is played", async () => {
   await other.close();
 });
 
+test("a recording that is on the server can be played", async () => {
+  await page.evaluate(() => fetch("v1/sample-recording", { method: "POST" }));
+  const { page: other } = await openPage(browser, { url: page.url() });
+  const session = await page.title();
+  await other.click('button[aria-label="Play Sample room"]');
+  await other.waitForFunction((title) => document.title !== title && document.title.startsWith("Sample-room-"), session);
+  other.once("dialog", (dialog) => dialog.accept());
+  await other.click(`button[aria-label="Delete ${(await other.title()).split(" ")[0]}"]`);
+  await other.waitForFunction((title) => document.title === title, session);
+  await other.close();
+});
+
 test("a film of the recording is made with the placed objects, refused beforehand, and cancelled", async () => {
   await finished("Sample room");
   const refusal = (text) => page.waitForFunction((text) => document.getElementById("film-refusal").textContent.includes(text), text);

@@ -32,12 +32,12 @@ export function uploadsPanel(api: Api, opened: (session: string) => void, failed
     const item = element("li", { class: "upload" });
     byId("uploads").append(item);
     uploads.set(upload, item);
-    upload.state.watch((state) => showUpload(item, state, upload));
+    upload.state.watch((state) => showUpload(item, state, upload, () => void followed(upload, item, upload.play(opened))));
     return item;
   };
-  const play = (upload: RecordingUpload) => {
-    const item = list(upload);
-    return upload.run(opened).then(() => {
+  const play = (upload: RecordingUpload) => followed(upload, list(upload), upload.run(opened));
+  const followed = (upload: RecordingUpload, item: HTMLElement, done: Promise<void>) => {
+    return done.then(() => {
       const { recording } = upload.state.value;
       item.scrollIntoView({ block: "nearest", inline: "nearest" }); // the strip of a phone
       if (recording?.problem && recording.session && recording.frame === 0) {
@@ -85,7 +85,7 @@ export function uploadsPanel(api: Api, opened: (session: string) => void, failed
   return { resume, cancelOf };
 }
 
-function showUpload(item: HTMLElement, state: Upload, upload: RecordingUpload): void {
+function showUpload(item: HTMLElement, state: Upload, upload: RecordingUpload, play: () => void): void {
   const { name, recording, error } = state;
   const remove = () => {
     item.remove();
@@ -100,13 +100,14 @@ function showUpload(item: HTMLElement, state: Upload, upload: RecordingUpload): 
   const text = recording?.status === "finished" ? finishedText(state) : status;
   const label = upload.isDone ? "Clear" : "Cancel";
   const button = element("button", { class: "button quiet", type: "button", "aria-label": `${label} ${name}`, click: remove }, label);
+  const start = element("button", { class: "button", type: "button", "aria-label": `Play ${name}`, hidden: !upload.canPlay, click: play }, "Play");
   const hadFocus = item.contains(document.activeElement);
   const notes = item.querySelector<HTMLDetailsElement>(".file-notes") ?? element("details");
   const wasOnNotes = notes.contains(document.activeElement);
   item.replaceChildren(
     element("b", {}, name),
     ...(upload.isDone ? [] : [bar]),
-    element("div", { class: "row" }, error === null ? element("span", { class: "hint" }, text) : failure(error), button),
+    element("div", { class: "row" }, error === null ? element("span", { class: "hint" }, text) : failure(error), start, button),
     showNotes(notes, name, recording?.notes ?? []),
   );
   if (hadFocus) {
