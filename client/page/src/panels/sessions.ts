@@ -12,8 +12,11 @@ export interface SessionEvents {
 export function sessionsPanel(state: State, events: SessionEvents): void {
   const list = byId("sessions");
   let shown = "";
+  let order: readonly string[] = []; // new ones first; looking at one does not move it
   const show = () => {
-    const sessions = state.sessions.value ?? [];
+    const listed = state.sessions.value ?? [];
+    order = [...listed.map(({ id }) => id).filter((id) => !order.includes(id)), ...order];
+    const sessions = [...listed].sort((one, other) => order.indexOf(one.id) - order.indexOf(other.id));
     showMessage(state);
     const content = JSON.stringify([state.selected.value, sessions.map((session) => [session.id, session.title, session.status, summary(session)])]);
     if (content === shown) {
