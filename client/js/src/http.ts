@@ -128,6 +128,22 @@ export class Http {
   }
 }
 
+/** A value as JSON; typed arrays become arrays. */
+export function toJson(value: object): string {
+  return JSON.stringify(value, (_, part: unknown) => (ArrayBuffer.isView(part) ? Array.from(part as Float32Array) : part));
+}
+
+/** The JSON of a response. Throws RoomLightError with status 0 if it has none: it is of another server, such as a sign-in page. */
+export async function readJson<T>(response: Response): Promise<T> {
+  const text = await response.text();
+  try {
+    return JSON.parse(text) as T;
+  } catch (cause) {
+    const start = JSON.stringify(text.slice(0, 80));
+    throw new RoomLightError(`an answer with status ${response.status} is not JSON, so not of a RoomLight server: ${start}`, 0, null, { cause });
+  }
+}
+
 /** Why there is no connection; Node has it in the cause of the error that it throws, without a text for several addresses. */
 function reasonOf(error: unknown): string {
   const cause = (error as { cause?: { message?: string; code?: string } } | null)?.cause;

@@ -1,7 +1,8 @@
 // What a client keeps of its session, to bring a server up to date that was started again: the options, the tracked
 // points and the last frames.
 
-import type { FrameResult, LightForm, Position, SessionRequest, SessionState } from "./wire.js";
+import { RoomLightError } from "./errors.js";
+import type { FrameResult, LightForm, Position, PositionLike, SessionRequest, SessionState } from "./wire.js";
 
 /** Bounds of the frames that a client keeps. */
 export interface BufferOptions {
@@ -88,6 +89,14 @@ export class FrameBuffer {
   }
 }
 
+/** The name of a point. Throws RoomLightError if the server has no such names. */
+export function checkName(name: string): string {
+  if (!/^[A-Za-z0-9_-]{1,64}$/.test(name)) {
+    throw new RoomLightError(`the name of a point must be 1 to 64 letters, digits, - and _; got ${JSON.stringify(name)}`, 0);
+  }
+  return name;
+}
+
 /** The memory of one session. */
 export class SessionMemory {
   readonly frames: FrameBuffer;
@@ -112,13 +121,13 @@ export class SessionMemory {
     return this.request !== null && !this.deleted;
   }
 
-  track(name: string, position: Position): void {
-    this.probes.set(name, position);
+  track(name: string, position: PositionLike): void {
+    this.probes.set(checkName(name), Array.from(position) as unknown as Position);
     this.untracked.delete(name);
   }
 
   untrack(name: string): void {
-    this.probes.delete(name);
+    this.probes.delete(checkName(name));
     this.untracked.add(name);
   }
 

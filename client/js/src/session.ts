@@ -1,7 +1,7 @@
 // Sessions over HTTP: send frames, get light, track points.
 
 import { packFrame, type Frame } from "./frame.js";
-import { Http, type ClientOptions, type HttpRequest } from "./http.js";
+import { Http, readJson, toJson, type ClientOptions, type HttpRequest } from "./http.js";
 import { decodeLights, parseLights, type Light, type LightData, type Lights } from "./light.js";
 import { SessionMemory } from "./memory.js";
 import { SessionRequests } from "./session_link.js";
@@ -16,6 +16,7 @@ import {
   type ObjectInfo,
   type ObjectList,
   type Position,
+  type PositionLike,
   type SessionRequest,
   type SessionState,
 } from "./wire.js";
@@ -66,7 +67,7 @@ export class RoomLight {
   async open(options: SessionOptions & { id?: string | undefined } & CallOptions = {}): Promise<Session> {
     const { id = randomId(), signal, ...request } = options;
     const response = await sendJson(this.http, { method: "PUT", path: pathOf(id), signal }, request);
-    return new Session(this.http, id, (await response.json()) as SessionState, request);
+    return new Session(this.http, id, await readJson<SessionState>(response), request);
   }
 
   /**
@@ -82,13 +83,13 @@ export class RoomLight {
     const { sessionId } = options;
     const headers = { "content-type": "application/octet-stream", ...(sessionId !== undefined && { "x-session-id": sessionId }) };
     const request: HttpRequest = { method: "POST", path, body: file as Uint8Array<ArrayBuffer>, headers, signal: options.signal };
-    return (await (await this.http.send(request)).json()) as ObjectInfo;
+    return readJson<ObjectInfo>(await this.http.send(request));
   }
 
   /** The objects of this token on the server, with their memory and its limit. */
   async objects(options: CallOptions = {}): Promise<ObjectList> {
     const response = await this.http.send({ method: "GET", path: OBJECTS, signal: options.signal });
-    return (await response.json()) as ObjectList;
+    return await readJson<ObjectList>(response);
   }
 
   /** Delete an object on the server. A missing one is not an error. */
@@ -104,7 +105,7 @@ export class RoomLight {
    */
   async join(id: string, options: CallOptions = {}): Promise<Session> {
     const response = await this.http.send({ method: "GET", path: pathOf(id), signal: options.signal });
-    return new Session(this.http, id, (await response.json()) as SessionState);
+    return new Session(this.http, id, await readJson<SessionState>(response));
   }
 }
 
@@ -150,8 +151,8 @@ export class Session {
   }
 
   /** Light at one point (a position or the name of a tracked point) in some forms. */
-  async lightAt(point: Position | string, forms: readonly LightForm[], options: CallOptions = {}): Promise<Light> {
-    const probe = typeof point === "string" ? { name: point } : { position: point };
+  async lightAt(point: PositionLike | string, forms: readonly LightForm[], options: CallOptions = {}): Promise<Light> {
+    const probe = typeof point === "string" ? { name: point } : { position: point as Position };
     const { results } = await this.light({ probes: [probe], forms }, options);
     return results[0]!;
   }
@@ -164,12 +165,12 @@ export class Session {
     if (response.headers.get("content-type")?.startsWith(LIGHT_MEDIA_TYPE)) {
       return parseLights<LightResponse>(await response.arrayBuffer());
     }
-    return decodeLights((await response.json()) as LightResponse);
+    return decodeLights(await readJson<LightResponse>(response));
   }
 
   /** One form of the light at a point. Null if the light still has the ETag `etag` of an earlier result. */
   async probe(
-    point: Position | string,
+    point: PositionLike | string,
     form: LightForm,
     options: CallOptions & { etag?: string | undefined } = {},
   ): Promise<LightFile | null> {
@@ -189,7 +190,7 @@ export class Session {
     const header = (name: string) => response.headers.get(name) ?? "";
     const media_type = header("content-type");
     const content = media_type.startsWith("application/json")
-      ? { values: (await response.json()) as { readonly [name: string]: unknown } }
+      ? { values: await readJson<{ readonly [name: string]: unknown }>(response) }
       : { data: new Uint8Array(await response.arrayBuffer()) };
     return {
       form: { format: form.format, media_type, ...content },
@@ -216,8 +217,8 @@ export class Session {
     };
   }
 
-  /** Track a point under a name; an existing name moves to the position. */
-  async track(name: string, position: Position, options: CallOptions = {}): Promise<void> {
+  /** Track a point under a name of 1 to 64 letters, digits, - and _; an existing name moves to the position. */
+  async track(name: string, position: PositionLike, options: CallOptions = {}): Promise<void> {
     await this.requests.send({ ...this.requests.trackRequest(name, position), signal: options.signal });
     this.memory.track(name, position);
   }
@@ -231,7 +232,7 @@ export class Session {
   /** Counts of frames, tracked points with their coverage, memory and the lighting volume. */
   async state(options: CallOptions = {}): Promise<SessionState> {
     const response = await this.requests.send({ method: "GET", path: this.path, signal: options.signal });
-    return (await response.json()) as SessionState;
+    return await readJson<SessionState>(response);
   }
 
   /** Delete the session and everything that the server stores for it. A missing one is not an error. */
@@ -284,7 +285,7 @@ function pathOf(id: string): string {
 function sendJson(http: Http | SessionRequests, request: HttpRequest, json: object): Promise<Response> {
   return http.send({
     ...request,
-    body: JSON.stringify(json),
+    body: toJson(json),
     headers: { "content-type": "application/json", ...request.headers },
   });
 }

@@ -2,11 +2,11 @@
 // options, its points are tracked and the frames that it lost are sent again.
 
 import { RoomLightError } from "./errors.js";
-import type { Http, HttpRequest } from "./http.js";
-import type { SessionMemory } from "./memory.js";
+import { readJson, toJson, type Http, type HttpRequest } from "./http.js";
+import { checkName, type SessionMemory } from "./memory.js";
 import { Backoff, isServerLost, isSessionGone, isTemporary } from "./reconnect.js";
 import { waiting } from "./waiting.js";
-import { FRAME_MEDIA_TYPE, type FrameResult, type Position, type SessionState } from "./wire.js";
+import { FRAME_MEDIA_TYPE, type FrameResult, type PositionLike, type SessionState } from "./wire.js";
 
 export class SessionRequests {
   private recovering: Promise<void> | null = null;
@@ -57,7 +57,7 @@ export class SessionRequests {
     const request = { path: this.path, signal, ...(reopen ? { retries: 0 } : {}) };
     try {
       const response = await this.http.send({ ...request, method: "GET" });
-      return { state: (await response.json()) as SessionState, reopened: false };
+      return { state: await readJson<SessionState>(response), reopened: false };
     } catch (error) {
       if (!reopen || !this.canReopenAfter(error)) {
         throw error;
@@ -68,7 +68,7 @@ export class SessionRequests {
       const headers = { "content-type": "application/json" };
       const body = JSON.stringify(this.memory.request);
       const response = await this.http.send({ ...request, method: "PUT", headers, body });
-      return { state: (await response.json()) as SessionState, reopened: true };
+      return { state: await readJson<SessionState>(response), reopened: true };
     }
   }
 
@@ -84,7 +84,7 @@ export class SessionRequests {
       try {
         await this.recoverIfUnsure(request.signal);
         const response = await this.http.send(reconnect === false ? request : { ...request, beforeRetry });
-        return (await response.json()) as FrameResult;
+        return await readJson<FrameResult>(response);
       } catch (error) {
         if (!(error instanceof RoomLightError) || reconnect === false) {
           throw error;
@@ -132,7 +132,7 @@ export class SessionRequests {
     this.unsure = false;
   }
 
-  private async restoreTrack(name: string, position: Position) {
+  private async restoreTrack(name: string, position: PositionLike) {
     try {
       await this.http.send(this.trackRequest(name, position));
     } catch (error) {
@@ -146,7 +146,7 @@ export class SessionRequests {
   private async resend(index: number, message: Uint8Array<ArrayBuffer>) {
     try {
       const response = await this.http.send(this.frameRequest(index, message));
-      this.memory.frames.settle((await response.json()) as FrameResult);
+      this.memory.frames.settle(await readJson<FrameResult>(response));
     } catch (error) {
       if (!(error instanceof RoomLightError) || isServerLost(error) || isSessionGone(error)) {
         throw error;
@@ -155,13 +155,13 @@ export class SessionRequests {
     }
   }
 
-  trackRequest(name: string, position: Position): HttpRequest {
+  trackRequest(name: string, position: PositionLike): HttpRequest {
     const headers = { "content-type": "application/json" };
-    return { method: "PUT", path: this.probePath(name), headers, body: JSON.stringify({ position }) };
+    return { method: "PUT", path: this.probePath(name), headers, body: toJson({ position }) };
   }
 
   probePath(name: string): string {
-    return `${this.path}/probes/${encodeURIComponent(name)}`;
+    return `${this.path}/probes/${checkName(name)}`;
   }
 
   private frameRequest(index: number, message: Uint8Array<ArrayBuffer>): HttpRequest {

@@ -3,7 +3,7 @@
 
 import { RoomLightError } from "./errors.js";
 import { type Frame } from "./frame.js";
-import type { ClientOptions } from "./http.js";
+import { toJson, type ClientOptions } from "./http.js";
 import { decodeLights, parseLights, type Lights } from "./light.js";
 import type { KeptFrame, SessionMemory } from "./memory.js";
 import { Backoff, isServerLost, isSessionGone, isTemporary } from "./reconnect.js";
@@ -16,6 +16,7 @@ import type {
   LightingUpdate,
   LightRequest,
   Position,
+  PositionLike,
   ProbesEvent,
   ServerMessage,
   SessionState,
@@ -155,10 +156,10 @@ export class Stream {
     this.send({ type: "subscribe", forms });
   }
 
-  /** Track a point under a name; an existing name moves to the position. */
-  track(name: string, position: Position): void {
+  /** Track a point under a name of 1 to 64 letters, digits, - and _; an existing name moves to the position. */
+  track(name: string, position: PositionLike): void {
     this.link.memory.track(name, position);
-    this.send({ type: "track", name, position });
+    this.send({ type: "track", name, position: position as Position });
   }
 
   /** Stop tracking a point. */
@@ -245,7 +246,7 @@ export class Stream {
     if (this.closedWith) {
       throw this.closedWith;
     }
-    this.socket?.send(JSON.stringify(message));
+    this.socket?.send(toJson(message));
   }
 
   /** Remove a pending call and return it. */

@@ -1,9 +1,11 @@
 // The wire format (docs/wire.md): its message types, generated in schemas.ts, and its names and constants.
 
-import type { DepthPart, LightForm } from "./schemas.js";
+import type { DepthPart, LightForm, Position } from "./schemas.js";
 
 export type * from "./schemas.js";
 
+/** A position as an app may have it. */
+export type PositionLike = Position | Float32Array | Float64Array;
 export type DepthFormat = DepthPart["format"];
 export type LightFormat = LightForm["format"];
 export type LightUse = NonNullable<LightForm["use"]>;

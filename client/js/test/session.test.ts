@@ -26,8 +26,9 @@ test("the requests of a session from open to delete", async (context) => {
   const { frame, bytes } = vectors()[0]!;
   assert.deepEqual(await session.push(frame), PROCESSED);
   await session.push({ ...plainFrame(), timestamp_s: undefined }, { wait: false });
-  await session.track("table", [1, -2, 0.5]);
+  await session.track("table", Float32Array.of(1, -2, 0.5));
   await session.untrack("table");
+  await assert.rejects(session.untrack("a/b"), RoomLightError);
   assert.equal((await session.state()).status, "open");
   await session.delete();
   const base = `/below/v1/sessions/${session.id}`;
@@ -200,6 +201,9 @@ test("permanent refusals fail at once with the server's problem", async (context
   assert.equal((await open(1)).status, 429);
   assert.deepEqual(await open().then((error) => [error.status, error.problem]), [500, null]);
   assert.equal(server.requests.length, 6);
+  responses.push({ body: "<html>" });
+  const portal = await open();
+  assert.ok(portal instanceof RoomLightError && portal.message.includes("<html>"));
 });
 
 test("a timeout and an unreachable server are errors", async (context) => {

@@ -101,7 +101,7 @@ test("light is requested and received", async (context) => {
     },
     { onLighting: (update) => updates.push(update), onProbes: (all) => probes.push(all) },
   );
-  stream.track("table", [1, 2, 3]);
+  stream.track("table", Float32Array.of(1, 2, 3));
   stream.subscribe([{ format: "cube" }]);
   stream.untrack("table");
   const request = { probes: [{ name: "table" }], forms: [{ format: "sh" }] } as const;
@@ -131,7 +131,8 @@ test("a refusal rejects its call, and the connection stays open", async (context
     { onProblem: (error) => problems.push(error) },
   );
   await assert.rejects(stream.push(plainFrame()), isRefusal);
-  stream.track("no such", [0, 0, 0]);
+  assert.throws(() => stream.track("no such", [0, 0, 0]), /1 to 64 letters.*"no such"/);
+  stream.track("many", [0, 0, 0]);
   await assert.rejects(stream.light({ probes: [{ name: "gone" }], forms: [{ format: "sh" }] }), isRefusal);
   assert.equal((await stream.push(plainFrame())).index, 1);
   assert.equal(problems.length, 3);

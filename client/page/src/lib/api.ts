@@ -14,7 +14,7 @@ import {
   type SessionList,
   type SessionScene,
 } from "roomlight";
-import { Http, type HttpRequest } from "roomlight/http";
+import { Http, readJson, type HttpRequest } from "roomlight/http";
 
 const TOKEN_KEY = "roomlight-token";
 // Time limits of requests: of those that only read, of others and of pictures, and of up to 128 MB.
@@ -108,7 +108,7 @@ export class Api {
 
   async scene(id: string): Promise<KeptScene> {
     const response = await this.send(`${sessionPath(id)}/scene`, {});
-    return { ...((await response.json()) as Required<SessionScene>), etag: etagOf(response) };
+    return { ...(await readJson<Required<SessionScene>>(response)), etag: etagOf(response) };
   }
 
   /** Replace the scene with this ETag, or any; returns the new one. Throws RoomLightError `scene-changed` if it is another. */
@@ -193,7 +193,7 @@ export class Api {
   }
 
   private async json<T>(path: string, request: ApiRequest = {}): Promise<T> {
-    return (await (await this.send(path, request)).json()) as T;
+    return readJson<T>(await this.send(path, request));
   }
 
   private async send(path: string, { timeout_s, ...request }: ApiRequest): Promise<Response> {
