@@ -6,6 +6,7 @@ import { decodeLights, parseLights, type Light, type LightData, type Lights } fr
 import { SessionMemory } from "./memory.js";
 import { SessionRequests } from "./session_link.js";
 import { Stream, type SessionLink, type StreamOptions } from "./stream.js";
+import { waiting } from "./waiting.js";
 import {
   LIGHT_MEDIA_TYPE,
   type CompositeRequest,
@@ -141,11 +142,12 @@ export class Session {
   /**
    * Send a frame. Resolves when the frame is processed or dropped, or, with `wait: false`, when it is queued.
    *
-   * Frames are sent in the order of the calls. They may be pushed before earlier ones are processed: the server
-   * processes the newest and answers `superseded` for the others.
+   * Frames are sent in the order of the calls: one whose `data` is pending holds back the later ones until it is there
+   * or its signal is aborted. They may be pushed before earlier ones are processed: the server processes the newest and
+   * answers `superseded` for the others.
    */
   async push(frame: Frame, options: CallOptions & { wait?: boolean | undefined } = {}): Promise<FrameResult> {
-    const { index, message } = this.pack(frame);
+    const { index, message } = this.pack(frame, options.signal);
     const headers: Record<string, string> = options.wait === false ? { prefer: "respond-async" } : {};
     return this.requests.push(index, await message, { headers, signal: options.signal });
   }
@@ -264,13 +266,14 @@ export class Session {
    *
    * Messages come in the order of the calls: a Blob takes longer to pack, but the server refuses an index below the last.
    */
-  private pack(frame: Frame): { index: number; message: Promise<Uint8Array<ArrayBuffer>> } {
+  private pack(frame: Frame, signal?: AbortSignal): { index: number; message: Promise<Uint8Array<ArrayBuffer>> } {
     const index = frame.index ?? this.nextIndex;
     this.nextIndex = Math.max(this.nextIndex, index + 1);
-    const packed = packFrame({ ...frame, index });
+    const packed = waiting.untilAborted(packFrame({ ...frame, index }), signal);
     packed.catch(() => undefined); // may fail before its turn comes
-    const message = this.lastPacked.then(() => packed);
-    this.lastPacked = message.catch(() => undefined);
+    const before = this.lastPacked;
+    const message = waiting.untilAborted(before.then(() => packed), signal);
+    this.lastPacked = Promise.allSettled([before, message]);
     return { index, message };
   }
 }

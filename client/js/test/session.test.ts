@@ -275,11 +275,15 @@ test("frames are sent in the order of the calls, also next to an invalid one", a
   let encoded: (image: Blob) => void;
   const slow = session.push({ ...frame, colour: { ...frame.colour, data: new Promise<Blob>((done) => (encoded = done)) } });
   const invalid = session.push({ ...frame, camera_to_world: [] });
+  const gone = new AbortController();
+  const never = session.push({ ...frame, colour: { ...frame.colour, data: new Promise<Blob>(() => undefined) } }, { signal: gone.signal });
   const next = session.push(frame);
   await new Promise(setImmediate); // nothing has reported the invalid frame as unhandled
+  gone.abort();
+  await assert.rejects(never, { name: "AbortError" });
   encoded!(new Blob([Uint8Array.of(1)]));
   await Promise.all([slow, assert.rejects(invalid, RangeError), next]);
-  assert.deepEqual(sent, ["room", "0", "2"]);
+  assert.deepEqual(sent, ["room", "0", "3"]);
 });
 
 test("joining a session continues its index and sends no options", async (context) => {
