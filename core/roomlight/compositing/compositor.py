@@ -33,7 +33,14 @@ from roomlight.compositing.light.temporal import (
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, blur_layer, measure_camera
 from roomlight.compositing.picture.crop import Crop, CropCamera, crop_of_sphere
 from roomlight.compositing.picture.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8, unchanged
-from roomlight.compositing.picture.occlusion import RealDepth, extended, on_carrier, real_depth, visibility
+from roomlight.compositing.picture.occlusion import (
+    RealDepth,
+    extended,
+    on_carrier,
+    real_depth,
+    visibility,
+    visible_shares,
+)
 from roomlight.compositing.picture.stage_clock import StageClock
 from roomlight.compositing.placed_object import (
     PlacedObject,
@@ -229,10 +236,11 @@ class Compositor:
         numbers = np.array([*(placed.number for placed in self._placed), -1], np.int32)
         inner = crops.objects.slices
         depth_m, object_id = rendered.depth_m[inner], numbers[rendered.object_id[inner]]  # -1 reads the last entry
-        covered = object_id >= 0
+        covered, nearest = object_id >= 0, object_id
         if (rim := (layer[..., 3] > 0) & ~covered).any() and covered.any():  # blurred as the frame is
-            depth_m = np.where(rim, extended(depth_m, covered), depth_m)
-            object_id = np.where(rim, extended(object_id, covered), object_id)
+            at = extended(np.arange(covered.size).reshape(covered.shape), covered)
+            nearest = object_id.ravel()[at]
+            depth_m, object_id = np.where(rim, depth_m.ravel()[at], depth_m), np.where(rim, nearest, object_id)
         return Composite(
             image=image,
             frame=frame,
@@ -246,6 +254,7 @@ class Compositor:
             crop_shadow=shadow,
             crop_depth_m=depth_m,
             crop_object_id=object_id,
+            visible=visible_shares(nearest, layer[..., 3], rendered.alpha[inner]),
             samples=rendered.samples,
         )
 

@@ -117,15 +117,9 @@ def make(engine: Session, frame: Frame, scene: "Scene", quality: CompositeQualit
         check_in_view(compositor, frame)
         names = [placed.name for placed in scene.objects]
         poses = {name: column_major(compositor.placement(name).object_to_world) for name in names}
-        return Made(picture, poses, {name: _visible(picture, number) for number, name in enumerate(names)})
+        return Made(picture, poses, {name: picture.visible.get(number, 1.0) for number, name in enumerate(names)})
     finally:
         compositor.close()
-
-
-def _visible(picture: "Composite", number: int) -> float:
-    """Return the share of an object's pixels that shows it; 1 of an object whose shadow alone is in the picture."""
-    covered = picture.crop_object_id == number
-    return float(picture.crop_alpha[covered].mean()) if covered.any() else 1.0
 
 
 def encode(made: "Composite", form: CompositeFormat) -> bytes:

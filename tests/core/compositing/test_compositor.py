@@ -86,6 +86,8 @@ def test_the_rim_of_an_object_in_a_soft_frame_has_its_depth_and_number(session, 
     assert ((made.alpha > 0) & (sharp.alpha == 0)).sum() > 50
     assert (made.object_id[made.alpha > 0] == 0).all()
     assert made.depth_m[made.alpha > 0].min() == sharp.depth_m[sharp.depth_m > 0].min()
+    assert made.visible == pytest.approx(sharp.visible, abs=0.01)
+    assert made.visible[0] > 0.98
 
 
 def test_light_may_be_a_light_a_panorama_or_a_function(session):
@@ -142,6 +144,7 @@ def test_a_real_block_hides_the_ball_behind_it(session):
     assert behind.sum() > 300
     assert (made.alpha[in_front] > 0.5).mean() < 0.04  # the rim, where alpha is soft
     assert (made.alpha[behind] < 0.5).mean() < 0.04
+    assert made.visible[0] == pytest.approx(behind.sum() / (behind | in_front).sum(), abs=0.1)
 
 
 def test_an_object_is_placed_by_a_pixel_of_its_frame(session):

@@ -32,6 +32,7 @@ class Composite:
         waiting: names of objects whose pixel belongs to a frame that was not composited yet.
         stage_cpu_ms: processor time by stage, of the whole process.
         samples: light paths that each pixel of the objects got; 0 for a preview.
+        visible: share that real things leave of each object in the picture, by its index in the scene.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -47,6 +48,7 @@ class Composite:
     crop_object_id: Int32[np.ndarray, "oh ow"]
     stage_cpu_ms: dict[str, float] = field(default_factory=dict[str, float])
     samples: int = 0
+    visible: dict[int, float] = field(default_factory=dict[int, float])
 
     @cached_property
     def objects(self) -> Float32[np.ndarray, "h w 3"]:

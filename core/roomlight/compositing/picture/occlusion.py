@@ -182,3 +182,18 @@ def extended(values: Real[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]) 
     table = np.zeros(int(nearest.max()) + 1, values.dtype)
     table[nearest[covered]] = values[covered]
     return table[nearest]
+
+
+def visible_shares(
+    object_id: Int[np.ndarray, "h w"], alpha: Float[np.ndarray, "h w"], whole: Float[np.ndarray, "h w"]
+) -> dict[int, float]:
+    """Return how much of each object is seen, 0 to 1: the sum of `alpha` over that of `whole`.
+
+    Args:
+        object_id: the object at each pixel, its blurred rim included, -1 for none.
+        alpha: share of a pixel that the objects cover, what is hidden taken off; blurred or not.
+        whole: the same of the objects alone, not blurred.
+    """
+    numbers = object_id.ravel() + 1
+    seen, all_of_it = (np.bincount(numbers, of.ravel(), 1)[1:] for of in (alpha, whole))
+    return {int(k): min(float(seen[k] / all_of_it[k]), 1.0) for k in np.flatnonzero(all_of_it)}
