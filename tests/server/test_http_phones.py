@@ -6,6 +6,7 @@ import os
 import signal
 import stat
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -195,11 +196,14 @@ def test_the_number_of_phones_is_limited_and_a_server_starts_all_the_same(caplog
     assert "/phone#pair=" in inspect.unwrap(_phone_link)(context, "https://box.lan:8090")
 
 
-def test_servers_that_share_a_file_keep_the_phones_of_each_other(tmp_path):
+def test_servers_that_share_a_file_keep_the_phones_of_each_other(tmp_path, monkeypatch):
     """Two servers of one user lost the phones that the other had paired, and served those that it had removed."""
     file, operator = tmp_path / "state" / "phones.json", "operator"
     first, second = Phones(file, expiry_s=DAY_S), Phones(file, expiry_s=DAY_S)
     paired = [phones.pair(phones.link(operator)) for phones in (first, second, first)]
+    with monkeypatch.context() as unreadable:
+        unreadable.setattr("roomlight_server.transport.phones._read", Mock(side_effect=OSError))
+        assert second.find(paired[2][1]) is None
     for phones in (first, second, Phones(file, expiry_s=DAY_S)):
         assert all(phones.find(token) for _, token in paired)
     second.revoke(operator, paired[0][0].id)

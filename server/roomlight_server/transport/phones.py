@@ -154,8 +154,8 @@ class Phones:
                 stat = self._file.stat()
                 version = (stat.st_ino, stat.st_mtime_ns, stat.st_size)
                 if version != self._version:
-                    self._version = version
                     self._add(_read(self._file))
+                    self._version = version
         except (OSError, ServerError) as error:
             _log.error("the phones that other servers have stored are not known: %s", error)
         return self._phones.values()
