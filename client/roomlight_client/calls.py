@@ -51,6 +51,9 @@ PositionOrName = Position | str
 Forms = Sequence[LightFormat | LightForm] | LightFormat | LightForm
 """Forms of light, or a single one."""
 
+_GONE: Final = frozenset({404, 410})
+"""Statuses of a deletion that say that it was done before."""
+
 DEFAULT_FORMS: Final[tuple[LightFormat | LightForm, ...]] = (
     "npy",
     LightForm(format="npy", use="reflection"),
@@ -210,7 +213,7 @@ def delete_object(object_id: str) -> Call[None]:
         OptionError: If the id is invalid; it becomes part of an address.
     """
     _check_id(object_id, "object_id")
-    return Call("DELETE", f"/v1/objects/{object_id}", _ignore_body, expected=frozenset({404}))
+    return Call("DELETE", f"/v1/objects/{object_id}", _ignore_body, expected=_GONE)
 
 
 class SessionCalls:
@@ -254,7 +257,7 @@ class SessionCalls:
 
     def close(self) -> Call[None]:
         """Delete the session. A missing one counts as success: the response to an earlier attempt may be lost."""
-        return self._call("DELETE", "", _ignore_body, expected=frozenset({404, 410}))
+        return self._call("DELETE", "", _ignore_body, expected=_GONE)
 
     def push(self, frame: Frame | CameraFrame, index: int, *, colour: FrameEncoding, wait: bool) -> Call[FrameResult]:
         """Send a frame. Raises WireError if the frame is invalid: no server would accept it."""
@@ -322,7 +325,7 @@ class SessionCalls:
     def untrack(self, name: str) -> Call[None]:
         """Stop tracking a point. Raises OptionError if the name is invalid."""
         _check_id(name, "name")
-        return self._call("DELETE", f"/probes/{name}", _ignore_body, expected=frozenset({404}))
+        return self._call("DELETE", f"/probes/{name}", _ignore_body, expected=_GONE)
 
     def _call(
         self,

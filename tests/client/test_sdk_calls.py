@@ -200,8 +200,9 @@ def test_an_error_in_a_session_block_is_not_hidden_and_deletes_the_session(kind)
 
 @BOTH
 @pytest.mark.parametrize("answer", [httpx.Response(204), problem(404, "session-not-found"), problem(410, "closed")])
-def test_closing_a_missing_session_succeeds(kind, answer):
-    run(Script(OPENED, httpx.ReadError("cut"), answer), kind, lambda session: session.close())
+@pytest.mark.parametrize("delete", [lambda session: session.close(), lambda session: session.untrack("lamp")])
+def test_deleting_what_is_missing_succeeds(kind, answer, delete):
+    run(Script(OPENED, httpx.ReadError("cut"), answer), kind, delete)
 
 
 @given(
