@@ -257,20 +257,24 @@ def _operation_id(route: Any) -> str:  # an APIRoute, or FastAPI's private conte
 
 
 async def _prepare(app: FastAPI, context: Context, when_loaded: Callable[[], object] | None) -> None:
-    """Load in the background what frames need, then what the first answers of light, composites and schemas need."""
+    """Load in the background what frames need, then what the first answers of light, composites and schemas need.
+
+    What of the latter does not load is logged: its first answer tries again.
+    """
     try:
         await context.workers.start()
         context.ready = True
         _log.info("ready")
-        for load in (light_forms.warm_up, composites.load, app.openapi):  # unknown parameters look into the document
+    except Exception as error:
+        _log.error("server cannot become ready: %s", error, exc_info=not isinstance(error, RoomLightError))
+        return
+    for load in (light_forms.warm_up, composites.load, app.openapi):  # unknown parameters look into the document
+        try:
             await context.workers.run_in_encode_pool(load)
-    except RoomLightError as error:
-        _log.error("server cannot become ready: %s", error)
-    except Exception:
-        _log.exception("the server cannot load all of its parts")
-    else:
-        if when_loaded is not None:
-            when_loaded()
+        except Exception:
+            _log.exception("the server cannot load all of its parts")
+    if when_loaded is not None:
+        when_loaded()
 
 
 async def _expire(context: Context, *, every_s: float) -> None:

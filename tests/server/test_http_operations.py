@@ -1,16 +1,20 @@
 """Operating a server: request ids, metrics, readiness, and a stop that loses no frame in progress."""
 
+import asyncio
 import json
 import logging
 import re
 import threading
+from unittest.mock import AsyncMock, Mock
 
 import pytest
 from websockets.exceptions import InvalidStatus
 
 from http_servers import HeldSession, InThread, RunningServer, frame, metric
+from roomlight.errors import ModelError
 from roomlight_server import serving
 from roomlight_server.answers import light_forms
+from roomlight_server.app import _prepare
 from roomlight_server.base.logs import JsonLines
 
 ID = "X-Request-Id"
@@ -31,6 +35,16 @@ def test_frames_are_answered_before_all_forms_of_light_are_loaded(monkeypatch):
         server.open()
         assert server.push(0).status == 200
         loaded.set()
+
+
+def test_a_part_that_cannot_be_loaded_is_named_and_the_others_are_loaded(caplog):
+    workers, when_loaded = AsyncMock(), Mock()
+    workers.run_in_encode_pool.side_effect = [None, ModelError("damaged"), None]
+    asyncio.run(_prepare(Mock(), Mock(workers=workers), when_loaded))
+    assert workers.run_in_encode_pool.await_count == 3
+    when_loaded.assert_called_once()
+    assert "the server cannot load all of its parts" in caplog.text
+    assert "cannot become ready" not in caplog.text
 
 
 def test_a_request_id_is_returned(server):
