@@ -8,7 +8,9 @@ import pytest
 from depth_models import SIZE, write_depth_model
 from http_servers import RunningServer, box_shot, with_parts
 from roomlight.errors import ModelError
+from roomlight.monocular.stream import open_depth_stream
 from roomlight.wire.frame_encoding import pack_frame
+from roomlight_server.state.live_state import DepthScale
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +62,16 @@ def test_an_object_stands_on_estimated_depth_which_a_restart_restores(model, tmp
                 live._depth.state.per_metre, live._depth.state.unmoved = 0.5, False  # as if features had told it
             before = answers()
     assert np.array_equal(*depths_m[1:])
+
+
+def test_the_scale_of_another_depth_model_is_not_taken_over(model, tmp_path):
+    before = open_depth_stream(model)
+    before.state.per_metre = 0.5
+    other = write_depth_model(tmp_path / "other.onnx", {"depth": np.ones((1, *SIZE))})
+    for path, per_metre in ((model, 0.5), (other, 1.0), (None, 1.0)):
+        stream = open_depth_stream(path)
+        DepthScale.of(before).give(stream)
+        assert stream.state.per_metre == per_metre
 
 
 def test_confidence_needs_depth(server):

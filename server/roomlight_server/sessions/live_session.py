@@ -224,9 +224,8 @@ class LiveSession:
         """Estimate the depth of the session's next frame. Raises FrameError and ModelError."""
         if self._depth is None:
             self._depth = self._workers.new_depth_stream()
-            if (scale := self._depth_scale) is not None:
-                state = self._depth.state
-                state.per_metre, state.unmoved, state.fit = scale.per_metre, scale.unmoved, scale.fit
+            if self._depth_scale is not None:
+                self._depth_scale.give(self._depth)
         return self._depth.complete(frame)
 
     async def _decoded_late(self, entry: Entry) -> Frame:
@@ -356,8 +355,7 @@ class LiveSession:
             snapshot = await asyncio.get_running_loop().run_in_executor(pool, engine.snapshot)
             queue, probes = self._queue.saved(), lighting.saved()
             if self._depth is not None:
-                state = self._depth.state
-                self._depth_scale = DepthScale(per_metre=state.per_metre, unmoved=state.unmoved, fit=state.fit)
+                self._depth_scale = DepthScale.of(self._depth)
             more = lighting.frame, self._latest, self.scene, self._depth_scale
             return LiveState(snapshot, self._reference, probes, queue, *more)
 

@@ -7,7 +7,10 @@ from pydantic import BaseModel, ConfigDict
 
 from roomlight.conventions import Position
 from roomlight.engine.state.snapshot import SessionSnapshot
+from roomlight.monocular.estimate import DepthModel
 from roomlight.monocular.fitting import Fit
+from roomlight.monocular.network import DepthNetworkModel
+from roomlight.monocular.stream import DepthStream
 from roomlight.wire.compositing import SessionScene
 from roomlight.wire.messages import FrameResult, SessionRequest
 from roomlight_server.work.intake import LatestFrame
@@ -50,11 +53,31 @@ class SavedBase(_Saved):
 
 
 class DepthScale(_Saved):
-    """What later frames without depth need of the stream before them (`StreamState`), so that their metres stay."""
+    """What later frames without depth need of the stream before them (`StreamState`), so that their metres stay.
+
+    `model` is the digest of a network, or the name of another depth model.
+    """
 
     per_metre: float
     unmoved: bool
     fit: Fit | None
+    model: str = ""
+
+    @classmethod
+    def of(cls, stream: DepthStream) -> "DepthScale":
+        """Return that of a stream."""
+        state = stream.state
+        return cls(per_metre=state.per_metre, unmoved=state.unmoved, fit=state.fit, model=_identity(stream.model))
+
+    def give(self, stream: DepthStream) -> None:
+        """Let a new stream go on from it, unless its model is another, whose units are its own."""
+        if _identity(stream.model) == self.model:
+            state = stream.state
+            state.per_metre, state.unmoved, state.fit = self.per_metre, self.unmoved, self.fit
+
+
+def _identity(model: DepthModel) -> str:
+    return model.digest if isinstance(model, DepthNetworkModel) else model.name
 
 
 class SavedValues(_Saved):
