@@ -16,7 +16,7 @@ class Journal:
         messages: Messages of keyframes that are not on disk yet, as they came, by index.
         bases: Files of the keyframes on disk, by index.
         durable_index: Every frame up to this index is on disk; None before the first.
-        closed: Whether the session was deleted or has failed: nothing of it is written any more.
+        closed: Whether the session has ended: nothing of it is written any more.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:

@@ -172,7 +172,7 @@ class StateStore:
 
     async def _save(self, key: tuple[str, str], live: Saveable, journal: Journal) -> None:
         state = await live.copy_state(self._pool)
-        if state is None:  # its engine has failed: nothing can be saved any more
+        if state is None:  # it has ended: nothing can be saved any more
             journal.closed = True
             return
         values = SavedValues(
