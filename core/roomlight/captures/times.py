@@ -23,9 +23,8 @@ _TICK_S: Final = 1e-7
 _TICKS: Final = (1e17, 1e18)
 """Ticks since the year 1 or 1601, as Windows counts them; microseconds or nanoseconds since 1970 are below or above."""
 _EPOCH_S: Final = (1e9, 3e9)
-"""Seconds since 1970, from 2001 to 2065."""
-_EPOCH_STEP_S: Final = 0.6
-"""Of times since 1970: with longer steps they may be a smaller unit's since a device was started."""
+"""Seconds since 1970, from 2001 to 2065. With steps above `MAX_GAP_S` they may be a smaller unit's since a device
+was started."""
 _CAMERA_STEP_S: Final = 1 / 30
 _LEAST_STEP_S: Final = 1e-3
 """Of what records rooms; numbers of frames, taken for microseconds, are closer."""
@@ -126,7 +125,7 @@ def _unit(values: np.ndarray) -> float:
         return 1.0
     low, step, high = np.percentile(forward, [25, 50, 75])
     for unit in _UNITS:
-        if _EPOCH_S[0] <= values[0] * unit < _EPOCH_S[1] and step * unit <= _EPOCH_STEP_S:
+        if _EPOCH_S[0] <= values[0] * unit < _EPOCH_S[1] and step * unit <= MAX_GAP_S:
             return unit
     regular = high - low <= _REGULAR * step
     if step <= 10 or (step <= 600 and not regular):

@@ -119,10 +119,10 @@ def test_a_lens_that_folds_the_image_is_refused() -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
-@pytest.mark.parametrize("rate", [5, 30, 120])
+@pytest.mark.parametrize("rate", [0.4, 5, 30, 120])
 @pytest.mark.parametrize("start_s", [65505.28, 1.7e9])
 def test_the_unit_of_time_is_recognised(unit: float, rate: int, start_s: float) -> None:
-    if unit == 1e3 and rate == 120 and start_s < 1e9:
+    if start_s < 1e9 and (rate < 1 or (unit == 1e3 and rate == 120)):
         return  # 8.3 ms: also a photo every 8.3 s, which is what the file says
     stamps: list[float | None] = [round((start_s + index / rate) * unit, 3) for index in range(9)]
     found = timeline(stamps, "x")
