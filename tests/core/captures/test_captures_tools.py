@@ -466,7 +466,7 @@ def test_poses_between_two_of_tf_are_interpolated(tmp_path: Path) -> None:
     assert np.degrees(np.arccos((second.camera_to_world[:3, 2] * VIEWS[1].pose[:3, 2]).sum())) < 0.5
 
 
-@pytest.mark.parametrize("encoding", ["rgb8", "rgba8", "mono8", "jpeg", "h264", "bayer_rggb8"])
+@pytest.mark.parametrize("encoding", ["rgb8", "rgba8", "mono8", "jpeg", "libx264", "bayer_rggb8"])
 def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
     rgb, time_s = VIEWS[0].srgb8, VIEWS[0].time_s
     pixels = {
@@ -476,7 +476,7 @@ def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
         "bayer_rggb8": np.where(np.indices((24, 32)).sum(axis=0) % 2, rgb[..., 1], rgb[..., 0]),
     }
     pixels["bayer_rggb8"][1::2, 1::2] = rgb[1::2, 1::2, 2]
-    if encoding in ("jpeg", "h264"):
+    if encoding in ("jpeg", "libx264"):
         cdr = tool_formats.Cdr().header(time_s, OPTICAL).text(f"rgb8; {encoding} compressed")
         data = cdr.raw(formats.image(".jpg", rgb)).bytes()
         colour = f"{COLOUR}/compressed", "sensor_msgs/msg/CompressedImage", time_s, data
@@ -484,8 +484,8 @@ def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
         data = tool_formats.image_message(time_s, OPTICAL, encoding, np.ascontiguousarray(pixels[encoding]))
         colour = COLOUR, "sensor_msgs/msg/Image", time_s, data
     path = tool_formats.ros2_bag(tmp_path / "bag", [*tool_formats.ros_messages(VIEWS[:1], without=COLOUR), colour])
-    if encoding == "h264":
-        unreadable(path, "colour of 'rgb8; h264 compressed' is a video's, which is not read; record JPEG")
+    if encoding == "libx264":
+        unreadable(path, "colour of 'rgb8; libx264 compressed' is a video's, which is not read; record JPEG")
         return
     (frame,) = open_capture(path)
     expected = np.repeat(rgb[..., 1:2], 3, axis=2) if encoding == "mono8" else rgb
@@ -536,7 +536,7 @@ def test_other_names_of_plumb_bob(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("space", "image", "raw"),
-    [("/director/color", "image_raw", True), ("/color", "image_rect_color", False), ("/rect/color", "image", False)],
+    [("/director/color", "image_raw", True), ("/color", "image_rectify_color", False), ("/rect/color", "image", False)],
 )
 def test_rectified_images_are_known_by_their_topic(tmp_path: Path, space: str, image: str, raw: bool) -> None:
     info = tool_formats.camera_message(OPTICAL, d=(-0.2, 0.05, 0.0, 0.0, 0.0))

@@ -61,7 +61,7 @@ _POSES: Final = (
     "nav_msgs/msg/Odometry",
     *(f"geometry_msgs/msg/{name}Stamped" for name in ("Pose", "PoseWithCovariance", "Transform")),
 )
-_RECTIFIED: Final = re.compile("(^|[/_])rect(ified)?([/_]|$)")
+_RECTIFIED: Final = re.compile("(^|[/_])rect")
 _TREES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _READ: Final = re.compile(
     "/(Time|Duration|Header|Image|CompressedImage|CameraInfo|RegionOfInterest|TFMessage|Transform|TransformStamped|"

@@ -43,7 +43,7 @@ _MODELS: Final = (
 )
 """Names of OpenCV's polynomial; the last three are librealsense's, whose code projects points by it."""
 _FISHEYES: Final = ("equidistant", "fisheye", "kannala_brandt4")
-_VIDEO: Final = re.compile("h.?26[45]|hevc|avc|av1|vp[89]|theora")
+_VIDEO: Final = re.compile("[hx].?26[45]|hevc|avc|av1|vp[89]|theora|ffmpeg")
 _NO_DEPTH: Final = "; record them, or let a network estimate depth (--depth network)"
 _BENDING: Final = re.compile("fish|equi|kannala|theta|omni|mei|atan|fov|sphere|unified")
 """Words of models that bend lines even where all of D is 0."""
