@@ -26,6 +26,8 @@ _OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
 """Formats whose depth and world come from any tool; those of the others are a sensor's, or have one unit and up."""
 _LYING, _DEPTH = "lying camera", "scale of depth"
 """Notes after which others are not given."""
+_APART: Final = "depth apart"
+"""A note that is given at a pass's end, unless another one explains it."""
 _NORMALISED: Final = ((1.0, 1.0), (0.2549, 0.2551), (64.2, 65.54))
 """Ranges of the largest depth in metres where floats, 8 or 16 bits are normalised, the integers read as millimetres."""
 _BLACK: Final = 0.003
@@ -314,6 +316,8 @@ class PassChecks:
             yield from self._notes_of_first()
         if not self._poses_are_done:
             yield from self._notes_of_poses()
+        if _APART in self._noted:
+            yield apart(self._name)
 
     def _notes_of_first(self) -> Iterator[Note]:
         """Yield notes of depth that contradicts the poses, or, where any tool wrote it, the pictures; and of bars.
@@ -333,7 +337,7 @@ class PassChecks:
         if of_any_tool and (odd := unlikely_depth(self._name, self._depths.samples)) is not None:
             yield odd
         elif mismatch is not None and _DEPTH not in self._noted and not self._poses_are_done:
-            yield apart(self._name)
+            self._noted.add(_APART)
         if (barred := black_bars(self._name, self._within)) is not None:
             yield barred
 
@@ -347,6 +351,7 @@ class PassChecks:
             return
         if self._up_is_assumed or (wrong.axis is None and wrong.up is None):
             self._poses_are_done = True
+            self._noted.discard(_APART)
             if wrong.length != 1:
                 if _DEPTH in self._noted:
                     return
