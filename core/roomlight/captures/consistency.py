@@ -40,8 +40,8 @@ _MEETS, _TOGETHER, _APART = 0.08, 0.02, 0.1
 which on they do not meet."""
 _TURNED: Final = {"upside down": (-1, 1), "mirrored": (1, -1), "turned by 180 degrees": (-1, -1)}
 """Steps along rows and columns that turn back maps stored otherwise."""
-_BETTER: Final = 0.1
-"""Correlation with the estimate by which maps that are turned back are better."""
+_UNLIKE, _LIKE = 0.45, 0.6
+"""Correlation with the estimate below which maps are turned, and above which they are once they are turned back."""
 
 _TURN_DEG: Final = 3.0
 """Turn between the pictures whose features are compared."""
@@ -311,7 +311,8 @@ def odd_depth(frames: Sequence[Frame]) -> tuple[bool, float] | None:
         Whether depth falls where the estimate rises, as 1 / depth does, and how many times as large it is: medians over
         the frames. None if it agrees, or nothing tells.
     """
-    if not (compared := _compared(frames)):
+    (compared,) = _compared(frames, (1, 1))
+    if not compared:
         return None
     correlation, ratio = np.median(compared, axis=0).tolist()
     falls = correlation < _FALLING
@@ -319,29 +320,34 @@ def odd_depth(frames: Sequence[Frame]) -> tuple[bool, float] | None:
 
 
 def looks_turned(frames: Sequence[Frame], turn: str) -> bool:
-    """Whether depth agrees with the pictures, by the network's estimate, clearly better if its maps are turned back."""
-    stored, turned = _compared(frames), _compared(frames, _TURNED[turn])
-    both = bool(stored and turned)
-    return both and float(np.median(turned, axis=0)[0]) > float(np.median(stored, axis=0)[0]) + _BETTER
+    """Whether depth agrees with the pictures, by the network's estimate, only if its maps are turned back."""
+    compared = _compared(frames, (1, 1), _TURNED[turn])
+    stored, turned = ([correlation for correlation, _ in of_turn if correlation] for of_turn in compared)
+    return bool(stored and turned) and bool(np.median(stored) < _UNLIKE and np.median(turned) > _LIKE)
 
 
-def _compared(frames: Sequence[Frame], turn: tuple[int, int] = (1, 1)) -> list[tuple[float, float]]:
-    """Return the correlation of depth, its maps turned, with the estimate, and their ratio; of frames that tell."""
+def _compared(frames: Sequence[Frame], *turns: tuple[int, int]) -> list[list[tuple[float, float]]]:
+    """Compare depth, its maps turned in each of these ways, with the estimate.
+
+    Returns:
+        By turn: correlation, 0 where it tells nothing, and ratio in each frame of which enough is known.
+    """
     from roomlight.monocular.estimate import srgb_picture  # onnxruntime takes a while to import
     from roomlight.monocular.network import shipped_depth
 
-    compared: list[tuple[float, float]] = []
+    compared: list[list[tuple[float, float]]] = [[] for _ in turns]
     for frame in frames:
         small = replace(frame, depth_m=np.zeros(frame.image.shape[:2], np.float32)).resized(_WIDTH, _WIDTH)
         estimated = shipped_depth().estimate(srgb_picture(small), small.intrinsics)
-        turned = np.ascontiguousarray(frame.depth_m[:: turn[0], :: turn[1]])
-        own = cv2.resize(turned, estimated.inverse.shape[::-1], interpolation=cv2.INTER_NEAREST)
-        known = own > 0
-        stated, seen = np.log(own[known]), -np.log(np.maximum(estimated.inverse[known], 1e-3))
-        if known.mean() > _MIN_SHARED:
-            tells = min(stated.std(), seen.std()) > 0.1
-            correlation = float(np.corrcoef(stated, seen)[0, 1]) if tells else 0.0
-            compared.append((correlation, float(np.exp(np.median(stated - seen)))))
+        for (row, column), of_turn in zip(turns, compared, strict=True):
+            turned = np.ascontiguousarray(frame.depth_m[::row, ::column])
+            own = cv2.resize(turned, estimated.inverse.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            known = own > 0
+            stated, seen = np.log(own[known]), -np.log(np.maximum(estimated.inverse[known], 1e-3))
+            if known.mean() > _MIN_SHARED:
+                tells = min(stated.std(), seen.std()) > 0.1
+                correlation = float(np.corrcoef(stated, seen)[0, 1]) if tells else 0.0
+                of_turn.append((correlation, float(np.exp(np.median(stated - seen)))))
     return compared
 
 
