@@ -34,8 +34,12 @@ _NO_DEPTH: Final = re.compile(
 )
 _DEEPEST: Final = 65504.0
 """Half's largest value: it and beyond, and infinity, mean that nothing was hit."""
-_MOST_VALUES: Final = 320_000_000
-"""Of all channels of a file together: red, green, blue, alpha and depth of the largest picture that is read."""
+_MOST_BYTES: Final = 1_280_000_000
+"""Of all channels of a file together: floats of red, green, blue, alpha and depth of the largest picture that is read.
+"""
+_CHANNEL: Final = rb"[^\0]+\0([\0-\2])\0\0\0.{12}"
+"""An entry of a header's list of channels; its kind is 1 for half floats."""
+_CHANNELS: Final = re.compile(rb"channels\0chlist\0.{4}((?:%b)+)" % _CHANNEL, re.DOTALL)
 
 
 def sequence_metadata(index: int, frames_per_second: float) -> dict[str, object]:
@@ -213,7 +217,7 @@ def read_exr(data: bytes, name: str) -> ExrChannels:
         own_copy.write_bytes(data)
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
-            _check_values([part.header for part in file.parts], name)
+            _check_size([part.header for part in file.parts], data, name)
         with OpenEXR.File(str(path), separate_channels=True) as file:
             # copies of the headers: leaving the block empties them
             parts = [
@@ -232,15 +236,24 @@ def read_exr(data: bytes, name: str) -> ExrChannels:
     return _joined(parts, name)
 
 
-def _check_values(headers: list[dict[str, Any]], name: str) -> None:
-    """Refuse parts with too many values, each channel in the larger of its own and the picture's window."""
-    values = 0
-    for header in headers:
+def _check_size(headers: list[dict[str, Any]], data: bytes, name: str) -> None:
+    """Refuse parts that take too many bytes, each channel in the larger of its own and the picture's window.
+
+    Half floats take two bytes a value, four where they are laid into the picture's window, as the others do.
+    """
+    lists: list[bytes] = [match[1] for match in _CHANNELS.finditer(data[: 1 << 16])]
+    size = 0
+    for at, header in enumerate(headers):
         windows = (_window(header["dataWindow"]), _window(headers[0]["displayWindow"]))
-        values += len(header["channels"]) * max((x1 - x0 + 1) * (y1 - y0 + 1) for x0, y0, x1, y1 in windows)
-    if values > _MOST_VALUES:
+        halves = 0
+        if len(lists) == len(headers) and windows[0] == windows[1]:
+            halves = re.findall(_CHANNEL, lists[at], re.DOTALL).count(b"\1")
+        of_pixel = 4 * len(header["channels"]) - 2 * halves
+        size += of_pixel * max((x1 - x0 + 1) * (y1 - y0 + 1) for x0, y0, x1, y1 in windows)
+    if size > _MOST_BYTES:
         raise ImageError(
-            f"{name}: the channels of the EXR have {values} values; up to {_MOST_VALUES} are read: export fewer passes"
+            f"{name}: the channels of the EXR take {size / 1e9:.2f} GB; up to {_MOST_BYTES / 1e9} GB are read: "
+            "export fewer passes"
         )
 
 
