@@ -372,8 +372,8 @@ def test_angles_of_view_that_differ_give_pixels_that_are_not_square(transforms: 
     assert camera.fy == pytest.approx(camera.height / 2 / np.tan(0.25))
 
 
-def test_the_lens_of_a_frame_is_taken_whole(transforms: Path) -> None:
-    """An angle or a focal length beside those of another lens for all frames."""
+def test_the_lens_of_a_frame_overrides_that_of_all(transforms: Path) -> None:
+    """An angle takes the place of both focal lengths, a focal length that of its own."""
 
     def change(index: dict) -> None:
         index.update(fl_x=50.0, fl_y=40.0)
@@ -383,8 +383,8 @@ def test_the_lens_of_a_frame_is_taken_whole(transforms: Path) -> None:
         index["frames"][1].update(fl_x=formats.FX)
 
     edit(transforms / "transforms.json", change)
-    for frame, _ in zip(open_capture(transforms), range(2), strict=False):
-        assert (frame.intrinsics.fx, frame.intrinsics.fy) == pytest.approx((formats.FX, formats.FX))
+    for frame, fy in zip(open_capture(transforms), (formats.FX, 40.0), strict=False):
+        assert (frame.intrinsics.fx, frame.intrinsics.fy) == pytest.approx((formats.FX, fy))
 
 
 def test_small_pictures_of_nerfstudio_are_read(transforms: Path) -> None:

@@ -55,7 +55,7 @@ _SCANNETPP: Final = "resized_"
 """Beginning of the folders of ScanNet++'s own pictures."""
 _SWAPPED: Final = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 """`applied_transform` of the COLMAP worlds that nerfstudio wrote until 2024."""
-_LENS_KEYS: Final = ("fl_x", "camera_angle_x", "x_fov")
+_LENS_KEYS: Final = {"fl_x": "fl_y", "camera_angle_x": "camera_angle_y", "x_fov": "y_fov"}
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
 _READ: Final = frozenset(
     {
@@ -238,14 +238,15 @@ class NerfstudioReader:
         )
 
     def _intrinsics(self, entry: dict[str, Any], image_width: int, image_height: int) -> Intrinsics:
-        """Build intrinsics: a frame's values override global ones, focal lengths and angles as a whole.
+        """Build intrinsics: a frame's values override global ones, also those of another kind (angles, focal lengths).
 
         A missing size is the image's.
         """
         stated_w, stated_h = (fields.first_of(entry, self._shared, key) for key in ("w", "h"))
         width = image_width if stated_w is None else fields.pixels(stated_w, "w")
         height = image_height if stated_h is None else fields.pixels(stated_h, "h")
-        shared = {} if any(entry.get(key) is not None for key in _LENS_KEYS) else self._shared
+        own = next((key for key in _LENS_KEYS if entry.get(key) is not None), None)
+        shared = self._shared if own is None else {_LENS_KEYS[own]: self._shared.get(_LENS_KEYS[own])}
         fl_x, angle = fields.first_of(entry, shared, "fl_x"), _angle(entry, shared, "x")
         if fl_x is not None:
             fx = fields.positive(fl_x, "fl_x")
