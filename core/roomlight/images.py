@@ -19,7 +19,7 @@ from typing import Final
 import cv2
 import numpy as np
 import OpenEXR
-from jaxtyping import Bool, Float, Shaped, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8, UInt16
 from PIL import Image
 
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
@@ -222,12 +222,18 @@ def decode_depth(
     if data[:8] != _PNG and data[:2] not in (_JPEG, _HDR):
         what = f"this starts with {data[:4].hex()}"
         raise ImageError(f"{name}: depth must be a 16-bit grey PNG, a TIFF, an EXR or a .npy; {what}")
-    raw = _decode_with_opencv(data, name, cv2.IMREAD_UNCHANGED)
-    if raw.ndim != 2 or raw.dtype != np.uint16:
-        raise ImageError(f"{name}: depth must be a 16-bit grey PNG, this is {raw.dtype} with shape {raw.shape}")
+    raw = decode_grey16(data, name)
     depth = raw.astype(np.float32) * np.float32(integer_m if unit_m is None else unit_m)
     depth[raw == 65535] = 0.0
     return clean_depth(depth)
+
+
+def decode_grey16(data: bytes, name: str) -> UInt16[np.ndarray, "h w"]:
+    """Decode a 16-bit grey image of depth, in stored units. Raises ImageError."""
+    raw = _decode_with_opencv(data, name, cv2.IMREAD_UNCHANGED)
+    if raw.ndim != 2 or raw.dtype != np.uint16:
+        raise ImageError(f"{name}: depth must be a 16-bit grey PNG, this is {raw.dtype} with shape {raw.shape}")
+    return raw
 
 
 def decode_grey8(data: bytes, name: str) -> UInt8[np.ndarray, "h w"]:

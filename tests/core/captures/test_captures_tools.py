@@ -232,7 +232,8 @@ def test_relative_depth_beside_a_colmap_model(tmp_path: Path) -> None:
     fits = {}
     for index, view in enumerate(VIEWS):
         inverse = 1 / view.depth_m.astype(np.float64)
-        scale, offset = 1.1 * np.ptp(inverse), inverse.min() - 0.05 * np.ptp(inverse)
+        offset = inverse.min() - 0.05 * np.ptp(inverse)
+        scale = (inverse.max() - offset) * 65536 / 65535
         stored = np.rint((inverse - offset) / scale * 65536).astype(np.uint16)
         formats.save(path / f"depth/frame_{index + 1:05d}.png", formats.image(".png", stored))
         fits[f"frame_{index + 1:05d}"] = {"scale": scale, "offset": offset}

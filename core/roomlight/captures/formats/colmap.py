@@ -18,12 +18,12 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt16
 
 from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
-from roomlight.captures.decoding import DEPTH_SUFFIXES, read_mask, read_rgbd, with_mask
+from roomlight.captures.decoding import DEPTH_SUFFIXES, read_mask, read_picture, read_rgbd, with_mask
 from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.lenses import Lens, fitted, lens_of, straightened
 from roomlight.captures.options import CaptureOptions
@@ -31,6 +31,7 @@ from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
+from roomlight.images import decode_grey16
 from roomlight.notes import Note
 
 FOLDERS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
@@ -162,6 +163,10 @@ class ColmapReader(ListedReader):
         self._fits = None
         if source.has(f"{prefix}{_FITS}"):
             self._fits = fields.parse_json(read_index(source, f"{prefix}{_FITS}"), source.label(f"{prefix}{_FITS}"))
+            maps = source.names(self._depth) if self._depth is not None else []
+            if other := next((name for name in maps if name.endswith(DEPTH_SUFFIXES) and name[-4:] != ".png"), ""):
+                text = f"{folder}: {_FITS} beside {self._depth}/{other}"
+                self.notes.append(Note(text, "such files are read as depth, as stored", "store relative depth as PNG"))
         if self._base and source.has("masks"):
             effect = "are not read: the images read are the undistorted ones"
             self.notes.append(Note(source.label("masks"), effect, f"undistort them into {self._base}masks"))
@@ -191,13 +196,15 @@ class ColmapReader(ListedReader):
                 raise ValueError(f"its camera {image.camera} is not in the model, or its lens is not read")
             if isinstance(camera, str):
                 raise ValueError(camera)
-        fitted_by = self._fits if depth_name is not None and depth_name.endswith(".png") else None
-        unit_m = self._unit_m if fitted_by is None else 2.0**-16
-        read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=unit_m)
-        picture, depth_m = read.picture, read.depth_m
-        if fitted_by is not None:
+        depth_label = depth_name and self._source.label(depth_name)
+        if self._fits is not None and depth_name is not None and depth_name.endswith(".png"):
+            picture = read_picture(self._source, self._colour[index])
+            stored = decode_grey16(self._source.read(depth_name), str(depth_label))
             with fields.naming(f"{label}: {_FITS}", FrameError):
-                depth_m = _from_relative(depth_m, fitted_by.get(stem)) * np.float32(self._unit_m or 1.0)
+                depth_m = _from_relative(stored, self._fits.get(stem)) * np.float32(self._unit_m or 1.0)
+        else:
+            read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
+            picture, depth_m = read.picture, read.depth_m
         for mask in (f"{self._base}masks/{image.name}.png", f"{self._base}masks/{stem}.png"):
             if self._source.has(mask):
                 picture = with_mask(picture, read_mask(self._source, mask))
@@ -211,7 +218,7 @@ class ColmapReader(ListedReader):
             name=label,
             picture=picture,
             depth_m=depth_m,
-            depth_name=depth_name and self._source.label(depth_name),
+            depth_name=depth_label,
             intrinsics=intrinsics,
             pose=image.pose,
             stated=stated,
@@ -235,7 +242,7 @@ def _camera(model: str, width: int, height: int, parameters: list[float]) -> _Ca
         return f"its camera model {model[:40]} cannot be used: {error}"
 
 
-def _from_relative(values: Float[np.ndarray, "h w"], fit: Any) -> Float[np.ndarray, "h w"]:
+def _from_relative(stored: UInt16[np.ndarray, "h w"], fit: Any) -> Float[np.ndarray, "h w"]:
     """Return depth in the model's unit by the fit of an image to the model's points. Raises ValueError without one."""
     if not isinstance(fit, dict):
         raise ValueError("has no entry of this image, whose depth is relative")
@@ -243,7 +250,8 @@ def _from_relative(values: Float[np.ndarray, "h w"], fit: Any) -> Float[np.ndarr
     if scale <= 0:
         raise ValueError(f"scale is {scale:g}, as where the image shows too few of the model's points")
     with np.errstate(divide="ignore"):
-        return clean_depth(np.where(values > 0, 1 / (values * scale + offset), 0))
+        depth = 1 / (stored * (scale / 65536) + offset)
+    return clean_depth(np.where(stored > 0, depth, 0))
 
 
 def _pose(quaternion_wxyz: list[float], translation: list[float]) -> Float[np.ndarray, "4 4"] | str:
