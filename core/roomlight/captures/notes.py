@@ -90,7 +90,7 @@ def removed_lens(name: str, camera: Intrinsics) -> Note:
     """Make the note for a lens whose distortion was removed."""
     pinhole = f"fx {camera.fx:.6g}, fy {camera.fy:.6g}, cx {camera.cx:.6g}, cy {camera.cy:.6g}"
     text, effect = f"{name}: the distortion of its lens", f"pictures and pixels are those of a pinhole with {pinhole}"
-    return Note(text, effect, "use this camera with what is written")
+    return Note(text, effect, "use this camera with what is written; other frames may have their own")
 
 
 def wrong_scale(name: str, factor: float | None) -> Note:

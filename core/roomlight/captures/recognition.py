@@ -25,7 +25,7 @@ _PARTS: Final[dict[str, tuple[str, ...]]] = {
     "nerfstudio": (nerfstudio.INDEX,),
     "stray-scanner": (stray_scanner.VIDEO, stray_scanner.ODOMETRY, stray_scanner.MATRIX),
     "record3d": ("metadata|metadata.json", "rgbd|rgb"),
-    "tum": ("rgb.txt|associations.txt", "depth.txt|associations.txt", "groundtruth.txt|*.gt.freiburg"),
+    "tum": ("rgb.txt|associat*.txt", "depth.txt|associat*.txt", "groundtruth.txt|*.gt.freiburg"),
     "seven-scenes": ("frame-*.color.*", "frame-*.depth.*", "frame-*.pose.txt"),
     "polycam": ("keyframes/images|images", "keyframes/cameras|cameras"),
     "3d-scanner-app": ("frame_*.jpg", "frame_*.json"),

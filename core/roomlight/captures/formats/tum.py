@@ -3,7 +3,8 @@
 The three streams have clocks of their own: each colour image takes the depth and the pose nearest in time, at
 most 0.02 s away (the data set's own tool does the same); without them it is a bad frame. Times in nanoseconds, as
 ORB-SLAM3 writes them, are recognised by their size or steps. Without a `depth.txt` depth is estimated. Without a
-`rgb.txt` both are the lines of `associations.txt` (`time file time file`, colour or depth first).
+`rgb.txt` both are the lines of `associations.txt`, `association.txt` or `associate.txt` (`time file time file`, colour
+or depth first).
 
 ICL-NUIM names its poses `NAME.gt.freiburg`. They are those of a world with y up and a camera with y up (a left-handed
 system), while its pictures are stored from the top: the y axes are turned round here. Its K is 481.2, 480, 319.5,
