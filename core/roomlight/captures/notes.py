@@ -30,6 +30,8 @@ _APART: Final = "depth apart"
 """A note that is given at a pass's end, unless another one explains it."""
 _NORMALISED: Final = ((1.0, 1.0), (0.2549, 0.2551), (64.2, 65.54))
 """Ranges of the largest depth in metres where floats, 8 or 16 bits are normalised, the integers read as millimetres."""
+_CUT_OFF: Final = 0.01
+"""Share of pixels with the largest depth above which depth was cut off there, and not normalised to 16 bits."""
 _BLACK: Final = 0.003
 """Linear value up to which a pixel may be a black bar's: 10 of 255 in sRGB."""
 _LEAST_BAR: Final = 0.02
@@ -122,7 +124,9 @@ def unlikely_depth(name: str, frames: Sequence[Frame]) -> Note | None:
     """Make the note for depth that the picture contradicts; else None."""
     instead = "or none (of a recording: --depth network): it is then estimated"
     largest = [float(frame.depth_m.max()) for frame in frames]
-    if largest and any(low <= min(largest) and max(largest) <= high for low, high in _NORMALISED):
+    shares = [float((frame.depth_m == frame.depth_m.max()).mean()) for frame in frames]
+    ranges = _NORMALISED[:-1] if min(shares, default=0) > _CUT_OFF else _NORMALISED
+    if largest and any(low <= min(largest) and max(largest) <= high for low, high in ranges):
         text = f"{name}: its largest depth is {largest[0]:.4g}, as where depth is normalised"
         return Note(text, "it is read as metres", f"give depth in metres, {instead}")
     if (odd := odd_depth(frames)) is None:

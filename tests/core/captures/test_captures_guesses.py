@@ -327,6 +327,7 @@ def seen_room() -> Frame:
         (lambda depth: depth / 8, r"depth is 0.1\d* times what the picture lets expect: .*state depth_unit_m"),
         (lambda depth: depth / depth.max(), "its largest depth is 1, as where depth is normalised"),
         (lambda depth: 65.5 / depth * depth.min(), "its largest depth is 65.5, as"),
+        (lambda depth: np.where(depth > np.quantile(depth, 0.8), 65, depth), ""),  # cut off at 65 m
         (lambda depth: 6 * depth, r"depth is \d[.\d]* times what the picture lets expect"),
     ],
 )
