@@ -235,10 +235,11 @@ def test_depth_is_averaged_where_it_agrees_else_replaced():
 
 def test_depth_follows_a_moving_camera_and_its_lens():
     depth_filter = DepthFilter()
-    for index in range(6):
-        frame = view(0.7 * index, index)
-        result = depth_filter.push(frame)
+    frames = [view(0.7 * index, index) for index in range(6)]
+    results = [depth_filter.push(frame) for frame in frames]
+    for frame, result in zip(frames, results, strict=True):
         assert np.percentile(np.abs(result - frame.depth_m) / frame.depth_m, 95) < 0.01
+    frame, result = frames[-1], results[-1]
     zoomed = replace(frame.intrinsics, fx=2 * frame.intrinsics.fx, fy=2 * frame.intrinsics.fy)
     held = depth_filter.push(replace(frame, intrinsics=zoomed, depth_m=np.zeros_like(frame.depth_m), index=6))
     middle, known = np.kron(result[48:144, 64:192], np.ones((2, 2))), held > 0
