@@ -280,6 +280,6 @@ def test_a_video_alone_is_lit_by_all_its_frames(tmp_path, roomlight):
     report = json.loads((tmp_path / "out" / "light.json").read_text())
     assert len(report["probes"]) == 1
     assert read_panorama(tmp_path / "out" / "probe-00.exr").max() > 0
-    refused = roomlight("light", *files, "--depth", "depth.png", cwd=tmp_path)
+    refused = roomlight("light", *files, "--depth", "depth.png", "--overwrite", cwd=tmp_path)
     assert refused.code == 1
     assert "depth is for photographs; walk.mp4 is a video, whose depth is estimated" in refused.err
