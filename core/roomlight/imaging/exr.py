@@ -38,7 +38,7 @@ _MOST_BYTES: Final = 1_280_000_000
 """Of all channels of a file together: floats of red, green, blue, alpha and depth of the largest picture that is read.
 """
 _CHANNEL: Final = rb"[^\0]+\0([\0-\2])\0\0\0.{12}"
-"""An entry of a header's list of channels; its kind is 1 for half floats."""
+"""An entry of a header's list of channels; its kind, which OpenEXR tells of read pixels alone, is 1 for half floats."""
 _CHANNELS: Final = re.compile(rb"channels\0chlist\0.{4}((?:%b)+)" % _CHANNEL, re.DOTALL)
 
 

@@ -56,7 +56,8 @@ class Restorer:
         return engine, LiveState(snapshot, *kept, latest, values.scene, values.depth_scale)
 
     async def _bases(self, reading: Reading, options: SessionOptions) -> dict[int, FrameMesh]:
-        wanted = [index for index in reading.session.elsewhere if index in reading.messages.keys() - reading.pixels]
+        messages = reading.messages.keys() - reading.pixels
+        wanted = [index for index in reading.session.elsewhere if index in messages]
         made = await asyncio.gather(*(self._base(reading, index, options) for index in wanted))
         return reading.pixels | dict(zip(wanted, made, strict=True))
 

@@ -132,12 +132,11 @@ class StateStore:
             for key, live in sessions():
                 if key not in self._saving and live.journal is not None and live.journal.is_due(self._period_s):
                     self._start_saving(key, live)
-            open_sessions = dict(sessions())
             unsaved_s = max((journal.unsaved_s for _, _, journal in _unsaved(sessions)), default=0.0)
             self._metrics.state_unsaved_seconds.set(unsaved_s)
             if self._clock() >= self._next_expiry_s:
                 self._next_expiry_s = self._clock() + min(_EXPIRY_PERIOD_S, self._expiry_s)
-                await self._in_thread(self._erase_expired, {self._folder(*key).name for key in open_sessions})
+                await self._in_thread(self._erase_expired, {self._folder(*key).name for key, _ in sessions()})
 
     async def _check_leases(self, sessions: Sessions, end_moved: Callable[[tuple[str, str], Saveable], object]) -> None:
         if self._fence is None or self._clock() < self._next_lease_check_s:
