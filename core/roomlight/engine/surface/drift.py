@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -42,6 +43,8 @@ _LEAST: Final = 20
 """Least number of shared points of a view, of the 1,200 of a frame."""
 _LAST: Final = 8.0
 """Weight of the last frame's gain, in points."""
+_KNOWN: Final = 0.999
+"""Interpolated share of an image that can be compared, from which on all of it can."""
 _NEAR: Final = (0.03, 0.03)
 """Two depths are of one surface within 3 cm and 3 %."""
 
@@ -146,7 +149,12 @@ def _ratio(
     column, row = xy[inside].astype(int).T
     depth = mesh.grid_depth_m[row, column]
     same = (depth > 0) & (np.abs(depth - z[inside]) < _NEAR[0] + _NEAR[1] * depth)
+    points = logarithm[ahead][inside][same]
+    if not len(points):
+        return points
     theirs, usable = mesh.texture.small
-    row, column = row[same] * usable.shape[0] // height, column[same] * usable.shape[1] // width
-    known = usable[row, column]
-    return theirs[row, column][known] - logarithm[ahead][inside][same][known]
+    scale = np.divide(usable.shape[::-1], (width, height))
+    x, y = (xy[inside][same] * scale - 0.5).astype(np.float32).T[:, None]
+    sampled = cv2.remap(np.dstack([theirs, usable]), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+    known = sampled[:, 3] > _KNOWN
+    return sampled[known, :3] - points[known]

@@ -129,12 +129,16 @@ class Texture:
 def small_logarithm(
     image: Float[np.ndarray, "h w 3"], clipped: Bool[np.ndarray, "h w"] | None
 ) -> tuple[Float[np.ndarray, "sh sw 3"], Bool[np.ndarray, "sh sw"]]:
-    """Return the natural logarithm of an image at an eighth of its size, and where no pixel was clipped or is dark."""
+    """Return the natural logarithm of an image at an eighth of its size, and where no pixel was clipped or is dark.
+
+    Each value is the mean of 24 x 24 pixels: sharper ones differ between two views of a surface.
+    """
     size = max(2, image.shape[1] // 8), max(2, image.shape[0] // 8)
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    small = cv2.blur(cv2.resize(image, size, interpolation=cv2.INTER_AREA), (3, 3))
     usable = small.min(axis=-1) > _DARK
     if clipped is not None:
-        usable &= cv2.resize(clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA) == 0
+        share = cv2.resize(clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        usable &= cv2.dilate(share, np.ones((3, 3), np.uint8)) == 0
     return np.log(np.maximum(small, _DARK)), usable
 
 
