@@ -18,6 +18,7 @@ from roomlight_model.accumulate import (
 
 HEIGHT = 12
 DEPTH_MAX_M = 3.0
+UNSEEN_M = serving.unseen_depth_m(DEPTH_MAX_M)
 
 
 def frames(count, seed=0):
@@ -49,7 +50,7 @@ def test_agrees_with_serving():
     kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
     state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.observed))
     for frame in frames(6):
-        serving.accumulate(kept, **frame)
+        serving.accumulate(kept, **frame, unseen_m=UNSEEN_M)
         seen, weight = observed(frame)
         state = accumulate(state, seen, accepted(weight, seen, state, margin=serving.CLOSER_M))
     for ours, theirs in zip(state[:3], (kept.radiance, kept.depth_m, kept.observed), strict=True):
@@ -76,7 +77,7 @@ def test_a_sequence_of_exposures_agrees_with_serving():
             "detail_depth_m": (2 + random.uniform(-0.05, 0.05, shape)).astype(np.float32),
             "weight": random.random(shape).astype(np.float32),
         }
-        serving.accumulate(kept, **view, detail_clipped=clipped, detail_guessed=guessed)
+        serving.accumulate(kept, **view, unseen_m=UNSEEN_M, detail_clipped=clipped, detail_guessed=guessed)
         seen, raw = observed(view, clipped=planes(clipped), guessed=planes(guessed))
         weight = accepted(raw, seen, state, margin=serving.CLOSER_M)
         ruled = conservative(raw, seen.depth, state.depth, margin=serving.CLOSER_M)

@@ -11,7 +11,7 @@ from roomlight.conventions import Position
 from roomlight.engine.lighting import LightingModel, ProbeLightSource
 from roomlight.engine.models.choosing import ProbeEstimator
 from roomlight.engine.models.interface import Rendered
-from roomlight.engine.panorama.blend import AT_PROBE, UNSEEN_DEPTH, PanoramaState, accumulate, farthest_depth_m
+from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, accumulate, farthest_depth_m, unseen_depth_m
 from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.panorama.likely_light import likely_lights
 from roomlight.engine.room import AnyRoom
@@ -109,8 +109,8 @@ class Probe:
 
     def in_room(self, room: AnyRoom) -> "Probe":
         """Return the probe with the lighting volume of another room from now on, and use its arrays."""
-        old_m, depth_m = np.float32(UNSEEN_DEPTH * self.room.grid.depth_max_m), self.panorama.depth_m
-        depth_m[depth_m == old_m] = UNSEEN_DEPTH * room.grid.depth_max_m
+        old_m, depth_m = np.float32(unseen_depth_m(self.room.grid.depth_max_m)), self.panorama.depth_m
+        depth_m[depth_m == old_m] = unseen_depth_m(room.grid.depth_max_m)
         return replace(self, room=room, forgotten=not room.grid.contains(self.position))
 
     def render(self) -> Rendered | None:
@@ -151,6 +151,7 @@ class Probe:
             detail=partial.radiance,
             detail_depth_m=partial.depth_m,
             weight=weight,
+            unseen_m=unseen_depth_m(self.room.grid.depth_max_m),
             detail_clipped=partial.clipped,
             detail_guessed=partial.guessed,
             camera=camera,

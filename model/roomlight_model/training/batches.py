@@ -14,7 +14,13 @@ from torch import Tensor
 
 from roomlight.depth import complete_depth
 from roomlight.engine.networks.clipping import shipped_clipping
-from roomlight.engine.panorama.blend import PanoramaState, accumulate, farthest_depth_m, filled_detail
+from roomlight.engine.panorama.blend import (
+    PanoramaState,
+    accumulate,
+    farthest_depth_m,
+    filled_detail,
+    unseen_depth_m,
+)
 from roomlight.engine.preparation import PreparedFrame
 from roomlight.engine.surface.bracket import update_keyframes
 from roomlight.engine.surface.mesh import FrameMesh
@@ -176,6 +182,7 @@ def _probe_detail(
             detail=detail.radiance,
             detail_depth_m=detail.depth_m,
             weight=weight,
+            unseen_m=unseen_depth_m(grid.depth_max_m),
             detail_clipped=detail.clipped,
             detail_guessed=detail.guessed,
             camera=mesh.camera_to_world[:3, 3] - position,

@@ -209,16 +209,14 @@ def compare_rows(state, detail, rays, closer_m, comparison, start, stop):
 
 
 @njit(**CACHED, fastmath=True)
-def accumulate_rows(state, hdr, detail, replaced, closer_m, only_seen, start, stop):
+def accumulate_rows(state, hdr, detail, closer_m, only_seen, start, stop):
     """Update rows start..stop of the state (`StateArrays`); `detail` is `DetailArrays`, hdr [h, w, 3].
 
-    replaced [h, w]:  where light has changed: what was accumulated is forgotten, as if the frame were the first.
-    only_seen:        whether pixels without weight stay as they are.
+    only_seen: whether pixels without weight stay as they are.
 
     1. The conservative rule: a surface that is not closer than the accumulated one loses 1 of its weight.
     2. A clipped observation of the same surface gives way to one that knows more (`better_share`).
-    3. Changed light replaces what was accumulated.
-    4. Radiance, depth, share observed, clipping: the frame's by the weight, the state's by the rest, inferred light
+    3. Radiance, depth, share observed, clipping: the frame's by the weight, the state's by the rest, inferred light
        behind both.
     """
     one, zero = np.float32(1), np.float32(0)
@@ -228,7 +226,7 @@ def accumulate_rows(state, hdr, detail, replaced, closer_m, only_seen, start, st
             blend = detail.weight[row, column]
             if only_seen and blend <= zero:
                 continue
-            before = kept = state.observed[row, column]
+            before = state.observed[row, column]
             clipped, known = state.clipped[row, column], state.guessed[row, column]
             nearer = state.depth[row, column] - detail.depth[row, column]
             fresh = blend > zero and nearer >= closer_m
@@ -242,12 +240,10 @@ def accumulate_rows(state, hdr, detail, replaced, closer_m, only_seen, start, st
                     new_bound -= detail.guessed[row, column]
                     better = better_share(clipped, bound, detail.clipped[row, column], new_bound)
                     blend = max(blend, better * min(weight, one))
-                if replaced[row, column]:  # 3.
-                    blend, kept, clipped, known = min(weight, one), zero, zero, zero
-            for c in range(3):  # 4.
-                background = (one - kept) * hdr[row, column, c] + kept * radiance[row, column, c]
+            for c in range(3):  # 3.
+                background = (one - before) * hdr[row, column, c] + before * radiance[row, column, c]
                 radiance[row, column, c] = blend * new[row, column, c] + (one - blend) * background
-                if fresh or replaced[row, column]:
+                if fresh:
                     state.viewed_from[row, column, c] = detail.camera[c]
             state.depth[row, column] = blend * detail.depth[row, column] + (one - blend) * state.depth[row, column]
             state.observed[row, column] = min(before + blend, one)

@@ -108,6 +108,7 @@ def accumulate_reference(
     detail: Float[np.ndarray, "h w 3"],
     detail_depth_m: Float[np.ndarray, "h w"],
     weight: Float[np.ndarray, "h w"],
+    unseen_m: float,
     detail_clipped: Float[np.ndarray, "h w"] | None = None,
     detail_guessed: Float[np.ndarray, "h w"] | None = None,
     camera: Float[np.ndarray, "3"] = AT_PROBE,
@@ -115,11 +116,8 @@ def accumulate_reference(
     """Compute `roomlight.engine.panorama.blend.accumulate`."""
     clipped = np.zeros_like(weight) if detail_clipped is None else detail_clipped
     guessed = np.zeros_like(weight) if detail_guessed is None else detail_guessed
-    blend = np.maximum(weight - ~state.is_closer(detail_depth_m), 0)
     bound, new_bound = state.radiance @ LUMINANCE - state.guessed, detail @ LUMINANCE - guessed
-    better = better_share(state.clipped, bound, clipped, new_bound) * np.minimum(weight, 1)
     same = (abs(state.depth_m - detail_depth_m) < CLOSER_M) & (weight > 0) & (state.observed > 0)
-    blend = np.where(same, np.maximum(blend, better), blend)
     lowest, highest, brightest = extremes_around(detail, clipped, guessed, weight=weight)
     shown = state.radiance @ LUMINANCE
     differs = same & ((lowest > CHANGED * shown + LEAST_CHANGE) | (CHANGED * highest + LEAST_CHANGE < bound))
@@ -132,12 +130,13 @@ def accumulate_reference(
     replaced = replaced_by_change(
         state, np.where(differs, np.where(near, BEGINS, DIFFERS), np.where(same, AGREES, APART))
     )
-    fresh = (weight > 0) & state.is_closer(detail_depth_m)
-    state.viewed_from[fresh | replaced | (same & ~differs & confirmed)] = camera
-    blend = np.where(replaced, np.minimum(weight, 1), blend)
-    known = np.where(replaced, 0, state.observed)[..., None]
-    for forgotten in (state.clipped, state.guessed):
-        forgotten[replaced] = 0
+    state.forget(replaced, unseen_m)
+    closer = state.is_closer(detail_depth_m)
+    state.viewed_from[((weight > 0) & closer) | (same & ~differs & confirmed)] = camera
+    blend = np.maximum(weight - ~closer, 0)
+    better = better_share(state.clipped, bound, clipped, new_bound) * np.minimum(weight, 1)
+    blend = np.where(same & ~replaced, np.maximum(blend, better), blend)
+    known = state.observed[..., None]
     background = (1 - known) * (state.radiance if hdr is None else hdr) + known * state.radiance
     state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * background
     for accumulated, new in ((state.depth_m, detail_depth_m), (state.clipped, clipped), (state.guessed, guessed)):

@@ -55,12 +55,17 @@ UNSEEN_DEPTH: Final = 4.0
 """In units of D_max; the volume's diagonal is 3.2 D_max."""
 
 
+def unseen_depth_m(depth_max_m: float) -> float:
+    """Return the accumulated depth of what was never seen."""
+    return UNSEEN_DEPTH * depth_max_m
+
+
 def farthest_depth_m(depth_max_m: float) -> float:
     """Return the depth to which farther surfaces are clamped: a little nearer than "unseen", so that they are accepted.
 
     Without it a session that begins with a close-up (small D_max) would never show the rest of its room.
     """
-    unseen_m = UNSEEN_DEPTH * depth_max_m
+    unseen_m = unseen_depth_m(depth_max_m)
     return min(0.8 * unseen_m, unseen_m - 2 * CLOSER_M)
 
 
@@ -91,7 +96,7 @@ class PanoramaState:
     def fresh(cls, height: int, depth_max_m: float) -> "PanoramaState":
         """Return the state before the first frame: nothing observed."""
         shape = (height, 2 * height)
-        unseen = np.full(shape, UNSEEN_DEPTH * depth_max_m, np.float32)
+        unseen = np.full(shape, unseen_depth_m(depth_max_m), np.float32)
         observed, clipped, guessed, changed = (np.zeros(shape, np.float32) for _ in range(4))
         radiance, viewed_from = (np.zeros((*shape, 3), np.float32) for _ in range(2))
         return cls(radiance, unseen, observed, clipped, guessed, changed, viewed_from)
@@ -117,6 +122,12 @@ class PanoramaState:
         """Return where a surface is closer by `CLOSER_M` than the accumulated one: the conservative rule."""
         return self.depth_m - depth_m >= CLOSER_M
 
+    def forget(self, changed: Bool[np.ndarray, "h w"], unseen_m: float) -> None:
+        """Forget what was observed there, so that the next frame is seen as if it were the first."""
+        for plane in (self.observed, self.clipped, self.guessed):
+            plane[changed] = 0
+        self.depth_m[changed] = unseen_m
+
     def coverage(self) -> float:
         """Return the share of the sphere that was observed, by solid angle, in [0, 1]."""
         share = (self.observed * panorama_solid_angles(self.observed.shape[0])).sum() / (4 * np.pi)
@@ -130,6 +141,7 @@ def accumulate(
     detail: Float[np.ndarray, "h w 3"],
     detail_depth_m: Float[np.ndarray, "h w"],
     weight: Float[np.ndarray, "h w"],
+    unseen_m: float,
     detail_clipped: Float[np.ndarray, "h w"] | None = None,
     detail_guessed: Float[np.ndarray, "h w"] | None = None,
     camera: Float[np.ndarray, "3"] = AT_PROBE,
@@ -142,8 +154,8 @@ def accumulate(
     Without `hdr` (None) L. is L: nothing changes where the weight is 0.
 
     Where the state is clipped and the detail shows the same surface, L_M is at least min(weight, 1) times
-    `better_share`. Where its light has changed (see the module), L_M is min(weight, 1) and M^ is 0
-    in the sum of L.
+    `better_share`. Where its light has changed (see the module), the state is forgotten first: M^ is 0 and D^ is
+    `unseen_m`, the depth of what was never seen.
 
     `detail_clipped` and `detail_guessed` are as in `PanoramaState`; None: nothing was clipped. `camera` is the frame's
     position in metres from the probe, world axes.
@@ -163,9 +175,10 @@ def accumulate(
     comparison = np.zeros(weight.shape, np.uint8)
     # One thread: both 0.1 ms for 120 x 240, more on a pool.
     compare_rows(accumulated, frame, panorama_rays(height), closer_m, comparison, *rows)
-    replaced, behind = replaced_by_change(state, comparison), state.radiance if hdr is None else hdr
+    state.forget(replaced_by_change(state, comparison), unseen_m)
+    behind = state.radiance if hdr is None else hdr
     start, stop = rows if hdr is None else (0, height)
-    accumulate_rows(accumulated, behind, frame, replaced, closer_m, hdr is None, start, stop)
+    accumulate_rows(accumulated, behind, frame, closer_m, hdr is None, start, stop)
 
 
 def replaced_by_change(state: PanoramaState, comparison: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
