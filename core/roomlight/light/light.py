@@ -235,7 +235,8 @@ class Light:
         """The main directional light: what casts the shadows.
 
         At a tracked probe it turns by at most 10 degrees a frame (`roomlight.engine.panorama.light_tracking`);
-        elsewhere it is found in this panorama, at a session's points with less weight for directions never seen.
+        elsewhere it is found in this panorama, at a session's points where it most likely is
+        (`roomlight.engine.panorama.likely_light`).
 
         Raises:
             RoomLightError: neither it nor the panorama was requested from the server.

@@ -50,6 +50,13 @@ def test_a_lamp_that_was_seen_stays_the_main_light() -> None:
     assert lights.main.number == 0
 
 
+def test_broad_inferred_light_does_not_outweigh_a_lamp_that_is_much_stronger() -> None:
+    panorama = (lit(60, [(WALL, 10, 15.0)], level=0.3) + glow(60, LAMP, 1.0, width=1.0)).astype(np.float32)
+    lights = likely_lights(panorama, half_seen(60, WALL))
+    assert angle_deg(lights.main.direction, WALL) < 2
+    assert lights.main.intensity == pytest.approx(find_lights(panorama)[0].intensity)
+
+
 def test_inferred_light_below_does_not_count() -> None:
     panorama = (0.3 + glow(60, unit(0.2, -1, 0), 3.0) + glow(60, LAMP, 1.0)).astype(np.float32)
     lights = likely_lights(panorama, np.zeros((60, 120), np.float32))
