@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -47,7 +46,6 @@ def video_stage(
     rooms: int | BoxRecordings = 3,
     held_out=NO_ROOMS,
     start_from: Checkpoint | Literal["single-view"] | None = "single-view",
-    cache=Path("unused"),
     change_light=None,
 ):
     """A video stage on walks through `rooms` box rooms, from `single_view_weights` unless others are given."""
@@ -57,7 +55,6 @@ def video_stage(
         held_out,
         device=CPU,
         start_from=single_view_weights() if start_from == "single-view" else start_from,
-        cache=cache,
         change_light=change_light,
     )
 

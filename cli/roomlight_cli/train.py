@@ -136,7 +136,6 @@ def _train_stage(
             build_stage(
                 stage,
                 [data / name for name in stage.data],
-                out / stage.name,
                 start_from=None if start is None else load_weights(start),
                 device=device,
                 progress=progress.count,

@@ -309,7 +309,6 @@ def test_an_epoch_has_every_example_once():
         (VIEWS, {"volume_shape": (4, 30, 42)}, "volume_shape"),
         (VIEWS, {"panorama_height": 61}, "panorama_height is 61; it must be even"),
         (WALKS, {"frames": 1}, "frames is 1; it must be 2 or more"),
-        (WALKS, {"variants": 1}, "only video-blend has fixed 3D networks"),
         (WALKS, {"revisits": 1.5}, r"revisits is 1\.5; it must be 0 to 1"),
     ],
 )

@@ -175,4 +175,4 @@ def test_data_without_what_a_stage_learns_from_is_named(data, options, message, 
     stub_rooms.make_dataset(tmp_path / "rooms", 2, frames=1, **data)
     recipe, device = StageRecipe("run", options, ("rooms",)), torch.device("cpu")
     with pytest.raises(DatasetError, match=message):
-        build_stage(recipe, [tmp_path / "rooms"], tmp_path / "run", start_from=None, device=device)
+        build_stage(recipe, [tmp_path / "rooms"], start_from=None, device=device)

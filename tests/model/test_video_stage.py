@@ -1,11 +1,10 @@
-"""The video stages: what they train, how they resume, what they start from, their data and validation."""
+"""The video stages: what they train, what they start from, their data and validation."""
 
 from dataclasses import replace
 from typing import cast
 
 import numpy as np
 import pytest
-import torch
 
 from recordings import BoxRecordings
 from roomlight.errors import ModelError
@@ -13,12 +12,10 @@ from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.networks import VideoModel
 from roomlight_model.training.loop import Run
-from roomlight_model.training.video import Unroll
 from tiny_stages import (
     TINY,
     WALKS,
     dimmed,
-    logged,
     networks_moved_by,
     single_view_weights,
     trained_networks,
@@ -83,37 +80,6 @@ def test_shorter_walks_shorten_the_sequences_of_their_batch(monkeypatch):
     recordings = BoxRecordings(3)
     monkeypatch.setattr(recordings, "frames_of", lambda index: 2 if index == 0 else 31)
     assert video_stage(replace(WALKS, batch=3, stage="video-sglv"), rooms=recordings).batch(0).frames == 2
-
-
-def test_kept_sequences_give_the_fixed_networks_panoramas(tmp_path):
-    """A stored sequence has the losses of one whose 3D networks run, up to half precision."""
-    options = replace(WALKS, stage="video-blend", variants=2, batch=1, frames=2)
-    stage = video_stage(options, cache=tmp_path / "cache")
-    kept = stage.batch(0)
-    assert kept.hdr is not None
-    assert kept.volume.numel() == 0
-    assert len(list((tmp_path / "cache").iterdir())) == 1
-    (index, _), *_ = options.draw_examples(3, 0)
-    live = stage._read([(index, options.rng(0, index, 0))], options.rng(0, 0, 0, 0))
-    assert live.frames == kept.frames
-    losses = []
-    for given in (live, kept):
-        with torch.no_grad():
-            sequence = Unroll(stage.network(), given, options, generator=torch.Generator().manual_seed(0))
-            losses.append(sequence.advance(1))
-    for name, value in losses[0].items():
-        torch.testing.assert_close(losses[1][name], value, rtol=2e-3, atol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_run_on_kept_sequences_repeats_its_curve(tmp_path):
-    options = replace(WALKS, stage="video-blend", variants=1, steps=3, bf16=True)
-    Run(video_stage(options, cache=tmp_path / "a"), tmp_path / "whole").train()
-    first = Run(video_stage(options, cache=tmp_path / "b"), tmp_path / "parts")
-    first.train(stop=lambda: first.step == 1)
-    Run(video_stage(options, cache=tmp_path / "b"), tmp_path / "parts").train()
-    assert logged(tmp_path / "parts") == logged(tmp_path / "whole")
-    assert len(list((tmp_path / "b").iterdir())) == 3
 
 
 @pytest.mark.slow

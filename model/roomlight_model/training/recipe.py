@@ -183,7 +183,6 @@ def read_options(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
 def build_stage(
     recipe: StageRecipe,
     folders: Sequence[Path],
-    out: Path,
     *,
     start_from: Checkpoint | None,
     device: torch.device,
@@ -194,7 +193,6 @@ def build_stage(
     Args:
         recipe: The stage.
         folders: The folders of `recipe.data`, in order.
-        out: The folder of its run.
         start_from: The weights of `recipe.start_from`.
         device: Where the networks run; those of clipped radiance and of the light of objects run on the CPU.
         progress: Receives (done, total) while examples are read.
@@ -221,9 +219,7 @@ def build_stage(
         if options.surround_max:
             training = training.without_bright_surroundings(options.surround_max, progress)
         if isinstance(options, VideoOptions):
-            return VideoStage(
-                options, training, held_out, device=device, start_from=start_from, cache=out / "cache", data=data
-            )
+            return VideoStage(options, training, held_out, device=device, start_from=start_from, data=data)
         return SingleViewStage(options, training, held_out, device=device, start_from=start_from, data=data)
     test = test_split(datasets)
     stage, read = _small_stage(options)

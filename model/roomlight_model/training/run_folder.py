@@ -7,7 +7,6 @@
     log.jsonl         one line for every reported step and every validation
     tensorboard/      the same curves
     pictures/         panoramas of held-out rooms during training, of the stages that draw them
-    cache/            prepared sequences (`video.VideoOptions.variants`); may be deleted
 
 `loop.Run` writes them.
 """

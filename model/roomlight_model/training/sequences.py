@@ -6,8 +6,6 @@ what a probe sees of them come from the serving engine's code.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from io import BytesIO
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -18,7 +16,6 @@ from torch import Tensor
 from roomlight.engine.panorama.blend import farthest_depth_m
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
-from roomlight.files import write_atomic
 from roomlight.frame import Frame
 from roomlight_model.training.batches import Probes, at_height, probe_columns, restored_frames
 from roomlight_model.training.examples import DepthKind, Example, Recordings, augmented, example_of, near
@@ -30,11 +27,8 @@ _FROM_THE_START = 0.5
 _MAX_STRIDE = 4
 _OF_MESHES: Final = ("detail", "mask", "distance_m", "clipped", "guessed")
 """Fields of `WalkBatch` that frames' meshes fill."""
-_OF_FRAMES: Final = ("volume", "light_of", *_OF_MESHES, "hdr")
+_OF_FRAMES: Final = ("volume", "light_of", *_OF_MESHES)
 """Fields of `WalkBatch` whose second axis is the frame."""
-_HALVES: Final = ("lights", "detail", "mask", "clipped", "guessed", "hdr")
-"""Fields that `WalkCache` keeps in half precision: radiance is at most 60,000 (`training.examples`)."""
-_MOST: Final = 65_504.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,11 +134,9 @@ class WalkBatch(Probes):
     distance_m: Float[Tensor, "b t p 1 h w"] | None = None
     """Distance of the mesh, at most `roomlight.engine.panorama.blend.farthest_depth_m`; 0 outside it."""
     clipped: Float[Tensor, "b t p 1 h w"] | None = None
-    """Share of the mesh's surface whose pixels were clipped; None in sequences kept by earlier versions."""
+    """Share of the mesh's surface whose pixels were clipped."""
     guessed: Float[Tensor, "b t p 1 h w"] | None = None
     """Luminance of `detail` that was estimated for these pixels."""
-    hdr: Float[Tensor, "b t p 3 h w"] | None = None
-    """The panoramas of a fixed 3D network at the probes (`video-blend` with `variants`), which replace the volumes."""
 
     @property
     def frames(self) -> int:
@@ -195,14 +187,6 @@ def collate_walks(walks: Sequence[PreparedWalk], *, panorama_height: int | None)
     return WalkBatch(**tensors, light_of=torch.from_numpy(np.stack([prepared.walk.light_of for prepared in walks])))
 
 
-def join_walks(batches: Sequence[WalkBatch]) -> WalkBatch:
-    """Join batches, cut to the shortest one's number of frames."""
-    shortest = min(batch.frames for batch in batches)
-    columns = [vars(batch.cut(0, shortest)) for batch in batches]
-    names = [name for name in columns[0] if all(isinstance(column[name], Tensor) for column in columns)]
-    return WalkBatch(**{name: torch.cat([column[name] for column in columns]) for name in names})
-
-
 def with_views(batch: WalkBatch, walks: Sequence[PreparedWalk], *, panorama_height: int) -> WalkBatch:
     """Add what the probes see of each frame's mesh."""
     planes: dict[str, list[np.ndarray]] = {name: [] for name in _OF_MESHES}
@@ -223,35 +207,3 @@ def with_views(batch: WalkBatch, walks: Sequence[PreparedWalk], *, panorama_heig
                 np.array([[nothing if plane is None else plane[None] for plane in row] for row in rows])
             )
     return replace(batch, **{name: torch.from_numpy(np.stack(values)) for name, values in planes.items()})
-
-
-class WalkCache:
-    """Prepared sequences of walks by number and variant, one file each.
-
-    Volumes, meshes, views and the 3D networks are most of `video-blend`'s work, and its 3D networks do not change.
-    Radiance is kept in half precision; a sequence is rounded before its first use too, so that a resumed run repeats
-    its curve.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        """Use this folder; it is made when the first sequence is kept."""
-        self._folder = folder
-
-    def get(self, index: int, variant: int, make: Callable[[], WalkBatch]) -> WalkBatch:
-        """Return a sequence, made and stored if it is not there.
-
-        Raises:
-            OutputError: The folder cannot be written.
-        """
-        path = self._folder / f"{index:06d}-{variant}.pt"
-        if not path.exists():
-            self._folder.mkdir(parents=True, exist_ok=True)
-            fields = {name: value for name, value in vars(make()).items() if isinstance(value, Tensor)}
-            small = {
-                name: value.clamp(max=_MOST).half() if name in _HALVES else value for name, value in fields.items()
-            }
-            buffer = BytesIO()
-            torch.save(small, buffer)
-            write_atomic(path, buffer.getvalue())
-        stored = torch.load(path, weights_only=True, map_location="cpu")
-        return WalkBatch(**{name: value.float() if name in _HALVES else value for name, value in stored.items()})

@@ -11,13 +11,12 @@ smoothness between consecutive ones. The networks of a frame are recomputed in t
 (`torch.utils.checkpoint`): only the states between the frames are kept.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-import numpy as np
 import torch
 from annotated_types import Ge, Interval
 from jaxtyping import Float
@@ -25,7 +24,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from roomlight.engine.panorama.blend import CLOSER_M
-from roomlight.errors import ModelError, OptionError
+from roomlight.errors import ModelError
 from roomlight_model.accumulate import Observation, Panorama
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.networks import BlendState, SGState, SingleModel, VideoModel
@@ -47,10 +46,8 @@ from roomlight_model.training.sequences import (
     LightChange,
     PreparedWalk,
     WalkBatch,
-    WalkCache,
     collate_walks,
     draw_length,
-    join_walks,
     read_walk,
     with_views,
 )
@@ -69,8 +66,6 @@ class VideoOptions(SingleViewOptions):
         stage: What is trained; see `training.video`.
         batch: Sequences in a batch.
         frames: Largest number of frames of a sequence, 2 or more.
-        variants: `video-blend`: draw so many sequences from each walk and keep what the fixed 3D networks make of them
-            in the run's folder, about 10 MB each; 0 draws new ones at every step.
         smoothness_weight: Weight of the difference between the panoramas of consecutive frames.
         light_changes: Share of sequences whose light changes at a frame (`training.light_changes`).
         revisits: Share of sequences that stop at a frame or return the way they came, so that the networks see the
@@ -84,15 +79,9 @@ class VideoOptions(SingleViewOptions):
     batch: Annotated[int, Ge(1)] = 2
     learning_rate: Annotated[float, Interval(gt=0, le=1)] = 3e-4
     frames: Annotated[int, Ge(2)] = 31
-    variants: Annotated[int, Ge(0)] = 0
     smoothness_weight: Annotated[float, Interval(ge=0, le=100)] = 0.01
     light_changes: Annotated[float, Interval(ge=0, le=1)] = 0.0
     revisits: Annotated[float, Interval(ge=0, le=1)] = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.variants and self.stage != "video-blend":
-            raise OptionError(f"variants is {self.variants}; only video-blend has fixed 3D networks, it must be 0")
 
 
 class VideoStage:
@@ -106,7 +95,6 @@ class VideoStage:
         *,
         device: torch.device,
         start_from: Checkpoint | None,
-        cache: Path,
         data: list[dict[str, Any]] | None = None,
         change_light: LightChange | None = None,
     ) -> None:
@@ -118,7 +106,6 @@ class VideoStage:
             held_out: Walks that are scored and not trained on.
             device: Where the networks run.
             start_from: Single-view weights, or those of the video stage before.
-            cache: A folder for the sequences that `options.variants` keeps.
             data: The description of the datasets for the card.
             change_light: Changes the light of sequences at a frame; None changes it as `options.light_changes` says.
 
@@ -137,7 +124,6 @@ class VideoStage:
         if change_light is None and options.light_changes:
             change_light = LightChanges(options.light_changes)
         self._change_light = change_light
-        self._cache = WalkCache(cache)
 
     # --- data
 
@@ -146,24 +132,11 @@ class VideoStage:
         return len(self._training)
 
     def batch(self, step: int) -> WalkBatch:
-        """Draw, augment and collate the sequences of a step; with `variants`, what the 3D networks make of them."""
-        options, drawn = self.options, list(self.options.draw_examples(len(self), step))
-        if not options.variants:
-            return self._read(drawn, options.rng(step))
-        variant = step * options.batch // len(self) % options.variants
-
-        def prepare(index: int) -> WalkBatch:
-            # the lengths of a batch are equal: they follow from the variant alone
-            batch = self._read([(index, options.rng(variant, index, 0))], options.rng(variant, 0, 0, 0))
-            return self._with_renderings(batch)
-
-        return join_walks([self._cache.get(index, variant, partial(prepare, index)) for index, _ in drawn])
-
-    def _read(self, drawn: Sequence[tuple[int, np.random.Generator]], rng: np.random.Generator) -> WalkBatch:
-        """Prepare one sequence of each walk; `rng` draws their common length: they run side by side."""
+        """Draw, augment and collate the sequences of a step, all of one length: they run side by side."""
         options = self.options
+        drawn = list(options.draw_examples(len(self), step))
         most = min(options.frames, *(self._training.frames_of(index) for index, _ in drawn))
-        length = draw_length(most, rng) if options.augment else most
+        length = draw_length(most, options.rng(step)) if options.augment else most
         walks = [
             PreparedWalk.of(
                 read_walk(
@@ -185,24 +158,6 @@ class VideoStage:
         if height is None:
             return batch
         return with_views(batch, walks, panorama_height=height)
-
-    @torch.no_grad()
-    def _with_renderings(self, batch: WalkBatch) -> WalkBatch:
-        """Return the batch with the fixed 3D networks' panoramas in place of its volumes."""
-        model, here, height = self._fixed_model, batch.to(self.device), batch.lights.shape[-2]
-        panoramas: list[Tensor] = []
-        state: SGState | None = None
-        for frame in range(batch.frames):
-            volume = here.volume[:, frame]
-            with _autocast(self.options, self.device):
-                state = _in_float32(model.start(volume) if state is None else model.step(volume, state))
-            panoramas.append(render_panoramas(state.volume, here, height=height))
-        nothing = batch.volume.new_empty((*batch.volume.shape[:3], 0, 0, 0))
-        return replace(batch, volume=nothing, hdr=torch.stack(panoramas, dim=1).to(batch.volume.device))
-
-    @cached_property
-    def _fixed_model(self) -> VideoModel:
-        return self.network()
 
     # --- networks
 
@@ -244,7 +199,7 @@ class VideoStage:
     def _unroll(self, model: VideoModel, batch: WalkBatch) -> "Unroll":
         # joint training also keeps the volume alone accurate; what counts here is what a probe shows
         stage = "video-sglv" if self.options.stage == "video-sglv" else "video-blend"
-        options = replace(self.options, stage=stage, variants=0, rays=_VALIDATION_RAYS, bf16=False)
+        options = replace(self.options, stage=stage, rays=_VALIDATION_RAYS, bf16=False)
         return Unroll(model, batch.to(self.device), options, generator=torch.Generator().manual_seed(0))
 
     @cached_property
@@ -284,19 +239,11 @@ class Unroll:
         self._pixels = self._pixels.to(self._device)
         along = panorama_directions(height, self._device)[self._pixels]
         self._directions = torch.cat([along, self._sphere.directions.flatten(2, 3)], dim=2)
-        self._volume_state: SGState | None = None
         self.probe_state: BlendState | None = None
         with torch.no_grad():
-            if batch.hdr is None:
-                with _autocast(options, self._device):
-                    self._volume_state = _in_float32(model.start(batch.volume[:, 0]))
+            with _autocast(options, self._device):
+                self.volume_state = _in_float32(model.start(batch.volume[:, 0]))
             self._hdr, self._light = self._observe(0)
-
-    @property
-    def volume_state(self) -> SGState:
-        """The 3D state after the latest frame; a batch with the 3D networks' panoramas has none."""
-        assert self._volume_state is not None
-        return self._volume_state
 
     def first_losses(self) -> Losses:
         """Return the losses of the first frame; call it before `advance`."""
@@ -310,9 +257,8 @@ class Unroll:
 
     def advance(self, frame: int) -> Losses:
         """Run one frame after the first and return its losses."""
-        if self._volume_state is not None:
-            with torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
-                self._volume_state = self._volume_step(self._batch.volume[:, frame], self._volume_state)
+        with torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
+            self.volume_state = self._volume_step(self._batch.volume[:, frame], self.volume_state)
         before = self._light
         self._hdr, self._light = self._observe(frame)
         return self._losses(frame, before)
@@ -324,10 +270,7 @@ class Unroll:
             if not self._blends:
                 light = render_rays(self.volume_state.volume, batch, self._directions)
                 return light, light
-            if batch.hdr is not None:
-                hdr = batch.hdr[:, frame]
-            else:
-                hdr = render_panoramas(self.volume_state.volume, batch, height=batch.lights.shape[-2])
+            hdr = render_panoramas(self.volume_state.volume, batch, height=batch.lights.shape[-2])
         self.probe_state = self._probe_step(self._observation(frame, hdr.flatten(0, 1)), self.probe_state)
         return hdr, self.probe_state.panorama.radiance.unflatten(0, hdr.shape[:2])
 
