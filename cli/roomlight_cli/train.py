@@ -22,7 +22,7 @@ from roomlight_cli.progress import Progress
 from roomlight_export.exporting import ExportReport, export_checkpoint
 from roomlight_export.importing import load_weights
 from roomlight_generator.generate import GenerateOptions, generate
-from roomlight_model.checkpoint import load_checkpoint, save_mean
+from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.training.loop import Run, TrainingProgress
 from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage, read_options
 from roomlight_model.training.run_folder import RunFolder
@@ -91,7 +91,7 @@ def train_recipe(
                 if run.stopped_by is not None:
                     raise typer.Exit(128 + run.stopped_by)
                 return None
-        checkpoint = _shipped(recipe, out)
+        checkpoint = out / recipe.ships
         folder = model_folder(out / "onnx", load_checkpoint(checkpoint).form)
         with Progress("exporting and verifying the graphs", console) as progress:
             return export_checkpoint(checkpoint, folder, progress=progress.say)
@@ -109,15 +109,6 @@ def _is_finished(recipe: Recipe, stage: StageRecipe, out: Path, data: Path) -> b
     if start is None or start.exists():
         known["start_from"] = None if start is None else load_weights(start).digest
     return run.is_finished(stage.options, **known)
-
-
-def _shipped(recipe: Recipe, out: Path) -> Path:
-    """Return the checkpoint to export; the mean of several is written beside the stages."""
-    parts = [out / part for part in recipe.ships]
-    if len(parts) == 1:
-        return parts[0]
-    save_mean(out / "mean.pt", parts)
-    return out / "mean.pt"
 
 
 def _train_stage(
@@ -209,7 +200,7 @@ def _check_source(folder: Path, options: GenerateOptions | None) -> None:
 def _check_best(recipe: Recipe, stage: StageRecipe, folder: Path, options: GenerateOptions | None) -> None:
     """Refuse a recipe that uses the best weights of a stage that has too few sequences to hold some out."""
     best = f"{stage.name}/best.pt"
-    used = best in (*recipe.ships, *(other.start_from for other in recipe.stages))
+    used = best in (recipe.ships, *(other.start_from for other in recipe.stages))
     if not used or not isinstance(stage.options, SingleViewOptions):  # small networks hold out an example at least
         return
     there = len(Dataset(folder, "train")) if (folder / MANIFEST).exists() else 0

@@ -7,7 +7,7 @@ plain JSON values (steps, seed, data, scores); a card with steps = 0 says that t
 import hashlib
 import json
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -98,26 +98,6 @@ def save_checkpoint(path: Path, model: Network, *, card: Mapping[str, Any]) -> N
     if path.is_dir():
         raise OutputError(f"{path}: is a folder; give the name of a checkpoint file")
     write_atomic(path, buffer.getvalue())
-
-
-def save_mean(path: Path, parts: Sequence[Path]) -> None:
-    """Write the mean of the weights of runs that continue each other (Wortsman et al. 2022, "Model soups").
-
-    The card is the last one's, with `mean_of`: how many they are.
-
-    Raises:
-        ModelError: A checkpoint cannot be read, or they are of different networks.
-        OutputError: The file cannot be written.
-    """
-    loaded = [load_checkpoint(part) for part in parts]
-    last = loaded[-1]
-    wanted = last.model.state_dict()
-    for part, other in zip(parts, loaded, strict=True):
-        given: dict[object, object] = {**other.model.state_dict()}
-        _check_state(part, given, wanted)
-    states = [other.model.state_dict() for other in loaded]
-    last.model.load_state_dict({name: torch.stack([state[name] for state in states]).mean(dim=0) for name in wanted})
-    save_checkpoint(path, last.model, card={**last.card, "mean_of": len(parts)})
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

@@ -241,11 +241,10 @@ data = ["lamps"]
 steps = 1
 {TINY}"""
     )
-    write(tmp_path, 'ships = ["more/best.pt", "more/model.pt"]\n' + stage)
+    write(tmp_path, 'ships = "more/model.pt"\n' + stage)
     done = roomlight("train", "recipe.toml", "--out", "out", cwd=tmp_path)
     assert done.code == 0, done.err
-    assert "the weights of out/more/best.pt (step 1), out/more/model.pt (step 1), as ONNX graphs" in done.out
-    assert load_exported(tmp_path / "out" / "onnx").card["mean_of"] == 2
+    assert "the weights of out/more/model.pt (step 1), as ONNX graphs" in done.out
     shipped = load_exported(SHIPPED / "single")
     more = load_checkpoint(tmp_path / "out" / "more" / "model.pt")
     assert more.card["before"] == shipped.card

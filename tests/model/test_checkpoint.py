@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from roomlight.errors import ModelError, OutputError
-from roomlight_model.checkpoint import FORMS, build_network, load_checkpoint, save_checkpoint, save_mean
+from roomlight_model.checkpoint import FORMS, build_network, load_checkpoint, save_checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
 from untrained import save_untrained
@@ -33,20 +33,6 @@ def test_round_trip(tmp_path, form):
     assert not loaded.model.training
     for name, value in model.state_dict().items():
         assert torch.equal(loaded.model.state_dict()[name], value)
-
-
-def test_the_mean_of_checkpoints(tmp_path):
-    for name, seed in (("a", 1), ("b", 2), ("c", 3)):
-        save_untrained(tmp_path / name, "single", CONFIG, seed=seed)
-    save_mean(tmp_path / "mean.pt", [tmp_path / name for name in "abc"])
-    mean = load_checkpoint(tmp_path / "mean.pt")
-    assert mean.card == {"steps": 0, "seed": 3, "mean_of": 3}
-    states = [load_checkpoint(tmp_path / name).model.state_dict() for name in "abc"]
-    for name, value in mean.model.state_dict().items():
-        assert torch.allclose(value, torch.stack([state[name] for state in states]).mean(dim=0), atol=1e-6)
-    save_untrained(tmp_path / "other", "clipping", CONFIG)
-    with pytest.raises(ModelError, match="a: the weights do not fit"):
-        save_mean(tmp_path / "mean.pt", [tmp_path / "a", tmp_path / "other"])
 
 
 @pytest.mark.parametrize(

@@ -41,8 +41,8 @@ def train(
     report = train_recipe(read, out, data=data or out / "data", device=device, minutes=minutes, console=console.err)
     if report is not None:
         warn_of_untrained(report)
-        steps = {part: load_checkpoint(out / part).card["steps"] for part in read.ships}
-        weights = ", ".join(f"{out / part} (step {step})" for part, step in steps.items())
+        shipped = out / read.ships
+        weights = f"{shipped} (step {load_checkpoint(shipped).card['steps']})"
         console.say(f"{report.out}: the weights of {weights}, as ONNX graphs; use them with {use_of(report)}")
 
 

@@ -1,6 +1,6 @@
 """Recipes: a TOML file that states the data and the stages from which weights come.
 
-    ships = "joint/best.pt"        # the weights that are exported at the end; of a list the mean
+    ships = "joint/best.pt"        # the weights that are exported at the end
 
     [data.rooms]                   # options of `roomlight dataset generate`: `rooms` is generated if it is missing
     sequences = 2000
@@ -80,8 +80,7 @@ class Recipe:
 
     Attributes:
         path: Its file.
-        ships: The weights to export, files of the stages' runs: "NAME/best.pt" or "NAME/model.pt"; of several, which
-            must continue each other, the mean.
+        ships: The weights to export, a file of a stage's run: "NAME/best.pt" or "NAME/model.pt".
         data: For each dataset the options that generate it; empty if only a folder of this name is used.
         stages: The stages in order.
 
@@ -92,7 +91,7 @@ class Recipe:
     """
 
     path: Path
-    ships: tuple[str, ...]
+    ships: str
     data: Mapping[str, Mapping[str, Any]]
     stages: tuple[StageRecipe, ...]
 
@@ -125,7 +124,7 @@ class _File:
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    ships: str | list[str]
+    ships: str
     stages: list[dict[str, Any]]
     data: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
 
@@ -150,10 +149,10 @@ def read_recipe(name_or_path: str) -> Recipe:
     stages: list[StageRecipe] = []
     for number, values in enumerate(file.stages, 1):
         stages.append(_stage(values, f"{path}: stage {values.get('name', number)}", list(file.data), stages))
-    ships = (file.ships,) if isinstance(file.ships, str) else tuple(file.ships)
-    if not ships or not set(ships) <= set(_weights(stages)):
-        raise OptionError(f"{path}: ships is {file.ships!r}; it must be of {', '.join(_weights(stages))}")
-    return Recipe(path, ships, file.data, tuple(stages))
+    weights = [f"{stage.name}/{name}" for stage in stages for name in ("best.pt", "model.pt")]
+    if file.ships not in weights:
+        raise OptionError(f"{path}: ships is {file.ships!r}; it must be one of {', '.join(weights)}")
+    return Recipe(path, file.ships, file.data, tuple(stages))
 
 
 def read_options(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
@@ -273,7 +272,3 @@ def _options(values: Mapping[str, Any], where: str) -> RunOptions:
 
 def _names(options: RunOptions) -> list[str]:
     return [entry.name for entry in fields(options) if entry.name != "stage"]
-
-
-def _weights(stages: Sequence[StageRecipe]) -> list[str]:
-    return [f"{stage.name}/{file}" for stage in stages for file in ("best.pt", "model.pt")]
