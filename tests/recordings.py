@@ -21,6 +21,9 @@ class BoxRecordings:
     def frames_of(self, _index):
         return 31
 
+    def room_of(self, index):
+        return index // 2
+
     def read(self, index, *, frames):
         room = BoxRoom(size_m=(5.0 + index % 3, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
         poses = [camera_at((0.2 * index % 1, 1.4, 1.2), yaw_degrees=3.0 * number) for number in frames]

@@ -27,7 +27,7 @@ from roomlight_model.training.loop import Run, TrainingProgress
 from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage, read_options
 from roomlight_model.training.run_folder import RunFolder
 from roomlight_model.training.single_view import SingleViewOptions
-from roomlight_model.training.subsets import describe, held_out_count
+from roomlight_model.training.subsets import describe
 
 LOCK: Final = "training.lock"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -75,7 +75,7 @@ def train_recipe(
             unfinished.append(stage.name)
             for name in stage.data:
                 _check_source(data / name, wanted[name])
-            _check_best(recipe, stage, data / stage.data[0], wanted[stage.data[0]])
+            _check_best(recipe, stage)
     with locked(out, LOCK), stopped_by_signals("what is finished is kept", console):
         for stage in recipe.stages:
             if stage.name not in unfinished:
@@ -197,19 +197,14 @@ def _check_source(folder: Path, options: GenerateOptions | None) -> None:
         raise DatasetError(f"{options.panoramas}: is no folder; the dataset {folder.name} needs HDR panoramas there")
 
 
-def _check_best(recipe: Recipe, stage: StageRecipe, folder: Path, options: GenerateOptions | None) -> None:
-    """Refuse a recipe that uses the best weights of a stage that has too few sequences to hold some out."""
+def _check_best(recipe: Recipe, stage: StageRecipe) -> None:
+    """Refuse a recipe that uses the best weights of a stage that scores none."""
     best = f"{stage.name}/best.pt"
     used = best in (recipe.ships, *(other.start_from for other in recipe.stages))
-    if not used or not isinstance(stage.options, SingleViewOptions):  # small networks hold out an example at least
-        return
-    there = len(Dataset(folder, "train")) if (folder / MANIFEST).exists() else 0
-    count = max(there, 0 if options is None else options.sequences)
-    if not held_out_count(count, stage.options.held_out):
+    if used and isinstance(stage.options, SingleViewOptions) and stage.options.held_out == 0:
         raise OptionError(
-            f"{recipe.path}: {best} is used, but stage {stage.name} would hold nothing out to find its best weights: "
-            f"held_out is {stage.options.held_out}, and {stage.data[0]} has {count} sequences, at most a quarter of "
-            f"which is held out; raise them, or use {stage.name}/model.pt"
+            f"{recipe.path}: {best} is used, but stage {stage.name} would score no weights: held_out is 0; raise it, "
+            f"or use {stage.name}/model.pt"
         )
 
 

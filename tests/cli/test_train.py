@@ -182,7 +182,7 @@ def test_a_second_run_in_a_folder_is_refused(tmp_path: Path, roomlight: RunComma
         (
             ('stage = "clipping"', 'stage = "single-sglv"\nheld_out = 0'),
             "recipe.toml",
-            "run/best.pt is used, but stage run would hold nothing out",
+            "run/best.pt is used, but stage run would score no weights: held_out is 0",
         ),
         (
             (LAMPS, "[data.lamps]\n"),
@@ -216,7 +216,7 @@ def test_all_kinds_of_stages_follow_each_other(tmp_path: Path, roomlight: RunCom
         name: load_checkpoint(tmp_path / "out" / name / "model.pt").card for name in ("views", "blending", "recurrent")
     }
     assert cards["blending"]["before"]["stage"] == "single-sglv"
-    assert cards["blending"]["examples"] == 14  # seven of eight, twice
+    assert cards["blending"]["examples"] == 12  # six of eight, twice
     assert cards["recurrent"]["before"] == cards["blending"]
     assert {"loss", "log_l2_video", "log_l2_no_rnn"} <= set(cards["recurrent"]["scores"])
     assert len(list((tmp_path / "out" / "recurrent" / "pictures").iterdir())) == 1

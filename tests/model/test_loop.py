@@ -229,16 +229,6 @@ def test_other_options_are_refused_by_name(change, finished):
     assert (folder / "options.json").read_bytes() == before
 
 
-def test_a_run_of_an_earlier_version_that_recorded_less_goes_on(tmp_path):
-    Run(SmallStage(), tmp_path)
-    recorded = json.loads((tmp_path / "options.json").read_text())
-    del recorded["start_from"]
-    (tmp_path / "options.json").write_text(json.dumps(recorded))
-    Run(SmallStage(data=[{"seed": 3, "sequences": 6, "generator": "1"}], start_seed=1), tmp_path)
-    with pytest.raises(ModelError, match=r"options \(data, start_from\)"):
-        Run(SmallStage(data=[{"seed": 3, "sequences": 6, "generator": "2"}]), tmp_path)
-
-
 def test_a_folder_with_other_files_is_left_alone(tmp_path):
     (tmp_path / "thesis.txt").write_text("precious")
     with pytest.raises(OutputError, match="holds other files"):

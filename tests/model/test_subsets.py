@@ -23,22 +23,16 @@ def dataset(tmp_path_factory):
     return stub_rooms.make_dataset(tmp_path_factory.mktemp("data") / "rooms", 8, shard_size=4)
 
 
-def test_the_first_rooms_of_the_first_dataset_are_held_out():
-    first, second = BoxRecordings(200), BoxRecordings(40)
-    training, held_out = train_val_split([first, second], 48)
-    assert (len(training), len(held_out)) == (192, 48)
-    assert held_out.read(0, frames=[0]).name == "box-0"
-    assert training.read(0, frames=[0]).name == "box-48"
-    assert training.read(152, frames=[0]).name == "box-0"  # of the second dataset
-    assert [len(part) for part in train_val_split([BoxRecordings(3)], 48)] == [3, 0]
-
-
-def test_a_dataset_listed_twice_counts_twice_and_holds_out_the_same_rooms():
-    first, second = BoxRecordings(4), BoxRecordings(2)
-    training, held_out = train_val_split([first, second, first], 48)
-    assert (len(training), len(held_out)) == (3 + 2 + 3, 1)
-    assert names(training).count("box-3") == 2
-    assert names(training).count("box-0") == 1  # of the second dataset
+def test_every_twelfth_room_is_trained_on_in_no_stage():
+    """Walks 0, 1, 24 and 25 are of the rooms 0 and 12, in whichever dataset; a dataset listed twice counts twice."""
+    first, second = BoxRecordings(30), BoxRecordings(4)
+    training, held_out = train_val_split([second, first, second], 48)
+    assert names(held_out) == ["box-0", "box-1"]
+    kept = [f"box-{number}" for number in range(30) if number not in (0, 1, 24, 25)]
+    assert names(training) == ["box-2", "box-3", *kept, "box-2", "box-3"]
+    assert names(train_val_split([first, second], 3)[1]) == ["box-0", "box-1", "box-24"]
+    with pytest.raises(DatasetError, match=r"the 2 sequences are all of held-out rooms, .*; generate more rooms"):
+        train_val_split([BoxRecordings(2)], 48)
 
 
 def test_datasets_are_described(dataset):

@@ -124,6 +124,11 @@ class Dataset:
         _ = self._places[number]  # raises IndexError
         return self.manifest.settings.frames
 
+    def room_of(self, number: int) -> int:
+        """Return the number of a sequence's room. Raises IndexError for an unknown number."""
+        name = self._places[number].entry.name
+        return int(name.rpartition("-")[2]) // self.manifest.settings.sequences_per_room
+
     def files(self, number: int) -> dict[str, memoryview]:
         """Read the files of a sequence by name. Raises DatasetError if their checksum does not match."""
         place = self._places[number]

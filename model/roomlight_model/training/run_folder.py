@@ -30,7 +30,7 @@ from roomlight.files import write_atomic
 from roomlight.rules import check_options
 from roomlight_model.checkpoint import Network, load_checkpoint, save_checkpoint
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Version of a run's folder."""
 LAST: Final = "last.pt"
 OPTIONS: Final = "options.json"
@@ -142,9 +142,7 @@ class RunFolder:
     def _check(self, options: Mapping[str, Any], ignored: Set[str] = frozenset()) -> None:
         theirs = _read_options(self.path / OPTIONS)
         names = {*options, *theirs} - {"format", *_MAY_CHANGE, *ignored}
-        if "start_from" not in theirs:  # earlier versions did not write it
-            names.discard("start_from")
-        changed = sorted(name for name in names if not _agree(name, options.get(name), theirs.get(name)))
+        changed = sorted(name for name in names if options.get(name) != theirs.get(name))
         if changed:
             other = "started from other weights" if changed == ["start_from"] else "has other options"
             raise ModelError(
@@ -209,13 +207,6 @@ class RunFolder:
             except (ValueError, KeyError, TypeError):
                 break  # a line that was cut off when the process was killed
         write_atomic(log, "".join(line + "\n" for line in kept).encode())
-
-
-def _agree(name: str, ours: Any, theirs: Any) -> bool:
-    """Return whether an option is the same; datasets are compared by what both say: earlier versions said less."""
-    if name != "data" or not isinstance(theirs, list) or len(ours) != len(theirs):
-        return ours == theirs
-    return all(a[key] == b[key] for a, b in zip(ours, theirs, strict=True) for key in a.keys() & b.keys())
 
 
 def _read_options(path: Path) -> dict[str, Any]:

@@ -43,7 +43,7 @@ from roomlight_model.volume_networks import SGVolume
 
 SingleViewStageName = Literal["single-sglv", "single-blend", "single-joint"]
 HELD_OUT: Final = 48
-"""Default number of held-out sequences: 12 rooms of four walks, 24 of two."""
+"""Default number of sequences that are scored: 12 rooms of four walks, 24 of two."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ class SingleViewOptions(RunOptions):
         augment: Whether to draw frames at random and augment them.
         surround_max: Train only on sequences whose surroundings are at most this many times as bright as their
             first frame (`training.subsets.surround`); 0 trains on all.
-        held_out: Sequences of the first folder that are kept from training, at most a quarter of it.
+        held_out: Sequences that are scored, at most, of the first folder's rooms that are kept from training
+            (`training.subsets`).
         bf16: Whether the networks compute in bfloat16.
         model: Widths of the networks; those of the weights that the stage starts from replace them.
 

@@ -1,11 +1,11 @@
 """The sequences that a run trains on, and those that are held out to score it.
 
-View and video stages hold out the first sequences of the first dataset, the same in every stage. The small networks
-hold out the test splits, or a twelfth of their examples.
+View and video stages hold out every twelfth room of every dataset, so that no stage of any recipe trains on a room that
+another one scores. The small networks hold out the test splits, or a twelfth of their examples.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,6 +17,16 @@ from roomlight_model.training.examples import Recordings
 
 ProgressCallback = Callable[[int, int], object]
 """Receives (done, total)."""
+_HELD_OUT_EVERY: Final = 12
+
+
+@runtime_checkable
+class RoomRecordings(Recordings, Protocol):
+    """Sequences by number, of known rooms."""
+
+    def room_of(self, number: int, /) -> int:
+        """Return the number of a sequence's room: the same in all datasets of a seed."""
+        ...
 
 
 class Subset:
@@ -71,23 +81,22 @@ def each_sequence(
             progress(done, len(sequences))
 
 
-def held_out_count(sequences: int, most: int) -> int:
-    """Return how many of a first dataset's sequences `train_val_split` holds out."""
-    return min(most, sequences // 4)
+def train_val_split(datasets: Sequence[RoomRecordings], scored: int) -> tuple[Subset, Subset]:
+    """Split into the sequences to train on, without every twelfth room, and those to score.
 
+    The latter are the first ones of the first dataset's held-out rooms, at most `scored`.
 
-def train_val_split(datasets: Sequence[Recordings], held_out: int) -> tuple[Subset, Subset]:
-    """Split into training and held-out sequences: the first ones of the first dataset, at most a quarter of it.
-
-    The first dataset may be listed several times; its held-out sequences are in none of them.
+    Raises:
+        DatasetError: No sequence is left to train on.
     """
-    count = held_out_count(len(datasets[0]), held_out)
-    places = [
-        (dataset, number)
-        for dataset in datasets
-        for number in range(count if dataset is datasets[0] else 0, len(dataset))
-    ]
-    return Subset(places), Subset([(datasets[0], number) for number in range(count)])
+    places = [(dataset, number) for dataset in datasets for number in range(len(dataset))]
+    training = [(dataset, number) for dataset, number in places if dataset.room_of(number) % _HELD_OUT_EVERY]
+    if not training:
+        raise DatasetError(
+            f"the {len(places)} sequences are all of held-out rooms, every twelfth from the first; generate more rooms"
+        )
+    first = [number for number in range(len(datasets[0])) if datasets[0].room_of(number) % _HELD_OUT_EVERY == 0]
+    return Subset(training), Subset([(datasets[0], number) for number in first[:scored]])
 
 
 def test_split(datasets: Sequence[Dataset]) -> list[Dataset]:

@@ -50,6 +50,7 @@ def test_sequences_are_read_by_number_in_any_order(folder):
     assert dataset[17].name == "train-000017"
     assert [recording.name for recording in dataset] == dataset.names
     assert dataset.number_of("train-000023") == 23
+    assert [dataset.room_of(number) for number in (0, 1, 23)] == [0, 0, 11]
     np.testing.assert_array_equal(dataset[17].depth_mm, Dataset(folder)[17].depth_mm)
 
 
