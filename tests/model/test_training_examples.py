@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 
 from recordings import BoxRecordings
@@ -12,7 +13,9 @@ from roomlight.dataset.recording import GLASS
 from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session, SessionOptions
 from roomlight_model.training.batches import collate
-from roomlight_model.training.examples import example_of, read_example
+from roomlight_model.training.examples import augmented, example_of, read_example
+from roomlight_model.training.light_changes import LightChanges
+from roomlight_model.training.sequences import WalkExample
 from tiny_stages import box_example, view_batch
 
 
@@ -96,6 +99,24 @@ def test_frames_shown_together_have_one_exposure():
     example = example_of(twice, np.random.default_rng(0), depth="exact")
     open_ = ~example.frame.clipped
     np.testing.assert_allclose(example.later[0].image[open_], example.frame.image[open_], atol=0.02)
+
+
+@pytest.mark.parametrize("change_light", [None, LightChanges(1.0)])
+def test_augmented_frames_clip_at_their_own_white(change_light):
+    """A grey room, of 0.8 in the first frame's units, seen at other exposures: only where white is below is it cut."""
+    exposure = np.array([1.0, 1 / 256, 4.0])
+    recording = BoxRecordings(1).read(0, frames=[0, 0, 0])
+    grey = linear_to_srgb8(np.ones((3, 48, 64, 3)) * np.minimum(0.8 * exposure, 1)[:, None, None, None])
+    example = example_of(replace(recording, colour=grey, exposure=exposure), np.random.default_rng(0), depth="exact")
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        one = augmented(example, rng)
+        walk = WalkExample(one, one.truth[None], np.zeros(3, np.int64))
+        _, dark, bright = (walk if change_light is None else change_light(walk, rng)).frames
+        assert not dark.clipped.any()
+        assert dark.image.max() > 0.6
+        assert bright.clipped.all()
+        assert bright.image.max() < 0.31  # 0.25 to the power of 0.85
 
 
 def test_the_number_of_frames_varies_from_one_to_all():

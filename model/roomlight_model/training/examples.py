@@ -59,6 +59,7 @@ class Example:
         truth: Their panoramas, radiance in the units of the image.
         mirrored: Whether the batch mirrors the example.
         later: Later frames, in order, in the units of the first frame.
+        whites: For each frame the radiance at which its camera clips: 4 at a quarter of the first frame's exposure.
     """
 
     frame: Frame
@@ -67,6 +68,7 @@ class Example:
     truth: Float[np.ndarray, "p h w 3"]
     mirrored: bool = False
     later: tuple[Frame, ...] = ()
+    whites: tuple[float, ...] = (1.0,)
 
     @property
     def completed(self) -> Frame:
@@ -110,8 +112,15 @@ def example_of(recording: Recording, rng: np.random.Generator, *, depth: DepthKi
     elif depth == "both" and rng.random() < _SEEN_THROUGH:
         depth_mm = np.where(recording.surface == GLASS, np.uint16(0), depth_mm)
     first, *later = (recording.frame(number, measured) for number, measured in enumerate(depth_mm))
-    truth = recording.true_panoramas()
-    return Example(first, complete_depth(first.depth_m), recording.probe_positions, truth, later=tuple(later))
+    whites = tuple((recording.exposure[0] / recording.exposure).astype(np.float32).tolist())
+    return Example(
+        first,
+        complete_depth(first.depth_m),
+        recording.probe_positions,
+        recording.true_panoramas(),
+        later=tuple(later),
+        whites=whites,
+    )
 
 
 def _spread(first: int, count: int, most: int, rng: np.random.Generator | None) -> list[int]:
@@ -135,35 +144,40 @@ def near(example: Example) -> bool:
 def augmented(example: Example, rng: np.random.Generator) -> Example:
     """Mirror (half of the examples), change contrast (a quarter), permute channels (a fifth), weight them (a quarter).
 
-    Gains are at least 1 and the image is clipped again after them: white stays the camera's limit.
+    Gains are at least 1 and each image is clipped again after them: its white stays the camera's limit.
     """
-    frames, truth = [example.frame, *example.later], example.truth
+    frames, truth, whites = [example.frame, *example.later], example.truth, example.whites
     images = [frame.image for frame in frames]
     if rng.random() < 0.25:
-        images, truth = _contrasted(images, truth, float(np.exp(rng.uniform(*np.log(_CONTRASTS)))))
+        power = float(np.exp(rng.uniform(*np.log(_CONTRASTS))))
+        images, truth = _contrasted(images, truth, power)
+        whites = tuple(white**power for white in whites)
     if rng.random() < 0.2:
         order = rng.permutation(3)
         images, truth = [image[..., order] for image in images], truth[..., order]
     if rng.random() < 0.25:
         gains = np.exp(rng.uniform(0, 0.35, 3))
         gains = (gains / gains.min() * rng.uniform(1.0, 1.15)).astype(np.float32)
-        images, truth = [np.minimum(image * gains, 1) for image in images], truth * gains
-    first, *later = (
-        replace(frame, image=np.ascontiguousarray(image), clipped=frame.clipped | (image >= 1).any(-1))
-        for frame, image in zip(frames, images, strict=True)
-    )
+        images, truth = [image * gains for image in images], truth * gains
+    first, *later = map(exposed, frames, images, whites)
     mirrored = bool(rng.random() < 0.5)
-    return replace(example, frame=first, later=tuple(later), truth=truth, mirrored=mirrored)
+    return replace(example, frame=first, later=tuple(later), truth=truth, mirrored=mirrored, whites=whites)
+
+
+def exposed(frame: Frame, radiance: Float[np.ndarray, "h w 3"], white: float) -> Frame:
+    """Return the frame with another image: this radiance, clipped at `white`."""
+    limit = np.float32(white)
+    return replace(frame, image=np.minimum(radiance, limit), clipped=frame.clipped | (radiance >= limit).any(-1))
 
 
 def _contrasted(
     images: Sequence[Float[np.ndarray, "h w 3"]], truth: Float[np.ndarray, "p ph pw 3"], power: float
 ) -> tuple[list[Float[np.ndarray, "h w 3"]], Float[np.ndarray, "p ph pw 3"]]:
-    """Raise radiance to a power that keeps white: darker corners and brighter lamps, or less of both.
+    """Raise radiance to a power that keeps the first white: darker corners and brighter lamps, or less of both.
 
     A gain of 1 to 2.5 then restores the exposure of the image.
     """
     others = [image ** np.float32(power) for image in images]
     gain = np.float32(np.clip(images[0].mean() / max(float(others[0].mean()), 1e-4), 1, 2.5))
     lit = np.minimum(truth ** np.float32(power) * gain, np.float32(_BRIGHTEST))
-    return [np.minimum(other * gain, 1) for other in others], lit
+    return [other * gain for other in others], lit

@@ -14,12 +14,13 @@ from jaxtyping import Bool, Float, Float32
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_directions
 from roomlight.frame import Frame
+from roomlight_model.training.examples import exposed
 from roomlight_model.training.sequences import WalkExample
 
 LAMP_SHARE: Final = 0.6
 """Share of the changes that are a lamp; the others scale all light."""
 GAINS: Final = (1.5, 5.0)
-"""Range of the factor between dim and bright light. The bright images are clipped at white."""
+"""Range of the factor between dim and bright light. The bright images are clipped."""
 LAMP_RADIUS_M: Final = (0.06, 0.35)
 LAMP_RADIANCE: Final = (2.0, 60.0)
 """Range of a lamp's radiance, in units of white."""
@@ -58,15 +59,14 @@ class SphereLamp:
         return np.where(hit, middle - np.sqrt(np.maximum(inside, 0)), np.inf)
 
     def shown_in(self, frame: Frame) -> Frame:
-        """Return the frame with the lamp in it, in front of what is farther away."""
+        """Return the frame with the lamp in it, in front of what is farther away; the image is not clipped."""
         image_covered = self._covers(frame, frame.intrinsics, frame.image.shape[:2])[0]
         depth_height, depth_width = frame.depth_m.shape
         covered, z_depth = self._covers(frame, frame.intrinsics.resized(depth_width, depth_height), frame.depth_m.shape)
         measured = covered & (frame.depth_m > 0)
         return replace(
             frame,
-            image=np.where(image_covered[..., None], np.minimum(self.radiance, 1), frame.image).astype(np.float32),
-            clipped=frame.clipped | (image_covered & bool(self.radiance.max() >= 1)),
+            image=np.where(image_covered[..., None], self.radiance, frame.image).astype(np.float32),
             depth_m=np.where(measured, z_depth, frame.depth_m).astype(np.float32),
         )
 
@@ -121,7 +121,7 @@ class LightChanges:
         becomes_brighter = bool(rng.random() < 0.5)
         lamp = _draw_lamp(walk, rng) if rng.random() < LAMP_SHARE else None
         gain = float(np.exp(rng.uniform(*np.log(LAMP_GAIN if lamp else GAINS))))
-        bright_frames = [_brighter(frame, gain) for frame in walk.frames]
+        bright_frames = [replace(frame, image=frame.image * np.float32(gain)) for frame in walk.frames]
         bright_light = walk.lights * np.float32(gain)
         if lamp is not None:
             positions, shown_by = walk.example.positions, walk.frames[changes_at]
@@ -130,7 +130,8 @@ class LightChanges:
         later = np.arange(length) >= changes_at
         bright = later == becomes_brighter
         first, *others = (
-            lit if is_bright else dim for is_bright, lit, dim in zip(bright, bright_frames, walk.frames, strict=True)
+            exposed(lit, lit.image, white) if is_bright else dim
+            for is_bright, lit, dim, white in zip(bright, bright_frames, walk.frames, walk.example.whites, strict=True)
         )
         lights = [walk.lights[0], bright_light[0]]
         return replace(
@@ -139,11 +140,6 @@ class LightChanges:
             lights=np.stack(lights if becomes_brighter else lights[::-1]).astype(np.float32),
             light_of=later.astype(np.int64),
         )
-
-
-def _brighter(frame: Frame, gain: float) -> Frame:
-    image = frame.image * np.float32(gain)
-    return replace(frame, image=np.minimum(image, 1), clipped=frame.clipped | (image >= 1).any(-1))
 
 
 def _draw_lamp(walk: WalkExample, rng: np.random.Generator) -> SphereLamp | None:
