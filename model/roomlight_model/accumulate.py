@@ -70,7 +70,8 @@ def fill_in(
 
 
 def _luminance(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
-    return torch.einsum("bchw,c->bhw", light, torch.from_numpy(LUMINANCE).to(light))[:, None]
+    weights = torch.from_numpy(LUMINANCE).to(light.device)
+    return (light.float() * weights[:, None, None]).sum(dim=1, keepdim=True)  # in float32 under autocast too
 
 
 def first_panorama(seen: Observation, weight: Float[Tensor, "b 1 h w"]) -> Panorama:

@@ -79,7 +79,8 @@ def test_a_sequence_of_exposures_agrees_with_serving():
         }
         serving.accumulate(kept, **view, unseen_m=UNSEEN_M, detail_clipped=clipped, detail_guessed=guessed)
         seen, raw = observed(view, clipped=planes(clipped), guessed=planes(guessed))
-        weight = accepted(raw, seen, state, margin=serving.CLOSER_M)
+        with torch.autocast("cpu", dtype=torch.bfloat16):  # as in training
+            weight = accepted(raw, seen, state, margin=serving.CLOSER_M)
         ruled = conservative(raw, seen.depth, state.depth, margin=serving.CLOSER_M)
         replaced += int((weight > ruled).sum())
         state = accumulate(state, seen, weight)
