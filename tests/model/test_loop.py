@@ -105,6 +105,7 @@ def test_a_stopped_run_goes_on_to_the_same_weights(finished, tmp_path, stop_afte
     card = load_checkpoint(tmp_path / "run" / "model.pt").card
     assert card["steps"] == stop_after
     assert card["scores"]["loss"] > 0
+    assert (tmp_path / "run" / "best.pt").exists() == (stop_after == 3)
     resumed = run_of(tmp_path / "run")
     curves = EventAccumulator(str(tmp_path / "run" / "tensorboard")).Reload()
     assert [event.step for event in curves.Scalars("held out/loss")] == sorted({stop_after, 3, 6})
@@ -203,7 +204,9 @@ def test_a_run_without_held_out_examples_has_no_best_weights(tmp_path):
 
 def test_only_a_better_score_replaces_the_best(tmp_path):
     folder, network = RunFolder(tmp_path), ClippingNetwork()
+    assert not folder.keep_best(network, {"scores": {"loss": float("nan")}})
     assert folder.keep_best(network, {"scores": {"loss": 0.5}})
+    assert not folder.keep_best(network, {"scores": {"loss": float("nan")}})
     assert not folder.keep_best(network, {"scores": {"loss": 0.6}})
     assert folder.keep_best(network, {"scores": {"loss": 0.4}})
     assert load_checkpoint(tmp_path / "best.pt").card["scores"]["loss"] == 0.4
@@ -268,9 +271,11 @@ def test_options_that_are_damaged_or_of_another_version_are_refused(content, mes
     assert (tmp_path / "options.json").read_text() == content
 
 
-def test_a_loss_that_is_not_finite_ends_the_run(tmp_path):
+def test_a_loss_or_gradient_that_is_not_finite_ends_the_run(tmp_path):
     with pytest.raises(ModelError, match=r"the loss is nan at step 0; use a lower learning rate"):
         run_of(tmp_path / "run", factor=float("nan"))
+    with pytest.raises(ModelError, match=r"the gradient's norm is inf at step 0; use a lower learning rate"):
+        run_of(tmp_path / "gradient", factor=1e37)
 
 
 def test_the_learning_rate_warms_up_and_falls_to_a_hundredth():

@@ -173,7 +173,7 @@ class Run:
         """Train until the last step, for `minutes`, until `stop`, Ctrl-C or SIGTERM; then save and validate.
 
         Raises:
-            ModelError: The loss is not finite.
+            ModelError: The loss or its gradient is not finite.
             OutputError: The folder cannot be written.
         """
         options, began, before = self.stage.options, time.monotonic(), self.seconds
@@ -223,17 +223,18 @@ class Run:
         """Make one step: gradients, AdamW, average. Returns the losses.
 
         Raises:
-            ModelError: The loss is not finite.
+            ModelError: The loss or its gradient is not finite.
         """
         options = self.stage.options
         for group in self._optimizer.param_groups:
             group["lr"] = learning_rate(options, self.step)
         losses = self._gradients.of(batch, self.step)
-        if not np.isfinite(losses["loss"]):
-            raise ModelError(
-                f"{self.folder.path}: the loss is {losses['loss']} at step {self.step}; use a lower learning rate"
-            )
-        torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
+        norm = float(torch.nn.utils.clip_grad_norm_(self._parameters, 1.0))
+        for name, value in (("loss", losses["loss"]), ("gradient's norm", norm)):
+            if not np.isfinite(value):
+                raise ModelError(
+                    f"{self.folder.path}: the {name} is {value} at step {self.step}; use a lower learning rate"
+                )
         self._optimizer.step()
         decay = min(options.ema, (1 + self.step) / (10 + self.step))
         with torch.no_grad():
@@ -282,17 +283,21 @@ class Run:
         }
 
     def _validate(self, curves: SummaryWriter) -> TrainingProgress:
-        """Score the averaged weights; write model.pt, a picture, and best.pt if no earlier score was as low."""
-        network, best = self.averaged(), False
+        """Score the averaged weights; write model.pt, a picture, and best.pt if no earlier score was as low.
+
+        Where a run stops in between, best.pt stays: it must not depend on interruptions.
+        """
+        network, options, best = self.averaged(), self.stage.options, False
         self._scores = dict(self.stage.scores(network))
         if self._scores:
             self.folder.save_weights(network, self.card())
-            best = self.folder.keep_best(network, self.card())
+            if self.step % options.validate_steps == 0 or self.step == options.steps:
+                best = self.folder.keep_best(network, self.card())
             self.stage.draw(network, self.folder.path / "pictures" / f"{self.step:07d}.png")
             self.folder.log({"step": self.step, "scores": self._scores})
             for name, value in self._scores.items():
                 curves.add_scalar(f"held out/{name}", value, self.step)
-        return TrainingProgress(self.step, self.stage.options.steps, {}, scores=self._scores, best=best)
+        return TrainingProgress(self.step, options.steps, {}, scores=self._scores, best=best)
 
     def _mean_losses(self) -> dict[str, float]:
         count = (self.step - 1) % REPORT_STEPS + 1

@@ -182,8 +182,10 @@ class RunFolder:
         save_checkpoint(self.path / "model.pt", network, card=card)
 
     def keep_best(self, network: Network, card: Mapping[str, Any]) -> bool:
-        """Write best.pt if no earlier score was as low; return whether it was written."""
+        """Write best.pt if the score is finite and no earlier one was as low; return whether it was written."""
         best = self.path / "best.pt"
+        if not np.isfinite(card["scores"]["loss"]):
+            return False
         if best.exists() and load_checkpoint(best).card["scores"]["loss"] <= card["scores"]["loss"]:
             return False
         save_checkpoint(best, network, card=card)
