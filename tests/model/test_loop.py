@@ -188,10 +188,13 @@ def test_a_finished_run_is_left_as_it_is(finished, tmp_path):
 
 
 def test_a_run_can_be_extended_and_continued_after_its_time(tmp_path):
-    run = Run(SmallStage(replace(SMALL, steps=2)), tmp_path / "run")
+    run = Run(SmallStage(), tmp_path / "run")
     run.train(minutes=0.0)
     assert run.step == 0
-    assert run_of(tmp_path / "run", replace(SMALL, steps=2)).step == 2
+    assert run_of(tmp_path / "run", stop_after=2).step == 2
+    assert not RunFolder(tmp_path / "run").is_finished(replace(SMALL, steps=2))
+    run_of(tmp_path / "run", replace(SMALL, steps=2))
+    assert load_checkpoint(tmp_path / "run" / "best.pt").card["steps"] == 2
     assert run_of(tmp_path / "run", replace(SMALL, steps=3, validate_steps=5)).step == 3
     assert json.loads((tmp_path / "run" / "options.json").read_text())["steps"] == 3
 

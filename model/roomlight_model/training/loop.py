@@ -259,7 +259,7 @@ class Run:
                 "step": self.step,
                 "seconds": self.seconds,
                 "losses": self._losses,
-                "scores": self._scores,
+                "scores": self._scores if self._is_due else None,
                 "network": self.network.state_dict(),
                 "average": self.average,
                 "optimizer": self._optimizer.state_dict(),
@@ -282,22 +282,28 @@ class Run:
             **({} if self.stage.start_from is None else {"before": self.stage.start_from.card}),
         }
 
+    @property
+    def _is_due(self) -> bool:
+        """Whether a run that is not interrupted validates after this step."""
+        options = self.stage.options
+        return self.step > 0 and (self.step % options.validate_steps == 0 or self.step == options.steps)
+
     def _validate(self, curves: SummaryWriter) -> TrainingProgress:
         """Score the averaged weights; write model.pt, a picture, and best.pt if no earlier score was as low.
 
         Where a run stops in between, best.pt stays: it must not depend on interruptions.
         """
-        network, options, best = self.averaged(), self.stage.options, False
+        network, best = self.averaged(), False
         self._scores = dict(self.stage.scores(network))
         if self._scores:
             self.folder.save_weights(network, self.card())
-            if self.step % options.validate_steps == 0 or self.step == options.steps:
+            if self._is_due:
                 best = self.folder.keep_best(network, self.card())
             self.stage.draw(network, self.folder.path / "pictures" / f"{self.step:07d}.png")
             self.folder.log({"step": self.step, "scores": self._scores})
             for name, value in self._scores.items():
                 curves.add_scalar(f"held out/{name}", value, self.step)
-        return TrainingProgress(self.step, options.steps, {}, scores=self._scores, best=best)
+        return TrainingProgress(self.step, self.stage.options.steps, {}, scores=self._scores, best=best)
 
     def _mean_losses(self) -> dict[str, float]:
         count = (self.step - 1) % REPORT_STEPS + 1
