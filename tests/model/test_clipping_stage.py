@@ -68,6 +68,16 @@ def test_held_out_frames_need_clipped_pixels() -> None:
         ClippingStage(SHORT, lamp_frames(2), dark)
 
 
+def test_each_held_out_frame_counts_alike() -> None:
+    """Of 17 frames the last one, which is scored in a part of its own, is another."""
+    frames, network = lamp_frames(2, bright=100), ClippingNetwork().eval()
+    frames.radiance[1] *= np.float16(20)
+    many, one, other = (
+        ClippingStage(SHORT, frames, frames.take(numbers)).scores(network) for numbers in ([0] * 16 + [1], [0], [1])
+    )
+    assert many == {name: pytest.approx((16 * one[name] + other[name]) / 17, rel=1e-3) for name in one}
+
+
 @pytest.mark.slow
 def test_it_learns_what_its_frames_show(tmp_path: Path) -> None:
     stage = ClippingStage(SHORT, lamp_frames(8, bright=40.0), lamp_frames(3, bright=40.0))

@@ -137,22 +137,21 @@ class ClippingStage(SmallStage[ClippingOptions, ClippingFrames]):
         """Return squared errors of log radiance: of pixels, and of each frame's clipped light."""
         with torch.autocast("cpu", dtype=torch.bfloat16):
             predicted = network(batch.planes)
-        pixels, energy = _errors(predicted.float(), batch)
+        *errors, share = _errors(predicted.float(), batch)
+        pixels, energy = ((error * share).sum() / share.sum().clamp(min=1e-6) for error in errors)
         return {"loss": pixels + ENERGY_WEIGHT * energy, "pixels": pixels, "energy": energy}
 
     def scores(self, network: ClippingNetwork) -> Mapping[str, float]:
         """Score held-out frames: squared log errors of pixels and light, and of the constant 2 x white beside them."""
-        pixels, constant, light = list[float](), list[float](), list[float]()
+        parts = list[Tensor]()
         with torch.no_grad():
             for frames in self.held_out_parts(16):
                 batch = clipping_batch(frames)
-                if batch.weight.any():
-                    ours, energy = _errors(network(batch.planes).float(), batch)
-                    twice_white, _ = _errors(torch.full_like(batch.truth, float(np.log(2))), batch)
-                    pixels.append(float(ours))
-                    light.append(float(energy))
-                    constant.append(float(twice_white))
-        return {"loss": float(np.mean(pixels)), "light": float(np.mean(light)), "constant_2": float(np.mean(constant))}
+                twice_white, _, _ = _errors(torch.full_like(batch.truth, float(np.log(2))), batch)
+                pixels, light, share = _errors(network(batch.planes).float(), batch)
+                parts.append(torch.stack([pixels, light, twice_white, torch.ones_like(share)]) @ share)
+        *sums, total = torch.stack(parts).sum(dim=0).tolist()
+        return dict(zip(("loss", "light", "constant_2"), (part / total for part in sums), strict=True))
 
 
 def clipping_batch(frames: ClippingFrames, rng: np.random.Generator | None = None) -> ClippingBatch:
@@ -183,17 +182,15 @@ def clipping_batch(frames: ClippingFrames, rng: np.random.Generator | None = Non
 
 def _errors(
     log_radiance: Float[Tensor, "b 3 h w"], batch: ClippingBatch
-) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-    """Return the squared log errors of pixels and of each frame's clipped light, weighted by the clipped area."""
+) -> tuple[Float[Tensor, " b"], Float[Tensor, " b"], Float[Tensor, " b"]]:
+    """Return each frame's squared log errors of pixels and of its clipped light, and how much it counts, 0 to 1."""
     truth, weight = batch.truth.clamp(min=0.1), batch.weight
     area = weight.sum((1, 2, 3))
-    share = (area / _FULL_AREA).clamp(max=1)
-    total = share.sum().clamp(min=1e-6)
     squared = (log_radiance - truth.log()).square().mean(1, keepdim=True)
     pixels = (squared * weight).sum((1, 2, 3)) / area.clamp(min=1e-6)
     light = (log_radiance.exp() * weight).mean(1).sum((1, 2)).clamp(min=1e-4)
     true_light = (truth * weight).mean(1).sum((1, 2)).clamp(min=1e-4)
-    return (pixels * share).sum() / total, ((light.log() - true_light.log()).square() * share).sum() / total
+    return pixels, (light.log() - true_light.log()).square(), (area / _FULL_AREA).clamp(max=1)
 
 
 def _square(image: Float32[np.ndarray, "h w 3"]) -> Float16[np.ndarray, "3 s s"]:
