@@ -17,6 +17,7 @@ from torch import Tensor
 
 from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import OutputError
+from roomlight.metrics import intervals
 from roomlight_model.sphere_rendering import shade
 from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.examples import DepthKind, Recordings, example_of, read_example
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from roomlight_model.training.video import Unroll
 
 HEIGHT: Final = 120
-INTERVALS: Final = ((1, 8), (8, 14), (14, 20), (20, 26), (26, 32))
-"""Frames of the paper's table, first and past the last."""
 MOST_WALKS: Final = 12
 """Held-out walks that are scored, at most; the networks run once for each frame."""
 _DARK_EV: Final = -4.0
@@ -140,8 +139,9 @@ class WalkValidation:
 
     @torch.no_grad()
     def scores(self, unroll: Unrolled) -> dict[str, float]:
-        """Return mean losses: `video` over all frames after the first, `video_01_07` and so on by intervals, and
-        `no_rnn`: each of these frames alone, through the single-view networks. `loss` is the one that training lowers.
+        """Return mean losses of the frames after the first: `video` of all, `video_01_07` and so on by the intervals of
+        `metrics.intervals`, counted from 1, and `no_rnn` of each alone, through the single-view networks. `loss` is the
+        one that training lowers.
         """
         losses: dict[str, list[Losses]] = {}
         alone: list[Losses] = []
@@ -151,9 +151,8 @@ class WalkValidation:
             for frame in range(1, batch.frames):
                 now = sequence.advance(frame)
                 losses.setdefault("video", []).append(now)
-                for first, past in INTERVALS:
-                    if first <= frame < past:
-                        losses.setdefault(f"video_{first:02d}_{past - 1:02d}", []).append(now)
+                part = next(part for part in intervals(batch.frames) if frame in part)
+                losses.setdefault(f"video_{part.start + 1:02d}_{part.stop:02d}", []).append(now)
                 if not self._alone:
                     alone.append(unroll(batch.cut(frame, frame + 1)).first_losses())
         self._alone = self._alone or alone  # the stages do not train the single-view networks
