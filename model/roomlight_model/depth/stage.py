@@ -319,7 +319,8 @@ def _blurred(image: Float32[Tensor, "b 3 h w"], sigma: Float[np.ndarray, " b"]) 
 
 
 def _mean(values: Float[Tensor, "b 1 h w"], known: Float[Tensor, "b 1 h w"]) -> Float[Tensor, ""]:
-    return (values * known).sum() / known.sum().clamp(min=1)
+    """Return the mean over pictures of each one's mean, so that the pieces of a batch add up to the batch."""
+    return ((values * known).sum((1, 2, 3)) / known.sum((1, 2, 3)).clamp(min=1)).mean()
 
 
 def _gradients(error: Float[Tensor, "b 1 h w"], known: Float[Tensor, "b 1 h w"]) -> Float[Tensor, ""]:
