@@ -267,8 +267,10 @@ class IrradianceCache:
             direct = self.light.received(points, candidates=6, picks=1, sun_picks=1, seed=self._seed + 4)
             irradiance = direct.irradiance + cache.indirect[row[near]]
             coated = direct.coated + cache.indirect_coated[row[near]]
-            kernels.subtract_spots(irradiance, direct.sun, ends.distance_m[near], NEAR_SPOT_M2)
-            kernels.subtract_spots(coated, direct.sun_coated, ends.distance_m[near], NEAR_SPOT_M2)
+            # After a mirror nothing is subtracted, as at no distance.
+            distance = np.where(ends.mirrored[near], np.float32(0), ends.distance_m[near])
+            kernels.subtract_spots(irradiance, direct.sun, distance, NEAR_SPOT_M2)
+            kernels.subtract_spots(coated, direct.sun_coated, distance, NEAR_SPOT_M2)
             light = np.empty((len(near), 3), np.float32)
             kernels.reflected_light(
                 irradiance, coated, surface.albedo, alpha[near], cosine[near], self.light.coat, light
@@ -276,7 +278,7 @@ class IrradianceCache:
             radiance[near] += light * ends.factor[near, None]
             row[near] = -1
         cached = CachedRadiance(cache.base, cache.lobe, cache.sun_base, cache.sun_lobe)
-        hits = CacheHits(row, cosine, alpha, ends.distance_m, ends.factor)
+        hits = CacheHits(row, cosine, alpha, ends.distance_m, ends.mirrored, ends.factor)
         kernels.add_cached(hits, self.light.coat, cached, NEAR_SPOT_M2, radiance)
         return ends.face, ends.distance_m, radiance
 

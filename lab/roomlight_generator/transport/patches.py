@@ -53,13 +53,15 @@ _RAYS_AT_ONCE: Final = 1 << 16
 
 
 class Arrivals(NamedTuple):
-    """Gather rays after mirrors: hits, last directions, lengths, share left by mirrors, emitted light (`arriving`)."""
+    """Gather rays after mirrors: hits, last directions, lengths, whether they met a mirror, the share that mirrors
+    left, emitted light (`arriving`)."""
 
     face: Int32[np.ndarray, " n"]
     u: Float32[np.ndarray, " n"]
     v: Float32[np.ndarray, " n"]
     direction: Float32[np.ndarray, "n 3"]
     distance_m: Float32[np.ndarray, " n"]
+    mirrored: Bool[np.ndarray, " n"]
     factor: Float32[np.ndarray, " n"]
     radiance: Float32[np.ndarray, "n 3"]
 
@@ -92,7 +94,7 @@ def follow(
     radiance = np.empty((count, 3), np.float32)
     paths = GatherPaths(origin, distance, mirrored, factor)
     kernels.arriving(tracer.arrays, light.sources, RayEnds(face, u, v, direction), paths, radiance)
-    return Arrivals(face, u, v, direction, distance, factor, radiance)
+    return Arrivals(face, u, v, direction, distance, mirrored, factor, radiance)
 
 
 def _on_mirror(tracer: Tracer, face: Int32[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -313,8 +315,8 @@ def _linked(patches: _PatchSet, rays: _TracedRays) -> tuple[np.ndarray, ...]:
     """Return the columns of the links between patches.
 
     Returns:
-        For each ray: target patch, cosine there, mirrors' factor, length and share passed here. For each patch: the
-        irradiance that comes from no patch, plain and as let through by its coat.
+        For each ray: target patch, cosine there, length, share passed here, whether it met a mirror, and mirrors'
+        factor. For each patch: the irradiance that comes from no patch, plain and as let through by its coat.
     """
     ends = rays.ends
     target, cosine = patches.visit(ends)
@@ -322,7 +324,7 @@ def _linked(patches: _PatchSet, rays: _TracedRays) -> tuple[np.ndarray, ...]:
     through = rays.passed.reshape(-1, rays.per_patch, 1)
     scale = np.float32(np.pi / rays.per_patch)
     beside, beside_coated = radiance.sum(1) * scale, (radiance * through).sum(1) * scale
-    return target, cosine, ends.factor, ends.distance_m, rays.passed, beside, beside_coated
+    return target, cosine, ends.distance_m, rays.passed, ends.mirrored, ends.factor, beside, beside_coated
 
 
 def _direct(tracer: Tracer, light: DirectLight, patches: _PatchSet, visibility: LightVisibility, seed: int) -> Received:
@@ -380,11 +382,11 @@ def _bounced(
         position, used, material.copy(), lights=max(1, len(light.lights.start)), materials=len(materials.mirror)
     )
     direct = _direct(tracer, light, patches, visibility, seed)
-    target, cosine, factor, distance, passed, beside, beside_coated = columns
+    target, cosine, distance, passed, mirrored, factor, beside, beside_coated = columns
     target[target >= count] = -1  # found by the last wave and never lit
     target[enclosed[target] & (distance > ENCLOSED_M)] = -1
     shares = np.empty(len(target), np.float32), np.empty(len(target), np.float32)
-    links = PatchLinks(target, *shares, passed, distance, factor)
+    links = PatchLinks(target, *shares, passed, distance, mirrored, factor)
     kernels.link_shares(links, cosine, alpha, coat)
     base, lobe, sun_base, sun_lobe, bounced, bounced_coated = (np.zeros((count, 3), np.float32) for _ in range(6))
     sent, sun, gathered = SentLight(base, lobe), SentLight(sun_base, sun_lobe), ReceivedLight(bounced, bounced_coated)

@@ -161,6 +161,23 @@ def test_a_mirror_shows_its_surroundings_and_ends_depth():
     assert view.surface[30, 40] == MIRROR
 
 
+def test_a_perfect_mirror_shows_a_sunlit_floor():
+    """A plane that faces the mirror receives what the sunlit patch's image sends."""
+    wall, opening = window()
+    sky = Sky(np.zeros((32, 64, 3), np.float32), Sun(np.array([0.0, 0.6, -0.8]), (60.0, 60.0, 60.0)))
+    sides = [*walls(BLACK, without=("back", "front", "floor")), item("back", wall, BLACK)]
+    floor = item("floor", rectangle([-2, 0, -1.5], [0, 0, 3.0], [4.0, 0, 0]), GREY)
+    mirror = item("front", rectangle([-2, 0, 1.5], [0, 2.5, 0], [4, 0, 0]), Material("m", mirror=1.0))
+    light = solved([*sides, floor, mirror], [opening], sky)
+    # The window casts its light from z = -0.3 to z = 1.033; its image is as far behind the mirror at z = 1.5.
+    x, z = np.meshgrid((np.arange(160) + 0.5) / 100 - 0.8, 3 - (np.arange(200) + 0.5) / 150 + 0.3)
+    away = np.stack([x, np.zeros_like(x), z], -1) - np.array([0.0, 1.0, 1.0])
+    distance_sq = (away**2).sum(-1)
+    expected = (0.5 / np.pi * 60 * 0.6 * away[..., 2] / distance_sq**2).mean() * 1.6 * 4 / 3
+    received = light.irradiance(np.array([[0.0, 1.0, 1.0]]), np.array([[0.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(received[0], expected, rtol=0.05)
+
+
 @pytest.mark.slow
 def test_depth_is_exact_and_surfaces_are_classified():
     pane = item("pane", rectangle([-2, 1.0, -1.0], [1.2, 0, 0], [0, 1.0, 0]), Material("p", glass=True))

@@ -210,10 +210,9 @@ def interpolate(points, smallest, records, lists, fallback, out):
 def add_cached(hits, coat, cached, area, radiance):
     """Add the cached radiance of the surfaces that rays hit (`CacheHits`) to what the rays bring.
 
-    Sunlit spots count only by the share that `left_to_gathering` leaves to rays, but in full after a mirror (where
-    factor is not 1).
+    Sunlit spots count only by the share that `left_to_gathering` leaves to rays, but in full after a mirror.
     """
-    row, cosine, alpha, distance, factor = hits
+    row, cosine, alpha, distance, mirrored, factor = hits
     base, lobe, sun_base, sun_lobe = cached
     through, reflected = coat.through, coat.reflected
     for i in range(len(row)):
@@ -224,7 +223,7 @@ def add_cached(hits, coat, cached, area, radiance):
         if alpha[i] > 0:
             e = factor[i] * in_table(reflected, alpha[i], cosine[i])
             t = factor[i] * in_table(through, alpha[i], cosine[i])
-        away = 1 - left_to_gathering(distance[i] * distance[i], area) if factor[i] == 1 else 0.0
+        away = 0.0 if mirrored[i] else 1 - left_to_gathering(distance[i] * distance[i], area)
         for c in range(3):
             radiance[i, c] += t * (base[p, c] - away * sun_base[p, c]) + e * (lobe[p, c] - away * sun_lobe[p, c])
 

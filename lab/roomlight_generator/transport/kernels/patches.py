@@ -234,7 +234,7 @@ def link_shares(links, cosine, alpha, coat):
         alpha: Roughness of each patch, [p].
         coat: The coat's tables.
     """
-    target, base, lobe, _, _, factor = links
+    target, base, lobe, _, _, _, factor = links
     for i in range(len(target)):
         base[i], lobe[i] = 0.0, 0.0
         if target[i] >= 0:
@@ -252,7 +252,7 @@ def spots_gathered(links, sun, area, rays, out):
 
     The caller subtracts it from what the patches gather.
     """
-    target, base, lobe, passed, distance, factor = links
+    target, base, lobe, passed, distance, mirrored, _ = links
     sun_base, sun_lobe = sun
     irradiance, coated = out
     for p in range(len(irradiance)):
@@ -261,7 +261,7 @@ def spots_gathered(links, sun, area, rays, out):
             irradiance[p, c], coated[p, c] = 0.0, 0.0
         for k in range(p * rays, (p + 1) * rays):
             j = target[k]
-            if j < 0 or factor[k] < 1:
+            if j < 0 or mirrored[k]:
                 continue
             away = (1 - left_to_gathering(distance[k] * distance[k], area)) * scale
             for c in range(3):
@@ -280,7 +280,7 @@ def bounce(links, sent, rays, out):
         rays: Rays of a patch.
         out: Receives the irradiance (`ReceivedLight`).
     """
-    target, base, lobe, passed, _, _ = links
+    target, base, lobe, passed, _, _, _ = links
     base_radiance, lobe_radiance = sent
     irradiance, coated = out
     for p in range(len(irradiance)):

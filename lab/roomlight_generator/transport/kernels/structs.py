@@ -234,12 +234,13 @@ class RecordSpacing(NamedTuple):
 
 class CacheHits(NamedTuple):
     """Hits of gather rays on cached surfaces: row of the room's cache (-1: none), cosine of the leaving ray, the coat's
-    roughness, the ray's length, and the share that mirrors left."""
+    roughness, the ray's length, whether it met a mirror, and the share that mirrors left."""
 
     row: Int32[np.ndarray, " n"]
     cosine: Float32[np.ndarray, " n"]
     alpha: Float32[np.ndarray, " n"]
     distance: Float32[np.ndarray, " n"]
+    mirrored: Bool[np.ndarray, " n"]
     factor: Float32[np.ndarray, " n"]
 
 
@@ -306,13 +307,14 @@ class GatherPaths(NamedTuple):
 
 class PatchLinks(NamedTuple):
     """Rays between patches: the patch that each met (-1: none), the shares of its base and lobe that the ray sees, what
-    the receiving coat lets through, length, and the share that mirrors left."""
+    the receiving coat lets through, length, whether it met a mirror, and the share that mirrors left."""
 
     target: Int32[np.ndarray, " n"]
     base: Float32[np.ndarray, " n"]
     lobe: Float32[np.ndarray, " n"]
     passed: Float32[np.ndarray, " n"]
     distance: Float32[np.ndarray, " n"]
+    mirrored: Bool[np.ndarray, " n"]
     factor: Float32[np.ndarray, " n"]
 
 
