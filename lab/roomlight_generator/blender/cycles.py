@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from roomlight.camera import Intrinsics
-from roomlight.conventions import panorama_solid_angles
 from roomlight.dataset.recording import ORDINARY
 from roomlight.errors import DatasetError
 from roomlight.images import read_colour
+from roomlight.spheres import resize_panorama
 from roomlight_generator.blender.scene import BLENDER_TO_WORLD, BlenderRoom, blender, quiet
 from roomlight_generator.transport import FrameView
 
@@ -110,12 +110,7 @@ class CyclesViews:
         self._place(FORWARD_TO_CENTRE, np.asarray(position))
         self._room.scene.cycles.use_denoising = False
         self._room.scene.render.use_compositing = True
-        fine = self._render(2 * FINER * height, FINER * height, samples, seed).reshape(
-            height, FINER, 2 * height, FINER, 3
-        )
-        weight = panorama_solid_angles(FINER * height).reshape(height, FINER)
-        weight = (weight / weight.sum(axis=1, keepdims=True)).reshape(height, FINER, 1, 1, 1)
-        return (fine * weight).sum(axis=1).mean(axis=2).astype(np.float32)
+        return resize_panorama(self._render(2 * FINER * height, FINER * height, samples, seed), height)
 
     def _place(self, axes: Float[np.ndarray, "3 3"], position: Float[np.ndarray, "3"]) -> None:
         matrix = np.eye(4)

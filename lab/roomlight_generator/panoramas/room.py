@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from roomlight.camera import Intrinsics
 from roomlight.conventions import LUMINANCE, panorama_solid_angles
 from roomlight.dataset.recording import GLASS, LIGHT, ORDINARY
+from roomlight.spheres import resize_panorama
 from roomlight_generator.panoramas.furnished import CELL_M as FURNITURE_CELL_M
 from roomlight_generator.panoramas.furnished import FurnishedLight, padded
 from roomlight_generator.panoramas.furniture import Footprint, Furniture, still_free
@@ -104,10 +105,7 @@ class PanoramaRoom:
         finer = 1 if self._furniture is None else FINER  # the shell alone is exact at any size
         rows = finer * height
         fine = self._picture(CameraArrays(np.asarray(position, np.float64), np.eye(3), np.zeros(4), rows, 2 * rows))
-        weight = panorama_solid_angles(rows).reshape(height, finer, 1, 1)
-        weight = (weight / weight.mean(axis=1, keepdims=True))[..., None]
-        image = fine.reshape(height, finer, 2 * height, finer, 3)
-        return (image * weight).mean(axis=(1, 3), dtype=np.float32)
+        return resize_panorama(fine, height)
 
     def _picture(self, camera: CameraArrays) -> Float32[np.ndarray, "h w 3"]:
         image = np.empty((camera.height, camera.width, 3), np.float32)

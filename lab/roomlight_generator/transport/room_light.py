@@ -12,6 +12,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import direction_to_uv, panorama_solid_angles, uv_to_direction
+from roomlight.spheres import resize_panorama
 from roomlight_generator.transport.irradiance_cache import IrradianceCache
 from roomlight_generator.transport.kernels import glossy
 from roomlight_generator.transport.kernels.structs import allocated
@@ -130,7 +131,7 @@ class RoomLight:
         splatted &= dark[np.maximum(lights.face, 0)]
         camera = Camera(position, rays_at, (fine, 2 * fine), 1.5 * np.pi / fine, dark_faces=dark, show_sun=False)
         picture = self._viewer.picture(camera, seed=seed)
-        image = picture.radiance.reshape(height, FINER, 2 * height, FINER, 3).mean((1, 3))
+        image = resize_panorama(picture.radiance, height)
         self._splat(image, np.asarray(position, np.float32), splatted, seed)
         return image
 
