@@ -10,6 +10,9 @@ from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Opening, Scene, Sky, Sun
 from roomlight_generator.rooms.shapes import block, sphere, with_material
 from roomlight_generator.transport import RoomLight, Tracer
+from roomlight_generator.transport.kernels.lights import coat_gains
+from roomlight_generator.transport.lights.coat import INDEX, ROUGHEST, boundary, coat_table
+from roomlight_generator.transport.paths import follow_view, surfaces_of, unit_rows
 
 NIGHT = Sky(np.zeros((32, 64, 3), np.float32))
 GREY = Material("grey", (0.5, 0.5, 0.5))
@@ -287,6 +290,37 @@ def test_a_coat_reflects_the_sun_about_the_mirrored_direction():
     received = light.irradiance(points, np.tile(normal, (3, 1)))[:, 1]
     # 3,072 spots and a wall's 512 candidates: 3 % were measured. Spread over all directions, the first would get 0.4.
     np.testing.assert_allclose(received, expected, rtol=0.05)
+
+
+def test_sunlight_on_coats_between_the_tables_steps_is_interpolated():
+    coat, alpha, cosine = coat_table(), 0.43, 0.57
+    base, lobe = np.empty(1, np.float32), np.empty(1, np.float32)
+    coat_gains(np.array([alpha], np.float32), np.array([cosine], np.float32), coat, base, lobe)
+    (passed,) = boundary(alpha, np.array([cosine]), INDEX)[1]
+    steps = np.linspace(0, ROUGHEST, len(coat.scale))
+    scale, reflected, mean = (np.interp(alpha, steps, row) for row in coat[2:])
+    assert base[0] == pytest.approx(scale * passed * mean, rel=0.002)
+    assert lobe[0] == pytest.approx((1 - passed) / (np.pi * (1 - mean)) * reflected, rel=0.002)
+
+
+def test_a_coat_reflects_a_lamp_alike_however_little_of_it_was_seen():
+    """The shares of the two samples of a lobe sum to 1 whatever the patches saw of the lamp."""
+    floor = item(
+        "floor", rectangle([-2, 0, -1.5], [0, 0, 3.0], [4, 0, 0], step=5), Material("c", BLACK.albedo, roughness=0.4)
+    )
+    lamp = rectangle([-0.6, 0.2, -0.6], [0, 0, 1.2], [1.2, 0, 0], step=5)
+    light = solved([floor, item("lamp", lamp, Material("l", emission=(10.0, 10.0, 10.0)))])
+    along = np.tile(unit_rows(np.array([[0.0, -0.35, -1.0]])), (200, 1))
+    paths = follow_view(light.tracer, np.tile(np.array([[0.0, 0.3, 1.2]], np.float32), (200, 1)), along)
+    points = surfaces_of(
+        light.tracer, paths.face, paths.u, paths.v, paths.direction, paths.length_m * np.float32(0.003)
+    )
+    reflections = []
+    for seen in (255, 10):
+        light.light.visibility[:] = seen
+        reflections.append(light._viewer.reflections.lobes(points, np.arange(200), seed=0))
+    assert reflections[0].max() > 0
+    np.testing.assert_allclose(*reflections, rtol=1e-4)
 
 
 def test_a_closed_lamps_inside_does_not_leak_through_a_bulb():

@@ -25,6 +25,7 @@ from roomlight_generator.transport.kernels.common import (
 )
 from roomlight_generator.transport.kernels.lights import (
     FAR,
+    LEAST_SEEN,
     candidate,
     crossings,
     cumulate_estimates,
@@ -269,7 +270,7 @@ def lobe_share(sources, points, visibility, totals, sampling, reflected, ends, s
         which = lights.cluster[piece]
         chance = estimate(lights, which, (px, py, pz), (normal[i, 0], normal[i, 1], normal[i, 2]))
         if row[i] >= 0:
-            chance *= max(visibility[row[i], which], 20) / 255.0
+            chance *= max(visibility[row[i], which], LEAST_SEEN) / 255.0
         by_area = chance / totals[i] * c[19]
         spread = abs(slope) / (d * d)
         share[at] = rays * density[at] * spread / (rays * density[at] * spread + candidates * by_area)

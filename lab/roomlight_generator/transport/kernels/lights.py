@@ -21,6 +21,7 @@ from roomlight_generator.transport.kernels.common import (
     PHI1,
     PHI2,
     fraction,
+    in_row,
     in_table,
     lobe,
     sky_radiance,
@@ -85,6 +86,26 @@ def crossing_counts(hole, parts, position, direction, out):
             hole, parts, (position[i, 0], position[i, 1], position[i, 2]),
             (direction[i, 0], direction[i, 1], direction[i, 2]),
         )  # fmt: skip
+
+
+@njit(**JIT)
+def coat_gains(alpha, cosine, coat, base, lobe):
+    """Write what coats make of light that arrives at a cosine, as means over all directions.
+
+    Args:
+        alpha: Roughness of each coat (0: none), [n].
+        cosine: The cosines, [n].
+        coat: The coat's tables.
+        base: Receives a factor on the base's radiance (1 without a coat), [n].
+        lobe: Receives the lobe's radiance a unit of irradiance (0 without a coat), [n].
+    """
+    through, _, scale, mean_reflected, mean_through = coat
+    for i in range(len(alpha)):
+        base[i], lobe[i] = 1.0, 0.0
+        if alpha[i] > 0:
+            passed, mean = in_table(through, alpha[i], cosine[i]), in_row(mean_through, alpha[i])
+            base[i] = in_row(scale, alpha[i]) * passed * mean
+            lobe[i] = (1 - passed) / (math.pi * (1 - mean)) * in_row(mean_reflected, alpha[i])
 
 
 @njit(**JIT)

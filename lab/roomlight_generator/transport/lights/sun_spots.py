@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Float32
 
-from roomlight_generator.transport.kernels.lights import crossing_counts
+from roomlight_generator.transport.kernels.lights import coat_gains, crossing_counts
 from roomlight_generator.transport.kernels.structs import RayEnds, SurfacePoints, allocated
 from roomlight_generator.transport.kernels.surfaces import surface_points
 from roomlight_generator.transport.lights.coat import coat_table
@@ -87,7 +87,8 @@ def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
     cosine = np.clip(-(points.normal * along).sum(1), 0, 1)
     slope = np.clip(-(points.geometric_normal * along).sum(1), 0.02, 1)
     alpha = materials.roughness[tracer.geometry.material[hits.face[struck]]]
-    base, lobe = _coat_gain(alpha, cosine)
+    base, lobe = np.empty_like(alpha), np.empty_like(alpha)
+    coat_gains(alpha, cosine, coat_table(), base, lobe)
     arriving = outdoors.sun_irradiance * cosine[:, None]
     radiance = points.albedo / np.pi * base[:, None] * arriving
     lobe_alpha = np.where(alpha > 0, np.maximum(alpha, LEAST_ALPHA), 0)
@@ -106,21 +107,3 @@ def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
         area=own,
     )
     return Spots(*(column[keep].astype(np.float32) for column in columns))
-
-
-def _coat_gain(
-    alpha: Float32[np.ndarray, " n"], cosine: Float32[np.ndarray, " n"]
-) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-    """Compute a coat's effect on sunlight that arrives at a cosine, as means over all directions.
-
-    Returns a factor on the base's radiance (1 without a coat), and the lobe's mean radiance a unit of irradiance.
-    """
-    coat = coat_table()
-    row = alpha / 0.64 * (len(coat.scale) - 1)
-    low = np.minimum(row.astype(np.int64), len(coat.scale) - 2)
-    column = np.minimum((cosine * (coat.through.shape[1] - 1)).astype(np.int64), coat.through.shape[1] - 1)
-    through = coat.through[low, column]
-    base = coat.scale[low] * through * coat.mean_through[low]
-    lobe = (1 - through) / (np.pi * (1 - coat.mean_through[low])) * coat.mean_reflected[low]
-    coated = alpha > 0
-    return np.where(coated, base, 1).astype(np.float32), np.where(coated, lobe, 0).astype(np.float32)
