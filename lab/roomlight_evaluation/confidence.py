@@ -1,6 +1,6 @@
 """A mean with its 95 % bootstrap interval: the figure that every table of an evaluation shows; what it is taken of."""
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -30,19 +30,28 @@ def mean_cell(value: MeanWithInterval, digits: int = 3) -> str:
     return f"{value.mean:.{digits}f} ({value.low:.{digits}f} to {value.high:.{digits}f})"
 
 
-def mean_with_interval(values: Iterable[float]) -> MeanWithInterval:
-    """Return the mean of the values that are not NaN; its interval resamples them."""
+def mean_with_interval(values: Iterable[float], groups: Iterable[Hashable] | None = None) -> MeanWithInterval:
+    """Return the mean of the values that are not NaN; its interval resamples them, or groups as in `ratio_of_means`."""
     known = np.array(list(values), np.float64)
-    return ratio_of_means(known, np.ones_like(known))
+    return ratio_of_means(known, np.ones_like(known), groups)
 
 
-def ratio_of_means(above: Iterable[float], below: Iterable[float]) -> MeanWithInterval:
+def ratio_of_means(
+    above: Iterable[float], below: Iterable[float], groups: Iterable[Hashable] | None = None
+) -> MeanWithInterval:
     """Return the mean of one column over that of another, with an interval that resamples their rows together.
 
-    Rows with NaN do not count. A single row has no interval; no rows, or zeros alone below, have no ratio.
+    Rows of one group are alike, as walks through one room are: whole groups are resampled. Rows with NaN do not count.
+    A single row or group has no interval; no rows, or zeros alone below, have no ratio.
     """
     table = np.array([list(above), list(below)], np.float64)
-    table = table[:, ~np.isnan(table).any(axis=0)]
+    known = ~np.isnan(table).any(axis=0)
+    table = table[:, known]
+    if groups is not None:
+        numbers: dict[Hashable, int] = {}
+        of_row = np.array([numbers.setdefault(group, len(numbers)) for group in groups], np.int64)[known]
+        sums = np.array([np.bincount(of_row, row, len(numbers)) for row in table])
+        table = sums[:, np.bincount(of_row, minlength=len(numbers)) > 0]
     count = table.shape[1]
     if not table[1].any():
         return MeanWithInterval(np.nan, np.nan, np.nan)

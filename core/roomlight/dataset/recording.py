@@ -57,6 +57,12 @@ class Recording:
     facts: dict[str, Any]
     clipped_radiance: Float16[np.ndarray, "f h w 3"] | None = None
 
+    @property
+    def room(self) -> str:
+        """The room by its seed and number: walks through one room are alike. The own name where it is not known."""
+        made = self.facts.get("made")
+        return f"{made['split']}-{made['room_seed']}-{made['room']}" if made else self.name
+
     def true_panoramas(self) -> Float32[np.ndarray, "p ph pw 3"]:
         """Return the light at each probe, in units of the first decoded frame's white."""
         return self.probe_panoramas.astype(np.float32) * np.float32(self.exposure[0])

@@ -59,6 +59,7 @@ class DepthScore:
         abs_rel: By `METHODS`.
         delta: Likewise, the share within 25 %.
         light: By `LIGHT`, the errors of light by estimated depth and by exact depth; none without true panoramas.
+        of_room: The same of walks through one room; None: no other is of this one's.
     """
 
     room: str
@@ -67,6 +68,7 @@ class DepthScore:
     abs_rel: dict[str, float]
     delta: dict[str, float]
     light: dict[str, tuple[float, float]]
+    of_room: str | None = None
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,10 @@ class DepthScores:
         groups = [(score.room, [score]) for score in self.scores if score.source == _CAPTURES]
         groups += [(name, [score for score in self.scores if score.source == name]) for name in sources]
         for name, scores in groups:
+            rooms = [score.of_room or score.room for score in scores]
             means = (
-                *(mean_with_interval(score.abs_rel[method] for score in scores) for method in METHODS),
-                *(mean_with_interval(score.delta[method] for score in scores) for method in METHODS[1:3]),
+                *(mean_with_interval((score.abs_rel[method] for score in scores), rooms) for method in METHODS),
+                *(mean_with_interval((score.delta[method] for score in scores), rooms) for method in METHODS[1:3]),
                 *(_light_ratio(scores, metric) for metric in LIGHT),
             )
             title = f"{name} ({len(scores)})" if name in sources else name
@@ -146,6 +149,7 @@ def evaluate_depth(
                 light={metric: (_mean(tracks, hidden, metric), _mean(tracks, exact, metric)) for metric in LIGHT}
                 if probes
                 else {},
+                of_room=room.of_room,
             )
         )
     if not scores:
@@ -173,6 +177,7 @@ class _Room:
     frames: Iterable[Frame]
     count: int
     truths: list[tuple[Position, Float[np.ndarray, "h w 3"]]]
+    of_room: str | None = None
 
 
 class _Hidden(EngineEstimator):
@@ -210,7 +215,7 @@ def _rooms(path: Path, reading: CaptureOptions, split: Split, limit: int | None)
         recording = dataset[number]
         chosen = range(0, len(recording.colour), reading.every)[: reading.max_frames]
         frames = [recording.frame(k, recording.depth_mm[k]) for k in chosen]
-        yield _Room(recording.name, path.resolve().name, frames, len(frames), recording.truths())
+        yield _Room(recording.name, path.resolve().name, frames, len(frames), recording.truths(), recording.room)
 
 
 def _best_scaled(depth_m: Float32[np.ndarray, "h w"], true_m: Float32[np.ndarray, "th tw"]) -> Float[np.ndarray, "h w"]:
@@ -225,5 +230,6 @@ def _mean(tracks: Sequence[Track], method: EngineEstimator, metric: str) -> floa
 
 
 def _light_ratio(scores: Sequence[DepthScore], metric: str) -> MeanWithInterval:
-    pairs = [score.light[metric] for score in scores if score.light]
-    return ratio_of_means(*zip(*pairs, strict=True)) if pairs else mean_with_interval([])
+    lit = [score for score in scores if score.light]
+    above, below = ([score.light[metric][side] for score in lit] for side in (0, 1))
+    return ratio_of_means(above, below, [score.of_room or score.room for score in lit])

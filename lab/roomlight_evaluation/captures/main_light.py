@@ -70,7 +70,8 @@ class DirectionTrack:
 
 @dataclass(frozen=True)
 class MethodSummary:
-    """One method over all tracks; errors are means over tracks, with 95 % bootstrap intervals over tracks."""
+    """One method over all tracks; errors are means over tracks, with 95 % bootstrap intervals over captures, or over
+    the tracks of a single capture."""
 
     method: str
     largest_jump_deg: float
@@ -91,15 +92,17 @@ class MainLightScores:
         """Summarise one of `METHODS`."""
         tracks = [track for track in self.tracks if track.method == method]
         steps = [jump for track in tracks for jump in track.jumps_deg]
-        errors = [track.errors_deg for track in tracks if track.truth is not None]
+        known = [track for track in tracks if track.truth is not None]
+        errors, captures = [track.errors_deg for track in known], [track.capture for track in known]
+        groups = captures if len(set(captures)) > 1 else None
         return MethodSummary(
             method,
             largest_jump_deg=max(steps, default=0.0),
             jumps=sum(step > JUMP_DEG for step in steps),
             steps=len(steps),
             below=float(np.mean([direction[1] < 0 for track in tracks for direction in track.directions])),
-            error_deg=mean_with_interval([float(np.mean(error)) for error in errors]),
-            last_error_deg=mean_with_interval([error[-1] for error in errors]),
+            error_deg=mean_with_interval([float(np.mean(error)) for error in errors], groups),
+            last_error_deg=mean_with_interval([error[-1] for error in errors], groups),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -172,15 +175,16 @@ def angle_deg(first: Direction, second: Direction) -> float:
 
 
 def main_light_table(scores: MainLightScores) -> Table:
-    """Return the table: jumps after the fifth frame, share from below, mean errors with 95 % intervals over probes."""
+    """Return the table: jumps after the fifth frame, share from below, mean errors with 95 % intervals."""
     sequences = len({(track.capture, track.probe) for track in scores.tracks})
-    known = len({(track.capture, track.probe) for track in scores.tracks if track.truth is not None})
+    known = {(track.capture, track.probe) for track in scores.tracks if track.truth is not None}
+    over = "captures" if len({capture for capture, _ in known}) > 1 else "probes"
     table = figure_table(
         f"Main light, probes: {sequences}",
         ("largest\njump", f"over {JUMP_DEG:g}", "below", "error", "last\nframe"),
         caption=(
-            f"degrees; jumps: angle between frames after frame {SETTLED_FRAME}; below: share of the frames; errors and "
-            f"95 % intervals over probes with ground truth ({known})"
+            f"degrees; jumps: angle between frames after frame {SETTLED_FRAME}; below: share of the frames; errors: of "
+            f"probes with ground truth ({len(known)}), 95 % intervals over {over}"
         ),
     )
     for method in METHODS:

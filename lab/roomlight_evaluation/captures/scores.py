@@ -4,7 +4,7 @@ The JSON (schema `roomlight-evaluation-1`), numbers unscaled, in a file null for
 
     schema    "roomlight-evaluation-1"
     metrics   {key: {"title", "shown_times"}}: `shown_times` is the factor that tables show values with
-    captures  [{"name", "path", "frames", "skipped", "probes"}]
+    captures  [{"name", "path", "frames", "skipped", "probes", "room"}]
     summary   [{"method", "capture" (null: the mean of all), "metric",
                 "intervals": [{"frames", "mean", "low", "high"}]}]
     tracks    [{"capture", "probe", "method", "frames": [index, ...], "scores": {metric: [value, ...]}}]
@@ -29,13 +29,17 @@ _Columns = Float[np.ndarray, "6"]
 
 @dataclass(frozen=True)
 class CaptureSummary:
-    """One capture: numbers of frames scored, frames skipped as unusable, and probes with ground truth."""
+    """One capture: numbers of frames scored, frames skipped as unusable, and probes with ground truth.
+
+    Walks through one room have the same `room`; None: no other capture is of this one's.
+    """
 
     name: str
     path: str
     frames: int
     skipped: int
     probes: int
+    room: str | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,18 @@ class CaptureScores:
         return tuple(dict.fromkeys(track.method for track in self.tracks))
 
     @property
+    def resampled(self) -> str:
+        """What intervals are over: "probes" of a single capture, "captures", or "rooms" of several walks."""
+        if len(self.captures) == 1:
+            return "probes"
+        return "rooms" if len(set(self._rooms.values())) < len(self.captures) else "captures"
+
+    @property
+    def _rooms(self) -> dict[str, str]:
+        """The room of each capture."""
+        return {capture.name: capture.room or capture.name for capture in self.captures}
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """Headings of the five intervals, by the captures' own numbers of frames from 1, and of all together."""
         lengths, walks = {capture.frames for capture in self.captures}, {track.frames for track in self.tracks}
@@ -84,32 +100,35 @@ class CaptureScores:
     def means(self, method: str, metric: str, *, capture: str | None = None) -> tuple[MeanWithInterval, ...]:
         """Return a metric's mean in each column: over a capture's probes, then over captures (or one capture only).
 
-        The 95 % interval resamples captures with replacement: probes of one room are alike. On one capture it resamples
-        probes; a single one has no interval (NaN).
+        The 95 % interval resamples captures with replacement, those of one room together: probes of one room are alike.
+        On one capture it resamples probes; a single one has no interval (NaN).
 
         Raises:
             KeyError: The method or the capture was not scored.
         """
-        rooms: dict[str, list[_Columns]] = {}
+        of_captures: dict[str, list[_Columns]] = {}
         for track in self.tracks:
             if track.method == method and capture in (None, track.capture):
-                rooms.setdefault(track.capture, []).append(track.means(metric))
-        if not rooms:
+                of_captures.setdefault(track.capture, []).append(track.means(metric))
+        if not of_captures:
             raise KeyError(f"no scores of {method!r}" + (f" on {capture!r}" if capture else ""))
-        [*values] = rooms.values()
-        rows = values[0] if len(values) == 1 else [_known_mean(probes) for probes in values]
-        return tuple(mean_with_interval(column) for column in np.transpose(rows))
+        [*values] = of_captures.values()
+        if len(values) == 1:
+            return tuple(mean_with_interval(column) for column in np.transpose(values[0]))
+        rows, rooms = [_known_mean(probes) for probes in values], self._rooms
+        groups = [rooms[name] for name in of_captures]
+        return tuple(mean_with_interval(column, groups) for column in np.transpose(rows))
 
     def ratio(self, metric: str, method: str, to: str, *, capture: str | None = None) -> MeanWithInterval:
-        """Return the ratio of two methods' mean errors over captures (or on one), with an interval over captures.
+        """Return the ratio of two methods' mean errors over captures (or on one), with an interval as `means` has it.
 
         Raises:
             KeyError: A method or the capture was not scored.
         """
-        names = [capture] if capture else [scored.name for scored in self.captures]
-        return ratio_of_means(
-            *([self.means(title, metric, capture=name)[-1].mean for name in names] for title in (method, to))
-        )
+        rooms = self._rooms
+        names = [capture] if capture else list(rooms)
+        above, below = ([self.means(title, metric, capture=name)[-1].mean for name in names] for title in (method, to))
+        return ratio_of_means(above, below, [rooms[name] for name in names])
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON of this module's docstring as plain dictionaries and lists."""

@@ -27,7 +27,7 @@ def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[
     noun = "capture" if captures == 1 else "captures"
     caption = (
         "less is better, best is bold; columns are frames; 95 %: bootstrap interval of the mean of all frames, over "
-        f"{'probes' if captures == 1 else noun}; smoothness compares frames that follow each other here, so its last "
+        f"{scores.resampled}; smoothness compares frames that follow each other here, so its last "
         "interval ends one frame earlier"
     )
     tables = [_table(scores, f"{captures} {noun}, {probes} probes", caption=caption)]
@@ -51,7 +51,7 @@ def _ratios_of_all(scores: CaptureScores, *, to: str) -> Table:
             for method, row in ratios.items()
             if any(math.isfinite(ratio.mean) for ratio in row)
         ),
-        caption="of mean errors of all frames (95 % bootstrap interval over captures)",
+        caption=f"of mean errors of all frames (95 % bootstrap interval over {scores.resampled})",
     )
 
 

@@ -5,7 +5,7 @@ A room is a walk of a dataset or a capture with ground truth. All methods see th
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,12 +39,16 @@ Truth = tuple[Position, Panorama]
 
 @dataclass(frozen=True)
 class RoomObjects:
-    """One room's errors and its unseen directions, by method: means over its probes."""
+    """One capture's or walk's errors and its unseen directions, by method: means over its probes.
+
+    Walks through one room have the same `of_room`; None: no other is of this one's.
+    """
 
     room: str
     probes: int
     errors: Mapping[str, Mapping[str, float]]
     unseen: Mapping[str, Mapping[str, float]]
+    of_room: str | None = None
 
 
 @dataclass(frozen=True)
@@ -60,20 +64,24 @@ class ObjectScores:
 
     def mean(self, method: str, look: str) -> MeanWithInterval:
         """Return the mean error over rooms."""
-        return mean_with_interval(room.errors[method][look] for room in self.rooms)
+        return mean_with_interval((room.errors[method][look] for room in self.rooms), self._groups)
 
     def ratio(self, method: str, look: str) -> MeanWithInterval:
         """Return the mean error relative to that of `HARMONICS`."""
-        pairs = [(room.errors[method][look], room.errors[HARMONICS][look]) for room in self.rooms]
-        return ratio_of_means(*zip(*pairs, strict=True))
+        above, below = ([room.errors[name][look] for room in self.rooms] for name in (method, HARMONICS))
+        return ratio_of_means(above, below, self._groups)
 
     def unseen(self, method: str, measure: str) -> MeanWithInterval:
         """Return the mean of a measure of unseen directions over rooms; `method` may be `TRUTH`."""
-        return mean_with_interval(room.unseen[method][measure] for room in self.rooms)
+        return mean_with_interval((room.unseen[method][measure] for room in self.rooms), self._groups)
 
     def worst(self, method: str, look: str) -> float:
         """Return the greatest of the rooms' errors relative to that of `HARMONICS`."""
         return max(room.errors[method][look] / room.errors[HARMONICS][look] for room in self.rooms)
+
+    @property
+    def _groups(self) -> list[str]:
+        return [room.of_room or room.room for room in self.rooms]
 
     def to_json(self) -> list[dict[str, Any]]:
         """Return every room's errors as plain JSON values."""
@@ -110,11 +118,11 @@ def evaluate_objects(
     for done, (name, read) in enumerate(rooms):
         if progress is not None:
             progress(name, done, len(rooms))
-        room_frames, truths = read()
+        room_frames, truths, of_room = read()
         if not truths:  # single views, made for depth
             continue
         try:
-            scored.append(_score(name, room_frames, truths, sessions))
+            scored.append(replace(_score(name, room_frames, truths, sessions), of_room=of_room))
         except FrameError as error:
             raise CaptureError(f"{name}: its first frame cannot begin a stream: {error}") from error
     if not scored:
@@ -123,7 +131,8 @@ def evaluate_objects(
     return ObjectScores(tuple(scored))
 
 
-_Read = Callable[[], tuple[list[Frame], list[Truth]]]
+_Shown = tuple[list[Frame], list[Truth], str | None]
+_Read = Callable[[], _Shown]
 
 
 def _rooms(source: Path, split: Split, frames: int, limit: int | None) -> Iterable[tuple[str, _Read]]:
@@ -135,20 +144,20 @@ def _rooms(source: Path, split: Split, frames: int, limit: int | None) -> Iterab
         yield source.name, lambda: _of_capture(source, frames)
 
 
-def _of_walk(dataset: Dataset, number: int, frames: int) -> tuple[list[Frame], list[Truth]]:
+def _of_walk(dataset: Dataset, number: int, frames: int) -> _Shown:
     recording = dataset[number]
     chosen = _spread(len(recording.colour), frames)
     pictures = [recording.frame(number, recording.depth_mm[number]) for number in chosen]
-    return pictures, recording.truths()
+    return pictures, recording.truths(), f"{dataset.folder.name} {recording.room}"
 
 
-def _of_capture(path: Path, frames: int) -> tuple[list[Frame], list[Truth]]:
+def _of_capture(path: Path, frames: int) -> _Shown:
     capture = open_capture(path)
     truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
     if not truths:
         raise CaptureError(f"{path}: has no ground-truth probes; give captures that have them")
     chosen = set(_spread(capture.frame_count, frames))
-    return [frame for number, frame in enumerate(capture) if number in chosen], truths
+    return [frame for number, frame in enumerate(capture) if number in chosen], truths, None
 
 
 def _spread(count: int, frames: int) -> list[int]:

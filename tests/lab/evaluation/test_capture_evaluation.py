@@ -267,8 +267,15 @@ def test_captures_have_equal_weight_whatever_their_probes() -> None:
         assert cell.mean == pytest.approx(1.5)
         assert 1.0 <= cell.low < 1.5 < cell.high <= 2.0
     assert [cell.mean for cell in scores.means("m", "log_l2", capture="b")] == [2.0] * 6
+    walks = uniform_scores(
+        {(f"{room}{walk}", 0): value for room, value in (("a", 1.0), ("b", 2.0)) for walk in range(4)}
+    )
     alike = uniform_scores({(room, probe): value for room, value in (("a", 1.0), ("b", 2.0)) for probe in range(50)})
     assert (alike.means("m", "log_l2")[0].low, alike.means("m", "log_l2")[0].high) == (1.0, 2.0)  # two rooms, not 100
+    rooms = tuple(dataclasses.replace(capture, room=f"room {capture.name[0]}") for capture in walks.captures)
+    walks = dataclasses.replace(walks, captures=rooms)
+    assert (walks.means("m", "log_l2")[0].low, walks.means("m", "log_l2")[0].high) == (1.0, 2.0)  # two rooms, not 8
+    assert walks.resampled == "rooms"
     with pytest.raises(KeyError, match="no scores of 'x'"):
         scores.means("x", "log_l2")
 

@@ -1,6 +1,7 @@
 """Scores of the main light's direction on captures: errors, jumps, light from below, and the truths compared with."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,11 @@ def test_errors_are_means_over_probes_with_intervals() -> None:
     assert summary.last_error_deg.mean == pytest.approx(45 / 2)
     assert summary.error_deg.low <= summary.error_deg.mean <= summary.error_deg.high
     assert np.isnan(MainLightScores(tuple(tracks([UP]))).summary("tracked").error_deg.mean)
+    captures = [
+        replace(track, capture=name) for name, of in (("a", near), ("b", far)) for track in of for _ in range(9)
+    ]
+    alike = MainLightScores(tuple(captures)).summary("tracked").last_error_deg
+    assert (alike.low, alike.high) == pytest.approx((0, 45))  # two captures, not 18 probes
 
 
 @pytest.mark.slow
