@@ -156,8 +156,15 @@ def _of_capture(path: Path, frames: int) -> _Shown:
     truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
     if not truths:
         raise CaptureError(f"{path}: has no ground-truth probes; give captures that have them")
-    chosen = set(_spread(capture.frame_count, frames))
-    return [frame for number, frame in enumerate(capture) if number in chosen], truths, None
+
+    def shown(readable: int) -> list[Frame]:
+        chosen = set(_spread(readable, frames))
+        return [frame for number, frame in enumerate(capture) if number in chosen]
+
+    pictures = shown(capture.frame_count)
+    if capture.skipped:
+        pictures = shown(capture.frame_count - len(capture.skipped))
+    return pictures, truths, None
 
 
 def _spread(count: int, frames: int) -> list[int]:

@@ -13,7 +13,7 @@ from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
 from roomlight.files import json_text
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
-from roomlight_evaluation.objects.evaluation import COMPOSITED, TRUTH, evaluate_objects
+from roomlight_evaluation.objects.evaluation import COMPOSITED, TRUTH, _of_capture, evaluate_objects
 from roomlight_evaluation.objects.lit_objects import (
     BRIGHTNESS,
     LOOKS,
@@ -98,6 +98,14 @@ def test_every_method_is_scored_in_every_room(scores):
     assert [(room.room, room.probes) for room in scores.rooms] == [("a", 2), ("b", 2)]
     assert scores.ratio(HARMONICS, "diffuse").mean == scores.worst(HARMONICS, "diffuse") == 1
     assert scores.ratio("classical", "mirror").mean < scores.ratio(MEAN_COLOUR, "mirror").mean
+
+
+def test_as_many_frames_as_asked_are_shown_where_some_cannot_be_read(tmp_path):
+    path = write_room(tmp_path / "room")
+    sorted(path.rglob("*.png"))[-1].write_bytes(b"damaged")
+    shown, truths, _ = _of_capture(path, 3)
+    assert [frame.index for frame in shown] == [0, 3, 7]
+    assert len(truths) == len(PROBES)
 
 
 def test_walks_of_a_dataset_are_rooms_too():
