@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from roomlight.errors import OutputError, SceneError
 from roomlight.files import write_atomic
 from roomlight_evaluation.composites.methods import HARMONICS, OURS, TRUE_LIGHT, composites
 from roomlight_evaluation.composites.regions import SHADOW, darker_part
-from roomlight_evaluation.composites.scenes import CompositeScene, scene_for
+from roomlight_evaluation.composites.scenes import CompositeScene, scene_for, scenes_digest
 from roomlight_evaluation.composites.scores import (
     CompositeScores,
     SceneScore,
@@ -31,6 +32,8 @@ from roomlight_evaluation.composites.scores import (
 )
 
 Picture = Float[np.ndarray, "h w 3"]
+_ROOMS_IN_A_ROW: Final = 20
+"""So many rooms without a scene are no chance: one of a few has no place for the object."""
 
 
 def evaluate_composites(
@@ -56,7 +59,8 @@ def evaluate_composites(
         progress: Called as (scenes done, scenes in all, what was done) after each room.
 
     Raises:
-        OutputError: `out` has scores of other settings or weights, or is damaged.
+        OutputError: `out` has scores of other settings, weights, furniture or of another generator, or is damaged.
+        SceneError: `_ROOMS_IN_A_ROW` rooms one after the other give no scene.
         ModelError: The weights cannot be used.
     """
     options = options or SessionOptions()
@@ -66,13 +70,17 @@ def evaluate_composites(
         if scene.settings != settings:
             raise OutputError(f"{out}: has scores of {scene.settings}, not of {settings}; use another file")
     number = 1 + max((scene.number for scene in done), default=-1)
+    failed = 0
     while len(done) < count:
         try:
             scene = kept_scene(keep, number, seed=seed)
             score = replace(_score(number, scene, scene.session(options, graphs), pictures), settings=settings)
-        except (SceneError, ValueError) as error:  # a room in which no camera can walk is a ValueError
-            note = f"room {number}: {error}"
+        except SceneError as error:
+            note, failed = f"room {number}: {error}", failed + 1
+            if failed == _ROOMS_IN_A_ROW:
+                raise SceneError(f"{failed} rooms one after the other give no scene; the last: {error}") from error
         else:
+            failed = 0
             done.append(score)
             write_lines(out, done)
             note = f"{score.room}: {score.material} {score.shape}"
@@ -88,11 +96,14 @@ def settings_of(options: SessionOptions, seed: int, graphs: LightingGraphs | Non
     networks = [file.read_bytes() for file in files if file.suffix in (".onnx", ".npz")]
     parts = hashlib.sha256(b"".join(networks)).hexdigest()
     weights = "none" if graphs is None else graphs.digest
-    return f"seed {seed} and {options} with weights {weights[:12]} and parts {parts[:12]}"
+    scenes = scenes_digest()
+    return f"seed {seed} and {options} with weights {weights[:12]}, parts {parts[:12]} and scenes {scenes[:12]}"
 
 
 def kept_scene(folder: Path | None, number: int, *, seed: int) -> CompositeScene:
     """Read the rendered scene of this number from a folder, or render it and keep it there; None: render it.
+
+    Scenes of another generator or furniture do not count.
 
     Raises:
         SceneError: as `scene_for`.
@@ -100,7 +111,7 @@ def kept_scene(folder: Path | None, number: int, *, seed: int) -> CompositeScene
     """
     if folder is None:
         return scene_for(number, seed=seed)
-    path = folder / f"scene-{seed}-{number:03d}.pickle"
+    path = folder / f"scene-{seed}-{number:03d}-{scenes_digest()[:12]}.pickle"
     if path.is_file():
         try:
             return pickle.loads(zlib.decompress(path.read_bytes()))

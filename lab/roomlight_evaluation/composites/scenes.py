@@ -7,6 +7,7 @@ with the object in it, developed by the same sensor with the same noise. World m
 frame's white.
 """
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
@@ -22,11 +23,13 @@ from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject
 from roomlight.conventions import Position, srgb8_to_linear
 from roomlight.dataset.arkit_depth import arkit_like
+from roomlight.dataset.folder import GENERATOR
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import SceneError
 from roomlight.frame import CLIPPED_SRGB8, Frame
 from roomlight_evaluation.composites.regions import SHADOW, regions, smoothed_truth
+from roomlight_generator.furniture_digest import furniture_digest
 from roomlight_generator.rooms.build import room_generator
 from roomlight_generator.rooms.scene import Material as RealMaterial
 from roomlight_generator.sequences import with_object as real
@@ -119,6 +122,17 @@ class _Phone:
 
     def in_white(self, radiance: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
         return (radiance * (self.exposure.gains * self.exposure.multiplier[self.shown])).astype(np.float32)
+
+
+def scenes_digest() -> str:
+    """Return the SHA-256 of what makes scenes beside their numbers and seed: generator, furniture, constants above.
+
+    Raises:
+        DatasetError: The furniture cannot be read.
+    """
+    objects, walks = (SHAPES, MATERIALS, _ALPHA, _COLOUR), (WALK, EVERY, _PURPOSE, _WALKS)
+    made = GENERATOR, furniture_digest(None), objects, walks, _LARGEST_SHIFT_M, _PANORAMA_ROWS
+    return hashlib.sha256(repr(made).encode()).hexdigest()
 
 
 def virtual_object(shape: str, material: str) -> VirtualObject:

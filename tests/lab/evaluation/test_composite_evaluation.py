@@ -10,8 +10,9 @@ import pytest
 from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject
 from roomlight.conventions import linear_to_srgb8, panorama_rays, panorama_solid_angles
 from roomlight.engine.session import SessionOptions
-from roomlight.errors import OutputError
+from roomlight.errors import OutputError, SceneError
 from roomlight_evaluation.composites import evaluation as composite_evaluation
+from roomlight_evaluation.composites import scenes
 from roomlight_evaluation.composites.methods import HARMONICS, METHODS, OURS, TRUE_LIGHT, harmonics_and_directional
 from roomlight_evaluation.composites.regions import (
     ELSEWHERE,
@@ -133,7 +134,7 @@ def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
     def scored(number, *_):
         made.append(number)
         if number == 4:
-            raise ValueError("no walk")
+            raise SceneError("no walk")
         return score(number, 1.0)
 
     monkeypatch.setattr(composite_evaluation, "kept_scene", lambda *_, **__: Unrendered())
@@ -144,6 +145,9 @@ def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
     assert len(read_lines(out)) == 4
     with pytest.raises(OutputError, match=r"has scores of seed 0 .*, not of seed 9 .*; use another file"):
         composite_evaluation.evaluate_composites(5, out, seed=9, options=options)
+    monkeypatch.setattr(composite_evaluation, "_score", lambda *_: scored(4))
+    with pytest.raises(SceneError, match="20 rooms one after the other give no scene; the last: no walk"):
+        composite_evaluation.evaluate_composites(5, out, options=options)
     prior = tmp_path / "parts" / "prior" / "prior.npz"
     prior.parent.mkdir(parents=True)
     own = replace(options, parts=tmp_path / "parts")
@@ -196,7 +200,7 @@ def test_pictures_of_scenes_give_objects_the_grain_of_the_frame(tmp_path):
 
 def test_a_kept_scene_is_rendered_once_and_the_same_when_it_is_read(tmp_path, monkeypatch):
     scene = drawn_scene()
-    rendered = []
+    rendered, settings = [], composite_evaluation.settings_of(SessionOptions(), 3, None)
 
     def render(number, *, seed):
         rendered.append((number, seed))
@@ -212,6 +216,10 @@ def test_a_kept_scene_is_rendered_once_and_the_same_when_it_is_read(tmp_path, mo
     np.testing.assert_array_equal(read.truth, scene.truth)
     assert read.objects.objects[0].place == AtPixel(30.5, 40.0)
     (path,) = folder.iterdir()
+    with monkeypatch.context() as other:
+        other.setattr(scenes, "EVERY", 6)
+        assert composite_evaluation.settings_of(SessionOptions(), 3, None) != settings
+        assert kept_scene(folder, 7, seed=3) is scene
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(OutputError, match=rf"{path.name}: is damaged .* remove it"):
         kept_scene(folder, 7, seed=3)
