@@ -71,7 +71,7 @@ def without_unseen(
     """Return the depth with 0 where a mask of any size says that the image shows nothing; None: it shows all."""
     if seen is None:
         return depth_m
-    there = cv2.resize(seen.astype(np.uint8), depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    there = cv2.resize(seen.astype(np.uint8), depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     return np.where(there > 0, depth_m, np.float32(0))
 
 

@@ -341,7 +341,7 @@ def _compared(frames: Sequence[Frame], *turns: tuple[int, int]) -> list[list[tup
         estimated = shipped_depth().estimate(srgb_picture(small), small.intrinsics)
         for (row, column), of_turn in zip(turns, compared, strict=True):
             turned = np.ascontiguousarray(frame.depth_m[::row, ::column])
-            own = cv2.resize(turned, estimated.inverse.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            own = cv2.resize(turned, estimated.inverse.shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
             known = own > 0
             stated, seen = np.log(own[known]), -np.log(np.maximum(estimated.inverse[known], 1e-3))
             if known.mean() > _MIN_SHARED:
@@ -374,7 +374,7 @@ class DepthCheck:
             self.samples.append(frame)
         height, width = frame.depth_m.shape
         size = _COLUMNS, max(2, round(_COLUMNS * height / width))
-        small = cv2.resize(frame.depth_m, size, interpolation=cv2.INTER_NEAREST)
+        small = cv2.resize(frame.depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT)
         self._maps.append((small, frame.intrinsics.resized(*size), frame.camera_to_world @ OPENCV_TO_OPENGL))
 
     def mismatch(self) -> Mismatch | None:

@@ -84,7 +84,7 @@ def read_mask(source: Source, name: str) -> Bool[np.ndarray, "h w"]:
 def with_mask(picture: ColourImage, mask: Bool[np.ndarray, "mh mw"]) -> ColourImage:
     """Return the picture without the pixels where a mask of any size is False."""
     height, width = picture.image.shape[:2]
-    seen = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    seen = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST_EXACT) > 0
     return replace(picture, seen=seen if picture.seen is None else seen & picture.seen)
 
 

@@ -160,7 +160,7 @@ def evaluate_depth(
 
 def depth_errors(depth_m: Float[np.ndarray, "h w"], true_m: Float[np.ndarray, "th tw"]) -> Float[np.ndarray, "2"]:
     """Return AbsRel and delta, at the estimate's size; NaN where nothing is known."""
-    truth = cv2.resize(true_m, depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    truth = cv2.resize(true_m, depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     both = (truth > 0) & (depth_m > 0)
     if not both.any():
         return np.full(2, np.nan)
@@ -220,7 +220,7 @@ def _rooms(path: Path, reading: CaptureOptions, split: Split, limit: int | None)
 
 def _best_scaled(depth_m: Float32[np.ndarray, "h w"], true_m: Float32[np.ndarray, "th tw"]) -> Float[np.ndarray, "h w"]:
     """Return estimated depth at the scale of its median ratio to the truth."""
-    truth = cv2.resize(true_m, depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    truth = cv2.resize(true_m, depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     both = (truth > 0) & (depth_m > 0)
     return depth_m * np.median(truth[both] / depth_m[both]) if both.any() else depth_m
 

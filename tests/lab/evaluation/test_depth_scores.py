@@ -33,6 +33,8 @@ def test_errors_count_known_pixels_alone() -> None:
     answer[1:3] = 2.0
     assert depth_errors(answer, true_m) == pytest.approx([0.25 / 3, 2 / 3])
     assert np.isnan(depth_errors(answer, np.zeros((4, 4), np.float32))).all()
+    fine_m = np.arange(1, 82, dtype=np.float32).reshape(9, 9)
+    assert depth_errors(fine_m[1::3, 1::3], fine_m) == pytest.approx([0, 1])  # of the samples at its pixels' centres
 
 
 @pytest.mark.slow
