@@ -25,7 +25,7 @@ from roomlight.dataset.folder import (
 )
 from roomlight.dataset.recording import Split
 from roomlight.dataset.shards import is_finished, read_index, shard_path
-from roomlight.errors import DatasetError
+from roomlight.errors import DatasetError, OptionError
 from roomlight.rules import check_options
 from roomlight_generator.furniture_digest import furniture_digest
 from roomlight_generator.panoramas.library import files_digest, panoramas_digest, split_files
@@ -61,7 +61,7 @@ class GenerateOptions:
         samples: Paths a pixel of frames of Blender files; probes have four times as many.
 
     Raises:
-        OptionError: An option is out of range.
+        OptionError: An option is out of range, or `any_view` is given with `scenes` or a `renderer`.
         DatasetError: A shard does not hold whole rooms.
     """
 
@@ -81,6 +81,9 @@ class GenerateOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.any_view and (self.scenes or self.renderer):
+            other = "renderer" if self.renderer else "scenes"
+            raise OptionError(f"any_view is True and {other} is given, which decides itself; leave one out")
         if self.shard_size % self.sequences_per_room:
             raise DatasetError(
                 f"a shard of {self.shard_size} sequences does not hold whole rooms of {self.sequences_per_room}; "

@@ -1,10 +1,14 @@
 """Single views from anywhere, without probes: the data of networks of depth."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from analytic_room import free_space
 
 from roomlight.dataset import sequence_files
+from roomlight.errors import OptionError
 from roomlight_generator.generate import GenerateOptions
 from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.sequences import any_view
@@ -28,6 +32,12 @@ def test_a_room_without_floor_has_no_views() -> None:
     blocked = type(free)(np.zeros_like(free.walkable), free.origin, free.cell_m, free.distances)
     with pytest.raises(ValueError, match="no free place for a camera"):
         draw_views(blocked, np.random.default_rng(0), frames=1)
+
+
+@pytest.mark.parametrize("other", [{"scenes": (Path("room.blend"),)}, {"renderer": "own:render"}])
+def test_views_of_blender_files_and_of_renderers_are_refused(other: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match=f"any_view is True and {next(iter(other))} is given"):
+        GenerateOptions(sequences=4, any_view=True, **other)
 
 
 @pytest.mark.slow
