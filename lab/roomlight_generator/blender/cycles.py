@@ -16,7 +16,8 @@ from roomlight.errors import DatasetError
 from roomlight.images import read_colour
 from roomlight.spheres import resize_panorama
 from roomlight_generator.blender.scene import BLENDER_TO_WORLD, BlenderRoom, blender, quiet
-from roomlight_generator.transport import FrameView
+from roomlight_generator.transport import FrameView, z_depth
+from roomlight_generator.transport.paths import unit_rows
 
 SENSOR_MM: Final = 36.0
 FORWARD_TO_CENTRE: Final = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
@@ -66,14 +67,13 @@ class CyclesViews:
         data.shift_x, data.shift_y = (k.width / 2 - k.cx) / longer, (k.cy - k.height / 2) / longer
         self._place(camera_to_world[:3, :3], camera_to_world[:3, 3])
         radiance = self._render(k.width, k.height, self._samples, seed)
-        hits, along = self._first_hits(k, camera_to_world)
+        hits = self._first_hits(k, camera_to_world)
         kinds = np.where(hits.face >= 0, self._room.kinds[hits.face], ORDINARY).astype(np.uint8)
-        return FrameView(radiance, _z_depth(hits.distance_m, along), kinds.reshape(k.height, k.width))
+        return FrameView(radiance, z_depth(k, hits.distance_m), kinds.reshape(k.height, k.width))
 
     def depth(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> Float32[np.ndarray, "h w"]:
         """Compute the depth of `frame` alone."""
-        hits, along = self._first_hits(intrinsics, camera_to_world)
-        return _z_depth(hits.distance_m, along)
+        return z_depth(intrinsics, self._first_hits(intrinsics, camera_to_world).distance_m)
 
     def panorama(
         self, position: Float[np.ndarray, "3"], height: int = 120, *, seed: int
@@ -128,18 +128,10 @@ class CyclesViews:
             picture, _ = read_colour(Path(scene.render.filepath))
         return np.asarray(picture[..., :3] * self.kcd_m2, np.float32)
 
-    def _first_hits(self, k: Intrinsics, pose: Float[np.ndarray, "4 4"]) -> tuple[Any, Float[np.ndarray, "h w"]]:
-        rays = k.rays().astype(np.float64)
-        along = np.linalg.norm(rays, axis=-1)
-        directions = (rays / along[..., None]).reshape(-1, 3) @ pose[:3, :3].T
+    def _first_hits(self, k: Intrinsics, pose: Float[np.ndarray, "4 4"]) -> Any:
+        directions = unit_rows(k.rays().reshape(-1, 3) @ pose[:3, :3].T)
         origins = np.broadcast_to(pose[:3, 3] + self._origin, directions.shape)
-        hits = self._room.tree.trace_here(origins.astype(np.float32), np.ascontiguousarray(directions, np.float32))
-        return hits, along
-
-
-def _z_depth(distance_m: Float[np.ndarray, " n"], along: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Convert distances along rays to z-depth, 0 where nothing is met."""
-    return (np.where(np.isfinite(distance_m), distance_m, 0).reshape(along.shape) / along).astype(np.float32)
+        return self._room.tree.trace_here(origins.astype(np.float32), directions)
 
 
 def _show_lamps(room: BlenderRoom, camera: Any) -> None:

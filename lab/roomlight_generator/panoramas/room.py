@@ -20,7 +20,7 @@ from roomlight_generator.panoramas.kernels import shell_views
 from roomlight_generator.panoramas.kernels.shell_views import CameraArrays, PanoramaArrays
 from roomlight_generator.panoramas.shell import CELL_M, PanoramaShell
 from roomlight_generator.sequences.walk import FreeSpace
-from roomlight_generator.transport import FrameView
+from roomlight_generator.transport import FrameView, z_depth
 
 FINER: Final = 2
 """Frames are rendered at this many times their height and averaged."""
@@ -88,14 +88,12 @@ class PanoramaRoom:
             reach = self._furniture.tracer.distances(origins, directions).reshape(distance.shape)
             kinds[reach < distance] = ORDINARY
             distance = np.minimum(distance, reach)
-        return FrameView(radiance, (distance / _slant(intrinsics)).astype(np.float32), kinds)
+        return FrameView(radiance, z_depth(intrinsics, distance.ravel()), kinds)
 
     def depth(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> Float32[np.ndarray, "h w"]:
         """Compute the depth of `frame` alone."""
-        slant = _slant(intrinsics)
-        rays = (intrinsics.rays() / slant[..., None]).reshape(-1, 3) @ camera_to_world[:3, :3].T
-        origins = np.broadcast_to(camera_to_world[:3, 3], rays.shape)
-        return (self._distances(origins, rays).reshape(slant.shape) / slant).astype(np.float32)
+        origins, directions = _rays(_pinhole(intrinsics, camera_to_world))
+        return z_depth(intrinsics, self._distances(origins, directions))
 
     def panorama(
         self, position: Float[np.ndarray, "3"], height: int = 120, *, seed: int
@@ -166,10 +164,6 @@ def _rays(camera: CameraArrays) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.
     directions = np.empty((camera.height * camera.width, 3), np.float32)
     shell_views.directions(camera, directions)
     return np.broadcast_to(camera.position.astype(np.float32), directions.shape).copy(), directions
-
-
-def _slant(intrinsics: Intrinsics) -> Float[np.ndarray, "h w"]:
-    return np.linalg.norm(intrinsics.rays(), axis=2)
 
 
 def describe(kinds: UInt8[np.ndarray, "h w"]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ between surfaces once for each room; `irradiance_cache` interpolates it for view
 `grid` render pictures; `kernels` holds the compiled loops.
 """
 
-from roomlight_generator.transport.room_light import FrameView, RoomLight
+from roomlight_generator.transport.room_light import FrameView, RoomLight, z_depth
 from roomlight_generator.transport.tracer import Tracer
 
-__all__ = ["FrameView", "RoomLight", "Tracer"]
+__all__ = ["FrameView", "RoomLight", "Tracer", "z_depth"]

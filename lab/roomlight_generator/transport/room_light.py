@@ -100,14 +100,13 @@ class RoomLight:
         shape = intrinsics.height, intrinsics.width
         camera = Camera(camera_to_world[:3, 3], rays_at, shape, 1 / intrinsics.fx)
         picture = self._viewer.picture(camera, seed=seed)
-        depth = _depth(intrinsics, picture.distance_m.reshape(-1))
+        depth = z_depth(intrinsics, picture.distance_m.reshape(-1))
         return FrameView(picture.radiance, depth, picture.surface)
 
     def depth(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> Float32[np.ndarray, "h w"]:
         """Compute the depth of `frame` alone."""
-        rays = intrinsics.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T
-        origins = np.broadcast_to(camera_to_world[:3, 3], rays.shape)
-        return _depth(intrinsics, self.tracer.distances(origins, unit_rows(rays)))
+        rays = unit_rows(intrinsics.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T)
+        return z_depth(intrinsics, self.tracer.distances(np.broadcast_to(camera_to_world[:3, 3], rays.shape), rays))
 
     def panorama(
         self, position: Float[np.ndarray, "3"], height: int = 120, *, seed: int
@@ -174,8 +173,8 @@ class RoomLight:
         return direct.irradiance + self.irradiance_cache.gathered(samples, rays=TEST_RAYS, first=0)[0]
 
 
-def _depth(intrinsics: Intrinsics, distance_m: Float[np.ndarray, " n"]) -> Float32[np.ndarray, "h w"]:
-    """Convert distances along the rays of the pixel centres to z-depth; 0 where they are infinite."""
+def z_depth(intrinsics: Intrinsics, distance_m: Float[np.ndarray, " n"]) -> Float32[np.ndarray, "h w"]:
+    """Convert distances along the rays of the pixel centres to z-depth, metres; 0 where they are infinite."""
     shape = intrinsics.height, intrinsics.width
     slant = np.linalg.norm(intrinsics.rays(), axis=2)
     distance = np.where(np.isfinite(distance_m), distance_m, 0).reshape(shape)
