@@ -19,7 +19,7 @@ from typing import Final, Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Float32, Shaped
 
 from roomlight.conventions import Position, direction_to_uv, panorama_directions, panorama_solid_angles
 from roomlight.errors import OptionError
@@ -274,6 +274,14 @@ class _Lookup:
             image[:, channel] += np.bincount(self.pixel, self.weight * read[:, channel], len(image))
 
 
+def radiance_along(
+    panorama: Float[np.ndarray, "h w 3"], directions: Float[np.ndarray, "*n 3"]
+) -> Float32[np.ndarray, "*n 3"]:
+    """Read a panorama bilinearly along unit directions in its own axes."""
+    read = _Lookup.of(directions.reshape(-1, 3), len(panorama))(np.asarray(panorama, np.float32))
+    return read.reshape(directions.shape)
+
+
 def resize_panorama(panorama: Float[np.ndarray, "h w 3"], rows: int) -> Float[np.ndarray, "{rows} 2*{rows} 3"]:
     """Resample a panorama to another number of rows; with the same number it is returned itself, not a copy.
 
@@ -283,8 +291,7 @@ def resize_panorama(panorama: Float[np.ndarray, "h w 3"], rows: int) -> Float[np
     if rows == height:
         return panorama
     if rows > height:
-        directions = panorama_directions(rows).reshape(-1, 3)
-        return _Lookup.of(directions, height)(panorama.astype(np.float32)).reshape(rows, 2 * rows, 3)
+        return radiance_along(panorama, panorama_directions(rows))
     solid_angle, mean = _solid_angles(height, rows)
     return cv2.resize(panorama * solid_angle, (2 * rows, rows), interpolation=cv2.INTER_AREA) / mean
 

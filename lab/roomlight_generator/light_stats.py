@@ -11,19 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
-from roomlight.conventions import direction_to_uv, panorama_solid_angles, srgb8_to_linear
+from roomlight.conventions import LUMINANCE, panorama_solid_angles, srgb8_to_linear
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording
 from roomlight.errors import DatasetError
 from roomlight.frame import CLIPPED_SRGB8
 from roomlight.images import read_panorama
+from roomlight.spheres import radiance_along, resize_panorama
 from roomlight_generator.panoramas.library import panorama_files
-from roomlight_generator.sequences.walk import FIELD_OF_VIEW_DEGREES
+from roomlight_generator.sequences.walk import FIELD_OF_VIEW_DEGREES, camera_axes
 
 HEIGHT: Final = 120
 """Rows of the measured panoramas, as of a dataset's probes; higher panoramas are averaged down."""
@@ -41,7 +41,6 @@ PITCH_DEGREES: Final = (-14.0, 6.0)
 TOLERANCE: Final = 0.25
 """Relative difference up to which quartiles count as alike."""
 
-_LUMA: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _CLIPPED: Final = float(srgb8_to_linear(np.array([CLIPPED_SRGB8], np.uint8))[0])
 _VIEW_SIZE: Final = (160, 120)
 _BRIGHT: Final = 3.0
@@ -94,7 +93,7 @@ def measure_light(
         clipped: True radiance at the frame's clipped pixels; empty if none is clipped.
         panorama: Radiance from all sides.
     """
-    luminances = frame @ _LUMA
+    luminances = frame @ LUMINANCE
     mean = max(float(luminances.mean()), _TINY)
     of_frame = {
         "frame's mean": mean,
@@ -105,7 +104,7 @@ def measure_light(
     }
     if panorama is None:
         return of_frame
-    light = np.asarray(_at_height(panorama) @ _LUMA, np.float64)
+    light = np.asarray(resize_panorama(panorama, min(len(panorama), HEIGHT)) @ LUMINANCE, np.float64)
     share = np.broadcast_to(panorama_solid_angles(len(light)) / (4 * np.pi), light.shape)
     total = max(float((light * share).sum()), _TINY)
     white, bright = light > 1, light > _BRIGHT * mean
@@ -157,7 +156,7 @@ def panorama_light(
     measures: list[Measures] = []
     for _ in range(views):
         view = _crop(panorama, rng)
-        level = float(np.percentile(view @ _LUMA, WHITE_PERCENTILE))
+        level = float(np.percentile(view @ LUMINANCE, WHITE_PERCENTILE))
         if level <= 0:
             continue
         scale = np.float32(WHITE_SHARE / level)
@@ -221,25 +220,10 @@ def _bands(light: Float[np.ndarray, "h w"], share: Float[np.ndarray, "h w"]) -> 
     return first, second, last
 
 
-def _at_height(panorama: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "ph pw 3"]:
-    """Return the panorama averaged down to `HEIGHT` rows, or as it is if it has no more."""
-    if len(panorama) <= HEIGHT:
-        return panorama
-    return cv2.resize(np.asarray(panorama, np.float32), (2 * HEIGHT, HEIGHT), interpolation=cv2.INTER_AREA)
-
-
 def _crop(panorama: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float[np.ndarray, "vh vw 3"]:
     """Return a phone's view of a panorama in a random direction, not exposed."""
     width, height = _VIEW_SIZE
     focal = width / 2 / np.tan(np.radians(rng.uniform(*FIELD_OF_VIEW_DEGREES)) / 2)
     yaw, pitch = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(*PITCH_DEGREES))
-    forward = np.array([np.cos(pitch) * np.cos(yaw), np.sin(pitch), np.cos(pitch) * np.sin(yaw)])
-    right = np.array([-np.sin(yaw), 0.0, np.cos(yaw)])
-    rotation = np.stack([right, np.cross(right, forward), -forward], axis=1)
-    rays = Intrinsics(focal, focal, width / 2, height / 2, width, height).rays() @ rotation.T
-    uv = direction_to_uv(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-    size = np.array([panorama.shape[1], panorama.shape[0]])
-    x, y = np.moveaxis((uv * size - 0.5).astype(np.float32), -1, 0)
-    # One more column on either side: azimuth wraps around.
-    wrapped = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], axis=1).astype(np.float32)
-    return cv2.remap(wrapped, x + 1, np.clip(y, 0, len(panorama) - 1), cv2.INTER_LINEAR)
+    rays = Intrinsics(focal, focal, width / 2, height / 2, width, height).rays() @ camera_axes(yaw, pitch).T
+    return radiance_along(panorama, rays / np.linalg.norm(rays, axis=-1, keepdims=True))

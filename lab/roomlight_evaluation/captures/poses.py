@@ -21,7 +21,7 @@ from rich.table import Table
 from roomlight.camera import rigid_inverse
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.captures.photo import read_photo
-from roomlight.conventions import Position, direction_to_uv, linear_to_srgb8, panorama_directions
+from roomlight.conventions import Position, linear_to_srgb8, panorama_directions
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError
 from roomlight.frame import Frame
@@ -29,7 +29,7 @@ from roomlight.images import write_png
 from roomlight.imaging.tables import figure_table
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.metrics import log_l2
-from roomlight.spheres import resize_panorama
+from roomlight.spheres import radiance_along, resize_panorama
 from roomlight_evaluation.captures.evaluation import ProgressCallback
 
 _RATE: Final = 5.0
@@ -243,11 +243,7 @@ def _same_place(position: Float[np.ndarray, "3"], exact: Frame, estimated: Frame
 
 def turned(panorama: Float[np.ndarray, "h w 3"], turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "h w 3"]:
     """Return a panorama of another world's axes; `turn` maps its directions to the new ones."""
-    height, width = panorama.shape[:2]
-    uv = direction_to_uv(panorama_directions(height) @ turn)
-    wide = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], axis=1).astype(np.float32)
-    columns, rows = (uv[..., 0] * width + 0.5).astype(np.float32), (uv[..., 1] * height - 0.5).astype(np.float32)
-    return cv2.remap(wide, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return radiance_along(panorama, panorama_directions(len(panorama)) @ turn)
 
 
 def _figures(score: PoseScore) -> list[float]:

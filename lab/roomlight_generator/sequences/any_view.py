@@ -19,7 +19,7 @@ from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.rooms.build import room_generator
 from roomlight_generator.sequences.exposure import Exposure, expose
 from roomlight_generator.sequences.render import CameraPath, Views, catalogue_for, record, solve_lighting
-from roomlight_generator.sequences.walk import FreeSpace
+from roomlight_generator.sequences.walk import FreeSpace, camera_axes
 
 FIELD_OF_VIEW_DEGREES: Final = (48.0, 92.0)
 """Across the long side: from a phone's main camera, cropped, to its wide camera."""
@@ -93,7 +93,8 @@ def draw_views(free: FreeSpace, rng: np.random.Generator, *, frames: int) -> Cam
         x, z = free.origin[0] + column * free.cell_m, free.origin[1] + row * free.cell_m
         at = np.array([x, rng.uniform(*_HEIGHT_M), z])
         pitch = np.clip(rng.normal(-0.25, 0.35), -1.25, 0.7)
-        pose = _looking(at, rng.uniform(0, 2 * np.pi), float(pitch), float(rng.normal(0, 0.06)))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = camera_axes(rng.uniform(0, 2 * np.pi), pitch, rng.normal(0, 0.06)), at
         rays = lens.resized(12, 9).rays().reshape(-1, 3)
         seen = (rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ pose[:3, :3].T
         far_m = free.distances(np.tile(at.astype(np.float32), (len(seen), 1)), seen.astype(np.float32))
@@ -102,14 +103,3 @@ def draw_views(free: FreeSpace, rng: np.random.Generator, *, frames: int) -> Cam
             if len(poses) == frames:
                 return CameraPath(lens, np.stack(poses), np.zeros((0, 3)))
     raise ValueError(f"only {len(poses)} of {frames} views are not blocked")
-
-
-def _looking(at: Float[np.ndarray, "3"], azimuth: float, pitch: float, roll: float) -> Float[np.ndarray, "4 4"]:
-    forward = np.array([np.cos(pitch) * np.cos(azimuth), np.sin(pitch), np.cos(pitch) * np.sin(azimuth)])
-    right = np.array([-np.sin(azimuth), 0.0, np.cos(azimuth)])
-    up = np.cross(right, forward)
-    pose = np.eye(4)
-    pose[:3, 0] = np.cos(roll) * right + np.sin(roll) * up
-    pose[:3, 1] = np.cos(roll) * up - np.sin(roll) * right
-    pose[:3, 2], pose[:3, 3] = -forward, at
-    return pose

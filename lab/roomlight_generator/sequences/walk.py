@@ -26,6 +26,8 @@ CLEARANCE_M: Final = 0.25
 FIELD_OF_VIEW_DEGREES: Final = (55.0, 72.0)
 """Across the long side of a 4:3 frame: phones' main cameras, cropped for stabilisation or not (one iPhone: 69)."""
 
+Angles = float | Float[np.ndarray, "*n"]
+
 _SUBSTEPS: Final = 10
 _CANDIDATES: Final = 24
 """Walks simulated together: 24 take no longer than one (17 to 20 ms), because the time is that of NumPy's calls."""
@@ -317,18 +319,24 @@ def _poses(
     sway = np.cumsum(rng.normal(0, 0.35, frames))
     roll = np.radians(np.clip(parameters.roll_degrees + sway - sway.mean(), -6, 6)) + tremor[:, 2]
 
-    zero = np.zeros(frames)
-    forward = np.stack([np.cos(pitch) * np.cos(azimuth), np.sin(pitch), np.cos(pitch) * np.sin(azimuth)], axis=1)
-    right = np.stack([-np.sin(azimuth), zero, np.cos(azimuth)], axis=1)
-    up = np.cross(right, forward)
-    c, s = np.cos(roll)[:, None], np.sin(roll)[:, None]
     poses = np.tile(np.eye(4), (frames, 1, 1))
-    poses[:, :3, 0] = c * right + s * up
-    poses[:, :3, 1] = c * up - s * right
-    poses[:, :3, 2] = -forward
+    poses[:, :3, :3] = camera_axes(azimuth, pitch, roll)
     poses[:, :3, 3] = position + parameters.tremor_m * rng.normal(size=(frames, 3))
     poses[:, 1, 3] = np.clip(poses[:, 1, 3], *HEIGHT_M)
     return poses
+
+
+def camera_axes(azimuth: Angles, pitch: Angles, roll: Angles = 0.0) -> Float[np.ndarray, "*n 3 3"]:
+    """Return the axes (columns: right, up, backward) of cameras that look along azimuth and pitch.
+
+    Angles are in radians, of one shape or single: azimuth from x toward z, pitch above the horizon, roll of the camera
+    to its left.
+    """
+    a, p, r = (np.asarray(part, np.float64)[..., None] for part in (azimuth, pitch, roll))
+    forward = np.concatenate([np.cos(p) * np.cos(a), np.sin(p), np.cos(p) * np.sin(a)], axis=-1)
+    right = np.concatenate([-np.sin(a), np.zeros_like(a), np.cos(a)], axis=-1)
+    up = np.cross(right, forward)
+    return np.stack([np.cos(r) * right + np.sin(r) * up, np.cos(r) * up - np.sin(r) * right, -forward], axis=-1)
 
 
 def _distance_from(parameters: _WalkParameters, walk: Float[np.ndarray, "f 4 4"]) -> float:
