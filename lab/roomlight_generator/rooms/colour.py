@@ -9,10 +9,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from roomlight.conventions import LUMINANCE
 from roomlight_generator.rooms.scene import Rgb
-
-LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
-"""Rec. 709 luminance weights."""
 
 _XYZ_TO_RGB: Final = np.array(
     [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]]
@@ -32,11 +30,6 @@ _LAB_TO_LMS: Final = np.linalg.inv(_LMS_TO_LAB)
 
 _DARKEST, _BRIGHTEST = 0.012, 0.93
 """Limits of a paint's reflectance in any channel."""
-
-
-def luminance(colour: Rgb) -> float:
-    """Return the Rec. 709 luminance Y of a linear colour."""
-    return float(LUMINANCE @ np.array(colour))
 
 
 @lru_cache(maxsize=512)

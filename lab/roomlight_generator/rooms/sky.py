@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roomlight.conventions import panorama_directions, panorama_solid_angles
-from roomlight_generator.rooms.colour import LUMINANCE, blackbody_rgb, paint
+from roomlight.conventions import LUMINANCE, panorama_directions, panorama_solid_angles
+from roomlight_generator.rooms.colour import blackbody_rgb, paint
 from roomlight_generator.rooms.noise import fbm
 from roomlight_generator.rooms.scene import Sky, Sun
 

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.colour import LUMINANCE, blackbody_rgb
+from roomlight.conventions import LUMINANCE
+from roomlight_generator.rooms.colour import blackbody_rgb
 from roomlight_generator.sequences.walk import FRAME_INTERVAL_S
 
 MAX_MULTIPLIER: Final = (250.0, 900.0)

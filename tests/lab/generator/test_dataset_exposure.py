@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from analytic_room import smooth_noise
 
-from roomlight_generator.rooms.colour import LUMINANCE, blackbody_rgb
+from roomlight.conventions import LUMINANCE
+from roomlight_generator.rooms.colour import blackbody_rgb
 from roomlight_generator.sequences.exposure import (
     Exposure,
     MeterSettings,

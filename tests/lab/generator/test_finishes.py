@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from roomlight_generator.rooms.colour import LUMINANCE
+from roomlight.conventions import LUMINANCE
 from roomlight_generator.rooms.finishes import RoomFinishes, room_kind, shell_finishes
 
 TYPES = ("living_room", "bedroom", "kitchen", "bathroom", "office")

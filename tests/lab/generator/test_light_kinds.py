@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from roomlight.conventions import LUMINANCE
 from roomlight_generator.rooms.build import build_room
-from roomlight_generator.rooms.colour import LUMINANCE
 from roomlight_generator.rooms.furniture import Catalogue, fallback_models
 from roomlight_generator.rooms.lights import LIGHT_KINDS
 from roomlight_generator.rooms.planner import free_floor
