@@ -109,9 +109,12 @@ class Room:
         initial_volume(self.grid, frame, far_unknown=far, out=self.volume.volume, clipping=clipping)
         return clipping
 
-    def keep(self, index: int, mesh: FrameMesh) -> bool:
-        """Show the keyframes what the mesh knows better, and offer it as a keyframe; return whether it became one."""
-        update_keyframes(mesh, [key.mesh for key in self.keyframes])
+    def keep(self, index: int, mesh: FrameMesh, *, turn: int) -> bool:
+        """Show the keyframes what the mesh knows better, and offer it as a keyframe; return whether it became one.
+
+        `turn` is the number of the frame in its session (`update_keyframes`).
+        """
+        update_keyframes(mesh, [key.mesh for key in self.keyframes], turn=turn)
         return self.keyframes.offer(index, mesh)
 
     def restore(self, saved: Arrays, keyframes: dict[int, FrameMesh], last: tuple[int, FrameMesh] | None) -> None:

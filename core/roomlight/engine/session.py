@@ -240,7 +240,7 @@ class Session:
             mesh.gain = drift.gain
         number = max(frame.index, self._last_number + 1)  # a second recording may begin at 0 again
         with clock.stage("keyframes"):
-            is_keyframe = room.keep(number, mesh)
+            is_keyframe = room.keep(number, mesh, turn=self.frames)
         for handle, position in self._pending.items():
             self._probes[handle] = Probe.fresh(position, room, height=options.height)
         self._pending.clear()

@@ -166,15 +166,26 @@ def test_the_rim_of_a_lamp_that_both_clip_is_no_evidence():
     assert (soft[resolved] < 2.0).all()
 
 
-def test_the_number_of_projections_is_bounded(monkeypatch):
+def test_the_number_of_projections_is_bounded_and_each_keyframe_has_its_turn(monkeypatch):
     counted = []
     take = bracket.take_radiance
-    monkeypatch.setattr(bracket, "MAX_PROJECTIONS", 1000)
     monkeypatch.setattr(bracket, "take_radiance", lambda p, *rest: counted.append(len(p.world)) or take(p, *rest))
-    bright, dark = shown(1), shown(DARK)
-    keys = [FrameMesh(prepared(bright)) for _ in range(4)]
-    update_keyframes(FrameMesh(prepared(dark)), keys)
-    assert 0 < sum(counted) <= 1000
+    bright, dark = shown(1), FrameMesh(prepared(shown(DARK)))
+    monkeypatch.setattr(bracket, "MAX_PROJECTIONS", int(bright.clipped.sum()))
+    lost = saturated(dataclasses.replace(bright, image=np.full_like(bright.image, 2)), 1)  # clipped all over
+    keys = [FrameMesh(prepared(frame)) for frame in (lost, bright, lost, bright)]
+    for turn in range(2, 6):
+        counted.clear()
+        update_keyframes(dark, keys, turn=turn)
+        assert 0 < sum(counted) <= bracket.MAX_PROJECTIONS
+    assert [key.texture.clipped is None for key in keys] == [False, True, False, True]
+
+
+def test_meshes_that_do_not_show_the_clipped_pixels_are_not_projected_into(monkeypatch):
+    bright, dark = shown(1), FrameMesh(prepared(shown(DARK)))
+    monkeypatch.setattr(bracket, "MAX_PROJECTIONS", int(1.5 * bright.clipped.sum()))
+    away = [FrameMesh(prepared(shown(DARK, room=BoxRoom(lamp=((0.3, 1.6, 2.5), 0.45)), yaw=180))) for _ in range(3)]
+    assert prepared(bright, [dark, *away]).clipped.sum() < 0.05 * bright.clipped.sum()
 
 
 def test_nothing_clipped_gives_the_same_bits_at_any_exposure():

@@ -32,8 +32,8 @@ MIN_RATIO: Final = 1.15
 """A frame is searched only if its brightest pixel is this much brighter than the white of the clipped ones: with equal
 exposures nothing is searched."""
 MAX_PROJECTIONS: Final = 75_000
-"""Most points projected for one frame in each direction: 12 ms on one core. Keyframes whose turn does not come wait for
-the next frame of shorter exposure."""
+"""Most points projected for one frame in each direction: 12 ms on one core. Only meshes that may show them count. A
+frame asks the latest ones first; of keyframes that it cannot serve at once, each frame begins with another one."""
 
 
 def take_clipped_light(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: Iterable[FrameMesh]) -> Frame:
@@ -50,6 +50,9 @@ def take_clipped_light(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlie
     bound = frame.image.reshape(-1, 3)[where] @ LUMINANCE
     white = float(np.median(bound)) if len(where) else float("inf")
     sources = [mesh for mesh in reversed(list(earlier)) if _may_know(mesh, white)]
+    if sources:
+        corners = _corners(frame.clipped, frame.intrinsics, frame.camera_to_world, depth_m)
+        sources = [mesh for mesh in sources if _may_show(mesh, corners)]
     if not sources:
         return frame
     depth_camera = frame.intrinsics.resized(depth_m.shape[1], depth_m.shape[0])
@@ -71,14 +74,19 @@ def take_clipped_light(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlie
     return replace(frame, image=image, clipped=clipped)
 
 
-def update_keyframes(mesh: FrameMesh, keyframes: Iterable[FrameMesh]) -> int:
-    """Give the radiance that the mesh shows to the keyframes that clipped it; return the number of their pixels."""
+def update_keyframes(mesh: FrameMesh, keyframes: Iterable[FrameMesh], *, turn: int = 0) -> int:
+    """Give the radiance that the mesh shows to the keyframes that clipped it; return the number of their pixels.
+
+    `turn` is the number of the frame in its session: another keyframe comes first each time.
+    """
     taken, left = 0, MAX_PROJECTIONS
-    for key in keyframes:
+    wanting = [key for key in keyframes if key is not mesh and _may_know(mesh, key.texture.white)]
+    first = turn % max(len(wanting), 1)
+    for key in wanting[first:] + wanting[:first]:
         texture = key.texture
-        if key is mesh or texture.clipped is None or texture.guessed is None or left <= 0:
+        if texture.clipped is None or left <= 0:
             continue
-        if not _may_know(mesh, texture.white):
+        if not _may_show(mesh, _corners(texture.clipped, key.image_camera, key.camera_to_world, key.grid_depth_m)):
             continue
         where = np.flatnonzero(texture.clipped)[:left]
         bound = texture.bound.reshape(-1)[where]
@@ -105,6 +113,28 @@ def _clipped_points(
 
 def _may_know(mesh: FrameMesh, white: float) -> bool:
     return mesh.texture.peak > MIN_RATIO * white
+
+
+def _corners(
+    clipped: Bool[np.ndarray, "h w"],
+    k: Intrinsics,
+    camera_to_world: Float[np.ndarray, "4 4"],
+    depth_m: Float[np.ndarray, "dh dw"],
+) -> Float[np.ndarray, "8 3"]:
+    """Return the corners, in world metres, of the part of a camera's view that has its clipped pixels and its depth."""
+    rows, columns = (np.flatnonzero(clipped.any(axis=axis))[[0, -1]] + 0.5 for axis in (1, 0))
+    far = float(depth_m.max())
+    near = float(depth_m[depth_m > 0].min()) if far else far
+    x, y, z = (axis.ravel() for axis in np.meshgrid((columns - k.cx) / k.fx, (rows - k.cy) / k.fy, [near, far]))
+    return transform_points(camera_to_world, np.stack([x * z, -y * z, -z], axis=-1))
+
+
+def _may_show(mesh: FrameMesh, corners: Float[np.ndarray, "8 3"]) -> bool:
+    """Return False if all corners are beyond one side of the mesh's view, so that nothing between them is in it."""
+    k = mesh.image_camera
+    x, y, z = transform_points(rigid_inverse(mesh.camera_to_world), corners).T * np.array([[1], [-1], [-1]])
+    column, row = k.fx * x + k.cx * z, k.fy * y + k.cy * z  # times the depth
+    return all((side >= 0).any() for side in (z, column, k.width * z - column, row, k.height * z - row))
 
 
 def _source(mesh: FrameMesh) -> SourceArrays:
