@@ -32,8 +32,8 @@ def light():
 
 
 def test_forms_are_those_of_the_panorama(light):
-    assert light.panorama is ROOM
-    assert light.observed is OBSERVED
+    np.testing.assert_array_equal(light.panorama, ROOM)
+    np.testing.assert_array_equal(light.observed, OBSERVED)
     assert light.coverage == coverage(OBSERVED)
     assert (light.main_light.direction == main_light(ROOM).direction).all()
     assert (light.harmonics.coefficients == project(ROOM).coefficients).all()
@@ -119,7 +119,10 @@ def test_an_option_out_of_its_range_is_refused(light, call, message):
 
 
 def test_a_light_of_a_panorama_alone(light):
-    alone = Light((0.0, 0.0, 0.0), ROOM)
+    reused = ROOM.copy()
+    alone = Light((0.0, 0.0, 0.0), reused)
+    reused[:] = 0
+    np.testing.assert_array_equal(alone.panorama, ROOM)
     assert alone.coverage == pytest.approx(1, abs=1e-6)
     assert alone.observed.all()
     assert alone.etag is None
@@ -181,6 +184,8 @@ def test_a_panorama_is_checked():
         inspect.unwrap(Light.__init__)(object.__new__(Light), (0.0, 0.0, 0.0), np.ones((24, 48, 4), np.float32))
     with pytest.raises(ValueError, match="finite numbers only, got"):
         Light((0.0, 0.0, 0.0), np.full((24, 48, 3), np.nan, np.float32))
+    with pytest.raises(ValueError, match=r"observed \(8, 16\) and the panorama \(24, 48, 3\)"):
+        inspect.unwrap(Light.__init__)(object.__new__(Light), (0.0, 0.0, 0.0), ROOM, np.ones((8, 16), np.float32))
 
 
 def test_forms_are_of_lighting_but_for_pictures():

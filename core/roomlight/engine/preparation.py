@@ -61,5 +61,7 @@ class PreparedFrame:
 def at_working_size(frame: Frame, unknown_depth: UnknownDepth) -> tuple[Frame, Float[np.ndarray, "dh dw"]]:
     """Return the frame reduced to `WORKING_SIZE`, and its depth, completed if the rule for unknown depth says so."""
     measured = frame.resized(*WORKING_SIZE)
+    if measured.image is frame.image:  # the caller may write into its arrays again
+        measured = replace(measured, image=frame.image.copy(), clipped=frame.clipped.copy())
     depth_m = complete_depth(measured.depth_m) if unknown_depth == "rim" else measured.depth_m
     return measured, without_unseen(depth_m, measured.seen)

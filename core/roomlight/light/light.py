@@ -29,7 +29,7 @@ from jaxtyping import Float
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.errors import OptionError, RoomLightError
 from roomlight.files import write_atomic, write_json
-from roomlight.light.checks import MAX_ROWS, MIN_ROWS, check_panorama
+from roomlight.light.checks import MAX_ROWS, MIN_ROWS, check_observed, check_panorama
 from roomlight.light.coverage import confidence_png
 from roomlight.light.coverage import coverage as coverage_of
 from roomlight.light.cube import DEFAULT_SIZE, CubeMap, observed_cube
@@ -130,13 +130,16 @@ class Light:
             source: computes the panorama of each use once, when it is needed.
 
         Raises:
-            ValueError: none of `panorama`, `forms` and `source` is given, or the panorama is not [H, 2H, 3] of finite
-                numbers.
+            ValueError: none of `panorama`, `forms` and `source` is given, the panorama is not [H, 2H, 3] of finite
+                numbers, or `observed` is not of its size.
         """
         if panorama is None and forms is None and source is None:
             raise ValueError("a light is made from a panorama, from forms or from a source; got none of them")
-        if panorama is not None and observed is None:
-            observed = np.ones(panorama.shape[:2], np.float32)
+        if panorama is not None:  # copies: the caller may write into its arrays again
+            panorama = check_panorama(panorama.copy())
+            observed = np.ones(panorama.shape[:2], np.float32) if observed is None else check_observed(observed.copy())
+            if observed.shape != panorama.shape[:2]:
+                raise ValueError(f"observed {observed.shape} and the panorama {panorama.shape} have one (H, 2H)")
         if coverage is None:
             coverage = 0.0 if observed is None else coverage_of(observed)
         x, y, z = (float(value) for value in position)  # JSON has no numbers of NumPy
@@ -145,7 +148,7 @@ class Light:
         self.frame, self.name, self.etag = frame, name, etag
         self.use: LightUse = "lighting"
         self._forms = forms
-        self._source = source if panorama is None else GivenPanorama(check_panorama(panorama))
+        self._source = source if panorama is None else GivenPanorama(panorama)
         self._compute = None if self._source is None else ComputedOnce(self._source)
         self._received: dict[LightUse, Float[np.ndarray, "h w 3"]] = {}
         self._observed = observed

@@ -155,6 +155,18 @@ def test_a_session_begun_with_a_close_up_shows_the_whole_room(pan_frames):
         assert np.quantile(abs(light.panorama - true).max(axis=-1)[light.observed > 0.5], 0.9) < 0.05
 
 
+def test_a_session_keeps_no_array_of_the_caller(pan_frames):
+    clean, _ = _run(pan_frames[:2])
+    session, light = Session(CLASSICAL), clean.light_at(PROBES[0]).reflection
+    for frame in pan_frames[:2]:
+        pushed = dataclasses.replace(
+            frame, image=frame.image.copy(), clipped=frame.clipped.copy(), depth_m=frame.depth_m.copy()
+        )
+        session.push(pushed)
+        pushed.image[:], pushed.clipped[:], pushed.depth_m[:], pushed.camera_to_world[:] = 9, True, 9, 9
+    np.testing.assert_array_equal(session.light_at(PROBES[0]).reflection, light)
+
+
 def test_a_first_frame_without_depth_changes_nothing(pan_frames):
     blind = dataclasses.replace(pan_frames[0], depth_m=np.zeros_like(pan_frames[0].depth_m))
     session = Session(CLASSICAL)
