@@ -70,6 +70,9 @@ def test_depth_lost_by_resizing_is_sent_at_full_size(frame):
     sparse = replace(frame, depth_m=np.where(np.arange(640) == 0, frame.depth_m, 0).astype(np.float32))
     assert not sparse.resized(*WORKING_SIZE).depth_m.any()
     assert same(decoded(pack_frame(sparse)).resized(*WORKING_SIZE), sparse.resized(*WORKING_SIZE))
+    wide = replace(frame, depth_m=np.zeros((960, 1280), np.float32))
+    wide.depth_m[10::20, 12::20] = 2
+    assert (decoded(pack_frame(wide, colour="jpeg")).depth_m > 0).sum() == 48 * 64
 
 
 @pytest.mark.parametrize(("colour", "max_bytes"), [("jpeg", 120_000), ("png", 1_000_000)])
@@ -83,13 +86,14 @@ def test_eight_bit_frames_are_small_and_close(frame, colour, max_bytes):
     assert np.abs(arrived.depth_m - shown.depth_m).max() < 0.00051  # half a millimetre, and float32's rounding
 
 
-def test_a_frame_that_clips_above_one_keeps_its_range(frame):
-    image = np.clip(frame.image * 8, 0, 4.0).astype(np.float32)  # a frame of a quarter of the reference exposure
-    bright = replace(frame, image=image, clipped=image.max(axis=-1) >= 4.0)
+@pytest.mark.parametrize("white", [4.0, 0.5, 0.98])
+def test_a_frame_that_clips_at_another_radiance_keeps_its_range(frame, white):
+    image = np.clip(frame.image * 2 * white, 0, white).astype(np.float32)
+    bright = replace(frame, image=image, clipped=image.max(axis=-1) >= white)
     assert 0.01 < bright.clipped.mean() < 0.9
     arrived = decoded(pack_frame(bright, colour="png"))
-    assert parse(pack_frame(bright, colour="png")).header.exposure == 0.25
-    assert np.abs(arrived.image - bright.image).max() <= 0.02
+    assert parse(pack_frame(bright, colour="png")).header.exposure == {0.98: 1}.get(white, 1 / white)
+    assert np.abs(arrived.image - bright.image).max() <= 0.005 * white
     assert (arrived.clipped >= bright.clipped).all()
 
 

@@ -41,6 +41,7 @@ EXACT_SIZE: Final = (320, 240)
 PHONE_SIZE: Final = (640, 480)
 """Twice the working size (width, height): the average over 2 x 2 pixels removes most of JPEG's noise."""
 JPEG_QUALITY: Final = 92
+_LEAST_WHITE: Final = 0.955  # a little below sRGB 250 of 255, from which 8-bit images clip
 _ZSTD_LEVEL: Final = 1  # compresses a depth map of 320 x 240 floats in 1 ms; level 3 is 2 % smaller
 
 
@@ -96,7 +97,7 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
     if colour == "exact":
         return _pack_exact(frame)
     small = frame.resized(*PHONE_SIZE)
-    exposure = _exposure(small)
+    exposure, depth_m = _exposure(small), _known_depth(small, frame)
     srgb8 = linear_to_srgb8(small.image * np.float32(exposure))
     pixels, suffix, options = srgb8[..., ::-1], ".png", list[int]()
     if small.seen is not None:
@@ -109,7 +110,7 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
     return pack_camera_frame(
         CameraFrame(
             colour=data.tobytes(),
-            depth=_millimetres(small.depth_m) if frame.depth_m.any() else None,
+            depth=None if depth_m is None else _millimetres(depth_m),
             intrinsics=small.intrinsics,
             camera_to_world=small.camera_to_world,
             timestamp_s=small.timestamp_s,
@@ -127,11 +128,9 @@ def _pack_exact(frame: Frame) -> bytes:
     if small.seen is not None:
         marks[~small.seen] += 2
     colour = small.image.astype("<f4").tobytes() + marks.tobytes()
-    # Servers refuse depth without a known pixel. If resizing dropped all known pixels, send the full-size depth.
-    depth_m = small.depth_m if small.depth_m.any() else frame.depth_m if frame.depth_m.any() else None
     camera = CameraFrame(
         b"",
-        depth_m,
+        _known_depth(small, frame),
         small.intrinsics,
         small.camera_to_world,
         timestamp_s=small.timestamp_s,
@@ -139,6 +138,11 @@ def _pack_exact(frame: Frame) -> bytes:
         depth_estimated=frame.depth_estimated,
     )
     return _message(camera, "linear_f32", colour)
+
+
+def _known_depth(small: Frame, frame: Frame) -> Float[np.ndarray, "dh dw"] | None:
+    """Return the depth of the reduced frame; of the frame itself if no known pixel is left, which servers refuse."""
+    return small.depth_m if small.depth_m.any() else frame.depth_m if frame.depth_m.any() else None
 
 
 def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes) -> bytes:
@@ -229,12 +233,10 @@ def _millimetres(depth_m: Float[np.ndarray, "h w"]) -> Shaped[np.ndarray, "h w"]
 
 
 def _exposure(frame: Frame) -> float:
-    """Return the exposure for an 8-bit image of this radiance: 1, or less if the sensor clipped above 1.
+    """Return the exposure at which what the sensor clipped is white in an 8-bit image of this radiance.
 
-    A frame with less exposure than the reference clips above 1.0, and the 8-bit image must keep that range. In
-    radiance without clipped pixels (an HDR recording) values above 1.0 are cut off, as a phone with the reference
-    exposure would do.
+    It is 1 where that is so already, and in radiance without clipped pixels (an HDR recording), whose values above 1.0
+    are cut off, as a phone with the reference exposure would do.
     """
-    if not frame.clipped.any() or float(frame.image.max()) <= 1.0:
-        return 1.0
-    return 1.0 / max(1.0, float(frame.image[frame.clipped].max(axis=-1).min()))
+    white = float(np.median(frame.image[frame.clipped].max(axis=-1))) if frame.clipped.any() else 1.0
+    return 1.0 if _LEAST_WHITE <= white <= 1 else 1 / min(max(white, 1e-6), 1e6)
