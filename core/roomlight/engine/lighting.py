@@ -24,7 +24,7 @@ from jaxtyping import Float32
 
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.networks.graph import Graph
-from roomlight.engine.networks.graphs import SHIPPED, load_part
+from roomlight.engine.networks.graphs import SHIPPED, PartFiles, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.likely_light import likely_lights
@@ -41,6 +41,7 @@ class LightingModel:
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
+        self.digest = graph.digest
 
     def panorama(self, state: PanoramaState) -> Float32[np.ndarray, "h w 3"]:
         """Compute the light that lights things at the place of a panorama.
@@ -57,8 +58,12 @@ class LightingModel:
 
 
 @cache
-def shipped_lighting(provider: Provider = "auto", folder: Path = SHIPPED / "objects") -> LightingModel:
-    """Load the network inside the package, once.
+def shipped_lighting(
+    provider: Provider = "auto",
+    folder: Path = SHIPPED / "objects",
+    files: PartFiles = (),  # noqa: ARG001 - of the cache's key
+) -> LightingModel:
+    """Load the network inside the package, or of another folder, once as long as its `files` are these.
 
     Raises:
         ModelError: the weights are missing or damaged.
@@ -104,9 +109,9 @@ class ProbeLightSource:
         return LightPanorama(lighting, relit(lights, before=estimate, after=lighting))
 
     def digest(self) -> str:
-        """Hash the network's input."""
+        """Hash the network and its input."""
         state = self.state
-        sha = hashlib.sha256()
+        sha = hashlib.sha256(self.load().digest.encode())
         for plane in (state.radiance, state.observed, state.clipped, state.guessed, state.depth_m):
             sha.update(np.ascontiguousarray(plane).data)
         lights = () if self.tracked is None else (self.tracked.main, *self.tracked.sources)

@@ -26,7 +26,7 @@ from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.lighting import shipped_lighting
 from roomlight.engine.models.choosing import ProbeEstimator, lighting_model
 from roomlight.engine.networks.clipping import shipped_clipping
-from roomlight.engine.networks.graphs import LightingGraphs, part_folder
+from roomlight.engine.networks.graphs import LightingGraphs, part_files, part_folder
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.preparation import PreparedFrame, at_working_size
@@ -111,9 +111,9 @@ class Session:
         self.options = options or SessionOptions()
         check_type(self.options, SessionOptions, "options")
         self._model = lighting_model(self.options, graphs)
-        parts, provider = self.options.parts, self.options.provider
-        self._clipping = shipped_clipping(provider, part_folder(parts, "clipping"))
-        self._lighting = partial(shipped_lighting, provider, part_folder(parts, "objects"))
+        clipping, objects = (part_folder(self.options.parts, name) for name in ("clipping", "objects"))
+        self._clipping = shipped_clipping(self.options.provider, clipping, part_files(clipping))
+        self._lighting = partial(shipped_lighting, self.options.provider, objects, part_files(objects))
         self._room: Room | None = None  # from the first frame on
         self._left: tuple[RoomView, ...] = ()  # rooms that the camera was in before
         self._drift = Drift()

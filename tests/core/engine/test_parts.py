@@ -1,5 +1,6 @@
 """Networks that serve every model: what is refused, several threads at once, and no PyTorch."""
 
+import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -58,15 +59,20 @@ def test_threads_share_the_network_and_get_the_same():
 
 
 def test_sessions_take_their_parts_from_a_folder(tmp_path):
-    write_part(tmp_path / "clipping", "clipping", constant=np.log(5.0))
-    write_part(tmp_path / "objects", "objects", constant=0.5)
-    session = session_of(clipped_frames(1), parts=tmp_path, provider="cpu", height=32)
-    ((_, mesh),) = session.meshes
-    assert mesh.texture.image.max() == pytest.approx(5.0, rel=1e-3)
-    handle = session.track((0.3, 0.4, -1.0))
-    state = session.panorama_state(handle)
-    gain = np.log1p(session.light(handle).panorama) - np.log1p(state.radiance)
-    np.testing.assert_allclose(gain[state.observed == 0], 0.5, rtol=1e-4, atol=1e-5)
+    digests = set[str]()
+    for white, change in ((5.0, 0.5), (5.0, 0.25), (3.0, 0.25)):  # trained again, into the same folder
+        for form in ("clipping", "objects"):
+            shutil.rmtree(tmp_path / form, ignore_errors=True)
+            write_part(tmp_path / form, form, constant=np.log(white) if form == "clipping" else change)
+        session = session_of(clipped_frames(1), parts=tmp_path, provider="cpu", height=32)
+        ((_, mesh),) = session.meshes
+        assert mesh.texture.image.max() == pytest.approx(white, rel=1e-3)
+        handle = session.track((0.3, 0.4, -1.0))
+        state = session.panorama_state(handle)
+        gain = np.log1p(session.light(handle).panorama) - np.log1p(state.radiance)
+        np.testing.assert_allclose(gain[state.observed == 0], change, rtol=1e-4, atol=1e-5)
+        digests.add(session.light(handle).digest())
+    assert len(digests) == 3
 
 
 def test_a_part_that_a_folder_lacks_is_the_packages(tmp_path):
@@ -77,12 +83,13 @@ def test_a_part_that_a_folder_lacks_is_the_packages(tmp_path):
     with pytest.raises(ModelError, match=r"clipping/model\.json: cannot be read"):
         Session(options)
     (tmp_path / "clipping").rmdir()
-    PanoramaPrior(np.full(ROWS, 2, np.float32), np.zeros((ROWS, ROWS, COLUMNS), np.float32)).save(
-        tmp_path / "prior" / FILE
-    )
-    model = lighting_model(options)
-    assert isinstance(model, NetworkModel)
-    assert model.prior.mean[0] == 2
+    for mean in (2, 3):
+        PanoramaPrior(np.full(ROWS, mean, np.float32), np.zeros((ROWS, ROWS, COLUMNS), np.float32)).save(
+            tmp_path / "prior" / FILE
+        )
+        model = lighting_model(options)
+        assert isinstance(model, NetworkModel)
+        assert model.prior.mean[0] == mean
     assert Session(options).networks == Session(replace(options, parts=None)).networks
 
 

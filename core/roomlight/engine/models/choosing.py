@@ -5,7 +5,7 @@ from dataclasses import replace
 from roomlight.engine.models.classical import ClassicalModel, ClassicalProbe
 from roomlight.engine.models.network_probe import NetworkProbe
 from roomlight.engine.models.network_volume import NetworkModel
-from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs, part_folder
+from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs, part_files, part_folder
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.panorama.prior import shipped_prior
 from roomlight.errors import ModelError, OptionError
@@ -48,4 +48,5 @@ def lighting_model(options: SessionOptions, graphs: LightingGraphs | None = None
     graphs = graphs or choose_graphs(options)
     if graphs is None:
         return ClassicalModel()
-    return NetworkModel(graphs, options.hedge, shipped_prior(part_folder(options.parts, "prior")))
+    folder = part_folder(options.parts, "prior")
+    return NetworkModel(graphs, options.hedge, shipped_prior(folder, part_files(folder)))

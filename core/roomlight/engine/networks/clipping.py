@@ -19,7 +19,7 @@ from jaxtyping import Float, Float32
 
 from roomlight.conventions import luminance
 from roomlight.engine.networks.graph import Graph
-from roomlight.engine.networks.graphs import SHIPPED, load_part
+from roomlight.engine.networks.graphs import SHIPPED, PartFiles, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.frame import Frame
 
@@ -97,8 +97,12 @@ class ClippingModel:
 
 
 @cache
-def shipped_clipping(provider: Provider = "auto", folder: Path = SHIPPED / "clipping") -> ClippingModel:
-    """Load the network inside the package, once.
+def shipped_clipping(
+    provider: Provider = "auto",
+    folder: Path = SHIPPED / "clipping",
+    files: PartFiles = (),  # noqa: ARG001 - of the cache's key
+) -> ClippingModel:
+    """Load the network inside the package, or of another folder, once as long as its `files` are these.
 
     Raises:
         ModelError: the weights are missing or damaged.

@@ -40,6 +40,8 @@ PartForm = Literal["clipping", "objects", "depth"]
 """Networks that serve every model, each a model directory of its own."""
 PARTS: Final = ("clipping", "objects", "prior")
 """Folders of `SessionOptions.parts`: two of networks, and the prior over panoramas."""
+PartFiles = tuple[tuple[str, int, int], ...]
+"""See `part_files`."""
 FORMS: Final = (*get_args(NetworkForm), *get_args(PartForm))
 """Forms of a model directory."""
 SHIPPED: Final = Path(__file__).parents[1] / "weights"
@@ -131,6 +133,12 @@ def part_folder(parts: Path | None, name: str) -> Path:
     if not any((parts / known).is_dir() for known in PARTS):
         raise ModelError(f"{parts}: has none of the folders {', '.join(PARTS)}; `roomlight train` makes them in `onnx`")
     return parts / name if (parts / name).is_dir() else SHIPPED / name
+
+
+def part_files(folder: Path) -> PartFiles:
+    """Return name, time of change and size of the files in a folder: what is loaded of it once has them for a key."""
+    files = ((file.name, file.stat()) for file in folder.glob("*"))
+    return tuple(sorted((name, status.st_mtime_ns, status.st_size) for name, status in files))
 
 
 def _open_checked(path: Path, names: Sequence[str], entries: dict[str, Any], provider: Provider) -> dict[str, Graph]:

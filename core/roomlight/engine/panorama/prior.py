@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from roomlight.engine.kernels.cholesky import multiply, solve_in_place
-from roomlight.engine.networks.graphs import SHIPPED
+from roomlight.engine.networks.graphs import SHIPPED, PartFiles
 from roomlight.errors import ModelError
 from roomlight.files import write_atomic
 
@@ -155,8 +155,11 @@ def _product(matrix: Float32[np.ndarray, "m n"], values: Float32[np.ndarray, "c 
 
 
 @cache
-def shipped_prior(folder: Path = SHIPPED / "prior") -> PanoramaPrior:
-    """Load the prior inside the package, or of another folder, once.
+def shipped_prior(
+    folder: Path = SHIPPED / "prior",
+    files: PartFiles = (),  # noqa: ARG001 - of the cache's key
+) -> PanoramaPrior:
+    """Load the prior inside the package, or of another folder, once as long as its `files` are these.
 
     Raises:
         ModelError: it is missing or damaged.
