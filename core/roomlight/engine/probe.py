@@ -11,6 +11,7 @@ from roomlight.conventions import Position
 from roomlight.engine.lighting import LightingModel, ProbeLightSource
 from roomlight.engine.models.choosing import ProbeEstimator
 from roomlight.engine.models.interface import Rendered
+from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, accumulate, farthest_depth_m, unseen_depth_m
 from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.panorama.likely_light import likely_lights
@@ -63,7 +64,7 @@ class Probe:
         """
         meshes = distinct([mesh for _, mesh in room.meshes])
         groups = [meshes[n * len(meshes) // _GROUPS : (n + 1) * len(meshes) // _GROUPS] for n in range(_GROUPS)]
-        cameras = np.array([mesh.camera_to_world[:3, 3] for _, mesh in room.meshes])
+        cameras = np.array([mesh.camera_to_world[:3, 3] for _, mesh in room.meshes]).reshape(-1, 3)
         at_once = max(1, min(4 * thread_count(), _PIXELS_AT_ONCE // (2 * height**2)))
         for start in range(0, len(positions), at_once):
             probes = [cls.fresh(position, room, height=height) for position in positions[start : start + at_once]]
@@ -108,9 +109,13 @@ class Probe:
         return cls(saved.position, room, saved.panorama, estimator, replace(saved.tracker), saved.forgotten)
 
     def in_room(self, room: AnyRoom) -> "Probe":
-        """Return the probe with the lighting volume of another room from now on, and use its arrays."""
-        old_m, depth_m = np.float32(unseen_depth_m(self.room.grid.depth_max_m)), self.panorama.depth_m
-        depth_m[depth_m == old_m] = unseen_depth_m(room.grid.depth_max_m)
+        """Return the probe with the lighting volume of another room from now on, and use its arrays.
+
+        If its size is another, what was not seen or farther than depth was kept is seen next as if for the first time.
+        """
+        before_m, depth_m = self.room.grid.depth_max_m, self.panorama.depth_m
+        if before_m != room.grid.depth_max_m:
+            depth_m[depth_m >= farthest_depth_m(before_m) - CLOSER_M] = unseen_depth_m(room.grid.depth_max_m)
         return replace(self, room=room, forgotten=not room.grid.contains(self.position))
 
     def render(self) -> Rendered | None:

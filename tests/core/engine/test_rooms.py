@@ -147,6 +147,33 @@ def test_a_frame_without_depth_begins_no_room():
     assert session.rooms_left == 1
 
 
+def _wall(index, depth_m, *, z=0.0, yaw=0.0, light=0.3):
+    """A grey wall at one depth."""
+    frame = replace(_far(0, index), camera_to_world=camera_at((0, 0, z), yaw))
+    return replace(frame, image=np.full_like(frame.image, light), depth_m=np.full_like(frame.depth_m, depth_m))
+
+
+def test_a_wall_beyond_a_close_ups_volume_is_seen_again_from_the_rooms_own():
+    frames = [
+        _wall(0, 0.4, yaw=180),
+        _wall(1, 4.0),
+        _wall(2, 3.0, z=-1),
+        *(_wall(3 + n, 3, z=-1, light=0.9) for n in (0, 1)),
+    ]
+    session = session_of(frames, probes=[(0.0, 0.0, -0.8)], height=16)
+    assert session.rooms_left == 1
+    state = session.panorama_state(0)
+    assert (state.radiance[8, 8, 0], state.depth_m[8, 8]) == pytest.approx((0.9, 3.2), rel=0.01)
+
+
+def test_a_room_that_was_left_without_a_keyframe_has_light_without_coverage():
+    sparse = BoxRoom().frame(camera_at((0.3, 1.4, 0.2)), width=320, height=240)
+    sparse.depth_m[1::2] = 0  # of which a mesh takes every second row
+    session = session_of([sparse, _far(1, 1)], height=16, unknown_depth="drop")
+    assert session.rooms_left == 1
+    assert session.light_at(PROBE).coverage == 0
+
+
 @pytest.mark.parametrize("model", ["classical", "video"])
 def test_a_saved_walk_goes_on_with_the_same_bits(model, tiny_video, walk):
     weights = tiny_video[1] if model != "classical" else None
