@@ -234,7 +234,7 @@ class Capture:
 
     @property
     def frames_per_second(self) -> float | None:
-        """Rate of the selected records by the median step between timestamps; None without timestamps."""
+        """Rate of the selected records by the step between timestamps; None without timestamps."""
         step_s = self._timeline.step_s
         return None if step_s is None else 1.0 / (step_s * self._options.every)
 
@@ -246,13 +246,13 @@ class Capture:
     def pace_note(self, frames: int, first: int, last: int) -> Note | None:
         """Make the note for so many frames, of index `first` to `last`, whose steps of time are not those of the rate.
 
-        None where a film at `frames_per_second` runs as long as the recording, within 10 %.
+        None where a film at `frames_per_second` runs as long as the recording, within 1 %.
         """
         rate, start_s, end_s = self.frames_per_second, self._timeline.times_s[first], self._timeline.times_s[last]
         if rate is None or start_s is None or end_s is None:
             return None
         film_s, recorded_s = (frames - 1) / rate, end_s - start_s
-        return uneven_pace(str(self.path), film_s, recorded_s) if abs(film_s - recorded_s) > 0.1 * recorded_s else None
+        return uneven_pace(str(self.path), film_s, recorded_s) if abs(film_s - recorded_s) > 0.01 * recorded_s else None
 
     @property
     def notes(self) -> tuple[Note, ...]:

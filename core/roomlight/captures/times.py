@@ -12,12 +12,15 @@ from typing import Final
 
 import numpy as np
 
+from roomlight.imaging.rates import usual_rate
 from roomlight.notes import Note
 
 MAX_GAP_S: Final = 5.0
 """A longer gap between frames is played as one of this length."""
 _REGULAR: Final = 0.5
 """Interquartile range of the steps, relative to their median, up to which they are those of a camera."""
+_EVEN: Final = 0.25
+"""Most that a time of even steps differs from its place among them, relative to the step."""
 _UNITS: Final = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}
 _TICK_S: Final = 1e-7
 _TICKS: Final = (1e17, 1e18)
@@ -39,9 +42,20 @@ class Timeline:
 
     @property
     def step_s(self) -> float | None:
-        """The median step; None without times that go on."""
-        known = [time for time in self.times_s if time is not None]
-        step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+        """The step between records; None without times that go on.
+
+        Where steps are even, it is their mean, or that of a usual rate if times rounded as these may be of it; else it
+        is their median.
+        """
+        known = [(index, time) for index, time in enumerate(self.times_s) if time is not None]
+        if len(known) < 2:
+            return None
+        indices, times = np.array(known, np.float64).T
+        count, step = int(indices[-1] - indices[0]), float(np.median(np.diff(times)))
+        mean = float(times[-1] - times[0]) / count
+        off = float(np.abs(times - times[0] - mean * (indices - indices[0])).max())
+        if mean > 0 and off <= _EVEN * mean:
+            step = 1 / usual_rate(1 / mean, within=2 * off / (count * mean))
         return step if step > 1e-6 else None
 
 

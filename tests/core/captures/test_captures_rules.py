@@ -136,6 +136,16 @@ def test_ticks_of_windows_are_recognised() -> None:
     assert "ticks of 100 nanoseconds" in str(found.notes)
 
 
+@pytest.mark.parametrize("rate", [24000 / 1001, 24, 30000 / 1001, 30, 60000 / 1001, 60])
+def test_rounded_times_have_the_rate_that_they_are_of(rate: float) -> None:
+    stamps: list[float | None] = [round(100 + index / rate, 3) for index in range(90)]
+    step_s = timeline(stamps, "x").step_s
+    assert step_s is not None
+    assert 1 / step_s == pytest.approx(rate, rel=1e-9)
+    step_s = timeline([*stamps[:40], *stamps[60:]], "x").step_s  # with a gap
+    assert step_s == pytest.approx(1 / rate, rel=0.05)
+
+
 def test_slides_a_minute_apart_are_no_milliseconds() -> None:
     slides: list[float | None] = [0.0, 60.0, 120.0, 180.0]
     assert timeline(slides, "x").times_s == (0.0, 0.06, 0.12, 0.18)
