@@ -37,6 +37,8 @@ from roomlight_cli.progress import Progress, duration
 
 LONG_S: Final = 300.0
 """Time left of more than this is told with what makes it shorter."""
+_OBLONG: Final = 0.05
+"""From this relative difference of the focal lengths on pixels are oblong; below, lenses and calibrations differ."""
 _STEM: Final = "[0-9]" * 6
 _ENDINGS: Final = tuple(f".{ending}" for ending in PICTURE_ENDINGS.values())
 
@@ -280,7 +282,7 @@ def _output(options: CompositeOptions, capture: Capture, every: int) -> Generato
         with VideoWriter(options.out, frames_per_second=options.rate(capture)) as film:
             yield lambda picture: film.write(picture.image)
         return
-    rate = None if capture.frames_per_second is None else capture.frames_per_second * every
+    rate = capture.film_rate * every  # at which indices count
     is_clear = False
 
     def write(picture: Composite) -> None:
@@ -322,11 +324,13 @@ def _clear(options: CompositeOptions, frame: Frame, recording: Path) -> None:
         remove_outputs(out, files, folders=number)
 
 
-def _write_pictures(picture: Composite, options: CompositeOptions, rate: float | None) -> None:
+def _write_pictures(picture: Composite, options: CompositeOptions, rate: float) -> None:
     frame, index = picture.frame, picture.frame.index
-    metadata = {"roomlight:source": Path(frame.source).name} | ({} if rate is None else sequence_metadata(index, rate))
+    metadata = {"roomlight:source": Path(frame.source).name, **sequence_metadata(index, rate)}
     k, pose = frame.intrinsics, frame.camera_to_world.ravel()
     metadata["roomlight:intrinsics"] = f"{k.fx:.9g} {k.fy:.9g} {k.cx:.9g} {k.cy:.9g}"
+    if abs(k.fy / k.fx - 1) > _OBLONG:
+        metadata["pixelAspectRatio"] = round(k.fy / k.fx, 4)
     metadata["roomlight:camera_to_world"] = " ".join(f"{value:.9g}" for value in pose)
     if frame.timestamp_s is not None:
         metadata["roomlight:timestamp_s"] = f"{frame.timestamp_s:.6f}"

@@ -27,7 +27,6 @@ from roomlight.files import write_atomic, write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.imaging.exr import sequence_metadata
-from roomlight.imaging.rates import DEFAULT_RATE
 from roomlight.light.light import ENDINGS, Light
 from roomlight.light.sources import LightUse
 from roomlight.light.usd import sequence_stage
@@ -175,7 +174,7 @@ class _Run:
         """Begin with the first frame, or go on; a computed or interpolated frame is `step` indices after the last."""
         assert state.pictures is not None
         self._session, self._state, self._step = session, state, step
-        self._writer = _Writer(out, state, options, capture.frames_per_second, step=step)
+        self._writer = _Writer(out, state, options, capture.film_rate, step=step)
         if state.reports:
             self._writer.last = state.reports[-1].index, session.lights()
         frames = counted(capture.frame_count, "frame")
@@ -253,13 +252,13 @@ def _report(path: Path, capture: Capture, session: AnySession, state: ReplayStat
 class _Writer:
     """Writes panoramas as EXR, a folder per probe."""
 
-    def __init__(self, out: Path, state: ReplayState, options: ReplayOptions, rate: float | None, *, step: int) -> None:
+    def __init__(self, out: Path, state: ReplayState, options: ReplayOptions, rate: float, *, step: int) -> None:
         """Write into `out`; the capture gives `rate` frames a second, of which each is `step` indices on."""
         self._folders = [out / f"probe-{n:02d}" for n in range(len(state.positions))]
         self._state = state
         self._use: LightUse = options.use
         self._forms = options.forms
-        self._rate = None if rate is None else rate * step  # at which indices count
+        self._rate = rate * step  # at which indices count
         self.last: tuple[int, Sequence[Light]] = 0, ()
         """Index and light of the last session frame."""
 
@@ -302,14 +301,14 @@ class _Writer:
         _, lights = self.last
         names = {index: _name(index) for index in self._state.written}
         for folder, position, light in zip(self._folders, self._state.positions, lights, strict=True):
-            stage = sequence_stage(position, names, self._rate or DEFAULT_RATE)
+            stage = sequence_stage(position, names, self._rate)
             write_atomic(folder / "light.usda", stage.encode())
             for form in self._forms:
                 light.used_for(self._use).save(folder / f"light{ENDINGS[form]}")
 
     def _save(self, folder: Path, index: int, panorama: Float[np.ndarray, "h w 3"], metadata: dict[str, str]) -> None:
-        timing = {} if self._rate is None else sequence_metadata(index, self._rate)
-        write_exr(folder / _name(index), panorama, metadata=timing | metadata | {"roomlight:use": self._use})
+        metadata |= {"roomlight:use": self._use}
+        write_exr(folder / _name(index), panorama, metadata=sequence_metadata(index, self._rate) | metadata)
 
 
 def _name(index: int) -> str:

@@ -27,7 +27,7 @@ from roomlight.frame import Frame, hidden
 from roomlight.images import ColourImage, read_panorama
 from roomlight.imaging.rates import DEFAULT_RATE
 from roomlight.monocular.stream_state import StreamState
-from roomlight.notes import Note
+from roomlight.notes import Note, oblong_pixels
 
 if TYPE_CHECKING:
     from roomlight.monocular.stream import DepthStream
@@ -440,7 +440,11 @@ class Capture:
 
     def _take_notes(self, raw: RawFrame, frame: Frame) -> None:
         """Keep the notes of a frame, one for all frames of a kind: the first frame's file stands for the others."""
+        camera = raw.stated or frame.intrinsics
+        oblong = oblong_pixels(raw.name, camera.fy / camera.fx)
         for note in raw.picture.notes:
+            if note in oblong:  # the intrinsics are of such pixels
+                continue
             kind = note.left_out.replace(raw.name, "")
             if kind not in self._noted:
                 self._noted.add(kind)
@@ -449,7 +453,7 @@ class Capture:
             self._noted.add("lens")
             self._notes[removed_lens(frame.source, frame.intrinsics)] = None
         if "camera" not in self._noted:
-            odd = odd_camera(frame.source, raw.stated or frame.intrinsics)
+            odd = odd_camera(frame.source, camera, oblong=not set(oblong).isdisjoint(raw.picture.notes))
             if odd is not None:
                 self._noted.add("camera")
                 self._notes[odd] = None

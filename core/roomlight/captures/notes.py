@@ -188,14 +188,17 @@ def wrong_poses(name: str, wrong: Disagreement, convention: CameraConvention, di
     )
 
 
-def odd_camera(name: str, camera: Intrinsics) -> Note | None:
-    """Make the note for intrinsics that hardly a camera has, and another size or unit explains; else None."""
+def odd_camera(name: str, camera: Intrinsics, *, oblong: bool = False) -> Note | None:
+    """Make the note for intrinsics that hardly a camera has, and another size or unit explains; else None.
+
+    `oblong`: the picture states pixels as wide and high as the focal lengths have them.
+    """
     x, y = camera.cx / camera.width, camera.cy / camera.height
     if not (min(x, y) >= 0.4 and max(x, y) <= 0.6):
         what = f"a principal point at ({camera.cx:g}, {camera.cy:g}) of {camera.width} x {camera.height}"
     elif not 0.25 <= camera.width / camera.fx <= 8:
         what = f"a focal length of {camera.fx:g} pixels for {camera.width} pixels"
-    elif not 0.8 <= camera.fx / camera.fy <= 1.25:
+    elif not oblong and not 0.8 <= camera.fx / camera.fy <= 1.25:
         what = f"focal lengths of {camera.fx:g} and {camera.fy:g} pixels"
     else:
         return None

@@ -43,7 +43,7 @@ _CHANNELS: Final = re.compile(rb"channels\0chlist\0.{4}((?:%b)+)" % _CHANNEL, re
 
 
 def sequence_metadata(index: int, frames_per_second: float) -> dict[str, object]:
-    """Return the standard attributes of a frame of a sequence: `framesPerSecond`, and its `timeCode` from 0 on.
+    """Return the attributes of a frame of a sequence: `framesPerSecond`, `roomlight:frame`, and `timeCode` from 0 on.
 
     Time code (SMPTE ST 12-1) counts up to 30 frames a second; up to 60 it counts pairs, and marks their second frame as
     a field. Faster sequences have none. Rates such as 29.97 count as 30, without dropped numbers.
@@ -52,7 +52,7 @@ def sequence_metadata(index: int, frames_per_second: float) -> dict[str, object]
         index: of the frame, 0 the first of the recording.
         frames_per_second: rate at which indices count.
     """
-    metadata: dict[str, object] = {"framesPerSecond": exact_rate(frames_per_second)}
+    metadata: dict[str, object] = {"framesPerSecond": exact_rate(frames_per_second), "roomlight:frame": index}
     whole = round(frames_per_second)
     if 1 <= whole <= 60:
         seconds, rest = divmod(index, whole)

@@ -251,6 +251,9 @@ def test_panoramas_and_pixels_that_are_not_square(transforms: Path) -> None:
     (transforms / "images/frame_00002.png").write_bytes(png[:33] + shape + png[33:])
     capture = one_skipped(transforms, 0, "panorama (GPano)")
     assert any("2 times as wide as high" in note.left_out for note in capture.notes)
+    edit(transforms / "transforms.json", lambda index: index.update(fl_x=index["fl_y"] / 2))
+    (odd,) = notes_of(transforms)  # the intrinsics are of the second frame's pixels, but not of the third's
+    assert "frame_00003.png: focal lengths of 13.5 and 27" in odd
 
 
 def test_a_camera_that_no_file_states_is_said(tmp_path: Path) -> None:

@@ -68,6 +68,8 @@ def test_layers_make_the_image(session):
     made = composite(session, frame, [BALL], quality="preview")
     linear = frame.image * made.shadow * (1 - made.alpha[..., None]) + made.objects
     assert np.abs(made.radiance - linear).max() < 1e-6
+    part = replace(frame, seen=np.arange(frame.image.shape[1]) + 0 * frame.image[..., 0] < 10)
+    assert (replace(made, frame=part).radiance[:, 10:] == made.objects[:, 10:]).all()
     assert np.abs(made.image.astype(int) - linear_to_srgb8(linear)).max() <= 1  # this room has no noise to match
     outside = np.ones(frame.image.shape[:2], bool)
     outside[made.crop.slices] = False

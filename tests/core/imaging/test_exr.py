@@ -201,7 +201,7 @@ def test_rates_are_whole_or_those_of_television_where_they_are_close(rate, exact
 
 @pytest.mark.parametrize("rate", [0.2, 120.0])
 def test_rates_that_timecode_does_not_count(rate):
-    assert list(sequence_metadata(5, rate)) == ["framesPerSecond"]
+    assert list(sequence_metadata(5, rate)) == ["framesPerSecond", "roomlight:frame"]
 
 
 @pytest.mark.parametrize(("channels", "holds"), [({**PLANE, "Z": DEPTH}, True), (dict.fromkeys("RGB", DEPTH), False)])

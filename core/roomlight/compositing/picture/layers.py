@@ -77,8 +77,11 @@ class Composite:
 
     @cached_property
     def radiance(self) -> Float32[np.ndarray, "h w 3"]:
-        """The composite in linear radiance, unclipped, without added noise."""
-        return self.frame.image * self.shadow * (1 - self.alpha[..., None]) + self.objects
+        """The composite in linear radiance, unclipped, without added noise; of the frame, only what is seen."""
+        share = self.shadow * (1 - self.alpha[..., None])
+        if self.frame.seen is not None:
+            share *= self.frame.seen[..., None]
+        return self.frame.image * share + self.objects
 
     def _repr_png_(self) -> bytes:
         """Return the picture for a notebook."""
