@@ -78,7 +78,7 @@ class ExrChannels:
         Raises:
             ImageError: The file has no colour, or several and none is the main one.
         """
-        image = np.stack([self.channels[key] for key in self._colour_channels()], axis=-1)
+        image = self.stored_colour()
         layer = self._colour_layer()
         if layer is not None:
             if image.dtype.kind != "f":
@@ -88,6 +88,10 @@ class ExrChannels:
                 image = image / np.where((alpha > 0) & (alpha < 1), alpha, 1)[..., None]
             return self._to_rec709(image.astype(np.float32))
         return image.astype(np.float32)
+
+    def stored_colour(self) -> Shaped[np.ndarray, "h w 3"]:
+        """Return the channels of the colour as stored; a grey one is repeated. Raises ImageError as `colour`."""
+        return np.stack([self.channels[key] for key in self._colour_channels()], axis=-1)
 
     def seen(self) -> Bool[np.ndarray, "h w"] | None:
         """Return where the colour's data window has pixels; None if that is everywhere. Raises ImageError as `colour`.

@@ -79,7 +79,7 @@ def beside_classical(options: SessionOptions) -> list[tuple[SessionOptions, Ligh
 
 
 class PredictionFolder:
-    """Panoramas in files, one per probe and frame: `probe-00/light.000000.exr`, numbered by `Frame.index`.
+    """Panoramas in files, one per probe and frame: `probe-00/light.000000.exr` or `.hdr`, numbered by `Frame.index`.
 
     `roomlight replay --probes-from-capture --use reflection` writes such a folder; any other program may write one to
     be scored: RGB [h, 2h, 3] of any height, in the mapping of `roomlight.conventions`, linear, 1 being the white of the
@@ -101,7 +101,7 @@ class PredictionFolder:
                     "its position; remove one of them from the capture"
                 )
         self._folders = {position: folder / f"probe-{number:02d}" for number, position in enumerate(probes)}
-        self._file_name = ""
+        self._paths: dict[Position, Path] = {}
 
     def push(self, frame: Frame) -> None:
         """Select the files of this frame.
@@ -109,13 +109,19 @@ class PredictionFolder:
         Raises:
             CaptureError: A probe has no file for this frame; the message names the first one.
         """
-        self._file_name = f"light.{frame.index:06d}.exr"
-        for folder in self._folders.values():
-            if not (folder / self._file_name).is_file():
-                raise CaptureError(
-                    f"{folder / self._file_name}: this prediction is missing; every frame of the capture needs one "
-                    "for each probe (use the `every` and `max_frames` that they were made with)"
+        name = f"light.{frame.index:06d}"
+        for position, folder in self._folders.items():
+            there = {path.suffix: path for path in sorted(folder.glob(f"{name}.*"))}
+            path = there.get(".exr", there.get(".hdr"))
+            if path is None or not path.is_file():
+                remedy = (
+                    f"there is {folder / name}{next(iter(there))}, but predictions are EXR or HDR"
+                    if there
+                    else "every frame of the capture needs one for each probe (use the `every` and `max_frames` that "
+                    "they were made with)"
                 )
+                raise CaptureError(f"{folder / name}.exr: this prediction is missing; {remedy}")
+            self._paths[position] = path
 
     def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
         """Read the panorama [h, 2h, 3] of the current frame.
@@ -123,10 +129,12 @@ class PredictionFolder:
         Raises:
             ImageError: The file does not decode, is no panorama, or has pixels that are not finite or negative.
         """
-        path = self._folders[position] / self._file_name
+        path = self._paths[position]
         panorama = read_panorama(path)  # which takes what is not finite as dark
-        colour = read_exr(read_bytes(path), str(path)).colour()
-        unusable = ~(np.isfinite(colour) & (colour >= 0)).all(axis=-1)
+        if path.suffix == ".hdr":  # which holds neither
+            return panorama
+        stored = read_exr(read_bytes(path), str(path)).stored_colour()  # another colour space may lead below 0
+        unusable = ~(np.isfinite(stored) & (stored >= 0)).all(axis=-1)
         if unusable.any():
             raise ImageError(
                 f"{path}: {unusable.sum()} pixels are not finite or negative; a prediction needs radiance for each"

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -150,6 +151,23 @@ def test_a_missing_prediction_is_named(tmp_path: Path) -> None:
     missing.unlink()
     with pytest.raises(CaptureError, match=r"probe-01/light\.000002\.exr.*is missing"):
         evaluate_captures([capture], list, predictions=tmp_path / "out")
+    missing.with_suffix(".npz").touch()
+    with pytest.raises(CaptureError, match=r"light\.000002\.npz, but predictions are EXR or HDR"):
+        evaluate_captures([capture], list, predictions=tmp_path / "out")
+
+
+def test_predictions_may_be_of_a_wide_gamut_or_hdr(tmp_path: Path) -> None:
+    write_predictions(tmp_path, frames=range(1))
+    green, folder = np.zeros_like(truth(1)), tmp_path / "probe-01"
+    green[..., 1] = 1.0  # of ACEScg: its red of Rec. 709 is below 0
+    acescg = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
+    write_exr(folder / "light.000000.exr", green, metadata={"chromaticities": acescg})
+    cv2.imwrite(str(tmp_path / "probe-00/light.000000.hdr"), truth(0)[..., ::-1])
+    (tmp_path / "probe-00/light.000000.exr").unlink()
+    read = PredictionFolder(tmp_path, PROBES)
+    read.push(wall_frame(0, 0.1))
+    assert (read.light_at(PROBES[1]) >= 0).all()
+    np.testing.assert_allclose(read.light_at(PROBES[0]), truth(0), rtol=0.01, atol=0.01 * truth(0).max())
 
 
 @pytest.mark.parametrize("value", [np.nan, -0.1])
