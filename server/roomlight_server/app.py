@@ -46,6 +46,7 @@ from roomlight_server.state.store import StateStore
 from roomlight_server.transport.auth import DOCS_ASSETS, LOOPBACK_HOSTS, PHONES, AuthMiddleware, Tokens
 from roomlight_server.transport.guard import ConnectionGuard
 from roomlight_server.transport.head_requests import HeadMiddleware
+from roomlight_server.transport.lan import PHONES_FILE
 from roomlight_server.transport.phones import Phones, check_operator
 from roomlight_server.transport.security_headers import SecurityHeadersMiddleware
 from roomlight_server.transport.stop_middleware import StopMiddleware
@@ -167,8 +168,9 @@ def create_app(
 def _make_context(settings: ServerSettings, clock: Clock) -> Context:
     metrics = Metrics()
     workers = Workers(settings, metrics)
-    states = None
+    states, phones_file = None, settings.phones_file
     if settings.state_dir is not None:
+        phones_file = phones_file or settings.state_dir / PHONES_FILE
         states = StateStore(
             settings.state_dir,
             interval_s=settings.state_interval_s,
@@ -177,7 +179,7 @@ def _make_context(settings: ServerSettings, clock: Clock) -> Context:
             metrics=metrics,
             clock=clock,
         )
-    phones = Phones(settings.phones_file, expiry_s=settings.phone_expiry_s, clock=clock)
+    phones = Phones(phones_file, expiry_s=settings.phone_expiry_s, clock=clock)
     registry = Registry(settings, workers, metrics, clock, states, phones_of=phones.owners)
     guard = ConnectionGuard(settings, metrics)
     budget = ByteBudget(settings.max_pending_bytes, guard.unsent_bytes, owner_limit=settings.owner_pending_bytes)

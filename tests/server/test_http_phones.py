@@ -25,14 +25,12 @@ DAY_S = 86_400.0
 
 @pytest.fixture
 def server(tmp_path):
-    with running(tmp_path, on_lan=True) as made:
+    with running(on_lan=True, phones_file=tmp_path / "phones.json") as made:
         yield made
 
 
-def running(tmp_path, **settings):
-    return RunningServer(
-        tokens=(OPERATOR, OTHER), public_url="https://room.local:8090", phones_file=tmp_path / "phones.json", **settings
-    )
+def running(**settings):
+    return RunningServer(tokens=(OPERATOR, OTHER), public_url="https://room.local:8090", **settings)
 
 
 def code_of(server, token=OPERATOR):
@@ -152,7 +150,7 @@ def test_a_removed_phone_is_disconnected_and_its_sessions_stay(server):
 
 
 def test_phones_and_their_saved_sessions_survive_a_restart(tmp_path):
-    with running(tmp_path, state_dir=tmp_path / "state") as server:
+    with running(state_dir=tmp_path) as server:
         (_, kept), (gone, removed) = paired(server), paired(server)
         for number, token in enumerate((kept, removed)):
             server.open(f"room-{number}", token=token)
@@ -161,7 +159,7 @@ def test_phones_and_their_saved_sessions_survive_a_restart(tmp_path):
     stored = tmp_path / "phones.json"
     assert stat.S_IMODE(stored.stat().st_mode) == 0o600
     assert not [token for token in (kept, removed, OPERATOR) if token in stored.read_text()]
-    with running(tmp_path, state_dir=tmp_path / "state") as server:
+    with running(state_dir=tmp_path) as server:
         assert listed(server, kept) == ["room-0"]
         assert server.call("GET", "/v1/sessions", token=removed).status == 401
         assert sorted(listed(server, OPERATOR)) == ["room-0", "room-1"]

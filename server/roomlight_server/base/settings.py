@@ -56,7 +56,8 @@ class ServerSettings(BaseSettings):
         public_url: Address by which a phone reaches the server, as `https://light.example.org:8090`; `/v1/pairing`
             returns it.
         on_lan: The host is the address by which phones reach the server; listen on loopback besides.
-        phones_file: File of the paired phones. Default: they are known until the server stops; with --lan: kept.
+        phones_file: File of the paired phones. Default: `phones.json` in the state directory, or with --lan beside the
+            token; else they are known until the server stops.
         phone_expiry_s: Time for which the token of a paired phone is valid.
         model: Model of sessions that ask for auto.
         weights: A model folder of `roomlight export`, instead of the weights inside the package.

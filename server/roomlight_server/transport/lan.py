@@ -15,7 +15,7 @@ from roomlight_server.base.tls import check_certificate, ensure_certificate, wri
 from roomlight_server.transport.auth import LOOPBACK_HOSTS
 
 TOKEN: Final = "lan-token"
-PHONES: Final = "phones.json"
+PHONES_FILE: Final = "phones.json"
 _WHITE_ON_BLACK, _RESET = "\x1b[97;40m", "\x1b[0m"
 _ELSEWHERE: Final = ("192.0.2.1", 9)
 """An address of documentation networks (RFC 5737). Choosing a route to it sends no packet."""
@@ -114,7 +114,7 @@ def lan_options(
         "tls_key": key,
         "allow_hosts": names,
         "on_lan": True,
-        "phones_file": folder / PHONES,
+        "phones_file": folder / PHONES_FILE,
     }
 
 
