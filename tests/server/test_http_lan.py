@@ -132,11 +132,18 @@ def test_pairing_names_address_code_and_fingerprint(server):
     assert call(server, "/v1/pairing", method="POST", token="another-token-here")[0] == 401
 
 
-def test_a_local_server_says_how_a_phone_reaches_it():
-    with RunningServer() as local:
-        pairing = local.call("POST", "/v1/pairing").json
+@pytest.mark.parametrize(
+    ("settings", "advice"),
+    [
+        ({}, "this machine only.*roomlight serve --lan.*ROOMLIGHT_PUBLIC_URL"),
+        ({"host": "0.0.0.0", "tokens": (TOKEN,)}, "set ROOMLIGHT_PUBLIC_URL.*HTTPS"),
+    ],
+)
+def test_a_server_without_a_known_address_says_how_a_phone_reaches_it(settings, advice):
+    with RunningServer(**settings) as local:
+        pairing = local.call("POST", "/v1/pairing", token=TOKEN).json
     assert (pairing["url"], pairing["qr_svg"], pairing["fingerprint"]) == (None, None, None)
-    assert re.search("roomlight serve --lan.*ROOMLIGHT_PUBLIC_URL", pairing["advice"])
+    assert re.search(advice, pairing["advice"])
 
 
 def read_svg(svg):

@@ -22,6 +22,10 @@ ADVICE = (
     "this server is reached from this machine only; start it with: roomlight serve --lan, or, behind a proxy, set "
     "ROOMLIGHT_PUBLIC_URL to the proxy's address"
 )
+ADVICE_ON_NETWORK = (
+    "the address by which phones reach this server is not known: set ROOMLIGHT_PUBLIC_URL to it; the camera of a phone "
+    "needs HTTPS: a proxy with TLS, --tls-cert and --tls-key, or roomlight serve --lan"
+)
 _fingerprint = lru_cache(maxsize=4)(fingerprint)
 
 
@@ -38,7 +42,8 @@ async def pairing(context: ContextDep, owner: OwnerDep, response: Response) -> P
     settings = context.settings
     address = settings.public_url or context.public_url
     if address is None:
-        return Pairing(url=None, qr_svg=None, fingerprint=None, expires_in_s=None, advice=ADVICE)
+        advice = ADVICE if settings.is_loopback else ADVICE_ON_NETWORK
+        return Pairing(url=None, qr_svg=None, fingerprint=None, expires_in_s=None, advice=advice)
     url = phone_url(address, context.phones.link(owner)) if settings.tokens else f"{address.rstrip('/')}/phone"
     fingerprint = None if settings.tls_cert is None else _fingerprint(settings.tls_cert)
     return Pairing(url=url, qr_svg=qr_svg(url), fingerprint=fingerprint, expires_in_s=LINK_S, advice=None)
