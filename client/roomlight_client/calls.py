@@ -38,7 +38,7 @@ from roomlight.wire.messages import (
 )
 from roomlight_client import _waiting
 from roomlight_client.compositing import CompositeFile, parse_composite
-from roomlight_client.errors import RETRIED, BadReplyError, RemoteError, UnreachableError, refusal
+from roomlight_client.errors import RETRIED, TIMED_OUT, BadReplyError, RemoteError, UnreachableError, refusal
 from roomlight_client.light import Light, LightFile, parse_lights
 from roomlight_client.retry import Retry, Timeouts, parse_retry_after
 
@@ -75,7 +75,7 @@ SESSION_HEADER: Final = "X-Session-Id"
 class Call(Generic[T]):
     """A request, and the parser of its response.
 
-    `expected`: statuses that `read` accepts besides 200 to 299. `is_composite`: it has the time limit of composites.
+    `expected`: statuses that `read` accepts besides 200 to 299. `is_long`: it has the time limit of composites.
     """
 
     method: str
@@ -85,7 +85,7 @@ class Call(Generic[T]):
     content: bytes | None = None
     params: Mapping[str, str] = field(default_factory=dict[str, str])
     expected: frozenset[int] = frozenset()
-    is_composite: bool = False
+    is_long: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Attempt(Generic[T]):
         if status in self._call.expected or response.is_success:
             return Result(self._call.read(response))
         retry_after_s = parse_retry_after(response.headers.get("retry-after"))
-        if status in RETRIED:
+        if status in RETRIED and not (self._call.method == "POST" and status in TIMED_OUT):
             delay_s = self._retry.delay_s(self._made, retry_after_s=retry_after_s, jitter=_waiting.jitter())
             if delay_s is not None:
                 return delay_s
@@ -171,7 +171,7 @@ def check_open(*, closed: bool) -> None:
 
 def request_arguments(call: Call[Any], timeouts: Timeouts) -> dict[str, Any]:
     """Return the arguments of httpx's `request` for a call."""
-    read_s = timeouts.composite_s if call.is_composite else timeouts.read_s
+    read_s = timeouts.composite_s if call.is_long else timeouts.read_s
     return {
         "timeout": httpx.Timeout(read_s, connect=timeouts.connect_s, write=timeouts.write_s),
         "method": call.method,
@@ -198,7 +198,7 @@ def upload(body: bytes, kind: str | None, session_id: str | None = None) -> Call
         _check_id(session_id, "session_id")
         headers[SESSION_HEADER] = session_id
     params = {} if kind is None else {"kind": kind}
-    return Call("POST", "/v1/objects", _parser(ObjectInfo), headers, body, params)
+    return Call("POST", "/v1/objects", _parser(ObjectInfo), headers, body, params, is_long=True)
 
 
 def list_objects() -> Call[ObjectList]:
@@ -309,7 +309,7 @@ class SessionCalls:
     def composite(self, request: CompositeRequest) -> Call[CompositeFile]:
         """Get the last processed frame with objects in it."""
         call = self._call("POST", "/composite", parse_composite, json=request, headers={"Accept": "*/*"})
-        return replace(call, is_composite=True)
+        return replace(call, is_long=True)
 
     def track(self, name: str, position: Position) -> Call[None]:
         """Track a point under a name.

@@ -89,6 +89,9 @@ class ServerFailedError(RefusedError):
 RETRIED: Final = frozenset({408, 429, 502, 503, 504})
 """Statuses after which another attempt may succeed. With each of them the server changed nothing."""
 
+TIMED_OUT: Final = frozenset({408, 504})
+"""Those of a body that arrived too slowly, and of a proxy that no longer waits for a server that works."""
+
 _BY_STATUS: Final[Mapping[int, type[RefusedError]]] = {
     **{401: UnauthorizedError, 403: UnauthorizedError, 404: GoneError, 410: GoneError, 409: ConflictError},
     **dict.fromkeys((400, 413, 415, 422), InvalidError),

@@ -572,9 +572,17 @@ def test_the_client_imports_no_engine():
 
 
 @BOTH
-def test_a_composite_has_its_own_time_limit_and_is_not_repeated_after_it(kind):
-    script = Script(OPENED, httpx.ReadTimeout("slow"))
+@pytest.mark.parametrize(
+    ("outcome", "raised", "text"),
+    [
+        (httpx.ReadTimeout("slow"), sdk.UnreachableError, "one attempt"),
+        (httpx.Response(504, text="Gateway Time-out"), sdk.BusyError, "Gateway Time-out"),
+    ],
+)
+def test_a_composite_has_its_own_time_limit_and_is_not_repeated_after_it(kind, outcome, raised, text):
+    """After the 504 of a proxy the servers made it once more for each attempt."""
+    script = Script(OPENED, outcome)
     place = {"shape": "sphere", "size_m": 0.2, "pixel": [3, 4]}
-    with pytest.raises(sdk.UnreachableError, match="one attempt"):
+    with pytest.raises(raised, match=text):
         run(script, kind, lambda session: session.composite([place]))
     assert [request.extensions["timeout"]["read"] for request in script.requests] == [60.0, 130.0]

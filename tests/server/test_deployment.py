@@ -130,9 +130,14 @@ def test_proxies_choose_the_server_by_session():
     nginx = text("nginx.conf")
     assert "hash $session consistent;" in nginx
     assert "$http_x_session_id" in nginx
+    assert '"" none;' in nginx  # without a session: one server
     routes = manager_of_envoy()["route_config"]["virtual_hosts"][0]["routes"]
     policies = [route["route"]["hash_policy"] for route in routes if "route" in route]
-    assert [policy[0]["header"]["header_name"] for policy in policies] == [":path", "x-session-id"]
+    names = [[entry["header"]["header_name"] for entry in policy] for policy in policies]
+    assert names == [[":path"], [":path"], ["x-session-id", ":path"]]
+    assert policies[2][0]["terminal"]
+    constant = policies[2][1]["header"]["regex_rewrite"]
+    assert re.sub(constant["pattern"]["regex"], constant["substitution"], "/v1/pairing") == "none"
     rewrite = policies[0][0]["header"]["regex_rewrite"]
     pattern, substitution = rewrite["pattern"]["regex"], rewrite["substitution"]
     paths = ("/v1/sessions/room-1", "/v1/sessions/room-1/frames/7", "/v1/sessions/room-1/probe?x=1&y=/v1/sessions/z")
@@ -143,6 +148,18 @@ def test_the_address_of_a_client_is_not_what_it_writes():
     """The log has the address of a wrong token, and named the one that the client wrote."""
     assert "proxy_set_header X-Forwarded-For $remote_addr;" in text("nginx.conf")
     assert manager_of_envoy()["use_remote_address"] is True
+
+
+def test_a_composite_has_more_than_its_time_limit():
+    """A proxy gave up after 75 s, and asked another server, which took over the session."""
+    limit_s = ServerSettings().composite_timeout_s
+    (composite,) = re.findall(r"location ~ (\S+) \{[^}]*proxy_read_timeout (\d+)s", text("nginx.conf"))
+    assert re.search(composite[0], "/v1/sessions/room/composite")
+    assert int(composite[1]) > limit_s
+    assert "non_idempotent;" not in text("nginx.conf")
+    route = manager_of_envoy()["route_config"]["virtual_hosts"][0]["routes"][1]
+    assert re.fullmatch(route["match"]["safe_regex"]["regex"], "/v1/sessions/room/composite")
+    assert min(float(route["route"][name].rstrip("s")) for name in ("timeout", "idle_timeout")) > limit_s
 
 
 def test_paths_are_compared_as_the_server_reads_them():

@@ -10,9 +10,9 @@ import type { Problem } from "./wire.js";
 export interface ClientOptions {
   /** Sent as a bearer token. A session belongs to the token that opened it. */
   token?: string | undefined;
-  /** Retries after 408, 429, 502, 503, 504 and lost connections; default 3. */
+  /** Retries after 408, 429, 502, 503, 504 and lost connections; default 3. A POST is not repeated after 408 and 504. */
   retries?: number | undefined;
-  /** Time limit of each attempt; default 30 s. `composite` has its own. A POST that exceeds its limit is not repeated. */
+  /** Time limit of each attempt; default 30 s. `composite` has its own, `upload` more for large files. A POST that exceeds its limit is not repeated. */
   timeout_s?: number | undefined;
   /** Longest Retry-After to wait for; default 10 s. After a longer one the request fails at once. */
   maxRetryAfter_s?: number | undefined;
@@ -41,6 +41,7 @@ export interface HttpRequest {
 }
 
 const RETRIED: ReadonlySet<number> = new Set([408, 429, 502, 503, 504]);
+export const TIMEOUT_S = 30;
 const FIRST_DELAY_S = 0.25; // doubled after each attempt, with jitter so that phones do not retry together
 
 /** The connection to one server. */
@@ -85,7 +86,8 @@ export class Http {
         return new Response(null, { status: 204 }); // it is gone: the response to an earlier attempt may be lost
       }
       const delay_s = retryAfter_s ?? FIRST_DELAY_S * 2 ** attempt * (0.5 + waiting.random());
-      const isWorkedOn = isTimeout && request.method === "POST"; // the server would do it twice
+      // the server would do it twice, or the body be sent twice
+      const isWorkedOn = request.method === "POST" && (isTimeout || error.status === 408 || error.status === 504);
       const isTemporary = !isWorkedOn && (error.status === 0 || RETRIED.has(error.status));
       if (attempt >= retries || !isTemporary || delay_s > maxRetryAfter_s) {
         throw error;
@@ -99,7 +101,7 @@ export class Http {
   private async attempt(request: HttpRequest): Promise<Response | [RoomLightError, number | null, boolean?]> {
     request.signal?.throwIfAborted();
     const { token } = this.options;
-    const { method, path, body = null, signal, timeout_s = this.options.timeout_s ?? 30 } = request;
+    const { method, path, body = null, signal, timeout_s = this.options.timeout_s ?? TIMEOUT_S } = request;
     const headers = { ...request.headers, ...(token ? { authorization: `Bearer ${token}` } : {}) };
     const limit = new AbortController();
     const abort = () => limit.abort(signal?.reason);

@@ -1,7 +1,7 @@
 // Sessions over HTTP: send frames, get light, track points.
 
 import { packFrame, type Frame } from "./frame.js";
-import { Http, readJson, toJson, type ClientOptions, type HttpRequest } from "./http.js";
+import { Http, readJson, TIMEOUT_S, toJson, type ClientOptions, type HttpRequest } from "./http.js";
 import { decodeLights, parseLights, type Light, type LightData, type Lights } from "./light.js";
 import { SessionMemory } from "./memory.js";
 import { SessionRequests } from "./session_link.js";
@@ -81,9 +81,10 @@ export class RoomLight {
     options: CallOptions & { kind?: "glb" | "gltf" | "obj" | "ply" | undefined; sessionId?: string | undefined } = {},
   ): Promise<ObjectInfo> {
     const path = options.kind === undefined ? OBJECTS : `${OBJECTS}?kind=${options.kind}`;
-    const { sessionId } = options;
+    const { sessionId, signal } = options;
     const headers = { "content-type": "application/octet-stream", ...(sessionId !== undefined && { "x-session-id": sessionId }) };
-    const request: HttpRequest = { method: "POST", path, body: file as Uint8Array<ArrayBuffer>, headers, signal: options.signal };
+    const timeout_s = (this.http.options.timeout_s ?? TIMEOUT_S) + Math.floor(file.byteLength / SLOWEST_BYTES_PER_S);
+    const request: HttpRequest = { method: "POST", path, body: file as Uint8Array<ArrayBuffer>, headers, signal, timeout_s };
     return readJson<ObjectInfo>(await this.http.send(request));
   }
 
@@ -280,6 +281,7 @@ export class Session {
 
 const OBJECTS = "v1/objects";
 const COMPOSITE_S = 130;
+const SLOWEST_BYTES_PER_S = 2 ** 14; // that a server accepts
 
 function pathOf(id: string): string {
   return `v1/sessions/${encodeURIComponent(id)}`;

@@ -90,6 +90,17 @@ test("objects and composites", async (context) => {
   assert.deepEqual(JSON.parse(server.requests[3]!.body.toString()), request);
 });
 
+test("a composite or object that a proxy or server gave up waiting for is not sent again", async (context) => {
+  const server = await serve(context, ({ method }) => (method === "POST" ? problem(server.requests.length > 2 ? 408 : 504, "0") : { body: STATE }));
+  const roomlight = new RoomLight(server.url);
+  const session = await roomlight.open();
+  await assert.rejects(session.composite({ objects: [{ shape: "sphere", size_m: 0.2, pixel: [3, 4] }] }), { status: 504 });
+  const timers = context.mock.method(globalThis, "setTimeout");
+  await assert.rejects(roomlight.upload(new Uint8Array(2 ** 16)), { status: 408 });
+  assert.equal(server.requests.length, 3);
+  assert.ok(timers.mock.calls.some((call) => call.arguments[1] === 34_000)); // 4 s at the slowest that a server accepts
+});
+
 test("binary and JSON light messages give the same light", async (context) => {
   const data = Uint8Array.of(1, 2, 3, 255);
   const result = (form: object) => ({
