@@ -1,11 +1,14 @@
 """Malformed and hostile requests over a real socket: they are rejected with a reason and change nothing."""
 
+import asyncio
 import http.client
 import json
 import random
 import socket
 import struct
 import zlib
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -13,9 +16,12 @@ import pytest
 import zstandard
 from numpy.typing import DTypeLike
 from slow_images import chunk
+from starlette.exceptions import HTTPException
 
 from http_servers import RunningServer, box_shot, build, frame, header_of, parts_of, with_parts
 from roomlight.wire.frame_message import column_major
+from roomlight_server.base.metrics import Metrics
+from roomlight_server.routes import bodies
 
 LIMIT = 2**18
 
@@ -161,6 +167,34 @@ def test_a_body_that_stops_arriving_is_answered_with_408(server):
         answer.begin()
         assert answer.status == 408
         assert json.loads(answer.read())["type"] == "urn:roomlight:problem:body-timeout"
+
+
+@pytest.mark.parametrize(("piece_bytes", "status"), [(2**20, 200), (2**16, 408)])
+def test_a_body_may_take_long_while_it_brings_enough(piece_bytes, status, monkeypatch):
+    """An object of 15 MB was refused where the network sent less than 0.5 MB a second."""
+    now_s, sent = 0.0, []
+
+    async def receive():
+        nonlocal now_s
+        now_s += 20.0
+        await asyncio.sleep(0)
+        return {"type": "http.request", "body": bytes(piece_bytes), "more_body": now_s < 600}
+
+    async def read_all(_scope, receive, _send):
+        status = 200
+        try:
+            while (await receive())["more_body"]:
+                pass
+        except HTTPException as error:
+            status = error.status_code
+        sent.append(status)
+
+    monkeypatch.setattr(bodies, "time", SimpleNamespace(monotonic=lambda: now_s, perf_counter=lambda: now_s))
+    limits = {"frame_bytes": 1, "object_bytes": 2**25, "timeout_s": 30.0}
+    middleware = bodies.BodyMiddleware(read_all, metrics=Metrics(), **limits)
+    scope = {"type": "http", "method": "POST", "path": bodies.OBJECTS_PATH, "headers": []}
+    asyncio.run(middleware(scope, receive, Mock()))
+    assert sent == [status]
 
 
 def test_a_disconnected_client_frees_its_frame_slot(server):

@@ -77,7 +77,8 @@ class ServerSettings(BaseSettings):
         state_expiry_s: Erase a saved session after this many seconds without a request; only time in which a server
             runs counts, whatever its clock says.
         max_owner_state_bytes: Disk of the saved sessions of one token; beyond it no new one is opened.
-        body_timeout_s: Time limit for receiving the body of a request.
+        body_timeout_s: A request is refused whose body brings nothing for this time, or takes longer and less than
+            16 KiB arrive in each second beyond it.
         max_body_bytes: Largest frame in bytes.
         max_colour_pixels: Largest colour image of a frame.
         max_depth_pixels: Largest depth map of a frame.

@@ -29,6 +29,8 @@ MAX_JSON_NAMES: Final = 2048
 """Most names of a JSON body or message; one of 64 probes or objects has 1,000. Each unknown name is an error with its
 own text: 6,000 of them held the event loop for 0.13 s."""
 MANY_NAMES: Final = f"the JSON has more than {MAX_JSON_NAMES} names, the limit"
+MIN_BYTES_PER_S: Final = 2**14
+"""Mean rate at which a body must arrive beyond the first `body_timeout_s`; an object of 32 MiB may take 35 minutes."""
 _MAX_LENGTH_DIGITS: Final = 15
 _CHARSETS: Final = ("utf-8", "utf8", "us-ascii", "ascii")
 _FILES: Final = ("colour", "depth", "confidence")
@@ -47,7 +49,10 @@ class BodyMiddleware:
     def __init__(
         self, app: ASGIApp, *, frame_bytes: int, object_bytes: int, timeout_s: float, metrics: Metrics
     ) -> None:
-        """Wrap an application. Frames, objects and all other bodies (`MAX_JSON_BYTES`) have limits of their own."""
+        """Wrap an application. Frames, objects and all other bodies (`MAX_JSON_BYTES`) have limits of their own.
+
+        `timeout_s` is the longest time without a byte, and the time after which `MIN_BYTES_PER_S` hold.
+        """
         self._app, self._frame_bytes, self._timeout_s, self._metrics = app, frame_bytes, timeout_s, metrics
         self._object_bytes = object_bytes
 
@@ -94,11 +99,13 @@ class BodyMiddleware:
                 raise HTTPException(415, f"Content-Encoding {encoding[:80]!r} is not supported; send the body as it is")
             if too_long:
                 raise HTTPException(413, f"the body has {declared[:_MAX_LENGTH_DIGITS]} bytes; the limit is {limit}")
+            left_s = deadline + received / MIN_BYTES_PER_S - time.monotonic()
             try:
-                async with asyncio.timeout(max(0.0, deadline - time.monotonic())):
+                async with asyncio.timeout(max(0.0, min(left_s, self._timeout_s))):
                     message = await receive()
             except TimeoutError:
-                raise HTTPException(408, f"the body did not arrive within {self._timeout_s:g} s") from None
+                rule = f"may pause for {self._timeout_s:g} s, and later has to bring {MIN_BYTES_PER_S} bytes a second"
+                raise HTTPException(408, f"the body came too slowly ({received} bytes of it): it {rule}") from None
             received += len(message.get("body", b""))
             done = message["type"] != "http.request" or not message.get("more_body", False)
             if limit == MAX_JSON_BYTES:
