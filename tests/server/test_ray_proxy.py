@@ -23,7 +23,8 @@ from roomlight_server.replicas.proxy import SessionRouting, middlewares, routed_
         ("/v1/sessions/room", [(b"x-session-id", b"other"), (b"x_session_id", b"another")], b"room"),
         ("/v1/sessions/room/stream", [], b"room"),
         ("/v1/objects", [(b"x-session-id", b"chosen")], b"chosen"),
-        ("/v1/sessions", [], None),
+        ("/v1/pairing", [], b"none"),  # the next request belongs to its answer
+        ("/healthz", [], None),
     ],
 )
 def test_the_session_of_the_path_chooses_the_replica(path, sent, found):

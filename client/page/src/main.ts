@@ -29,7 +29,7 @@ const wanted = new URLSearchParams(location.hash.slice(1)); // before `showAddre
 const state = new State();
 let live: LiveSession | null = null;
 
-const objects = new PlacedObjects(state, () => live?.session ?? null, (file) => api.uploadGlb(file), reportOwn);
+const objects = new PlacedObjects(state, () => live?.session ?? null, (file) => api.of(state.selected.value).uploadGlb(file), reportOwn);
 const shared = new SharedScene(api, state, objects, reportOwn);
 
 sessionsPanel(state, { onDelete: (session) => void removeSession(session), onRename: (session) => void renameSession(session) });

@@ -32,13 +32,16 @@ export class RecordingUpload {
   private readonly files: readonly NamedFile[];
   private readonly stopped = new AbortController();
   private isListed = false; // on the server already, and not played by this page
+  private readonly api: Api;
 
   constructor(
-    private readonly api: Api,
+    api: Api,
     name: string,
     files: readonly NamedFile[],
     private readonly sample = false,
+    private readonly session: string | null = sessionName(name),
   ) {
+    this.api = api.of(session);
     this.files = files.filter(({ path }) => !IGNORED.test(path));
     const bytes = this.files.reduce((sum, { file }) => sum + file.size, 0);
     this.state = new Signal<Upload>({ name, bytes, sent: 0, recording: null, error: null });
@@ -51,7 +54,7 @@ export class RecordingUpload {
 
   /** One that is on the server already, such as one of this page before it was loaded again. */
   static of(api: Api, recording: Recording): RecordingUpload {
-    const upload = new RecordingUpload(api, recording.name, []);
+    const upload = new RecordingUpload(api, recording.name, [], false, recording.session);
     const error = recording.problem ? RoomLightError.fromProblem(recording.problem).message : null;
     upload.isListed = true;
     upload.show({ bytes: recording.bytes, sent: recording.received, recording, error });
@@ -151,7 +154,7 @@ export class RecordingUpload {
   }
 
   private async replay(id: string, playing: (session: string) => void): Promise<void> {
-    const session = sessionName(this.state.value.name);
+    const session = this.session ?? sessionName(this.state.value.name);
     const recording = await this.api.replay(id, session);
     this.show({ recording });
     playing(recording.session ?? session);

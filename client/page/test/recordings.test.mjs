@@ -23,9 +23,11 @@ const finished = (name) =>
   );
 
 test("the sample room is played", async () => {
+  const replay = page.waitForRequest((request) => request.url().endsWith("/replay"));
   await page.click("#play-sample");
   await waitForLight(page);
   assert.match(await page.title(), /^Sample-room-/);
+  assert.equal((await replay).headers()["x-session-id"], (await page.title()).split(" ")[0]); // several servers: all goes to the session's
   await page.waitForFunction(() => location.hash.includes("probe="));
   const { page: other } = await openPage(browser, { url: page.url() });
   await waitForLight(other);

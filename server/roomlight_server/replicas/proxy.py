@@ -1,7 +1,8 @@
 """What Ray Serve's HTTP proxies add to a request and to an answer; `middlewares` is imported by them.
 
 The proxy chooses the replica by the header `X-Session-Id`. Browsers cannot set it for a WebSocket, so it is made from
-the path. An error of Ray itself (the replica was killed) becomes a 503 that clients know.
+the path. What has no session, such as pairing, goes to one replica. An error of Ray itself (the replica was killed)
+becomes a 503 that clients know.
 """
 
 import json
@@ -43,13 +44,13 @@ class SessionRouting:
 
 
 def routed_headers(path: str, headers: list[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
-    """Return headers with the session id of the path, if it has one, in place of the client's."""
+    """Return headers with the session id of the path, if it has one, in place of the client's; or else a constant."""
     kept = [(name, value) for name, value in headers if name.replace(b"_", b"-") not in _RAY_HEADERS]
     session = SESSION_PATH.match(path)
-    if session is None:
-        return kept
     own = [(name, value) for name, value in kept if name.replace(b"_", b"-") != SESSION_HEADER]
-    return [*own, (SESSION_HEADER, session[1].encode())]
+    if session is not None:
+        return [*own, (SESSION_HEADER, session[1].encode())]
+    return [*own, (SESSION_HEADER, b"none")] if len(own) == len(kept) and path.startswith("/v1/") else kept
 
 
 class _Answer:

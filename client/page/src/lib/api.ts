@@ -40,6 +40,7 @@ export class Api {
   private tokenValue: string | null;
 
   private code: string | null;
+  private readonly session: string | null = null;
 
   /** Take the token, or the code of a phone's link, from the address and remove it there. */
   constructor() {
@@ -94,8 +95,13 @@ export class Api {
     return new RoomLight(this.base, { retries, timeout_s: LONG_S, ...(this.tokenValue ? { token: this.tokenValue } : {}) });
   }
 
+  /** The same, for what belongs to a session without being in its path: by the header a proxy finds the session's server. */
+  of(session: string | null): Api {
+    return Object.create(this, { session: { value: session } }) as Api;
+  }
+
   async uploadGlb(file: Blob): Promise<ObjectInfo> {
-    return this.client().upload(new Uint8Array(await file.arrayBuffer()), { kind: "glb" });
+    return this.client().upload(new Uint8Array(await file.arrayBuffer()), { kind: "glb", sessionId: this.session ?? undefined });
   }
 
   sessions(): Promise<SessionList> {
@@ -205,7 +211,8 @@ export class Api {
       fetch: (url, init) => fetch(url, { cache, ...init }),
       ...(this.tokenValue ? { token: this.tokenValue } : {}),
     });
-    return http.send({ method: "GET", path, ...request });
+    const headers = { ...request.headers, ...(this.session !== null && { "x-session-id": this.session }) };
+    return http.send({ method: "GET", path, ...request, headers });
   }
 }
 

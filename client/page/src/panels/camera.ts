@@ -138,7 +138,7 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
     objects.update();
   });
   byId("object-form").addEventListener("submit", (event) => event.preventDefault());
-  listenToFile(api);
+  listenToFile(api, state);
 }
 
 /** The placed objects, and what can be done with the selected one. */
@@ -201,7 +201,7 @@ function objectTools(state: State, objects: PlacedObjects): void {
 }
 
 /** Ask for a GLB file when that is chosen, and upload it; without one there is a sphere. */
-function listenToFile(api: Api): void {
+function listenToFile(api: Api, state: State): void {
   const shape = byId<HTMLSelectElement>("object-shape");
   const input = byId<HTMLInputElement>("object-file");
   const option = shape.querySelector<HTMLOptionElement>('option[value="file"]')!;
@@ -216,7 +216,7 @@ function listenToFile(api: Api): void {
     input.value = "";
     try {
       if (file) {
-        const { id, size_m, notes = [] } = await api.uploadGlb(file);
+        const { id, size_m, notes = [] } = await api.of(state.selected.value).uploadGlb(file);
         chosenFile = { id, name: file.name, data: file, size_m: Math.max(...size_m) };
         option.textContent = file.name;
         shape.value = "file";

@@ -30,6 +30,7 @@ export function filmPanel(api: Api, state: State, objects: PlacedObjects): void 
   const [from, length] = [byId<HTMLInputElement>("film-from"), byId<HTMLInputElement>("film-length")];
   const bar = byId<HTMLProgressElement>("film-progress");
   let known: Known | null = null;
+  const own = () => api.of(state.selected.value);
   let polling = false;
 
   /** First frame and number of frames. */
@@ -50,7 +51,7 @@ export function filmPanel(api: Api, state: State, objects: PlacedObjects): void 
     byId("film-text").className = film?.problem ? "error" : "hint";
   };
   const read = async () => {
-    const { recordings, bytes, limit_bytes } = await api.recordings();
+    const { recordings, bytes, limit_bytes } = await own().recordings();
     const recording = recordings.find(({ session }) => session !== null && session === state.selected.value) ?? null;
     known = { recording, bytes, limit_bytes };
     show();
@@ -91,11 +92,11 @@ export function filmPanel(api: Api, state: State, objects: PlacedObjects): void 
   make.addEventListener("click", change((recording) => {
     const quality = byId<HTMLSelectElement>("film-quality").value as Quality;
     const { first, frames } = range(recording.film_fps!);
-    return api.makeFilm(recording.id, { objects: objects.list.value.map(asRequest), quality, first, frames });
+    return own().makeFilm(recording.id, { objects: objects.list.value.map(asRequest), quality, first, frames });
   }));
-  cancel.addEventListener("click", change(({ id }) => api.deleteFilm(id)));
+  cancel.addEventListener("click", change(({ id }) => own().deleteFilm(id)));
   save.addEventListener("click", change(async ({ id }) => {
-    const file = await api.file(`v1/recordings/${id}/film`);
+    const file = await own().file(`v1/recordings/${id}/film`);
     offer(file!.blob, `${state.selected.value}.mp4`);
   }));
   from.addEventListener("input", show);
