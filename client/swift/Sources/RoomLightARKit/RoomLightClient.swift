@@ -91,7 +91,7 @@ public final class RoomLightClient: @unchecked Sendable {
         return try JSONDecoder().decode(Paired.self, from: try await answer(to: request, session)).token
     }
 
-    /// The index of the next frame: 0, 1, 2 ...
+    /// The index of the next frame: 0, 1, 2 ..., above all frames that the server had at `open`.
     public func nextIndex() -> Int {
         lock.lock()
         defer { lock.unlock() }
@@ -99,11 +99,20 @@ public final class RoomLightClient: @unchecked Sendable {
         return next - 1
     }
 
-    /// Opens the session. Options are the fields of `SessionRequest`: model, height, reference_exposure,
-    /// use_limited_tracking, min_confidence, unknown_depth.
+    /// Opens the session, or continues an existing one. Options are the fields of `SessionRequest`: model, height,
+    /// reference_exposure, use_limited_tracking, min_confidence, unknown_depth.
     public func open(options: [String: Any] = [:]) async throws {
+        struct Frames: Decodable { let last_index: Int? }
+        struct State: Decodable { let frames: Frames }
         let body = try JSONSerialization.data(withJSONObject: options)
-        _ = try await send("PUT", [], body: body, type: "application/json")
+        let answer = try await send("PUT", [], body: body, type: "application/json")
+        continueAfter(try JSONDecoder().decode(State.self, from: answer).frames.last_index ?? -1)
+    }
+
+    private func continueAfter(_ index: Int) {
+        lock.lock()
+        defer { lock.unlock() }
+        next = max(next, index + 1)
     }
 
     /// Sends a packed frame. The index must be the one in its header.

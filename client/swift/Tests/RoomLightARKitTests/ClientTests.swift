@@ -25,11 +25,11 @@ final class ClientTests: XCTestCase {
             cameraToWorld: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1])
     }
 
-    private func client(_ path: String = "") throws -> RoomLightClient {
+    private func client(id: String = UUID().uuidString) throws -> RoomLightClient {
         guard let text = ProcessInfo.processInfo.environment["ROOMLIGHT_SERVER"], let server = URL(string: text) else {
             throw XCTSkip("ROOMLIGHT_SERVER must be the address of a running server")
         }
-        return RoomLightClient(server: server.appendingPathComponent(path))
+        return RoomLightClient(server: server, id: id)
     }
 
     func testASessionGivesLight() async throws {
@@ -51,6 +51,9 @@ final class ClientTests: XCTestCase {
         XCTAssertGreaterThan(total.coefficients[0], ambient.coefficients[0])
         let map = try await client.probe(point, ["format": "ktx2", "size": "16"])
         XCTAssertEqual(map.prefix(6).dropFirst(), Data("KTX 2".utf8))
+        let again = try self.client(id: client.id)
+        try await again.open()
+        XCTAssertEqual(again.nextIndex(), 2)
         try await client.close()
     }
 
