@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roomlight.depth import UnknownDepth, complete_depth, without_unseen
-from roomlight.engine.networks.clipping import ClippingModel
+from roomlight.engine.networks.clipping import ClippingModel, white_of
 from roomlight.engine.surface.bracket import take_clipped_light
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.frame import Frame
@@ -50,7 +50,8 @@ class PreparedFrame:
             clipping: Estimates what no frame shows.
         """
         bracketed = take_clipped_light(measured, depth_m, earlier)
-        restored = clipping.restore(bracketed, depth_m)
+        own_white = white_of(measured) if measured.clipped.any() else None
+        restored = clipping.restore(bracketed, depth_m, own_white=own_white)
         return cls(replace(restored, depth_m=depth_m), measured.depth_m, measured.clipped)
 
     def mesh(self) -> FrameMesh:

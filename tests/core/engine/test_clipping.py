@@ -164,6 +164,11 @@ def test_a_higher_bound_of_another_exposure_is_kept(frame, five_times_white):
     assert result.image[row, column] == pytest.approx(7.0)
     others = marked.clipped & (image.max(-1) < 1)
     assert result.image[others].max() == pytest.approx(5 * WHITE, rel=1e-5)
+    image[marked.clipped] = 4 * marked.image[marked.clipped]  # an earlier frame clipped most of them at 4 x white
+    image[row, column] = WHITE
+    result = five_times_white.restore(replace(marked, image=image), frame.depth_m, own_white=float(WHITE))
+    assert result.image[row, column] == pytest.approx(5 * WHITE)
+    assert result.image[others].max() == pytest.approx(5 * 4 * WHITE, rel=1e-5)
 
 
 def test_estimates_are_in_units_of_the_frames_white(frame, shipped):

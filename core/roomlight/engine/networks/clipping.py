@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from roomlight.conventions import luminance
+from roomlight.engine.kernels.blend import HIGHER
 from roomlight.engine.networks.graph import Graph
 from roomlight.engine.networks.graphs import SHIPPED, PartFiles, load_part
 from roomlight.engine.networks.providers import Provider
@@ -59,7 +60,7 @@ class ClippingModel:
         self._graph = graph
         self.digest = graph.digest
 
-    def restore(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
+    def restore(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"], *, own_white: float | None = None) -> Frame:
         """Estimate the radiance of the clipped pixels of a frame, and state in `guessed` what the estimate added.
 
         Channels that did not saturate keep their value. An estimate is never below the measured value, which is a lower
@@ -68,13 +69,18 @@ class ClippingModel:
         Args:
             frame: With the sensor's depth (0 = unknown).
             depth_m: Its completed depth.
+            own_white: Where the frame's own exposure saturates, if other frames have changed clipped pixels: those up
+                to it are estimated from it, others from the white of most; default: that of most.
         """
         if not frame.clipped.any():
             return frame
-        white = white_of(frame)
+        most = white_of(frame)
+        own = most if own_white is None else min(own_white, most)
         where = np.flatnonzero(frame.clipped)
         measured = frame.image.reshape(-1, 3)[where]
-        estimate = np.exp(self.log_radiance(frame, depth_m).reshape(-1, 3)[where]) * np.float32(white)
+        top = measured.max(axis=1, keepdims=True)
+        white = np.where(top < HIGHER * np.float32(own), np.float32(own), np.float32(most))
+        estimate = np.exp(self.log_radiance(frame, depth_m).reshape(-1, 3)[where]) * white
         saturated = measured >= np.float32(_SATURATED) * white
         image = frame.image.copy()
         image.reshape(-1, 3)[where] = np.where(saturated, np.maximum(estimate, measured), measured)
