@@ -37,6 +37,8 @@ PANORAMA_RENDERER: Final = "roomlight_generator.panoramas.render:render_room"
 VIEWS: Final = "roomlight_generator.sequences.any_view:render_views"
 PANORAMA_VIEWS: Final = "roomlight_generator.sequences.any_view:render_panorama_views"
 BLENDER_RENDERER: Final = "roomlight_generator.blender.render:render_room"
+FURNITURE_SHARE: Final = 0.7
+"""Default share of the rooms lit by panoramas that have furniture."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class GenerateOptions:
         samples: Paths a pixel of frames of Blender files; probes have four times as many.
 
     Raises:
-        OptionError: An option is out of range, or `any_view` is given with `scenes` or a `renderer`.
+        OptionError: An option is out of range, or of what is not asked for.
         DatasetError: A shard does not hold whole rooms.
     """
 
@@ -74,7 +76,7 @@ class GenerateOptions:
     furniture: Path | None = None
     renderer: str | None = None
     panoramas: Path | None = None
-    furniture_share: Annotated[float, Interval(ge=0, le=1)] = 0.7
+    furniture_share: Annotated[float, Interval(ge=0, le=1)] = FURNITURE_SHARE
     any_view: bool = False
     scenes: tuple[Path, ...] = ()
     samples: Annotated[int, Ge(1)] = 64
@@ -84,6 +86,8 @@ class GenerateOptions:
         if self.any_view and (self.scenes or self.renderer):
             other = "renderer" if self.renderer else "scenes"
             raise OptionError(f"any_view is True and {other} is given, which decides itself; leave one out")
+        if self.panoramas is None and self.furniture_share != FURNITURE_SHARE:
+            raise OptionError("`furniture_share` is of rooms that `panoramas` light; add that, or leave it out")
         if self.shard_size % self.sequences_per_room:
             raise DatasetError(
                 f"a shard of {self.shard_size} sequences does not hold whole rooms of {self.sequences_per_room}; "

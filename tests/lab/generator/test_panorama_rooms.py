@@ -234,5 +234,7 @@ def test_a_missing_folder_makes_no_dataset(tmp_path):
 
 @pytest.mark.parametrize("share", [-0.1, 1.5])
 def test_a_share_outside_0_to_1_is_an_error(share):
+    with pytest.raises(OptionError, match="`furniture_share` is of rooms that `panoramas` light"):
+        GenerateOptions(1, shard_size=1, sequences_per_room=1, furniture_share=0.5)
     with pytest.raises(OptionError, match=r"furniture_share is .*; it must be 0 to 1"):
         GenerateOptions(1, shard_size=1, sequences_per_room=1, furniture_share=share)
