@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-import typer
 from annotated_types import Ge, Interval
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
@@ -30,7 +29,7 @@ from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.notes import distinct
 from roomlight.rules import check_options
-from roomlight_cli.console import err, print_notes, remark
+from roomlight_cli.console import print_notes, remark, stopped_by_signals
 from roomlight_cli.options import Flag
 from roomlight_cli.probe_notes import counted
 from roomlight_cli.progress import Progress, duration
@@ -156,6 +155,11 @@ class CompositeOptions:
                     f"{path}: has pictures of these frames, {made[0]} to {made[-1]}; give others by --first-frame and "
                     "--last-frame, or replace them with --overwrite"
                 )
+        elif not self.is_film and (made := self.numbers(*_ENDINGS)):
+            raise OutputError(
+                f"{path}: has pictures {made[0]} to {made[-1]}; go on with --first-frame {int(made[-1]) + 1}, choose "
+                "another --out, or replace them with --overwrite"
+            )
         elif path.is_file() or any(path.iterdir()):
             raise OutputError(f"{path}: exists already; choose another --out, or replace it with --overwrite")
 
@@ -188,7 +192,7 @@ def composite_recording(
         CaptureError: The recording cannot be read.
         SceneError: A place is refused.
         OutputError: A file cannot be written.
-        typer.Exit: Ctrl-C stopped it (code 130).
+        typer.Exit: Ctrl-C or SIGTERM stopped it (code 130 or 143).
     """
     check_writable(options.out if options.is_film else options.out / "000000.png")
     print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
@@ -196,37 +200,36 @@ def composite_recording(
     count = following = start = height = width = 0
     last = min(options.last, capture.frame_count * reading.every - 1)
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
-    try:
-        with ExitStack() as stack:
-            progress = stack.enter_context(Progress(passes[0]))
-            film = options.out if options.is_film else None
-            frames = _ReportedFrames(capture, last // reading.every + 1, passes, progress.count_of, film)
-            made = composite_capture(
-                frames,
-                scene,
-                quality=options.quality,
-                online=options.online,
-                first_frame=options.first_frame,
-                last_frame=options.last_frame,
-                options=light,
-            )
-            capture.prepare(progress.count_of)
-            write = stack.enter_context(_output(options, capture, reading.every))
-            for picture in made:
-                write(picture)
-                start = start if count else picture.frame.index
-                height, width = picture.image.shape[:2]
-                count, following = count + 1, picture.frame.index + 1
-                if count > 1 and options.quality != "preview":  # the first has compilation in its time
-                    advised = advised or _advise(picture, (last - picture.frame.index) // reading.every)
-                for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
-                    unseen.pop(number, None)
-    except KeyboardInterrupt:
-        kept = "no film was written" if options.is_film else "nothing was written"
+
+    def kept() -> str:
         if count and not options.is_film:
-            kept = f"{options.out} keeps {counted(count, 'picture')}; go on with --first-frame {following}"
-        err.print(f"stopped; {kept}", soft_wrap=True, markup=False)
-        raise typer.Exit(130) from None
+            return f"{options.out} keeps {counted(count, 'picture')}; go on with --first-frame {following}"
+        return "no film was written" if options.is_film else "nothing was written"
+
+    with stopped_by_signals(kept), ExitStack() as stack:
+        progress = stack.enter_context(Progress(passes[0]))
+        film = options.out if options.is_film else None
+        frames = _ReportedFrames(capture, last // reading.every + 1, passes, progress.count_of, film)
+        made = composite_capture(
+            frames,
+            scene,
+            quality=options.quality,
+            online=options.online,
+            first_frame=options.first_frame,
+            last_frame=options.last_frame,
+            options=light,
+        )
+        capture.prepare(progress.count_of)
+        write = stack.enter_context(_output(options, capture, reading.every))
+        for picture in made:
+            write(picture)
+            start = start if count else picture.frame.index
+            height, width = picture.image.shape[:2]
+            count, following = count + 1, picture.frame.index + 1
+            if count > 1 and options.quality != "preview":  # the first has compilation in its time
+                advised = advised or _advise(picture, (last - picture.frame.index) // reading.every)
+            for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
+                unseen.pop(number, None)
     print_notes(capture.notes)
     if options.is_film and options.fps is None and (pace := capture.pace_note(count, start, following - 1)):
         print_notes([pace])

@@ -1,8 +1,11 @@
 """Where commands print, and how they end: an error of RoomLight is one line on standard error and exit code 1."""
 
 import re
+import signal
 import sys
-from collections.abc import Iterable, Mapping
+import threading
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol, runtime_checkable
 
@@ -82,6 +85,33 @@ def fail(message: str) -> NoReturn:
     """Print an error as one line on standard error, and end the process with exit code 1."""
     err.print(f"[red]error:[/] {escape(message)}", soft_wrap=True)
     sys.exit(1)
+
+
+@contextmanager
+def stopped_by_signals(kept: Callable[[], str]) -> Generator[None]:
+    """At Ctrl-C or SIGTERM say what is kept and how to go on, and end with the signal's exit code.
+
+    Raises:
+        typer.Exit: A signal came.
+    """
+    if threading.current_thread() is not threading.main_thread():  # which alone has signals
+        yield
+        return
+    received = int(signal.SIGINT)
+
+    def stop(number: int, _: object) -> None:
+        nonlocal received
+        received = number
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    except KeyboardInterrupt:
+        err.print(f"stopped; {kept()}", soft_wrap=True, markup=False)
+        raise typer.Exit(128 + received) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def with_flags(error: RoomLightError, flags: Mapping[str, str]) -> str:

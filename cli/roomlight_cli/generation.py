@@ -1,13 +1,8 @@
-"""Progress and cost of `roomlight dataset generate`, in words, and its end by a signal."""
+"""Progress and cost of `roomlight dataset generate`, in words."""
 
-import signal
-import threading
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from statistics import fmean
 
-import typer
-from rich.console import Console
 from rich.markup import escape
 
 from roomlight_cli.progress import Progress, duration
@@ -23,29 +18,6 @@ def show_generation(progress: Progress) -> Callable[[GenerationProgress], None]:
         progress.count_of(f"generating ({describe(state)})", state.finished, state.wanted)
 
     return show
-
-
-@contextmanager
-def stopped_by_signals(kept: str, console: Console) -> Generator[None]:
-    """At Ctrl-C or SIGTERM say that the same command continues, and end with the signal's exit code."""
-    if threading.current_thread() is not threading.main_thread():  # which alone has signals
-        yield
-        return
-    received = int(signal.SIGINT)
-
-    def stop(number: int, _: object) -> None:
-        nonlocal received
-        received = number
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    except KeyboardInterrupt:
-        console.print(f"stopped; {kept}, and the same command continues", soft_wrap=True)
-        raise typer.Exit(128 + received) from None
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def describe(progress: GenerationProgress) -> str:

@@ -19,20 +19,26 @@
 """
 
 import inspect
+import os
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import partial, wraps
+from pathlib import Path
 from typing import Annotated, Any, Final, Protocol, get_args, get_origin, get_type_hints, runtime_checkable
 
 import typer
 from annotated_types import Ge, Le
 
 from roomlight.errors import OptionError, RoomLightError
+from roomlight.files import check_writable
 from roomlight.rules import Rule
 from roomlight_cli.console import APP_OPTIONS, fail, with_flags
 
 _UNIT: Final = re.compile(r"_(m|deg|degrees)$")
+_WRITTEN: Final = ("out", "json")
+"""Options that name what is written; a link stays, and what it leads to is written."""
 _REQUIRED: Final = inspect.Parameter.empty
 _POINTS: Final = {
     2: ("U,V", "a pixel is U,V: column and row, e.g. 960,540"),
@@ -121,6 +127,8 @@ def add_command(app: typer.Typer, function: Callable[..., None], **facts: Any) -
         try:
             arguments = {name: build(values) for name, build in builds.items()}
             function_is_called = True
+            if arguments.get("json") is not None:  # of every command a file that is written at the end
+                check_writable(arguments["json"])
             function(**arguments)
         except RoomLightError as error:
             message = with_flags(error, options.flags)
@@ -231,7 +239,17 @@ class CommandOptions:
             default = ",".join(map(str, default)) if default else None
         kind = inspect.Parameter.KEYWORD_ONLY
         self.parameters.append(inspect.Parameter(name, kind, default=default, annotation=annotation))
+        if name in _WRITTEN:
+            return lambda values: _followed(values[name])
         return lambda values: tuple(values[name] or ()) if is_repeatable else values[name]
+
+
+def _followed(path: Path | None) -> Path | None:
+    """Return where a link leads, also to what is not there yet; other paths as they are."""
+    with suppress(OSError):  # a name too long, which is told when it is written
+        if path is not None and path.is_symlink():
+            return Path(os.path.realpath(path))
+    return path
 
 
 def _flag_note(rule: Rule) -> Flag:

@@ -68,6 +68,8 @@ def check_writable(path: Path) -> None:
     try:
         if path.parent.exists() and not path.parent.is_dir():
             raise OutputError(f"{path.parent}: is a file; the output needs a folder")
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; the output needs the name of a file")
         missing.extend(folder for folder in path.absolute().parents if not folder.exists())
         path.parent.mkdir(parents=True, exist_ok=True)
         tried.touch()

@@ -210,6 +210,7 @@ def test_what_makes_long_work_shorter_is_told(roomlight, capture, tmp_path, monk
         ((*BALL, "--out", "film.webm"), "films are written as .mp4"),
         ((*BALL, "--out", "held.txt"), "is a file"),
         ((*BALL, "--out", "full"), "exists already"),
+        ((*BALL, "--out", "made"), "has pictures 000002 to 000003; go on with --first-frame 4"),
         (
             (*BALL, "--first-frame", "3", "--last-frame", "2", "--out", "new"),
             "--last-frame 2 is before --first-frame 3",
@@ -220,6 +221,9 @@ def test_a_wrong_call_writes_nothing(roomlight, capture, tmp_path, arguments, me
     (tmp_path / "held.txt").write_text("held")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "held.txt").write_text("held")
+    (tmp_path / "made").mkdir()
+    for number in (2, 3):
+        (tmp_path / "made" / f"{number:06d}.png").touch()
     before = sorted(tmp_path.rglob("*"))
     out = () if "--out" in arguments else ("--out", "new")
     done = roomlight("composite", capture, *arguments, *FAST, *out, cwd=tmp_path)

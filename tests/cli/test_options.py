@@ -74,6 +74,7 @@ def make(
     out: Path,
     token: Annotated[str | None, Flag(env="MAKE_TOKEN", text="A token.")] = None,
     online: bool = True,
+    json: Path | None = None,
 ) -> None:
     """Make something of a file.
 
@@ -84,10 +85,11 @@ def make(
         options: What to make.
         out: Where it goes.
         online: Ask the network.
+        json: Also write it here.
     """
     if source.name == "bad":
         raise FrameError("frame 3: state unit_m, or leave out `max_frames`")
-    CALLS.append((source, options, out, token, online))
+    CALLS.append((source, options, out, token, online, json))
 
 
 APP = command_app(make)
@@ -105,17 +107,25 @@ def made(*arguments: str, **environment: str) -> tuple[object, ...]:
 
 
 def test_without_options_the_defaults_of_the_fields_apply():
-    assert made() == (Path("in"), Options(), Path("there"), None, True)
+    assert made() == (Path("in"), Options(), Path("there"), None, True, None)
 
 
 def test_values_reach_their_fields():
-    _, options, _, token, online = made(
+    _, options, _, token, online, _ = made(
         "--unit", "2", "--probe", "1,2,3", "--probe", "-1,0,0.5", "--counts", "8", "--up", "-z", "--layers",
         "--max-frames", "3", "--no-online", MAKE_TOKEN="secret",
     )  # fmt: skip
     expected = Options(Reading(2.0), ((1.0, 2.0, 3.0), (-1.0, 0.0, 0.5)), (8,), up="-z", layers=True, max_frames=3)
     assert (options, token, online) == (expected, "secret", False)
     assert made("--up", "0,0,-1")[1] == Options(up=(0.0, 0.0, -1.0))
+
+
+def test_what_a_link_leads_to_is_written_and_figures_can_be(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "later")
+    assert made("--out", str(tmp_path / "link"))[2] == (tmp_path / "later").resolve()
+    code, text = run("in", "--out", "there", "--json", str(tmp_path))
+    assert (code, CALLS) == (1, [])
+    assert "is a folder" in text
 
 
 def test_help_is_that_of_the_docstrings():

@@ -17,8 +17,8 @@ from roomlight.dataset.verify import verify as verify_dataset
 from roomlight.errors import DatasetError, FurnitureError
 from roomlight.files import check_writable, write_json
 from roomlight_cli import console
-from roomlight_cli.console import APP_OPTIONS, say
-from roomlight_cli.generation import cost_text, show_generation, stopped_by_signals
+from roomlight_cli.console import APP_OPTIONS, say, stopped_by_signals
+from roomlight_cli.generation import cost_text, show_generation
 from roomlight_cli.options import Flag, Without, add_command
 from roomlight_cli.progress import Progress, duration
 from roomlight_generator.blender.scene import require_blender
@@ -95,7 +95,8 @@ def render(
 
 
 def _generate(out: Path, options: GenerateOptions, workers: int | None) -> None:
-    with stopped_by_signals("finished sequences are kept", console.err), Progress("generating") as progress:
+    kept = "finished sequences are kept, and the same command continues"
+    with stopped_by_signals(lambda: kept), Progress("generating") as progress:
         report = run_generator(out, options, workers=workers, progress=show_generation(progress))
     sequences = f"{report.sequences} {options.split} sequences"
     if report.sequences < report.asked:
@@ -207,6 +208,7 @@ def furniture(*, out: Path, library: tuple[Path, ...] = ()) -> None:
     sources = [file for path in library for file in library_files(path)] if library else installed_libraries()
     if not sources:
         raise FurnitureError("no furniture library is installed: apt install sweethome3d-furniture, or give --library")
+    check_writable(out)
     with Progress("reading models") as progress:
         build_cache(sources, out, warn=say, progress=progress.count)
     say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")

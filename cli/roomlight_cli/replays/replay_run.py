@@ -3,11 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from roomlight.engine.session import warm_up
 from roomlight.notes import Note
-from roomlight_cli.console import err, out, print_notes, remark, say
+from roomlight_cli.console import out, print_notes, remark, say, stopped_by_signals
 from roomlight_cli.probe_notes import counted, percent, position_text, probe_warnings
 from roomlight_cli.progress import Progress
 from roomlight_cli.replays.pictures import SUMMARY, VIDEO
@@ -22,7 +20,7 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
     """Replay `capture` into `folder` and print the result; return at once if it is there already.
 
     Raises:
-        typer.Exit: Ctrl-C stopped it (code 130).
+        typer.Exit: Ctrl-C or SIGTERM stopped it (code 130 or 143).
         RoomLightError: As `replay` raises it.
     """
     if not options.overwrite and (report := finished_report(capture, folder, options)):
@@ -30,18 +28,12 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
         say(f"{folder} already holds this replay, finished; --overwrite makes it again")
         _print_result(folder, report)
         return
-    with Progress("loading kernels (the first run compiles them)") as progress:
+    loading = Progress("loading kernels (the first run compiles them)")
+    with stopped_by_signals(lambda: _next_run(folder, options)), loading as progress:
         if options.server is None:
             warm_up()
         progress.say("replaying")
-
-        try:
-            report = replay(
-                capture, folder, options, token=token, progress=progress.count_of, on_recovery=print_recovery
-            )
-        except KeyboardInterrupt:
-            err.print(f"stopped; {_next_run(folder, options)}", soft_wrap=True)
-            raise typer.Exit(130) from None
+        report = replay(capture, folder, options, token=token, progress=progress.count_of, on_recovery=print_recovery)
     _print_result(folder, report)
 
 
