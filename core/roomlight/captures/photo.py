@@ -39,6 +39,8 @@ FovSource = Literal["option", "exif", "depth", "default"]
 
 _FARTHEST_M: Final = 1000.0
 """A median depth past this is in another unit."""
+_MOSTLY_CLIPPED: Final = 0.9
+"""Share of a picture's pixels."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,9 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
         notes = (*notes, barred)
     if (disc := round_picture(str(image), colour)) is not None:
         notes = (*notes, disc)
+    if (share := float(picture.clipped.mean())) > _MOSTLY_CLIPPED:
+        text = f"{image}: {share:.0%} of its pixels are clipped"
+        notes = (*notes, Note(text, "its light is a guess", "take it with less exposure"))
     estimated = depth is None and (own is None or options.depth_model is not None)
     if depth is not None:
         depth_m = decode_depth_map(read_bytes(depth), str(depth), unit_m=options.depth_unit_m)

@@ -251,6 +251,13 @@ def test_a_zoom_and_a_lens_that_exif_names_are_pointed_out(
         assert not [word for word in ("lens", "zoom", "panorama") if word in notes]
 
 
+def test_a_picture_that_is_clipped_throughout_is_pointed_out(tmp_path: Path) -> None:
+    Image.new("RGB", (64, 48), "white").save(tmp_path / "a.png")
+    np.save(tmp_path / "d.npy", np.full((48, 64), 2.0, np.float32))
+    (note,) = read_photo(tmp_path / "a.png", tmp_path / "d.npy", PhotoOptions(world_up="y")).notes
+    assert "100% of its pixels are clipped" in note.left_out
+
+
 def test_a_picture_of_a_panorama_s_aspect_is_pointed_out() -> None:
     assert "by its aspect of 7.68" in str(panorama_like("a.jpg", 500, 3840))
     assert panorama_like("a.jpg", 1920, 800) is None  # a film
