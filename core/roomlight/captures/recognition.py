@@ -49,6 +49,11 @@ _MODELS: Final = (
     *(".usdz", ".usda", ".usdc", ".glb", ".gltf", ".obj", ".ply", ".fbx", ".stl", ".dae"),
     *(".spz", ".splat", ".ksplat", ".las", ".laz", ".e57", ".pts", ".xyz"),
 )
+_CAMERAS: Final = ("sfm_data.json", "bundle.out", ".chan", ".abc")
+"""Files of cameras, by name or ending: of OpenMVG, Bundler, Nuke, and Alembic."""
+_STAGES: Final = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
+"""Models that may be cameras where pictures are in a folder beside them."""
+_PICTURES: Final = ("images", "rgb", "color", "frames", "plate", "plates")
 _RECORDINGS: Final = (".svo", ".svo2", ".oni", ".vrs", ".klg")
 _SMALL_COPIES: Final = ("thumb", "thumbnail", "preview")
 _LISTED: Final = 1000
@@ -168,6 +173,9 @@ def _known_otherwise(path: Path) -> str:
         )
     if parts := sorted(file.name for file in files if file.name.startswith("transforms_") and file.suffix == ".json"):
         return f"holds {', '.join(parts[:4])}, and no transforms.json; rename one of them, or put their frames into it"
+    kinds = (*_CAMERAS, *_STAGES) if any((path / name).is_dir() for name in _PICTURES) else _CAMERAS
+    if cameras := next((file.name for file in files if file.name.lower() in kinds or file.suffix.lower() in kinds), ""):
+        return f"the cameras in {cameras} are not read; write them into {nerfstudio.INDEX}, beside the pictures"
     models = [file.name for file in files if file.suffix.lower() in _MODELS]
     is_flat = path.is_file() or not any(file.is_dir() for file in islice(path.iterdir(), _LISTED))
     if models and not ends & {*_IMAGES, *_VIDEOS, ".txt", ".csv"} and (is_flat or ".json" not in ends):

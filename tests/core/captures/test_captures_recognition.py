@@ -87,6 +87,13 @@ def test_a_folder_with_nothing_but_a_video(tmp_path: Path) -> None:
     refused(tmp_path / "walk", "no capture format recognised", error=UnknownFormatError)
 
 
+@pytest.mark.parametrize("name", ["sfm_data.json", "bundle.out", "shot.chan", "shot.abc", "shot.fbx", "shot.usda"])
+def test_cameras_of_other_programs_are_named(tmp_path: Path, name: str) -> None:
+    formats.save(tmp_path / "images/000000.png", formats.image(".png", VIEWS[0].srgb8))
+    formats.save(tmp_path / name, b"x")
+    refused(tmp_path, rf"the cameras in {re.escape(name)} are not read; write them into transforms\.json")
+
+
 def test_a_part_of_a_recording_leads_to_the_whole(tmp_path: Path) -> None:
     stray, tum = formats.stray_scanner(tmp_path / "stray", VIEWS[:2]), formats.tum(tmp_path / "tum", VIEWS[:2])
     opened = open_capture(stray / "rgb.mp4")
