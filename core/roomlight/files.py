@@ -167,8 +167,9 @@ def _finite(values: Any) -> Any:
 class FolderSource:
     """A folder to read from. Names are relative to it, with forward slashes.
 
-    A path out of the folder, a directory or a pipe in place of a file, or a size over the limit is refused before any
-    byte is read, with an error that names the file. A name that is not there as written is looked for with backslashes
+    A path or a link out of the folder, a directory or a pipe in place of a file, or a size over the limit is refused
+    before any byte is read, with an error that names the file. Folders in it that are links are followed; the server's
+    uploads and unpacked zips have none. A name that is not there as written is looked for with backslashes
     as slashes, in another case, in another normal form of Unicode, and with percent signs decoded. Two files that fit
     are an error.
     """
@@ -196,8 +197,10 @@ class FolderSource:
         if not name or "\0" in name or _ABSOLUTE.match(name):
             raise FrameError(f"{label}: not a path inside the folder; paths must be relative to it")
         try:
-            full = (self._resolved / self.actual(name)).resolve()
-            if not full.is_relative_to(self._resolved):
+            path = self._resolved / self.actual(name)
+            full = path.resolve()
+            is_followed = ".." not in path.parts and full.is_relative_to(path.parent.resolve())
+            if not is_followed and not full.is_relative_to(self._resolved):
                 raise FrameError(f"{label}: leads out of the folder (to {full}); copy what it points to into it")
             status = full.stat()
         except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a loop of links before Python 3.13

@@ -209,6 +209,13 @@ def test_links_may_lead_only_inside_the_folder(transforms: Path) -> None:
     target.unlink()
     target.symlink_to("frame_00001.png")  # inside is allowed
     assert len(list(open_capture(transforms))) == 4
+    pictures = (transforms / "images").rename(transforms.parent / "pictures")
+    (transforms / "images").symlink_to(pictures)  # and so is a folder that is a link
+    assert len(list(open_capture(transforms))) == 4
+    target = pictures / "frame_00003.png"
+    target.unlink()
+    target.symlink_to(outside)
+    one_skipped(transforms, 2, "leads out of the folder")
 
 
 def test_an_index_or_a_probe_that_leads_out_refuses_the_capture(transforms: Path) -> None:
