@@ -87,14 +87,14 @@ class WireError(RoomLightError):
     Attributes:
         kind: Short name of the mistake, e.g. `bad-header`; `too-large` where a limit was passed.
         field: Where it is, as a path in the message (`depth.width`), or "" for the message as a whole.
-        value: The refused value, shortened.
+        value: The refused value, shortened; "" where it says nothing.
         rule: What is allowed there.
     """
 
     def __init__(self, kind: str, *, field: str, value: object, rule: str) -> None:
         self.kind, self.field, self.rule = kind, field, rule
         self.value = text if len(text := str(value)) <= 120 else f"{text[:117]}..."
-        super().__init__(f"{field or 'the message'}: {rule}; got {self.value}")
+        super().__init__(f"{field or 'the message'}: {rule}{self.value and f'; got {self.value}'}")
 
 
 class ServerError(RoomLightError):

@@ -48,12 +48,11 @@ class DecodeProcesses(Processes):
             WireError: The file is refused, takes too long or ends the decoder; of the kind bad-object.
             RuntimeError: The decoder failed.
         """
-        value = f"{len(body)} bytes"
         arguments = {"work": "object", "kind": kind, "limits": asdict(self._object_limits)}
         try:
             return self._request(arguments, body, self._object_timeout_s, _decoded_object)
         except (KilledError, ObjectError) as error:
-            raise WireError("bad-object", field="body", value=value, rule=str(error)) from error
+            raise WireError("bad-object", field="body", value="", rule=str(error)) from error
 
 
 def _decoded_object(text: dict[str, Any], data: memoryview) -> VirtualObject:

@@ -119,8 +119,7 @@ def _object_result(body: bytes, kind: str | None, limits: dict[str, int]) -> Res
     try:
         text, data = pack_object(body, kind, limits)
     except ObjectError as error:
-        value = f"{len(body)} bytes"
-        return {"rejected": {"kind": "bad-object", "field": "body", "value": value, "rule": str(error)[:1000]}}, ()
+        return {"rejected": {"kind": "bad-object", "field": "body", "value": "", "rule": str(error)[:1000]}}, ()
     return text, (data,)
 
 

@@ -173,6 +173,15 @@ def test_formats_that_are_not_read_are_told_by_their_content(tmp_path: Path, dat
 
 
 @pytest.mark.parametrize(
+    ("data", "kind"),
+    [(b"\xff\xd8\xff\xe0JFIF", "a JPEG"), (b"PK\3\4", "a ZIP"), (b"<!DOCTYPE html>", "HTML"), (b"v 0 0 0\n", "b'v 0 0 0")],
+)
+def test_a_file_that_is_no_glb_is_not_called_damaged(data: bytes, kind: str) -> None:
+    with pytest.raises(ObjectError, match=f"is no GLB or glTF file; it starts like {kind}"):
+        load_object(data, "glb")
+
+
+@pytest.mark.parametrize(
     ("limits", "field"),
     [
         (ObjectLimits(file_bytes=100), "file bytes"),
@@ -189,7 +198,7 @@ def test_formats_that_are_not_read_are_told_by_their_content(tmp_path: Path, dat
     ],
 )
 def test_each_limit_is_kept(limits: ObjectLimits, field: str) -> None:
-    with pytest.raises(ObjectError, match=f"{field} are limited to"):
+    with pytest.raises(ObjectError, match=f"{field} {'is' if field == 'node depth' else 'are'} limited to"):
         load_object(textured_quad().glb(), limits=limits)
 
 

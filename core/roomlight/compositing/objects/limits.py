@@ -48,7 +48,8 @@ class ObjectLimits:
         """Raise PassedLimitError if `value` passes the limit `field`; the message begins with `name`."""
         limit = getattr(self, field)
         if value > limit:
-            raise PassedLimitError(f"{name}: {field.replace('_', ' ')} are limited to {limit}, the file has {value}")
+            words = f"{field.replace('_', ' ')} {'are' if field.endswith('s') else 'is'}"
+            raise PassedLimitError(f"{name}: {words} limited to {limit}, the file has {value}")
 
 
 def plain_text(data: bytes) -> bytes:

@@ -18,6 +18,7 @@ from roomlight.errors import ObjectError
 Model = TypeVar("Model", bound=BaseModel)
 
 _CHUNKS = (b"JSON", b"BIN\0")
+_OTHERS = {b"\xff\xd8\xff": "a JPEG", b"\x89PNG": "a PNG", b"PK\x03\x04": "a ZIP", b"<": "HTML or XML"}
 _VERSION_1 = re.compile(rb'"asset"\s*:\s*\{[^{}]*"version"\s*:\s*"?1\b|"techniques"\s*:\s*\{')
 
 
@@ -25,10 +26,14 @@ def split(data: bytes, name: str) -> tuple[bytes, bytes | None]:
     """Return the JSON and the binary chunk of a GLB, or a glTF file's JSON. Bytes after the GLB's length are ignored.
 
     Raises:
-        ObjectError: The GLB is truncated or of another version.
+        ObjectError: The GLB is truncated or of another version, or the file is of another kind.
     """
     if data[:4] != b"glTF":
-        return plain_text(data), None
+        text = plain_text(data)
+        if text[:1000].lstrip()[:1] not in (b"{", b""):
+            other = next((kind for magic, kind in _OTHERS.items() if text.startswith(magic)), repr(text[:12]))
+            raise ObjectError(f"{name}: is no GLB or glTF file; it starts like {other}; export the object as GLB")
+        return text, None
     if len(data) < 20:
         raise ObjectError(f"{name}: a GLB has 20 bytes of header, this file has {len(data)}")
     version, length = struct.unpack_from("<II", data, 4)
