@@ -6,6 +6,7 @@ holds for the type of processor that compiled it; another one compiles again at 
 
 import os
 import sys
+from argparse import ArgumentParser
 
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import SessionOptions, warm_up
@@ -21,4 +22,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    ArgumentParser(prog="python -m roomlight_server.precompile", description=__doc__).parse_args()
     main()
