@@ -89,6 +89,11 @@ export class State {
     return this.history.value.at(this.shownEntry.value ?? -1) ?? null;
   }
 
+  /** The counts of the selected session's frames; they outlive a restart of the server, the history does not. */
+  get frames(): SessionSummary["frames"] | null {
+    return this.sessions.value?.find(({ id }) => id === this.selected.value)?.frames ?? null;
+  }
+
   /** Forget everything of a session. */
   clearSession(): void {
     this.camera.value = null;

@@ -172,6 +172,21 @@ test("a new frame appears by itself", async () => {
   await page.waitForFunction((text) => document.getElementById("timeline-text").textContent.startsWith(text), text);
 });
 
+test("a session without a history, as after a restart, has its counts", async () => {
+  const other = await browser.newPage();
+  const empty = { stride: 1, bytes: 0, limit_bytes: 1, entries: [] };
+  await other.route("**/history?*", (route) => route.fulfill({ json: empty }));
+  await other.route("**/v1/sessions", async (route) => {
+    const { sessions } = await (await route.fetch()).json();
+    sessions.forEach(({ frames }) => (frames.gaps = 7));
+    await route.fulfill({ json: { sessions } });
+  });
+  await other.goto(page.url());
+  await other.waitForFunction(() => /^None kept/.test(document.getElementById("timeline-text").textContent));
+  await other.waitForFunction(() => document.querySelectorAll("#counts dd")[2].textContent === "7");
+  await other.close();
+});
+
 test("exposure, false colour and the tint change the panorama", async () => {
   let shown = await pixelsOf(page, "#panorama-canvas");
   await page.focus("#exposure");

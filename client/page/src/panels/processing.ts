@@ -27,14 +27,13 @@ const STAGES: Readonly<Record<string, string>> = {
 
 export function processingPanel(state: State): void {
   const show = () => {
-    const { entry, history } = state;
+    const { entry, history, frames } = state;
     const stages = Object.entries(entry?.stage_ms ?? {});
     const longest = Math.max(1, ...stages.map(([, ms]) => ms));
     byId("stages").replaceChildren(...stages.map(([name, ms]) => stage(name, ms, longest)));
     byId("speed-total").textContent = entry ? `${totalMs(entry).toFixed(0)} ms · ${rateText(history.value)}` : "";
-    const processed = state.sessions.value?.find(({ id }) => id === state.selected.value)?.frames.processed;
-    const counts = COUNTS.map(([key, label, meaning]) => count(label, entry?.[key] ?? 0, meaning, key === "refused"));
-    byId("counts").replaceChildren(count("Processed", processed ?? history.value.length, "In the light", false), ...counts);
+    const counts = COUNTS.map(([key, label, meaning]) => count(label, entry?.[key] ?? frames?.[key] ?? 0, meaning, key === "refused"));
+    byId("counts").replaceChildren(count("Processed", frames?.processed ?? history.value.length, "In the light", false), ...counts);
   };
   state.history.watch(() => timed("processing panel", show));
   state.shownEntry.watch(show);

@@ -27,7 +27,8 @@ export function timelinePanel(api: Api, state: State): void {
     scrub.max = String(last);
     scrub.value = String(at);
     scrub.disabled = last === 0;
-    const text = entry ? `Frame ${entry.index} · ${entry.seconds.toFixed(1)} s` : "No frames yet";
+    const none = state.picture.value ? "None kept since the server’s start" : "No frames yet";
+    const text = entry ? `Frame ${entry.index} · ${entry.seconds.toFixed(1)} s` : none;
     scrub.setAttribute("aria-valuetext", text);
     byId("timeline-text").textContent = text;
     byId("go-live").setAttribute("aria-pressed", String(state.shownEntry.value === null));
@@ -43,6 +44,7 @@ export function timelinePanel(api: Api, state: State): void {
     loadPast();
   });
   state.selected.watch(() => player.stop());
+  state.picture.watch(() => state.entry ?? show());
   scrub.addEventListener("input", () => {
     player.stop();
     const at = Number(scrub.value);
