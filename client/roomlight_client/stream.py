@@ -78,6 +78,7 @@ class AsyncStream:
         self._socket: ClientConnection | None = None
         self._backlog_top = -1  # frames up to this index are sent one by one: a newer one would supersede a waiting one
         self._requests = self._failures = 0
+        self._received = 0  # messages of all connections
         self._dropped: RemoteError | None = None
         self._runner: asyncio.Task[None] | None = None
 
@@ -214,21 +215,31 @@ class AsyncStream:
         if answer is not None:
             answer.set_result(value)
 
-    def _start_timer(self, name: str) -> None:
+    def _start_timer(self, name: str, n_bytes: int = 0) -> None:
+        """Start the time limit of a call whose bytes are sent now; it starts again after progress on a slow network."""
         if name not in self._pending:
             return
         limit_s = self._link.options.timeouts.read_s
+        received, unsent = self._received, self._unsent + n_bytes
 
         def expired() -> None:
+            if self._received > received or 0 < self._unsent < unsent:
+                return self._start_timer(name)
             error = UnreachableError(f"{name}: no answer in {limit_s:g} s")
             if name in self._light_calls:
                 self._fail(name, error)
-            self._drop(error)  # without its network it says nothing either; the next one tells whether a frame arrived
+            # without its network it says nothing either; the next one tells whether a frame arrived
+            return self._drop(error)
 
         old = self._timers.pop(name, None)
         if old is not None:
             old.cancel()
         self._timers[name] = asyncio.get_running_loop().call_later(limit_s, expired)
+
+    @property
+    def _unsent(self) -> int:
+        """Bytes that are not yet on the network."""
+        return 0 if self._socket is None else self._socket.transport.get_write_buffer_size()
 
     # --- connection -------------------------------------------------------------------------------------------
 
@@ -363,7 +374,7 @@ class AsyncStream:
             return
         frame.state = "sent"
         frame.sends += 1
-        self._start_timer(name)
+        self._start_timer(name, len(frame.message))
         await socket.send(frame.message)
 
     def _give_up_sent(self, error: RemoteError) -> None:
@@ -384,6 +395,7 @@ class AsyncStream:
     def _receive(self, data: str | bytes) -> None:
         if self._socket is None:
             return None  # the connection was given up
+        self._received += 1
         try:
             message, lights = decode_message(data)
         except (ValidationError, WireError, BadReplyError, ValueError) as error:

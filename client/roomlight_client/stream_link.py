@@ -22,6 +22,8 @@ from roomlight_client.retry import Retry, Timeouts
 
 _MESSAGES: Final[TypeAdapter[ServerMessage]] = TypeAdapter(ServerMessage)
 _MAX_ANSWER_BYTES: Final = 2**27
+_PONG_S: Final = 120.0
+"""A ping waits behind the frames on a slow network; calls have their own limit."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,7 @@ async def open_socket(link: StreamLink) -> ClientConnection:
             max_size=_MAX_ANSWER_BYTES,
             open_timeout=options.timeouts.connect_s,
             close_timeout=1.0,
+            ping_timeout=_PONG_S,
             proxy=None if is_loopback(urlsplit(options.url).hostname or "") else True,
             user_agent_header="roomlight-python",
         )

@@ -192,6 +192,7 @@ def make_server(
             ws=StreamProtocol,
             ws_max_size=settings.max_body_bytes + 1,
             ws_max_queue=settings.frames_in_flight,
+            ws_ping_timeout=120.0,  # a client's pong waits behind its frames on a slow network
             ws_per_message_deflate=False,  # 6.9 MB on the wire became 3.8 GB; frames are compressed already
             server_header=False,
             timeout_keep_alive=KEEP_ALIVE_S,

@@ -313,6 +313,21 @@ def test_a_call_without_an_answer_fails_and_connects_again():
     play(work, timeouts=sdk.Timeouts(read_s=0.2))
 
 
+def test_a_call_waits_as_long_as_messages_arrive():
+    async def work(room, _, stream):
+        loop = asyncio.get_running_loop()
+        room.silent.add(0)
+        pushed = asyncio.create_task(stream.push(FRAMES[0]))
+        await room.logged("frame 0")
+        await stream.push(FRAMES[1])
+        with mock.patch.object(loop, "time", return_value=loop.time() + 11.0):
+            await stream.push(FRAMES[2])
+        assert room.states == ["connecting", "open"]
+        pushed.cancel()
+
+    play(work, timeouts=sdk.Timeouts(read_s=10.0))
+
+
 def test_a_saved_state_that_cannot_be_used_is_deleted():
     async def work(room, _, stream):
         room.refuse = problem(409, "state-refused")

@@ -87,6 +87,7 @@ export class Stream {
   private current: StreamStatus = { ...QUIET, state: "connecting" };
   private readonly pending = new Map<string, PendingCall>();
   private requests = 0;
+  private received = 0; // messages of all connections
   private closedWith: RoomLightError | null = null;
   private backlogTop = -1; // frames up to this index are sent one by one: a newer one would supersede a waiting one
   private readonly backoff: Backoff;
@@ -195,15 +196,21 @@ export class Stream {
     return new Promise<T>((resolve, reject) => this.pending.set(name, { resolve, reject, ...(message && { message }) }));
   }
 
-  /** Start the time limit of a call that was sent now. */
+  /** Start the time limit of a call that was sent now. It starts again if a slow network was at work meanwhile. */
   private startTimer(name: string): void {
     const call = this.pending.get(name);
     if (!call) {
       return;
     }
     const { timeout_s = 30 } = this.link.client;
+    const { received } = this;
+    const unsent = this.socket?.bufferedAmount ?? 0;
     clearTimeout(call.timer);
     call.timer = setTimeout(() => {
+      const still = this.socket?.bufferedAmount ?? 0;
+      if (this.received > received || (still > 0 && still < unsent)) {
+        return this.startTimer(name);
+      }
       const error = new RoomLightError(`${name}: no answer in ${timeout_s} s`, 0);
       if (call.message) {
         this.take(name)?.reject(error);
@@ -260,6 +267,7 @@ export class Stream {
   // --- messages ------------------------------------------------------------------------------------------------
 
   private receive(data: string | ArrayBuffer): void {
+    this.received++;
     let message: DecodedMessage;
     try {
       message = decode(data);

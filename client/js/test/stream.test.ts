@@ -163,6 +163,17 @@ test("a call without an answer times out", async (context) => {
   ]);
 });
 
+test("a call waits as long as messages arrive", async (context) => {
+  const states: string[] = [];
+  const reply = (message: Received) => [frameEvent(indexOf(message as Buffer))].filter(({ index }) => index > 0);
+  const { stream } = await streamTo(context, reply, { onStatus: ({ state }) => states.push(state) });
+  context.mock.timers.enable({ apis: ["setTimeout"] });
+  stream.push(plainFrame());
+  await stream.push(plainFrame());
+  context.mock.timers.tick(31_000);
+  assert.deepEqual(states, ["connecting", "open"]);
+});
+
 test("a closed connection rejects all pending calls", async (context) => {
   const closed: RoomLightError[] = [];
   let closeSocket = (): void => undefined;
