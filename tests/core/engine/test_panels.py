@@ -56,6 +56,14 @@ def test_panels_have_one_size_and_limit_for_every_panorama(height):
     assert limits == pytest.approx((BRIGHTEST, BRIGHTEST, FARTHEST_M))  # to rounding: panels are resampled
 
 
+@pytest.mark.parametrize("height", [16, 32, 60, 120, 200])
+def test_a_change_has_no_seam(height):
+    change = np.random.default_rng(0).normal(size=(3, HEIGHT, 2 * HEIGHT)).astype(np.float32)
+    light, share = np.ones((height, 2 * height, 3), np.float32), np.ones((height, 2 * height), np.float32)
+    turned = changed_light(light, np.roll(change, HEIGHT, axis=2), share)
+    np.testing.assert_array_equal(np.roll(turned, height, axis=1), changed_light(light, change, share))
+
+
 @pytest.mark.parametrize("constant", [-30.0, 30.0])
 @pytest.mark.parametrize("radiance", [0.0, 1.0, 1e12])
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])

@@ -28,7 +28,11 @@ def changed_light(
 
     Where the share is 0 the light keeps its bits.
     """
-    fine = _resize(np.ascontiguousarray(np.moveaxis(change, 0, -1)), light.shape[0], cv2.INTER_LINEAR)
+    height, change = len(light), np.ascontiguousarray(np.moveaxis(change, 0, -1))
+    fine = _resize(change, height, cv2.INTER_LINEAR)
+    edge = -(-height // len(change))  # columns beside the seam; half a turn on, it lies inside
+    turned = np.roll(_resize(np.roll(change, len(change), axis=1), height, cv2.INTER_LINEAR), height, axis=1)
+    fine[:, :edge], fine[:, -edge:] = turned[:, :edge], turned[:, -edge:]
     log = np.log1p(np.maximum(light, 0)) + fine * share[..., None]
     return np.where(share[..., None] > 0, np.expm1(np.clip(log, 0, np.float32(np.log1p(BRIGHTEST)))), light)
 
