@@ -332,7 +332,7 @@ class Session:
         return self._probe(handle, "light").light(self._last_index, self._lighting)
 
     def lights(self) -> Sequence[Light]:
-        """Return the light at every tracked position, in the order of `handles`."""
+        """Return the light at every tracked position, in the order of `handles`; none before the first frame."""
         return [probe.light(self._last_index, self._lighting) for probe in self._probes.values()]
 
     def light_at(self, position: Position) -> Light:

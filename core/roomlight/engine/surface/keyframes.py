@@ -111,6 +111,7 @@ class KeyframeStore:
 
     def _append(self, keyframe: Keyframe) -> None:
         self._keyframes.append(keyframe)
+        self._keyframes.sort(key=lambda kept: kept.index)  # two rooms' frames interleave where a walk goes to and fro
         self._counts += keyframe.cells
 
     def _cells_of(self, vertices_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " cells"]:
