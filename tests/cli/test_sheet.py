@@ -127,6 +127,10 @@ def test_text_stays_within_its_width() -> None:
     assert len(inked) > 20
     assert inked.max() < 4 + 80 + 4
     canvas.text((90, 45), "falls off the canvas, with an umlaut: ü")
+    whole, cut = Canvas(101, 51), Canvas(101, 51)
+    whole.text((20, 5), "cut")
+    cut.text((-3, -6), "cut")
+    np.testing.assert_array_equal(cut.image[:20, :40], whole.image[11:31, 23:63])
     canvas.text((4, 20), "")
     assert fitted("short", 1000) == "short"
     assert fitted("anything", 1) == ""

@@ -105,8 +105,8 @@ class Canvas:
         ascent, descent = font.getmetrics()
         mask = Image.new("L", (int(font.getlength(text)) + 2, ascent + descent))
         ImageDraw.Draw(mask).text((0, 0), text, fill=255, font=font)
-        left, top = at
-        ink = np.asarray(mask, np.float32) / 255
+        left, top = (max(start, 0) for start in at)
+        ink = np.asarray(mask, np.float32)[top - at[1] :, left - at[0] :] / 255
         part = self._pixels[top : top + ink.shape[0], left : left + ink.shape[1]]
         ink = ink[: part.shape[0], : part.shape[1], None]
         part[:] = ink * np.asarray(grey, np.float32) + (1 - ink) * part

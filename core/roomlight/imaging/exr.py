@@ -281,7 +281,7 @@ def _joined(parts: list[tuple[dict[str, Any], dict[str, np.ndarray]]], name: str
             if (x0, y0, x1, y1) == display:
                 channels[full] = pixels
                 continue
-            whole = np.zeros((height, width), np.float32)
+            whole = np.zeros((height, width), pixels.dtype if pixels.dtype.kind == "u" else np.float32)
             rows = slice(max(y0, display[1]), min(y1, display[3]) + 1)
             columns = slice(max(x0, display[0]), min(x1, display[2]) + 1)
             if rows.start < rows.stop and columns.start < columns.stop:

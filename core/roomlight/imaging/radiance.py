@@ -62,6 +62,8 @@ def read_header(data: bytes, name: str) -> RadianceHeader:
             elif key.strip() == b"GAMMA" and numbers[0] != 1:
                 raise ImageError(f"{name}: the HDR states a gamma of {numbers[0]:g}; linear values are read")
             elif key.strip() != b"GAMMA":  # what the values were multiplied by; several lines multiply
+                if not 0 < numbers.min() <= numbers.max() < np.inf:
+                    raise ZeroDivisionError
                 matrix = matrix / np.broadcast_to(numbers, 3)[None]
         except (ValueError, IndexError, ZeroDivisionError) as error:
             raise ImageError(f"{name}: the HDR's {line[:60].decode('latin-1')!r} is damaged") from error

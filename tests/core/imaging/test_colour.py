@@ -154,6 +154,8 @@ def test_the_header_of_radiance_is_read(old: bytes, new: bytes, change: Callable
         (b"rle_rgbe", b"rle_xyze", "xyze"),
         (b"-Y 12 +X 16", b"+X 16 -Y 12", "no size as rows"),
         (b"FORMAT", b"EXPOSURE=x\nFORMAT", "EXPOSURE=x"),
+        (b"FORMAT", b"EXPOSURE=0\nFORMAT", "EXPOSURE=0"),
+        (b"FORMAT", b"COLORCORR=1 -2 1\nFORMAT", "COLORCORR=1 -2 1"),
         (b"FORMAT", b"PRIMARIES=1 2\nFORMAT", "2 numbers as primaries"),
     ],
 )

@@ -90,8 +90,10 @@ def test_colour_is_the_combined_layer(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_picture_is_refused(tmp_path: Path, channels: dict[str, np.ndarray], says: str) -> None:
-    with pytest.raises(ImageError, match=rf"^c\.exr: .*{says}"):
-        decode_picture(written(tmp_path / "c.exr", channels), "c.exr")
+    cropped = {"displayWindow": (np.array([0, 0], np.int32), np.array([9, 5], np.int32))}
+    for header in ({}, cropped):
+        with pytest.raises(ImageError, match=rf"^c\.exr: .*{says}"):
+            decode_picture(written(tmp_path / "c.exr", channels, **header), "c.exr")
 
 
 def test_alpha_is_divided_out_and_what_is_no_number_is_not_seen(tmp_path: Path) -> None:
