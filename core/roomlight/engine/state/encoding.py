@@ -5,7 +5,7 @@ The pixels of a kept frame can be stored elsewhere: `records_of_snapshot` leaves
 """
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
@@ -35,7 +35,7 @@ from roomlight.errors import RoomLightError, StateError
 _ROLES = ("keyframe", "latest")
 _SAME = ("options", "networks", "frames", "last_index", "next_handle", "pending", "present", "drift")
 """Values of a snapshot that are saved as they are."""
-_PLANES = ("radiance", "depth_m", "observed", "clipped", "guessed", "changed", "viewed_from")
+_PLANES = tuple(plane.name for plane in fields(PanoramaState))
 
 
 class _Values(BaseModel):
