@@ -282,7 +282,7 @@ def test_blender_render(tmp_path: Path) -> None:
 
 PAGE_VIEWS = """
 import { chromium } from "playwright-core";
-const [executablePath, address, file] = process.argv.slice(1);
+const [executablePath, address, small, huge] = process.argv.slice(1);
 const browser = await chromium.launch({ executablePath, args: [
   "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"] });
 const page = await browser.newPage();
@@ -308,18 +308,26 @@ await rendered();
 await page.selectOption("#shown", "server");
 const shown = [await page.isHidden("canvas"), await page.isVisible("img")];
 const sphere = await seen();
-await page.evaluate(() => (document.title = "waiting"));
-await page.setInputFiles("#file", file);
-await rendered();
-console.log(JSON.stringify({ shown, sphere, file: await seen() }));
+const seenAfter = async (step) => {
+  await page.evaluate(() => (document.title = "waiting"));
+  await step();
+  await rendered();
+  return seen();
+};
+const file = await seenAfter(() => page.setInputFiles("#file", small));
+const refused = await seenAfter(() => page.setInputFiles("#file", huge));
+const sized = await seenAfter(() => page.fill("#size", "0.4").then(() => page.press("#size", "Enter")));
+await page.setViewportSize({ width: 390, height: 844 });
+const width = await page.evaluate(() => document.documentElement.scrollWidth);
+console.log(JSON.stringify({ shown, sphere, file, refused, sized, width }));
 await browser.close();
 """
 
 
-def red_box() -> bytes:
-    """Return a GLB file of a box, 0.2 m wide, whose origin is a corner."""
+def red_box(width: float) -> bytes:
+    """Return a GLB file of a box whose origin is a corner."""
     box = GltfFile()
-    corners = 0.2 * np.indices((2, 2, 2)).reshape(3, 8).T
+    corners = width * np.indices((2, 2, 2)).reshape(3, 8).T
     sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
     red = box.material(pbrMetallicRoughness={"baseColorFactor": [0.8, 0.02, 0.02, 1], "metallicFactor": 0})
@@ -329,10 +337,11 @@ def red_box() -> bytes:
 
 @pytest.fixture(scope="module")
 def three_js_page(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Return what `three_js.html` shows of the sample room with its sphere, and then with the file of a red box."""
+    """Return what `three_js.html` shows of the sample room with its sphere, and then with files of red boxes."""
     build()
-    file = tmp_path_factory.mktemp("box") / "box.glb"
-    file.write_bytes(red_box())
+    files = [tmp_path_factory.mktemp("box") / name for name in ("small.glb", "huge.glb")]
+    for file, width in zip(files, (0.2, 2000.0), strict=True):
+        file.write_bytes(red_box(width))
     web = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(ROOT)))
     thread = Thread(target=web.serve_forever)
     thread.start()
@@ -346,7 +355,7 @@ def three_js_page(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
                     session.push(frame)
             command = ["node", "--input-type=module", "--eval", PAGE_VIEWS]
             command += [os.environ.get("CHROMIUM", "/usr/bin/chromium")]
-            command += [f"{url}/examples/three_js.html?server={address}", str(file)]
+            command += [f"{url}/examples/three_js.html?server={address}#token=unused", *map(str, files)]
             return json.loads(run(command))
     finally:
         web.shutdown()
@@ -381,6 +390,15 @@ def test_three_js_page(three_js_page: dict[str, Any]) -> None:
 
 @pytest.mark.js
 def test_three_js_page_shows_a_glb_file(three_js_page: dict[str, Any]) -> None:
-    three, ours = (view[..., 0] > 4 * view[..., 1:].max(axis=-1) for view in linear_views(three_js_page["file"]))
-    assert ours.sum() > 200
-    assert (three & ours).sum() > 0.85 * (three | ours).sum()
+    """A file that the compositor refuses leaves the one before, until its size is given."""
+    small, refused, sized = (
+        [view[..., 0] > 4 * view[..., 1:].max(axis=-1) for view in linear_views(three_js_page[name])]
+        for name in ("file", "refused", "sized")
+    )
+    for three, ours in (small, sized):
+        assert ours.sum() > 200
+        assert (three & ours).sum() > 0.85 * (three | ours).sum()
+    assert "size_m" in three_js_page["refused"]["text"]
+    np.testing.assert_array_equal(refused, small)
+    assert sized[1].sum() > 2 * small[1].sum()
+    assert three_js_page["width"] == 390
