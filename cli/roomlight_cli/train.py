@@ -17,7 +17,8 @@ from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, ModelError, OptionError
 from roomlight_cli.commands.export import model_folder
-from roomlight_cli.generation import show_generation, stopped_by_signals
+from roomlight_cli.console import stopped_by_signals
+from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
 from roomlight_export.exporting import ExportReport, export_checkpoint
 from roomlight_export.importing import load_weights
@@ -76,7 +77,7 @@ def train_recipe(
             for name in stage.data:
                 _check_source(data / name, wanted[name])
             _check_best(recipe, stage)
-    with locked(out, LOCK), stopped_by_signals("what is finished is kept", console):
+    with locked(out, LOCK), stopped_by_signals(lambda: "what is finished is kept, and the same command continues"):
         for stage in recipe.stages:
             if stage.name not in unfinished:
                 console.print(f"{stage.name}: finished")
