@@ -1,7 +1,8 @@
 """The sequences that a run trains on, and those that are held out to score it.
 
-View and video stages hold out every twelfth room of every dataset, so that no stage of any recipe trains on a room that
-another one scores. The small networks hold out the test splits, or a twelfth of their examples.
+View and video stages hold out every twelfth room of every dataset, so that no stage trains on a room that another one
+scores; the shipped single-view weights are older than this rule. Buildings differ between splits alone: a panorama that
+lights a held-out room lights others too. The small networks hold out the test splits, or a twelfth of their examples.
 """
 
 from collections.abc import Callable, Iterator, Sequence
