@@ -219,7 +219,7 @@ def test_the_same_room_gives_the_same_recording(folder, share, monkeypatch):
 @pytest.mark.slow
 def test_a_dataset_continues_with_the_same_panoramas_only(dataset, folder, tmp_path):
     with pytest.raises(DatasetError, match=r"panoramas [0-9a-f]{64}, not none"):
-        generate(dataset, options(None), workers=1)
+        generate(dataset, options(None, furniture_share=0.7), workers=1)
     changed = folder_of(tmp_path / "changed", ("attic_01", "barn", "loft"))
     with pytest.raises(DatasetError, match=r"was generated with panoramas [0-9a-f]{64}, not [0-9a-f]{64}"):
         generate(dataset, options(changed), workers=1)
