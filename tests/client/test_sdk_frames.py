@@ -97,6 +97,14 @@ def test_a_frame_that_clips_at_another_radiance_keeps_its_range(frame, white):
     assert (arrived.clipped >= bright.clipped).all()
 
 
+def test_lights_finer_than_the_sent_pixels_keep_the_exposure(frame):
+    lines = np.zeros((960, 1280), bool)
+    lines[::8] = True
+    image = np.where(lines[..., None], np.ones(3, np.float32), np.float32(0.2))
+    fine = replace(frame, image=image, clipped=lines, intrinsics=frame.intrinsics.resized(1280, 960))
+    assert parse(pack_frame(fine, colour="png")).header.exposure == 1
+
+
 def camera_frame(**changes) -> CameraFrame:
     shot = BoxRoom().frame(POSE, width=64, height=48)
     srgb8 = linear_to_srgb8(shot.image)

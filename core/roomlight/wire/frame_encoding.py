@@ -97,7 +97,7 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
     if colour == "exact":
         return _pack_exact(frame)
     small = frame.resized(*PHONE_SIZE)
-    exposure, depth_m = _exposure(small), _known_depth(small, frame)
+    exposure, depth_m = _exposure(frame), _known_depth(small, frame)
     srgb8 = linear_to_srgb8(small.image * np.float32(exposure))
     pixels, suffix, options = srgb8[..., ::-1], ".png", list[int]()
     if small.seen is not None:
