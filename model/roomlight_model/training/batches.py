@@ -128,7 +128,7 @@ def restored_frames(example: Example) -> list[Frame]:
     meshes: list[FrameMesh] = []
     for frame in example.later:
         meshes.append(FrameMesh(frames[-1]))
-        update_keyframes(meshes[-1], meshes[:-1])
+        update_keyframes(meshes[-1], meshes[:-1], turn=len(meshes) - 1)
         frames.append(PreparedFrame.of(frame, complete_depth(frame.depth_m), meshes, clipping=clipping).frame)
     return frames
 

@@ -34,6 +34,8 @@ exposures nothing is searched."""
 MAX_PROJECTIONS: Final = 75_000
 """Most points projected for one frame in each direction: 12 ms on one core. Only meshes that may show them count. A
 frame asks the latest ones first; of keyframes that it cannot serve at once, each frame begins with another one."""
+_GOLDEN: Final = 0.6180339887498949
+"""A step round a circle that comes near every place, also of every second or third frame."""
 
 
 def take_clipped_light(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: Iterable[FrameMesh]) -> Frame:
@@ -81,7 +83,7 @@ def update_keyframes(mesh: FrameMesh, keyframes: Iterable[FrameMesh], *, turn: i
     """
     taken, left = 0, MAX_PROJECTIONS
     wanting = [key for key in keyframes if key is not mesh and _may_know(mesh, key.texture.white)]
-    first = turn % max(len(wanting), 1)
+    first = int(turn * _GOLDEN % 1 * len(wanting))
     for key in wanting[first:] + wanting[:first]:
         texture = key.texture
         if texture.clipped is None or left <= 0:
