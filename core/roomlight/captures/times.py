@@ -21,6 +21,8 @@ _REGULAR: Final = 0.5
 """Interquartile range of the steps, relative to their median, up to which they are those of a camera."""
 _EVEN: Final = 0.25
 """Most that a time of even steps differs from its place among them, relative to the step."""
+_ROUNDED: Final = 5e-3
+"""Most, as a share, by which rounding of the times is taken to have moved a rate."""
 _UNITS: Final = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}
 _TICK_S: Final = 1e-7
 _TICKS: Final = (1e17, 1e18)
@@ -55,7 +57,7 @@ class Timeline:
         mean = float(times[-1] - times[0]) / count
         off = float(np.abs(times - times[0] - mean * (indices - indices[0])).max())
         if mean > 0 and off <= _EVEN * mean:
-            step = 1 / usual_rate(1 / mean, within=2 * off / (count * mean))
+            step = 1 / usual_rate(1 / mean, within=min(2 * off / (count * mean), _ROUNDED))
         return step if step > 1e-6 else None
 
 

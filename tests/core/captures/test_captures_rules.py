@@ -144,6 +144,8 @@ def test_rounded_times_have_the_rate_that_they_are_of(rate: float) -> None:
     assert 1 / step_s == pytest.approx(rate, rel=1e-9)
     step_s = timeline([*stamps[:40], *stamps[60:]], "x").step_s  # with a gap
     assert step_s == pytest.approx(1 / rate, rel=0.05)
+    few = timeline([0.0, 0.9 / rate, 2.1 / rate, 3.06 / rate], "x").step_s  # uneven by themselves
+    assert few == pytest.approx(1.02 / rate, rel=0.005)
 
 
 def test_slides_a_minute_apart_are_no_milliseconds() -> None:
