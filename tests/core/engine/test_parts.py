@@ -64,6 +64,7 @@ def test_sessions_take_their_parts_from_a_folder(tmp_path):
         for form in ("clipping", "objects"):
             shutil.rmtree(tmp_path / form, ignore_errors=True)
             write_part(tmp_path / form, form, constant=np.log(white) if form == "clipping" else change)
+            (tmp_path / form / ".#notes").symlink_to("an-editor's-lock")
         session = session_of(clipped_frames(1), parts=tmp_path, provider="cpu", height=32)
         ((_, mesh),) = session.meshes
         assert mesh.texture.image.max() == pytest.approx(white, rel=1e-3)

@@ -8,6 +8,7 @@ video_{sg_encoder,sg_gru,sg_decoder,blend_encoder,blend_gru,blend_decoder}.
 import hashlib
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -136,9 +137,13 @@ def part_folder(parts: Path | None, name: str) -> Path:
 
 
 def part_files(folder: Path) -> PartFiles:
-    """Return name, time of change and size of the files in a folder: what is loaded of it once has them for a key."""
-    files = ((file.name, file.stat()) for file in folder.glob("*"))
-    return tuple(sorted((name, status.st_mtime_ns, status.st_size) for name, status in files))
+    """Return name, time of change and size of a network's files: what is loaded of them once has these for a key."""
+    files: list[tuple[str, int, int]] = []
+    for file in sorted((folder / DESCRIPTION, *folder.glob("*.onnx"), *folder.glob("*.npz"))):
+        with suppress(FileNotFoundError):  # loading tells what is missing
+            status = file.stat()
+            files.append((file.name, status.st_mtime_ns, status.st_size))
+    return tuple(files)
 
 
 def _open_checked(path: Path, names: Sequence[str], entries: dict[str, Any], provider: Provider) -> dict[str, Graph]:
