@@ -11,6 +11,8 @@ _OF_USE: Final = re.compile(
     re.IGNORECASE,
 )
 """Keys of a lens, a unit, or of what was done to a picture."""
+_OBLONG: Final = re.compile(r": its pixels are (\S+) times as wide as high$")
+_CALIBRATED: Final = 0.03
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,12 @@ def oblong_pixels(name: str, aspect: float) -> list[Note]:
         return []
     effect = "pixels are read as squares, as intrinsics count them"
     return [Note(f"{name}: its pixels are {aspect:.3g} times as wide as high", effect, "resample it")]
+
+
+def states_aspect(note: Note, aspect: float) -> bool:
+    """Return whether the note is of `oblong_pixels`, with this aspect within what a calibration may differ by."""
+    found = _OBLONG.search(note.left_out)
+    return found is not None and abs(float(found[1]) / aspect - 1) <= _CALIBRATED
 
 
 def distinct(notes: Iterable[Note]) -> tuple[Note, ...]:

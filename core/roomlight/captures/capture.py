@@ -27,7 +27,7 @@ from roomlight.frame import Frame, hidden
 from roomlight.images import ColourImage, read_panorama
 from roomlight.imaging.rates import DEFAULT_RATE
 from roomlight.monocular.stream_state import StreamState
-from roomlight.notes import Note, oblong_pixels
+from roomlight.notes import Note, states_aspect
 
 if TYPE_CHECKING:
     from roomlight.monocular.stream import DepthStream
@@ -441,7 +441,7 @@ class Capture:
     def _take_notes(self, raw: RawFrame, frame: Frame) -> None:
         """Keep the notes of a frame, one for all frames of a kind: the first frame's file stands for the others."""
         camera = raw.stated or frame.intrinsics
-        oblong = oblong_pixels(raw.name, camera.fy / camera.fx)
+        oblong = {note for note in raw.picture.notes if states_aspect(note, camera.fy / camera.fx)}
         for note in raw.picture.notes:
             if note in oblong:  # the intrinsics are of such pixels
                 continue
@@ -453,7 +453,7 @@ class Capture:
             self._noted.add("lens")
             self._notes[removed_lens(frame.source, frame.intrinsics)] = None
         if "camera" not in self._noted:
-            odd = odd_camera(frame.source, camera, oblong=not set(oblong).isdisjoint(raw.picture.notes))
+            odd = odd_camera(frame.source, camera, oblong=bool(oblong))
             if odd is not None:
                 self._noted.add("camera")
                 self._notes[odd] = None

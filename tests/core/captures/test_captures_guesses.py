@@ -199,6 +199,12 @@ def test_a_video_with_wide_pixels(stray: Path) -> None:
     formats.remuxed(video, stray / "new.mp4", lambda stream: setattr(stream, "sample_aspect_ratio", 2)).replace(video)
     np.testing.assert_array_equal(first_of(stray).image, expected)
     assert any("2 times as wide as high" in note for note in notes_of(stray))
+    camera = stray / "camera_matrix.csv"
+    for aspect, noted in ((2.02, False), (1.5, True)):  # by a calibration, and of another shape
+        rows = np.loadtxt(camera, delimiter=",")
+        rows[1, 1] = rows[0, 0] * aspect
+        np.savetxt(camera, rows, delimiter=",")
+        assert any("times as wide as high" in note for note in notes_of(stray)) == noted
 
 
 @pytest.mark.parametrize(("unit_m", "factor"), [(1 / 1000, None), (1 / 2000, 0.5), (1 / 500, 2.0)])
