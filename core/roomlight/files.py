@@ -168,14 +168,14 @@ class FolderSource:
     """A folder to read from. Names are relative to it, with forward slashes.
 
     A path or a link out of the folder, a directory or a pipe in place of a file, or a size over the limit is refused
-    before any byte is read, with an error that names the file. Folders in it that are links are followed; the server's
-    uploads and unpacked zips have none. A name that is not there as written is looked for with backslashes
-    as slashes, in another case, in another normal form of Unicode, and with percent signs decoded. Two files that fit
-    are an error.
+    before any byte is read, with an error that names the file. Folders in it that are links are followed with
+    `follow_folders`; the server's uploads and unpacked zips have none. A name that is not there as written is looked
+    for with backslashes as slashes, in another case, in another normal form of Unicode, and with percent signs decoded.
+    Two files that fit are an error.
     """
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
+    def __init__(self, root: Path, *, follow_folders: bool = True) -> None:
+        self.root, self._follows = root, follow_folders
         self._resolved = root.resolve()
         self._listings: dict[Path, tuple[int, dict[str, list[str]]]] = {}
 
@@ -199,7 +199,7 @@ class FolderSource:
         try:
             path = self._resolved / self.actual(name)
             full = path.resolve()
-            is_followed = ".." not in path.parts and full.is_relative_to(path.parent.resolve())
+            is_followed = self._follows and ".." not in path.parts and full.is_relative_to(path.parent.resolve())
             if not is_followed and not full.is_relative_to(self._resolved):
                 raise FrameError(f"{label}: leads out of the folder (to {full}); copy what it points to into it")
             status = full.stat()

@@ -174,7 +174,12 @@ def test_formats_that_are_not_read_are_told_by_their_content(tmp_path: Path, dat
 
 @pytest.mark.parametrize(
     ("data", "kind"),
-    [(b"\xff\xd8\xff\xe0JFIF", "a JPEG"), (b"PK\3\4", "a ZIP"), (b"<!DOCTYPE html>", "HTML"), (b"v 0 0 0\n", "b'v 0 0 0")],
+    [
+        (b"\xff\xd8\xff\xe0JFIF", "a JPEG"),
+        (b"PK\3\4", "a ZIP"),
+        (b"<!DOCTYPE html>", "HTML"),
+        (b"v 0 0 0\n", "b'v 0 0 0"),
+    ],
 )
 def test_a_file_that_is_no_glb_is_not_called_damaged(data: bytes, kind: str) -> None:
     with pytest.raises(ObjectError, match=f"is no GLB or glTF file; it starts like {kind}"):
@@ -363,12 +368,14 @@ def test_gltf_reads_the_files_of_its_folder(tmp_path: Path, picture: str) -> Non
 
 
 @pytest.mark.parametrize(
-    "uri", ["../secret.bin", "textures/../../secret.bin", "linked.bin", "missing.bin", "a\0b", "textures"]
+    "uri",
+    ["../secret.bin", "textures/../../secret.bin", "linked.bin", "link/secret.bin", "missing.bin", "a\0b", "textures"],
 )
 def test_nothing_outside_the_folder_is_read(tmp_path: Path, uri: str) -> None:
     path = gltf_folder(tmp_path / "model", buffer=uri)
     (tmp_path / "secret.bin").write_bytes((path.parent / "scene.bin").read_bytes())
     (path.parent / "linked.bin").symlink_to(tmp_path / "secret.bin")
+    (path.parent / "link").symlink_to(tmp_path)
     with pytest.raises(ObjectError, match=r"buffer 0: .*; put it into the object's folder"):
         load_object(path)
     absolute = gltf_folder(tmp_path / "absolute", buffer=str(tmp_path / "secret.bin"))

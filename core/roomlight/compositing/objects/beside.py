@@ -26,7 +26,7 @@ class FilesBeside:
             limits: What is refused.
             file_bytes: Its size, which counts toward `ObjectLimits.file_bytes`.
         """
-        self._source = None if folder is None else FolderSource(folder)
+        self._source = None if folder is None else FolderSource(folder, follow_folders=False)
         self._limits, self._bytes = limits, file_bytes
 
     @property
