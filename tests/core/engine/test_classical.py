@@ -5,7 +5,7 @@ import pytest
 
 from roomlight.engine.models.classical import ClassicalVolume
 from roomlight.engine.models.interface import Rendered
-from roomlight.engine.panorama.blend import PanoramaState, accumulate
+from roomlight.engine.panorama.blend import PanoramaState, accumulate, unseen_depth_m
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.engine.volume.sglv import render_panorama
@@ -66,6 +66,7 @@ def test_a_uniform_room_gives_uniform_light():
         detail=partial.radiance,
         detail_depth_m=partial.depth_m,
         weight=estimate.weight,
+        unseen_m=unseen_depth_m(GRID.depth_max_m),
     )
     np.testing.assert_allclose(state.radiance, 0.4, rtol=0.03)
     np.testing.assert_allclose(state.radiance[partial.mask], 0.4, rtol=1e-5)
@@ -94,7 +95,14 @@ def test_unobserved_light_does_not_jump():
         depth = np.where(mask, np.float32(1), np.float32(0))
         partial = PartialPanorama(radiance, mask, depth)
         estimate = probe.estimate(state, rendered, partial, depth_max_m=3.0)
-        accumulate(state, hdr=estimate.hdr, detail=radiance, detail_depth_m=depth, weight=estimate.weight)
+        accumulate(
+            state,
+            hdr=estimate.hdr,
+            detail=radiance,
+            detail_depth_m=depth,
+            weight=estimate.weight,
+            unseen_m=unseen_depth_m(3.0),
+        )
         return estimate.hdr[12, 20, 0]
 
     assert blend_frame(0.8) == pytest.approx(0.8, rel=1e-5)
