@@ -57,8 +57,8 @@ def oblong_pixels(name: str, aspect: float) -> list[Note]:
 
 def states_aspect(note: Note, aspect: float) -> bool:
     """Return whether the note is of `oblong_pixels`, with this aspect within what a calibration may differ by."""
-    found = _OBLONG.search(note.left_out)
-    return found is not None and abs(float(found[1]) / aspect - 1) <= _CALIBRATED
+    stated = _OBLONG.search(note.left_out)
+    return stated is not None and abs(float(stated[1]) / aspect - 1) <= _CALIBRATED
 
 
 def distinct(notes: Iterable[Note]) -> tuple[Note, ...]:
