@@ -77,8 +77,7 @@ class ServerSettings(BaseSettings):
         state_expiry_s: Erase a saved session after this many seconds without a request; only time in which a server
             runs counts, whatever its clock says.
         max_owner_state_bytes: Disk of the saved sessions of one token; beyond it no new one is opened.
-        body_timeout_s: A request is refused whose body brings nothing for this time, or takes longer and less than
-            16 KiB arrive in each second beyond it.
+        body_timeout_s: A request is refused whose body lags behind 16 KiB a second by this time.
         max_body_bytes: Largest frame in bytes.
         max_colour_pixels: Largest colour image of a frame.
         max_depth_pixels: Largest depth map of a frame.

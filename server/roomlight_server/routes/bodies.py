@@ -30,7 +30,7 @@ MAX_JSON_NAMES: Final = 2048
 own text: 6,000 of them held the event loop for 0.13 s."""
 MANY_NAMES: Final = f"the JSON has more than {MAX_JSON_NAMES} names, the limit"
 MIN_BYTES_PER_S: Final = 2**14
-"""Mean rate at which a body must arrive beyond the first `body_timeout_s`; an object of 32 MiB may take 35 minutes."""
+"""Rate at which a body must arrive; it may lag behind by `body_timeout_s`. An object of 32 MiB may take 35 minutes."""
 _MAX_LENGTH_DIGITS: Final = 15
 _CHARSETS: Final = ("utf-8", "utf8", "us-ascii", "ascii")
 _FILES: Final = ("colour", "depth", "confidence")
@@ -51,7 +51,7 @@ class BodyMiddleware:
     ) -> None:
         """Wrap an application. Frames, objects and all other bodies (`MAX_JSON_BYTES`) have limits of their own.
 
-        `timeout_s` is the longest time without a byte, and the time after which `MIN_BYTES_PER_S` hold.
+        `timeout_s` is how far a body may lag behind `MIN_BYTES_PER_S`; bytes that come sooner give no more time.
         """
         self._app, self._frame_bytes, self._timeout_s, self._metrics = app, frame_bytes, timeout_s, metrics
         self._object_bytes = object_bytes
@@ -92,21 +92,22 @@ class BodyMiddleware:
         deadline = time.monotonic() + self._timeout_s
 
         async def limited() -> Message:
-            nonlocal received, names, done
+            nonlocal received, names, done, deadline
             if done:  # the application now waits for a disconnect
                 return await receive()
             if encoding not in ("", "identity"):
                 raise HTTPException(415, f"Content-Encoding {encoding[:80]!r} is not supported; send the body as it is")
             if too_long:
                 raise HTTPException(413, f"the body has {declared[:_MAX_LENGTH_DIGITS]} bytes; the limit is {limit}")
-            left_s = deadline + received / MIN_BYTES_PER_S - time.monotonic()
             try:
-                async with asyncio.timeout(max(0.0, min(left_s, self._timeout_s))):
+                async with asyncio.timeout(max(0.0, deadline - time.monotonic())):
                     message = await receive()
             except TimeoutError:
-                rule = f"may pause for {self._timeout_s:g} s, and later has to bring {MIN_BYTES_PER_S} bytes a second"
+                rule = f"may lag behind {MIN_BYTES_PER_S} bytes a second by {self._timeout_s:g} s"
                 raise HTTPException(408, f"the body came too slowly ({received} bytes of it): it {rule}") from None
-            received += len(message.get("body", b""))
+            n_bytes = len(message.get("body", b""))
+            received += n_bytes
+            deadline = min(deadline + n_bytes / MIN_BYTES_PER_S, time.monotonic() + self._timeout_s)
             done = message["type"] != "http.request" or not message.get("more_body", False)
             if limit == MAX_JSON_BYTES:
                 names += message.get("body", b"").count(b":")
