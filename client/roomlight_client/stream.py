@@ -55,6 +55,10 @@ from roomlight_client.stream_link import (
 _log = logging.getLogger("roomlight.client")
 _MAX_SENDS: Final = 3
 """A frame that ends so many connections is the reason for it."""
+_CHECKS: Final = 10
+"""How often within its time limit a call is checked for progress."""
+_MAX_CHECKS: Final = 40
+"""Messages that are not its answer keep a call alive for so many checks after its bytes have left."""
 _TOO_BIG: Final = 1009
 """Close code of RFC 6455: a message is too big."""
 
@@ -215,16 +219,26 @@ class AsyncStream:
         if answer is not None:
             answer.set_result(value)
 
-    def _start_timer(self, name: str, n_bytes: int = 0) -> None:
-        """Start the time limit of a call whose bytes are sent now; it starts again after progress on a slow network."""
+    def _start_timer(self, name: str, unsent: int | None = None, *, idle: int = 0, checks: int = 0) -> None:
+        """Start the time limit of a call whose bytes are sent now; progress on a slow network starts it again.
+
+        Args:
+            name: The call.
+            unsent: The fewest unsent bytes since it was sent, of all calls.
+            idle: Checks since a byte left or a message arrived.
+            checks: Checks since a byte left.
+        """
         if name not in self._pending:
             return
         limit_s = self._link.options.timeouts.read_s
-        received, unsent = self._received, self._unsent + n_bytes
+        received, least = self._received, self._unsent if unsent is None else unsent
 
-        def expired() -> None:
-            if self._received > received or 0 < self._unsent < unsent:
-                return self._start_timer(name)
+        def check() -> None:
+            if self._unsent < least:
+                return self._start_timer(name, self._unsent)
+            idle_now = 0 if self._received > received else idle + 1
+            if idle_now < _CHECKS and checks + 1 < _MAX_CHECKS:
+                return self._start_timer(name, least, idle=idle_now, checks=checks + 1)
             error = UnreachableError(f"{name}: no answer in {limit_s:g} s")
             if name in self._light_calls:
                 self._fail(name, error)
@@ -234,7 +248,7 @@ class AsyncStream:
         old = self._timers.pop(name, None)
         if old is not None:
             old.cancel()
-        self._timers[name] = asyncio.get_running_loop().call_later(limit_s, expired)
+        self._timers[name] = asyncio.get_running_loop().call_later(limit_s / _CHECKS, check)
 
     @property
     def _unsent(self) -> int:
@@ -374,7 +388,7 @@ class AsyncStream:
             return
         frame.state = "sent"
         frame.sends += 1
-        self._start_timer(name, len(frame.message))
+        self._start_timer(name, self._unsent + len(frame.message))
         await socket.send(frame.message)
 
     def _give_up_sent(self, error: RemoteError) -> None:

@@ -313,17 +313,28 @@ def test_a_call_without_an_answer_fails_and_connects_again():
     play(work, timeouts=sdk.Timeouts(read_s=0.2))
 
 
-def test_a_call_waits_as_long_as_messages_arrive():
+@pytest.mark.parametrize(("messages_s", "sent_s", "lost_s"), [(0, 9, 19), (25, 0, 35), (60, 0, 40)])
+def test_a_call_waits_while_bytes_leave_and_a_while_for_messages(messages_s, sent_s, lost_s):
     async def work(room, _, stream):
-        loop = asyncio.get_running_loop()
-        room.silent.add(0)
-        pushed = asyncio.create_task(stream.push(FRAMES[0]))
-        await room.logged("frame 0")
-        await stream.push(FRAMES[1])
-        with mock.patch.object(loop, "time", return_value=loop.time() + 11.0):
-            await stream.push(FRAMES[2])
-        assert room.states == ["connecting", "open"]
-        pushed.cancel()
+        loop, later_s = asyncio.get_running_loop(), 0
+        start_s = loop.time()
+
+        def time_s() -> float:
+            return start_s + later_s
+
+        unsent = property(lambda _: max(sent_s - later_s, 0))
+        with mock.patch.object(type(stream), "_unsent", unsent), mock.patch.object(loop, "time", time_s):
+            asked = asyncio.create_task(stream.light_at("table"))
+            await room.logged("light")
+            while not asked.done():
+                later_s += 1
+                if later_s <= messages_s and later_s % 5 == 0:
+                    await stream.push(FRAMES[1], later_s)
+                for _ in range(2):  # the timer of this second; the task that waits
+                    await asyncio.sleep(0)
+        assert later_s in range(lost_s, lost_s + 3)
+        with pytest.raises(sdk.UnreachableError, match=r"light r1: no answer in 10 s"):
+            await asked
 
     play(work, timeouts=sdk.Timeouts(read_s=10.0))
 

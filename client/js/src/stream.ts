@@ -79,6 +79,8 @@ type DecodedMessage =
 
 const QUIET = { attempt: 0, delay_s: 0, error: null, reopened: false, incomplete: false } as const;
 const MAX_SENDS = 3; // a frame that ends three connections is the reason for it
+const CHECKS = 10; // how often within its time limit a call is checked for progress
+const MAX_CHECKS = 40; // messages that are not its answer keep a call alive for so many after its bytes have left
 const TOO_BIG = 1009; // close code of RFC 6455: a message is too big
 
 /** A session's WebSocket. It connects again by itself; `onStatus` reports when, `onClose` that it gave up. */
@@ -196,27 +198,33 @@ export class Stream {
     return new Promise<T>((resolve, reject) => this.pending.set(name, { resolve, reject, ...(message && { message }) }));
   }
 
-  /** Start the time limit of a call that was sent now. It starts again if a slow network was at work meanwhile. */
-  private startTimer(name: string): void {
+  /**
+   * Start the time limit of a call that was sent now; progress on a slow network starts it again. `unsent` is the fewest
+   * unsent bytes since then, `idle` and `checks` count the checks since any progress and since a byte left.
+   */
+  private startTimer(name: string, unsent = this.socket?.bufferedAmount ?? 0, idle = 0, checks = 0): void {
     const call = this.pending.get(name);
     if (!call) {
       return;
     }
     const { timeout_s = 30 } = this.link.client;
     const { received } = this;
-    const unsent = this.socket?.bufferedAmount ?? 0;
     clearTimeout(call.timer);
     call.timer = setTimeout(() => {
       const still = this.socket?.bufferedAmount ?? 0;
-      if (this.received > received || (still > 0 && still < unsent)) {
-        return this.startTimer(name);
+      if (still < unsent) {
+        return this.startTimer(name, still);
+      }
+      idle = this.received > received ? 0 : idle + 1;
+      if (idle < CHECKS && checks + 1 < MAX_CHECKS) {
+        return this.startTimer(name, unsent, idle, checks + 1);
       }
       const error = new RoomLightError(`${name}: no answer in ${timeout_s} s`, 0);
       if (call.message) {
         this.take(name)?.reject(error);
       }
       this.drop(error); // without its network it says nothing either; the next one tells whether a frame has arrived
-    }, timeout_s * 1000);
+    }, (timeout_s * 1000) / CHECKS);
   }
 
   /** Send the frames that wait, in order. */

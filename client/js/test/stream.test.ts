@@ -163,16 +163,29 @@ test("a call without an answer times out", async (context) => {
   ]);
 });
 
-test("a call waits as long as messages arrive", async (context) => {
-  const states: string[] = [];
-  const reply = (message: Received) => [frameEvent(indexOf(message as Buffer))].filter(({ index }) => index > 0);
-  const { stream } = await streamTo(context, reply, { onStatus: ({ state }) => states.push(state) });
-  context.mock.timers.enable({ apis: ["setTimeout"] });
-  stream.push(plainFrame());
-  await stream.push(plainFrame());
-  context.mock.timers.tick(31_000);
-  assert.deepEqual(states, ["connecting", "open"]);
-});
+for (const [messages_s, sent_s, lost_s] of [[0, 27, 57], [75, 0, 105], [180, 0, 120]] as const) {
+  test(`a call whose bytes leave in ${sent_s} s waits ${lost_s} s while messages arrive for ${messages_s} s`, async (context) => {
+    let later_s = 0;
+    class SlowSocket extends WebSocket {
+      override get bufferedAmount(): number {
+        return Math.max(sent_s - later_s, 0);
+      }
+    }
+    const reply = (message: Received) => (isFrame(message) ? [frameEvent(indexOf(message))] : []);
+    const { stream } = await streamTo(context, reply, {}, { WebSocket: SlowSocket });
+    context.mock.timers.enable({ apis: ["setTimeout"] });
+    const asked = stream.light({ probes: [{ name: "table" }], forms: [] });
+    while (stream.status.state === "open") {
+      later_s += 3;
+      if (later_s <= messages_s && later_s % 15 === 0) {
+        await stream.push(plainFrame());
+      }
+      context.mock.timers.tick(3000);
+    }
+    await assert.rejects(asked, /light r1: no answer in 30 s/);
+    assert.equal(later_s, lost_s);
+  });
+}
 
 test("a closed connection rejects all pending calls", async (context) => {
   const closed: RoomLightError[] = [];
