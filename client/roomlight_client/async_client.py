@@ -107,13 +107,13 @@ class AsyncClient:
         """Store an object on the server for composites; see `Client.upload`."""
         return await self.run(calls.upload(*object_file(source, kind), session_id))
 
-    async def objects(self) -> ObjectList:
-        """Return the objects of this token on the server, with their memory and its limit."""
-        return await self.run(calls.list_objects())
+    async def objects(self, *, session_id: str | None = None) -> ObjectList:
+        """Return the objects of this token on the server; see `Client.objects`."""
+        return await self.run(calls.list_objects(session_id))
 
-    async def delete_object(self, object_id: str) -> None:
-        """Delete an object on the server. A missing one is not an error."""
-        await self.run(calls.delete_object(object_id))
+    async def delete_object(self, object_id: str, *, session_id: str | None = None) -> None:
+        """Delete an object on the server; see `Client.delete_object`."""
+        await self.run(calls.delete_object(object_id, session_id))
 
     async def run(self, call: Call[T], *, retry: Retry | None = None) -> T:
         """Send a call and return its result; see `Client.run`."""

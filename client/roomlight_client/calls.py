@@ -193,27 +193,32 @@ def upload(body: bytes, kind: str | None, session_id: str | None = None) -> Call
     Raises:
         OptionError: If the session id is invalid.
     """
-    headers = {"Content-Type": "application/octet-stream", "Accept": "application/json"}
-    if session_id is not None:
-        _check_id(session_id, "session_id")
-        headers[SESSION_HEADER] = session_id
+    headers = {"Content-Type": "application/octet-stream", "Accept": "application/json"} | _server_of(session_id)
     params = {} if kind is None else {"kind": kind}
     return Call("POST", "/v1/objects", _parser(ObjectInfo), headers, body, params, is_long=True)
 
 
-def list_objects() -> Call[ObjectList]:
-    """Get the objects of this token."""
-    return Call("GET", "/v1/objects", _parser(ObjectList))
+def list_objects(session_id: str | None = None) -> Call[ObjectList]:
+    """Get the objects of this token on the server of a session. Raises OptionError if the session id is invalid."""
+    return Call("GET", "/v1/objects", _parser(ObjectList), _server_of(session_id))
 
 
-def delete_object(object_id: str) -> Call[None]:
-    """Delete an object. A missing one counts as success.
+def delete_object(object_id: str, session_id: str | None = None) -> Call[None]:
+    """Delete an object on the server of a session. A missing one counts as success.
 
     Raises:
-        OptionError: If the id is invalid; it becomes part of an address.
+        OptionError: If an id is invalid; the object's becomes part of an address.
     """
     _check_id(object_id, "object_id")
-    return Call("DELETE", f"/v1/objects/{object_id}", _ignore_body, expected=_GONE)
+    return Call("DELETE", f"/v1/objects/{object_id}", _ignore_body, _server_of(session_id), expected=_GONE)
+
+
+def _server_of(session_id: str | None) -> dict[str, str]:
+    """Return the header by which a proxy finds a session's server."""
+    if session_id is None:
+        return {}
+    _check_id(session_id, "session_id")
+    return {SESSION_HEADER: session_id}
 
 
 class SessionCalls:

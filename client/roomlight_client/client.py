@@ -158,13 +158,13 @@ class Client:
         """
         return self.run(calls.upload(*object_file(source, kind), session_id))
 
-    def objects(self) -> ObjectList:
-        """Return the objects of this token on the server, with their memory and its limit."""
-        return self.run(calls.list_objects())
+    def objects(self, *, session_id: str | None = None) -> ObjectList:
+        """Return the objects of this token on the server, their memory and its limit; `session_id` as in `upload`."""
+        return self.run(calls.list_objects(session_id))
 
-    def delete_object(self, object_id: str) -> None:
-        """Delete an object on the server. A missing one is not an error."""
-        self.run(calls.delete_object(object_id))
+    def delete_object(self, object_id: str, *, session_id: str | None = None) -> None:
+        """Delete an object on the server; `session_id` as in `upload`. A missing one is not an error."""
+        self.run(calls.delete_object(object_id, session_id))
 
     def run(self, call: Call[T], *, retry: Retry | None = None) -> T:
         """Send a call and return its result. `retry` replaces the client's policy.

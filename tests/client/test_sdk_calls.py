@@ -364,18 +364,20 @@ def test_an_async_client_names_its_event_loop():
 
 @BOTH
 def test_requests_carry_token_session_and_options(kind):
-    script = Script(OPENED)
+    script = Script(*[OPENED] * 4, httpx.Response(200, json={"objects": [], "bytes": 0, "limit_bytes": 1}))
 
     async def main():
         async with script.client(kind, token="t" * 16) as client:
             await client.open("room", height=64, unknown_depth="far")
             await client.join("room")
             await client.open()
+            await client.delete_object("ball", session_id="room")
+            await client.objects(session_id="room")
 
     asyncio.run(main())
-    opened, joined, fresh = script.requests
+    opened, joined, fresh, *of_objects = script.requests
     assert opened.headers["authorization"] == "Bearer " + "t" * 16
-    assert opened.headers["x-session-id"] == joined.headers["x-session-id"] == "room"
+    assert {request.headers["x-session-id"] for request in (opened, joined, *of_objects)} == {"room"}
     assert (opened.method, joined.method) == ("PUT", "GET")
     sent = json.loads(opened.content)
     assert (sent["height"], sent["unknown_depth"], sent["model"]) == (64, "far", "auto")

@@ -9,6 +9,6 @@ export { parseCube, type Cube } from "./cube.js";
 export { decodeLights, findForm, findFormFor, parseLights, useOf, type Light, type LightData, type Lights } from "./light.js";
 export type { BufferOptions } from "./memory.js";
 export type { ReconnectOptions } from "./reconnect.js";
-export { RoomLight, Session, type CallOptions, type CompositeFile, type LightFile, type SessionOptions } from "./session.js";
+export { RoomLight, Session, type CallOptions, type CompositeFile, type LightFile, type ObjectOptions, type SessionOptions } from "./session.js";
 export { Stream, type StreamOptions, type StreamStatus } from "./stream.js";
 export * from "./wire.js";

@@ -40,6 +40,12 @@ export interface CallOptions {
   signal?: AbortSignal | undefined;
 }
 
+/** Options of calls that concern objects. */
+export interface ObjectOptions extends CallOptions {
+  /** The session that uses them; needed where a proxy shares sessions among servers. */
+  sessionId?: string | undefined;
+}
+
 /** A frame with objects in it. */
 export interface CompositeFile {
   /** The picture; with the format "layers" a zip of the layers. */
@@ -71,33 +77,29 @@ export class RoomLight {
     return new Session(this.http, id, await readJson<SessionState>(response), request);
   }
 
-  /**
-   * Store an object (GLB, glTF, OBJ or PLY) for composites; its id is the SHA-256 of the file.
-   *
-   * `sessionId` is the session that uses it; needed where a proxy shares sessions among servers.
-   */
+  /** Store an object (GLB, glTF, OBJ or PLY) for composites; its id is the SHA-256 of the file. */
   async upload(
     file: Uint8Array,
-    options: CallOptions & { kind?: "glb" | "gltf" | "obj" | "ply" | undefined; sessionId?: string | undefined } = {},
+    options: ObjectOptions & { kind?: "glb" | "gltf" | "obj" | "ply" | undefined } = {},
   ): Promise<ObjectInfo> {
     const path = options.kind === undefined ? OBJECTS : `${OBJECTS}?kind=${options.kind}`;
     const { sessionId, signal } = options;
-    const headers = { "content-type": "application/octet-stream", ...(sessionId !== undefined && { "x-session-id": sessionId }) };
+    const headers = { "content-type": "application/octet-stream", ...serverOf(sessionId) };
     const timeout_s = (this.http.options.timeout_s ?? TIMEOUT_S) + Math.floor(file.byteLength / SLOWEST_BYTES_PER_S);
     const request: HttpRequest = { method: "POST", path, body: file as Uint8Array<ArrayBuffer>, headers, signal, timeout_s };
     return readJson<ObjectInfo>(await this.http.send(request));
   }
 
   /** The objects of this token on the server, with their memory and its limit. */
-  async objects(options: CallOptions = {}): Promise<ObjectList> {
-    const response = await this.http.send({ method: "GET", path: OBJECTS, signal: options.signal });
+  async objects({ sessionId, signal }: ObjectOptions = {}): Promise<ObjectList> {
+    const response = await this.http.send({ method: "GET", path: OBJECTS, headers: serverOf(sessionId), signal });
     return await readJson<ObjectList>(response);
   }
 
   /** Delete an object on the server. A missing one is not an error. */
-  async deleteObject(id: string, options: CallOptions = {}): Promise<void> {
+  async deleteObject(id: string, { sessionId, signal }: ObjectOptions = {}): Promise<void> {
     const path = `${OBJECTS}/${encodeURIComponent(id)}`;
-    await this.http.send({ method: "DELETE", path, signal: options.signal });
+    await this.http.send({ method: "DELETE", path, headers: serverOf(sessionId), signal });
   }
 
   /**
@@ -285,6 +287,11 @@ const SLOWEST_BYTES_PER_S = 2 ** 14; // that a server accepts
 
 function pathOf(id: string): string {
   return `v1/sessions/${encodeURIComponent(id)}`;
+}
+
+/** The header by which a proxy finds a session's server. */
+function serverOf(sessionId: string | undefined): Record<string, string> {
+  return sessionId === undefined ? {} : { "x-session-id": sessionId };
 }
 
 function sendJson(http: Http | SessionRequests, request: HttpRequest, json: object): Promise<Response> {

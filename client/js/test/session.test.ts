@@ -66,8 +66,7 @@ test("objects and composites", async (context) => {
   });
   const roomlight = new RoomLight(server.url);
   assert.deepEqual(await roomlight.upload(Uint8Array.of(9, 8) as Uint8Array, { kind: "obj", sessionId: "room" }), info);
-  assert.equal(server.requests[0]!.headers["x-session-id"], "room");
-  assert.deepEqual((await roomlight.objects()).objects, [info]);
+  assert.deepEqual((await roomlight.objects({ sessionId: "room" })).objects, [info]);
   const session = await roomlight.open({ id: "room" });
   const request = { objects: [{ shape: "sphere", size_m: 0.2, pixel: [3, 4] }], quality: "good" } as const;
   const timers = context.mock.method(globalThis, "setTimeout");
@@ -75,7 +74,8 @@ test("objects and composites", async (context) => {
   assert.ok(timers.mock.calls.some((call) => call.arguments[1] === 130_000));
   assert.deepEqual([made.frame, made.poses, made.data.type], [7, poses, "image/png"]);
   assert.deepEqual(new Uint8Array(await made.data.arrayBuffer()), Uint8Array.of(1, 2, 3));
-  await roomlight.deleteObject(info.id);
+  await roomlight.deleteObject(info.id, { sessionId: "room" });
+  assert.ok(server.requests.every(({ path, headers }) => path.includes("sessions") || headers["x-session-id"] === "room"));
   assert.deepEqual(
     server.requests.map(({ method, path }) => `${method} ${path}`),
     [
