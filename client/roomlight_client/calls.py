@@ -75,7 +75,8 @@ SESSION_HEADER: Final = "X-Session-Id"
 class Call(Generic[T]):
     """A request, and the parser of its response.
 
-    `expected`: statuses that `read` accepts besides 200 to 299. `is_long`: it has the time limit of composites.
+    `expected`: statuses that `read` accepts besides 200 to 299. `is_long`: it has the time limit of composites, and
+    is not repeated after it: the server would do its work twice, or the file be sent twice.
     """
 
     method: str
@@ -113,7 +114,7 @@ class Attempt(Generic[T]):
         if status in self._call.expected or response.is_success:
             return Result(self._call.read(response))
         retry_after_s = parse_retry_after(response.headers.get("retry-after"))
-        if status in RETRIED and not (self._call.method == "POST" and status in TIMED_OUT):
+        if status in RETRIED and not (self._call.is_long and status in TIMED_OUT):
             delay_s = self._retry.delay_s(self._made, retry_after_s=retry_after_s, jitter=_waiting.jitter())
             if delay_s is not None:
                 return delay_s
@@ -126,9 +127,7 @@ class Attempt(Generic[T]):
             UnreachableError: If no attempt is left.
         """
         self._made += 1
-        permanent = isinstance(error, PERMANENT) or (
-            isinstance(error, httpx.ReadTimeout) and self._call.method == "POST"
-        )
+        permanent = isinstance(error, PERMANENT) or (isinstance(error, httpx.ReadTimeout) and self._call.is_long)
         delay_s = None if permanent else self._retry.delay_s(self._made, jitter=_waiting.jitter())
         if delay_s is not None:
             return delay_s

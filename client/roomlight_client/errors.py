@@ -87,7 +87,7 @@ class ServerFailedError(RefusedError):
 
 
 RETRIED: Final = frozenset({408, 429, 502, 503, 504})
-"""Statuses after which another attempt may succeed. With each of them the server changed nothing."""
+"""Statuses after which another attempt may succeed. The server changed nothing, but perhaps with 504."""
 
 TIMED_OUT: Final = frozenset({408, 504})
 """Those of a body that arrived too slowly, and of a proxy that no longer waits for a server that works."""

@@ -3,8 +3,8 @@
 Every call of the interface is idempotent: PUT and DELETE by definition (the server answers a frame whose index and
 bytes it has seen before as a replay), and the POST of probes only reads. Both clients repeat a call after a failed
 connection, after a lost response, and after the statuses 408, 429, 502, 503 and 504. They do not repeat it after any
-other status: a second attempt would get the same one. A POST without an answer in time (408 and 504 too) is not
-repeated either: the server would do its work twice, or the file be sent twice.
+other status: a second attempt would get the same one. A composite or upload without an answer in time (408 and 504
+too) is not repeated either: the server would do its work twice, or the file be sent twice.
 """
 
 from dataclasses import dataclass

@@ -488,9 +488,9 @@ def npy(array):
 
 
 @BOTH
-def test_light_as_json_is_parsed(kind):
+def test_light_as_json_is_parsed_after_answers_that_did_not_come_in_time(kind):
     panorama = np.arange(48, dtype=np.float32).reshape(2, 4, 6)[:, :, :3]
-    script = Script(OPENED, light_json(npy(panorama)))
+    script = Script(OPENED, httpx.ReadTimeout("slow"), problem(504, "x"), light_json(npy(panorama)))
     light = run(script, kind, lambda session: session.light_at((0.0, 1.0, 2.0), ("npy",)))
     assert script.requests[-1].headers["accept"] == MEDIA_TYPE
     assert (light.panorama == panorama).all()

@@ -10,9 +10,9 @@ import type { Problem } from "./wire.js";
 export interface ClientOptions {
   /** Sent as a bearer token. A session belongs to the token that opened it. */
   token?: string | undefined;
-  /** Retries after 408, 429, 502, 503, 504 and lost connections; default 3. A POST is not repeated after 408 and 504. */
+  /** Retries after 408, 429, 502, 503, 504 and lost connections; default 3. `composite` and `upload` do not repeat after 408 and 504. */
   retries?: number | undefined;
-  /** Time limit of each attempt; default 30 s. `composite` has its own, `upload` more for large files. A POST that exceeds its limit is not repeated. */
+  /** Time limit of each attempt; default 30 s. `composite` has its own, `upload` more for large files; neither is repeated after it. */
   timeout_s?: number | undefined;
   /** Longest Retry-After to wait for; default 10 s. After a longer one the request fails at once. */
   maxRetryAfter_s?: number | undefined;
@@ -87,7 +87,8 @@ export class Http {
       }
       const delay_s = retryAfter_s ?? FIRST_DELAY_S * 2 ** attempt * (0.5 + waiting.random());
       // the server would do it twice, or the body be sent twice
-      const isWorkedOn = request.method === "POST" && (isTimeout || error.status === 408 || error.status === 504);
+      const isLong = request.method === "POST" && !request.path.endsWith("/probes");
+      const isWorkedOn = isLong && (isTimeout || error.status === 408 || error.status === 504);
       const isTemporary = !isWorkedOn && (error.status === 0 || RETRIED.has(error.status));
       if (attempt >= retries || !isTemporary || delay_s > maxRetryAfter_s) {
         throw error;
