@@ -1,6 +1,7 @@
 """Accumulation of a probe's panorama: the paper's recursion, the conservative rule, and the kernel's reference."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def _state(seed):
     )
 
 
-def _views(seed, *, binary=False):
+def _views(seed, *, binary=False) -> dict[str, Any]:
     rng = np.random.default_rng(seed + 1)
     mask = rng.random(SHAPE) < 0.6
     weight = mask.astype(np.float32) if binary else (rng.random(SHAPE) * mask).astype(np.float32)
@@ -54,7 +55,7 @@ def _views(seed, *, binary=False):
     }
 
 
-def _constant(*, hdr=2.0, detail=1.0, depth_m=1.0, weight=1.0, clipped=0.0, guessed=0.0):
+def _constant(*, hdr=2.0, detail=1.0, depth_m=1.0, weight=1.0, clipped=0.0, guessed=0.0) -> dict[str, Any]:
     return {
         "unseen_m": 12.0,
         "detail_clipped": np.full(SHAPE, clipped, np.float32),
@@ -109,8 +110,10 @@ def test_extremes_around_what_a_frame_shows(box):
 def test_without_inferred_light_pixels_without_weight_stay_as_they_are():
     before, kept, copied, views = _state(3), _state(3), _state(3), _views(3)
     views["weight"][: HEIGHT // 2] = 0
-    accumulate(kept, **(views | {"hdr": None}))  # pyright: ignore[reportArgumentType] - the others are arrays
-    accumulate(copied, **views | {"hdr": copied.radiance.copy()})
+    views["hdr"] = None
+    accumulate(kept, **views)
+    views["hdr"] = copied.radiance.copy()
+    accumulate(copied, **views)
     unseen = views["weight"] == 0
     for field in dataclasses.fields(PanoramaState):
         plane = getattr(kept, field.name)
@@ -245,7 +248,8 @@ def test_nothing_clipped_gives_the_bits_of_the_papers_rule():
     """Random frames with different estimates but no clipped pixel: the same as without the planes."""
     with_planes, without = (PanoramaState.fresh(HEIGHT, 3.0) for _ in range(2))
     for step in range(6):
-        view = _views(step) | {"detail_clipped": np.zeros(SHAPE, np.float32)}
+        view = _views(step)
+        view["detail_clipped"] = np.zeros(SHAPE, np.float32)
         accumulate(with_planes, **view)
         accumulate(
             without, **{key: view[key] for key in ("hdr", "detail", "detail_depth_m", "weight", "camera", "unseen_m")}
@@ -299,7 +303,7 @@ def test_an_edge_shifted_by_a_pixel_is_no_change():
     np.testing.assert_allclose(state.radiance[:, 1:-1], edge["detail"][:, 1:-1], rtol=1e-6)
 
 
-def _moved(view, across_m):
+def _moved(view, across_m) -> dict[str, Any]:
     """The view of a camera that far to the side of the probe; the panorama's middle column looks along x."""
     return _constant(depth_m=2.0, **view) | {"camera": np.array([0.0, 0.0, across_m], np.float32)}
 
@@ -337,6 +341,6 @@ def test_a_view_through_a_window_that_moves_with_the_camera_is_no_change():
             "camera": camera,
             "unseen_m": 12,
         }
-        accumulate(state, **{key: np.asarray(value, np.float32) for key, value in view.items()})
+        accumulate(state, unseen_m=12.0, **{key: np.asarray(value, np.float32) for key, value in view.items()})
     np.testing.assert_array_equal(state.radiance[:28, 60], 5.0)
     np.testing.assert_array_equal(state.radiance[28:, 60], 0.0)
