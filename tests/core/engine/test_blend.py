@@ -333,14 +333,7 @@ def test_a_view_through_a_window_that_moves_with_the_camera_is_no_change():
     for step in range(9):
         sky = np.repeat(np.where(rows < 28 + step, 5.0, 0.0)[..., None] * np.ones((1, 2 * height, 1)), 3, axis=-1)
         camera = np.array([0.0, -step * 2.0 * np.radians(3.0), 0.0], np.float32)
-        view = {
-            "hdr": 0 * sky,
-            "detail": sky,
-            "detail_depth_m": 2 * ones,
-            "weight": ones,
-            "camera": camera,
-            "unseen_m": 12,
-        }
+        view = {"hdr": 0 * sky, "detail": sky, "detail_depth_m": 2 * ones, "weight": ones, "camera": camera}
         accumulate(state, unseen_m=12.0, **{key: np.asarray(value, np.float32) for key, value in view.items()})
     np.testing.assert_array_equal(state.radiance[:28, 60], 5.0)
     np.testing.assert_array_equal(state.radiance[28:, 60], 0.0)
