@@ -13,7 +13,7 @@ from roomlight.conventions import panorama_directions
 from roomlight.engine.kernels.reference import accumulate_reference, initial_volume_reference, render_rays_reference
 from roomlight.engine.models.classical import ClassicalVolume
 from roomlight.engine.networks.graphs import SHIPPED
-from roomlight.engine.panorama.blend import PanoramaState, accumulate, filled_detail
+from roomlight.engine.panorama.blend import PanoramaState, accumulate, filled_detail, unseen_depth_m
 from roomlight.engine.session import warm_up
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
@@ -258,12 +258,13 @@ def _first_panorama(frame: Frame, grid: VolumeGrid, size: RoomSize) -> tuple[Par
 
 def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
     seen, state = _first_panorama(frame, grid, size)
-    random = np.random.default_rng(0)
+    random, unseen_m = np.random.default_rng(0), unseen_depth_m(grid.depth_max_m)
     hdr = random.random(state.radiance.shape, dtype=np.float32)
     weight = np.where(seen.mask, random.random(seen.mask.shape, dtype=np.float32), np.float32(0))
 
     def apply(to: PanoramaState, accumulate_into: Callable[..., None]) -> Float[np.ndarray, "h w 3"]:
-        accumulate_into(to, hdr=hdr, detail=seen.radiance, detail_depth_m=seen.depth_m, weight=weight)
+        planes = {"hdr": hdr, "detail": seen.radiance, "detail_depth_m": seen.depth_m, "weight": weight}
+        accumulate_into(to, **planes, unseen_m=unseen_m)
         return to.radiance
 
     def fresh() -> PanoramaState:
