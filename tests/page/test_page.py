@@ -58,7 +58,7 @@ def test_the_build_names_no_other_host():
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("name", ["objects", "panels", "connection", "accessibility"])
+@pytest.mark.parametrize("name", ["objects", "accessibility", "connection", "panels"])  # after the longest a short one
 def test_in_chromium(name):
     with PageServer() as server:
         drive(name, server)
