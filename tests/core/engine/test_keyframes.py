@@ -76,6 +76,9 @@ def test_frames_without_new_cells_or_depth_are_refused(two_pans):
     assert store.offer(0, meshes[0])
     assert not store.offer(1, meshes[0])
     assert len(store) == 1
+    for capacity in (0, -1):
+        with pytest.raises(ValueError, match=str(capacity)):
+            KeyframeStore(grid, capacity)
 
 
 def test_keyframes_after_a_close_up_cover_the_room():

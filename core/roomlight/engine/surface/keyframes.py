@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.errors import OptionError
 
 DEFAULT_KEYFRAMES: Final = 24
 """A keyframe of 320 x 240 pixels takes at most 1.5 MB (`roomlight.engine.memory`), so 24 take 36 MB a session; they
@@ -35,7 +36,13 @@ class KeyframeStore:
     """At most `capacity` keyframes in order of time; when full, the one with the fewest cells of its own is dropped."""
 
     def __init__(self, grid: VolumeGrid, capacity: int = DEFAULT_KEYFRAMES) -> None:
-        """Make an empty store for frames of this volume."""
+        """Make an empty store for frames of this volume.
+
+        Raises:
+            OptionError: `capacity` is below 1.
+        """
+        if capacity < 1:
+            raise OptionError(f"capacity of a keyframe store must be 1 or more, got {capacity}")
         self._grid = grid
         self.capacity = capacity
         self._counts = np.zeros(int(np.prod([-(-n // _CELL) for n in grid.shape])), np.int32)
