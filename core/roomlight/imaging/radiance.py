@@ -63,7 +63,7 @@ def read_header(data: bytes, name: str) -> RadianceHeader:
                 raise ImageError(f"{name}: the HDR states a gamma of {numbers[0]:g}; linear values are read")
             elif key.strip() != b"GAMMA":  # what the values were multiplied by; several lines multiply
                 if not 0 < numbers.min() <= numbers.max() < np.inf:
-                    raise ZeroDivisionError
+                    raise ValueError(f"a factor of {value!r}")
                 matrix = matrix / np.broadcast_to(numbers, 3)[None]
         except (ValueError, IndexError, ZeroDivisionError) as error:
             raise ImageError(f"{name}: the HDR's {line[:60].decode('latin-1')!r} is damaged") from error
