@@ -67,9 +67,11 @@ class BareVideoReader:
             _refuse_rgbd(path, video.stated)
             self.notes += bending_lens(str(path), *video.stated)
         self._numbers: list[int] = []
+        due = 0  # in frames of `RATE`
         for number, time_s in enumerate(self._times_s):
-            if time_s >= len(self._numbers) / RATE - 1e-3:
+            if time_s >= due / RATE - 1e-3:
                 self._numbers.append(number)
+                due = int((time_s + 1e-3) * RATE) + 1
         wanted = min(MOST_FRAMES, options.every * (options.max_frames or MOST_FRAMES))
         if len(self._numbers) > MOST_FRAMES == wanted:
             seconds = self._times_s[self._numbers[MOST_FRAMES]]
@@ -153,14 +155,8 @@ class BareVideoReader:
             pose=self._motion.poses[index],
         )
 
-    @contextmanager
-    def _opened(self) -> Generator[VideoFrames]:
-        try:
-            video = VideoFrames(self._path, str(self._path), upright=True)
-        except FrameError as error:
-            raise CaptureError(str(error)) from error
-        with video:
-            yield video
+    def _opened(self) -> VideoFrames:
+        return VideoFrames(self._path, str(self._path), upright=True)
 
     def _lens(self, width: int, height: int) -> tuple[Intrinsics, bool]:
         """Return the lens for frames of this size, and whether it is stated."""

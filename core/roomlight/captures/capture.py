@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.captures.consistency import FRAMES
 from roomlight.captures.lenses import fitted
-from roomlight.captures.notes import PassChecks, odd_camera, removed_lens, scaled_poses, uneven_pace, unread_depth
+from roomlight.captures.notes import PassChecks, odd_camera, removed_lens, scaled_poses, unread_depth
 from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
 from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
@@ -181,8 +181,6 @@ class Capture:
     Attributes:
         path: The capture's folder or file.
         format: The name of its format, one of `FORMATS`.
-        frame_count: The number of records selected by `every` and `max_frames`, good or bad.
-        frames_per_second: The rate of the selected records by their timestamps; None without timestamps.
         skipped: Records that the latest iteration has skipped so far, each with its file and reason.
 
     Examples:
@@ -214,8 +212,8 @@ class Capture:
         selected = range(0, reader.count, options.every)
         self._indices = selected if options.max_frames is None else selected[: options.max_frames]
         stored = reader.timestamps()
-        known = isinstance(reader, Preparing)  # a video, whose container states the unit
-        self._timeline = timeline(stored or [None] * reader.count, str(path), seconds=known)
+        # The container of a video states the unit.
+        self._timeline = timeline(stored or [None] * reader.count, str(path), seconds=reader.format == "video")
         self._depth_stream: DepthStream | None = None
         self._at = _Place()
         self._notes = dict.fromkeys(self._timeline.notes)
@@ -225,11 +223,12 @@ class Capture:
     def probes(self) -> tuple[ProbeTruth, ...]:
         """Ground-truth panoramas that come with the capture. Raises CaptureError as iterating does."""
         turn = self._to_y_up[:3, :3] * (self._metres_per_unit() if self._reader.probes else 1.0)
-        return tuple(ProbeTruth(_tuple3(turn @ position), panorama) for position, panorama in self._reader.probes)
+        placed = ((turn @ position, panorama) for position, panorama in self._reader.probes)
+        return tuple(ProbeTruth((float(x), float(y), float(z)), panorama) for (x, y, z), panorama in placed)
 
     @property
     def frame_count(self) -> int:
-        """Number of selected records; iterating yields this many frames minus the skipped ones."""
+        """Number of records selected by `every` and `max_frames`; iterating yields this many minus the skipped ones."""
         return len(self._indices)
 
     @property
@@ -252,7 +251,11 @@ class Capture:
         if rate is None or start_s is None or end_s is None:
             return None
         film_s, recorded_s = (frames - 1) / rate, end_s - start_s
-        return uneven_pace(str(self.path), film_s, recorded_s) if abs(film_s - recorded_s) > 0.01 * recorded_s else None
+        if abs(film_s - recorded_s) <= 0.01 * recorded_s:
+            return None
+        text = f"{self.path}: frames that are skipped or have uneven timestamps"
+        effect = f"the film runs {film_s:.3g} s, the recording {recorded_s:.3g} s"
+        return Note(text, effect, "place its pictures by the timestamps if the pace matters")
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -302,10 +305,7 @@ class Capture:
             self.format,
             (self._camera_convention, self._pose_direction),
             self._to_y_up,
-            up_is_assumed=self._options.world_up is None,
-            unit_is_assumed=self._options.depth_unit_m is None,
-            scale_is_assumed=self._options.camera_height_m is None,
-            poses_are_estimated=isinstance(self._reader, Preparing),
+            self._options,
             passed=at.good,
             noted=self._noted,
         )
@@ -498,8 +498,3 @@ class Capture:
                 "min_confidence sets the threshold"
             )
         return trusted
-
-
-def _tuple3(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z

@@ -2,7 +2,7 @@
 
 import io
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import cv2
@@ -24,14 +24,9 @@ _TIFF: Final = (b"II*\0", b"MM\0*")
 _NPZ: Final = b"PK\x03\x04"
 _COLMAP: Final = re.compile(rb"(\d{1,5})&(\d{1,5})&1&")
 """Width, height and channels at the start of a COLMAP map; rows of float32 follow."""
-
-
-@dataclass(frozen=True)
-class Rgbd:
-    """One record's picture and its depth in metres (0 = unknown)."""
-
-    picture: ColourImage
-    depth_m: Float[np.ndarray, "dh dw"]
+_GAP: Final = rb"(?:\s|#[^\n]*\n)+"
+_PGM: Final = re.compile(_GAP.join([b"P5", *[rb"(\d{1,5})"] * 3]) + rb"[ \t\n]")
+"""Width, height and largest value at the start of a PGM; of 16 bits, rows with the high byte first follow."""
 
 
 def read_rgbd(
@@ -42,8 +37,8 @@ def read_rgbd(
     unit_m: float | None,
     integer_m: float = 0.001,
     pictures: FolderSource | None = None,
-) -> Rgbd:
-    """Read one record's picture, as stored, and its depth; units as `decode_depth_map` takes them.
+) -> tuple[ColourImage, Float[np.ndarray, "dh dw"]]:
+    """Read one record's picture, as stored, and its depth in metres; units as `decode_depth_map` takes them.
 
     Without a file of depth (None) no pixel's depth is known. Pictures may have a folder of their own.
     """
@@ -54,9 +49,9 @@ def read_rgbd(
             advice = "name an EXR as the frame's depth file too, save a HEIC's depth as a file"
             note = Note(left_out, "it is not read", advice)
             picture = replace(picture, notes=(*picture.notes, note))
-        return Rgbd(picture, np.zeros(picture.image.shape[:2], np.float32))
-    depth_m = decode_depth_map(source.read(depth_name), source.label(depth_name), unit_m=unit_m, integer_m=integer_m)
-    return Rgbd(picture, depth_m)
+        return picture, np.zeros(picture.image.shape[:2], np.float32)
+    depth = source.read(depth_name)
+    return picture, decode_depth_map(depth, source.label(depth_name), unit_m=unit_m, integer_m=integer_m)
 
 
 def read_picture(source: Source, name: str) -> ColourImage:
@@ -91,7 +86,7 @@ def with_mask(picture: ColourImage, mask: Bool[np.ndarray, "mh mw"]) -> ColourIm
 def decode_depth_map(
     data: bytes, label: str, *, unit_m: float | None, integer_m: float = 0.001
 ) -> Float[np.ndarray, "h w"]:
-    """Decode depth in metres (0 = unknown) from a 16-bit PNG, a grey TIFF, a .npy, an EXR or a map of COLMAP.
+    """Decode depth in metres (0 = unknown) from a 16-bit PNG or PGM, a grey TIFF, .npy, EXR or map of COLMAP.
 
     Args:
         data: The file.
@@ -104,13 +99,13 @@ def decode_depth_map(
         ImageError: The data is damaged, too large or no depth map; the message begins with `label`.
     """
     if match := _COLMAP.match(data):
-        width, height = int(match[1]), int(match[2])
-        if not 0 < width * height <= MAX_PIXELS or len(data) != match.end() + 4 * width * height:
-            raise ImageError(f"{label}: a COLMAP map of {width} x {height} does not have {len(data)} bytes")
-        stored = np.frombuffer(data, "<f4", offset=match.end()).reshape(height, width)
-        with np.errstate(over="ignore", invalid="ignore"):
-            return clean_depth(stored * np.float32(1.0 if unit_m is None else unit_m))
-    if data[:4] in _TIFF:
+        depth = _raw_values(data, label, match, "<f4")
+    elif match := _PGM.match(data):
+        if not 256 <= int(match[3]) <= 65535:
+            text = f"depth of a PGM needs 16 bits, a largest value of 256 to 65535; this has {int(match[3])}"
+            raise ImageError(f"{label}: {text}; save it as a 16-bit PNG")
+        depth = _raw_values(data, label, match, ">u2")
+    elif data[:4] in _TIFF:
         depth = _tiff_values(data, label)
     elif data[:6] == b"\x93NUMPY":
         depth = _npy_values(data, label)
@@ -124,6 +119,15 @@ def decode_depth_map(
     if depth.dtype.kind != "f":
         metres[depth == 65535] = 0.0
     return clean_depth(metres)
+
+
+def _raw_values(data: bytes, label: str, header: re.Match[bytes], kind: str) -> Shaped[np.ndarray, "h w"]:
+    """Return the values behind a header of width and height; a line's end may follow them. Raises ImageError."""
+    width, height = int(header[1]), int(header[2])
+    end = header.end() + int(kind[2]) * width * height
+    if not 0 < width * height <= MAX_PIXELS or len(data) < end or data[end:].strip():
+        raise ImageError(f"{label}: a map of {width} x {height} does not have {len(data)} bytes")
+    return np.frombuffer(data, kind, width * height, header.end()).reshape(height, width)
 
 
 def _tiff_values(data: bytes, label: str) -> Shaped[np.ndarray, "h w"]:
@@ -158,9 +162,12 @@ def _npy_values(data: bytes, label: str) -> Shaped[np.ndarray, "h w"]:
 
 
 def decode_confidence(data: bytes, label: str) -> UInt8[np.ndarray, "h w"]:
-    """Decode confidence levels from an 8-bit grey PNG; 0, 127 and 255 become 0, 1 and 2. Raises ImageError."""
+    """Decode confidence levels from an 8-bit grey PNG; 0, 54 or 127, and 255 become 0, 1 and 2. Raises ImageError.
+
+    54 is 127 in linear light, as Polycam stores it.
+    """
     levels = decode_grey8(data, label)
-    spread = levels.max(initial=0) > 2 and bool(np.isin(levels, (0, 127, 128, 254, 255)).all())
+    spread = levels.max(initial=0) > 2 and bool(np.isin(levels, (0, 54, 55, 127, 128, 254, 255)).all())
     return np.digitize(levels, [1, 200]).astype(np.uint8) if spread else levels
 
 
@@ -201,8 +208,8 @@ def registered(
     """
     height, width = depth_m.shape
     near = depth_camera.resized(width, height)
-    scale = 0.8 * near.fx / colour_camera.fx
-    size = max(2, round(colour_camera.width * scale)), max(2, round(colour_camera.height * scale))
+    columns = max(2, round(0.8 * colour_camera.width * near.fx / colour_camera.fx))
+    size = columns, max(2, round(columns * colour_camera.height / colour_camera.width))
     camera = colour_camera.resized(*size)
     flip = np.array([1.0, -1.0, -1.0])
     points = (near.rays() * flip * depth_m[..., None])[depth_m > 0] @ depth_to_colour[:3, :3].T + depth_to_colour[:3, 3]

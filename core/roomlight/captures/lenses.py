@@ -157,9 +157,17 @@ def undistorted(
 
 
 def straightened(
-    picture: ColourImage, depth_m: Float[np.ndarray, "dh dw"], intrinsics: Intrinsics, lens: Lens
-) -> tuple[ColourImage, Float[np.ndarray, "dh dw"], Intrinsics]:
-    """Remove lens distortion from a picture and its depth; returns them with the pinhole camera. Raises ValueError."""
+    picture: ColourImage, depth_m: Float[np.ndarray, "dh dw"], intrinsics: Intrinsics, lens: Lens, name: str
+) -> tuple[ColourImage, Float[np.ndarray, "dh dw"], Intrinsics, Intrinsics]:
+    """Remove lens distortion from a picture and its depth; returns them with the pinhole camera, and `fitted`'s.
+
+    Raises:
+        FrameError: As `fitted`.
+        ValueError: As `undistorted`.
+    """
+    picture, stated = fitted(picture, intrinsics, name)
+    if lens.straight or picture.image.shape[:2] != (stated.height, stated.width):
+        return picture, depth_m, stated, stated
     views = [
         (picture.image, cv2.INTER_LINEAR),
         (picture.clipped.astype(np.uint8), cv2.INTER_NEAREST),
@@ -167,9 +175,9 @@ def straightened(
     ]
     if picture.seen is not None:
         views.append((picture.seen.astype(np.uint8), cv2.INTER_NEAREST))
-    (image, clipped, depth, *seen), straight = undistorted(views, intrinsics, lens)
+    (image, clipped, depth, *seen), straight = undistorted(views, stated, lens)
     mask = seen[0] > 0 if seen else None
-    return replace(picture, image=image, clipped=clipped > 0, seen=mask), depth, straight
+    return replace(picture, image=image, clipped=clipped > 0, seen=mask), depth, straight, stated
 
 
 def _straight_camera(intrinsics: Intrinsics, lens: Lens) -> Intrinsics:

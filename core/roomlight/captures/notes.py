@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from roomlight.camera import Intrinsics
 from roomlight.captures.consistency import FRAMES, DepthCheck, Disagreement, PoseCheck, looks_turned, odd_depth
-from roomlight.captures.options import CameraConvention, PoseDirection
+from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection
 from roomlight.conventions import OPENCV_TO_OPENGL
 from roomlight.frame import Frame
 from roomlight.notes import Note
@@ -27,7 +27,8 @@ _OF_ANY_TOOL: Final = ("nerfstudio", "colmap")
 _LYING, _DEPTH = "lying camera", "scale of depth"
 """Notes after which others are not given."""
 _APART: Final = "depth apart"
-"""A note that is given at a pass's end, unless another one explains it."""
+"""A note that is given at a pass's end, unless another one explains it: of depth that meets by the poses in no way, or
+only by a turn that the pictures do not show."""
 _NORMALISED: Final = ((1.0, 1.0), (0.2549, 0.2551), (64.2, 65.54))
 """Ranges of the largest depth in metres where floats, 8 or 16 bits are normalised, the integers read as millimetres."""
 _CUT_OFF: Final = 0.01
@@ -50,21 +51,18 @@ def lying_camera(name: str, convention: str, upward: float) -> Note:
     )
 
 
+def first_cameras_up(name: str) -> Note:
+    """Make the note for a recording whose poses begin with no turn, which Record3D leaves out of them."""
+    text, effect = f"{name}: the first pose is without a turn", "up is that of the first camera"
+    return Note(text, effect, "state world_up (--world-up) if it was not held level")
+
+
 def scaled_poses(name: str, metres: float, height_m: float) -> Note:
     """Make the note for poses that were scaled by the floor."""
     return Note(
         f"{name}: the scale of its poses, found by the floor in view",
         f"a unit of its poses is taken for {metres:.3g} m, the camera for {height_m:g} m above the floor in the mean",
         "scale the poses to metres for exact sizes, and leave out camera_height_m",
-    )
-
-
-def large_poses(name: str, ratio: float) -> Note:
-    """Make the note for poses whose unit is hardly a metre, by the depth that pictures alone let expect."""
-    return Note(
-        f"{name}: its poses make the room {ratio:.2g} times as large as the pictures let expect",
-        "their unit is taken for a metre",
-        "scale the poses to metres, or state camera_height_m (--camera-height), the camera's height above the floor",
     )
 
 
@@ -79,13 +77,6 @@ def unread_depth(path: Path) -> Note | None:
     return Note(
         f"{path}: {listed}", effect, "name it in the index, or as the format does, if it is these frames' depth"
     )
-
-
-def uneven_pace(name: str, film_s: float, recorded_s: float) -> Note:
-    """Make the note for frames with uneven steps of time, or with skipped ones among them."""
-    text = f"{name}: frames that are skipped or have uneven timestamps"
-    effect = f"the film runs {film_s:.3g} s, the recording {recorded_s:.3g} s"
-    return Note(text, effect, "place its pictures by the timestamps if the pace matters")
 
 
 def removed_lens(name: str, camera: Intrinsics) -> Note:
@@ -103,20 +94,6 @@ def wrong_scale(name: str, factor: float | None) -> Note:
         "the unit of depth or of the poses, or the focal length, seems wrong",
         "state depth_unit_m, the metres for one stored unit of depth, scale the poses to metres, or check the focal "
         "length",
-    )
-
-
-def turned_maps(name: str, turn: str) -> Note:
-    """Make the note for depth that meets by the poses only if its maps are turned back."""
-    advice = "store them in the rows and columns of their pictures"
-    return Note(f"{name}: depth agrees with the poses if its maps are {turn}", "light comes from wrong places", advice)
-
-
-def apart(name: str) -> Note:
-    """Make the note for depth that meets by the poses in no way, or only by a turn that the pictures do not show."""
-    advice = "check that depth is in the order of the pictures, and that neither of them is turned or mirrored"
-    return Note(
-        f"{name}: depth of different frames does not meet by the poses", "light comes from wrong places", advice
     )
 
 
@@ -272,22 +249,19 @@ class PassChecks:
         format: str,
         conventions: tuple[CameraConvention, PoseDirection],
         to_y_up: Float[np.ndarray, "4 4"],
+        options: CaptureOptions,
         *,
-        up_is_assumed: bool,
-        unit_is_assumed: bool,
-        scale_is_assumed: bool,
-        poses_are_estimated: bool,
         passed: int,
         noted: set[str],
     ) -> None:
-        """Begin after the first `passed` frames. What is not assumed, or estimated by the pictures, is not checked.
+        """Begin after the first `passed` frames. What options state, or pictures estimate, is not checked.
 
         `noted` is what a pass that goes on must know of the notes so far; it is added to.
         """
         self._name, self._format, self._conventions = name, format, conventions
-        self._up_is_assumed, self._unit_is_assumed = up_is_assumed, unit_is_assumed
-        self._scale_is_assumed = scale_is_assumed
-        self._count, self._poses_are_done = passed, poses_are_estimated
+        self._up_is_assumed, self._unit_is_assumed = options.world_up is None, options.depth_unit_m is None
+        self._scale_is_assumed = options.camera_height_m is None
+        self._count, self._poses_are_done = passed, format == "video"
         self._measured, self._set_is_whole, self._noted = True, False, noted
         self._unturned = to_y_up @ (OPENCV_TO_OPENGL if conventions[0] == "opencv" else np.eye(4))
         self._depths, self._within = DepthCheck(), list[tuple[int, int, int, int] | None]()
@@ -302,6 +276,8 @@ class PassChecks:
             if abs(upward) > 0.99 and np.abs(turn - self._unturned[:3, :3]).max() < 0.02:
                 self._noted.add(_LYING)
                 yield lying_camera(frame.source, self._conventions[0], upward)
+            elif self._format == "record3d" and np.abs(turn - self._unturned[:3, :3]).max() < 1e-4:
+                yield first_cameras_up(frame.source)
         if self._count <= FRAMES:
             self._within.append(within_bars(frame.image))
             if depth is None and self._unit_is_assumed:
@@ -313,7 +289,12 @@ class PassChecks:
             if depth is not None and not self._poses_are_done and self._scale_is_assumed:
                 ratio = 1 / depth.state.per_metre
                 if depth.model.kind == "metric" and ratio > _MOST_BY_POSES:
-                    yield large_poses(self._name, ratio)
+                    yield Note(
+                        f"{self._name}: its poses make the room {ratio:.2g} times as large as the pictures let expect",
+                        "their unit is taken for a metre",
+                        "scale the poses to metres, or state camera_height_m (--camera-height), the camera's height "
+                        "above the floor",
+                    )
         elif self._count > FRAMES and self._set_is_whole:
             yield from self._notes_of_poses()
 
@@ -324,7 +305,9 @@ class PassChecks:
         if not self._poses_are_done:
             yield from self._notes_of_poses()
         if _APART in self._noted:
-            yield apart(self._name)
+            text = f"{self._name}: depth of different frames does not meet by the poses"
+            advice = "check that depth is in the order of the pictures, and that neither of them is turned or mirrored"
+            yield Note(text, "light comes from wrong places", advice)
 
     def _notes_of_first(self) -> Iterator[Note]:
         """Yield notes of depth that contradicts the poses, or, where any tool wrote it, the pictures; and of bars.
@@ -334,7 +317,9 @@ class PassChecks:
         mismatch, odd = self._depths.mismatch(), None
         if mismatch is not None and mismatch.turn and looks_turned(self._depths.samples, mismatch.turn):
             self._noted.add(_DEPTH)
-            yield turned_maps(self._name, mismatch.turn)
+            text = f"{self._name}: depth agrees with the poses if its maps are {mismatch.turn}"
+            advice = "store them in the rows and columns of their pictures"
+            yield Note(text, "light comes from wrong places", advice)
         if self._set_is_whole:
             yield from self._notes_of_poses()
         if mismatch is not None and mismatch.factor is not None and _DEPTH not in self._noted:

@@ -104,8 +104,7 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     try:
         with _renaming(str(unpacked), str(path)):
             _, reader = _opened(_innermost(unpacked), chosen)
-        kind = _UnpackedVideo if isinstance(reader, Preparing) else _UnpackedReader
-        capture = Capture(path, kind(reader, unpacked, path), chosen)
+        capture = Capture(path, _UnpackedReader(reader, unpacked, path), chosen)
     except BaseException:
         shutil.rmtree(unpacked.parent, ignore_errors=True)
         raise
@@ -214,6 +213,12 @@ class _UnpackedReader:
         """Return the stored times."""
         return self._reader.timestamps()
 
+    def prepare(self, watch: Callable[[int, int], object]) -> None:
+        """Look at the recording, if its reader does so."""
+        if isinstance(self._reader, Preparing):
+            with _renaming(*self._paths):
+                self._reader.prepare(watch)
+
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
         """Open the files of one pass."""
@@ -232,16 +237,6 @@ class _UnpackedReader:
 
     def _renamed(self, note: Note) -> Note:
         return Note(*map(self._shown, (note.left_out, note.effect, note.advice)))
-
-
-class _UnpackedVideo(_UnpackedReader):
-    """As `_UnpackedReader`, of a reader that looks at the whole recording first."""
-
-    def prepare(self, watch: Callable[[int, int], object]) -> None:
-        """Look at the recording."""
-        assert isinstance(self._reader, Preparing)
-        with _renaming(*self._paths):
-            self._reader.prepare(watch)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from roomlight.camera import Intrinsics
 from roomlight.captures.bare_video import DEFAULT_FOV_DEG, bending_lens, panorama_like, unsure_horizon
 from roomlight.captures.decoding import decode_depth_map
 from roomlight.captures.notes import black_bars, round_picture, unlikely_depth, within_bars
-from roomlight.captures.options import up_vector
+from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.conventions import rotation_to_y_up
 from roomlight.depth import without_unseen
 from roomlight.errors import FrameError, ImageError, OptionError
@@ -69,11 +69,7 @@ class PhotoOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-        if self.world_up is not None:
-            try:
-                up_vector(self.world_up)
-            except ValueError as error:
-                raise OptionError(str(error)) from error
+        CaptureOptions(world_up=self.world_up)  # the same rule
 
 
 @dataclass(frozen=True)
@@ -118,12 +114,12 @@ def read_photo(image: Path, depth: Path | None = None, options: PhotoOptions | N
     picture = decode_picture(data, str(image))
     colour, exif, own = picture.image, exif_camera(data, str(image)), picture.own_depth
     height, width = colour.shape[:2]
-    shape = panorama_like(str(image), width, height, stated=exif.panorama)
-    notes = picture.notes if shape is None else (*picture.notes, shape)
-    if (barred := black_bars(str(image), [within_bars(colour)])) is not None:
-        notes = (*notes, barred)
-    if (disc := round_picture(str(image), colour)) is not None:
-        notes = (*notes, disc)
+    shapes = (
+        panorama_like(str(image), width, height, stated=exif.panorama),
+        black_bars(str(image), [within_bars(colour)]),
+        round_picture(str(image), colour),
+    )
+    notes = (*picture.notes, *(shape for shape in shapes if shape is not None))
     if (share := float(picture.clipped.mean())) > _MOSTLY_CLIPPED:
         text = f"{image}: {share:.0%} of its pixels are clipped"
         notes = (*notes, Note(text, "its light is a guess", "take it with less exposure"))

@@ -101,22 +101,15 @@ def timeline(stored: list[float | None], name: str, *, seconds: bool = False) ->
         usual = min(float(np.median(forward)), MAX_GAP_S) if forward.size else 0.0
         long, back = steps > MAX_GAP_S, steps < 0
         if long.any() or back.any():
-            notes.append(_gap_note(name, steps, places))
+            wrong = np.flatnonzero(long | back)
+            text = f"{name}: {len(wrong)} steps of time, the first of {steps[wrong[0]]:g} s before record"
+            effect = f"longer steps are played as {MAX_GAP_S:g} s, backward ones as the usual step"
+            notes.append(Note(f"{text} {places[wrong[0] + 1]}", effect, "correct the timestamps if the pace matters"))
             steps = np.where(back, usual, np.minimum(steps, MAX_GAP_S))
             values = values[0] + np.concatenate([[0.0], np.cumsum(steps)])
     for index, value in zip(places, values.tolist(), strict=True):
         times[index] = value
     return Timeline(tuple(times), tuple(notes))
-
-
-def _gap_note(name: str, steps: np.ndarray, places: list[int]) -> Note:
-    wrong = np.flatnonzero((steps > MAX_GAP_S) | (steps < 0))
-    at = int(wrong[0])
-    return Note(
-        f"{name}: {len(wrong)} steps of time, the first of {steps[at]:g} s before record {places[at + 1]}",
-        f"longer steps are played as {MAX_GAP_S:g} s, backward ones as the usual step",
-        "correct the timestamps if the pace matters",
-    )
 
 
 def in_seconds(times: Sequence[float], name: str, notes: list[Note]) -> tuple[float, ...]:

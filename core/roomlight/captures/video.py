@@ -1,17 +1,20 @@
 """Frames of a video by number, decoded in order with one in memory at a time (PyAV, which contains FFmpeg)."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import av
 import numpy as np
+from av.container import InputContainer
 from av.error import FFmpegError, InvalidDataError
 from av.stream import Disposition
 from av.video.frame import VideoFrame
+from av.video.reformatter import Interpolation
 
 from roomlight.conventions import srgb8_to_linear
-from roomlight.errors import FrameError
+from roomlight.errors import CaptureError, FrameError
 from roomlight.frame import clipped_pixels
 from roomlight.images import MAX_PIXELS, MIN_ALPHA, ColourImage
 from roomlight.imaging.colour_spaces import ColourSpace
@@ -19,11 +22,22 @@ from roomlight.imaging.exif import oriented
 from roomlight.notes import Note, oblong_pixels
 
 _UNSPECIFIED: Final = 2
-"""H.273's code of what is not stated; a matrix that is not stated is read as BT.709's, which phones write."""
+"""H.273's code of what is not stated."""
+_TAGS: Final = ("color_primaries", "color_trc", "colorspace")
+_FULL_RANGE: Final = 2
 _BT2020_MATRICES: Final = (9, 10)
 _BT2020: Final = 9
 DEMUXERS: Final = {".mp4": "mp4", ".mov": "mp4", ".m4v": "mp4", ".mkv": "matroska", ".webm": "matroska"}
 """FFmpeg's reader by the end of a file's name."""
+_AREA: Final = Interpolation.AREA
+_EXACT: Final = Interpolation.AREA | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
+"""How 8 bits are made: FFmpeg's quick way is 1 to 2 levels too dark. Its 16 bits are right in the quick way alone."""
+_LIMITED_WHITE: Final = (65024, 65280)
+"""What FFmpeg makes of limited range's white in 16 bits, from 8 bits and from more."""
+_SONY: Final = "XAVC"
+_SONY_BYTES: Final = 2**22
+_SONY_CURVE: Final = re.compile(rb'CaptureGammaEquation"\s+value="(s-log[^"]{0,20})"')
+"""Brand of Sony's cameras; the curve stands in an XML among the last bytes of the file."""
 _MATROSKA: Final = b"\x1a\x45\xdf\xa3"
 _MP4_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 _FOCAL_35MM: Final = "focal_length.35mm_equivalent"
@@ -51,45 +65,54 @@ class VideoFrames:
 
     Packets are numbered by presentation time before decoding, so that a packet that does not decode loses only its
     own frame and does not shift the numbers of later frames. Packets that an edit list cuts off, which only help to
-    decode others, have no number.
+    decode others, have no number, unless the `whole` file is read.
     """
 
-    def __init__(self, path: Path, label: str, *, upright: bool = False) -> None:
+    def __init__(self, path: Path, label: str, *, upright: bool = False, whole: bool = False) -> None:
         """Index the packets and open the decoder.
 
         Args:
             path: The file.
             label: Its name in messages.
             upright: Rotate frames by the video's rotation tag; otherwise they are as the sensor stored them.
+            whole: Number the frames that an edit list cuts off too.
 
         Raises:
-            FrameError: The file is not a readable video.
+            CaptureError: The file is not a readable video.
         """
         self._label, self._path, self._upright = label, path, upright
+        self._options = {"ignore_editlist": "1"} if whole else {}
         try:
             self._kind = _demuxer(path)
-            with av.open(str(path), format=self._kind) as container:
+            with self._opened() as container:
                 stream, self._notes = _main_stream(container, label)
                 shown = (packet.pts for packet in container.demux(stream) if not packet.is_discard)
                 times = sorted({pts for pts in shown if pts is not None})
                 stated = {**container.metadata, **stream.metadata}
                 self.focal_35mm, self.stated = _stated_focal(stated), tuple(stated.values())
+                if container.metadata.get("major_brand") == _SONY:
+                    self._notes += _logarithmic(path, label)
                 self.times_s = [float((pts - times[0]) * (stream.time_base or 1)) for pts in times]
             self._number_of = {pts: number for number, pts in enumerate(times)}
             self._open()
         except (FFmpegError, OSError, ValueError, IndexError) as error:
             damaged = "it is cut off, was never finished, or is none; copy or export it again"
             reason = damaged if isinstance(error, InvalidDataError) else error
-            raise FrameError(f"{label}: is not a readable video ({reason})") from error
+            raise CaptureError(f"{label}: is not a readable video ({reason})") from error
+
+    def _opened(self) -> InputContainer:
+        return av.open(str(self._path), format=self._kind, metadata_errors="replace", options=self._options)
 
     def _open(self) -> None:
-        self._container = av.open(str(self._path), format=self._kind)
+        self._container = self._opened()
         stream, _ = _main_stream(self._container, self._label)
         # A stream whose codec FFmpeg does not know has no such attributes at all.
         width, height = int(getattr(stream, "width", 0)), int(getattr(stream, "height", 0))
         if not 0 < width * height <= MAX_PIXELS:
             self._container.close()
-            raise FrameError(f"{self._label}: declares {width} x {height} pixels of a codec that can be decoded")
+            raise CaptureError(f"{self._label}: declares {width} x {height} pixels of a codec that can be decoded")
+        # FFmpeg's decoders of HEVC and ProRes forget what the container states
+        self._tags = {name: int(getattr(stream.codec_context, name)) for name in (*_TAGS, "color_range")}
         stream.thread_type = "AUTO"
         self._packets = self._container.demux(stream)
         self._decoded: list[VideoFrame] = []
@@ -102,11 +125,6 @@ class VideoFrames:
     def __exit__(self, *_: object) -> None:
         self._container.close()
 
-    @property
-    def count(self) -> int:
-        """Number of frames that the container lists."""
-        return len(self._number_of)
-
     def frame(self, number: int, *, longest: int | None = None) -> ColourImage:
         """Decode a frame to linear RGB by the video's colour tags.
 
@@ -117,11 +135,14 @@ class VideoFrames:
         Raises:
             FrameError: The frame does not exist or does not decode, or its colour space is not read.
         """
-        if number >= self.count:
-            raise FrameError(f"{self._label}: has {self.count} frames, so there is no frame {number}")
+        if number >= (count := len(self._number_of)):
+            raise FrameError(f"{self._label}: has {count} frames, so there is no frame {number}")
         if number <= self._at:
             self._container.close()
-            self._open()
+            try:
+                self._open()
+            except CaptureError as error:  # the file was changed meanwhile
+                raise FrameError(str(error)) from error
         while (frame := self._next()) is not None:
             decoded = self._number_of.get(frame.pts, -1) if frame.pts is not None else -1
             self._at = max(self._at, decoded)
@@ -151,6 +172,7 @@ class VideoFrames:
     def _picture(self, frame: VideoFrame, number: int, longest: int | None) -> ColourImage:
         if frame.is_corrupt or frame.width * frame.height > MAX_PIXELS:
             raise FrameError(f"{self._label}: frame {number} is damaged")
+        self._tag(frame)
         try:
             _check_pinhole(frame)
             space = _colour_space(frame)
@@ -160,14 +182,17 @@ class VideoFrames:
         alpha = any(component.is_alpha for component in frame.format.components)
         layout = ("rgba" if alpha else "rgb24") if space.is_srgb else ("rgba64le" if alpha else "rgb48le")
         try:
-            source = "ITU709" if frame.colorspace == _UNSPECIFIED else None
             share = min(1.0, (longest or MAX_PIXELS) / max(frame.width, frame.height))
             width, height = round(share * frame.width), round(share * frame.height)
-            small = frame.reformat(width, height, layout, src_colorspace=source, interpolation="AREA")
+            how = _EXACT if space.is_srgb else _AREA
+            small = frame.reformat(width, height, layout, src_colorspace=_matrix(frame), interpolation=how)
             pixels = small.to_ndarray(format=layout)
         except (FFmpegError, ValueError, MemoryError) as error:
             raise FrameError(f"{self._label}: frame {number} does not convert to RGB ({error})") from error
         rgb = np.ascontiguousarray(pixels[..., :3])
+        if not space.is_srgb and not frame.format.is_rgb and frame.color_range != _FULL_RANGE:
+            white = _LIMITED_WHITE[frame.format.components[0].bits > 8]
+            rgb = np.rint(np.minimum(rgb, white) * np.float32(65535 / white)).astype(np.uint16)
         clipped = clipped_pixels(rgb)
         shown = pixels[..., 3] >= MIN_ALPHA * (256**pixels.itemsize - 1) if alpha else None
         seen = None if shown is None or shown.all() else shown
@@ -189,6 +214,14 @@ class VideoFrames:
             notes = (*notes, rotation)
         image = srgb8_to_linear(rgb) if space.is_srgb else space.to_linear(rgb)
         return ColourImage(image, clipped, seen, notes=notes)
+
+    def _tag(self, frame: VideoFrame) -> None:
+        """State what the frame leaves open and the container states."""
+        unstated = [name for name in _TAGS if int(getattr(frame, name)) == _UNSPECIFIED]
+        if len(unstated) == len(_TAGS) and self._tags["color_range"] == _FULL_RANGE:
+            frame.color_range = _FULL_RANGE
+        for name in unstated:
+            setattr(frame, name, self._tags[name])
 
 
 def _demuxer(path: Path) -> str:
@@ -257,9 +290,30 @@ def _orientation(frame: VideoFrame) -> int:
     return _ORIENTATIONS[turned, (b if turned else a) < 0, (c if turned else d) < 0]
 
 
+def _matrix(frame: VideoFrame) -> str | None:
+    """Return the matrix of a frame that states none, as mpv guesses it by the frame's size; None where it does."""
+    if int(frame.colorspace) != _UNSPECIFIED and (int(frame.colorspace) != 0 or frame.format.is_rgb):
+        return None
+    if int(frame.color_primaries) == _BT2020:
+        return "BT2020"
+    return "ITU709" if frame.width >= 1280 or frame.height > 576 else "ITU601"
+
+
+def _logarithmic(path: Path, label: str) -> tuple[Note, ...]:
+    """Note the logarithmic curve that a Sony camera's XML states and no tag of the video does."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - _SONY_BYTES))
+        stated = _SONY_CURVE.search(file.read())
+    if stated is None:
+        return ()
+    text = f"{label}: its camera states the logarithmic curve {stated[1].decode(errors='replace')}"
+    return (Note(text, "it is read as an ordinary video's", "convert it to BT.709 or HLG"),)
+
+
 def _unstated_curve(frame: VideoFrame, label: str) -> list[Note]:
     """Note wide colours without a transfer curve, as cameras tag logarithmic pictures (Apple Log)."""
-    if int(frame.color_primaries) != _BT2020 or int(frame.color_trc) != _UNSPECIFIED:
+    wide = int(frame.color_primaries) == _BT2020 or int(frame.colorspace) in _BT2020_MATRICES
+    if not wide or int(frame.color_trc) != _UNSPECIFIED:
         return []
     text = f"{label}: its colours are BT.2020's, and its transfer curve is not stated"
     return [

@@ -196,7 +196,6 @@ def fitted(text: str, width: int, *, size: int = LABEL_SIZE, weight: Weight = "r
 
 
 def _drawable(text: str) -> str:
-    """Return the text without what the font cannot draw."""
     return "".join(_drawable_character(c) for c in unicodedata.normalize("NFC", text) if not unicodedata.combining(c))
 
 

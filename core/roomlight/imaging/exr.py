@@ -155,7 +155,6 @@ class ExrChannels:
         return self._depth_of(names[0])
 
     def _depth_of(self, name: str) -> Float[np.ndarray, "h w"]:
-        """Return a channel of depth, 0 where rays met nothing."""
         depth = self.channels[name].astype(np.float32)
         return np.where(depth >= _DEEPEST, np.float32(0), depth)
 
@@ -179,7 +178,6 @@ class ExrChannels:
         return ["R"] if set(self.channels) - {"A"} == {"R", "G", "B"} and self._is_grey("") else []
 
     def _is_grey(self, layer: str) -> bool:
-        """Whether red, green and blue of a layer, as far as they are there, are equal."""
         red, *others = (self.channels[f"{layer}{key}"] for key in "RGB" if f"{layer}{key}" in self.channels)
         return all(np.array_equal(red, other, equal_nan=True) for other in others)
 

@@ -26,10 +26,14 @@ from roomlight.imaging.exif import ExifCamera, exif_camera_of
 from roomlight.notes import Note
 
 _LIBRARY: Final = "pillow_heif"
-_BRANDS: Final = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1", b"avif")
+_BRANDS: Final = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1", b"avif", b"avis")
 _INVERSE_Z, _DISPARITY = 0, 1
 _FARTHEST_M: Final = 100.0
 _GAIN_MAP: Final = "hdrgainmap"
+_TONE_MAP: Final = re.compile(rb"infe[\x02\x03].{3}(?:.{4}|.{6})tmap", re.DOTALL)
+"""The entry of a gain map among the items: version, flags, number and protection precede its type."""
+_HEAD: Final = 65536
+"""Bytes that may name the item of ISO 21496-1's gain map; pixels further on may look like its name."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,10 @@ def read_heic(data: bytes, name: str) -> HeicPhoto:
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.dtype.name not in ("uint8", "uint16"):
         raise ImageError(f"{name}: the HEIC holds {pixels.dtype} of shape {pixels.shape}; RGB of 8 or 16 bits is read")
     notes = depth_notes if depth is None else ()
-    if any(_GAIN_MAP in str(kind) or "21496" in str(kind) for kind in info.get("aux") or {}):
+    aux = info.get("aux") or {}
+    brands = {data[at : at + 4] for at in range(8, min(int.from_bytes(data[:4]), _HEAD), 4)}
+    has_gain_map = b"tmap" in brands or _TONE_MAP.search(data[:_HEAD]) is not None
+    if has_gain_map or any(_GAIN_MAP in str(kind) or "21496" in str(kind) for kind in aux):
         text = "highlights end at the photo's white"
         notes = (*notes, Note(f"{name}: its HDR gain map", text, "give a linear EXR for the full range"))
     turn = exif_camera_of(_exif(photo)).orientation
@@ -127,6 +134,8 @@ def read_heic(data: bytes, name: str) -> HeicPhoto:
 
 
 def _opened(data: bytes, name: str) -> Any:
+    if any(brand in data[:40] for brand in (b"avif", b"avis")):
+        raise ImageError(f"{name}: AVIF is not read, because its HDR would be lost; save it as HEIC, JPEG or PNG")
     if not heic_available():
         raise ImageError(f"{name}: is HEIC, which needs pip install 'roomlight[heic]'; or convert it to JPEG or PNG")
     heif: Any = importlib.import_module(_LIBRARY)

@@ -41,8 +41,6 @@ def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
     for start, what in _NOT_READ.items():
         if data.startswith(start):
             raise ImageError(f"{name}: is {what}, which is not read; save it as JPEG, PNG or EXR")
-    if data[4:12] in (b"ftypavif", b"ftypavis"):
-        raise ImageError(f"{name}: AVIF is not read, because its HDR would be lost; save it as HEIC, JPEG or PNG")
     if kind is None or (kind == "WebP" and data[8:12] != b"WEBP"):
         return data
     try:

@@ -69,7 +69,7 @@ def draw_plot(canvas: Canvas, at: tuple[int, int], size: tuple[int, int], plot: 
     for share in (0.0, 0.5, 1.0):
         y = y0 + share * (y1 - y0)
         canvas.line([(x0, y), (x1, y)], _GRID)
-        tick = _tick(share * highest, percent=plot.percent)
+        tick = f"{100 * share * highest:.0f} %" if plot.percent else f"{share * highest:.3g}"
         tick_left = round(x0) - 8 - text_width(tick, size=_TICK_SIZE)
         canvas.text((tick_left, round(y) - 8), tick, size=_TICK_SIZE)
     first, last = f"frame {plot.times[0]}", str(plot.times[-1])
@@ -114,7 +114,3 @@ def _dashes(points: list[tuple[float, float]]) -> list[list[tuple[float, float]]
     ends = np.minimum(starts + _DASH[0], along[-1])
     cuts = [np.stack([np.interp(edge, along, corners[:, k]) for k in (0, 1)], -1).tolist() for edge in (starts, ends)]
     return [[(a[0], a[1]), (b[0], b[1])] for a, b in zip(*cuts, strict=True)]
-
-
-def _tick(value: float, *, percent: bool) -> str:
-    return f"{100 * value:.0f} %" if percent else f"{value:.3g}"

@@ -51,8 +51,6 @@ class DepthModel(Protocol):
         """Estimate the depth of an sRGB picture in [0, 1]; the answer may have another size of the same view.
 
         Args:
-            picture: The picture.
-            intrinsics: Its lens.
             up: The world's up in the camera's axes (OpenGL), a unit vector; None if it is not known.
 
         Raises:

@@ -47,7 +47,6 @@ def fit_inverse(
     Args:
         estimated: q at the samples.
         true: t at the samples, per metre.
-        weight: Of the samples.
         kind: Only inverse depth has a shift.
         prior: The fit of earlier frames; it weighs as much as a few samples.
     """
@@ -59,15 +58,15 @@ def fit_inverse(
         return prior
     columns, target, base = np.stack([q / t, 1 / t], axis=1), np.ones(len(t)), weight.astype(np.float64)
     rows = np.zeros((0, 2))
-    aims, strength = np.zeros(0), 1.0
+    aims = np.zeros(0)
     if kind != "inverse":
         rows, aims = np.array([[0.0, 1e6]]), np.zeros(1)
     if prior is not None and prior.scale > 0:
-        rows = np.vstack([rows, [strength / prior.scale, 0.0]])
-        aims = np.append(aims, strength)
+        rows = np.vstack([rows, [1 / prior.scale, 0.0]])
+        aims = np.append(aims, 1.0)
         if kind == "inverse":
-            rows = np.vstack([rows, [0.0, strength / float(np.median(t))]])
-            aims = np.append(aims, strength * prior.shift / float(np.median(t)))
+            rows = np.vstack([rows, [0.0, 1 / float(np.median(t))]])
+            aims = np.append(aims, prior.shift / float(np.median(t)))
     a, b = start
     for number in range(_ROUNDS):
         residual = columns @ (a, b) - target
@@ -124,7 +123,6 @@ def error_field(
         inverse: Estimated 1 / depth, above 0.
         pixels: (column, row) of the samples.
         log_ratio: log(true / estimated) of 1 / depth there.
-        weight: Of the samples.
     """
     height, width = inverse.shape
     tone = np.log(inverse)

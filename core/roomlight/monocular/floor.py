@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
+from roomlight.monocular.fitting import median_of
 
 CAMERA_HEIGHT_M: Final = 1.45
 """How high people hold a phone that films a room."""
@@ -85,15 +86,8 @@ def camera_height(
 def floor_scale(fits: Sequence[FloorFit | None], height_m: float) -> float | None:
     """Return the metres of a unit of depth, by the floors of several frames whose depth has the same unit.
 
-    Args:
-        fits: Of the frames (`camera_height`); None where no floor is seen.
-        height_m: The camera's mean height over the floor.
-
-    Returns:
-        None if no frame shows the floor. The median by share of the picture: half of the frames may be wrong.
+    The median by share of the picture, for the camera's mean height: half of the frames may be wrong. None if no frame
+    shows the floor.
     """
-    seen = sorted((fit.height, fit.share) for fit in fits if fit is not None)
-    if not seen:
-        return None
-    total = np.cumsum([share for _, share in seen])
-    return height_m / seen[int(np.searchsorted(total, total[-1] / 2))][0]
+    seen = np.array([(fit.height, fit.share) for fit in fits if fit is not None])
+    return height_m / median_of(*seen.T) if len(seen) else None

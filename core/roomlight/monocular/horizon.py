@@ -120,12 +120,7 @@ def lines_of(grey: UInt8[np.ndarray, "h w"], intrinsics: Intrinsics) -> Lines:
 
 
 def upright(pictures: Sequence[Lines], turns: Sequence[Float[np.ndarray, "3 3"]]) -> Upright:
-    """Estimate the up direction that the lines of all pictures agree on.
-
-    Args:
-        pictures: Lines of each picture.
-        turns: Camera-to-world rotations.
-    """
+    """Estimate the up direction that the lines of all pictures agree on; `turns` are camera-to-world rotations."""
     axes = np.mean(np.asarray(turns), axis=0)  # columns: where the cameras' axes point, on average
     middle = _unit(axes[:, 1])
     ahead = _unit(-axes[:, 2] + (axes[:, 2] @ middle) * middle + 1e-9)

@@ -109,7 +109,7 @@ class CameraMotion:
     Examples:
         motion = CameraMotion(shipped_depth(), intrinsics, focal_is_known=False)
         for number, picture in enumerate(pictures):
-            motion.add(number, picture)
+            motion.place(motion.described(number, picture))
         poses = motion.path().poses
     """
 
@@ -118,7 +118,7 @@ class CameraMotion:
 
         Args:
             model: Of kind "metric".
-            intrinsics: For pictures of the size that is given to `add`.
+            intrinsics: For pictures of the size that is given to `described`.
             focal_is_known: Whether the focal length is stated; otherwise it is adjusted to the motion.
         """
         self._model, self._intrinsics, self._known = model, intrinsics, focal_is_known
@@ -134,16 +134,10 @@ class CameraMotion:
         """K for pixels relative to the principal point."""
         return np.diag([self._focal, self._focal, 1.0])
 
-    def add(self, number: int, picture: Float32[np.ndarray, "h w 3"]) -> None:
-        """Place the camera of the next sRGB picture in [0, 1]; `number` names it.
-
-        Raises:
-            ModelError: The depth model fails.
-        """
-        self.place(self.described(number, picture))
-
     def described(self, number: int, picture: Float32[np.ndarray, "h w 3"]) -> Still | Lost:
-        """Return what the next picture shows; `place` takes it, in order, also while the next one is described.
+        """Return what the next sRGB picture in [0, 1] shows, under its number.
+
+        `place` takes it, in order, also while the next one is described.
 
         Raises:
             ModelError: The depth model fails.

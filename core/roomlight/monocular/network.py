@@ -68,7 +68,6 @@ def ray_planes(intrinsics: Intrinsics, up: Float[np.ndarray, "3"] | None = None)
     """Return what the network knows of the camera, for the square's pixels.
 
     Args:
-        intrinsics: The lens.
         up: The world's up in the camera's axes (OpenGL), a unit vector; None if it is not known.
 
     Returns:

@@ -239,11 +239,9 @@ def _applied(fit: Fit, estimated: DepthEstimate) -> Float32[np.ndarray, "h w"]:
 
 
 def corrected(inverse: Float32[np.ndarray, "h w"], samples: Samples) -> Float32[np.ndarray, "h w"]:
-    """Return 1 / depth with the samples' mean factor and the field of its errors.
+    """Return an estimated 1 / depth (above 0) times the samples' mean factor and the field of its errors.
 
-    Args:
-        inverse: Estimated 1 / depth, above 0.
-        samples: Known 1 / depth, in any unit: the answer's.
+    The result has the samples' unit.
     """
     rows, columns = places_of(samples, inverse)
     ratio = np.log(np.maximum(samples.inverse, 1e-6) / inverse[rows, columns])

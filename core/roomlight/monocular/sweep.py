@@ -56,7 +56,6 @@ def refined(
     """Return 1 / depth of a view, mended where other views tell it.
 
     Args:
-        view: The view.
         others: Views from other places, of pictures of the same size; others are left out.
         guess: About its 1 / depth, per metre, above 0.
         picture: Its sRGB picture in [0, 1], whose edges end what a depth corrects.

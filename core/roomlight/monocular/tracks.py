@@ -94,10 +94,7 @@ def triangulated(view: View, earlier: View, guess: Float[np.ndarray, "h w"]) -> 
 
     Features without parallax, behind a camera, or off their epipolar line are left out; if many are off, all are.
 
-    Args:
-        view: The view whose depth is wanted.
-        earlier: The other view.
-        guess: About 1 / depth of the view: where a feature is looked for.
+    `guess` is about 1 / depth of the view: where a feature is looked for.
     """
     start = view.corners
     if len(start) == 0 or view.grey.shape != earlier.grey.shape:
@@ -131,7 +128,6 @@ def partners(view: View, others: Sequence[View], middle_m: float, count: int) ->
     """Return the views that show most of a view's depth by parallax, the nearest first; none that hardly moved.
 
     Args:
-        view: The view.
         others: Earlier views.
         middle_m: Distance to what the view shows.
         count: How many at most.
@@ -176,10 +172,7 @@ def grid_of(plane: Shaped[np.ndarray, "h w *c"]) -> Shaped[np.ndarray, "gh gw *c
 def carried(view: View, earlier: View, factor: float = 1.0) -> Samples:
     """Return the depth of an earlier view as this view sees it, on a grid, where the earlier view is not behind.
 
-    Args:
-        view: The view.
-        earlier: The earlier view.
-        factor: Its 1 / depth, and that of the samples, times this is per metre.
+    Its 1 / depth, and that of the samples, times `factor` is per metre.
     """
     rays = grid_of(earlier.intrinsics.rays()).reshape(-1, 3).astype(np.float64)
     inverse = factor * earlier.inverse.ravel()

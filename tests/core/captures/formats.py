@@ -70,14 +70,17 @@ def scene(count: int = 4) -> list[View]:
 
 
 def quaternion(rot: np.ndarray) -> list[float]:
-    """(x, y, z, w); the scene's rotations are all below half a turn, so that w is far from 0."""
-    w = 0.5 * np.sqrt(1 + np.trace(rot))
-    return [*(np.array([rot[2, 1] - rot[1, 2], rot[0, 2] - rot[2, 0], rot[1, 0] - rot[0, 1]]) / (4 * w)), w]
+    """(x, y, z, w)"""
+    angle = cv2.Rodrigues(rot)[0].reshape(-1)
+    turn = float(np.linalg.norm(angle))
+    axis = angle / max(turn, 1e-12)
+    return [*(axis * np.sin(turn / 2)), float(np.cos(turn / 2))]
 
 
-def save(path: Path, data: bytes) -> None:
+def save(path: Path, data: bytes) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
+    return path
 
 
 def zipped(archive: Path, members: Mapping[str, bytes]) -> Path:
@@ -184,7 +187,7 @@ def video(
             setattr(stream.codec_context, name, value)
         for picture in pictures:
             frame = av.VideoFrame.from_ndarray(picture, format="rgba" if channels == 4 else "rgb24")
-            container.mux(stream.encode(frame.reformat(format=stored, dst_colorspace="ITU709")))
+            container.mux(stream.encode(frame.reformat(format=stored, dst_colorspace="ITU601")))
         container.mux(stream.encode())
     return path
 
@@ -212,7 +215,7 @@ def stray_scanner(path: Path, views: list[View]) -> Path:
         save(path / f"depth/{index:06d}.png", image(".png", millimetres(view)))
         save(path / f"confidence/{index:06d}.png", image(".png", view.confidence))
         pose = view.pose @ FLIP
-        values = [*pose[:3, 3], *quaternion(-pose[:3, :3] @ np.diag([-1, -1, -1]))]
+        values = [*pose[:3, 3], *quaternion(pose[:3, :3])]
         rows.append(f"{view.time_s}, {index:06d}, " + ", ".join(str(value) for value in values))
     save(path / "odometry.csv", ("\n".join(rows) + "\n").encode())
     k = f"{FX * scale}, 0.0, {CX * scale}\n0.0, {FY * scale}, {CY * scale}\n0.0, 0.0, 1.0"
@@ -370,16 +373,9 @@ def colmap_files(path: Path, views: list[View]) -> tuple[list[str], list[list[fl
         save(path / "images" / names[-1], image(".png", view.srgb8))
         save(path / "depth" / names[-1], image(".png", millimetres(view)))
         inverse = np.linalg.inv(COLMAP_UP @ view.pose @ FLIP)
-        x, y, z, w = quaternion_of_any(inverse[:3, :3])
+        x, y, z, w = quaternion(inverse[:3, :3])
         poses.append([w, x, y, z, *inverse[:3, 3]])
     return names, poses
-
-
-def quaternion_of_any(rot: np.ndarray) -> list[float]:
-    angle = cv2.Rodrigues(rot)[0].reshape(-1)
-    turn = float(np.linalg.norm(angle))
-    axis = angle / max(turn, 1e-12)
-    return [*(axis * np.sin(turn / 2)), float(np.cos(turn / 2))]
 
 
 def colmap(path: Path, views: list[View]) -> Path:

@@ -118,14 +118,6 @@ def depth_sei(low: float, high: float) -> bytes:
     return struct.pack(">II", 4 + len(message), len(message)) + message
 
 
-def colour_box(profile: bytes | None = None, codes: tuple[int, int, int] | None = None) -> bytes:
-    """The colour of a picture: an ICC profile, or the code points of primaries, transfer curve and matrix."""
-    if profile is not None:
-        return box(b"colr", b"prof", profile)
-    assert codes is not None
-    return box(b"colr", b"nclx", struct.pack(">HHHB", *codes, 0x80))
-
-
 APPLE_XMP = (
     '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
     "<rdf:Description><apdi:FloatMinValue>{low}</apdi:FloatMinValue><apdi:FloatMaxValue>{high}</apdi:FloatMaxValue>"

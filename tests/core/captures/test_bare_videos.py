@@ -11,6 +11,7 @@ import formats
 import numpy as np
 import pytest
 from capture_checks import notes_of, refused, unreadable
+from heic_files import box
 
 from box_room import LENS, exact_depth, frame, pose
 from depth_models import SIZE, write_depth_model
@@ -178,26 +179,22 @@ def test_a_camera_whose_lens_bends_lines_is_pointed_out(tmp_path: Path) -> None:
     assert any("GoPro AVC, whose lens bends" in note.left_out for note in open_capture(named).notes)
 
 
-def boxed(kind: str, body: bytes) -> bytes:
-    return struct.pack(">I4s", 8 + len(body), kind.encode()) + body
-
-
-def with_box(data: bytes, path: str, box: bytes) -> bytes:
+def with_box(data: bytes, path: str, added: bytes) -> bytes:
     """Append a box to the one at a path of kinds; the video's data lies before them, and stays where it is."""
     kind, _, rest = path.partition("/")
     at = 8 if data[4:8] == b"\0\0\0\1" else 0  # stsd's version and number of entries
     while data[at + 4 : at + 8] != kind.encode():
         at += int.from_bytes(data[at : at + 4])
     end = at + int.from_bytes(data[at : at + 4])
-    inner = with_box(data[at + 8 : end], rest, box) if rest else data[at + 8 : end] + box
-    return data[:at] + boxed(kind, inner) + data[end:]
+    inner = with_box(data[at + 8 : end], rest, added) if rest else data[at + 8 : end] + added
+    return data[:at] + box(kind.encode(), inner) + data[end:]
 
 
 FULL = bytes(4)  # version and flags
-EQUIRECTANGULAR = boxed("proj", boxed("prhd", bytes(16)) + boxed("equi", bytes(20)))
-SPHERE_V2 = boxed("sv3d", boxed("svhd", FULL + b"a camera\0") + EQUIRECTANGULAR)
-SPHERE_V1 = boxed(
-    "uuid",
+EQUIRECTANGULAR = box(b"proj", box(b"prhd", bytes(16)) + box(b"equi", bytes(20)))
+SPHERE_V2 = box(b"sv3d", box(b"svhd", FULL + b"a camera\0") + EQUIRECTANGULAR)
+SPHERE_V1 = box(
+    b"uuid",
     bytes.fromhex("ffcc8263f8554a938814587a02521fdd")
     + b'<rdf:SphericalVideo xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:GSpherical='
     b'"http://ns.google.com/videos/1.0/spherical/"><GSpherical:Spherical>true</GSpherical:Spherical>'
@@ -207,21 +204,21 @@ SPHERE_V1 = boxed(
 
 
 @pytest.mark.parametrize(
-    ("path", "box", "says"),
+    ("path", "added", "says"),
     [
         ("moov/trak/mdia/minf/stbl/stsd/avc1", SPHERE_V2, "is a 360-degree video"),
         ("moov/trak", SPHERE_V1, "is a 360-degree video"),
-        ("moov/trak/mdia/minf/stbl/stsd/avc1", boxed("st3d", FULL + b"\2"), "shows two cameras' pictures side by side"),
-        ("moov/trak/mdia/minf/stbl/stsd/avc1", boxed("st3d", FULL + b"\1"), "shows two cameras' pictures one above"),
+        ("moov/trak/mdia/minf/stbl/stsd/avc1", box(b"st3d", FULL + b"\2"), "shows two cameras' pictures side by side"),
+        ("moov/trak/mdia/minf/stbl/stsd/avc1", box(b"st3d", FULL + b"\1"), "shows two cameras' pictures one above"),
     ],
     ids=["V2", "V1", "side by side", "one above the other"],
 )
-def test_what_the_metadata_calls_no_pinhole_is_refused(tmp_path: Path, path: str, box: bytes, says: str) -> None:
+def test_what_the_metadata_calls_no_pinhole_is_refused(tmp_path: Path, path: str, added: bytes, says: str) -> None:
     video = formats.video(tmp_path / "walk.mp4", [view.srgb8 for view in formats.scene(2)])
     data = video.read_bytes()
-    video.write_bytes(with_box(data, path, box))
+    video.write_bytes(with_box(data, path, added))
     unreadable(video, rf"walk\.mp4: {says}")
-    video.write_bytes(with_box(data, "moov/trak/mdia/minf/stbl/stsd/avc1", boxed("st3d", FULL + b"\0")))
+    video.write_bytes(with_box(data, "moov/trak/mdia/minf/stbl/stsd/avc1", box(b"st3d", FULL + b"\0")))
     with VideoFrames(video, "walk") as frames:  # of one camera
         assert frames.frame(0).image.shape == (24, 32, 3)
 

@@ -1,5 +1,6 @@
 """Archives of Record3D, and zipped folders: a damaged member skips its frame, what is foreign is refused by name."""
 
+import json
 import re
 import shutil
 import struct
@@ -15,11 +16,19 @@ from builders import BUILDERS, FORMAT_OF
 from capture_checks import one_skipped, refused, same_views
 from PIL import ExifTags, Image
 
-from roomlight.captures import open_capture
+from roomlight.captures import fields, open_capture
 from roomlight.captures.formats.record3d import _declared_size
 from roomlight.errors import CaptureError, FrameError, UnknownFormatError
 
 VIEWS = formats.scene()
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where temporary folders are made."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    return tmp_path / "temporary"
 
 
 def repacked(path: Path, change: Callable[[dict[str, bytes]], object]) -> Path:
@@ -46,6 +55,22 @@ def test_a_bomb_is_refused_by_its_declared_size(tmp_path: Path) -> None:
     archive[entry + 24 : entry + 28] = struct.pack("<I", 2**30)
     path.write_bytes(archive)
     one_skipped(path, 2, "rgbd/2.jpg", "declares 1073741824 bytes")
+    entry = archive.rindex(b"metadata") - 46
+    archive[entry + 24 : entry + 28] = struct.pack("<I", 2**30)
+    path.write_bytes(archive)
+    refused(path, "metadata: declares 1073741824 bytes; up to 67108864 are read")
+
+
+def test_no_more_timestamps_are_read_than_there_are_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lengthen(members: dict[str, bytes]) -> None:
+        metadata = json.loads(members["metadata"])
+        metadata["frameTimestamps"] += ["x"] * 1000
+        members["metadata"] = json.dumps(metadata).encode()
+
+    path, read, time = repacked(tmp_path / "a.r3d", lengthen), [], fields.time
+    monkeypatch.setattr(fields, "time", lambda value: [read.append(value), time(value)][1])
+    assert [frame.timestamp_s for frame in open_capture(path)] == [view.time_s for view in VIEWS]
+    assert len(read) == len(VIEWS)
 
 
 def test_members_with_other_names_are_ignored(tmp_path: Path) -> None:
@@ -87,11 +112,9 @@ def test_archives_without_metadata_or_pictures(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_zipped_folder_is_read_and_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Callable[[str], Path], kind: str, inner: str
+    tmp_path: Path, temporary: Path, whole: Callable[[str], Path], kind: str, inner: str
 ) -> None:
-    folder, temporary = whole(kind), tmp_path / "temporary"
-    temporary.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    folder = whole(kind)
     files = [file for file in folder.rglob("*") if file.is_file()]
     members = {f"{inner}{file.relative_to(folder)}": file.read_bytes() for file in files}
     archive = formats.zipped(tmp_path / "scan.ZIP", members | {"__MACOSX/._scan": b"x"})
@@ -103,10 +126,9 @@ def test_a_zipped_folder_is_read_and_leaves_nothing(
     assert not any(temporary.iterdir())
 
 
-def test_a_zip_of_something_else_is_refused_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+def test_a_zip_of_something_else_is_refused_and_leaves_nothing(
+    tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert open_capture(repacked(tmp_path / "a.zip", lambda _: None)).format == "record3d"  # read in place
     refused(
         formats.zipped(tmp_path / "b.zip", {"notes.txt": b"x", "../../out.txt": b"x", "/out.txt": b"x"}),
@@ -164,7 +186,7 @@ def test_what_is_said_of_a_zip_names_the_zip(tmp_path: Path) -> None:
     said = [skipped.file, skipped.reason, str(refused.value), *(frame.source for frame in frames)]
     notes = [note.left_out for note in capture.notes]
     assert all(text.startswith(f"{archive}/scan") for text in [*said, *notes])
-    assert any("585 pixels" in note.effect for note in capture.notes)
+    assert any("525 pixels" in note.effect for note in capture.notes)
     assert any("orientation 3" in text for text in notes)
 
 

@@ -1,6 +1,7 @@
 """Photos with a depth map inside (HEIC portraits of phones, by boxes written here), and of other formats."""
 
 import random
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,6 @@ def scene() -> tuple[np.ndarray, np.ndarray]:
     return colour, disparity
 
 
-def written(path: Path, data: bytes) -> Path:
-    path.write_bytes(data)
-    return path
-
-
 def xmp(accuracy: str = "absolute") -> str:
     return heic_files.APPLE_XMP.format(low=LOW, high=HIGH, accuracy=accuracy, focal=3024.0)
 
@@ -48,7 +44,7 @@ def test_a_portraits_own_depth_is_read(tmp_path: Path, stated: str) -> None:
     colour, disparity = scene()
     text, levels = (xmp(), None) if stated == "xmp" else ("", (LOW, HIGH))
     photo = read_photo(
-        written(tmp_path / "photo.heic", heic_files.portrait(colour, disparity, xmp=text, sei=levels)),
+        formats.save(tmp_path / "photo.heic", heic_files.portrait(colour, disparity, xmp=text, sei=levels)),
         options=PhotoOptions(world_up="y"),
     )
     depth_m = photo.frame.depth_m
@@ -64,7 +60,7 @@ def test_a_portraits_own_depth_is_read(tmp_path: Path, stated: str) -> None:
 
 
 def test_relative_depth_is_said_and_can_be_scaled(tmp_path: Path) -> None:
-    path = written(tmp_path / "photo.heic", heic_files.portrait(*scene(), xmp=xmp("relative")))
+    path = formats.save(tmp_path / "photo.heic", heic_files.portrait(*scene(), xmp=xmp("relative")))
     photo = read_photo(path, options=PhotoOptions(world_up="y"))
     assert "relative accuracy" in photo.notes[0].left_out
     scaled = read_photo(path, options=PhotoOptions(depth_unit_m=1.5, world_up="y"))
@@ -74,7 +70,7 @@ def test_relative_depth_is_said_and_can_be_scaled(tmp_path: Path) -> None:
 
 def test_a_turned_portrait_comes_out_upright(tmp_path: Path) -> None:
     turn = heic_files.box(b"irot", b"\x03")  # 270 degrees counter-clockwise: clockwise by 90
-    photo = read_photo(written(tmp_path / "p.heic", heic_files.portrait(*scene(), xmp=xmp(), more=(turn,))))
+    photo = read_photo(formats.save(tmp_path / "p.heic", heic_files.portrait(*scene(), xmp=xmp(), more=(turn,))))
     assert photo.frame.image.shape == (128, 96, 3)
     assert photo.frame.depth_m.shape == (64, 48)
     red, blue = photo.frame.image[10, 48], photo.frame.image[118, 48]
@@ -85,11 +81,26 @@ def test_a_turned_portrait_comes_out_upright(tmp_path: Path) -> None:
 
 def test_the_colour_space_of_heic_is_converted() -> None:
     colour, _ = scene()
-    p3 = heic_files.colour_box(codes=(12, 13, 6))
+    p3 = heic_files.box(b"colr", b"nclx", struct.pack(">HHHB", 12, 13, 6, 0x80))
     data = heic_files.portrait(colour, None, more=(p3,))
     image = decode_picture(data, "photo.heic").image
     plain = srgb8_to_linear(colour)[40, 20]
     assert image[40, 20, 0] > 1.15 * plain[0]  # red of Display P3 lies outside sRGB
+
+
+def test_a_gain_map_that_an_item_states_is_said() -> None:
+    data = heic_files.portrait(scene()[0], None)
+    assert decode_picture(data + heic_files.box(b"free", b"a bitmap"), "x").notes == ()
+    entry = heic_files.box(b"free", heic_files.box(b"infe", b"\2\0\0\0" + b"\0\7" + b"\0\0" + b"tmap\0"))
+    for stated in (data.replace(b"mif1heic", b"tmapheic", 1), data + entry):
+        (note,) = decode_picture(stated, "x").notes
+        assert "gain map" in note.left_out
+
+
+def test_an_avif_that_begins_as_any_picture_is_refused_by_name(tmp_path: Path) -> None:
+    data = other_file(tmp_path / "a.avif", BLACK).read_bytes()
+    with pytest.raises(ImageError, match="AVIF is not read"):
+        decode_picture(data.replace(b"ftypavif", b"ftypmif1", 1), "x")
 
 
 def test_depth_without_a_range_is_noted(tmp_path: Path) -> None:
@@ -97,8 +108,8 @@ def test_depth_without_a_range_is_noted(tmp_path: Path) -> None:
     picture = decode_picture(data, "photo.heic")
     assert "no range" in picture.notes[0].effect
     assert picture.own_depth is None
-    written(tmp_path / "photo.heic", data)
-    depth = written(tmp_path / "d.png", formats.image(".png", np.full((48, 64), 1500, np.uint16)))
+    formats.save(tmp_path / "photo.heic", data)
+    depth = formats.save(tmp_path / "d.png", formats.image(".png", np.full((48, 64), 1500, np.uint16)))
     photo = read_photo(tmp_path / "photo.heic", depth)
     np.testing.assert_allclose(photo.frame.depth_m, 1.5, rtol=1e-6)
 
@@ -116,7 +127,7 @@ def test_damaged_portraits_are_read_or_refused(tmp_path: Path, seed: int) -> Non
     for _ in range(rng.randrange(1, 8)):
         data[rng.randrange(rng.choice([len(data), 600]))] ^= 1 << rng.randrange(8)
     cut = len(data) if rng.random() < 0.7 else rng.randrange(len(data))
-    path = written(tmp_path / "photo.heic", bytes(data[:cut]))
+    path = formats.save(tmp_path / "photo.heic", bytes(data[:cut]))
     refusal = None
     try:
         frame = read_photo(path).frame
@@ -282,7 +293,7 @@ def test_a_focal_length_counts_on_a_sensor_of_known_size(
     stated: dict[int, Any] = {tags.FocalLength: 24, tags.ExifImageWidth: 6000, tags.ExifImageHeight: 4000}
     exif = exif_of({**stated, **{names[key]: value for key, value in plane.items()}})
     picture = other_file(tmp_path / "photo.jpg", np.zeros((80, 120, 3), np.uint8), exif=exif)
-    depth = written(tmp_path / "depth.png", formats.image(".png", np.full((80, 120), 1500, np.uint16)))
+    depth = formats.save(tmp_path / "depth.png", formats.image(".png", np.full((80, 120), 1500, np.uint16)))
     photo = read_photo(picture, depth)
     assert photo.fov_deg == pytest.approx(fov_deg, abs=0.1)
     assert any("24 mm" in note.left_out and says in note.effect for note in photo.notes)

@@ -1,6 +1,5 @@
 """Assumed conventions of poses, and intrinsics, are compared with what the pictures show."""
 
-import json
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -17,6 +16,7 @@ from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import OPENCV_TO_OPENGL, linear_to_srgb8
 
 CAMERA = Intrinsics(140.0, 140.0, 80.0, 60.0, 160, 120)
+LENS = {"fl_x": 140, "fl_y": 140, "cx": 80, "cy": 60, "w": 160, "h": 120, "world_up": "y"}
 BODY_AXES = np.array([[0.0, -1, 0, 0], [0, 0, 1, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
 
 
@@ -32,24 +32,23 @@ def walk(count: int = 7) -> list[np.ndarray]:
 
 
 @cache
-def pictures(number: int) -> tuple[bytes, bytes]:
-    """The walk's picture and depth of this number."""
-    frame = box_room.frame(number, walk(number + 1)[-1], depth=True, lens=CAMERA)
-    depth_mm = np.rint(1000 * frame.depth_m).astype(np.uint16)
-    return formats.image(".png", linear_to_srgb8(frame.image)), formats.image(".png", depth_mm)
+def view(number: int) -> formats.View:
+    """What the walk's camera of this number sees."""
+    pose, confidence = walk(number + 1)[-1], np.zeros((120, 160), np.uint8)
+    frame = box_room.frame(number, pose, depth=True, lens=CAMERA)
+    return formats.View(linear_to_srgb8(frame.image), frame.depth_m, confidence, pose, number / 10)
 
 
 def written(path: Path, stored: Callable[[np.ndarray], np.ndarray], count: int = 7, **keys: object) -> Path:
     """Write the walk as a transforms.json whose world is y-up, with its poses stored in some way."""
-    path.mkdir()
-    frames = []
-    for number, pose in enumerate(walk(count)):
-        for name, data in zip((f"{number}.png", f"d{number}.png"), pictures(number), strict=True):
-            (path / name).write_bytes(data)
-        files = {"file_path": f"{number}.png", "depth_file_path": f"d{number}.png"}
-        frames.append(files | {"transform_matrix": stored(pose).tolist()})
-    lens = {"fl_x": 140, "fl_y": 140, "cx": 80, "cy": 60, "w": 160, "h": 120, "world_up": "y"}
-    (path / "transforms.json").write_text(json.dumps(lens | keys | {"frames": frames}))
+    formats.nerfstudio(path, list(map(view, range(count))))
+
+    def change(index: dict) -> None:
+        index.update(LENS | keys)
+        for frame, pose in zip(index["frames"], walk(count), strict=True):
+            frame["transform_matrix"] = stored(pose).tolist()
+
+    edit(path / "transforms.json", change)
     return path
 
 
@@ -60,7 +59,7 @@ def in_unit(per_metre: float) -> Callable[[np.ndarray], np.ndarray]:
 
 def with_w_first(pose: np.ndarray) -> np.ndarray:
     """A pose whose quaternion w, x, y, z a tool took for x, y, z, w."""
-    x, y, z, w = formats.quaternion_of_any(pose[:3, :3])
+    x, y, z, w = formats.quaternion(pose[:3, :3])
     return pose_from_quaternion(np.array([w, x, y, z]), pose[:3, 3])
 
 
@@ -112,19 +111,11 @@ def test_conventions_that_contradict_the_pictures_are_pointed_out(
 
 def test_quaternions_with_w_first_are_pointed_out(tmp_path: Path) -> None:
     """Where the format has quaternions."""
-    path = written(tmp_path / "walk", lambda pose: pose)
-    (path / "transforms.json").unlink()
-    lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
-    for number, pose in enumerate(walk()):
-        stored = formats.Y_UP_TO_Z_UP @ pose @ formats.FLIP
-        x, y, z, w = formats.quaternion_of_any(stored[:3, :3])
-        values = (f"{number}.png", f"d{number}.png", " ".join(f"{value:.9f}" for value in (*stored[:3, 3], w, x, y, z)))
-        for lines, value in zip(lists.values(), values, strict=True):
-            lines.append(f"{number / 10} {value}")
-    for name, lines in lists.items():
-        (path / f"{name}.txt").write_text("\n".join(lines))
+    path = formats.tum(tmp_path / "walk", list(map(view, range(7))))
+    lines = [line.split() for line in (path / "groundtruth.txt").read_text().splitlines()[1:]]
+    (path / "groundtruth.txt").write_text("\n".join(" ".join([*line[:4], line[7], *line[4:7]]) for line in lines))
     (path / "camera-intrinsics.txt").write_text("140 0 79.5\n0 140 59.5\n0 0 1")
-    list(capture := open_capture(path, CaptureOptions(depth_unit_m=0.001)))
+    list(capture := open_capture(path))
     assert "write them as qx qy qz qw" in str(capture.notes[0])
 
 
@@ -155,8 +146,7 @@ def test_intrinsics_that_hardly_a_camera_has_are_pointed_out(transforms: Path, k
         stored = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         assert stored is not None
         cv2.imwrite(str(file), cv2.resize(stored, (160, 120), interpolation=cv2.INTER_NEAREST))
-    lens = {"fl_x": 140, "fl_y": 140, "cx": 80, "cy": 60, "w": 160, "h": 120}
-    edit(transforms / "transforms.json", lambda index: [frame.update(lens | keys) for frame in index["frames"]])
+    edit(transforms / "transforms.json", lambda index: [frame.update(LENS | keys) for frame in index["frames"]])
     list(capture := open_capture(transforms))
     said = [note.left_out for note in capture.notes if note.effect == "it is taken as stated"]
     assert len(said) == (says is not None)

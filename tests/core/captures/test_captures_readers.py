@@ -176,8 +176,8 @@ def test_frames_are_decoded_one_at_a_time(name: str, whole: Callable[[str], Path
     path = copied(whole(name), tmp_path)
     if path.suffix == ".sens":  # the last frame's depth does not unpack
         path.write_bytes(path.read_bytes()[:-20] + bytes(20))
-    elif (path / "bag_0.db3").exists():  # the last depth image lacks its end
-        with sqlite3.connect(path / "bag_0.db3") as base:
+    elif (stored := path / "capture.db3").exists():  # the last depth image lacks its end
+        with sqlite3.connect(stored) as base:
             last = "(SELECT max(id) FROM messages)"
             base.execute(f"UPDATE messages SET data = substr(data, 1, 900) WHERE id = {last}")
         base.close()
@@ -301,22 +301,28 @@ def test_lens_distortion_is_removed(transforms: Path, model: str) -> None:
 
 
 def test_seven_scenes_defaults(tmp_path: Path) -> None:
-    """Without its two optional files: the data set's K for 640 x 480, and up = -y of an upright OpenCV camera."""
+    """Without its two optional files: the data set's two cameras, and up = -y of an upright OpenCV camera."""
     path = tmp_path / "capture"
     grey = np.full((480, 640, 3), 90, np.uint8)
     depth = np.full((480, 640), 2000, np.uint16)
-    depth[:5], depth[5:10] = 0, 65535
+    depth[:40], depth[40:80], depth[200:280, 430:440] = 0, 65535, 1500
     formats.save(path / "frame-000000.color.png", formats.image(".png", grey))
     formats.save(path / "frame-000000.depth.png", formats.image(".png", depth))
     formats.save(path / "frame-000000.pose.txt", b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
     (frame,) = (capture := open_capture(path))
-    np.testing.assert_allclose(frame.camera_to_world, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(frame.camera_to_world[:3, 3], [0.0255, 0.0, 0.0022], atol=4e-4)
+    np.testing.assert_allclose(frame.camera_to_world[:3, :3], np.eye(3), atol=0.01)
     assert "gravity-direction.txt" in str(capture.notes)
     assert "gravity" not in str(open_capture(path, CaptureOptions(world_up="-y")).notes)
     k = frame.intrinsics
-    assert (k.fx, k.fy, k.cx, k.cy) == (585, 585, 320, 240)
-    assert not frame.depth_m[:10].any()
-    np.testing.assert_allclose(frame.depth_m[10:], 2.0)
+    assert (k.fx, k.fy, k.cx, k.cy) == (525, 525, 320, 240)
+    assert not frame.depth_m[: len(frame.depth_m) // 8].any()
+    known, near = frame.depth_m > 0, (frame.depth_m > 0) & (frame.depth_m < 1.75)
+    assert np.median(frame.depth_m[known]) == pytest.approx(2.0, abs=0.01)
+    column = (435 - 320) / 585 * 525 - 525 * (0.0256 / 1.5 + 0.0079)  # the depth camera sees it further right
+    assert np.nonzero(near)[1].mean() * 640 / known.shape[1] == pytest.approx(320 + column, abs=2)
+    formats.save(path / "frame-000000.depth.png", formats.image(".png", depth[:424, :512]))
+    unreadable(path, r"frame-000000\.depth\.png: the image is 512 x 424, .*write camera-intrinsics\.txt")
 
 
 def test_stray_scanner_old_depth_and_new_columns(tmp_path: Path) -> None:

@@ -14,15 +14,17 @@ import formats
 import lzfse
 import numpy as np
 import pytest
-import tool_formats
 from capture_checks import edit, first_of, notes_of, one_skipped, refused, same_views, unreadable
 from PIL import ExifTags, Image
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions, fields, open_capture
+from roomlight.captures.decoding import decode_confidence, decode_depth_map
 from roomlight.captures.lenses import Lens, lens_of, undistorted
 from roomlight.captures.times import MAX_GAP_S, timeline
-from roomlight.errors import CaptureError, UnknownFormatError
+from roomlight.captures.video import VideoFrames
+from roomlight.conventions import srgb8_to_linear
+from roomlight.errors import CaptureError, ImageError, UnknownFormatError
 from roomlight.sample import sample_capture
 
 VIEWS = formats.scene()
@@ -186,39 +188,27 @@ def test_gaps_and_steps_back_are_bounded_and_said() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".npy", ".png", ".tif"])
-def test_a_stated_unit_holds_for_every_kind_of_depth_file(transforms: Path, suffix: str) -> None:
-    def stored(unit_m: float, *, stated: float | None) -> Path:
-        def change(index: dict) -> None:
-            index.pop("depth_unit_scale_factor", None)
-            if stated is not None:
-                index["depth_unit_scale_factor"] = stated
-            for number, (frame, view) in enumerate(zip(index["frames"], VIEWS, strict=True)):
-                name, values = f"depth/{number}{suffix}", view.depth_m / unit_m
-                if suffix == ".exr":
-                    formats.exr(transforms / name, {"Z": values.astype(np.float32)})
-                elif suffix == ".npy":
-                    np.save(transforms / name, values.astype(np.float32))
-                elif suffix == ".tif":
-                    Image.fromarray(values.astype(np.float32)).save(transforms / name)
-                else:
-                    formats.save(transforms / name, formats.image(".png", np.rint(values).astype(np.uint16)))
-                frame["depth_file_path"] = name
-
-        edit(transforms / "transforms.json", change)
-        return transforms
-
-    def depth_of(path: Path, option: float | None = None) -> np.ndarray:
-        return first_of(path, CaptureOptions(depth_unit_m=option)).depth_m
-
-    default = 0.001 if suffix == ".png" else 1.0
-    for unit_m, stated, option in (
-        (default, None, None),
-        (0.002, 0.002, None),
-        (0.002, None, 0.002),
-        (0.004, 0.1, 0.004),
-    ):
-        found = depth_of(stored(unit_m, stated=stated), option)
-        np.testing.assert_allclose(found, VIEWS[0].depth_m, atol=0.0021)
+@pytest.mark.parametrize(
+    ("unit_m", "stated", "option"),
+    [(None, None, None), (0.002, 0.002, None), (0.002, None, 0.002), (0.004, 0.1, 0.004)],
+)
+def test_a_stated_unit_holds_for_every_kind_of_depth_file(
+    transforms: Path, suffix: str, unit_m: float | None, stated: float | None, option: float | None
+) -> None:
+    file = transforms / f"depth{suffix}"
+    values = VIEWS[0].depth_m / np.float32(unit_m or (0.001 if suffix == ".png" else 1.0))
+    if suffix == ".exr":
+        formats.exr(file, {"Z": values})
+    elif suffix == ".npy":
+        np.save(file, values)
+    elif suffix == ".tif":
+        Image.fromarray(values).save(file)
+    else:
+        formats.save(file, formats.image(".png", np.rint(values).astype(np.uint16)))
+    keys = {"depth_file_path": file.name, "depth_unit_scale_factor": stated}
+    edit(transforms / "transforms.json", lambda index: index["frames"][0].update(keys))
+    depth_m = first_of(transforms, CaptureOptions(depth_unit_m=option)).depth_m
+    np.testing.assert_allclose(depth_m, VIEWS[0].depth_m, atol=0.0021)
 
 
 # Names and text
@@ -502,6 +492,18 @@ def test_what_is_not_read_of_an_index_is_noted_once(transforms: Path, frame: dic
     assert [read.timestamp_s for read in open_capture(transforms)] == [None] * 4
 
 
+def test_keys_of_spectacular_ai_that_change_nothing_are_not_noted(transforms: Path) -> None:
+    keys = {"camera_linear_velocity": [0, 0, 0], "camera_angular_velocity": [0, 0, 0], "motion_blur_score": 1.5}
+
+    def change(index: dict) -> None:
+        index.update(auto_scale_poses_override=False)
+        for frame in index["frames"]:
+            frame.update(keys)
+
+    edit(transforms / "transforms.json", change)
+    assert not notes_of(transforms, frames=4)
+
+
 def test_applied_scale_is_taken_back(transforms: Path) -> None:
     def scale(index: dict) -> None:
         index["applied_scale"] = 2.0
@@ -521,6 +523,29 @@ def test_a_world_that_is_its_first_camera_is_pointed_out(tmp_path: Path) -> None
     assert "looks straight up" in note
     assert "--world-up -y" in note
     assert not notes_of(path, CaptureOptions(world_up="-y"))
+
+
+def test_the_first_cameras_up_of_record3d_is_pointed_out(tmp_path: Path) -> None:
+    """The app may count turns from the first camera."""
+    path = formats.record3d_export(tmp_path / "capture", VIEWS)
+    assert "up is that" not in str(notes_of(path))
+    turn = VIEWS[0].pose[:3, :3].T
+    poses = [[*formats.quaternion(turn @ view.pose[:3, :3]), *(turn @ view.pose[:3, 3]).tolist()] for view in VIEWS]
+    edit(path / "metadata.json", lambda index: index.update(poses=poses, initPose=[0, 0, 0, 1, 0, 0, 0]))
+    (note,) = [note for note in notes_of(path) if "turn" in note]
+    assert "rgb/0.jpg: the first pose is without a turn: up is that of the first camera; state world_up" in note
+    assert "up is that" not in str(notes_of(path, CaptureOptions(world_up="y")))
+    edit(path / "metadata.json", lambda index: index.update(initPose=[0, 0, 1, 0, 0, 0, 0]))
+    assert "initPose [0, 0, 1, 0, 0, 0, 0]: poses are read as they stand" in str(open_capture(path).notes[0])
+
+
+def test_times_of_record3d_by_its_rate(tmp_path: Path) -> None:
+    path = formats.record3d_export(tmp_path / "capture", VIEWS)
+    (path / "rgb/1.jpg").unlink()
+    edit(path / "metadata.json", lambda index: (index.pop("frameTimestamps"), index.update(fps=20)))
+    assert [frame.timestamp_s for frame in open_capture(path)] == pytest.approx([0, 0.1, 0.15])
+    edit(path / "metadata.json", lambda index: index.update(fps=0))
+    assert [frame.timestamp_s for frame in open_capture(path)] == [None] * 3
 
 
 def test_archives_and_folders_with_a_folder_above(tmp_path: Path) -> None:
@@ -554,20 +579,96 @@ def test_record3d_depth_size_follows_from_its_bytes(tmp_path: Path, size: tuple[
 # Formats of other tools
 
 
+def test_a_frame_of_stray_scanner_without_confidence_is_read(stray: Path) -> None:
+    (stray / "confidence/000001.png").unlink()
+    first, second, *others = open_capture(stray)
+    assert (bool(first.depth_m.all()), bool(second.depth_m.all()), len(others)) == (False, True, 2)
+
+
+def test_the_picture_that_stray_scanners_edit_list_hides_is_the_first_rows(tmp_path: Path) -> None:
+    """The app's clock of the video starts at 0, and its first frame at -1/60 s."""
+    views = [replace(view, srgb8=np.full((24, 32, 3), 40 * at + 20, np.uint8)) for at, view in enumerate(VIEWS)]
+    path = formats.stray_scanner(tmp_path / "capture", views)
+    plain = [frame.image.mean() for frame in open_capture(path)]
+    formats.remuxed(path / "rgb.mp4", tmp_path / "late.mp4", lambda _: None, later_s=1 / 30)
+    with VideoFrames(tmp_path / "late.mp4", "late") as presented:
+        assert len(presented.times_s) == 3
+    shutil.move(tmp_path / "late.mp4", path / "rgb.mp4")
+    capture = open_capture(path)
+    assert [frame.image.mean() for frame in capture] == pytest.approx(plain, abs=1e-4)
+    assert [float(capture.frame_at(at).image.mean()) for at in (2, 0)] == pytest.approx([plain[2], plain[0]], abs=1e-4)
+    assert capture.notes == ()
+    formats.video(path / "rgb.mp4", [view.srgb8 for view in views[1:]])  # encoded again, without what was hidden
+    notes = notes_of(path, frames=3)
+    assert [("3 pictures for 4 rows" in note, "one too late" in note) for note in notes] == [(True, True)]
+
+
 def test_polycam_without_loops_and_in_its_other_layout(tmp_path: Path) -> None:
     for name, corrected in (("a", False), ("b", True)):
         path = formats.polycam(tmp_path / name, VIEWS)
         if not corrected:  # the uncorrected cameras belong to the uncorrected images
             for kind in ("images", "cameras"):
                 shutil.rmtree(path / f"keyframes/corrected_{kind}")
-                assert first_of(path).camera_to_world[0, 3] == 99.0
-                assert ("corrected_cameras" in str(open_capture(path).notes)) == (kind == "images")
+            assert first_of(path).camera_to_world[0, 3] == 99.0
         for folder in (path / "keyframes").iterdir():
             folder.rename(path / folder.name)
         (path / "keyframes").rmdir()
         assert open_capture(path).format == "polycam"
         assert (first_of(path).camera_to_world[0, 3] == 99.0) != corrected
     np.testing.assert_allclose(first_of(path).camera_to_world, VIEWS[0].pose, atol=1e-9)
+
+
+def test_polycams_corrected_poses_are_those_of_its_images(tmp_path: Path) -> None:
+    """As version 6 exports: `corrected_cameras` without `corrected_images`; a frame may lack its corrected pose."""
+    path = formats.polycam(tmp_path / "capture", VIEWS)
+    shutil.rmtree(path / "keyframes/corrected_images")
+    for camera in (path / "keyframes/corrected_cameras").iterdir():
+        edit(camera, lambda stated: stated.update(fx=1, width=1))  # of the undistorted picture
+    frames = list(capture := open_capture(path))
+    same_views(frames, VIEWS)
+    assert {frame.intrinsics.fx for frame in frames} == {formats.FX}
+    np.testing.assert_allclose(frames[0].image, srgb8_to_linear(255 - VIEWS[0].srgb8), atol=0.1)
+    assert capture.notes == ()
+    (path / "keyframes/corrected_cameras/5000000.json").unlink()
+    one_skipped(path, 0, "corrected_cameras/5000000.json", "No such file")
+
+
+def test_a_folder_of_polycam_with_litter_alone_is_not_read(tmp_path: Path) -> None:
+    path = formats.polycam(tmp_path / "capture", VIEWS)
+    for kind, litter in (("images", ".DS_Store"), ("images", "._5000000.jpg"), ("cameras", ".DS_Store")):
+        shutil.rmtree(path / f"keyframes/corrected_{kind}", ignore_errors=True)
+        formats.save(path / f"keyframes/corrected_{kind}/{litter}", b"x")
+    assert [frame.camera_to_world[0, 3] for frame in open_capture(path)] == [99.0] * 4
+
+
+@pytest.mark.parametrize(("levels", "high"), [((0, 54, 255), 1), ((0, 127, 255), 1), ((0, 54, 54), 0), ((0, 1, 2), 1)])
+def test_medium_confidence_of_polycam_is_not_high(levels: tuple[int, int, int], high: int) -> None:
+    stored = np.repeat(np.array([levels], np.uint8), 4, axis=0)
+    decoded = decode_confidence(formats.image(".png", stored), "confidence")
+    assert decoded[0].tolist() == [0, 1, 1 + high]
+
+
+def test_several_runs_of_polycams_tracker_are_noted_where_its_raw_poses_are_read(tmp_path: Path) -> None:
+    path = formats.polycam(tmp_path / "capture", VIEWS)
+    for at, camera in enumerate(sorted((path / "keyframes/cameras").iterdir())):
+        edit(camera, lambda stated, at=at: stated.update(tracking_segment=at // 2, t_03=0.0))
+    shutil.rmtree(path / "keyframes/corrected_images")
+    assert "tracking_segment" not in str(notes_of(path))
+    shutil.rmtree(path / "keyframes/corrected_cameras")
+    (note,) = [note for note in notes_of(path, frames=4) if "tracking_segment" in note]
+    assert f"cameras/{round(VIEWS[2].time_s * 1e6)}.json: another tracking_segment" in note
+
+
+def test_the_size_that_polycams_corrected_cameras_lack_is_that_of_the_raw_ones(tmp_path: Path) -> None:
+    path = formats.polycam(tmp_path / "capture", VIEWS)
+    for camera in (path / "keyframes/corrected_cameras").iterdir():
+        edit(camera, lambda stated: (stated.pop("width"), stated.pop("height")))
+    edit(path / "keyframes/cameras/5000000.json", lambda stated: stated.update(width=64, height=48))
+    (path / "keyframes/cameras/5033333.json").unlink()
+    first, second, *others = open_capture(path)
+    assert first.intrinsics.fx == formats.FX / 2
+    assert (second.intrinsics.fx, second.intrinsics.width) == (formats.FX, 32)
+    assert len(others) == 2
 
 
 def test_the_black_border_of_polycams_undistortion_is_not_seen(tmp_path: Path) -> None:
@@ -596,8 +697,20 @@ def test_names_of_seven_scenes_in_capitals_keep_their_depth(tmp_path: Path) -> N
         file.rename(file.with_suffix(file.suffix.upper()))
     same_views(open_capture(path), VIEWS, depth_atol=1e-6)
     depth = path / "frame-000000.depth.PNG"
-    depth.rename(depth.with_suffix(".pgm")).write_bytes(formats.image(".pgm", formats.millimetres(VIEWS[0])))
-    one_skipped(path, 0, "frame-000000.depth.pgm", "16-bit grey PNG")
+    data = formats.image(".pgm", formats.millimetres(VIEWS[0]))
+    depth.rename(depth.with_suffix(".pgm")).write_bytes(data.replace(b"P5\n", b"P5\n# 3RScan\n"))
+    same_views(open_capture(path), VIEWS, depth_atol=1e-6)
+    depth.with_suffix(".pgm").write_bytes(data[:-1])
+    one_skipped(path, 0, "frame-000000.depth.pgm", "a map of 32 x 24 does not have")
+
+
+@pytest.mark.parametrize("header", [b"P5\n6 4\n# c\n65535\n", b"P5# c\n6 # c\n4 999 "])
+def test_headers_of_a_pgm(header: bytes) -> None:
+    values = np.full((4, 6), 700, ">u2").tobytes()
+    np.testing.assert_allclose(decode_depth_map(header + values + b"\n", "d", unit_m=None), 0.7)
+    for wrong in (header + values + b"12", b"P5 6 4 255\n" + values):
+        with pytest.raises(ImageError, match=r"a map of 6 x 4 does not have|depth of a PGM needs 16 bits, .* has 255"):
+            decode_depth_map(wrong, "d", unit_m=None)
 
 
 def test_names_of_the_scanner_app_in_capitals_keep_their_depth(tmp_path: Path) -> None:
@@ -656,31 +769,6 @@ def test_a_truncated_sens_keeps_its_whole_frames(tmp_path: Path) -> None:
     one_skipped(tmp_path / "lost.sens", 1, "lost tracking")
 
 
-@pytest.mark.parametrize("file", ["extrinsic_depth", "extrinsic_color", "intrinsic_depth"])
-def test_depth_of_another_camera_is_projected_into_the_colour_image(tmp_path: Path, file: str) -> None:
-    path = tool_formats.scannet_frames(tmp_path / "capture", VIEWS)
-    near, far = (np.where(np.arange(formats.WIDTH) < 16, *pair) for pair in ((1000, 3000), (1.0, 3.0)))
-    for name in (path / "depth").iterdir():
-        rows = np.broadcast_to(near, (formats.HEIGHT, formats.WIDTH)).astype(np.uint16)
-        name.write_bytes(formats.image(".png", rows))
-    matrix = np.eye(4)
-    matrix[0, 3] = -0.2 if file == "extrinsic_color" else 0.2
-    if file == "intrinsic_depth":
-        matrix = np.diag([2 * formats.FX, 2 * formats.FY, 1, 1])
-        matrix[:2, 2] = formats.CX - 0.5, formats.CY - 0.5
-    formats.save(path / f"intrinsic/{file}.txt", "\n".join(" ".join(map(str, row)) for row in matrix).encode())
-    frame = first_of(path)
-    height, width = frame.depth_m.shape
-    row = frame.depth_m[height // 2]
-    camera = frame.intrinsics.resized(width, height)
-    x = (np.flatnonzero(row) + 0.5 - camera.cx) / camera.fx * row[row > 0]
-    shift = 0.0 if file == "intrinsic_depth" else 0.2
-    scale = 2 if file == "intrinsic_depth" else 1
-    seen = (np.arange(formats.WIDTH) + 0.5 - formats.CX) / (scale * formats.FX) * far + shift
-    assert x.min() == pytest.approx(max(seen.min(), ((0.5 - camera.cx) / camera.fx)), abs=0.06)
-    assert set(row[row > 0].round(3)) <= {np.float32(1.0), np.float32(3.0)}
-
-
 @pytest.mark.parametrize("points", [None, "", "1.0 2.0 -1", "1.0 2.0 -1 3.5 4e0 7 8.5 9.5 -1 2.0 1.0 5"])
 def test_every_image_of_a_colmap_text_is_read(tmp_path: Path, points: str | None) -> None:
     """Converters leave out the lines of points, which a model may leave empty."""
@@ -689,18 +777,6 @@ def test_every_image_of_a_colmap_text_is_read(tmp_path: Path, points: str | None
     kept = [points if line == "1.0 2.0 -1" else line for line in lines]
     (path / "sparse/images.txt").write_text("\n".join(line for line in kept if line is not None))
     same_views(open_capture(path), VIEWS)
-
-
-def test_masks_of_a_colmap_model_are_read(tmp_path: Path) -> None:
-    path = formats.colmap(tmp_path / "capture", VIEWS)
-    mask = np.full((24, 32), 255, np.uint8)
-    mask[:6] = 0
-    name = next((path / "images").iterdir()).name
-    formats.save(path / f"masks/{name}.png", formats.image(".png", mask))
-    masked = [frame for frame in open_capture(path) if frame.seen is not None]
-    assert [Path(frame.source).name for frame in masked] == [name]
-    assert masked[0].seen is not None
-    assert not masked[0].seen[:5].any()
 
 
 def test_pixels_outside_the_circle_of_a_fisheye_are_not_seen(transforms: Path) -> None:

@@ -3,9 +3,12 @@
 import json
 import shutil
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import cv2
 import formats
@@ -13,11 +16,13 @@ import numpy as np
 import pytest
 import tool_formats
 from capture_checks import edit, first_of, notes_of, one_skipped, refused, same_views, unreadable
+from rosbags.highlevel import AnyReader
 from tool_formats import COLOUR, DEPTH, OPTICAL, Message
 
-from roomlight.captures import CaptureOptions, open_capture
+from roomlight.captures import CaptureOptions, open_capture, source
 from roomlight.captures.formats.packed_depth import lz4_block
 from roomlight.captures.formats.ros.bag import RosBagReader
+from roomlight.captures.formats.ros.images import decode_colour_image, decode_depth_image
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import UnknownFormatError
 
@@ -75,46 +80,69 @@ def test_damaged_lz4_is_refused(data: bytes) -> None:
         lz4_block(data, 64)
 
 
-def test_scannetpp_masks_and_missing_parts(tmp_path: Path) -> None:
-    path = tool_formats.scannetpp(tmp_path / "iphone", VIEWS)
-    mask = np.full((24, 32), 255, np.uint8)
+@pytest.mark.parametrize(
+    ("build", "name"),
+    [
+        (tool_formats.scannetpp, "rgb_masks/frame_000010.png"),
+        (formats.colmap, "masks/frame_00002.png.png"),
+        (formats.colmap, "masks/frame_00002.png"),
+    ],
+)
+def test_pixels_of_a_mask_are_not_seen(tmp_path: Path, build: Callable[..., Path], name: str) -> None:
+    path, mask = build(tmp_path / "capture", VIEWS), np.full((24, 32), 255, np.uint8)
     mask[:6] = 0
-    formats.save(path / "rgb_masks/frame_000010.png", formats.image(".png", mask))
-    (path / "rgb_mask.mkv").write_bytes(b"x")
+    formats.save(path / name, formats.image(".png", mask))
     plain, masked, *_ = open_capture(path)
     assert plain.seen is None
     assert masked.seen is not None
     assert not masked.seen[:6].any()
-    shutil.rmtree(path / "rgb_masks")
+
+
+def test_scannetpp_with_missing_parts(tmp_path: Path) -> None:
+    path = tool_formats.scannetpp(tmp_path / "iphone", VIEWS)
+    (path / "rgb_mask.mkv").write_bytes(b"x")
     assert any("rgb_mask.mkv" in note.left_out for note in open_capture(path).notes)
     shutil.rmtree(path / "rgb")
     refused(path, r"neither rgb/ nor rgb\.mkv")
 
 
-def test_depth_of_another_camera_is_projected_into_the_colour_image(tmp_path: Path) -> None:
-    """A wall at 2 m and one at 1 m before its right half, seen by a depth camera 10 cm to the right."""
-    depth = np.full((48, 64), 2000, np.uint16)
-    near = np.zeros((48, 64), bool)
-    near[:, 40:] = True
-    depth[near] = 1000
-    views = [formats.View(VIEWS[0].srgb8, depth / np.float32(1000), VIEWS[0].confidence, VIEWS[0].pose, 0.0)]
-    path = formats.scannet(tmp_path / "capture", views)
-    data = bytearray(path.read_bytes())
-    at = 12 + 15
-    k = np.eye(4, dtype="<f4")
-    k[:2, :3] = [[60.0, 0, 31.5], [0, 60.0, 23.5]]
-    moved = np.eye(4, dtype="<f4")
-    moved[0, 3] = 0.1  # the depth camera's place, seen by the colour camera
-    data[at + 128 : at + 192], data[at + 192 : at + 256] = k.tobytes(), moved.tobytes()
-    data[at + 272 : at + 280] = struct.pack("<2i", 64, 48)
-    path.write_bytes(data)
+@pytest.mark.parametrize("build", [formats.scannet, tool_formats.scannet_frames])
+@pytest.mark.parametrize("other", ["extrinsic_color", "intrinsic_depth", "extrinsic_depth"])
+def test_depth_of_another_camera_is_projected_into_the_colour_image(
+    tmp_path: Path, build: Callable[..., Path], other: str
+) -> None:
+    """A wall at 1 m beside one at 3 m, in depth of twice the size."""
+    depth_m = np.where(np.arange(64) < 32, 1.0, 3.0)
+    path = build(tmp_path / "capture", [replace(VIEWS[0], depth_m=np.broadcast_to(depth_m, (48, 64)))])
+    scale, shift = (4, 0.0) if other == "intrinsic_depth" else (2, 0.2)
+    k, moved = np.diag([scale * formats.FX, scale * formats.FY, 1, 1]), np.eye(4)
+    k[:2, 2] = 2 * formats.CX - 0.5, 2 * formats.CY - 0.5
+    moved[0, 3] = -shift if other == "extrinsic_color" else shift
+    for name, matrix in {"intrinsic_depth": k, other: k if other == "intrinsic_depth" else moved}.items():
+        if path.is_dir():
+            np.savetxt(path / f"intrinsic/{name}.txt", matrix)
+            continue
+        data = bytearray(path.read_bytes())
+        at = 27 + 64 * ("intrinsic_color", "extrinsic_color", "intrinsic_depth", "extrinsic_depth").index(name)
+        data[at : at + 64] = matrix.astype("<f4").tobytes()
+        data[299:307] = struct.pack("<2i", 64, 48)
+        path.write_bytes(data)
     (frame,) = open_capture(path)
-    rows, columns = np.nonzero(np.isclose(frame.depth_m, 1.0, atol=1e-3))
-    left = columns.min() / frame.depth_m.shape[1] * formats.WIDTH
-    edge = (40 + 0.5 - 32.0) / 60.0 * 1.0 + 0.1  # x of the near wall's edge at 1 m
-    assert left == pytest.approx(formats.CX + formats.FX * edge, abs=1.2)
-    assert len(rows) > 100
-    assert np.isin(np.round(frame.depth_m, 3), [0.0, 1.0, 2.0]).all()
+    height, width = frame.depth_m.shape
+    row, camera = frame.depth_m[height // 2], frame.intrinsics.resized(width, height)
+    x = (np.flatnonzero(row) + 0.5 - camera.cx) / camera.fx * row[row > 0]
+    seen = (np.arange(64) + 0.5 - 2 * formats.CX) / (scale * formats.FX) * depth_m + shift
+    assert x.min() == pytest.approx(max(seen.min(), (0.5 - camera.cx) / camera.fx), abs=0.06)
+    assert set(row[row > 0].round(3)) == {np.float32(1.0), np.float32(3.0)}
+
+
+def test_scannets_frames_with_k_beside_the_folders(tmp_path: Path) -> None:
+    """As in `scannet_frames_25k`, whose depth camera has a K of its own."""
+    path = tool_formats.scannet_frames(tmp_path / "capture", VIEWS)
+    for kind in ("color", "depth"):
+        (path / f"intrinsic/intrinsic_{kind}.txt").rename(path / f"intrinsics_{kind}.txt")
+    shutil.rmtree(path / "intrinsic")
+    same_views(open_capture(path), VIEWS)
 
 
 @pytest.mark.parametrize("times", [2, 1.5, 0.5])
@@ -175,7 +203,7 @@ def test_rtabmap_by_time_with_the_robots_poses(tmp_path: Path) -> None:
         (path / f"room_calib/{number}.yaml").unlink()
         formats.save(path / f"room_calib/{stem}.yaml", tool_formats.opencv_yaml(stem, extra).encode())
         base = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP @ np.linalg.inv(tool_formats.MOUNT)
-        values = [view.time_s, *base[:3, 3], *tool_formats.quaternion_of_any(base[:3, :3])]
+        values = [view.time_s, *base[:3, 3], *formats.quaternion(base[:3, :3])]
         lines.append(" ".join(map(str, values)))
     (path / "room_camera_poses.txt").unlink()
     (path / "room_poses.txt").write_text("\n".join(lines))
@@ -184,6 +212,16 @@ def test_rtabmap_by_time_with_the_robots_poses(tmp_path: Path) -> None:
         assert frame.timestamp_s == pytest.approx(view.time_s)
     formats.save(path / f"room_calib/{VIEWS[1].time_s:.6f}.yaml", tool_formats.opencv_yaml("x").encode())
     one_skipped(path, 1, "local_transform", "--poses_camera")
+
+
+def test_confidence_of_rtabmap_is_in_percent(tmp_path: Path) -> None:
+    path, percent = tool_formats.rtabmap(tmp_path / "capture", VIEWS), np.full((24, 32), 100, np.uint8)
+    percent[:4], percent[4:8], percent[8:12] = 0, 49, 50
+    formats.save(path / "room_confidence/10.png", formats.image(".png", percent))
+    for least, rows in ((None, 8), (2, 12), (0, 0)):
+        first, second, *_ = open_capture(path, CaptureOptions(min_confidence=least))
+        assert np.flatnonzero(first.depth_m.any(axis=1))[0] == rows
+        assert second.depth_m.all()  # a frame may have none
 
 
 def test_rtabmap_without_a_pose_or_a_camera(tmp_path: Path) -> None:
@@ -223,7 +261,7 @@ def test_colmaps_own_depth_maps(tmp_path: Path) -> None:
     doubled = first_of(path, CaptureOptions(depth_unit_m=2.0))
     np.testing.assert_allclose(doubled.depth_m, 2 * VIEWS[0].depth_m, rtol=1e-6)
     (path / "stereo/depth_maps/frame_00002.png.geometric.bin").write_bytes(b"32&24&1&1234")
-    one_skipped(path, 1, "COLMAP map of 32 x 24")
+    one_skipped(path, 1, "a map of 32 x 24 does not have")
 
 
 def test_relative_depth_beside_a_colmap_model(tmp_path: Path) -> None:
@@ -305,6 +343,22 @@ def test_other_names_of_a_colmap_models_depth(tmp_path: Path) -> None:
     same_views(open_capture(path), VIEWS, depth_atol=1e-6)
 
 
+@pytest.mark.parametrize("build", [formats.colmap, formats.colmap_text])
+def test_points_of_a_colmap_model_do_not_count_as_its_index(
+    tmp_path: Path, build: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = build(tmp_path / "capture", VIEWS)
+    (images,) = path.rglob("images.*")
+    point, sep = struct.pack("<ddq", 1.0, 2.0, -1), b"1.0 2.0 -1"
+    data = images.read_bytes().replace(struct.pack("<Q", 1) + point, struct.pack("<Q", 900) + 900 * point)
+    images.write_bytes(data.replace(sep, b" ".join(900 * [sep])))
+    monkeypatch.setattr(source, "MAX_INDEX_BYTES", 4000)
+    same_views(open_capture(path), VIEWS)
+    images.write_bytes(images.read_bytes()[:-23000])
+    if images.suffix == ".bin":
+        refused(path, r"images\.bin: the model is truncated or damaged")
+
+
 def test_late_camera_models_of_colmap(tmp_path: Path) -> None:
     """SIMPLE_FISHEYE has no coefficients; EUCM is not read."""
     path = formats.colmap(tmp_path / "capture", VIEWS)
@@ -338,6 +392,7 @@ REALSENSE = {
     "/camera/color/camera_info": "/device_0/sensor_1/Color_0/info/camera_info",
     DEPTH: "/device_0/sensor_0/Depth_0/image/data",
 }
+ISAAC = {COLOUR: "/rgb", "/camera/color/camera_info": "/camera_info", DEPTH: "/depth"}
 
 
 @pytest.mark.parametrize(
@@ -354,11 +409,26 @@ def test_a_bag_without_poses_colour_or_camera_says_so(
     tmp_path: Path, names: dict[str, str], without: str, says: str
 ) -> None:
     messages = renamed(names, tool_formats.ros_messages(VIEWS, without=without))
-    refused(tool_formats.ros2_bag(tmp_path, messages), says)
+    refused(tool_formats.ros2_bag(tmp_path / "bag", messages), says)
 
 
-def test_topics_of_realsense_are_known(tmp_path: Path) -> None:
-    notes_of(tool_formats.ros2_bag(tmp_path, renamed(REALSENSE, tool_formats.ros_messages(VIEWS))), frames=4)
+@pytest.mark.parametrize("names", [REALSENSE, ISAAC])
+def test_topics_of_realsense_and_isaac_sim_are_known(tmp_path: Path, names: dict[str, str]) -> None:
+    messages = renamed(names, tool_formats.ros_messages(VIEWS))
+    notes_of(tool_formats.ros2_bag(tmp_path / "bag", messages), frames=4)
+
+
+def test_a_compressed_mosaic_is_refused() -> None:
+    grey = np.repeat(VIEWS[0].srgb8[..., :1], 3, axis=2)
+    message = SimpleNamespace(format="bayer_rggb8; jpeg compressed ", data=formats.image(".jpg", grey))
+    with pytest.raises(ValueError, match="colour of 'bayer_rggb8', compressed, is not read; debayer"):
+        decode_colour_image(message, "x")
+
+
+def test_compressed_depth_may_be_a_tiff() -> None:
+    stored = formats.millimetres(VIEWS[0])
+    message = SimpleNamespace(format="16UC1; compressedDepth", data=formats.image(".tiff", stored))
+    np.testing.assert_allclose(decode_depth_image(message, "x", None), stored / 1000, atol=1e-6)
 
 
 BAG = b"#ROSBAG V2.0\n" + bytes(99)
@@ -378,48 +448,99 @@ def test_a_file_that_is_no_readable_bag_says_so(tmp_path: Path, name: str, data:
     refused(tmp_path / name, says)
 
 
-def as_zstd(data: bytes) -> bytes:
-    """A frame of Zstandard in raw blocks."""
-    parts = [data[at : at + 100_000] for at in range(0, len(data), 100_000)]
-    heads = [(int(part is parts[-1]) | len(part) << 3).to_bytes(3, "little") for part in parts]
-    blocks = b"".join(head + part for head, part in zip(heads, parts, strict=True))
-    return b"\x28\xb5\x2f\xfd\xa0" + struct.pack("<I", len(data)) + blocks
-
-
-def test_a_bag_of_compressed_files(tmp_path: Path) -> None:
-    """As `ros2 bag record --compression-mode file` writes it."""
-    path = tool_formats.ros_bag(tmp_path / "bag", VIEWS)
-    stored = path / "bag_0.db3"
-    formats.save(tmp_path / "alone/a.db3", stored.read_bytes())  # without metadata.yaml
-    assert open_capture(tmp_path / "alone").frame_count == len(VIEWS)
-    (path / "bag_0.db3.zstd").write_bytes(as_zstd(stored.read_bytes()))
-    stored.unlink()
-    text = (path / "metadata.yaml").read_text().replace("bag_0.db3", "bag_0.db3.zstd")
-    for key, value in (("format", "zstd"), ("mode", "FILE")):
-        text = text.replace(f'"compression_{key}": ""', f'"compression_{key}": "{value}"')
-    (path / "metadata.yaml").write_text(text)
+def test_a_bag_of_compressed_files_and_a_file_alone(tmp_path: Path) -> None:
+    messages = tool_formats.ros_messages(VIEWS)
+    path = tool_formats.ros2_bag(tmp_path / "bag", messages, compressed=True)
     assert len(list(open_capture(path))) == len(VIEWS)
-    refused(path / "bag_0.db3.zstd", "is a compressed part of a bag; open its folder")
+    refused(path / "bag.db3.zstd", "is a compressed part of a bag; open its folder")
+    path = tool_formats.ros2_bag(tmp_path / "alone", messages)
+    (path / "metadata.yaml").unlink()
+    assert open_capture(path).frame_count == len(VIEWS)
+
+
+@pytest.mark.parametrize(
+    ("write", "name", "every", "read"),
+    [(tool_formats.mcap_without_chunks, "walk.mcap", 1, 80), (tool_formats.ros2_bag, "walk", 10, 8)],
+)
+def test_a_pass_reads_an_image_once(tmp_path: Path, write: Any, name: str, every: int, read: int) -> None:
+    """Without an index no file from its start for each image, also of late depth; with an index none in between."""
+    views = [replace(VIEWS[number % 4], time_s=10 + number / 30) for number in range(40)]
+    messages = [
+        (topic, kind, logged + 0.3 * (topic == DEPTH), data)
+        for topic, kind, logged, data in tool_formats.ros_messages(views)
+    ]
+    path = write(tmp_path / name, sorted(messages, key=lambda message: message[2]))
+    capture, times, reading = open_capture(path, CaptureOptions(every=every)), list[int](), AnyReader.messages
+
+    def counted(*args: Any, **options: Any) -> Iterator[Any]:
+        for image in reading(*args, **options):
+            times.append(image[1])
+            yield image
+
+    with patch.object(AnyReader, "messages", counted):
+        assert len(list(capture)) == len(views) / every
+    assert len(times) == read
+
+
+def test_an_mcap_out_of_order_without_an_index_says_so(tmp_path: Path) -> None:
+    messages = tool_formats.ros_messages(VIEWS)[::-1]
+    refused(
+        tool_formats.mcap_without_chunks(tmp_path / "walk.mcap", messages), r"walk\.mcap: its .*run mcap sort on it"
+    )
 
 
 def without_tf() -> list[Message]:
     return tool_formats.ros_messages(VIEWS, without="/tf")
 
 
-def poses_of(topic: str, child: str | None = None, *, beside: float = 0.0, kind: str = "PoseStamped") -> list[Message]:
-    """Poses of the camera, or `beside` it: Odometry of `child`, for None a `kind`."""
+def poses_of(
+    topic: str,
+    child: str | None = None,
+    *,
+    beside: float = 0.0,
+    kind: str = "PoseStamped",
+    mount: np.ndarray = np.eye(4),  # noqa: B008
+) -> list[Message]:
+    """Poses of the camera, or `beside` it, or of what carries it: Odometry of `child`, for None a `kind`."""
     messages: list[Message] = []
     for view in VIEWS:
-        pose = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP
+        pose = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP @ np.linalg.inv(mount)
         pose[0, 3] += beside
-        cdr = tool_formats.Cdr().header(view.time_s, "odom" if beside else "map")
-        if child is not None:
-            cdr.text(child)
-        cdr.put("d", *pose[:3, 3], *tool_formats.quaternion_of_any(pose[:3, :3]))
-        cdr.put("d", *[0.0] * (78 if child is not None else 36 if "Covariance" in kind else 0))
-        whole = f"geometry_msgs/msg/{kind}" if child is None else "nav_msgs/msg/Odometry"
-        messages.append((topic, whole, view.time_s, cdr.bytes()))
+        header, stated = tool_formats.header(view.time_s, "odom" if beside else "map"), tool_formats.pose_of(pose)
+        if child is not None or "Covariance" in kind:
+            stated = tool_formats.ros("geometry_msgs/msg/PoseWithCovariance", stated, np.zeros(36))
+        if child is None:
+            messages.append(tool_formats.message(topic, view.time_s, f"geometry_msgs/msg/{kind}", header, stated))
+        else:
+            still = tool_formats.ros("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+            twist = tool_formats.ros("geometry_msgs/msg/Twist", still, still)
+            fields = (
+                header,
+                child,
+                stated,
+                tool_formats.ros("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36)),
+            )
+            messages.append(tool_formats.message(topic, view.time_s, "nav_msgs/msg/Odometry", *fields))
     return messages
+
+
+def mount_on_tf() -> list[Message]:
+    """The camera's mount, as launch files repeat it."""
+    mount = tool_formats.MOUNT
+    return [tool_formats.transform(view.time_s, "base_link", OPTICAL, mount) for view in VIEWS]
+
+
+def test_a_mount_that_is_repeated_on_tf_is_no_movement(tmp_path: Path) -> None:
+    messages = tool_formats.ros_messages(VIEWS, without="/tf_static")
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages + mount_on_tf())), VIEWS)
+    poses = poses_of("/odom", "base_link", mount=tool_formats.MOUNT)
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "loose", without_tf() + poses + mount_on_tf())), VIEWS)
+
+
+def test_a_camera_that_never_moves_is_noted(tmp_path: Path) -> None:
+    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", without_tf() + mount_on_tf()))
+    assert "poses that never change" in str(capture.notes[0])
+    assert len(list(capture)) == len(VIEWS)
 
 
 @pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])
@@ -478,12 +599,11 @@ def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
     }
     pixels["bayer_rggb8"][1::2, 1::2] = rgb[1::2, 1::2, 2]
     if encoding in ("jpeg", "libx264"):
-        cdr = tool_formats.Cdr().header(time_s, OPTICAL).text(f"rgb8; {encoding} compressed")
-        data = cdr.raw(formats.image(".jpg", rgb)).bytes()
-        colour = f"{COLOUR}/compressed", "sensor_msgs/msg/CompressedImage", time_s, data
+        kind, data = f"rgb8; {encoding} compressed", formats.image(".jpg", rgb)
+        colour = tool_formats.compressed_image(f"{COLOUR}/compressed", time_s, kind, data)
     else:
-        data = tool_formats.image_message(time_s, OPTICAL, encoding, np.ascontiguousarray(pixels[encoding]))
-        colour = COLOUR, "sensor_msgs/msg/Image", time_s, data
+        stored = np.ascontiguousarray(pixels[encoding])
+        colour = tool_formats.image_message(COLOUR, time_s, OPTICAL, encoding, stored)
     path = tool_formats.ros2_bag(tmp_path / "bag", [*tool_formats.ros_messages(VIEWS[:1], without=COLOUR), colour])
     if encoding == "libx264":
         unreadable(path, "colour of 'rgb8; libx264 compressed' is a video's, which is not read; record JPEG")
@@ -495,7 +615,7 @@ def test_encodings_of_colour(tmp_path: Path, encoding: str) -> None:
 
 
 def with_info(path: Path, **camera: Any) -> Path:
-    info = tool_formats.camera("/camera/color/camera_info", tool_formats.camera_message(OPTICAL, **camera))
+    info = tool_formats.camera("/camera/color/camera_info", OPTICAL, **camera)
     return tool_formats.ros2_bag(path, [info, *tool_formats.ros_messages(VIEWS, without="camera_info")])
 
 
@@ -540,8 +660,7 @@ def test_other_names_of_plumb_bob(tmp_path: Path) -> None:
     [("/director/color", "image_raw", True), ("/color", "image_rectify_color", False), ("/rect/color", "image", False)],
 )
 def test_rectified_images_are_known_by_their_topic(tmp_path: Path, space: str, image: str, raw: bool) -> None:
-    info = tool_formats.camera_message(OPTICAL, d=(-0.2, 0.05, 0.0, 0.0, 0.0))
-    messages = [tool_formats.camera(f"{space}/camera_info", info)]
+    messages = [tool_formats.camera(f"{space}/camera_info", OPTICAL, d=(-0.2, 0.05, 0.0, 0.0, 0.0))]
     messages += renamed({COLOUR: f"{space}/{image}"}, tool_formats.ros_messages(VIEWS[:1], without="camera_info"))
     (frame,) = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
     assert (frame.intrinsics.fx != formats.FX) == raw
@@ -558,8 +677,8 @@ def test_the_camera_of_a_part_of_the_sensor(tmp_path: Path, binning: int, roi: t
 
 def other_image(view: formats.View, topic: str, frame: str, encoding: str, value: int) -> Message:
     shape, dtype = ((24, 32, 3), np.uint8) if encoding == "bgr8" else ((24, 32), np.uint16)
-    data = tool_formats.image_message(view.time_s, frame, encoding, np.full(shape, value, dtype))
-    return topic, "sensor_msgs/msg/Image", view.time_s + 0.01, data
+    pixels = np.full(shape, value, dtype)
+    return tool_formats.image_message(topic, view.time_s, frame, encoding, pixels, later_s=0.01)
 
 
 def test_depth_is_that_of_the_colours_camera(tmp_path: Path) -> None:
@@ -570,7 +689,7 @@ def test_depth_is_that_of_the_colours_camera(tmp_path: Path) -> None:
         DEPTH: "/cam1/depth/image_rect_raw",
     }
     messages = renamed(names, tool_formats.ros_messages(VIEWS))
-    messages.append(tool_formats.camera("/cam2/color/camera_info", tool_formats.camera_message("cam2_optical")))
+    messages.append(tool_formats.camera("/cam2/color/camera_info", "cam2_optical"))
     for view in VIEWS:
         messages.append(other_image(view, "/cam2/color/image_raw", "cam2_optical", "bgr8", 99))
         messages.append(other_image(view, "/cam2/aligned_depth_to_color/image_raw", "cam2_optical", "16UC1", 9000))
@@ -591,7 +710,9 @@ def test_aligned_depth_of_another_frame_is_projected_or_noted(tmp_path: Path) ->
     assert any("infra1_optical" in note.left_out for note in capture.notes)
     beside[0, 3] = 0.4
     messages.append(tool_formats.transform(0.0, OPTICAL, "infra1_optical", beside, fixed=True))
-    messages.append(tool_formats.camera(f"{topic}/camera_info", tool_formats.camera_message("infra1_optical")))
+    guessed = renamed({f"{topic}/image_raw": "/camera/color/depth"}, messages)
+    assert any("no CameraInfo of" in note for note in notes_of(tool_formats.ros2_bag(tmp_path / "guessed", guessed)))
+    messages.append(tool_formats.camera(f"{topic}/camera_info", "infra1_optical"))
     depth_m = first_of(tool_formats.ros2_bag(tmp_path / "told", messages)).depth_m
     assert not depth_m[:, :3].any()
     assert depth_m[:, -3:].all()
@@ -601,6 +722,7 @@ def test_pictures_of_other_programs_are_no_camera_and_no_depth(tmp_path: Path) -
     messages = tool_formats.ros_messages(VIEWS)
     for view in VIEWS:
         messages.append(other_image(view, "/a_detections/color_image", "x", "bgr8", 0))
+        messages.append(other_image(view, "/camera/color/a_detections", "x", "bgr8", 0))
         messages.append(other_image(view, "/camera/aligned_depth_colormap/image", "x", "bgr8", 0))
     frames = list(open_capture(tool_formats.ros2_bag(tmp_path / "a", messages)))
     same_views(frames, VIEWS, depth_atol=6e-4)
@@ -617,10 +739,9 @@ def test_compressed_depth(tmp_path: Path, encoding: str) -> None:
     a, b, time_s = 4000.0, 10.0, VIEWS[0].time_s
     stored = np.rint(a / VIEWS[0].depth_m + b).astype(np.uint16)
     data = struct.pack("<iff", 0, a, b) + formats.image(".png", np.where(VIEWS[0].depth_m > 0, stored, 0))
-    cdr = tool_formats.Cdr().header(time_s, OPTICAL).text(encoding).raw(b"RVL" if "rvl" in encoding else data)
-    topic = "/camera/depth_to_color/image_raw/compressed"
+    data, topic = b"RVL" if "rvl" in encoding else data, "/camera/depth_to_color/image_raw/compressed"
     messages = tool_formats.ros_messages(VIEWS[:1], without="aligned")
-    messages.append((topic, "sensor_msgs/msg/CompressedImage", time_s, cdr.bytes()))
+    messages.append(tool_formats.compressed_image(topic, time_s, encoding, data))
     bag = tool_formats.ros2_bag(tmp_path / "bag", messages)
     if "rvl" in encoding:
         unreadable(bag, r"compressedDepth rvl' is not read, .*--depth network")
@@ -636,7 +757,7 @@ def test_depth_that_is_not_called_so(tmp_path: Path) -> None:
     """As an OAK records it; its confidence is no depth, and neither is another colour camera."""
     messages = renamed({DEPTH: "/oak/stereo/image_raw"}, tool_formats.ros_messages(VIEWS))
     for topic in ("/oak/stereo/camera_info", "/oak/confidence/camera_info"):
-        messages.append(tool_formats.camera(topic, tool_formats.camera_message("oak")))
+        messages.append(tool_formats.camera(topic, "oak"))
     messages += [other_image(view, "/oak/confidence/image_raw", OPTICAL, "16UC1", 900) for view in VIEWS]
     capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
     same_views(capture, VIEWS, depth_atol=6e-4)
@@ -650,8 +771,16 @@ def test_depth_of_the_colours_frame_comes_before_the_nearest_name(tmp_path: Path
     same_views(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS, depth_atol=6e-4)
 
 
-@pytest.mark.parametrize("bent", ["color", "depth"])
-def test_lenses_of_colour_and_of_another_cameras_depth(tmp_path: Path, bent: str) -> None:
+@pytest.mark.parametrize(
+    ("bent", "frame_id", "image", "colour"),
+    [
+        ("color", "tof", "image_raw", "image_raw"),
+        ("depth", "tof", "image_raw", "image_raw"),
+        ("color", OPTICAL, "image_depth_rect", "image_raw"),
+        ("depth", OPTICAL, "image_raw", "image_rect_color"),
+    ],
+)
+def test_lenses_of_colour_and_of_depth(tmp_path: Path, bent: str, frame_id: str, image: str, colour: str) -> None:
     """An edge of depth stays where it is, whichever of the two cameras has the lens."""
     d = (0.5, -0.3, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
     y, x = np.mgrid[:96, :128].astype(np.float64) + 0.5
@@ -659,18 +788,15 @@ def test_lenses_of_colour_and_of_another_cameras_depth(tmp_path: Path, bent: str
     k[:2, 2] = 4 * formats.CX, 4 * formats.CY
     tangents = cv2.undistortPoints(pixels, k, np.array(d if bent == "depth" else [0.0] * 4)).reshape(96, 128, 2)
     stored = np.where(tangents[..., 0] > 0.4, 1000, 3000).astype(np.uint16)
-    messages = [
-        message
-        for message in tool_formats.ros_messages(VIEWS[:1], without="aligned")
-        if message[0] != "/camera/color/camera_info"
-    ]
+    messages = tool_formats.ros_messages(VIEWS[:1], without="aligned")
+    messages = [message for message in messages if message[0] != "/camera/color/camera_info"]
+    messages = renamed({COLOUR: f"/camera/color/{colour}"}, messages)
     messages.append(tool_formats.transform(0.0, OPTICAL, "tof", np.eye(4), fixed=True))
-    image = tool_formats.image_message(VIEWS[0].time_s, "tof", "16UC1", stored)
-    messages.append(("/camera/depth/image_raw", "sensor_msgs/msg/Image", VIEWS[0].time_s, image))
+    topic = f"/camera/depth/{image}"
+    messages.append(tool_formats.image_message(topic, VIEWS[0].time_s, frame_id, "16UC1", stored))
     for part in ("color", "depth"):
         own = d if part == bent else [0.0] * 8
-        info = tool_formats.camera_message("x", model="rational_polynomial", d=own)
-        messages.append(tool_formats.camera(f"/camera/{part}/camera_info", info))
+        messages.append(tool_formats.camera(f"/camera/{part}/camera_info", "x", model="rational_polynomial", d=own))
     (frame,) = open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages))
     height, width = frame.depth_m.shape
     row = frame.depth_m[height // 2]

@@ -1,6 +1,7 @@
 """Recordings without depth: read with estimated depth, or refused where the user wants files."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -72,6 +73,37 @@ def test_files_can_be_demanded_or_ignored(tmp_path: Path, model: Path) -> None:
     assert np.median(np.abs(estimated.depth_m / exact_depth(POSES[0]) - 1)) < 0.02
     with pytest.raises(OptionError, match="depth=file does not estimate depth"):
         CaptureOptions(depth="file", depth_model=model)
+
+
+@pytest.mark.parametrize("name", [name for name in BUILDERS if name != "ros-bag"])
+def test_files_of_depth_that_is_not_wanted_may_be_damaged(tmp_path: Path, model: Path, name: str) -> None:
+    path, members = BUILDERS[name](tmp_path / "recording", VIEWS[:1]), formats.record3d_members(VIEWS[:1])
+    for file in path.rglob("*.*"):
+        if re.search("depth|conf", str(file.relative_to(path))) and not file.name.startswith("intrinsic_"):
+            file.write_bytes(b"x")
+    if path.suffix == ".r3d":
+        formats.zipped(path, members | {name: b"x" for name in members if name.endswith((".depth", ".conf"))})
+    elif path.suffix == ".sens":  # the depth is at the end
+        path.write_bytes(path.read_bytes()[:-20] + bytes(20))
+    (read,) = open_capture(path, CaptureOptions(depth="network", depth_model=model))
+    assert read.depth_estimated
+    unreadable(path, str(path), CaptureOptions(depth="file"))
+
+
+def test_coloured_depth_of_nerfcapture_is_noted_and_not_read(tmp_path: Path, model: Path) -> None:
+    """As the app saves it beside its pictures: 8-bit RGBA, of three times their size."""
+    path = BUILDERS["nerfcapture"](tmp_path / "recording", VIEWS)
+    for file in path.rglob("*.depth.png"):
+        file.write_bytes(cv2.imencode(".png", np.full((72, 96, 4), 255, np.uint8))[1].tobytes())
+    frames = list(capture := open_capture(path, CaptureOptions(depth_model=model)))
+    assert [read.depth_estimated for read in frames] == [True] * len(VIEWS)
+    (note,) = [note for note in capture.notes if "8-bit" in note.left_out]
+    assert "0.depth.png" in note.left_out
+    unreadable(path, "depth=auto estimates it", CaptureOptions(depth="file"))
+    (path / "images/1.depth.png").unlink()
+    capture = open_capture(path, CaptureOptions(depth_model=model))
+    assert [read.index for read in capture] == [0]
+    assert "1.depth.png" in capture.skipped[0].reason
 
 
 def test_a_bad_model_is_no_bad_frame(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,9 +22,11 @@ from formats import (
     View,
     image,
     millimetres,
-    quaternion_of_any,
+    quaternion,
     save,
 )
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
+from rosbags.typesys import Stores, get_typestore
 
 
 def scannet_frames(path: Path, views: list[View]) -> Path:
@@ -110,7 +113,7 @@ def rtabmap(path: Path, views: list[View]) -> Path:
         save(path / f"room_depth/{number}.png", image(".png", millimetres(view)))
         save(path / f"room_calib/{number}.yaml", opencv_yaml(number).encode())
         pose = Y_UP_TO_Z_UP @ view.pose @ FLIP
-        values = [view.time_s, *pose[:3, 3], *quaternion_of_any(pose[:3, :3])]
+        values = [view.time_s, *pose[:3, 3], *quaternion(pose[:3, :3])]
         lines.insert(1, " ".join(map(str, values)) + f" {number}")
     save(path / "room_camera_poses.txt", "\n".join(lines).encode())
     return path
@@ -129,69 +132,69 @@ def opencv_yaml(name: object, extra: str = "") -> str:
     )
 
 
+TYPES = get_typestore(Stores.ROS2_HUMBLE)
 Message = tuple[str, str, float, bytes]
 """Topic, type, time and bytes."""
 
 
-class Cdr:
-    """Little-endian CDR, the encoding of ROS 2's messages."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-
-    def put(self, kind: str, *values: float) -> "Cdr":
-        size = struct.calcsize(kind)
-        for value in values:
-            self.data += bytes(-len(self.data) % size) + struct.pack(f"<{kind}", value)
-        return self
-
-    def text(self, text: str) -> "Cdr":
-        self.put("I", len(text) + 1)
-        self.data += text.encode() + b"\0"
-        return self
-
-    def raw(self, data: bytes) -> "Cdr":
-        self.put("I", len(data))
-        self.data += data
-        return self
-
-    def header(self, time_s: float, frame: str) -> "Cdr":
-        return self.put("i", int(time_s)).put("I", round(time_s % 1 * 1e9)).text(frame)
-
-    def bytes(self) -> bytes:
-        return b"\x00\x01\x00\x00" + bytes(self.data)
+def ros(kind: str, *fields: Any) -> Any:
+    """Make a part of a ROS message of a type such as `geometry_msgs/msg/Point`."""
+    return TYPES.types[kind](*fields)
 
 
-def image_message(time_s: float, frame: str, encoding: str, pixels: np.ndarray) -> bytes:
+def message(topic: str, time_s: float, kind: str, *fields: Any) -> Message:
+    return topic, kind, time_s, TYPES.serialize_cdr(ros(kind, *fields), kind).tobytes()
+
+
+def header(time_s: float, frame: str) -> Any:
+    return ros("std_msgs/msg/Header", ros("builtin_interfaces/msg/Time", int(time_s), round(time_s % 1 * 1e9)), frame)
+
+
+def image_message(
+    topic: str, time_s: float, frame: str, encoding: str, pixels: np.ndarray, *, later_s: float = 0.0
+) -> Message:
+    """An Image that is recorded some time after the one in its header."""
     height, width = pixels.shape[:2]
-    cdr = Cdr().header(time_s, frame).put("I", height, width).text(encoding).put("B", 0)
-    return cdr.put("I", pixels.strides[0]).raw(pixels.tobytes()).bytes()
+    data = np.frombuffer(pixels.tobytes(), np.uint8)
+    fields = header(time_s, frame), height, width, encoding, 0, pixels.strides[0], data
+    return message(topic, time_s + later_s, "sensor_msgs/msg/Image", *fields)
 
 
-def camera_message(
+def compressed_image(topic: str, time_s: float, kind: str, data: bytes) -> Message:
+    fields = header(time_s, OPTICAL), kind, np.frombuffer(data, np.uint8)
+    return message(topic, time_s, "sensor_msgs/msg/CompressedImage", *fields)
+
+
+def camera(
+    topic: str,
     frame: str,
     *,
-    shift: float = 0.0,
     model: str = "plumb_bob",
     d: Sequence[float] = (0.0,) * 5,
     binning: int = 0,
     roi: tuple[int, int] | None = None,
-) -> bytes:
+) -> Message:
     """A CameraInfo of the scene's camera; `roi` is where its images lie on a sensor of twice their size."""
     bins, (x, y) = max(binning, 1), roi or (0, 0)
-    k = (FX * bins, 0, CX * bins - 0.5 + x + shift, 0, FY * bins, CY * bins - 0.5 + y, 0, 0, 1)
+    k = np.array([[FX * bins, 0, CX * bins - 0.5 + x], [0, FY * bins, CY * bins - 0.5 + y], [0, 0, 1]])
     sides = HEIGHT * bins, WIDTH * bins
     whole = sides if roi is None else (2 * sides[0], 2 * sides[1])
-    cdr = Cdr().header(0.0, frame).put("I", *whole).text(model).put("I", len(d)).put("d", *d)
-    p = np.hstack([np.reshape(k, (3, 3)), np.zeros((3, 1))])
-    cdr.put("d", *k).put("d", *np.eye(3).reshape(-1)).put("d", *p.reshape(-1))
-    return cdr.put("I", binning, binning, x, y, *((0, 0) if roi is None else sides)).put("B", 0).bytes()
+    matrices = np.array(d, np.float64), k.ravel(), np.eye(3).ravel(), np.hstack([k, np.zeros((3, 1))]).ravel()
+    part = ros("sensor_msgs/msg/RegionOfInterest", x, y, *((0, 0) if roi is None else sides), False)
+    fields = header(0.0, frame), *whole, model, *matrices, binning, binning, part
+    return message(topic, 5.0, "sensor_msgs/msg/CameraInfo", *fields)
+
+
+def pose_of(pose: np.ndarray, kind: str = "Pose", place: str = "Point") -> Any:
+    turn = ros("geometry_msgs/msg/Quaternion", *quaternion(pose[:3, :3]))
+    return ros(f"geometry_msgs/msg/{kind}", ros(f"geometry_msgs/msg/{place}", *pose[:3, 3].tolist()), turn)
 
 
 def transform(time_s: float, parent: str, child: str, pose: np.ndarray, *, fixed: bool = False) -> Message:
-    cdr = Cdr().put("I", 1).header(time_s, parent).text(child)
-    data = cdr.put("d", *pose[:3, 3], *quaternion_of_any(pose[:3, :3])).bytes()
-    return "/tf_static" if fixed else "/tf", "tf2_msgs/msg/TFMessage", 5.0 if fixed else time_s, data
+    moved = pose_of(pose, "Transform", "Vector3")
+    stamped = ros("geometry_msgs/msg/TransformStamped", header(time_s, parent), child, moved)
+    topic, logged_s = ("/tf_static", 5.0) if fixed else ("/tf", time_s)
+    return message(topic, logged_s, "tf2_msgs/msg/TFMessage", [stamped])
 
 
 def robot(view: View) -> Message:
@@ -210,24 +213,18 @@ OPTICAL = "camera_color_optical_frame"
 COLOUR, DEPTH = "/camera/color/image_raw", "/camera/aligned_depth_to_color/image_raw"
 
 
-def camera(topic: str, data: bytes) -> Message:
-    return topic, "sensor_msgs/msg/CameraInfo", 5.0, data
-
-
 def ros_messages(views: list[View], *, without: str = "\0") -> list[Message]:
     """Colour, aligned depth 4 ms later, poses of the robot, its camera's mount; none whose topic holds `without`."""
     messages = [
         transform(0.0, "base_link", OPTICAL, MOUNT, fixed=True),
-        camera("/camera/color/camera_info", camera_message(OPTICAL)),
+        camera("/camera/color/camera_info", OPTICAL),
     ]
     for view in views:
-        bgr = np.ascontiguousarray(view.srgb8[..., ::-1])
-        depth = image_message(view.time_s + 0.004, OPTICAL, "16UC1", millimetres(view))
-        colour = image_message(view.time_s, OPTICAL, "bgr8", bgr)
+        bgr, depth_mm = np.ascontiguousarray(view.srgb8[..., ::-1]), millimetres(view)
         messages += [
             robot(view),
-            (COLOUR, "sensor_msgs/msg/Image", view.time_s + 0.02, colour),
-            (DEPTH, "sensor_msgs/msg/Image", view.time_s + 0.03, depth),
+            image_message(COLOUR, view.time_s, OPTICAL, "bgr8", bgr, later_s=0.02),
+            image_message(DEPTH, view.time_s + 0.004, OPTICAL, "16UC1", depth_mm, later_s=0.026),
         ]
     return [message for message in messages if without not in message[0]]
 
@@ -236,44 +233,41 @@ def ros_bag(path: Path, views: list[View]) -> Path:
     return ros2_bag(path, ros_messages(views))
 
 
-def ros2_bag(path: Path, messages: list[Message]) -> Path:
-    """`metadata.yaml` and an SQLite file, as `ros2 bag record` writes them."""
-    path.mkdir(parents=True, exist_ok=True)
-    topics = list(dict.fromkeys((topic, kind) for topic, kind, _, _ in messages))
-    with sqlite3.connect(path / "bag_0.db3") as base:
-        base.execute(
-            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, "
-            "serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL)"
-        )
-        base.execute(
-            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, "
-            "data BLOB NOT NULL)"
-        )
-        for number, (topic, kind) in enumerate(topics, 1):
-            base.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (number, topic, kind))
+def ros2_bag(path: Path, messages: list[Message], *, compressed: bool = False) -> Path:
+    """A bag of rosbags' writer, without definitions of messages as Humble's; if `compressed`, with them, as files."""
+    bag, connections = Writer(path, version=8), {}
+    definitions: dict[str, Any] = {"typestore": TYPES} if compressed else {"msgdef": "", "rihs01": "-"}
+    if compressed:
+        bag.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+    with bag:
         for topic, kind, time_s, data in messages:
-            row = (topics.index((topic, kind)) + 1, round(time_s * 1e9), data)
-            base.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", row)
-    base.close()
-    counts = [
-        {
-            "topic_metadata": {"name": name, "type": kind, "serialization_format": "cdr", "offered_qos_profiles": ""},
-            "message_count": sum(message[0] == name for message in messages),
-        }
-        for name, kind in topics
-    ]
-    information = {
-        "version": 5,
-        "storage_identifier": "sqlite3",
-        "relative_file_paths": ["bag_0.db3"],
-        "duration": {"nanoseconds": 200_000_000},
-        "starting_time": {"nanoseconds_since_epoch": 5_000_000_000},
-        "message_count": len(messages),
-        "topics_with_message_count": counts,
-        "compression_format": "",
-        "compression_mode": "",
-        "files": [],
-    }
-    # JSON is YAML
-    save(path / "metadata.yaml", json.dumps({"rosbag2_bagfile_information": information}).encode())
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, **definitions)
+            bag.write(connections[topic], round(time_s * 1e9), data)
+    if not compressed:  # Humble's hold no definitions of messages
+        with sqlite3.connect(path / f"{path.name}.db3") as base:
+            base.execute("DELETE FROM message_definitions")
+        base.close()
+    return path
+
+
+def mcap_without_chunks(path: Path, messages: list[Message]) -> Path:
+    """A file without an index."""
+
+    def text(value: str) -> bytes:
+        return struct.pack("<I", len(value)) + value.encode()
+
+    def record(kind: int, data: bytes) -> bytes:
+        return struct.pack("<BQ", kind, len(data)) + data
+
+    magic, numbers = b"\x89MCAP0\r\n", dict[str, int]()
+    parts = [magic, record(1, text("ros2") + text(""))]
+    for topic, kind, time_s, data in messages:
+        if topic not in numbers:
+            number = numbers[topic] = len(numbers) + 1
+            parts.append(record(3, struct.pack("<H", number) + text(kind) + text("") + text("")))
+            parts.append(record(4, struct.pack("<2H", number, number) + text(topic) + text("cdr") + text("")))
+        logged = round(time_s * 1e9)
+        parts.append(record(5, struct.pack("<HI2Q", numbers[topic], 0, logged, logged) + data))
+    save(path, b"".join([*parts, record(15, bytes(4)), record(2, bytes(20)), magic]))
     return path

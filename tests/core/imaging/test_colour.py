@@ -12,6 +12,7 @@ from PIL.PngImagePlugin import PngInfo
 from slow_images import chunk
 
 from colour_profiles import matrix_profile
+from roomlight.conventions import srgb_to_linear
 from roomlight.errors import ImageError
 from roomlight.images import decode_picture
 from roomlight.imaging.colour_spaces import DISPLAY_P3, REC709, ColourSpace, to_rec709
@@ -100,6 +101,11 @@ def test_a_linear_png_of_16_bits_keeps_its_values() -> None:
     pixels = np.full((8, 8, 3), (30_000, 600, 100), np.uint16)
     found = linear_of(png(pixels, chunk(b"gAMA", struct.pack(">I", 100_000))))
     np.testing.assert_allclose(found, pixels[0, 0] / 65535, atol=1e-5)
+
+
+def test_an_srgb_png_of_16_bits_keeps_its_levels() -> None:
+    pixels = np.full((8, 8, 3), (2_000, 2_001, 300), np.uint16)  # within one level of 8 bits
+    np.testing.assert_allclose(linear_of(png(pixels)), srgb_to_linear(pixels[0, 0] / 65535), rtol=1e-5)
 
 
 @pytest.mark.parametrize(("bits", "noted"), [(10, True), (12, True), (14, False), (16, False)])

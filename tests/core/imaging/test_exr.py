@@ -212,5 +212,5 @@ def test_a_picture_holds_the_depth_beside_its_colour(tmp_path: Path, channels: d
     own = decode_picture((tmp_path / "p.exr").read_bytes(), "p.exr").own_depth
     assert (own is not None) == holds
     assert own is None or np.array_equal(own.depth_m, DEPTH)
-    frame = read_rgbd(FolderSource(tmp_path), "p.exr", None, unit_m=None)
-    assert any("depth that the picture holds" in note.left_out for note in frame.picture.notes) == holds
+    picture, _ = read_rgbd(FolderSource(tmp_path), "p.exr", None, unit_m=None)
+    assert any("depth that the picture holds" in note.left_out for note in picture.notes) == holds

@@ -7,31 +7,14 @@ import pytest
 
 import box_room
 from box_room import LENS, exact_depth, frame, pose
+from depth_models import StatedDepth
 from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.monocular import adjustment
 from roomlight.monocular.adjustment import Cameras, Sightings, adjusted, in_metres, reprojection_errors
-from roomlight.monocular.estimate import DepthEstimate, DepthKind, srgb_picture
+from roomlight.monocular.estimate import srgb_picture
 from roomlight.monocular.features import FeatureTracker, matched
 from roomlight.monocular.motion import CameraMotion, CameraPath
 from roomlight.monocular.tracks import grey_picture
-
-
-class RoomDepth:
-    """The depth of the room from the middle pose, with another error of scale for every picture."""
-
-    name = "room"
-    kind: DepthKind = "metric"
-
-    def __init__(self, poses: list[np.ndarray], breathing: float = 0.0) -> None:
-        self._poses, self._breathing, self._calls = poses, breathing, 0
-
-    def estimate(self, picture: np.ndarray, intrinsics: Intrinsics, up: np.ndarray | None = None) -> DepthEstimate:
-        assert up is None  # it is told by all pictures together
-        assert picture.shape[:2] == (intrinsics.height, intrinsics.width)
-        factor = 1 + self._breathing * (-1) ** self._calls
-        inverse = (1 / (factor * exact_depth(self._poses[self._calls]))).astype(np.float32)
-        self._calls += 1
-        return DepthEstimate(inverse, np.ones_like(inverse), self.kind)
 
 
 def _path(
@@ -43,10 +26,12 @@ def _path(
     breathing: float = 0.0,
     level: bool = True,
 ) -> CameraPath:
-    """The path by pictures, by default those of the room from these poses."""
-    motion = CameraMotion(RoomDepth(poses, breathing), lens, focal_is_known=known)
+    """The path by pictures, by default those of the room from these poses; every depth has another error of scale."""
+    model = StatedDepth("metric", lambda call: 1 / ((1 + breathing * (-1) ** call) * exact_depth(poses[call])))
+    motion = CameraMotion(model, lens, focal_is_known=known)
     for number, picture in enumerate(_pictures(poses) if pictures is None else pictures):
-        motion.add(number, picture)
+        motion.place(motion.described(number, picture))
+    assert not any(up is not None for up in model.told)  # it is told by all pictures together
     return motion.path(level=level)
 
 

@@ -1,47 +1,23 @@
 """Depth made consistent over a stream: scale and shift by triangulated features, keyframes, and what stays without."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from box_room import LENS, exact_depth, frame, pose
-from roomlight.camera import Intrinsics
+from depth_models import StatedDepth
 from roomlight.engine.networks.graphs import SHIPPED
-from roomlight.monocular.estimate import DepthEstimate, DepthKind
+from roomlight.monocular.estimate import DepthKind
 from roomlight.monocular.fitting import Fit, error_field, fit_inverse
 from roomlight.monocular.network import DepthNetworkModel, shipped_depth
 from roomlight.monocular.stream import DepthStream, open_depth_stream
 from roomlight.monocular.tracks import View, carried, grey_picture, grid_of, partners, triangulated
 
-
-class WrongDepth:
-    """A model that knows the room's depth, but not its scale: another error for every frame."""
-
-    name = "wrong.onnx"
-
-    def __init__(self, kind: DepthKind, inverse_of: Callable[[int], np.ndarray]) -> None:
-        self.kind: DepthKind = kind
-        self.calls, self._inverse_of = 0, inverse_of
-
-    def estimate(
-        self,
-        picture: np.ndarray,
-        intrinsics: Intrinsics,
-        up: np.ndarray | None = None,  # noqa: ARG002
-    ) -> DepthEstimate:
-        assert picture.shape[:2] == (intrinsics.height, intrinsics.width)
-        inverse = self._inverse_of(self.calls).astype(np.float32)
-        self.calls += 1
-        return DepthEstimate(inverse, np.ones_like(inverse), self.kind)
-
-
 POSES = [pose(0.12 * k, turn=0.02 * k) for k in range(8)]
 
 
-def _errors(model: WrongDepth) -> list[float]:
-    stream = DepthStream(model, reference=None)
+def _errors(stream: DepthStream) -> list[float]:
     errors: list[float] = []
     for k, at in enumerate(POSES):
         completed = stream.complete(frame(k, at))
@@ -50,33 +26,20 @@ def _errors(model: WrongDepth) -> list[float]:
     return errors
 
 
-@pytest.mark.slow
-def test_a_stream_finds_the_scale_of_metric_depth_that_is_wrong() -> None:
-    """The first frame has only the model's word, 1.4 times too far; parallax corrects the later ones."""
-    breathing = [1.4, 1.35, 1.45, 1.3, 1.5, 1.4, 1.35, 1.45]
-    errors = _errors(WrongDepth("metric", lambda k: 1 / (breathing[k] * exact_depth(POSES[k]))))
-    assert errors[0] == pytest.approx(0.4, abs=0.01)
-    assert max(errors[3:]) < 0.08
-
-
 def test_walls_do_not_breathe_without_parallax() -> None:
     """A camera that only turns: each frame is fitted to the depth of the first."""
     turned = [pose(0, turn=0.04 * k) for k in range(6)]
     factors = [1.1, 1.3, 0.9, 1.2, 1.0, 1.35]
-    model = WrongDepth("metric", lambda k: 1 / (factors[k] * exact_depth(turned[k])))
+    model = StatedDepth("metric", lambda k: 1 / (factors[k] * exact_depth(turned[k])))
     stream = DepthStream(model, reference=None)
     scales = [float(np.median(stream.complete(frame(k, at)).depth_m / exact_depth(at))) for k, at in enumerate(turned)]
     assert scales == pytest.approx([1.1] * 6, rel=0.03)
 
 
 def test_inverse_depth_gets_scale_and_shift_from_the_motion() -> None:
-    reference = WrongDepth("metric", lambda k: 1 / (1.15 * exact_depth(POSES[k])))
-    model = WrongDepth("inverse", lambda k: (1 / exact_depth(POSES[k])) * (3 + k % 3) + 0.7)
-    stream = DepthStream(model, reference=reference)
-    errors = [
-        float(np.median(np.abs(stream.complete(frame(k, at)).depth_m / exact_depth(at) - 1)))
-        for k, at in enumerate(POSES)
-    ]
+    reference = StatedDepth("metric", lambda k: 1 / (1.15 * exact_depth(POSES[k])))
+    model = StatedDepth("inverse", lambda k: (1 / exact_depth(POSES[k])) * (3 + k % 3) + 0.7)
+    errors = _errors(DepthStream(model, reference=reference))
     assert errors[0] == pytest.approx(0.15, abs=0.02)
     assert max(errors[3:]) < 0.06
 
@@ -84,7 +47,7 @@ def test_inverse_depth_gets_scale_and_shift_from_the_motion() -> None:
 @pytest.mark.slow
 def test_a_wrong_start_is_forgotten_within_a_few_frames() -> None:
     """The model's word is half the depth in every frame; keyframes follow the correction."""
-    errors = _errors(WrongDepth("metric", lambda k: 2 / exact_depth(POSES[k])))
+    errors = _errors(DepthStream(StatedDepth("metric", lambda k: 2 / exact_depth(POSES[k]))))
     assert errors[0] == pytest.approx(0.5, abs=0.01)
     assert max(errors[2:]) < 0.05
 
@@ -94,7 +57,7 @@ def test_errors_that_vary_over_the_picture_are_corrected() -> None:
     """Depth that grows by half from left to right, and is right at no scale: a third of the error is left."""
     tilt = np.linspace(0.8, 1.25, 320)[None]
     wrong = [tilt * exact_depth(at) for at in POSES]
-    stream = DepthStream(WrongDepth("metric", lambda k: 1 / wrong[k]), reference=None)
+    stream = DepthStream(StatedDepth("metric", lambda k: 1 / wrong[k]), reference=None)
     ratio = [stream.complete(frame(k, at)).depth_m / exact_depth(at) for k, at in enumerate(POSES)][-1]
     own = float(np.abs(wrong[-1] / exact_depth(POSES[-1]) - 1).mean())
     assert float(np.abs(ratio - 1).mean()) < own / 3
@@ -102,7 +65,7 @@ def test_errors_that_vary_over_the_picture_are_corrected() -> None:
 
 def test_poses_that_do_not_fit_the_pictures_change_nothing() -> None:
     """The camera went sideways and the poses say up: features are off their epipolar lines."""
-    model = WrongDepth("metric", lambda k: 1 / exact_depth(POSES[k]))
+    model = StatedDepth("metric", lambda k: 1 / exact_depth(POSES[k]))
     stream = DepthStream(model)
     for k, at in enumerate(POSES):
         lifted = pose(0, turn=0.02 * k).astype(np.float64)
@@ -112,20 +75,13 @@ def test_poses_that_do_not_fit_the_pictures_change_nothing() -> None:
 
 
 def test_the_model_gets_the_up_direction_where_it_is_known() -> None:
-    told: list[np.ndarray | None] = []
-
-    class Listening(WrongDepth):
-        def estimate(self, picture: np.ndarray, intrinsics: Intrinsics, up: np.ndarray | None = None) -> DepthEstimate:
-            told.append(up)
-            return super().estimate(picture, intrinsics, up)
-
     rolled = pose(0).astype(np.float64)
     rolled[:3, :3] = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
+    model = StatedDepth("metric", lambda _: 1 / exact_depth(POSES[0]))
     for gravity in (True, False):
-        model = Listening("metric", lambda _: 1 / exact_depth(POSES[0]))
         DepthStream(model, gravity=gravity).complete(frame(0, rolled))
-    assert told[0] == pytest.approx([0.6, 0.8, 0])
-    assert told[1] is None
+    assert model.told[0] == pytest.approx([0.6, 0.8, 0])
+    assert model.told[1] is None
 
 
 def test_a_trained_networks_folder_is_a_model() -> None:
@@ -136,7 +92,7 @@ def test_a_trained_networks_folder_is_a_model() -> None:
 
 def test_a_frame_with_depth_is_returned_as_it_is() -> None:
     given = frame(0, POSES[0], depth=True)
-    assert DepthStream(WrongDepth("metric", lambda _: np.ones((4, 4)))).complete(given) is given
+    assert DepthStream(StatedDepth("metric", lambda _: np.ones((4, 4)))).complete(given) is given
 
 
 def test_features_are_triangulated_where_there_is_parallax() -> None:
@@ -199,7 +155,7 @@ def test_the_floor_in_view_mends_half_of_the_scale_until_features_tell_it() -> N
         at[:3, :3] = at[:3, :3] @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
     ratios: dict[bool, list[float]] = {}
     for gravity in (True, False):
-        stream = DepthStream(WrongDepth("metric", lambda k: 1.5 / exact_depth(walk[k])), gravity=gravity)
+        stream = DepthStream(StatedDepth("metric", lambda k: 1.5 / exact_depth(walk[k])), gravity=gravity)
         depths = [stream.complete(frame(k, at)).depth_m for k, at in enumerate(walk)]
         ratios[gravity] = [float(np.median(depth / exact_depth(at))) for depth, at in zip(depths, walk, strict=True)]
     assert ratios[True][:4] == pytest.approx([np.sqrt(1.45 / 1.4 * 2 / 3)] * 4, rel=0.03)

@@ -61,16 +61,16 @@ class ArkitScenesReader(ListedReader):
     def _read(self, index: int) -> RawFrame:
         colour_name, label = self._colour[index], self.name_of(index)
         file = f"{Path(colour_name).stem}.png"
-        depth_name = f"{self._depth}/{file}" if self._source.has(self._depth) else None
+        depth_name = f"{self._depth}/{file}" if self._reads_depth and self._source.has(self._depth) else None
         with fields.naming(label, FrameError):
             time_s = _time_of(colour_name)
             if time_s is None:
                 raise ValueError("its name has no time (ID_TIME.png)")
             inverse = pose_at(self._times, lambda at: rigid_inverse(_transform(self._poses[at][1])), time_s, "the pose")
         intrinsics = self._intrinsics(time_s, label)
-        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
-        pose = rigid_inverse(inverse)
-        return self._raw_frame(index, read, depth_name, intrinsics, pose, self._confidence(f"confidence/{file}"))
+        picture, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        pose, confidence = rigid_inverse(inverse), self._confidence(f"confidence/{file}")
+        return self._raw_frame(index, picture, depth_m, depth_name, intrinsics, pose, confidence)
 
     def _intrinsics(self, time_s: float, label: str) -> Intrinsics:
         if not self._pincams:

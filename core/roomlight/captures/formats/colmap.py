@@ -13,9 +13,12 @@ integers and are used unchanged. Lens models are those of `roomlight.captures.le
 
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
+from io import TextIOWrapper
+from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from jaxtyping import Float, UInt16
@@ -25,7 +28,7 @@ from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import DEPTH_SUFFIXES, read_mask, read_picture, read_rgbd, with_mask
 from roomlight.captures.formats.listed import ListedReader
-from roomlight.captures.lenses import Lens, fitted, lens_of, straightened
+from roomlight.captures.lenses import Lens, lens_of, straightened
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.depth import clean_depth
@@ -68,6 +71,7 @@ _MODELS: Final = {  # in the order of COLMAP's numbers
     "EQUIRECTANGULAR": ("w", "h"),
 }
 _NAMES: Final = tuple(_MODELS)
+_LONGEST_NAME: Final = 4096
 
 
 @dataclass(frozen=True)
@@ -137,14 +141,17 @@ class ColmapReader(ListedReader):
         prefix = f"{model}/" if model else ""
         binary = source.has(f"{prefix}cameras.bin") and source.has(f"{prefix}images.bin")
         end = "bin" if binary else "txt"
-        cameras, images = (read_index(source, f"{prefix}{name}.{end}") for name in ("cameras", "images"))
+        cameras = read_index(source, f"{prefix}cameras.{end}")
         label = source.label(f"{prefix}images.{end}")
         try:
             with fields.naming(source.label(f"{prefix}cameras.{end}"), CaptureError):
                 self._cameras = _cameras_of_bytes(cameras) if binary else _cameras_of_text(cameras, label)
-            with fields.naming(label, CaptureError):
-                listed = _images_of_bytes(images) if binary else _images_of_text(images, label)
-        except (struct.error, UnicodeDecodeError) as error:
+            images = source.path(f"{prefix}images.{end}", max_bytes=None)
+            with fields.naming(label, CaptureError), images.open("rb") as file:
+                listed = _images_of_bytes(file, images.stat().st_size) if binary else _images_of_text(file)
+        except FrameError as error:
+            raise CaptureError(str(error)) from error
+        except (struct.error, UnicodeDecodeError, OSError) as error:
             raise CaptureError(f"{label}: the model is truncated or damaged ({error})") from error
         self._images = sorted(listed, key=lambda image: fields.natural_key(image.name))
         root = next(filter(source.has, (f"{self._base}images", *_PICTURES)), "")
@@ -160,6 +167,8 @@ class ColmapReader(ListedReader):
             "state world_up, and camera_height_m (--camera-height) or scale the model to metres",
         )
         self.notes = [note, *lacking]
+        if not self._reads_depth:
+            self._depth = None
         self._fits = None
         if source.has(f"{prefix}{_FITS}"):
             self._fits = fields.parse_json(read_index(source, f"{prefix}{_FITS}"), source.label(f"{prefix}{_FITS}"))
@@ -203,17 +212,14 @@ class ColmapReader(ListedReader):
             with fields.naming(f"{label}: {_FITS}", FrameError):
                 depth_m = _from_relative(stored, self._fits.get(stem)) * np.float32(self._unit_m or 1.0)
         else:
-            read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
-            picture, depth_m = read.picture, read.depth_m
+            picture, depth_m = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
         for mask in (f"{self._base}masks/{image.name}.png", f"{self._base}masks/{stem}.png"):
             if self._source.has(mask):
                 picture = with_mask(picture, read_mask(self._source, mask))
                 break
-        picture, intrinsics = fitted(picture, camera.intrinsics, label)
-        stated = intrinsics
         with fields.naming(label, FrameError):
-            if not camera.lens.straight and picture.image.shape[:2] == (intrinsics.height, intrinsics.width):
-                picture, depth_m, intrinsics = straightened(picture, depth_m, intrinsics, camera.lens)
+            straight = straightened(picture, depth_m, camera.intrinsics, camera.lens, label)
+        picture, depth_m, intrinsics, stated = straight
         return RawFrame(
             name=label,
             picture=picture,
@@ -277,11 +283,25 @@ def _cameras_of_text(data: bytes, label: str) -> dict[int, _Camera | str]:
 def _is_image(line: str) -> bool:
     """Whether a line ends in a file's name; those of points hold numbers alone."""
     words = line.split(maxsplit=9)
-    return len(words) == 10 and not all(re.fullmatch(r"[-+.\deE]+", word) for word in words[9].split())
+    return len(words) == 10 and re.fullmatch(r"[-+.\deE\s]+", words[9]) is None
 
 
-def _images_of_text(data: bytes, label: str) -> list[_Image]:
-    lines = [line for line in fields.parse_text(data, label) if not line.startswith("#")]
+def _beginnings(file: BinaryIO) -> Iterator[str]:
+    """Yield the beginning of each line, which holds all of an image's but not of its points'."""
+    mark = file.read(2)
+    file.seek(0)
+    encoding, is_beginning = "utf-16" if mark in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", True
+    with TextIOWrapper(file, encoding, "surrogateescape") as text:
+        while part := text.readline(_LONGEST_NAME):
+            if is_beginning:
+                yield fields.decoded(part.encode(errors="surrogateescape"))
+            is_beginning = part.endswith("\n")
+
+
+def _images_of_text(file: BinaryIO) -> list[_Image]:
+    lines: list[str] = []
+    for line in islice((line for line in _beginnings(file) if not line.startswith("#")), 2 * MAX_FRAMES + 2):
+        lines.append(line if len(lines) % 2 == 0 or _is_image(line) else "")
     images: list[_Image] = []
     without_points = any(map(_is_image, lines[1::2]))  # each image should have a second line of points
     for line in filter(_is_image, lines) if without_points else lines[::2]:
@@ -310,14 +330,16 @@ def _cameras_of_bytes(data: bytes) -> dict[int, _Camera | str]:
     return cameras
 
 
-def _images_of_bytes(data: bytes) -> list[_Image]:
+def _images_of_bytes(file: BinaryIO, size: int) -> list[_Image]:
+    """Read the images of a file of `size` bytes; their points, which are most of it, are passed over."""
     images: list[_Image] = []
-    (count,), at = struct.unpack_from("<Q", data), 8
+    (count,), at = struct.unpack("<Q", file.read(8)), 8
     for _ in range(min(count, MAX_FRAMES + 1)):
-        values = struct.unpack_from("<i7di", data, at)
-        end = data.index(b"\0", at + 64)
-        name = fields.decoded(data[at + 64 : end])
+        file.seek(min(at, size))
+        data = file.read(64 + _LONGEST_NAME + 9)
+        values = struct.unpack_from("<i7di", data)
+        end = data.index(b"\0", 64)
         (points,) = struct.unpack_from("<Q", data, end + 1)
-        images.append(_Image(name, values[8], _pose(list(values[1:5]), list(values[5:8]))))
-        at = end + 9 + 24 * points
+        images.append(_Image(fields.decoded(data[64:end]), values[8], _pose(list(values[1:5]), list(values[5:8]))))
+        at += end + 9 + 24 * points
     return images

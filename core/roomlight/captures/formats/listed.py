@@ -1,6 +1,5 @@
 """What readers of formats with one file of each kind a frame share: a list of names, read one by one."""
 
-import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,11 +11,12 @@ from jaxtyping import Float, UInt8
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
-from roomlight.captures.decoding import Rgbd, decode_confidence
+from roomlight.captures.decoding import decode_confidence
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
+from roomlight.images import ColourImage
 from roomlight.notes import Note, keys_of_use, unread_keys
 
 ARKIT = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
@@ -31,6 +31,7 @@ class ListedReader:
     def __init__(self, folder: Path, options: CaptureOptions, colour: list[str], *, expected: str) -> None:
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m
+        self._reads_depth = options.depth != "network"
         self._colour = colour
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []
@@ -60,14 +61,15 @@ class ListedReader:
     def _raw_frame(
         self,
         index: int,
-        read: Rgbd,
+        picture: ColourImage,
+        depth_m: Float[np.ndarray, "dh dw"],
         depth_name: str | None,
         intrinsics: Intrinsics,
         pose: Float[np.ndarray, "4 4"],
         confidence: UInt8[np.ndarray, "ch cw"] | None = None,
     ) -> RawFrame:
         depth_label = depth_name and self._source.label(depth_name)
-        return RawFrame(self.name_of(index), read.picture, read.depth_m, depth_label, intrinsics, pose, confidence)
+        return RawFrame(self.name_of(index), picture, depth_m, depth_label, intrinsics, pose, confidence)
 
     def _json(self, name: str) -> dict[str, Any]:
         """Read a JSON object of one frame; keys that bear on it are noted once. Raises FrameError and CaptureError."""
@@ -78,7 +80,9 @@ class ListedReader:
         return stated
 
     def _confidence(self, name: str) -> UInt8[np.ndarray, "h w"] | None:
-        return decode_confidence(self._source.read(name), self._source.label(name)) if self._source.has(name) else None
+        if not self._reads_depth or not self._source.has(name):
+            return None
+        return decode_confidence(self._source.read(name), self._source.label(name))
 
 
 def files_of(source: FolderSource, folder: str, suffixes: tuple[str, ...]) -> list[str]:
@@ -102,17 +106,6 @@ def probes_of(index: dict[str, Any], key: str, source: FolderSource, label: str)
     return probes
 
 
-def beside(folder: Path, names: list[str], *relative: str) -> FolderSource | None:
-    """Return the first of the folders, given relative to `folder`, that has one of these files; None without one."""
-    sources = [FolderSource(Path(os.path.normpath(folder.absolute() / name))) for name in relative]
-    return next((source for source in sources if any(map(source.has, names))), None)
-
-
 def first_folder(source: FolderSource, *folders: str) -> str:
     """Return the first of these folders that has an entry; the first if none has."""
     return next((folder for folder in folders if next(iter(source.names(folder)), None) is not None), folders[0])
-
-
-def row_major(values: object, rows: int, what: str) -> Float[np.ndarray, "{rows} {rows}"]:
-    """Return a square matrix from a flat list, row by row. Raises ValueError."""
-    return fields.vector(values, rows * rows, what).reshape(rows, rows)

@@ -80,7 +80,8 @@ class NativeReader:
             self.probes = probes_of(index, "panorama", self._source, self._label)
         self.count = len(self._frames)
         self.notes.extend(unread_keys(self._label, self._unread(index)))
-        self._has_depth = any(entry.get("depth") is not None for entry in self._frames)
+        self._reads_depth = options.depth != "network"
+        self._has_depth = self._reads_depth and any(entry.get("depth") is not None for entry in self._frames)
         if self.count > MAX_FRAMES:
             raise CaptureError(f"{self._label}: lists {self.count} frames; up to {MAX_FRAMES} are read")
 
@@ -118,19 +119,18 @@ class NativeReader:
                 raise ValueError("has no intrinsics")
             intrinsics = fields.camera(lens)
         label = self._source.label(colour_name)
-        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
-        picture = read.picture
+        picture, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         if exposure != 1.0:
             picture = replace(picture, image=picture.image / np.float32(exposure))
         confidence = None
-        if entry.get("confidence") is not None:
+        if self._reads_depth and entry.get("confidence") is not None:
             with fields.naming(where, FrameError):
                 confidence_name = fields.text(entry["confidence"], "confidence")
             confidence = decode_confidence(self._source.read(confidence_name), self._source.label(confidence_name))
         return RawFrame(
             name=label,
             picture=picture,
-            depth_m=read.depth_m,
+            depth_m=depth_m,
             depth_name=None if depth_name is None else self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
@@ -188,7 +188,7 @@ class CaptureWriter:
         exposure: float | None = None,
         jpeg_quality: int = 92,
     ) -> None:
-        """Add a frame: sRGB 8-bit colour and z-depth in metres (0 or non-finite = unknown).
+        """Add a frame: sRGB 8-bit colour and z-depth in metres (0, non-finite, or 65.535 and more = unknown).
 
         JPEG quality 92 keeps the linear radiance error at about 1 % in 30 kB for 320 x 240.
 
@@ -215,7 +215,9 @@ class CaptureWriter:
         }
         jpeg = encoded(".jpg", np.ascontiguousarray(srgb8[..., ::-1]), name=name, quality=jpeg_quality)
         write_atomic(self._partial / entry["colour"], jpeg)
-        write_atomic(self._partial / entry["depth"], depth_to_png(depth_m, name=name))
+        known = np.isfinite(depth_m) & (depth_m > 0) & (depth_m < 65.5345)
+        millimetres = np.rint(np.where(known, depth_m, 0) * 1000).astype(np.uint16)
+        write_atomic(self._partial / entry["depth"], encoded(".png", millimetres, name=name))
         if confidence is not None:
             entry["confidence"] = f"confidence/{stem}.png"
             write_atomic(self._partial / entry["confidence"], encoded(".png", confidence, name=name))
@@ -261,13 +263,6 @@ class CaptureWriter:
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written ({error.strerror or error})") from error
         self._closed = True
-
-
-def depth_to_png(depth_m: Float[np.ndarray, "h w"], *, name: str) -> bytes:
-    """Encode depth as a 16-bit PNG in millimetres; unknown depth and depth of 65.535 m and more become 0."""
-    known = np.isfinite(depth_m) & (depth_m > 0) & (depth_m < 65.5345)
-    millimetres = np.rint(np.where(known, depth_m, 0) * 1000).astype(np.uint16)
-    return encoded(".png", millimetres, name=name)
 
 
 def encoded(suffix: str, pixels: np.ndarray, *, name: str, quality: int | None = None) -> bytes:

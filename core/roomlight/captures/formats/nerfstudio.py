@@ -15,7 +15,8 @@ pixel centres at half integers, as nerfstudio and ARKit have them. Translations 
 
 Depth: 16-bit PNG, .npy, TIFF or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, of
 NeRFCapture's script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder
-of 1.0 as `depth_integer_scale`; a unit of 0.1 m and more is therefore ignored there.
+of 1.0 as `depth_integer_scale`; a unit of 0.1 m and more is therefore ignored there. The depth that it saves itself is
+a coloured PNG of 8 bits, cut off at 1 m, and not read.
 
 Frames are put in order of `timestamp` if all have one, else of the numbers in their file names, as
 nerfstudio does. `probes: [{position, file_path}]` are ground-truth panoramas in the same world. Lenses are those of
@@ -23,6 +24,7 @@ nerfstudio does. `probes: [{position, file_path}]` are ground-truth panoramas in
 """
 
 import math
+import os
 import re
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -35,8 +37,8 @@ from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, ReadRecord
 from roomlight.captures.decoding import DEPTH_SUFFIXES, read_mask, read_rgbd, with_mask
-from roomlight.captures.formats.listed import beside, probes_of
-from roomlight.captures.lenses import MODEL_KEYS, fitted, lens_of, straightened
+from roomlight.captures.formats.listed import probes_of
+from roomlight.captures.lenses import MODEL_KEYS, lens_of, straightened
 from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError
@@ -57,6 +59,8 @@ _SWAPPED: Final = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 """`applied_transform` of the COLMAP worlds that nerfstudio wrote until 2024."""
 _LENS_KEYS: Final = {"fl_x": "fl_y", "camera_angle_x": "camera_angle_y", "x_fov": "y_fov"}
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
+_EIGHT_BITS: Final = (b"\x08\x02", b"\x08\x06")
+"""Bytes 24 and 25 of an RGB or RGBA PNG of 8 bits."""
 _READ: Final = frozenset(
     {
         *("frames", "probes", "file_path", "depth_file_path", "depth_path", "transform_matrix", "timestamp"),
@@ -83,6 +87,7 @@ _HARMLESS: Final = frozenset(  # what trainers of radiance fields need, and name
         *("aabb_scale", "scale", "offset", "applied_transform", "ply_file_path", "train_filenames", "val_filenames"),
         *("test_filenames", "test_frames", "sharpness", "colmap_im_id", "has_mask", "name", "id"),
         *("version", "format", "fps", "n_frames", "camera_id", "frame_id", "orientation_override", "rotation"),
+        *("auto_scale_poses_override", "camera_linear_velocity", "camera_angular_velocity", "motion_blur_score"),
     }
 )
 
@@ -119,6 +124,7 @@ class NerfstudioReader:
         self.count = len(self._frames)
         self._depth_keys = self._choose_depth(options)
         self._refuse_broken_lens()
+        self._cut_off_noted = False
         self.notes = [*self._unread_keys(), *self._made_relative()]
         small = None if self._source.has("images") else next(filter(self._source.has, _SMALL_PICTURES), None)
         for frame in self._frames:
@@ -160,25 +166,36 @@ class NerfstudioReader:
             if depth_name is not None:
                 depth_name = fields.text(depth_name, "the depth file's name")
                 depth_name = self._source.with_suffix(depth_name, DEPTH_SUFFIXES)
+                if self._nerfcapture and self._is_cut_off(depth_name):
+                    depth_name = None
             lens = lens_of(entry, self._shared)
         colour_label = self._pictures.label(colour_name)
-        read = read_rgbd(self._source, colour_name, depth_name, unit_m=unit_m, pictures=self._pictures)
-        picture, depth_m = self._masked(entry, read.picture, where), read.depth_m
+        picture, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=unit_m, pictures=self._pictures)
+        picture = self._masked(entry, picture, where)
         with fields.naming(f"{where} ({colour_label})", FrameError):
             intrinsics = self._intrinsics(entry, picture.image.shape[1], picture.image.shape[0])
-            picture, intrinsics = fitted(picture, intrinsics, colour_label)
-            stated = intrinsics
-            if not lens.straight and (intrinsics.height, intrinsics.width) == picture.image.shape[:2]:
-                picture, depth_m, intrinsics = straightened(picture, depth_m, intrinsics, lens)
+            picture, depth_m, camera, stated = straightened(picture, depth_m, intrinsics, lens, colour_label)
         return RawFrame(
             name=colour_label,
             picture=picture,
             depth_m=depth_m,
             depth_name=None if depth_name is None else self._source.label(depth_name),
-            intrinsics=intrinsics,
+            intrinsics=camera,
             pose=pose,
             stated=stated,
         )
+
+    def _is_cut_off(self, depth_name: str) -> bool:
+        """Whether depth is a coloured PNG of 8 bits, which NeRFCapture's app saves; the first is noted."""
+        start = self._source.read(depth_name)[:26]
+        if start[:4] != b"\x89PNG" or start[24:] not in _EIGHT_BITS:
+            return False
+        if not self._cut_off_noted:
+            self._cut_off_noted = True
+            text, effect = f"{self._source.label(depth_name)}: an 8-bit picture of depth", "it is not read as depth"
+            advice = "stream from NeRFCapture to its script, which writes 16 bits, for measured depth"
+            self.notes.append(Note(text, effect, advice))
+        return True
 
     def _masked(self, entry: dict[str, Any], picture: ColourImage, where: str) -> ColourImage:
         stated = fields.first_of(entry, self._shared, "mask_path")
@@ -222,7 +239,9 @@ class NerfstudioReader:
         names = [name for frame in self._frames if isinstance(name := frame.get(key), str) and "/" not in name]
         if not names or any(map(self._source.has, names)):
             return self._source
-        sibling = beside(self._source.root, names, *folders)
+        root = self._source.root.absolute()
+        siblings = (FolderSource(Path(os.path.normpath(root / folder))) for folder in folders)
+        sibling = next((source for source in siblings if any(map(source.has, names))), None)
         if sibling is None:
             return self._source
         self.notes.append(
@@ -309,11 +328,13 @@ class NerfstudioReader:
 
     def _choose_depth(self, options: CaptureOptions) -> tuple[str, ...]:
         """Return the keys of depth; none if the frames have no depth, which is then estimated."""
+        if options.depth == "network":
+            return ()
         depth_key = options.depth_key
         keys = (depth_key,) if depth_key is not None else ("depth_file_path", "depth_path")
         if self._frames and not any(key in frame for frame in self._frames for key in keys):
             present = sorted({key for frame in self._frames for key in frame if "depth" in key})
-            if options.depth == "network" or not (present or depth_key or options.depth == "file"):
+            if not (present or depth_key or options.depth == "file"):
                 return ()
             names = ", ".join(present)
             hint = f"its frames have {names}; set depth_key" if present else "depth=auto estimates it"

@@ -19,7 +19,7 @@ overrides it. cx and cy are ARKit's and used unchanged: pixel centres at half in
 import re
 import struct
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -82,8 +82,13 @@ class Record3DReader:
         self._label = self._source.label(index_name)
         self._metadata = fields.parse_json(read_index(self._source, index_name), self._label)
         self.notes += unread_keys(self._label, keys_of_use(self._metadata))
+        if (first := self._metadata.get("initPose")) not in (None, [0, 0, 0, 1, 0, 0, 0]):
+            text = f"{self._label}: initPose {str(first)[:90]}"
+            self.notes.append(Note(text, "poses are read as they stand, without it", "nothing to do if up is right"))
         depth = ("rgbd", ".depth") if self._packed else ("depth", ".exr")
-        self._has_depth = any(name.lower().endswith(depth[1]) for name in self._source.names(depth[0]))
+        there = any(name.lower().endswith(depth[1]) for name in self._source.names(depth[0]))
+        self._reads_depth = options.depth != "network"
+        self._has_depth = self._reads_depth and there
         colour = {int(match[1]): match[0] for match in map(_COLOUR.fullmatch, self._source.names(folder)) if match}
         self._numbers = sorted(colour)
         self._colour = [colour[number] for number in self._numbers]
@@ -103,15 +108,22 @@ class Record3DReader:
             fields.positive(float(column_major[4]), "K's fy")
             self._lens = [float(column_major[at]) for at in (0, 4, 6, 7)]
             self._camera(self._lens)
-            self._depth_size = self._stated_depth_size()
+            height, width = self._metadata.get("dh"), self._metadata.get("dw")
+            self._depth_size: tuple[int, int] | None = None  # rows, columns
+            if height is not None and width is not None:
+                self._depth_size = fields.pixels(height, "dh"), fields.pixels(width, "dw")
 
     def name_of(self, index: int) -> str:
         """Return the colour file."""
         return self._source.label(self._colour[index])
 
     def timestamps(self) -> list[float | None]:
-        """Return the times of the records."""
-        return [self._time_of(number) for number in self._numbers]
+        """Return the times of the records: as stated, else their numbers by the rate, which some state alone."""
+        if not self._times:
+            with suppress(ValueError):
+                rate = fields.positive(self._metadata.get("fps"), "fps")
+                return [fields.time(number / rate) for number in self._numbers]
+        return [fields.time(self._times[number]) if number < len(self._times) else None for number in self._numbers]
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
@@ -155,7 +167,7 @@ class Record3DReader:
             return clean_depth(values.astype(np.float32) * np.float32(self._unit_m or 1.0))
 
     def _confidence(self, name: str) -> UInt8[np.ndarray, "dh dw"] | None:
-        if not self._packed or not self._source.has(name):
+        if not (self._packed and self._reads_depth and self._source.has(name)):
             return None
         data = self._source.read(name)
         height, width = self._size_of(data, 1)
@@ -164,13 +176,6 @@ class Record3DReader:
 
     def _camera(self, lens: list[float]) -> Intrinsics:
         return Intrinsics(lens[0], lens[1], lens[2], lens[3], self._width, self._height)
-
-    def _stated_depth_size(self) -> tuple[int, int] | None:
-        """Return (rows, columns) of the depth; None if the metadata does not state them."""
-        height, width = self._metadata.get("dh"), self._metadata.get("dw")
-        if height is None or width is None:
-            return None
-        return fields.pixels(height, "dh"), fields.pixels(width, "dw")
 
     def _size_of(self, data: bytes, item: int) -> tuple[int, int]:
         """Return (rows, columns) of a packed plane: as stated, else by its bytes and the image's aspect.
@@ -184,9 +189,6 @@ class Record3DReader:
         if width > 0 and count % width == 0 and 0 < count <= MAX_PIXELS:
             return count // width, width
         return (256, 192) if self._height > self._width else (192, 256)
-
-    def _time_of(self, number: int) -> float | None:
-        return fields.time(self._times[number]) if number < len(self._times) else None
 
 
 def _list(metadata: dict[str, Any], key: str, *, needed: bool = True) -> list[Any]:

@@ -1,4 +1,5 @@
-"""RTAB-Map's export: `NAME_rgb/STEM.jpg`, `NAME_depth/STEM.png`, `NAME_calib/STEM.yaml`, `NAME_camera_poses.txt`.
+"""RTAB-Map's export: `NAME_rgb/STEM.jpg`, `NAME_depth/STEM.png`, `NAME_confidence/STEM.png`, `NAME_calib/STEM.yaml`,
+`NAME_camera_poses.txt`.
 
 `rtabmap-export --images --poses_camera` writes these; the database viewer writes the folders without `NAME_`. STEM is
 the time of the node, or its number with `--images_id`.
@@ -6,7 +7,8 @@ the time of the node, or its number with `--images_id`.
 Conventions: a line of the poses is `time x y z qx qy qz qw [number]` (formats 10 and 11): camera-to-world, OpenCV
 camera, world z-up. `NAME_poses.txt` is the robot's path and takes the `local_transform` of the calibration. Images
 are rectified, so that the projection matrix counts and distortion does not. Pixel centres are at whole numbers, so
-that half a pixel is added. Depth is uint16 millimetres of any size.
+that half a pixel is added. Depth is uint16 millimetres of any size. Confidence is in percent, of an
+iPhone ARKit's level times 50: from 50 it is medium, at 100 high.
 """
 
 import re
@@ -108,7 +110,8 @@ class RtabmapReader(ListedReader):
             if isinstance(node[1], str):
                 raise ValueError(node[1])
         calib_name = f"{self._prefix}calib/{stem}.yaml"
-        depth_name = f"{self._prefix}depth/{stem}.png" if self._source.has(f"{self._prefix}depth") else None
+        has_depth = self._reads_depth and self._source.has(f"{self._prefix}depth")
+        depth_name = f"{self._prefix}depth/{stem}.png" if has_depth else None
         calib_label = self._source.label(calib_name)
         text = "\n".join(fields.parse_text(self._source.read(calib_name, max_bytes=65536), calib_label))
         with fields.naming(calib_label, FrameError):
@@ -119,8 +122,10 @@ class RtabmapReader(ListedReader):
             self._distortion_noted = True
             effect = "images are taken for rectified, as RTAB-Map stores them"
             self.notes.append(Note(f"{calib_label}: the lens distortion", effect, "undistort raw images first"))
-        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
-        return self._raw_frame(index, read, depth_name, intrinsics, pose)
+        picture, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        percent = self._confidence(f"{self._prefix}confidence/{stem}.png")
+        confidence = None if percent is None else percent // np.uint8(50)
+        return self._raw_frame(index, picture, depth_m, depth_name, intrinsics, pose, confidence)
 
 
 def _poses_name(source: FolderSource, prefix: str) -> str | None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from roomlight.captures import fields
 from roomlight.captures.capture import RawFrame
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
-from roomlight.captures.formats.listed import ListedReader, files_of, row_major
+from roomlight.captures.formats.listed import ListedReader, files_of
 from roomlight.captures.options import CaptureOptions
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import FolderSource
@@ -35,7 +35,7 @@ class ScannerAppReader(ListedReader):
         source = FolderSource(folder)
         colour = [name for name in files_of(source, "", (".jpg", ".jpeg", ".png")) if _COLOUR.fullmatch(name)]
         super().__init__(folder, options, colour, expected="frame_00000.jpg")
-        self._has_depth = any(name.lower().startswith("depth_") for name in source.names())
+        self._has_depth = self._reads_depth and any(name.lower().startswith("depth_") for name in source.names())
 
     def timestamps(self) -> list[float | None]:
         """Return the times that the frames' JSON states."""
@@ -56,10 +56,11 @@ class ScannerAppReader(ListedReader):
         if "exposureDuration" in stated and not self.notes:
             effect = "exposure is estimated from surfaces that frames share"
             self.notes.append(Note(f"{self._source.label(json_name)}: exposureDuration", effect, "lock the exposure"))
-        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
-        height, width = read.picture.image.shape[:2]
+        picture, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        height, width = picture.image.shape[:2]
         with fields.naming(self._source.label(json_name), FrameError):
-            pose = row_major(stated.get("cameraPoseARFrame"), 4, "cameraPoseARFrame")
-            k = row_major(stated.get("intrinsics"), 3, "intrinsics")
+            pose = fields.vector(stated.get("cameraPoseARFrame"), 16, "cameraPoseARFrame").reshape(4, 4)
+            k = fields.vector(stated.get("intrinsics"), 9, "intrinsics").reshape(3, 3)
             intrinsics = intrinsics_without_size(k, width=width, height=height)
-        return self._raw_frame(index, read, depth_name, intrinsics, pose, self._confidence(f"conf_{number}.png"))
+        confidence = self._confidence(f"conf_{number}.png")
+        return self._raw_frame(index, picture, depth_m, depth_name, intrinsics, pose, confidence)

@@ -9,6 +9,7 @@ where the depth camera, by its K and the extrinsics, is not the colour camera at
 the colour image. Times are microseconds; a file without them has zeros.
 """
 
+import re
 import struct
 import zlib
 from collections.abc import Generator
@@ -69,6 +70,7 @@ class ScanNetReader:
         except (OSError, struct.error, ValueError, OverflowError) as error:
             raise CaptureError(f"{path}: is not a readable .sens file ({error})") from error
         self._unit_m = options.depth_unit_m or 1 / self._depth_shift
+        self._reads_depth = options.depth != "network"
         self.count = len(self._entries)
         if self.count < self._stated:
             self.notes.append(
@@ -140,11 +142,14 @@ class ScanNetReader:
             raise FrameError(f"{label}: cannot be read ({error.strerror or error})") from error
         with fields.naming(label, FrameError):
             pose = fields.coordinates(entry.pose, "the pose").reshape(4, 4)
+        depth_m = np.zeros(self._depth_size[::-1], np.float32)
+        if self._reads_depth:
+            depth_m = in_colour(self._depth(depth, label), self._depth_k, self._intrinsics, self._depth_to_colour)
         return RawFrame(
             name=label,
             picture=decode_picture(colour, label, as_stored=True),
-            depth_m=in_colour(self._depth(depth, label), self._depth_k, self._intrinsics, self._depth_to_colour),
-            depth_name=label,
+            depth_m=depth_m,
+            depth_name=label if self._reads_depth else None,
             intrinsics=self._intrinsics,
             pose=pose,
         )
@@ -215,7 +220,7 @@ class ScanNetFramesReader(ListedReader):
         label = source.label(name)
         with fields.naming(label, CaptureError):
             self._matrix = fields.matrix_of_text(read_index(source, name), 3, label)
-        depth_name, extrinsic = (name.replace(*pair) for pair in (("color", "depth"), ("intrinsic_", "extrinsic_")))
+        depth_name, extrinsic = name.replace("color", "depth"), re.sub("intrinsics?_", "extrinsic_", name)
         self._depth_k = self._stated(source, depth_name, 3)
         poses = [self._stated(source, file, 4) for file in (extrinsic, extrinsic.replace("color", "depth"))]
         self._depth_to_colour = between(*(np.eye(4) if pose is None else pose for pose in poses))
@@ -230,16 +235,15 @@ class ScanNetFramesReader(ListedReader):
 
     def _read(self, index: int) -> RawFrame:
         stem, label = Path(self._colour[index]).stem, self.name_of(index)
-        pose_name, depth_name = f"pose/{stem}.txt", f"depth/{stem}.png" if self._source.has("depth") else None
+        has_depth = self._reads_depth and self._source.has("depth")
+        pose_name, depth_name = f"pose/{stem}.txt", f"depth/{stem}.png" if has_depth else None
         pose_label = self._source.label(pose_name)
         with fields.naming(pose_label, FrameError):
             pose = fields.matrix_of_text(self._source.read(pose_name, max_bytes=65536), 4, pose_label)
-        read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
-        height, width = read.picture.image.shape[:2]
+        picture, depth_m = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
+        height, width = picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=width, height=height, shift=0.5)
-        depth_label = depth_name and self._source.label(depth_name)
-        depth_m = read.depth_m
         if depth_name is not None and self._depth_k is not None:
             depth_m = in_colour(depth_m, self._depth_k, intrinsics, self._depth_to_colour)
-        return RawFrame(label, read.picture, depth_m, depth_label, intrinsics, pose)
+        return self._raw_frame(index, picture, depth_m, depth_name, intrinsics, pose)

@@ -84,10 +84,9 @@ class ScanNetPPReader(ListedReader):
             return
         try:
             path = self._source.path(self._video, max_bytes=_MAX_PACKED)
-            video = VideoFrames(path, self._source.label(self._video))
         except FrameError as error:
             raise CaptureError(str(error)) from error
-        with video:
+        with VideoFrames(path, self._source.label(self._video)) as video:
             yield lambda index: self._record(index, video.frame(self._number(index)))
 
     def _entry(self, stem: str) -> dict[str, Any]:
@@ -115,17 +114,14 @@ class ScanNetPPReader(ListedReader):
             picture = with_mask(picture, read_mask(self._source, mask_name))
         depth_name, depth_label = f"depth/{stem}.png", None
         depth_m = np.zeros((height, width), np.float32)
-        if self._source.has("depth"):
+        if self._reads_depth and self._source.has("depth"):
             depth_label = self._source.label(depth_name)
             depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
-        elif self._source.has("depth.bin"):
+        elif self._reads_depth and self._source.has("depth.bin"):
             depth_label = f"{self._source.label('depth.bin')} ({stem})"
+            if self._depth is None:
+                self._depth = DepthMaps(self._source.path("depth.bin", max_bytes=_MAX_PACKED))
             with fields.naming(depth_label, FrameError):
-                stored, unit_m = self._maps().read(self._number(index))
+                stored, unit_m = self._depth.read(self._number(index))
             depth_m = clean_depth((stored * np.float32(self._unit_m or unit_m)).reshape(SHAPE))
         return RawFrame(label, picture, depth_m, depth_label, intrinsics, pose)
-
-    def _maps(self) -> DepthMaps:
-        if self._depth is None:
-            self._depth = DepthMaps(self._source.path("depth.bin", max_bytes=_MAX_PACKED))
-        return self._depth

@@ -1,15 +1,16 @@
 """7-Scenes, and BundleFusion's and 12-Scenes' recordings, which have `info.txt` beside or above the frames.
 
-Files are `frame-XXXXXX.color.png|jpg`, `.depth.png`, `.pose.txt`, optionally `camera-intrinsics.txt`.
+Files are `frame-XXXXXX.color.png|jpg`, `.depth.png|pgm`, `.pose.txt`, optionally `camera-intrinsics.txt`, also above
+`seq-XX`, `rgbd-frames` (3DMatch, SUN3D) or `data`.
 
 Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera's or another fit's. Up is the opposite
 of `gravity-direction.txt` (three numbers); without that file the world is assumed to be an upright OpenCV camera's, up
 = -y, which is noted. Depth is uint16 millimetres, 0 and 65535 unknown. K is used unchanged, with pixel centres at half
-integers: the data set's default of 585, 585, 320, 240 for 640 x 480 puts the principal point at the centre of the
-image; it is scaled to images of that aspect, and none other. A K of a file has no size and must fit the image.
+integers; one of a file has no size and must fit the image, and depth is the colour camera's. Without a file the
+cameras are the data set's Kinect, as ACE and DSAC* take it: for 640 x 480 the principal point is 320, 240, the focal
+length 525 of colour and 585 of depth, and poses are the depth camera's; K is scaled to images of that aspect alone.
 `info.txt`, in 3RScan `_info.txt`, is the header of a `.sens` as text: both cameras, their sizes and the unit of depth
 are read as ScanNet's; `camera-intrinsics.txt` goes before its K.
-A `.depth.pgm`, as 3RScan has it, is refused and not taken for missing depth.
 """
 
 import re
@@ -20,10 +21,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.camera import Intrinsics
+from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
-from roomlight.captures.decoding import Rgbd, intrinsics_without_size, read_rgbd
+from roomlight.captures.decoding import intrinsics_without_size, read_rgbd, registered
 from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.formats.scannet import between, camera_of, in_colour
 from roomlight.captures.options import CaptureOptions
@@ -34,8 +35,20 @@ from roomlight.notes import Note
 
 INTRINSICS: Final = "camera-intrinsics.txt"
 GRAVITY: Final = "gravity-direction.txt"
+_BELOW: Final = re.compile(r"seq-\d+|rgbd-frames|data")
+"""Folders of frames that have the files of their camera above them."""
 _RECORD: Final = re.compile(r"(frame-\d{1,9})\.(color|depth|pose)\.(png|jpg|jpeg|pgm|txt)", re.IGNORECASE)
-_DEFAULT_CAMERA: Final = Intrinsics(585.0, 585.0, 320.0, 240.0, 640, 480)
+_COLOUR_CAMERA: Final = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
+_DEPTH_CAMERA: Final = Intrinsics(585.0, 585.0, 320.0, 240.0, 640, 480)
+_DEPTH_TO_COLOUR: Final = np.array(
+    [
+        [0.99996518, 0.00267651, -0.00790410, -0.02555894],
+        [-0.00274093, 0.99996303, -0.00815045, 0.00010110],
+        [0.00788199, 0.00817183, 0.99993555, 0.00203183],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+"""Of a Kinect, measured at LIRIS."""
 _COLOUR_K: Final = "m_calibrationColorIntrinsic"
 
 
@@ -64,13 +77,14 @@ class SevenScenesReader(ListedReader):
         names = [colour.get(stem, f"{stem}.color.png") for stem in self._stems]
         super().__init__(folder, options, names, expected="frame-XXXXXX.color.png, .depth.png and .pose.txt")
         self._sensor = _read_sensor(folder)
-        self._matrix = _DEFAULT_CAMERA if self._sensor is None else self._sensor.colour
+        self._matrix = _COLOUR_CAMERA if self._sensor is None else self._sensor.colour
         if self._sensor is not None:
             self._unit_m = options.depth_unit_m or self._sensor.depth_unit_m
-        if source.has(INTRINSICS):
-            self._matrix = read_matrix(source)
+        if place := next((place for place in _places(folder) if place.has(INTRINSICS)), None):
+            self._matrix = read_matrix(place)
         elif self._sensor is None:
-            self.notes.append(assumed_camera(folder, _DEFAULT_CAMERA))
+            beside = "; depth and poses are those of its depth camera, 26 mm beside"
+            self.notes.append(assumed_camera(folder, _COLOUR_CAMERA, beside))
         self.conventions = PoseConventions("opencv", "camera-to-world", self._up())
         if options.world_up is None and not source.has(GRAVITY):
             effect = "up is taken for the first camera's, the opposite of the y axis: wrong by as much as it was tilted"
@@ -78,21 +92,27 @@ class SevenScenesReader(ListedReader):
 
     def _read(self, index: int) -> RawFrame:
         stem, label = self._stems[index], self.name_of(index)
-        depth_name, pose_name = self._depth.get(stem, f"{stem}.depth.png") if self._depth else None, f"{stem}.pose.txt"
+        pose_name, has_depth = f"{stem}.pose.txt", self._reads_depth and len(self._depth) > 0
+        depth_name = self._depth.get(stem, f"{stem}.depth.png") if has_depth else None
         pose_label = self._source.label(pose_name)
         pose_data = self._source.read(pose_name, max_bytes=65536)
         with fields.naming(pose_label, FrameError):
             pose = fields.matrix_of_text(pose_data, 4, pose_label)
             if not np.isfinite(pose).all():
                 raise ValueError("the pose holds NaN or infinity (lost tracking)")
-        read = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
-        height, width = read.picture.image.shape[:2]
+        picture, depth_m = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
+        height, width = picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_of(self._matrix, width=width, height=height)
-        if depth_name is not None and (sensor := self._sensor) is not None:
-            depth_m = in_colour(read.depth_m, sensor.depth_k, intrinsics, sensor.depth_to_colour)
-            read = Rgbd(read.picture, depth_m)
-        return self._raw_frame(index, read, depth_name, intrinsics, pose)
+        if self._matrix is _COLOUR_CAMERA:
+            pose = pose @ rigid_inverse(_DEPTH_TO_COLOUR)
+            if depth_name is not None:
+                with fields.naming(self._source.label(depth_name), FrameError):
+                    intrinsics_of(_DEPTH_CAMERA, width=depth_m.shape[1], height=depth_m.shape[0])
+                depth_m = registered(depth_m, _DEPTH_CAMERA, intrinsics, _DEPTH_TO_COLOUR)
+        elif depth_name is not None and (sensor := self._sensor) is not None:
+            depth_m = in_colour(depth_m, sensor.depth_k, intrinsics, sensor.depth_to_colour)
+        return self._raw_frame(index, picture, depth_m, depth_name, intrinsics, pose)
 
     def _up(self) -> tuple[float, float, float]:
         if not self._source.has(GRAVITY):
@@ -125,10 +145,14 @@ def intrinsics_of(
     return known.resized(width, height)
 
 
+def _places(folder: Path) -> list[FolderSource]:
+    """Return where the files of a folder's camera may be."""
+    return [FolderSource(place) for place in ([folder, folder.parent] if _BELOW.fullmatch(folder.name) else [folder])]
+
+
 def _read_sensor(folder: Path) -> _Sensor | None:
-    """Read `info.txt` or `_info.txt`, or 12-Scenes' one above the folder `data`; None without a camera in it."""
-    sources = [FolderSource(folder), *([FolderSource(folder.parent)] if folder.name == "data" else [])]
-    for source, name in ((source, name) for source in sources for name in ("info.txt", "_info.txt")):
+    """Read `info.txt` or `_info.txt`, beside or above the frames; None without a camera in it."""
+    for source, name in ((source, name) for source in _places(folder) for name in ("info.txt", "_info.txt")):
         if not source.has(name):
             continue
         label = source.label(name)
@@ -158,9 +182,9 @@ def _sensor(stated: dict[str, str]) -> _Sensor:
     )
 
 
-def assumed_camera(folder: Path, camera: Intrinsics) -> Note:
+def assumed_camera(folder: Path, camera: Intrinsics, more: str = "") -> Note:
     """Make the note for a data set's own K in place of one that no file states."""
-    text = f"a focal length of {camera.fx:g} pixels for a width of {camera.width} is assumed, the data set's own"
+    text = f"a focal length of {camera.fx:g} pixels for a width of {camera.width} is assumed, the data set's own{more}"
     return Note(f"{folder}: no {INTRINSICS}", text, f"write {INTRINSICS}, 3 x 3, for another camera")
 
 
@@ -170,8 +194,6 @@ def read_matrix(source: FolderSource) -> Float[np.ndarray, "3 3"]:
     data = read_index(source, INTRINSICS)
     with fields.naming(label, CaptureError):
         matrix = fields.matrix_of_text(data, 3, label)
-        fields.positive(float(matrix[0, 0]), "fx")
-        fields.positive(float(matrix[1, 1]), "fy")
-        fields.positive(float(matrix[0, 2]), "cx")
-        fields.positive(float(matrix[1, 2]), "cy")
+        for name, place in {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}.items():
+            fields.positive(float(matrix[place]), name)
     return matrix

@@ -2,7 +2,8 @@
 
 A record is a row of the odometry: `timestamp, frame, x, y, z, qx, qy, qz, qw` (newer versions add `fx, fy,
 cx, cy`), columns found by the header. `frame` numbers the video's frames and the depth files; rows, video
-frames and files may differ in number; a row without its video frame or files is a bad frame.
+frames and files may differ in number; a row without its video frame or files is a bad frame. The app writes the
+first frame at a time below 0, so that the video's edit list cuts it off; it is read all the same.
 
 Conventions: camera-to-world, OpenCV camera, world y-up (ARKit's). Depth is uint16 millimetres (.npy in old
 exports), confidence 0, 1, 2. K is for 1920 x 1440 and is scaled to the video's size; if its principal
@@ -16,7 +17,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from jaxtyping import UInt8
 
 from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
@@ -49,6 +49,7 @@ class StrayScannerReader:
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m
+        self._reads_depth = options.depth != "network"
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []
         self._label = self._source.label(ODOMETRY)
@@ -77,7 +78,7 @@ class StrayScannerReader:
         self.count = len(self._rows)
         if self.count > MAX_FRAMES:
             raise CaptureError(f"{self._label}: has {self.count} rows; up to {MAX_FRAMES} are read")
-        self._has_confidence = self._source.has("confidence")
+        self._count_noted = False
 
     def name_of(self, index: int) -> str:
         """Return the odometry file and the line (the header is line 1)."""
@@ -91,13 +92,19 @@ class StrayScannerReader:
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
         """Hold the video open for one pass; reading records in order decodes it once."""
-        label = self._source.label(VIDEO)
-        try:
-            video = VideoFrames(self._video, label)
-        except FrameError as error:
-            raise CaptureError(str(error)) from error
-        with video:
+        with VideoFrames(self._video, self._source.label(VIDEO), whole=True) as video:
+            self._note_count(len(video.times_s))
             yield lambda index: self._read(index, video)
+
+    def _note_count(self, pictures: int) -> None:
+        """Note, once, a video that has not one picture for each row."""
+        if pictures == self.count or self._count_noted:
+            return
+        self._count_noted = True
+        text = f"{self._source.label(VIDEO)}: {pictures} pictures for {self.count} rows of {ODOMETRY}"
+        lost = "; the first may be lost, as where the video was encoded again: all are then one too late"
+        effect = f"each row takes the picture of its number{lost if pictures == self.count - 1 else ''}"
+        self.notes.append(Note(text, effect, f"use the {VIDEO} that the app exported"))
 
     def _read(self, index: int, video: VideoFrames) -> RawFrame:
         row = self._rows[index]
@@ -115,10 +122,12 @@ class StrayScannerReader:
         if not self._source.has(depth_name) and self._source.has(f"depth/{number:06d}.npy"):
             depth_name = f"depth/{number:06d}.npy"
         depth_label, depth_m = None, None
-        if self._source.has("depth"):
+        if self._reads_depth and self._source.has("depth"):
             depth_label = self._source.label(depth_name)
             depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
-        confidence = self._confidence(number)
+        confidence, confidence_name = None, f"confidence/{number:06d}.png"
+        if self._reads_depth and self._source.has(confidence_name):
+            confidence = decode_confidence(self._source.read(confidence_name), self._source.label(confidence_name))
         picture = video.frame(number)
         height, width = picture.image.shape[:2]
         with fields.naming(f"{self._source.label(VIDEO)}: frame {number}", FrameError):
@@ -132,12 +141,6 @@ class StrayScannerReader:
             pose=pose,
             confidence=confidence,
         )
-
-    def _confidence(self, number: int) -> UInt8[np.ndarray, "ch cw"] | None:
-        if not self._has_confidence:
-            return None
-        name = f"confidence/{number:06d}.png"
-        return decode_confidence(self._source.read(name), self._source.label(name))
 
     def _value(self, row: list[str], column: str) -> float:
         at = self._at[column]

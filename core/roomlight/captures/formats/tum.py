@@ -67,7 +67,8 @@ class TumReader(ListedReader):
         pairs = next(filter(source.has, PAIRS), None)
         if source.has("rgb.txt") or pairs is None:
             self._times = _stream(source, "rgb.txt", notes)
-            self._depth = _stream(source, "depth.txt", notes) if source.has("depth.txt") else None
+            has_depth = options.depth != "network" and source.has("depth.txt")
+            self._depth = _stream(source, "depth.txt", notes) if has_depth else None
         else:
             self._times, self._depth = (_stream(source, pairs, notes, half=half) for half in (0, 1))
         self._pose_file = pose_file(source)
@@ -88,17 +89,18 @@ class TumReader(ListedReader):
 
     def _read(self, index: int) -> RawFrame:
         (time_s, colour_name), label = self._times[index], self.name_of(index)
-        depth_name = None if self._depth is None else _nearest(self._depth, time_s, f"{label}: depth (depth.txt)")
+        depth = self._depth if self._reads_depth else None
+        depth_name = None if depth is None else _nearest(depth, time_s, f"{label}: depth (depth.txt)")
         pose_line = _nearest(self._poses, time_s, f"{label}: pose ({self._pose_file})")
         with fields.naming(f"{self._source.label(self._pose_file)}: near {time_s}", FrameError):
             values = fields.coordinates(fields.numbers_of_line(pose_line, 7, "the pose"), "the pose")
             pose = pose_from_quaternion(values[3:], values[:3])
             pose = _Y_TURNED @ pose @ _Y_TURNED if self._icl else pose
-        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m, integer_m=1 / 5000)
-        height, width = read.picture.image.shape[:2]
+        picture, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m, integer_m=1 / 5000)
+        height, width = picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_of(self._matrix, width=width, height=height, shift=0.5)
-        return self._raw_frame(index, read, depth_name, intrinsics, pose)
+        return self._raw_frame(index, picture, depth_m, depth_name, intrinsics, pose)
 
 
 def _eth3d_matrix(source: FolderSource, default: Intrinsics) -> Float[np.ndarray, "3 3"] | Intrinsics:

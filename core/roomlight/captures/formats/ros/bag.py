@@ -3,7 +3,8 @@
 A record is a colour image with the depth image nearest in time. Topics are chosen by their type and name: colour by
 `color` or `rgb`, those with a CameraInfo first; depth by `depth`, else by its encoding, that of the colour's frame
 first, then of its namespace, then `aligned` or `registered`. Depth of another frame is projected into the colour image
-by the fixed transforms of tf.
+by the fixed transforms of tf; of depth and colour of one frame, where one alone is rectified, the other's lens is
+removed.
 
 Conventions: the pose is that of the colour image's frame in the root of tf; without one there, TransformStamped, or one
 topic of Odometry or PoseStamped (also with covariance), carries it. Optical frames are OpenCV's, the world is z-up
@@ -14,9 +15,11 @@ metres.
 import importlib
 import importlib.util
 import re
-from collections.abc import Generator
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Collection, Generator, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,7 +42,7 @@ from roomlight.captures.formats.ros.images import (
     seconds,
 )
 from roomlight.captures.formats.ros.transform_tree import TransformTree
-from roomlight.captures.lenses import Lens, fitted, straightened, undistorted
+from roomlight.captures.lenses import Lens, straightened, undistorted
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES
 from roomlight.captures.times import nearest
@@ -89,6 +92,39 @@ class _Pose:
     time_s: float
 
 
+class _Images:
+    """Images of a topic; those of a bag without an index are read in the order of their recording, once in a pass.
+
+    The latest stay, because several colours may have the same depth.
+    """
+
+    def __init__(self, bag: Any, topic: str | None) -> None:
+        self._bag, self._chosen = bag, [c for c in bag.connections if c.topic == topic]
+        self._indexed = _has_index(bag)
+        self._latest = deque[tuple[Any, int, bytes]](maxlen=8)
+        self._ahead: Iterator[tuple[Any, int, bytes]] = iter(())
+
+    def at(self, logged: int) -> Iterator[Any]:
+        """Yield the images of this time: without an index among the latest and the next ones, then by a search."""
+        if not self._indexed and (not self._latest or logged <= self._latest[0][1]):
+            self._latest.clear()
+            self._ahead = self._bag.messages(connections=self._chosen, start=logged)
+        with suppress(Exception):  # of damaged bytes on the way, which the search leaves out
+            for connection, time, raw in chain([*self._latest], self._next()):
+                if time == logged:
+                    yield self._bag.deserialize(raw, connection.msgtype)
+                if time > logged:
+                    break
+        self._latest.clear()
+        for connection, _, raw in self._bag.messages(connections=self._chosen, start=logged, stop=logged + 1):
+            yield self._bag.deserialize(raw, connection.msgtype)
+
+    def _next(self) -> Iterator[tuple[Any, int, bytes]]:
+        for message in self._ahead:
+            self._latest.append(message)
+            yield message
+
+
 class RosBagReader:
     """Reads a bag."""
 
@@ -110,6 +146,7 @@ class RosBagReader:
         self._frame_id = ""  # of colour
         with self._opened() as bag:
             topics = {connection.topic: connection.msgtype for connection in bag.connections}
+            self._infos = {_space(topic) for topic, kind in topics.items() if kind == _INFO}
             firsts = {topic: _first(bag, topic) for topic, kind in topics.items() if kind in _IMAGES}
             self._colour = self._colour_topic(topics, firsts)
             self._depth = None if options.depth == "network" else self._depth_topic(firsts)
@@ -141,9 +178,10 @@ class RosBagReader:
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
-        """Hold the bag open for one pass."""
-        with self._opened() as bag:
-            yield lambda index: self._read(index, bag)
+        """Hold the bag open for one pass; without an index for each topic, because depth may be recorded later."""
+        with self._opened() as bag, nullcontext(bag) if _has_index(bag) else self._opened() as other:
+            images = {self._depth: _Images(other, self._depth), self._colour: _Images(bag, self._colour)}
+            yield lambda index: self._read(index, images)
 
     @contextmanager
     def _opened(self) -> Generator[Any]:
@@ -178,12 +216,15 @@ class RosBagReader:
         if not images:
             listed = ", ".join(sorted(topics)[:12]) or "nothing"
             raise CaptureError(f"{self._path}: has no topic of colour images; its topics are {listed}")
-        cameras = {_space(topic) for topic, kind in topics.items() if kind == _INFO}
-        images.sort(
-            key=lambda topic: (_space(topic) not in cameras, _rank(topic, _COLOUR), "compressed" in topic, topic)
-        )
-        spaces = dict.fromkeys(_space(topic) for topic in images if _space(topic) in cameras)
-        if others := [space for space in spaces if space != _space(images[0])]:
+        spaces = {topic: _space(topic, self._infos) for topic in images}
+
+        def order(topic: str) -> tuple[bool, bool, int, bool, str]:
+            guessed = _space(topic) not in self._infos
+            return spaces[topic] not in self._infos, guessed, _rank(topic, _COLOUR), "compressed" in topic, topic
+
+        images.sort(key=order)
+        known = dict.fromkeys(spaces[topic] for topic in images if spaces[topic] in self._infos)
+        if others := [space or "/" for space in known if space != spaces[images[0]]]:
             left = f"{self._path}: the cameras {', '.join(others[:4])}"
             self.notes.append(Note(left, f"{images[0]} alone is read", "leave it out of the bag to read another"))
         return images[0]
@@ -232,7 +273,7 @@ class RosBagReader:
                         self._add(stamped, fixed="static" in topic)
                 elif kind == _INFO:
                     for image in images:
-                        if _space(image) == _space(topic):
+                        if _space(image, self._infos) == _space(topic):
                             self._cameras.setdefault(image, message)
                 elif kind.endswith("TransformStamped"):
                     self._add(message, fixed=False)
@@ -244,10 +285,19 @@ class RosBagReader:
         except RoomLightError:
             raise
         except Exception as error:  # rosbags raises whatever the damaged bytes lead to
+            if "not in timestamp order" in str(error):
+                text = "its messages are not in the order of their time, and it has no index; run mcap sort on it"
+                raise CaptureError(f"{self._path}: {text}") from error
             raise CaptureError(f"{self._path}: is damaged ({error})") from error
         self._frame_id = self._frames.get(self._colour, "")
-        if loose and not self._tree.moves(self._frame_id):
-            self._add_poses(loose)
+        settled = self._tree.settle()
+        if not self._tree.moves(self._frame_id):
+            if loose:
+                self._add_poses(loose)
+            elif settled:  # nothing else says where the camera was: it stood
+                self._tree.unsettle(settled)
+                left = f"{self._path}: poses that never change"
+                self.notes.append(Note(left, "the camera is read as one that stands", "record its poses if it moved"))
         for child, kept, other in self._tree.conflicts(self._frame_id):
             left = f"{self._path}: poses of {child} in {other} beside those in {kept}"
             self.notes.append(
@@ -300,27 +350,27 @@ class RosBagReader:
             stamped.header.frame_id, stamped.child_frame_id, values, time_s=seconds(stamped.header), fixed=fixed
         )
 
-    def _read(self, index: int, bag: Any) -> RawFrame:
+    def _read(self, index: int, images: dict[str | None, _Images]) -> RawFrame:
         label = self.name_of(index)
         entry = self._entries[self._colour][index]
         with fields.naming(label, FrameError):
             pose = self._tree.pose(self._frame_id, entry.time_s)
-            picture = decode_colour_image(self._message(bag, self._colour, entry), label)
+            picture = decode_colour_image(self._message(images, self._colour, entry), label)
             height, width = picture.image.shape[:2]
             camera = camera_of(self._cameras[self._colour], (width, height), raw=_is_raw(self._colour))
-            picture, camera = fitted(picture, camera, label)
             depth_m, between = np.zeros((height, width), np.float32), None
             if self._depth is not None:
-                depth_m, between = self._depth_near(entry.time_s, self._depth, bag, label), self._between(self._depth)
-            other_m, stated = depth_m, camera
-            if not self._lens.straight and (width, height) == (camera.width, camera.height):
-                picture, depth_m, camera = straightened(picture, depth_m, camera, self._lens)
+                depth_m = self._depth_near(entry.time_s, self._depth, images, label)
+                between = self._between(self._depth)
+            picture, straight_m, camera, stated = straightened(picture, depth_m, camera, self._lens, label)
             if self._depth is not None and between is not None:
-                depth_m = self._in_colour(other_m, self._depth, camera, between)
+                straight_m = self._in_colour(depth_m, self._depth, camera, between)
         depth_name = None if self._depth is None else f"{self._path}: {self._depth}"
-        return RawFrame(label, picture, depth_m, depth_name, camera, pose, stated=stated)
+        return RawFrame(label, picture, straight_m, depth_name, camera, pose, stated=stated)
 
-    def _depth_near(self, time_s: float, topic: str, bag: Any, label: str) -> Float[np.ndarray, "h w"]:
+    def _depth_near(
+        self, time_s: float, topic: str, images: dict[str | None, _Images], label: str
+    ) -> Float[np.ndarray, "h w"]:
         """Return the depth image nearest in time. Raises ValueError if it is too far."""
         depths = self._entries.get(topic, [])
         if not depths:
@@ -328,14 +378,12 @@ class RosBagReader:
         entry = depths[nearest([depth.time_s for depth in depths], time_s)]
         if abs(entry.time_s - time_s) > MAX_GAP_S:
             raise ValueError(f"the nearest depth is {abs(entry.time_s - time_s):.3f} s away")
-        return decode_depth_image(self._message(bag, topic, entry), label, self._unit_m)
+        return decode_depth_image(self._message(images, topic, entry), label, self._unit_m)
 
-    def _message(self, bag: Any, topic: str, entry: _Entry) -> Any:
+    def _message(self, images: dict[str | None, _Images], topic: str, entry: _Entry) -> Any:
         """Read an image again, by the time at which it was recorded."""
-        connections = [connection for connection in bag.connections if connection.topic == topic]
         try:
-            for connection, _, raw in bag.messages(connections=connections, start=entry.logged, stop=entry.logged + 1):
-                message = bag.deserialize(raw, connection.msgtype)
+            for message in images[topic].at(entry.logged):
                 if seconds(message.header) == entry.time_s:
                     return message
         except Exception as error:  # as above
@@ -343,12 +391,16 @@ class RosBagReader:
         raise FrameError(f"{self._path}: {topic} has no message of {entry.time_s:.3f} s")
 
     def _between(self, topic: str) -> Float[np.ndarray, "4 4"] | None:
-        """Return the transform from depth of another camera; None for that of the colour's, or taken for it."""
+        """Return the transform from depth of another camera, or without a lens; None for the colour's, or taken so."""
         frame = self._frames.get(topic, "")
         if frame.lstrip("/") == self._frame_id.lstrip("/"):
-            return None
+            self._cameras.setdefault(topic, self._cameras[self._colour])
+            if _is_raw(topic) == _is_raw(self._colour) or (self._lens.straight and self._lens_of(topic).straight):
+                return None
+            return np.eye(4)
         between = self._tree.between(self._frame_id, frame)
-        if between is not None and topic in self._cameras:
+        own = self._cameras[self._colour]
+        if between is not None and self._cameras.get(topic, own) is not own:
             return between
         lacking = "no fixed transform from" if between is None else "no CameraInfo of"
         text = "taken for depth of the colour camera"
@@ -378,6 +430,13 @@ def is_bag(path: Path) -> bool:
     if path.is_file():
         return path.name.lower().endswith(_SUFFIXES)
     return (path / "metadata.yaml").is_file() and any(file.name.endswith(_SUFFIXES) for file in path.iterdir())
+
+
+def _has_index(bag: Any) -> bool:
+    """Whether images are read by their place; an MCAP without chunks is read from its start by each call."""
+    stores = [getattr(reader, "storage", reader) for reader in bag.readers]  # of a folder or a file
+    files = [file for store in stores for file in getattr(store, "storages", [store])]
+    return all(getattr(file, "chunks", True) for file in files)
 
 
 def _first(bag: Any, topic: str) -> Any:
@@ -411,11 +470,15 @@ def _rank(topic: str, words: tuple[str, ...]) -> int:
     return next((at for at, word in enumerate(words) if word in topic.lower()), len(words))
 
 
-def _space(topic: str) -> str:
-    """Return the namespace of a camera: of `camera/color/image_raw/compressed` it is `camera/color`."""
+def _space(topic: str, infos: Collection[str] = ()) -> str:
+    """Return the namespace of a camera: of `camera/color/image_raw/compressed` it is `camera/color`.
+
+    Of `sim/rgb` it is `sim` where `sim/rgb` is not among the namespaces that have a CameraInfo (Isaac Sim).
+    """
     parts = topic.split("/")
-    for end in ("image", "info", "camera_info", "compressed", "compressedDepth"):
+    for end in ("image", "info", "camera_info"):
         for at, part in enumerate(parts):
             if at and (part == end or part.startswith("image")):
                 return "/".join(parts[:at])
-    return topic
+    own = re.sub("/compressed(Depth)?$", "", topic)
+    return own.rpartition("/")[0] if infos and own not in infos else own

@@ -104,7 +104,11 @@ def decode_colour_image(message: Any, label: str) -> ColourImage:
     if hasattr(message, "format"):
         if _VIDEO.search(message.format.lower()):
             raise ValueError(f"colour of {message.format[:40]!r} is a video's, which is not read; record JPEG or PNG")
-        return decode_picture(bytes(message.data), label, as_stored=True)
+        picture = decode_picture(bytes(message.data), label, as_stored=True)
+        if message.format.startswith("bayer_") and not np.ptp(picture.image, axis=2).any():
+            mosaic = message.format.split(";")[0][:40]
+            raise ValueError(f"colour of {mosaic!r}, compressed, is not read; debayer the images (image_proc)")
+        return picture
     encoding = message.encoding.lower()
     if encoding in _CONVERSIONS:
         values = _rows(message, np.dtype(np.uint8), 1 if "bayer" in encoding else 2)
@@ -135,6 +139,8 @@ def decode_depth_image(message: Any, label: str, unit_m: float | None) -> Float[
     if hasattr(message, "format"):  # 12 bytes of parameters, then a PNG
         data = bytes(message.data)
         at = data.find(b"\x89PNG", 0, 64)
+        if at < 0 and data[:4] in (b"II*\0", b"MM\0*"):  # iai_kinect2's
+            return decode_depth_map(data, label, unit_m=unit_m)
         inverse = "32FC1" in message.format
         if at < 0 or (inverse and at != 12):
             what = f"compressed depth of {message.format[:40]!r}"

@@ -13,6 +13,9 @@ _MAX_FRAMES: Final = 1000
 _MAX_CORRECTION_STEP_S: Final = 2.0
 """Longest step above a frame that moves: what corrects it, as a map does odometry, is slow and changes little."""
 
+_SAME: Final = 1e-6
+"""Largest difference, in metres and of quaternions, between poses of what is mounted."""
+
 
 class TransformTree:
     """Poses of frames in their parents, fixed or by time."""
@@ -38,9 +41,17 @@ class TransformTree:
         self._times[child].insert(at, time_s)
         self._poses.setdefault(child, []).insert(at, pose)
 
-    def has(self, frame: str) -> bool:
-        """Whether a frame has a parent."""
-        return frame.lstrip("/") in self._parents
+    def settle(self) -> set[str]:
+        """Let frames whose poses are all the same be fixed, as launch files repeat mounts on /tf; return them."""
+        poses = self._poses.items()
+        settled = {name for name, own in poses if len(own) > 1 and np.ptp(np.stack(own), axis=0).max() < _SAME}
+        settled -= self._fixed
+        self._fixed |= settled
+        return settled
+
+    def unsettle(self, names: set[str]) -> None:
+        """Let frames move again."""
+        self._fixed -= names
 
     def root(self, frame: str) -> str:
         """Return the frame above all others."""
