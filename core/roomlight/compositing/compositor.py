@@ -12,7 +12,8 @@ the gain of a frame whose exposure drifts. Light of the caller is in the frame's
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Final, Literal, cast, get_args
 
 import numpy as np
@@ -20,7 +21,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from roomlight.camera import transform_points
 from roomlight.compositing.kernels.ground import Supports
-from roomlight.compositing.kernels.shadows import SurfaceGrid, fill_clipped_share
+from roomlight.compositing.kernels.shadows import fill_clipped_share
 from roomlight.compositing.light.probes import GivenLight, ObjectProbes, given_light
 from roomlight.compositing.light.temporal import (
     SHADOW_S,
@@ -31,8 +32,8 @@ from roomlight.compositing.light.temporal import (
     share_of,
 )
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, blur_layer, measure_camera
-from roomlight.compositing.picture.crop import Crop, CropCamera, crop_of_sphere
-from roomlight.compositing.picture.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8, unchanged
+from roomlight.compositing.picture.crop import NO_CROP, Crop, CropCamera, crop_of_sphere
+from roomlight.compositing.picture.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8
 from roomlight.compositing.picture.occlusion import (
     RealDepth,
     extended,
@@ -205,7 +206,7 @@ class Compositor:
             self._place_waiting(frame)
             self.geometry.update(self._session, latest=False)
             posed = PosedObjects.at(self._placed, elapsed_since(self._first or frame, frame), frame.index)
-            crops = self._crops(frame, posed)
+            crop, object_crop = self._crops(frame, posed)
         step_s = 0.0 if self._before is None else elapsed_s(self._before, frame)
         if self._placed:
             with clock.stage("light"):
@@ -215,40 +216,39 @@ class Compositor:
         with clock.stage("combine"):
             image = encode_srgb8(frame.image)
         self._first, self._before = self._first or frame, frame
-        if crops.shadow.empty:
-            return unchanged(frame, image, clock, self.waiting)
+        bare = Composite(
+            image=image, frame=frame, stage_ms=clock.wall_ms, stage_cpu_ms=clock.cpu_ms, waiting=self.waiting
+        )
+        if crop.empty:
+            return bare
         with clock.stage("camera"):
             self._follow_camera(image)
         with clock.stage("scene"):
             objects = self._built(posed.matrices)
         with clock.stage("depth"):
-            depth = self._room_depth(depth_m, frame, crops.shadow)
+            real, shaded_m = self._room_depth(depth_m, frame, crop)
         with clock.stage("shadow"):
-            shadow = self._shadow_ratio(frame, crops.shadow, depth.shaded_m, posed, share_of(step_s, SHADOW_S))
+            shadow = self._shadow_ratio(frame, crop, shaded_m, posed, share_of(step_s, SHADOW_S))
         if not is_drawn:
-            return unchanged(frame, image, clock, self.waiting)
+            return bare
         with clock.stage("render"):
             rendered = self._render(frame, objects, supports_of(objects, posed.spheres, posed.supports))
         with clock.stage("occlusion"):
-            layer = self._layer(frame, image, depth.real, rendered, crops, posed)
+            layer = self._layer(frame, image, real.part(object_crop.inside(crop)), rendered, object_crop, posed)
         with clock.stage("combine"):
-            self._combine(frame, image, crops, shadow, layer)
+            self._combine(frame, image, (crop, object_crop), shadow, layer)
         numbers = np.array([*(placed.number for placed in self._placed), -1], np.int32)
-        inner = crops.objects.slices
+        inner = object_crop.slices
         depth_m, object_id = rendered.depth_m[inner], numbers[rendered.object_id[inner]]  # -1 reads the last entry
         covered, nearest = object_id >= 0, object_id
         if (rim := (layer[..., 3] > 0) & ~covered).any() and covered.any():  # blurred as the frame is
             at = extended(np.arange(covered.size).reshape(covered.shape), covered)
             nearest = object_id.ravel()[at]
             depth_m, object_id = np.where(rim, depth_m.ravel()[at], depth_m), np.where(rim, nearest, object_id)
-        return Composite(
-            image=image,
-            frame=frame,
-            crop=crops.shadow,
-            object_crop=crops.objects,
-            stage_ms=clock.wall_ms,
-            stage_cpu_ms=clock.cpu_ms,
-            waiting=self.waiting,
+        return replace(
+            bare,
+            crop=crop,
+            object_crop=object_crop,
             crop_objects=layer[..., :3],
             crop_alpha=np.ascontiguousarray(layer[..., 3]),
             crop_shadow=shadow,
@@ -279,9 +279,10 @@ class Compositor:
             self._probes.add(own)
         self._placed = sorted([*self._placed, *new], key=lambda placed: placed.number)
 
-    def _crops(self, frame: Frame, posed: PosedObjects) -> "_Crops":
+    def _crops(self, frame: Frame, posed: PosedObjects) -> tuple[Crop, Crop]:
+        """Return the rectangles around objects and shadows, and around the objects alone, inside the first."""
         k, pose = frame.intrinsics, frame.camera_to_world
-        crop, object_crop = Crop(0, 0, 0, 0), Crop(0, 0, 0, 0)
+        crop = object_crop = NO_CROP
         reach = shadows.QUALITIES[self.quality].reach
         for sphere in posed.spheres:
             own = crop_of_sphere(k, pose, sphere[:3], float(sphere[3]))
@@ -291,7 +292,7 @@ class Compositor:
             object_crop = object_crop.grown(8, k.width, k.height)
         if not crop.empty:  # a rim of the reach at the image's edge gets the neighbours that normals need
             crop = crop.grown(2 * shadow_step(self.quality, k.width), k.width, k.height)
-        return _Crops(crop.union(object_crop), object_crop)
+        return crop.union(object_crop), object_crop
 
     def _follow_camera(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
         if not self._match:
@@ -341,13 +342,17 @@ class Compositor:
             return rendered
         return replace(rendered, radiance=rendered.radiance / np.array(gain, np.float32))
 
-    def _room_depth(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> "_RoomDepth":
-        """Return depth at the pixels of a crop, with holes filled from other frames."""
+    def _room_depth(
+        self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop
+    ) -> tuple[RealDepth, Float32[np.ndarray, "ch cw"]]:
+        """Return depth at the pixels of a crop, with holes filled from other frames: as measured, which hides objects,
+        and completed where nothing was measured: shadows fall on black and shiny tables too.
+        """
         depth_m = self._filled(depth_m, frame, crop)
         size = frame.intrinsics.width, frame.intrinsics.height
         real = real_depth(depth_m, *size, crop)
         whole = complete_depth(depth_m)
-        return _RoomDepth(real, real.depth_m if whole is depth_m else real_depth(whole, *size, crop).depth_m)
+        return real, real.depth_m if whole is depth_m else real_depth(whole, *size, crop).depth_m
 
     def _filled(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> Float32[np.ndarray, "dh dw"]:
         """Fill holes near the objects with what other frames saw there."""
@@ -368,16 +373,7 @@ class Compositor:
         self, frame: Frame, crop: Crop, depth_m: Float32[np.ndarray, "ch cw"], posed: PosedObjects, share: float
     ) -> Float32[np.ndarray, "ch cw 3"]:
         """Return light with objects / without them on the real surfaces of a crop, eased over time by a share."""
-        pose, eased = frame.camera_to_world, share if share > 0 else 1.0
-
-        def smooth(
-            ratio: Float32[np.ndarray, "h w 3"],
-            grid: SurfaceGrid,
-            coarse_m: Float32[np.ndarray, "h w"],
-            camera: CropCamera,
-        ) -> Float32[np.ndarray, "h w 3"]:
-            return self._shadow.blend(ratio, grid, coarse_m, camera, pose, share=eased)
-
+        pose = frame.camera_to_world
         return shadows.shadow_ratio(
             [self._caster(members, posed) for members in clusters(posed.spheres)],
             depth_m,
@@ -385,7 +381,7 @@ class Compositor:
             pose,
             replace(shadows.QUALITIES[self.quality], step=shadow_step(self.quality, frame.intrinsics.width)),
             supports=posed.planes,
-            smooth=smooth,
+            smooth=partial(self._shadow.blend, camera_to_world=pose, share=share if share > 0 else 1.0),
             white=clipped_share(frame, crop),
         )
 
@@ -394,18 +390,15 @@ class Compositor:
         assert self._objects is not None
         x, y, z = posed.spheres[members[0]][:3].tolist()
         support = next((plane for member in members if (plane := posed.supports[member]) is not None), None)
-        shadow_light = self._probes.reflection_at((x, y, z))
+        shadow_light = self._probes.reflection.at((x, y, z))
         if support is not None and self.quality != "preview" and not self._probes.given:
-
-            def observed() -> Float[np.ndarray, "ph pw"]:
-                return self._probes.observed_at((x, y, z))
-
+            observed = partial(self._probes.observed_at, (x, y, z))
             shadow_light = self._shadow_lights.light(shadow_light, observed, support, self.geometry, self._session)
         return shadows.Caster(
             scene=self._objects,
             spheres=np.stack([posed.spheres[member] for member in members]).astype(np.float32),
             object_ids=np.array(members, np.int32),
-            light=self._probes.at((x, y, z)),
+            light=self._probes.lighting.at((x, y, z)),
             reflection=shadow_light,
             support=support,
             room=self.geometry,
@@ -417,14 +410,12 @@ class Compositor:
         image: UInt8[np.ndarray, "h w 3"],
         real: RealDepth,
         rendered: RenderedObjects,
-        crops: "_Crops",
+        crop: Crop,
         posed: PosedObjects,
     ) -> Float32[np.ndarray, "oh ow 4"]:
         """Return premultiplied radiance and alpha of the visible part of the objects, blurred as the frame is."""
-        crop = crops.objects
         if crop.empty:  # only the shadows are in the picture
             return np.zeros((*crop.shape, 4), np.float32)
-        real = real.part(crop.inside(crops.shadow))
         camera = CropCamera.of(frame.intrinsics, crop)
         object_id = rendered.object_id[crop.slices]
         carrier = on_carrier(real, camera, frame.camera_to_world, posed.supports, object_id)
@@ -439,12 +430,12 @@ class Compositor:
         self,
         frame: Frame,
         image: UInt8[np.ndarray, "h w 3"],
-        crops: "_Crops",
+        crops: tuple[Crop, Crop],
         shadow: Float32[np.ndarray, "ch cw 3"],
         layer: Float32[np.ndarray, "oh ow 4"],
     ) -> None:
         """Put shadow and objects into the encoded frame, in place, with the camera's noise on the objects."""
-        crop, inner = crops.shadow, crops.objects
+        crop, inner = crops
         corner = inner.top - crop.top, inner.left - crop.left
         compose_srgb8(image[crop.slices], frame.image[crop.slices], shadow, layer, corner)
         if self._match and self._camera.noise.any() and not inner.empty:
@@ -452,27 +443,6 @@ class Compositor:
             values, corner = part.astype(np.float32) / np.float32(255), (inner.top, inner.left)
             noisy = add_noise(values, layer[..., 3], self._camera, frame_index=frame.index, at=corner)
             part[:] = np.rint(noisy * 255).astype(np.uint8)
-
-
-@dataclass(frozen=True)
-class _Crops:
-    """Rectangles of a frame: around objects and shadows, and around the objects alone, inside the first."""
-
-    shadow: Crop
-    objects: Crop
-
-
-@dataclass(frozen=True)
-class _RoomDepth:
-    """Depth of real surfaces at the pixels of a crop.
-
-    Attributes:
-        real: as measured; it hides objects.
-        shaded_m: [ch, cw] completed where nothing was measured: shadows fall on black and shiny tables too.
-    """
-
-    real: RealDepth
-    shaded_m: Float32[np.ndarray, "ch cw"]
 
 
 def composite(

@@ -181,7 +181,7 @@ def _plane_end(plane: Plane, sphere: Float[np.ndarray, "4"], objects: TracedObje
     through the plane, because there the table has ended."""
     centre, radius = sphere[:3].astype(np.float64), float(sphere[3])
     end = radius + 0.5 * SUPPORT_REACH_M
-    for low, high in objects.bounds():
+    for low, high in objects.bounds:
         middle, half = (low + high) / 2, (high - low) / 2
         height, reach = float(plane.height_of(middle)), float(half @ np.abs(plane.normal))
         if height - reach >= -SINK_M or height + reach <= 0:

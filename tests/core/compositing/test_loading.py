@@ -68,6 +68,19 @@ def test_nested_nodes_multiply_their_transforms() -> None:
     np.testing.assert_allclose(moved.vertices[0], [7, 8, 9])
 
 
+def test_long_chains_of_bones_are_read() -> None:
+    file = GltfFile()
+    mesh = file.mesh(QUAD, QUAD_FACES)
+    file.node(translation=[0, 0, 0.5], children=[1])
+    for number in range(1, 998):
+        file.node(root=False, translation=[0, 0, 0.5], children=[number + 1])
+    file.node(root=False, mesh=mesh)
+    np.testing.assert_allclose(load_object(file.glb()).bounds(), [[0, 0, 499], [1, 1, 499]])
+    file.tree["nodes"][-1]["children"] = [500]
+    with pytest.raises(ObjectError, match="must form trees"):
+        load_object(file.glb())
+
+
 def test_gltf_with_data_uris_reads_as_its_glb() -> None:
     file = textured_quad()
     glb = file.glb()

@@ -9,7 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_files import QUAD, QUAD_UVS, GltfFile, area, face_normals, left_out, packed, ply, texels, textured_quad
+from gltf_files import (
+    QUAD,
+    QUAD_FACES,
+    QUAD_UVS,
+    GltfFile,
+    area,
+    face_normals,
+    left_out,
+    packed,
+    ply,
+    texels,
+    textured_quad,
+)
 
 from present import present
 from roomlight.compositing.loading import load_object
@@ -191,6 +203,15 @@ def test_mirrored_textures_go_on_mirrored() -> None:
     row = present(material.base_colour_texture).texels[0, :, :3] // 65535
     assert row.argmax(axis=1)[[0, 3, 4, 7]].tolist() == [0, 1, 1, 0]
     assert row.shape == (8, 3)
+
+
+def test_a_mirrored_texture_of_several_materials_is_stored_once() -> None:
+    file = GltfFile()
+    base = {"baseColorTexture": {"index": file.image(np.zeros((4, 4, 3), np.uint8))}}
+    file.tree["samplers"], file.tree["textures"][0]["sampler"] = [{"wrapS": 33648}], 0
+    file.quad(pbrMetallicRoughness=base).quad(pbrMetallicRoughness=base)
+    (_, first), (_, second) = load_object(file.glb()).parts
+    assert first.base_colour_texture is second.base_colour_texture
 
 
 @pytest.mark.parametrize(
@@ -398,6 +419,13 @@ def test_georeferenced_objects_are_moved_to_the_origin(kind: str) -> None:
     found = load_object(data, kind)  # pyright: ignore[reportArgumentType]
     np.testing.assert_allclose(found.bounds(), [[-0.25] * 3, [0.25] * 3], atol=1e-7)
     assert found.notes[0].left_out.endswith("its place at 450000, 5500000, 80")
+    micrometres = GltfFile()
+    micrometres.node(mesh=micrometres.mesh(np.multiply(QUAD, 1e6), QUAD_FACES), scale=[1e-6] * 3)
+    size_m = np.ptp(load_object(GltfFile().quad().glb()).bounds(), axis=0)
+    np.testing.assert_allclose(np.ptp(load_object(micrometres.glb()).bounds(), axis=0), size_m, rtol=1e-6)
+    flat = GltfFile()  # 10 m high
+    flat.node(mesh=flat.mesh(np.multiply(QUAD, [1, 1e4, 1]), QUAD_FACES), scale=[1e3, 1e-3, 1])
+    assert np.ptp(load_object(flat.glb()).bounds(), axis=0) == pytest.approx(size_m * [1e3, 10, 1], rel=1e-6)
     far_quad = GltfFile().quad()
     far_quad.tree["nodes"][0]["translation"] = [450_000, 5_500_000, 80]
     with pytest.raises(ObjectError, match="georeferenced"):

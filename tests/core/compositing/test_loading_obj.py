@@ -305,6 +305,20 @@ def test_pictures_of_an_obj_are_read_in_older_formats_or_noted(tmp_path: Path, k
         assert shows(texture, RED)
 
 
+def test_colours_and_metals_of_blender_are_read_as_it_writes_them(tmp_path: Path) -> None:
+    picture = "Kd 0.8 0.8 0.8\nKe 0 0 0\nmap_Kd maps/wood red.png\nmap_Ke maps/wood red.png\nKa 1 1 1\nillum 2\n"
+    metal = "Ka 0.75 0.75 0.75\nKd 0.2 0.05 0.02\nKe 4 0.5 0\nillum 3\n"
+    stated = f"newmtl Dark wood\n{picture}newmtl steel\n{metal}"
+    path = chair_of(tmp_path, f"# Blender 4.2.0 MTL File: 'a.blend'\n\n{stated}")
+    (_, wood), (_, steel) = load_object(path).parts
+    assert (wood.base_colour, wood.emissive, wood.metallic) == ((1, 1, 1), (1, 1, 1), 0)
+    assert (steel.base_colour, steel.emissive, steel.metallic) == ((0.2, 0.05, 0.02), (4, 0.5, 0), 0.75)
+    (tmp_path / "my room.mtl").write_text(stated)
+    (_, wood), (_, steel) = load_object(path).parts
+    assert wood.base_colour == pytest.approx((0.604,) * 3, abs=1e-3)
+    assert (wood.emissive, steel.metallic) == ((0, 0, 0), 0)
+
+
 def test_odd_numbers_in_materials_keep_their_defaults(tmp_path: Path) -> None:
     path = chair_of(tmp_path, "newmtl Dark wood\nKd nan 1 1\nNs -4\nTr 0,5\nKe 9\nPr 2\nnewmtl steel\nKd 0.2\n")
     (_, wood), (_, steel) = load_object(path).parts

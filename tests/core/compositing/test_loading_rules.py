@@ -13,7 +13,7 @@ from PIL import Image
 
 from present import present
 from roomlight.compositing.loading import load_object
-from roomlight.compositing.objects.gltf import ktx2
+from roomlight.compositing.objects.gltf import ktx2, materials
 from roomlight.compositing.objects.gltf.materials import metal_of
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import Material
@@ -120,6 +120,15 @@ def test_ply_with_windows_line_ends_edges_and_corner_coordinates() -> None:
     ((mesh, _),) = one.parts
     np.testing.assert_allclose(mesh.uvs, [[0, 1], [1, 1], [0, 0]])
     assert "a.png" in one.notes[0].left_out
+
+
+@pytest.mark.parametrize("kind", ["ascii", "<"])
+def test_ply_headers_of_old_macs_end_lines_by_carriage_returns(kind: str) -> None:
+    points = np.array(QUAD, np.float32)
+    points[0] = np.frombuffer(b"\x0a\0\0\0" * 3, "<f4")  # binary that begins with a line feed
+    head, mark, body = ply(points, QUAD_FACES, kind).partition(b"end_header\n")
+    data = (head + mark).replace(b"\n", b"\r") + (body if kind == "<" else body.replace(b"\n", b"\r"))
+    assert area(load_object(data)) == pytest.approx(1)
 
 
 def test_obj_of_spreadsheets_and_scanners() -> None:
@@ -276,6 +285,36 @@ def test_textures_of_other_coordinates_are_resampled_or_replaced_by_their_mean()
             assert "emissive texture" in one.notes[0].left_out
 
 
+def test_textures_that_repeat_often_are_reduced_by_area() -> None:
+    file, values = GltfFile(), np.zeros((8, 1024, 3), np.uint8)
+    values[:, ::2] = 255
+    moved = {"extensions": {"KHR_texture_transform": {"scale": [32, 2]}}}
+    base: dict[str, Any] = {"baseColorTexture": {"index": file.image(values)}}
+    base["metallicRoughnessTexture"] = {"index": file.image(values), **moved}
+    emissive = {"emissiveTexture": {"index": file.image(values), **moved}, "emissiveFactor": [1] * 3}
+    material = load_object(file.quad(pbrMetallicRoughness=base, **emissive).glb()).parts[0][1]
+    rough, glow = texels(material.metallic_roughness_texture), texels(material.emissive_texture)
+    assert rough.shape == glow.shape == (16, 2048, 4)
+    np.testing.assert_allclose(rough[..., :3], 0.5, atol=0.01)
+    np.testing.assert_allclose(glow[..., :3], 0.5, atol=0.01)  # of the light, not of its code
+
+
+def test_a_tiled_texture_of_several_materials_is_stored_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    file = GltfFile()
+    colour, relief = (file.image(np.full((4, 4, 3), value, np.uint8)) for value in (0, 128))
+    moved = {"extensions": {"KHR_texture_transform": {"scale": [4, 4]}}}
+    for _ in range(2):
+        base = {"baseColorTexture": {"index": colour}}
+        file.quad(pbrMetallicRoughness=base, normalTexture={"index": relief, **moved})
+    (_, first), (_, second) = load_object(file.glb()).parts
+    assert first.normal_texture is second.normal_texture is not None
+    file.tree["materials"][1]["normalTexture"] = {"index": colour, **moved}
+    monkeypatch.setattr(materials, "_REPEATED_TEXELS", 16 * 16)
+    one = load_object(file.glb())
+    assert [material.normal_texture is None for _, material in one.parts] == [False, True]
+    assert [note.effect for note in one.notes] == ["the surface is plain there"]
+
+
 def quad_of_picture(data: bytes, extension: str) -> bytes:
     file = textured_quad()
     file.tree["images"].append({"bufferView": file.view(data)})
@@ -377,6 +416,13 @@ def test_skins_stand_in_the_pose_of_their_joints(binds: int, unused: int) -> Non
         load_object(skinned_cube([3, 0, 0, 0], 1, 1, {}).glb())
 
 
+def test_stated_tangents_turn_with_their_joints() -> None:
+    file = skinned_cube([0, 0, 0, 0], 100, 1, {"scale": [0.01] * 3, "rotation": [0, 0, 0.5**0.5, 0.5**0.5]})
+    file.attribute("TANGENT", np.tile(np.array([1, 0, 0, -1], np.float32), (8, 1)), "VEC4")
+    tangents = load_object(file.glb()).parts[0][0].tangents
+    np.testing.assert_allclose(present(tangents), np.tile([0, 1, 0, -1], (8, 1)), atol=1e-6)
+
+
 def test_morph_targets_and_instances_and_strips() -> None:
     file = cube_gltf()
     file.primitive["targets"] = [{"POSITION": file.accessor(np.full((8, 3), 2, np.float32), "VEC3", 5126)}]
@@ -427,6 +473,24 @@ def test_clamped_textures_end_in_their_edges() -> None:
     assert present(load_object(file.glb()).parts[0][1].base_colour_texture).clamped == (True, False)
 
 
+def test_nearest_texels_keep_their_edges(monkeypatch: pytest.MonkeyPatch) -> None:
+    def texture(width: int, sampler: dict) -> np.ndarray:
+        file, art = GltfFile(), np.zeros((2, width, 3), np.uint8)
+        art[:, ::2] = (255, 0, 0)
+        file.quad(pbrMetallicRoughness={"baseColorTexture": {"index": file.image(art)}}, normalTexture={"index": 0})
+        file.tree["samplers"], file.tree["textures"][0]["sampler"] = [sampler], 0
+        return texels(load_object(file.glb()).parts[0][1].base_colour_texture)[..., 0]
+
+    enlarged = texture(4, {"magFilter": 9728})
+    assert enlarged.shape == (32, 64)
+    np.testing.assert_array_equal(enlarged, np.tile(np.repeat([1, 0, 1, 0], 16), (32, 1)))
+    assert texture(300, {"magFilter": 9728}).shape == (12, 1800)
+    assert texture(300, {"magFilter": 9728, "wrapS": 33648}).shape == (6, 1800)
+    assert texture(4, {"magFilter": 9729}).shape == (2, 4)
+    monkeypatch.setattr(materials, "_ENLARGED_TEXELS", 8 * 9)
+    assert texture(4, {"magFilter": 9728}).shape == (6, 12)
+
+
 def test_draco_skins_stand_in_the_pose_of_their_joints() -> None:
     joints, weights = np.zeros((8, 4), np.uint8), np.zeros((8, 4), np.float32)
     joints[:, 0], weights[:, 0] = 1, 1
@@ -453,11 +517,45 @@ def test_glass_is_tinted_by_its_stated_thickness(thickness: float, distance: flo
     clear, shiny = {"transmissionFactor": 0.9}, {"specularFactor": 0.3}
     glass = {"transmission": clear, "specular": shiny, "volume": volume}
     extensions = {f"KHR_materials_{name}": values for name, values in glass.items()}
-    material, one = material_of({"extensions": extensions}, extensionsUsed=list(extensions))
+    stated = {"extensions": extensions, "pbrMetallicRoughness": {"metallicFactor": 0}}
+    material, one = material_of(stated, extensionsUsed=list(extensions))
     assert (material.transmission, material.specular) == (0.9, 0.3)
     assert material.is_thin == material.one_sided == (thickness == 0)
     np.testing.assert_allclose(material.base_colour, tint, atol=1e-6)
     assert "thickness" in " ".join(note.effect for note in one.notes)
+
+
+@pytest.mark.parametrize(
+    ("factor", "blues", "transmission", "metallic"),
+    [(1, (), 0, 1), (0, (), 1, 0), (0.5, (), 0.5, 1), (1, (255, 255), 0, 1), (1, (0, 0), 1, 1), (1, (0, 255), 0.5, 1)],
+)
+def test_metals_are_no_glass(factor: float, blues: tuple[int, ...], transmission: float, metallic: float) -> None:
+    file = GltfFile()
+    base: dict[str, Any] = {"metallicFactor": factor, "roughnessFactor": 0}
+    if blues:
+        base["metallicRoughnessTexture"] = {"index": file.image(np.array([[[0, 0, blue] for blue in blues]], np.uint8))}
+    glass = {"KHR_materials_transmission": {"transmissionFactor": 1}}
+    one = load_object(file.quad(pbrMetallicRoughness=base, extensions=glass).glb())
+    material = one.parts[0][1]
+    assert (material.transmission, material.metallic) == (transmission, metallic)
+    assert len(one.notes) == (len(set(blues)) == 2)
+
+
+def test_a_texture_of_transmission_is_linear() -> None:
+    file = GltfFile()
+    clear = {"transmissionTexture": {"index": file.image(np.full((2, 2, 3), 51, np.uint8))}, "transmissionFactor": 0.5}
+    base, extensions = {"metallicFactor": 0}, {"KHR_materials_transmission": clear}
+    one = load_object(file.quad(pbrMetallicRoughness=base, extensions=extensions).glb())
+    assert one.parts[0][1].transmission == pytest.approx(0.1)
+
+
+def test_the_thickness_of_glass_scales_with_its_node() -> None:
+    volume = {"thicknessFactor": 2000, "attenuationDistance": 1, "attenuationColor": [0.25, 0.5, 1.0]}
+    glass = {"transmission": {"transmissionFactor": 1}, "volume": volume}
+    extensions = {f"KHR_materials_{name}": values for name, values in glass.items()}
+    file = GltfFile().quad(extensions=extensions, pbrMetallicRoughness={"metallicFactor": 0})
+    file.tree["nodes"][0]["scale"] = [0.001] * 3  # 2 m of what is drawn in millimetres
+    np.testing.assert_allclose(load_object(file.glb()).parts[0][1].base_colour, [0.0625, 0.25, 1], atol=1e-6)
 
 
 def test_occlusion_textures_of_all_materials_have_one_note() -> None:
@@ -476,6 +574,15 @@ def test_single_sided_surfaces_among_double_sided_ones_are_said_to_show_from_beh
         notes = [note.effect for note in load_object(file.glb()).notes]
         assert notes == (["they show from behind as well"] if sides == (False, True) else [])
     assert load_object(cube_gltf({}).quad(doubleSided=True).glb()).notes == ()
+
+
+@pytest.mark.parametrize("double_sided", [False, True])
+def test_closed_surfaces_that_face_inward_are_said_to_show_from_outside(double_sided: bool) -> None:
+    file = cube_gltf({"doubleSided": double_sided})
+    hull = np.array(CUBE_FACES)[:, ::-1]
+    file.node(mesh=file.mesh(CUBE, hull, material=0), scale=[1.1] * 3)
+    notes = [note.effect for note in load_object(file.glb()).notes]
+    assert notes == ([] if double_sided else ["they show from outside as well"])
 
 
 def test_draco_meshes_are_read() -> None:
@@ -534,5 +641,6 @@ def test_backs_of_single_sided_surfaces_are_not_blended(mode: str, double: bool,
 def test_frosted_glass_is_noted() -> None:
     clear = {"KHR_materials_transmission": {"transmissionFactor": 1}}
     for roughness in (0.05, 0.5):
-        _, one = material_of({"extensions": clear, "pbrMetallicRoughness": {"roughnessFactor": roughness}})
+        base = {"metallicFactor": 0, "roughnessFactor": roughness}
+        _, one = material_of({"extensions": clear, "pbrMetallicRoughness": base})
         assert ["frosted" in note.effect for note in one.notes] == [True] * (roughness > 0.1)

@@ -153,7 +153,7 @@ def test_probe_weights_are_one_at_a_probe_and_sum_to_one() -> None:
     probes = ProbeSet([first, LightSampler(WHITE * 3, (2.0, 0.0, 0.0))])
     np.testing.assert_allclose(probes.weights((0.0, 0.0, 0.0)), [1, 0], atol=1e-6)
     np.testing.assert_allclose(probes.weights((1.0, 0.0, 0.0)), [0.5, 0.5], atol=1e-6)
-    middle = probes.radiance(np.array([[1.0, 0, 0]]), np.array([[0.0, 1, 0]]))
+    middle = probes.mixed((1.0, 0.0, 0.0)).radiance(np.array([[0.0, 1, 0]]))
     np.testing.assert_allclose(middle, [[2, 2, 2]], atol=1e-5)
 
 

@@ -41,7 +41,7 @@ def test_moved_scene_is_a_scene_built_anew() -> None:
     for name in ("corners", "normals"):
         assert_allclose(getattr(shifted.surfaces, name), getattr(built.surfaces, name), atol=1e-6)
     assert_array_equal(shifted.surfaces.object_id, built.surfaces.object_id)
-    assert_allclose(shifted.bounds(), built.bounds(), atol=1e-6)
+    assert_allclose(shifted.bounds, built.bounds, atol=1e-6)
 
 
 def test_a_turned_plate_shades_less_ground() -> None:

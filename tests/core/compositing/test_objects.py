@@ -48,6 +48,14 @@ def test_the_teapot_has_the_proportions_of_its_control_points() -> None:
     assert (np.einsum("ni,ni->n", mesh.normals, mesh.vertices * [1, 0, 1])[outside] > 0).all()
 
 
+@pytest.mark.parametrize("one", [sphere(0.5), vase()])
+def test_textures_go_round_without_a_fold(one: VirtualObject) -> None:
+    ((mesh, _),) = one.parts
+    u = mesh.uvs[mesh.faces][..., 0]
+    assert np.ptp(u, axis=1).max() < 0.13  # faces at a pole span an eighth
+    np.testing.assert_allclose([u.min(), u.max()], [0, 1], atol=1e-6)
+
+
 @pytest.mark.parametrize("one", [vase(0.4), chair(0.9), teapot(0.9)])
 def test_furnishings_stand_on_the_ground(one: VirtualObject) -> None:
     low, high = one.bounds()
@@ -131,6 +139,18 @@ def test_tangents_follow_growing_u() -> None:
     # glTF: the bitangent cross(n, t) w points up the image, toward -z here
     bitangent = np.cross(mesh.normals, tangents[:, :3]) * tangents[:, 3:]
     np.testing.assert_allclose(bitangent, [[0, 0, -1]] * 4, atol=1e-6)
+
+
+def test_tangents_do_not_cross_the_seam_of_a_mirrored_texture() -> None:
+    points = np.array([[x, y, 0.0] for y in (0, 1) for x in (-1, 0, 1)])
+    uvs = np.array([[abs(x), 1 - y] for x, y, _ in points])
+    faces = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]])
+    mesh = TriangleMesh.build(points, faces, uvs=uvs).with_tangents()
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], points[faces])
+    tangents = present(mesh.tangents)[mesh.faces]
+    # u grows away from the seam on both sides; the image's top is at +y of both
+    np.testing.assert_allclose(tangents[:2], np.tile([-1.0, 0, 0, -1], (2, 3, 1)), atol=1e-6)
+    np.testing.assert_allclose(tangents[2:], np.tile([1.0, 0, 0, 1], (2, 3, 1)), atol=1e-6)
 
 
 def test_material_replaces_those_of_all_parts() -> None:

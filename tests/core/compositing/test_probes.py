@@ -31,7 +31,7 @@ def test_objects_and_their_shadows_have_a_light_each(session):
     probes.add(PLACES[:1])
     at = position(PLACES[0])
     light = session.light(session.track(at))
-    shown, casting = probes.at(at).panorama, probes.reflection_at(at).panorama
+    shown, casting = probes.lighting.at(at).panorama, probes.reflection.at(at).panorama
     assert_array_equal(casting, light.reflection)
     assert_array_equal(shown, light.panorama)
     assert shown.mean() > 1.1 * casting.mean()  # the floor is seen, and the lamp is not
@@ -43,12 +43,12 @@ def test_mirrors_show_the_light_that_casts_shadows(session):
     first = probes.lights()
     assert probes.lights() is first
     session.push(UP)
-    assert probes.advance(20 * LIGHT_S)
+    probes.advance(20 * LIGHT_S)
     for lights in (first, probes.lights()):
         environment = lights.environment
         assert (environment.radiance != environment.mirrored).any()
-    assert_array_equal(environment.mirrored[0], probes.reflection_at(position(PLACES[0])).panorama)
-    assert_array_equal(environment.radiance[0], probes.at(position(PLACES[0])).panorama)
+    assert_array_equal(environment.mirrored[0], probes.reflection.at(position(PLACES[0])).panorama)
+    assert_array_equal(environment.radiance[0], probes.lighting.at(position(PLACES[0])).panorama)
 
 
 def test_both_follow_the_session(session):
@@ -57,12 +57,14 @@ def test_both_follow_the_session(session):
     handles = [session.track(position(place)) for place in PLACES]
     session.push(UP)
     probes.add(np.array([[0.0, 0.2, 0.0]]))  # of an object that is placed later
-    assert probes.advance(20 * LIGHT_S)
+    probes.advance(20 * LIGHT_S)
     for place, handle in zip(PLACES, handles, strict=True):
         at, light = position(place), session.light(handle)
-        assert_allclose(probes.reflection_at(at).panorama, light.reflection, rtol=1e-3, atol=1e-3)
-        assert_allclose(probes.at(at).panorama, light.panorama, rtol=1e-3, atol=1e-3)
-    assert not probes.advance(20 * LIGHT_S)
+        assert_allclose(probes.reflection.at(at).panorama, light.reflection, rtol=1e-3, atol=1e-3)
+        assert_allclose(probes.lighting.at(at).panorama, light.panorama, rtol=1e-3, atol=1e-3)
+    before = probes.lights()
+    probes.advance(20 * LIGHT_S)
+    assert probes.lights() is before
 
 
 def test_light_that_is_given_lights_objects_and_casts_their_shadows(session):
@@ -70,9 +72,9 @@ def test_light_that_is_given_lights_objects_and_casts_their_shadows(session):
     probes = ObjectProbes(session, lambda _: given)
     probes.add(PLACES[:1])
     at = position(PLACES[0])
-    assert probes.at(at) is probes.reflection_at(at)
-    assert_array_equal(probes.at(at).panorama, given)
+    assert probes.lighting.at(at) is probes.reflection.at(at)
+    assert_array_equal(probes.lighting.at(at).panorama, given)
     assert_array_equal(probes.lights().environment.mirrored[0], given)
     probes.close()
     probes.add(PLACES[:1])
-    assert probes.at(at) is probes.reflection_at(at)
+    assert probes.lighting.at(at) is probes.reflection.at(at)

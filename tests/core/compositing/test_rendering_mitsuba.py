@@ -7,7 +7,7 @@ import pytest
 from shading_reference import lit_room, look_at, paths
 
 from roomlight.camera import Intrinsics
-from roomlight.compositing.light.lighting import ProbeSet
+from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glass, rough_metal
 from roomlight.compositing.objects.primitives import sphere
 from roomlight.compositing.rendering.renderer import render_objects
@@ -33,7 +33,7 @@ def _mitsuba_panorama(panorama: np.ndarray) -> np.ndarray:
     z = -np.sin(theta)[:, None] * np.cos(phi)
     y = np.broadcast_to(np.cos(theta)[:, None], x.shape)
     directions = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    return ProbeSet.single(panorama).radiance(np.zeros_like(directions), directions).reshape(rows, 2 * rows, 3)
+    return LightSampler(panorama).radiance(directions).reshape(rows, 2 * rows, 3)
 
 
 @pytest.mark.slow

@@ -1,8 +1,6 @@
 # pyright: reportMissingParameterType=false
 """Points of the fused surface compared with what one depth image sees."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
@@ -13,30 +11,18 @@ FREE = 1
 ON_SURFACE = 2
 
 
-class DepthView(NamedTuple):
-    """A depth image and its camera.
-
-    Attributes:
-        world_to_camera: rigid [3, 4], float32.
-        lens: fx, fy, cx, cy in pixels of the depth image, float32 [4].
-        depth_m: z-depth [h, w].
-        measured: [h, w], where the sensor gave the depth.
-    """
-
-    world_to_camera: np.ndarray
-    lens: np.ndarray
-    depth_m: np.ndarray
-    measured: np.ndarray
-
-
 @njit(**CACHED)
-def classify_points(points, view, margin_m, margin_share, out, start, stop):
+def classify_points(points, view, measured, margin_m, margin_share, out, start, stop):
     """Write to out[start:stop] whether a point is unknown to the view, in free space, or on a surface that it sees.
 
     A point is free if the nearest of the 3 x 3 depths around it is farther by more than the margin, and on the surface
     if all nine are within the margin; so neither happens at a depth edge.
+
+    Args:
+        view: the depth image and its camera (`roomlight.engine.surface.mesh.DepthView`).
+        measured: [h, w], where the sensor gave the depth.
     """
-    matrix, lens, depth, measured = view.world_to_camera, view.lens, view.depth_m, view.measured
+    matrix, lens, depth = view
     height, width = depth.shape
     for i in range(start, stop):
         out[i] = UNKNOWN

@@ -82,12 +82,6 @@ def mixed_at(images, weights, place):
 
 
 @njit(**JIT)
-def radiance_at(light, weights, place):
-    """Return the probes' radiance at a place of `place_of`, mixed by their weights."""
-    return mixed_at(light.radiance, weights, place)
-
-
-@njit(**JIT)
 def pixel_at(light, place):
     """Return the row and column of the pixel that holds a place of `place_of`."""
     height, width = light.density.shape[1], light.density.shape[2]
@@ -176,13 +170,13 @@ def add_irradiance(normals, toward, light, out):
 
 
 @njit(**KERNEL)
-def fill_radiance(light, positions, directions, out, begin, end):
-    """Fill the radiance seen from each position in each direction, for rows begin .. end."""
+def fill_radiance(light, positions, directions, out):
+    """Fill the radiance seen from each position in each direction."""
     weights = np.empty(light.radiance.shape[0])
-    for i in range(begin, end):
+    for i in range(len(directions)):
         probe_weights(light.position, positions[i, 0], positions[i, 1], positions[i, 2], weights)
         place = place_of(directions[i, 0], directions[i, 1], directions[i, 2])
-        out[i, 0], out[i, 1], out[i, 2] = radiance_at(light, weights, place)
+        out[i, 0], out[i, 1], out[i, 2] = mixed_at(light.radiance, weights, place)
 
 
 @njit(**KERNEL)

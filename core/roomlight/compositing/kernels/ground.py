@@ -112,14 +112,11 @@ def _plane_radiance(positions, images, weights, n, x, y, z):
 
 
 @njit(**JIT)
-def arriving(world, images, weights, p, d):
-    """Return the radiance that arrives at point p from direction d, of the supports and of the panoramas `images`."""
-    return arriving_at(world, images, weights, p, d, place_of(d[0], d[1], d[2]))
+def arriving(world, images, weights, p, d, place):
+    """Return the radiance that arrives at point p from direction d, of the supports and of the panoramas `images`.
 
-
-@njit(**JIT)
-def arriving_at(world, images, weights, p, d, place):
-    """Return `arriving` for a direction whose `place_of` is known."""
+    `place` is the direction's `place_of`.
+    """
     light, supports = world.light, world.supports
     r, g, b = mixed_at(images, weights, place)
     if supports.points.shape[0] == 0:

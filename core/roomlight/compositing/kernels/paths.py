@@ -20,13 +20,13 @@ from numba import njit
 from roomlight.compositing.kernels.environment import (
     density_at,
     mean_around,
+    mixed_at,
     pixel_at,
     place_of,
     probe_weights,
-    radiance_at,
     sample,
 )
-from roomlight.compositing.kernels.ground import arriving, arriving_at
+from roomlight.compositing.kernels.ground import arriving
 from roomlight.compositing.kernels.guiding import fill_guide, guided_density, guided_sample
 from roomlight.compositing.kernels.scattering import Scatter, coat_reflectance, draw, evaluate, scatter_of, under_sheen
 from roomlight.compositing.kernels.surfaces import (
@@ -108,7 +108,8 @@ def _escape(world, paths, i, film, settings, weights, escape, escaped):
     probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
     scale = paths.share[i]
     sharp = scale >= 1 and not paths.flags[i] & BLURRED
-    r, g, b = arriving(world, world.light.mirrored if sharp else world.light.radiance, weights, origin, d)
+    images = world.light.mirrored if sharp else world.light.radiance
+    r, g, b = arriving(world, images, weights, origin, d, place_of(d[0], d[1], d[2]))
     if scale >= 1 and paths.flags[i] & BLURRED:
         scale = settings.brightest / max(r, g, b, settings.brightest)
     _add(film.radiance, slot, paths, i, r * scale, g * scale, b * scale)
@@ -169,7 +170,7 @@ def _take_known(world, paths, i, scatter, film, at, scale):
     """Take away what the base reflects of the panoramas from a sample's direction; `_add_known` gave it as a whole."""
     base = scatter.base
     if base[0] + base[1] + base[2] > 0:
-        r, g, h = radiance_at(world.light, at[0], at[1])
+        r, g, h = mixed_at(world.light.radiance, at[0], at[1])
         _add(film.radiance, paths.slot[i], paths, i, -base[0] * r * scale, -base[1] * g * scale, -base[2] * h * scale)
 
 
@@ -207,7 +208,7 @@ def _light_ray(world, paths, i, hit, film, shadow, count, guiding, points2):
     value, own = evaluate(scatter, local_view, local)
     if drawn <= 0 or (own <= 0 and value[0] + value[1] + value[2] <= 0):
         return count
-    r, g, h = arriving_at(world, world.light.radiance, weights, origin, d, place)
+    r, g, h = arriving(world, world.light.radiance, weights, origin, d, place)
     scale = 1 / (drawn + own)
     red, green, blue = value[0] * r * scale, value[1] * g * scale, value[2] * h * scale
     if is_open:
@@ -256,7 +257,7 @@ def _opaque(world, paths, i, live, hit, film, guiding, choice, points2):
         _take_known(world, paths, i, scatter, film, (weights, place), share * light[2] / (math.pi * pdf))
     if is_open and not (blurred and share >= 1) and flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] > 0:
         images = world.light.radiance if pdf > 0 else world.light.mirrored
-        r, g, h = arriving_at(world, images, weights, origin, d, place)
+        r, g, h = arriving(world, images, weights, origin, d, place)
         _add(
             film.radiance, paths.slot[i], paths, i, weight[0] * r * share, weight[1] * g * share, weight[2] * h * share
         )

@@ -59,7 +59,8 @@ def _mirrored(d, normal):
 def _reflected(world, mips, weights, place, mirrored, roughness):
     """Return the light that a lobe sees."""
     if roughness < MIRROR_ROUGHNESS:
-        return arriving(world, world.light.mirrored, weights, place, mirrored)
+        seen_at = place_of(mirrored[0], mirrored[1], mirrored[2])
+        return arriving(world, world.light.mirrored, weights, place, mirrored, seen_at)
     return _blurred(world.light, mips, weights, mirrored, roughness)
 
 

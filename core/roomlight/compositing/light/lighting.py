@@ -21,7 +21,6 @@ from roomlight.light.checks import check_panorama
 from roomlight.light.cube import CubeMap
 from roomlight.light.prefilter import prefilter
 from roomlight.spheres import resize_panorama
-from roomlight.threads import parallel_for
 
 MAX_PROBES: Final = 64
 PREFILTERED_SIZE: Final = 32
@@ -118,21 +117,17 @@ class LightSampler:
 
     def sample(self, points: Float[np.ndarray, "n 2"]) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
         """Draw a direction for each point of [0, 1)^2; returns directions and their density per steradian."""
-        directions = np.empty((len(points), 3), np.float32)
-        environment.fill_samples(self.environment(), np.ascontiguousarray(points, np.float64), directions)
-        return directions, self.pdf(directions)
-
-    def pdf(self, directions: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
-        """Return the density per steradian with which `sample` draws each direction."""
-        out = np.empty(len(directions), np.float32)
-        environment.fill_density(self.environment(), np.ascontiguousarray(directions, np.float32), out)
-        return out
+        directions, density = np.empty((len(points), 3), np.float32), np.empty(len(points), np.float32)
+        light = self.environment()
+        environment.fill_samples(light, np.ascontiguousarray(points, np.float64), directions)
+        environment.fill_density(light, directions, density)
+        return directions, density
 
     def radiance(self, directions: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
         """Read the panorama bilinearly in each direction."""
         rays = np.ascontiguousarray(directions, np.float32)
         out = np.empty((len(rays), 3), np.float32)
-        environment.fill_radiance(self.environment(), np.zeros_like(rays), rays, out, 0, len(rays))
+        environment.fill_radiance(self.environment(), np.zeros_like(rays), rays, out)
         return out
 
     @cached_property
@@ -210,17 +205,6 @@ class ProbeSet:
     def single(cls, panorama: Float[np.ndarray, "h w 3"], position: Position = (0.0, 0.0, 0.0)) -> "ProbeSet":
         """Make a set of one probe. Raises as `LightSampler`."""
         return cls([LightSampler(panorama, position)])
-
-    def radiance(
-        self, positions: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
-    ) -> Float32[np.ndarray, "n 3"]:
-        """Return the radiance that arrives at each position from each direction."""
-        at, along = (np.ascontiguousarray(rays, np.float32) for rays in (positions, directions))
-        out = np.empty((len(along), 3), np.float32)
-        parallel_for(
-            lambda begin, end: environment.fill_radiance(self.panoramas, at, along, out, begin, end), len(along)
-        )
-        return out
 
     def weights(self, position: Position) -> Float[np.ndarray, " k"]:
         """Return each probe's share of the light at a position; the shares sum to 1."""

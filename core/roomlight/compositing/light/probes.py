@@ -79,15 +79,21 @@ class ObjectProbes:
     """Tracked probes of all objects of a scene, with a session's light for both uses.
 
     Matte and glossy surfaces are lit by `Light.panorama`; mirrors show `Light.reflection`, which also casts shadows.
+
+    Attributes:
+        given: Whether the caller gave the light.
+        lighting: What objects reflect.
+        reflection: What casts their shadows; the same object as `lighting` where the caller gave the light.
     """
 
     def __init__(self, session: Session, light: LightAt | None = None) -> None:
         """Begin without probes; `light` replaces the session's, does not change over time and is used as it is."""
         self._session, self._light = session, light
+        self.given = light is not None
         self._handles: list[int] = []
         self._positions: list[Position] = []
-        self._lighting = _EasedLights()
-        self._reflection = self._lighting if light is not None else _EasedLights()
+        self.lighting = EasedLights()
+        self.reflection = self.lighting if self.given else EasedLights()
         self._joined: tuple[ProbeSet, ProbeSet, ProbeSet] | None = None
         self._frames = 0
         self._waiting_s = 0.0
@@ -102,54 +108,40 @@ class ObjectProbes:
             self._handles.append(handle)
             self._positions.append((x, y, z))
             if self._light is not None:
-                self._lighting.add((x, y, z), self._light((x, y, z)))
+                self.lighting.add((x, y, z), self._light((x, y, z)))
             else:
                 light = self._session.light(handle)
-                self._lighting.add((x, y, z), light.panorama)
-                self._reflection.add((x, y, z), light.reflection)
+                self.lighting.add((x, y, z), light.panorama)
+                self.reflection.add((x, y, z), light.reflection)
 
-    def advance(self, elapsed_s: float, *, every_s: float = 0.0) -> bool:
-        """Follow the session's light for a time; return whether any changed.
+    def advance(self, elapsed_s: float, *, every_s: float = 0.0) -> None:
+        """Follow the session's light for a time.
 
         Args:
             every_s: change the light at most this often: each change costs 12 ms a probe.
         """
         self._waiting_s += elapsed_s
         if self._waiting_s < every_s:
-            return False
+            return
         if self._session.frames != self._frames and self._light is None:
             for number, handle in enumerate(self._handles):
                 light = self._session.light(handle)
-                self._lighting.aim(number, light.panorama)
-                self._reflection.aim(number, light.reflection)
+                self.lighting.aim(number, light.panorama)
+                self.reflection.aim(number, light.reflection)
             self._frames = self._session.frames
-        changed = self._lighting.advance(self._waiting_s)
-        if self._reflection is not self._lighting:
-            changed |= self._reflection.advance(self._waiting_s)
+        self.lighting.advance(self._waiting_s)
+        if self.reflection is not self.lighting:
+            self.reflection.advance(self._waiting_s)
         self._waiting_s = 0.0
-        return changed
 
     def lights(self) -> ProbeSet:
         """Return the probes as the renderer takes them."""
-        lighting, reflection = self._lighting.lights(), self._reflection.lights()
+        lighting, reflection = self.lighting.lights(), self.reflection.lights()
         if lighting is reflection:
             return lighting
         if self._joined is None or self._joined[0] is not lighting or self._joined[1] is not reflection:
             self._joined = lighting, reflection, ProbeSet(lighting.samplers, mirrored=reflection.samplers)
         return self._joined[2]
-
-    def at(self, position: Position) -> LightSampler:
-        """Return the light at a position, mixed from the probes around it."""
-        return self._lighting.at(position)
-
-    def reflection_at(self, position: Position) -> LightSampler:
-        """Return the light that casts the shadows of objects at a position."""
-        return self._reflection.at(position)
-
-    @property
-    def given(self) -> bool:
-        """Whether the caller gave the light."""
-        return self._light is not None
 
     def observed_at(self, position: Position) -> Float[np.ndarray, "h w"]:
         """Return how far the session's frames have shown each direction from the nearest probe."""
@@ -162,37 +154,41 @@ class ObjectProbes:
             self._session.untrack(handle)
         self._handles.clear()
         self._positions.clear()
-        self._lighting.clear()
-        self._reflection.clear()
+        self.lighting.clear()
+        self.reflection.clear()
 
 
-class _EasedLights:
+class EasedLights:
     """Light at several positions, eased over time."""
 
     def __init__(self) -> None:
+        """Begin without positions."""
         self._lights: list[EasedLight] = []
         self._set: ProbeSet | None = None
         self._at: dict[Position, LightSampler] = {}  # of the present set
 
     def add(self, position: Position, panorama: Float[np.ndarray, "h w 3"]) -> None:
+        """Add a position with its light."""
         self._lights.append(EasedLight(position, panorama))
         self._set = None
 
     def clear(self) -> None:
+        """Forget all positions."""
         self._lights.clear()
         self._set = None
 
     def aim(self, number: int, panorama: Float[np.ndarray, "h w 3"]) -> None:
+        """Change the light toward which that of a position, by its number, moves."""
         self._lights[number].aim(panorama)
 
-    def advance(self, elapsed_s: float) -> bool:
+    def advance(self, elapsed_s: float) -> None:
+        """Move all lights for a time."""
         changes = [light.advance(elapsed_s) for light in self._lights]
-        changed = any(changes)
-        if changed:
+        if any(changes):
             self._set = None
-        return changed
 
     def lights(self) -> ProbeSet:
+        """Return the lights at this moment."""
         if self._set is None or len(self._at) >= MAX_TOTAL:
             self._at.clear()
         if self._set is None:
@@ -200,6 +196,7 @@ class _EasedLights:
         return self._set
 
     def at(self, position: Position) -> LightSampler:
+        """Return the light at a position, mixed from the probes around it."""
         probes = self.lights()
         if len(probes.samplers) == 1:
             return probes.samplers[0]

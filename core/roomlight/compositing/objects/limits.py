@@ -37,7 +37,7 @@ class ObjectLimits:
     triangles: int = 1_000_000
     vertices: int = 1_500_000
     nodes: int = 10_000
-    node_depth: int = 64
+    node_depth: int = 1_000
     parts: int = 2_000
     materials: int = 256
     images: int = 64

@@ -183,28 +183,17 @@ def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, Text
         used = [getattr(material, f"{name}_texture") for name in TEXTURES]
         rows.append([-1 if texture is None else textures.setdefault(texture, len(textures)) for texture in used])
 
-    def column(name: str) -> Float32[np.ndarray, " m"]:
+    def column(name: str) -> Float32[np.ndarray, "m ..."]:
         return np.array([getattr(material, name) for material in materials], np.float32)
 
     cutoffs = [material.alpha_cutoff for material in materials]
     arrays = MaterialArrays(
-        base=np.array([material.base_colour for material in materials], np.float32),
-        metallic=column("metallic"),
-        roughness=column("roughness"),
-        specular=column("specular"),
-        ior=column("ior"),
-        transmission=column("transmission"),
+        base=column("base_colour"),
         is_thin=np.array([material.is_thin for material in materials]),
-        opacity=column("opacity"),
         cutoff=np.array([-1 if cutoff is None else cutoff for cutoff in cutoffs], np.float32),
         one_sided=np.array([material.one_sided for material in materials]),
-        clearcoat=column("clearcoat"),
-        clearcoat_roughness=column("clearcoat_roughness"),
-        sheen=np.array([material.sheen for material in materials], np.float32),
-        sheen_roughness=column("sheen_roughness"),
-        emissive=np.array([material.emissive for material in materials], np.float32),
-        normal_scale=column("normal_scale"),
         texture=np.array(rows, np.int32),
+        **{name: column(name) for name in (*_SHARES, "ior", "sheen", "emissive", "normal_scale")},
     )
     return arrays, texture_arrays(list(textures))
 

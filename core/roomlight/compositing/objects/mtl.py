@@ -1,6 +1,7 @@
 """Read the materials of an OBJ (MTL) and their textures, which lie beside it.
 
-Colours are sRGB, as viewers take them. Shininess becomes roughness as Blender writes it, Ns = 1000 (1 - roughness)^2;
+Colours are sRGB, as viewers take them; Blender's are linear, its pictures replace them, and `Ka` of its metals (`illum`
+3 and 6) is how metallic they are. Shininess becomes roughness as Blender writes it, Ns = 1000 (1 - roughness)^2;
 `Pr` and `Pm` (Wavefront's extension for physically based materials) count instead where they are stated; `Pc` and `Pcr`
 are a clear coat.
 """
@@ -47,14 +48,19 @@ _OPTION: Final = re.compile(
     re.IGNORECASE,
 )
 """An option of a texture with its own values; what follows may begin with a number too."""
+_OF_BLENDER: Final = re.compile(rb"\s*# *Blender\b.*\bMTL File\b", re.IGNORECASE)
+_METAL: Final = ("3", "6")
 _UNREAD: Final = re.compile(r"(?:^| )-(?:imfchan|type|colorspace(?! +srgb)) ", re.IGNORECASE)
 _GAIN: Final = re.compile(r"(?:^| )-mm +(?!0(?:\.0*)? +1(?:\.0*)?(?: |$))")
 
 
 @dataclass
 class _Stated:
-    """The lines of a material."""
+    """The lines of a material; `metallic` is Blender's."""
 
+    of_blender: bool = False
+    illum: str = ""
+    metallic: float = 0.0
     values: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
     pictures: dict[str, str] = field(default_factory=dict[str, str])
 
@@ -91,22 +97,21 @@ class MtlReader:
         """Return the content of a file that lies here under its name, or under the last part of its address."""
         name = self._beside.near(stated) or stated
         if re.search(r"[/\\]", stated) and not re.search(r"[/\\]", name):
-            left_out, effect = (
-                f"{label}: its address {stated[:60]!r}",
-                "the file of this name beside it is read",
-            )
+            left_out = f"{label}: its address {stated[:60]!r}"
+            effect = "the file of this name beside it is read"
             self.notes.append(Note(left_out, effect, "nothing to do if it is that"))
         return self._beside.read(name, label)
 
     def _stated(self, text: bytes) -> dict[str, _Stated]:
         materials: dict[str, _Stated] = {}
+        of_blender = _OF_BLENDER.match(text) is not None
         current = _Stated()
         for raw in text.splitlines():
             key, rest = statement(raw)
             if key != "newmtl" and not key.startswith("map_"):  # names may hold `#`, as 3ds Max's do
                 rest = rest.partition("#")[0].strip()
             if key == "newmtl":
-                current = materials.setdefault(rest, _Stated())
+                current = materials.setdefault(rest, _Stated(of_blender))
             elif key in _VALUES:
                 numbers = finite_numbers(rest.removeprefix("-halo").split()[: _VALUES[key]])
                 if numbers:
@@ -132,8 +137,12 @@ class MtlReader:
                 current.pictures[key] = rest
             elif (key.startswith("map_") and key != "map_aat") or key == "decal":
                 self._left_out.add(f"the texture {key[:40]}")
-            elif key == "illum" and rest == "0":
-                self._left_out.add("light that does not shade it (illum 0)")
+            elif key == "ka" and of_blender:
+                current.metallic = float(np.mean(finite_numbers(rest.split()) or (0.0,)))
+            elif key == "illum":
+                current.illum = rest
+                if rest == "0":
+                    self._left_out.add("light that does not shade it (illum 0)")
         return materials
 
     def _in_range(self, key: str, values: tuple[float, ...]) -> tuple[float, ...]:
@@ -151,9 +160,11 @@ class MtlReader:
 
         base = self._picture(stated, "map_kd", label)
         glow = self._picture(stated, "map_ke", label)
-        colour = _linear(stated.values.get("kd", (1.0,) * 3 if base is not None else (0.8,) * 3))
-        if base is not None and max(colour) == 0:
-            colour = (1.0, 1.0, 1.0)  # exporters write black beside a texture
+        kd, ke = (stated.values.get(key, default) for key, default in (("kd", (0.8,) * 3), ("ke", (0.0,) * 3)))
+        if base is not None and (stated.of_blender or "kd" not in stated.values or max(kd) <= 0):
+            kd = (1.0,) * 3  # exporters write black beside a texture, Blender 0.8
+        if glow is not None and (stated.of_blender or "ke" not in stated.values):
+            ke = (1.0,) * 3
         if "map_ka" in stated.pictures and base is None:  # beside the other it is the same
             self._left_out.add("the texture map_ka")
         cut_out = "map_d" in stated.pictures
@@ -163,8 +174,8 @@ class MtlReader:
         ior = stated.values.get("ni", (1.5,))[0]
         shininess = min(max(stated.values.get("ns", (0.0,))[0], 0.0), 1000.0)
         return Material(
-            base_colour=colour,
-            metallic=share("pm", 0.0),
+            base_colour=_linear(kd, is_linear=stated.of_blender),
+            metallic=share("pm", stated.metallic if stated.illum in _METAL else 0.0),
             roughness=share("pr", 1 - math.sqrt(shininess / 1000)),
             specular=1.0 if "pr" in stated.values else min(2 * float(np.mean(stated.values.get("ks", (0.0,)))), 1.0),
             ior=ior if 1.05 < ior <= 3 else 1.5,
@@ -172,7 +183,7 @@ class MtlReader:
             alpha_cutoff=0.5 if cut_out else None,
             clearcoat=share("pc", 0.0),
             clearcoat_roughness=share("pcr", 0.0),
-            emissive=_linear(stated.values.get("ke", (1.0,) * 3 if glow is not None else (0.0,) * 3), most=1e6),
+            emissive=_linear(ke, most=1e6, is_linear=stated.of_blender),
             base_colour_texture=None if base is None else Texture.from_srgb8(base if cut_out else base[..., :3]),
             emissive_texture=None if glow is None else Texture.from_srgb8(glow[..., :3]),
         )
@@ -222,8 +233,10 @@ def finite_numbers(words: list[str]) -> tuple[float, ...]:
     return numbers if all(math.isfinite(number) for number in numbers) else ()
 
 
-def _linear(colour: tuple[float, ...], most: float = 1.0) -> Colour:
+def _linear(colour: tuple[float, ...], most: float = 1.0, *, is_linear: bool = False) -> Colour:
     """Decode sRGB; a colour whose largest value is above 1 is that many times as bright."""
     values = np.clip(np.array(colour, np.float64), 0, most)
+    if is_linear:
+        return colour_of(values)
     times = max(float(values.max()), 1.0)
     return colour_of(times * srgb_to_linear(values / times))

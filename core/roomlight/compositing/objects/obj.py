@@ -3,13 +3,12 @@
 Colours at vertices are sRGB.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int32, Int64
+from jaxtyping import Float, Int32, Int64
 
 from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.limits import NAN, ObjectLimits, plain_text, statement
@@ -139,8 +138,10 @@ def read_obj(
     materials, notes = _materials(content, beside, limits, name)
     parts: list[tuple[TriangleMesh, Material]] = []
     lost = Note(f"{name}: vertex colours beside a texture", "the texture alone is shown", "bake them into it")
-    for number, chosen in _by_material(np.array(content.used, np.int64)[owner], bool(materials)):
-        part = np.repeat(chosen, 3)
+    # one part if no material was read
+    used = np.array(content.used, np.int64)[owner] if materials else np.full(len(owner), -1)
+    for number in np.unique(used).tolist():
+        part = np.repeat(used == number, 3)
         tints = None if colours is None else colours[corners[at[part], 0]]
         with np.errstate(over="ignore"):
             try:
@@ -155,15 +156,6 @@ def read_obj(
         parts.append((mesh, material))
     limits.check("parts", len(parts), name)
     return tuple(parts), (*notes, *moved, *turned)
-
-
-def _by_material(used: Int64[np.ndarray, " f"], apart: bool) -> Iterator[tuple[int, Bool[np.ndarray, " f"]]]:
-    """Yield each material's number and its triangles; all together if no material was read."""
-    if not apart:
-        yield -1, np.ones(len(used), bool)
-        return
-    for number in np.unique(used).tolist():
-        yield number, used == number
 
 
 def _materials(

@@ -66,7 +66,7 @@ def read_ply(
 ) -> tuple[tuple[tuple[TriangleMesh, Material], ...], tuple[Note, ...]]:
     """Read a PLY file; see `roomlight.compositing.loading`. Raises ObjectError."""
     data = data.removeprefix(b"\xef\xbb\xbf")
-    match = re.search(rb"\nend_header[ \t]*(\r\n|\n|\r)", data[:_HEADER_BYTES])
+    match = re.search(rb"\nend_header[ \t]*(\r\n|\n|\r)|\rend_header[ \t]*\r", data[:_HEADER_BYTES])
     if match is None:
         raise ObjectError(f"{name}: the PLY header does not end within {_HEADER_BYTES} bytes")
     order, elements, notes = _header(data[: match.start()].decode("latin-1"), name)

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from roomlight.compositing.objects.materials import Material, diffuse
 from roomlight.compositing.objects.polygons import face_normals
+from roomlight.compositing.objects.primitives import check_length, grid_faces, merged
 from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
 from roomlight.errors import ObjectError
 
@@ -49,21 +50,13 @@ def teapot(height_m: float = 0.16, material: Material | None = None, *, parts: i
     Raises:
         ObjectError: The height is not positive, or `parts` is not 2 to 64.
     """
-    if not np.isfinite(height_m) or height_m <= 0:
-        raise ObjectError(f"height_m must be a positive number of metres, got {height_m}")
+    check_length("height_m", height_m)
     if not 2 <= parts <= 64:
         raise ObjectError(f"parts must be 2 to 64, got {parts}")
     pot, lid = (_surface([_turned(row) for row in rows], parts) for rows in (_TURNED[:4], _TURNED[4:]))
     tubes = [_surface([_tube(row) for row in rows], parts) for rows in (_HANDLE, _SPOUT)]
     pieces = [_mesh(pot), _mesh(lid), *(_mesh(tube) for tube in tubes)]
-    firsts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
-    mesh = TriangleMesh.build(
-        np.concatenate([piece.vertices for piece in pieces]) * (height_m / _HEIGHT),
-        np.concatenate([piece.faces + first for piece, first in zip(pieces, firsts, strict=False)]),
-        normals=np.concatenate([piece.normals for piece in pieces]),
-        uvs=np.concatenate([piece.uvs for piece in pieces]),
-    )
-    return VirtualObject("teapot", ((mesh, material or diffuse()),))
+    return VirtualObject("teapot", ((merged(pieces, height_m / _HEIGHT), material or diffuse()),))
 
 
 def _turned(profile: tuple[tuple[float, float], ...]) -> Points:
@@ -103,10 +96,7 @@ def _mesh(grid: Points) -> TriangleMesh:
     """Make a mesh of a grid whose last column is its first; faces without an area are left out."""
     rows, columns = grid.shape[:2]
     points = grid.reshape(-1, 3)
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).reshape(-1)
-    down, right = corner + columns, corner + 1
-    faces = np.concatenate([np.stack([corner, down, right], 1), np.stack([right, down, down + 1], 1)])
-    faces = faces[np.linalg.norm(face_normals(points, faces), axis=1) > 1e-9]
+    faces = grid_faces(grid)
     v, u = np.meshgrid(np.arange(rows) / (rows - 1), np.arange(columns) / (columns - 1), indexing="ij")
     return TriangleMesh.build(
         points, faces, normals=_normals(grid, faces), uvs=np.stack([u, v], axis=-1).reshape(-1, 2)

@@ -84,24 +84,43 @@ class TriangleMesh:
         return _unit(total, np.broadcast_to(np.array([0.0, 1.0, 0.0]), total.shape))
 
     def with_tangents(self) -> "TriangleMesh":
-        """Return the mesh with a tangent at each vertex: the faces' directions of growing u, by area, made normal."""
+        """Return the mesh with a tangent at each vertex: the faces' directions of growing u, by area, made normal.
+
+        Vertices where a texture meets its mirror image are there twice (MikkTSpace): their directions are opposed.
+        """
         if self.tangents is not None:
             return self
-        corner = [self.vertices[self.faces[:, k]].astype(np.float64) for k in range(3)]
-        texture = [self.uvs[self.faces[:, k]].astype(np.float64) for k in range(3)]
+        areas = self._texture_areas()
+        mesh = self._split(areas)
+        corner = [mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3)]
         e1, e2 = corner[1] - corner[0], corner[2] - corner[0]
-        (u1, v1), (u2, v2) = (texture[1] - texture[0]).T, (texture[2] - texture[0]).T
-        # Signed area in the texture: a mirrored half of a texture turns the bitangent round.
-        mirrored = np.where(u1 * v2 - u2 * v1 < 0, -1.0, 1.0)
+        texture = [mesh.uvs[mesh.faces[:, k], 1].astype(np.float64) for k in range(3)]
+        v1, v2 = texture[1] - texture[0], texture[2] - texture[0]
+        mirrored = np.where(areas < 0, -1.0, 1.0)  # a mirrored half of a texture turns the bitangent round
         along = (e1 * v2[:, None] - e2 * v1[:, None]) * mirrored[:, None]
-        total = np.stack([self._at_vertices(along[:, axis]) for axis in range(3)], axis=1)
-        normals = self.normals.astype(np.float64)
+        total = np.stack([mesh._at_vertices(along[:, axis]) for axis in range(3)], axis=1)
+        normals = mesh.normals.astype(np.float64)
         total -= (total * normals).sum(1, keepdims=True) * normals
         axis = np.where(np.abs(normals[:, :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
         tangent = _unit(total, _unit(np.cross(axis, normals), axis))
         # glTF's bitangent is cross(n, t) w and points up the image: against v.
-        sign = np.where(self._at_vertices(mirrored) < 0, 1.0, -1.0)
-        return replace(self, tangents=np.concatenate([tangent, sign[:, None].astype(np.float32)], axis=1))
+        sign = np.where(mesh._at_vertices(mirrored) < 0, 1.0, -1.0)
+        return replace(mesh, tangents=np.concatenate([tangent, sign[:, None].astype(np.float32)], axis=1))
+
+    def _texture_areas(self) -> Float[np.ndarray, " f"]:
+        """Return twice each face's signed area in the texture."""
+        a, b, c = (self.uvs[self.faces[:, k]].astype(np.float64) for k in range(3))
+        return (b - a)[:, 0] * (c - a)[:, 1] - (c - a)[:, 0] * (b - a)[:, 1]
+
+    def _split(self, areas: Float[np.ndarray, " f"]) -> "TriangleMesh":
+        """Give faces of negative area their own vertices where faces of positive area use them too."""
+        count = len(self.vertices)
+        shared = np.flatnonzero((self._at_vertices(1.0 * (areas > 0)) > 0) & (self._at_vertices(1.0 * (areas < 0)) > 0))
+        own = np.arange(count, dtype=np.int32)
+        own[shared] = count + np.arange(len(shared))
+        at = np.concatenate([np.arange(count), shared])
+        faces = np.where(areas[:, None] < 0, own[self.faces], self.faces)
+        return replace(self, vertices=self.vertices[at], normals=self.normals[at], uvs=self.uvs[at], faces=faces)
 
     def transformed(self, transform: Float[np.ndarray, "4 4"]) -> "TriangleMesh":
         """Apply an affine transform; normals go with the inverse transpose, and a mirror image turns faces round.

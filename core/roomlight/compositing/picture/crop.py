@@ -1,6 +1,7 @@
 """A rectangle of an image, and the camera that sees only it: compositing works where objects and shadows are."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -58,6 +59,9 @@ class Crop:
         )
 
 
+NO_CROP: Final = Crop(0, 0, 0, 0)
+
+
 @dataclass(frozen=True)
 class CropCamera:
     """A pinhole camera whose principal point may lie anywhere; pixel centres are at half integers."""
@@ -102,7 +106,7 @@ def crop_of_sphere(
     matrix = rigid_inverse(camera_to_world)
     x, y, z = matrix[:3, :3] @ centre + matrix[:3, 3]
     if -z < -radius_m:
-        return Crop(0, 0, 0, 0)
+        return NO_CROP
     near = -z - radius_m
     if near < 0.05 * radius_m + 1e-3:
         return Crop(0, 0, camera.width, camera.height)

@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Int32, UInt8
 
-from roomlight.compositing.picture.crop import Crop
-from roomlight.compositing.picture.stage_clock import StageClock
+from roomlight.compositing.picture.crop import NO_CROP, Crop
 from roomlight.conventions import linear_to_srgb8
 from roomlight.frame import Frame
 from roomlight.images import encode_png
@@ -21,7 +20,7 @@ class Composite:
     """A frame with objects, and its layers: image = frame x shadow x (1 - alpha) + objects.
 
     In memory the shadow has the pixels of `crop` and the other layers those of `object_crop`; the properties are of
-    the frame's size.
+    the frame's size. Without crops and their layers it is a frame that no object changes.
 
     Attributes:
         image: [h, w, 3] 8-bit sRGB, with the camera's noise on the objects.
@@ -37,16 +36,16 @@ class Composite:
 
     image: UInt8[np.ndarray, "h w 3"]
     frame: Frame
-    crop: Crop
-    object_crop: Crop
     stage_ms: dict[str, float]
+    stage_cpu_ms: dict[str, float]
     waiting: tuple[str, ...]
-    crop_objects: Float32[np.ndarray, "oh ow 3"]
-    crop_alpha: Float32[np.ndarray, "oh ow"]
-    crop_shadow: Float32[np.ndarray, "ch cw 3"]
-    crop_depth_m: Float32[np.ndarray, "oh ow"]
-    crop_object_id: Int32[np.ndarray, "oh ow"]
-    stage_cpu_ms: dict[str, float] = field(default_factory=dict[str, float])
+    crop: Crop = NO_CROP
+    object_crop: Crop = NO_CROP
+    crop_objects: Float32[np.ndarray, "oh ow 3"] = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
+    crop_alpha: Float32[np.ndarray, "oh ow"] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    crop_shadow: Float32[np.ndarray, "ch cw 3"] = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
+    crop_depth_m: Float32[np.ndarray, "oh ow"] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    crop_object_id: Int32[np.ndarray, "oh ow"] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
     samples: int = 0
     visible: dict[int, float] = field(default_factory=dict[int, float])
 
@@ -91,28 +90,6 @@ class Composite:
         whole = np.full((*self.frame.image.shape[:2], *part.shape[2:]), outside, part.dtype)
         whole[crop.slices] = part
         return whole
-
-
-def unchanged(
-    frame: Frame, image: UInt8[np.ndarray, "h w 3"], clock: StageClock, waiting: tuple[str, ...]
-) -> Composite:
-    """Return a frame that no object changes."""
-    nothing = np.zeros((0, 0), np.float32)
-    colour = np.zeros((0, 0, 3), np.float32)
-    return Composite(
-        image=image,
-        frame=frame,
-        crop=Crop(0, 0, 0, 0),
-        object_crop=Crop(0, 0, 0, 0),
-        stage_ms=clock.wall_ms,
-        stage_cpu_ms=clock.cpu_ms,
-        waiting=waiting,
-        crop_objects=colour,
-        crop_alpha=nothing,
-        crop_shadow=colour,
-        crop_depth_m=nothing,
-        crop_object_id=nothing.astype(np.int32),
-    )
 
 
 def encode_srgb8(linear: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:

@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from roomlight.camera import Intrinsics, rigid_inverse
-from roomlight.compositing.kernels.depth_views import FREE, ON_SURFACE, DepthView, classify_points
+from roomlight.camera import Intrinsics
+from roomlight.compositing.kernels.depth_views import FREE, ON_SURFACE, classify_points
 from roomlight.engine.session import Session
-from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.surface.mesh import DepthView, FrameMesh
 from roomlight.rays import RayTree
 from roomlight.threads import parallel_for
 
@@ -40,6 +40,7 @@ class _Piece:
 
     index: int
     view: DepthView
+    measured: Bool[np.ndarray, "h w"]
     focal_px: float
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "n 3"]
@@ -79,8 +80,8 @@ class RoomGeometry:
         """Number of triangles of the fused mesh."""
         return sum(len(piece.faces) for piece in self._pieces)
 
-    def update(self, session: Session, *, latest: bool = True) -> bool:
-        """Add the meshes that the session gained; return whether there were any.
+    def update(self, session: Session, *, latest: bool = True) -> None:
+        """Add the meshes that the session gained.
 
         Args:
             latest: also add the last frame if it is no keyframe.
@@ -88,24 +89,23 @@ class RoomGeometry:
         meshes = session.meshes
         if not latest and len(meshes) > session.keyframes:
             meshes = meshes[:-1]
-        new = [(index, mesh) for index, mesh in meshes if index not in self._added]
-        for index, mesh in new:
-            self.add(index, mesh)
-        return bool(new)
+        for index, mesh in meshes:
+            if index not in self._added:
+                self.add(index, mesh)
 
     def add(self, index: int, mesh: FrameMesh) -> None:
         """Fuse one frame's mesh; `index` identifies the frame."""
         self._added.add(index)
         piece = _piece_of(index, mesh)
         for other in self._pieces:
-            seen = _classify(other.centres, piece.view)
+            seen = _classify(other.centres, piece)
             replaced = (seen == ON_SURFACE) & (
                 _spacing(other.centres, piece.view, piece.focal_px) < FINER * other.spacing_m
             )
             other.keep((seen != FREE) & ~replaced)
         new = np.ones(len(piece.faces), bool)
         for other in self._pieces:
-            covered = _classify(piece.centres, other.view) == ON_SURFACE
+            covered = _classify(piece.centres, other) == ON_SURFACE
             new &= ~(covered & (_spacing(piece.centres, other.view, other.focal_px) * FINER <= piece.spacing_m))
         piece.keep(new)
         self._pieces.append(piece)
@@ -168,18 +168,13 @@ class RoomGeometry:
 
 
 def _piece_of(index: int, mesh: FrameMesh) -> _Piece:
-    lens = mesh.grid_camera
-    view = DepthView(
-        rigid_inverse(mesh.camera_to_world)[:3].astype(np.float32),
-        np.array([lens.fx, lens.fy, lens.cx, lens.cy], np.float32),
-        mesh.grid_depth_m,
-        mesh.measured,
-    )
+    lens, view = mesh.grid_camera, mesh.depth_view
     faces = mesh.faces[mesh.measured.reshape(-1)[mesh.faces].all(axis=1)]
     corners = mesh.vertices[faces]
     centres = corners.mean(axis=1, dtype=np.float32)
     focal_px = (lens.fx + lens.fy) / 2
-    return _Piece(index, view, focal_px, mesh.vertices, faces, centres, _spacing(centres, view, focal_px))
+    spacing_m = _spacing(centres, view, focal_px)
+    return _Piece(index, view, mesh.measured, focal_px, mesh.vertices, faces, centres, spacing_m)
 
 
 def _spacing(points: Float[np.ndarray, "n 3"], view: DepthView, focal_px: float) -> Float[np.ndarray, " n"]:
@@ -188,8 +183,8 @@ def _spacing(points: Float[np.ndarray, "n 3"], view: DepthView, focal_px: float)
     return np.abs(points @ row[:3] + row[3]) / np.float32(focal_px)
 
 
-def _classify(points: Float[np.ndarray, "n 3"], view: DepthView) -> Int[np.ndarray, " n"]:
+def _classify(points: Float[np.ndarray, "n 3"], piece: _Piece) -> Int[np.ndarray, " n"]:
     out = np.empty(len(points), np.int8)
-    margins = np.float32(MARGIN_M), np.float32(MARGIN_SHARE)
-    parallel_for(lambda start, stop: classify_points(points, view, *margins, out, start, stop), len(points))
+    arguments = points, piece.view, piece.measured, np.float32(MARGIN_M), np.float32(MARGIN_SHARE), out
+    parallel_for(lambda start, stop: classify_points(*arguments, start, stop), len(points))
     return out

@@ -60,18 +60,15 @@ class MaterialSpec(_Model):
 
     def build(self) -> Material:
         """Make the material."""
-        white = (1.0, 1.0, 1.0)
-        if self.kind == "diffuse":
-            return materials.diffuse(self.base_colour or (0.8, 0.8, 0.8))
-        if self.kind == "glossy":
-            return materials.glossy(
-                self.base_colour or (0.8, 0.8, 0.8), 0.2 if self.roughness is None else self.roughness
-            )
-        if self.kind == "metal":
-            return materials.rough_metal(0.5 if self.roughness is None else self.roughness, self.base_colour or white)
         if self.kind == "glass":
-            return materials.glass(tint=self.base_colour or white)
-        return materials.mirror()
+            return materials.glass(tint=self.base_colour or (1.0, 1.0, 1.0))
+        makers = {
+            "diffuse": materials.diffuse,
+            "glossy": materials.glossy,
+            "metal": materials.rough_metal,
+            "mirror": materials.mirror,
+        }
+        return makers[self.kind](**self.model_dump(exclude={"kind"}, exclude_none=True))
 
     @model_validator(mode="after")
     def _refuse_unused(self) -> "MaterialSpec":

@@ -3,20 +3,12 @@
 from importlib import import_module
 from importlib.util import find_spec
 from threading import Lock
-from typing import Protocol, cast
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
 
 _LOCK = Lock()
-
-
-class _OpenImageDenoise(Protocol):
-    """The part of the module `pyoidn` that is used; the module is optional, so it is not imported by name."""
-
-    def denoise(self, color: np.ndarray, *, albedo: np.ndarray, normal: np.ndarray, hdr: bool) -> np.ndarray:
-        """Return a clean copy of a picture [h, w, 3]."""
-        ...
 
 
 def denoiser_name() -> str:
@@ -37,7 +29,7 @@ def denoise(
     """
     if denoiser_name() == "none":
         return radiance
-    oidn = cast(_OpenImageDenoise, import_module("pyoidn"))
+    oidn: Any = import_module("pyoidn")
     rows, columns = (np.flatnonzero(alpha.any(axis=axis)) for axis in (1, 0))
     if len(rows) == 0:
         return radiance

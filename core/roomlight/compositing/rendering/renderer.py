@@ -68,6 +68,13 @@ _SMOOTHED_NOISE: Final = 2 * _LEAST_NOISE
 """The same before neighbours are averaged."""
 _BLOCK_RAYS: Final = 1 << 15
 """Rays of a block: 6 MB of paths, which stay in a core's cache."""
+_NO_SUPPORTS: Final = Supports(
+    *(np.zeros((0, columns), np.float32) for columns in (3, 3, 4)),
+    carriers=np.zeros(0, np.int32),
+    ends_m=np.zeros(0, np.float32),
+    reach_m=1.0,
+)
+"""Objects stand on nothing: all light is far away."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +203,7 @@ def render_objects(
         light = lights.environment if settings.samples else lights.panoramas
         is_open = scene.is_open() if settings.samples else np.zeros(0, bool)
         stage = scene.surfaces, scene.materials, scene.textures
-        world = _World(*stage, light, lobe_table(), supports or no_supports(), is_open)
+        world = _World(*stage, light, lobe_table(), supports or _NO_SUPPORTS, is_open)
         row, column = np.divmod(pixels, camera.width)
         key = _mixed_keys(pixels, seed)
         view = _View(pose, camera.fx, camera.fy, camera.cx, camera.cy, column, row, key, jitter=True)
@@ -212,12 +219,6 @@ def render_objects(
         radiance = _smoothed(film, pixels, camera)
     depth_m, object_id = film.depth_m.reshape(shape), film.object_id.reshape(shape)
     return RenderedObjects(radiance, alpha, depth_m, object_id, settings.samples)
-
-
-def no_supports() -> Supports:
-    """Return that objects stand on nothing: all light is far away."""
-    points, normals, spheres = (np.zeros((0, columns), np.float32) for columns in (3, 3, 4))
-    return Supports(points, normals, spheres, np.zeros(0, np.int32), np.zeros(0, np.float32), reach_m=1.0)
 
 
 def _checked_settings(quality: str | RenderSettings) -> RenderSettings:
@@ -238,7 +239,7 @@ def _pixels_around(scene: TracedObjects, camera: Intrinsics, pose: Float[np.ndar
     """Return the pixels, row by row, of the rectangles around the objects' projected boxes."""
     inverse = rigid_inverse(pose)
     mask = np.zeros((camera.height, camera.width), bool)
-    for low, high in scene.bounds():
+    for low, high in scene.bounds:
         corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
         local = corners @ inverse[:3, :3].T + inverse[:3, 3]
         nearest, farthest = -local[:, 2].max(), -local[:, 2].min()
@@ -470,7 +471,7 @@ def _add_background(world: _World, rays: _Queue, film: _Film, background: Backgr
     unknown = ~np.isfinite(seen).all(axis=1)
     if unknown.any():
         light = np.empty((int(unknown.sum()), 3), np.float32)
-        fill_radiance(world.light, rays.origin[unknown], rays.direction[unknown], light, 0, len(light))
+        fill_radiance(world.light, rays.origin[unknown], rays.direction[unknown], light)
         seen[unknown] = light
     film.radiance[rays.slot] += rays.light * seen  # a slot has one path: no index comes twice
 

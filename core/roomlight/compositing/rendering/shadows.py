@@ -206,8 +206,8 @@ def shadow_ratio(
     for caster, (part, occluder_m) in zip(casters, parts, strict=True):
         fine = grid.known & (occluder_m < _CONTACT_PIXELS * pixel_m) & (part.min(axis=-1) < _CONTACT_RATIO)
         if step > 1 and fine.any():
-            coarse = _Coarse(part, grid.known, coarse_depth, fine)
-            _add_contact(out, caster, coarse, depth_m, (camera, camera_to_world, supports), quality)
+            coarse = part, grid.known, coarse_depth
+            _add_contact(out, caster, coarse, fine, depth_m, (camera, camera_to_world, supports), quality)
     if white is not None and white.any():
         box = np.ones((5, 5), np.uint8)
         near = grid.known & (cv2.dilate(np.ascontiguousarray(white[step // 2 :: step, step // 2 :: step]), box) > 0)
@@ -242,27 +242,21 @@ def _grey(
     )
 
 
-@dataclass(frozen=True)
-class _Coarse:
-    """The ratio of one caster on every `step`-th pixel, and which of these have detail between them: `fine`."""
-
-    ratio: Float32[np.ndarray, "h w 3"]
-    known: Bool[np.ndarray, "h w"]
-    depth_m: Float32[np.ndarray, "h w"]
-    fine: Bool[np.ndarray, "h w"]
-
-
 def _add_contact(
     out: Float32[np.ndarray, "fh fw 3"],
     caster: Caster,
-    coarse: _Coarse,
+    coarse: tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w"]],
+    detailed_at: Bool[np.ndarray, "h w"],
     depth_m: Float[np.ndarray, "fh fw"],
     view: tuple[CropCamera, Float[np.ndarray, "4 4"], list[Plane]],
     quality: ShadowQuality,
 ) -> None:
-    """Replace a caster's interpolated ratio by that of a grid twice as fine where it touches a surface, in place."""
+    """Replace a caster's interpolated ratio by that of a grid twice as fine where it touches a surface, in place.
+
+    `coarse` is the ratio on every `step`-th pixel, where it is known, and the depth; `detailed_at` has detail between.
+    """
     step, fine, (camera, pose, supports) = quality.step, quality.step // 2, view
-    soft = cv2.blur(cv2.dilate(coarse.fine.astype(np.float32), np.ones((3, 3), np.uint8)), (3, 3))
+    soft = cv2.blur(cv2.dilate(detailed_at.astype(np.float32), np.ones((3, 3), np.uint8)), (3, 3))
     crops: list[slice] = []
     for axis in (0, 1):
         used = np.flatnonzero(soft.any(axis=1 - axis))
@@ -282,8 +276,8 @@ def _add_contact(
     grid = grid._replace(known=grid.known & (share[fine // 2 :: fine, fine // 2 :: fine] > 0.1))
     detailed, _ = coarse_ratio(caster, grid, quality)
     detailed = spread_ratio(detailed, grid.known, sampled, part, fine)
-    cut = [np.ascontiguousarray(values[rows, columns]) for values in (coarse.ratio, coarse.known, coarse.depth_m)]
-    change = detailed / np.maximum(spread_ratio(cut[0], cut[1], cut[2], part, step), RATIO_RANGE[0])
+    ratio, known, coarse_m = (np.ascontiguousarray(values[rows, columns]) for values in coarse)
+    change = detailed / np.maximum(spread_ratio(ratio, known, coarse_m, part, step), RATIO_RANGE[0])
     share *= cv2.resize(grid.known.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
     out[box] *= 1 + share[..., None] * (change - 1)
 
@@ -417,13 +411,9 @@ def _at_least_seen(
 
 
 def _rays(count: int, channels: int) -> Rays:
-    return Rays(
-        np.empty((count, 3), np.float32),
-        np.empty((count, 3), np.float32),
-        np.empty(count, np.int32),
-        np.empty(count, np.int32),
-        np.empty((count, channels), np.float32),
-    )
+    origin, direction = np.empty((2, count, 3), np.float32)
+    point, target = np.empty((2, count), np.int32)
+    return Rays(origin, direction, point, target, np.empty((count, channels), np.float32))
 
 
 def _first(rays: Rays, count: int) -> Rays:

@@ -49,13 +49,6 @@ def is_rigid(transform: Float[np.ndarray, "4 4"]) -> bool:
     return bool(exact and np.abs(transform[3] - [0, 0, 0, 1]).max() < _RIGID)
 
 
-class _Shift(NamedTuple):
-    """How rays go from the world to a tree that was built elsewhere: rotation [3, 3] and offset [3]."""
-
-    rotation: Float32[np.ndarray, "3 3"]
-    offset_m: Float32[np.ndarray, "3"]
-
-
 class TracedObjects:
     """Objects with their tree; safe to use from several threads, and worth keeping while the objects rest.
 
@@ -64,6 +57,7 @@ class TracedObjects:
         surfaces: All triangles in the world.
         materials: Of the triangles.
         textures: Of the materials.
+        bounds: [n, 2, 3] least and greatest corner of each object's box, in world metres; not to be written.
     """
 
     def __init__(self, objects_in_world: Sequence[VirtualObject]) -> None:
@@ -80,12 +74,12 @@ class TracedObjects:
             raise ObjectError(
                 f"the objects have {triangles} triangles together, at most {MAX_TRIANGLES}: simplify them"
             )
-        self._bounds = np.stack([item.bounds() for item in self.objects])
-        self._bounds.setflags(write=False)
+        self.bounds = np.stack([item.bounds() for item in self.objects])
+        self.bounds.setflags(write=False)
         self.surfaces, materials = _flatten(self.objects)
         self.materials, self.textures = material_arrays(materials)
         self._tree = RayTree(*_indexed(self.objects))
-        self._shift: _Shift | None = None
+        self._shift: tuple[Float32[np.ndarray, "3 3"], Float32[np.ndarray, " 3"]] | None = None
         self._base: TracedObjects = self
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> "TracedObjects":
@@ -114,17 +108,13 @@ class TracedObjects:
         )
         inverse = rigid_inverse(transform)
         copied._base = base
-        copied._shift = _Shift(inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32))
+        copied._shift = inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32)
         copied.__dict__.pop("shade_radii", None)  # seen from above, a turned object is another size
         boxes = np.tile(np.array([[np.inf], [-np.inf]]), (len(base.objects), 1, 3))
         grow_boxes(copied.surfaces.corners, surfaces.object_id, boxes)
-        copied._bounds = boxes
-        copied._bounds.setflags(write=False)
+        copied.bounds = boxes
+        copied.bounds.setflags(write=False)
         return copied
-
-    def bounds(self) -> Float[np.ndarray, "n 2 3"]:
-        """Return each object's box: least and greatest corner in world metres."""
-        return self._bounds
 
     @cached_property
     def shade_radii(self) -> Float32[np.ndarray, " n"]:
@@ -170,7 +160,7 @@ class TracedObjects:
 
     def offset_m(self) -> float:
         """Return how far off a surface rays start: beyond float32's rounding, far below the objects' size."""
-        boxes = self._bounds
+        boxes = self.bounds
         extent = float((boxes[:, 1] - boxes[:, 0]).max())
         return max(2e-5 * extent, 2e-6 * float(np.abs(boxes).max()), 1e-7)
 
@@ -226,13 +216,13 @@ def _flatten(objects: Sequence[VirtualObject]) -> tuple[Surfaces, list[Material]
                 rows[id(material)] = len(materials)
                 materials.append(material)
             count = len(mesh.faces)
-            tangents = mesh.with_tangents().tangents if bent else None
+            mesh = mesh.with_tangents() if bent else mesh
             pieces.append(
                 Surfaces(
                     corners=mesh.vertices[mesh.faces],
                     normals=mesh.normals[mesh.faces],
                     uvs=mesh.uvs[mesh.faces],
-                    tangents=np.zeros((0, 3, 4), np.float32) if tangents is None else tangents[mesh.faces],
+                    tangents=np.zeros((0, 3, 4), np.float32) if mesh.tangents is None else mesh.tangents[mesh.faces],
                     material=np.full(count, rows[id(material)], np.int32),
                     object_id=np.full(count, index, np.int32),
                     part=np.full(count, number, np.int32),

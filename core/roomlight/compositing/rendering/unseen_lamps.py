@@ -148,7 +148,16 @@ class ShadowLights:
             known: at the object's position.
             observed: returns the share of each of its directions that frames have shown.
         """
-        lamps = self._lamps_at(known, observed, surface, room, session)
+        at = np.array(known.position)
+        near = [item for item in self._lamps if np.linalg.norm(at - item[0]) < _SAME_PLACE_M]
+        if near and room.version < 1.5 * near[0][1]:
+            lamps = near[0][2]
+        else:
+            meshes = [mesh for _, mesh in session.meshes]
+            lamps = unseen_lamps(surface, at, room, meshes, known.panorama, observed())
+            self._lamps = [item for item in self._lamps if all(item is not old for old in near)][-_MOST_PLACES:]
+            self._lamps.append((known.position, room.version, lamps))
+            self._made.clear()
         if lamps is None:
             return known
         before = self._made.get(known.position)
@@ -157,25 +166,6 @@ class ShadowLights:
                 self._made.clear()
             before = self._made[known.position] = known, LightSampler(lamps.added_to(known.panorama), known.position)
         return before[1]
-
-    def _lamps_at(
-        self,
-        known: LightSampler,
-        observed: Callable[[], Float[np.ndarray, "h w"]],
-        surface: Plane,
-        room: RoomGeometry,
-        session: Session,
-    ) -> UnseenLamps | None:
-        at = np.array(known.position)
-        near = [item for item in self._lamps if np.linalg.norm(at - item[0]) < _SAME_PLACE_M]
-        if near and room.version < 1.5 * near[0][1]:
-            return near[0][2]
-        meshes = [mesh for _, mesh in session.meshes]
-        made = unseen_lamps(surface, at, room, meshes, known.panorama, observed())
-        self._lamps = [item for item in self._lamps if all(item is not old for old in near)][-_MOST_PLACES:]
-        self._lamps.append((known.position, room.version, made))
-        self._made.clear()
-        return made
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 from roomlight.compositing.objects.beside import FilesBeside
 from roomlight.compositing.objects.gltf.container import resource
 from roomlight.compositing.objects.gltf.ktx2 import KTX2, decode_ktx2
-from roomlight.compositing.objects.gltf.schema import Gltf
+from roomlight.compositing.objects.gltf.schema import Gltf, Sampler
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.pictures import PictureReader
 from roomlight.errors import ObjectError
@@ -18,6 +18,7 @@ from roomlight.errors import ObjectError
 _SOURCES = ("EXT_texture_webp", "EXT_texture_avif")
 _BASIS = "KHR_texture_basisu"
 REPEAT, MIRRORED, CLAMPED = 10497, 33648, 33071
+_NEAREST = 9728
 
 
 class Images:
@@ -58,11 +59,18 @@ class Images:
 
     def wraps(self, texture: int) -> tuple[int, int]:
         """Return how a texture goes on outside [0, 1] across and down: REPEAT, MIRRORED or CLAMPED."""
+        sampler = self._sampler(texture)
+        return sampler.wrapS, sampler.wrapT
+
+    def is_nearest(self, texture: int) -> bool:
+        """Return whether texels have edges from near."""
+        return self._sampler(texture).magFilter == _NEAREST
+
+    def _sampler(self, texture: int) -> Sampler:
         stated = self._gltf.textures[texture] if texture < len(self._gltf.textures) else None
         if stated is None or stated.sampler is None or stated.sampler >= len(self._gltf.samplers):
-            return REPEAT, REPEAT
-        sampler = self._gltf.samplers[stated.sampler]
-        return sampler.wrapS, sampler.wrapT
+            return Sampler()
+        return self._gltf.samplers[stated.sampler]
 
     def _image(self, index: int) -> UInt8[np.ndarray, "h w c"] | None:
         label = f"{self._name}: images.{index}"

@@ -25,14 +25,22 @@ from roomlight.compositing.objects.gltf.schema import (
     Volume,
 )
 from roomlight.compositing.objects.limits import PassedLimitError
-from roomlight.compositing.objects.materials import MAX_IOR, TEXTURES, Material, colour_of
+from roomlight.compositing.objects.materials import MAX_IOR, TEXTURES, Colour, Material, colour_of
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
 from roomlight.conventions import LUMINANCE, linear_to_srgb8, srgb8_to_linear
 from roomlight.errors import ObjectError
 from roomlight.notes import Note
 
+_COLOURS = ("base", "emissive", "sheen")
 _DIELECTRIC = 0.04
+_TIMES = 16
+_ENLARGED_TEXELS = 4 * MAX_TEXTURE_SIZE**2
+"""Of all textures that are enlarged, so that their texels keep their edges."""
 _MAX_GLASS_IOR = 3.0
+_REPEATED_TEXELS = 16 * MAX_TEXTURE_SIZE**2
+"""Of all textures that are made anew for other coordinates."""
+_EVEN = 0.02
+"""Deviation of what is called even."""
 _MOST_CLEAR = 0.1
 """Roughness of glass above which what is behind it would be blurred."""
 
@@ -48,6 +56,8 @@ class Surface:
         opaque: Whether alpha counts for nothing.
         double_sided: Whether the file says that it shows from behind.
         unlit: Whether the surface shows its base colour as it is (`unlit_of`, after vertex colours).
+        attenuation: Colour of glass as thick as its attenuation distance.
+        thickness: Of glass, in attenuation distances, where its node does not scale it.
         notes: What was left out.
     """
 
@@ -57,7 +67,16 @@ class Surface:
     opaque: bool = True
     unlit: bool = False
     double_sided: bool = False
+    attenuation: Colour = (1.0, 1.0, 1.0)
+    thickness: float = 0.0
     notes: tuple[Note, ...] = ()
+
+    def scaled(self, scale: float) -> Material:
+        """Return the material under a node of this scale."""
+        if self.thickness == 0:
+            return self.material
+        share = np.array(self.attenuation) ** (self.thickness * scale)
+        return replace(self.material, base_colour=colour_of(np.array(self.material.base_colour) * share))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +97,9 @@ class MaterialReader:
         self._images, self._clamped = images, clamped
         self._unread: dict[int, str] = {}
         self._textures: dict[tuple[int, str], tuple[np.ndarray, Texture]] = {}
+        self._enlarged: dict[tuple[int, bool], UInt8[np.ndarray, "h w c"]] = {}
+        self._repeats: dict[tuple[int, bytes, bool], tuple[np.ndarray, np.ndarray]] = {}
+        self._mirrored: dict[tuple[int, tuple[int, int], bool], tuple[np.ndarray, np.ndarray]] = {}
         self._edged: dict[tuple[Texture, tuple[bool, bool]], Texture] = {}
 
     def surface(self, stated: GltfMaterial, label: str) -> Surface:
@@ -101,7 +123,7 @@ class MaterialReader:
         uv_set, transform = _common([slots[key] for key in ("base", "normal", "rough", *list(slots)[3:])])
         pixels, means = {}, {}
         for key, slot in slots.items():
-            pixels[key], means[key] = _brought(slot, uv_set, transform, label, notes)
+            pixels[key], means[key] = self._brought(slot, uv_set, transform, label, notes)
         material = self._factors(stated, label, notes)
         if stated.emissiveTexture is not None and slots["emissive"] is None:
             material = replace(material, emissive=(0.0, 0.0, 0.0))  # else all of it would glow
@@ -109,8 +131,11 @@ class MaterialReader:
             material = self._from_glossy(material, glossy, stated.alphaMode == "OPAQUE", pixels, means)
         else:
             material = self._from_metallic(material, stated, pixels, means)
-        if material.transmission > 0:
-            material = self._with_thickness(material, stated, label, notes)
+            material = _without_clear_metal(material, pixels["rough"], label, notes)
+        volume = extension(Volume, stated, "KHR_materials_volume", label, self._clamped) or Volume()
+        if material.transmission > 0 and volume.thicknessFactor == 0:
+            material = replace(material, is_thin=True)
+        thickness = self._thickness(volume, label, notes) if material.transmission > 0 else 0.0
         material = self._rest(material, stated, coat, sheen, pixels, means)
         material = self._with_edges(material, slots)
         blended = stated.alphaMode == "BLEND" and material.transmission == 0
@@ -134,6 +159,8 @@ class MaterialReader:
             stated.alphaMode == "OPAQUE",
             "KHR_materials_unlit" in stated.extensions,
             stated.doubleSided,
+            volume.attenuationColor,
+            thickness,
             tuple(notes),
         )
 
@@ -148,13 +175,63 @@ class MaterialReader:
         moved = extension(TextureTransform, info, "KHR_texture_transform", where, self._clamped) or TextureTransform()
         uv_set = info.texCoord if moved.texCoord is None else moved.texCoord
         wraps, transform = self._images.wraps(info.index), _matrix(moved)
-        if MIRRORED in wraps:
-            pixels = _reduced(pixels, wraps, colour=key in ("base", "emissive", "sheen"))
-        for axis, wrap in zip((1, 0), wraps, strict=True):
-            if wrap == MIRRORED:  # the texture beside its mirror image repeats
-                pixels = np.concatenate([pixels, np.flip(pixels, axis)], axis=axis)
-                transform[1 - axis] /= 2
+        if self._images.is_nearest(info.index):
+            pixels = self._with_edged_texels(pixels, MIRRORED in wraps)
+        if MIRRORED in wraps:  # the texture beside its mirror image repeats
+            which = id(pixels), wraps, key in _COLOURS
+            if which not in self._mirrored:  # the pixels are kept, so that their id stays theirs
+                self._mirrored[which] = pixels, _beside_mirror_image(pixels, wraps, colour=key in _COLOURS)
+            pixels = self._mirrored[which][1]
+            transform[:2] /= [[1 + (wrap == MIRRORED)] for wrap in wraps]
         return _Slot(key, pixels, uv_set, transform, (wraps[0] == CLAMPED, wraps[1] == CLAMPED))
+
+    def _brought(
+        self, slot: _Slot | None, uv_set: int, transform: Float[np.ndarray, "3 3"], label: str, notes: list[Note]
+    ) -> tuple[UInt8[np.ndarray, "h w c"] | None, Float[np.ndarray, "4"]]:
+        """Return a texture in the common coordinates, and factors: where it cannot be brought there, its mean."""
+        if slot is None:
+            return None, np.ones(4)
+        if slot.uv_set == uv_set and np.allclose(slot.transform, transform, atol=1e-6):
+            return slot.pixels, np.ones(4)
+        if slot.uv_set == uv_set and not any(slot.clamped) and abs(np.linalg.det(transform)) > 1e-9:
+            relative = slot.transform @ np.linalg.inv(transform)
+            if np.abs(relative[:2, :2] - np.rint(relative[:2, :2])).max() < 1e-3:  # both repeat with the unit square
+                pixels = self._repeated(slot, relative)
+                if pixels is not None:
+                    return pixels, np.ones(4)
+        notes.append(
+            Note(
+                f"{label}, {slot.key} texture: coordinates other than the first texture's",
+                "the surface is plain there" if slot.key == "normal" else "its mean is used everywhere",
+                "bake the material's textures onto one set of coordinates",
+            )
+        )
+        if slot.key == "normal":
+            return None, np.ones(4)
+        return None, _mean_of(slot.pixels, of_values=slot.key in ("rough", "coat", "coat roughness"))
+
+    def _repeated(self, slot: _Slot, relative: Float[np.ndarray, "3 3"]) -> UInt8[np.ndarray, "h w c"] | None:
+        """Return a texture as other coordinates read it, made once; None beyond what all may have."""
+        colour = slot.key in _COLOURS
+        key = id(slot.pixels), relative.tobytes(), colour
+        if key not in self._repeats:  # the pixels are kept, so that their id stays theirs
+            if sum(made.shape[0] * made.shape[1] for _, made in self._repeats.values()) >= _REPEATED_TEXELS:
+                return None
+            self._repeats[key] = slot.pixels, _resampled(slot.pixels, relative, colour=colour)
+        return self._repeats[key][1]
+
+    def _with_edged_texels(self, pixels: UInt8[np.ndarray, "h w c"], mirrored: bool) -> UInt8[np.ndarray, "h2 w2 c"]:
+        """Repeat each texel, so that filtering blurs a small part of it alone; an image is enlarged once."""
+        key = id(pixels), mirrored  # the images are kept, so that their id stays theirs
+        if key not in self._enlarged:
+            height, width = pixels.shape[:2]
+            left = _ENLARGED_TEXELS - sum(image.shape[0] * image.shape[1] for image in self._enlarged.values())
+            longest = max(height, width) * (1 + mirrored)
+            times = min(_TIMES, MAX_TEXTURE_SIZE // longest, math.isqrt(max(left, 0) // (height * width)))
+            if times < 2:
+                return pixels
+            self._enlarged[key] = np.repeat(np.repeat(pixels, times, axis=0), times, axis=1)
+        return self._enlarged[key]
 
     def _pixels(
         self, info: TextureInfo, where: str, notes: list[Note], effect: str = "the factor alone is used"
@@ -173,25 +250,26 @@ class MaterialReader:
             notes.append(Note(f"{where}: its KTX2 image", effect, f"{extra}export it as PNG, JPEG or WebP"))
         return pixels
 
-    def _mean(self, info: TextureInfo | None, label: str, notes: list[Note]) -> Float[np.ndarray, "4"]:
+    def _mean(
+        self, info: TextureInfo | None, label: str, notes: list[Note], *, of_values: bool = False
+    ) -> Float[np.ndarray, "4"]:
         """Return the mean of a texture that is read as a factor; linear RGB, and alpha."""
         pixels = None if info is None else self._pixels(info, label, notes)
         if pixels is None:
             return np.ones(4)
         notes.append(Note(label, "its mean is used everywhere", "bake it into the base colour if it matters"))
-        alpha = float(pixels[..., 3].mean() / 255) if pixels.shape[2] == 4 else 1.0
-        return np.array([*(srgb8_to_linear(pixels[..., :3]).mean(axis=(0, 1))), alpha])
+        return _mean_of(pixels, of_values=of_values)
 
     def _factors(self, stated: GltfMaterial, label: str, notes: list[Note]) -> Material:
         """Return the material of what the extensions state, before base colour and textures."""
         clear = extension(Transmission, stated, "KHR_materials_transmission", label, self._clamped) or Transmission()
         ior = extension(Ior, stated, "KHR_materials_ior", label, self._clamped) or Ior()
         specular = extension(Specular, stated, "KHR_materials_specular", label, self._clamped) or Specular()
-        strength = extension(EmissiveStrength, stated, "KHR_materials_emissive_strength", label, self._clamped)
-        glow = 1.0 if strength is None else strength.emissiveStrength
-        transmission = clear.transmissionFactor
-        if clear.transmissionTexture is not None:
-            transmission *= float(self._mean(clear.transmissionTexture, f"{label}.transmissionTexture", notes)[0])
+        key = "KHR_materials_emissive_strength"
+        glow = extension(EmissiveStrength, stated, key, label, self._clamped) or EmissiveStrength()
+        transmission = clear.transmissionFactor * float(
+            self._mean(clear.transmissionTexture, f"{label}.transmissionTexture", notes, of_values=True)[0]
+        )
         share = specular.specularFactor * float(
             self._mean(specular.specularTexture, f"{label}.specularTexture", notes)[3]
         )
@@ -200,7 +278,7 @@ class MaterialReader:
         material = Material(
             specular=share,
             transmission=transmission,
-            emissive=colour_of(min(channel * glow, 1e6) for channel in stated.emissiveFactor),
+            emissive=colour_of(min(channel * glow.emissiveStrength, 1e6) for channel in stated.emissiveFactor),
             alpha_cutoff=min(stated.alphaCutoff, 1.0) if stated.alphaMode == "MASK" else None,
         )
         return _with_reflectance(material, ior.ior, colour, label, notes)
@@ -224,18 +302,14 @@ class MaterialReader:
             metallic_roughness_texture=self._texture(pixels["rough"], "values"),
         )
 
-    def _with_thickness(self, material: Material, stated: GltfMaterial, label: str, notes: list[Note]) -> Material:
-        """Tint glass by its stated thickness; without one it is a thin wall."""
-        volume = extension(Volume, stated, "KHR_materials_volume", label, self._clamped)
-        if volume is None or volume.thicknessFactor == 0:
-            return replace(material, is_thin=True)
-        if volume.attenuationDistance == 0:
-            return material
+    def _thickness(self, volume: Volume, label: str, notes: list[Note]) -> float:
+        """Return the stated thickness in attenuation distances; a distance of 0 is not stated."""
+        if volume.thicknessFactor == 0 or volume.attenuationDistance == 0:
+            return 0.0
         texture = volume.thicknessTexture
         pixels = None if texture is None else self._pixels(texture, f"{label}.thicknessTexture", notes)
-        thickness = volume.thicknessFactor * (1.0 if pixels is None else float(pixels[..., 1].mean()) / 255)
-        share = np.array(volume.attenuationColor) ** (thickness / volume.attenuationDistance)
-        return replace(material, base_colour=colour_of(np.array(material.base_colour) * share))
+        share = 1.0 if pixels is None else float(pixels[..., 1].mean()) / 255
+        return volume.thicknessFactor * share / volume.attenuationDistance
 
     def _from_glossy(
         self,
@@ -369,6 +443,21 @@ def _with_reflectance(
     return replace(material, ior=min(max((1 + root) / (1 - root), 1.0), MAX_IOR))
 
 
+def _without_clear_metal(
+    material: Material, values: UInt8[np.ndarray, "h w c"] | None, label: str, notes: list[Note]
+) -> Material:
+    """Return the material with glass where it is no metal; a texture of metal counts by its mean."""
+    metals = np.array([255]) if values is None else values[..., 2]
+    metallic = material.metallic * float(metals.mean()) / 255
+    if material.transmission == 0 or metallic == 0:
+        return material
+    if material.metallic * float(metals.std()) > 255 * _EVEN:
+        lost = f"{label}: where its glass is metal"
+        notes.append(Note(lost, "it is glass everywhere, in the mean share", "give the metal its own material"))
+    clear = material.transmission * (1 - metallic)
+    return replace(material, transmission=clear, metallic=min(material.metallic / (1 - clear), 1.0))
+
+
 def unlit_of(material: Material) -> Material:
     """Return a surface that emits its base colour and reflects nothing."""
     return replace(
@@ -387,15 +476,23 @@ def unlit_of(material: Material) -> Material:
     )
 
 
-def _reduced(
+def _beside_mirror_image(
     pixels: UInt8[np.ndarray, "h w c"], wraps: tuple[int, int], *, colour: bool
 ) -> UInt8[np.ndarray, "h2 w2 c"]:
-    """Reduce a texture so far that it has `MAX_TEXTURE_SIZE` beside its mirror image."""
+    """Return a texture beside its mirror image, at most `MAX_TEXTURE_SIZE` together."""
     height, width = pixels.shape[:2]
     scale = MAX_TEXTURE_SIZE / max(width * (1 + (wraps[0] == MIRRORED)), height * (1 + (wraps[1] == MIRRORED)))
-    if scale >= 1:
-        return pixels
-    size = max(1, round(width * scale)), max(1, round(height * scale))
+    if scale < 1:
+        size = max(1, round(width * scale)), max(1, round(height * scale))
+        pixels = _shrunk(pixels, size, colour=colour)
+    for axis, wrap in zip((1, 0), wraps, strict=True):
+        if wrap == MIRRORED:
+            pixels = np.concatenate([pixels, np.flip(pixels, axis)], axis=axis)
+    return pixels
+
+
+def _shrunk(pixels: UInt8[np.ndarray, "h w c"], size: tuple[int, int], *, colour: bool) -> UInt8[np.ndarray, "h2 w2 c"]:
+    """Reduce a texture to (width, height) by area; colours in linear light."""
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     if colour:
         linear = srgb8_to_linear(np.ascontiguousarray(pixels[..., :3]))
@@ -418,42 +515,26 @@ def _common(slots: Sequence[_Slot | None]) -> tuple[int, Float[np.ndarray, "3 3"
     return 0, np.eye(3)
 
 
-def _brought(
-    slot: _Slot | None, uv_set: int, transform: Float[np.ndarray, "3 3"], label: str, notes: list[Note]
-) -> tuple[UInt8[np.ndarray, "h w c"] | None, Float[np.ndarray, "4"]]:
-    """Return a texture in the common coordinates, and factors: where it cannot be brought there, its mean."""
-    if slot is None:
-        return None, np.ones(4)
-    if slot.uv_set == uv_set and np.allclose(slot.transform, transform, atol=1e-6):
-        return slot.pixels, np.ones(4)
-    if slot.uv_set == uv_set and not any(slot.clamped) and abs(np.linalg.det(transform)) > 1e-9:
-        relative = slot.transform @ np.linalg.inv(transform)
-        if np.abs(relative[:2, :2] - np.rint(relative[:2, :2])).max() < 1e-3:  # both repeat with the unit square
-            return _resampled(slot.pixels, relative), np.ones(4)
-    notes.append(
-        Note(
-            f"{label}, {slot.key} texture: coordinates other than the first texture's",
-            "the surface is plain there" if slot.key == "normal" else "its mean is used everywhere",
-            "bake the material's textures onto one set of coordinates",
-        )
-    )
-    if slot.key == "normal":
-        return None, np.ones(4)
-    linear = (
-        slot.pixels[..., :3] / 255.0
-        if slot.key in ("rough", "coat", "coat roughness")
-        else srgb8_to_linear(slot.pixels[..., :3])
-    )
-    alpha = slot.pixels[..., 3].mean() / 255 if slot.pixels.shape[2] == 4 else 1.0
-    return None, np.array([*linear.mean(axis=(0, 1)), alpha])
+def _mean_of(pixels: UInt8[np.ndarray, "h w c"], *, of_values: bool = False) -> Float[np.ndarray, "4"]:
+    """Return the mean of linear RGB and alpha."""
+    linear = pixels[..., :3] / 255.0 if of_values else srgb8_to_linear(pixels[..., :3])
+    alpha = pixels[..., 3].mean() / 255 if pixels.shape[2] == 4 else 1.0
+    return np.array([*linear.mean(axis=(0, 1)), alpha])
 
 
-def _resampled(pixels: UInt8[np.ndarray, "h w c"], relative: Float[np.ndarray, "3 3"]) -> UInt8[np.ndarray, "h2 w2 c"]:
+def _resampled(
+    pixels: UInt8[np.ndarray, "h w c"], relative: Float[np.ndarray, "3 3"], *, colour: bool = False
+) -> UInt8[np.ndarray, "h2 w2 c"]:
     """Return the texture as the common coordinates read it, with as many texels as it repeats."""
     height, width = pixels.shape[:2]
     times = np.maximum(np.abs(relative[:2, :2]).max(axis=0), 1)
     columns = int(min(MAX_TEXTURE_SIZE, width * times[0]))
     rows = int(min(MAX_TEXTURE_SIZE, height * times[1]))
+    repeats = np.clip((np.abs(relative[:2, :2]) / [columns, rows]).max(axis=1), 0, 1)  # from one texel to the next
+    steps = zip((width, height), repeats.tolist(), strict=True)
+    width, height = (round(1 / max(step, 1 / size)) for size, step in steps)
+    if (height, width) != pixels.shape[:2]:
+        pixels = _shrunk(pixels, (width, height), colour=colour)
     u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
     source_u = (relative[0, 0] * u + relative[0, 1] * v + relative[0, 2]) % 1.0
     source_v = (relative[1, 0] * u + relative[1, 1] * v + relative[1, 2]) % 1.0

@@ -90,7 +90,7 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
     reader.check_amounts(placed, limits)
     limits.check("materials", len(gltf.materials), name)
     materials = MaterialReader(Images(gltf, views, beside, name, limits), clamped)
-    surfaces: dict[int, Surface] = {}
+    surfaces = {-1: Surface(Material(base_colour=(1.0, 1.0, 1.0), metallic=1.0))}
     parts: list[tuple[TriangleMesh, Material]] = []
     drawn: list[tuple[TriangleMesh, Surface]] = []
     volumes = [abs(np.linalg.det(node.transform)) if node.joints is None else np.inf for node in placed]
@@ -103,16 +103,12 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
         for index in reader.drawn(node.mesh):
             label = f"{name}: mesh {node.mesh}, primitive {index}"
             primitive = gltf.meshes[node.mesh].primitives[index]
-            if primitive.material >= len(gltf.materials):
-                raise ObjectError(f"{label}: material {primitive.material} of {len(gltf.materials)} does not exist")
-            if primitive.material not in surfaces:
-                number = primitive.material
-                surfaces[number] = (
-                    materials.surface(gltf.materials[number], f"{name}: materials.{number}")
-                    if number >= 0
-                    else Surface(Material(base_colour=(1.0, 1.0, 1.0), metallic=1.0))
-                )
-            surface = surfaces[primitive.material]
+            number = primitive.material
+            if number >= len(gltf.materials):
+                raise ObjectError(f"{label}: material {number} of {len(gltf.materials)} does not exist")
+            if number not in surfaces:
+                surfaces[number] = materials.surface(gltf.materials[number], f"{name}: materials.{number}")
+            surface = surfaces[number]
             try:
                 mesh, material, more = reader.part(node, primitive, surface, label)
             except ObjectError as error:
@@ -132,6 +128,9 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
     if any(material.doubleSided for material in gltf.materials) and _are_open(single_sided):
         lost = f"{name}: single-sided surfaces that enclose nothing"
         notes.append(Note(lost, "they show from behind as well", "nothing to do if it looks right"))
+    if hulls := sum(map(_is_inside_out, single_sided)):
+        lost = f"{name}: closed single-sided surfaces that face inward ({hulls})"
+        notes.append(Note(lost, "they show from outside as well", "leave out hulls that draw outlines"))
     if clamped:
         notes.append(Note(f"{name}: {', '.join(clamped[:4])}", "clamped to 0 to 1", "nothing to do if it looks right"))
     return tuple(parts), distinct(notes)
@@ -144,6 +143,13 @@ def _are_open(meshes: list[TriangleMesh]) -> bool:
         areas = face_normals(mesh.vertices, mesh.faces)
         whole, total = whole + areas.sum(axis=0), total + float(np.linalg.norm(areas, axis=1).sum())
     return float(np.linalg.norm(whole)) > _CLOSED * total
+
+
+def _is_inside_out(mesh: TriangleMesh) -> bool:
+    """Return whether a closed mesh encloses a negative volume, as hulls do whose far side is an outline."""
+    areas, corners = face_normals(mesh.vertices, mesh.faces), mesh.vertices[mesh.faces[:, 0]].astype(np.float64)
+    least = _CLOSED * np.linalg.norm(areas, axis=1).sum() * np.ptp(corners, axis=0).max()
+    return not _are_open([mesh]) and bool((areas * (corners - corners.mean(axis=0))).sum() < -least)
 
 
 def _extension_notes(gltf: Gltf, name: str) -> list[Note]:
@@ -216,6 +222,7 @@ class _PrimitiveReader:
         """Return a primitive as it stands in the scene, with its material. Raises ObjectError."""
         arrays = self._arrays(primitive, surface, label)
         points, normals = self._morphed(arrays, primitive, placed.weights, label)
+        tangents = None if arrays.tangents is None else np.clip(arrays.tangents, -1, 1)
         transform, notes = placed.transform, list(arrays.notes)
         skinned = placed.joints is not None and {"JOINTS_0", "WEIGHTS_0"} <= primitive.attributes.keys()
         if placed.joints is not None and not skinned:
@@ -228,21 +235,26 @@ class _PrimitiveReader:
                 notes.append(Note(f"{label}: {lost} vertices whose weights are 0", effect, "weight them"))
             points = np.einsum("nij,nj->ni", blended[:, :3, :3], points) + blended[:, :3, 3]
             normals = None if normals is None else _skinned_normals(blended, normals)
+            if tangents is not None:
+                turned = np.einsum("nij,nj->ni", blended[:, :3, :3], tangents[:, :3])
+                tangents = np.concatenate([turned, tangents[:, 3:]], axis=1).astype(np.float32)
             transform = np.eye(4)
         uvs = arrays.uvs
         textures = (getattr(surface.material, f"{key}_texture") for key in TEXTURES)
         if uvs is None and any(texture is not None for texture in textures):
             effect = "its textures show the one texel at (0, 0)"
             notes.append(Note(f"{label}: no TEXCOORD_{surface.uv_set}", effect, "unwrap the object"))
-        points = points.astype(np.float32)
+        scales = np.linalg.svd(transform[:3, :3], compute_uv=False)
+        # limits are of the scene's metres, which `transformed` checks too
+        size = np.ldexp(0.5, np.frexp(max(scales[2], 1e-6 * scales[0]))[1])
+        points = (points * size).astype(np.float32)
         if normals is None:
             mesh, colours = _flat(points, arrays)
         else:
             mesh, colours = TriangleMesh.build(points, arrays.faces, normals=normals, uvs=uvs), arrays.colours
-            if arrays.tangents is not None:
-                tangents = np.clip(arrays.tangents, -1, 1)
+            if tangents is not None:
                 mesh = TriangleMesh(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces, tangents)
-        material = surface.material
+        material = surface.scaled(float(np.cbrt(abs(np.linalg.det(transform[:3, :3])))))
         if colours is not None:
             colours = np.where([True, True, True, not surface.opaque], colours, np.float32(1)).astype(np.float32)
             mesh, material, kept = with_vertex_colours(mesh, colours, material)
@@ -250,7 +262,8 @@ class _PrimitiveReader:
                 notes.append(
                     Note(f"{label}: its vertex colours", "their mean tints the textures", "bake them into the texture")
                 )
-        return mesh.transformed(transform), unlit_of(material) if surface.unlit else material, notes
+        mesh = mesh.transformed(transform @ np.diag([1 / size] * 3 + [1.0]))
+        return mesh, unlit_of(material) if surface.unlit else material, notes
 
     def _corners(self, primitive: Primitive, mesh: int) -> int:
         index = primitive.attributes.get("POSITION") if primitive.indices is None else primitive.indices

@@ -251,10 +251,11 @@ class GltfMaterial(_Model):
 
 
 class Sampler(_Model):
-    """How a texture goes on outside [0, 1]."""
+    """How a texture goes on outside [0, 1], and looks from near."""
 
     wrapS: int = 10497  # noqa: N815
     wrapT: int = 10497  # noqa: N815
+    magFilter: Any = None  # noqa: N815
 
 
 class GltfTexture(_Model):
