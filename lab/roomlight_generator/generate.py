@@ -95,11 +95,6 @@ class GenerateOptions:
             )
 
     @property
-    def furnished(self) -> bool:
-        """Whether any room has furniture."""
-        return not self.scenes and (self.panoramas is None or self.furniture_share > 0)
-
-    @property
     def renderer_name(self) -> str:
         """The renderer's `module:function`."""
         if self.renderer is not None or self.scenes:
@@ -168,13 +163,8 @@ def generate(
 ) -> GenerateReport:
     """Make a dataset in the folder `out`, or continue the dataset there.
 
-    However the call ends, finished sequences stay, and the same call continues.
-
-    Args:
-        out: Folder of the dataset.
-        options: What to generate.
-        workers: Worker processes; None is a process a core.
-        progress: Called when a sequence is finished, and with messages.
+    However the call ends, finished sequences stay, and the same call continues. `workers` None is a process a core;
+    `progress` is called when a sequence is finished, and with messages.
 
     Raises:
         OutputError: if the folder holds other files, is locked by another process or cannot be written.
@@ -184,12 +174,13 @@ def generate(
     if options.panoramas is not None:
         split_files(options.panoramas, options.split)  # says now, not from a worker, that there are none
     create_folder(out)
+    furnished = not options.scenes and (options.panoramas is None or options.furniture_share > 0)
     settings = DatasetSettings(
         seed=options.seed,
         shard_size=options.shard_size,
         sequences_per_room=options.sequences_per_room,
         frames=options.frames,
-        furniture=furniture_digest(options.furniture) if options.furnished else None,
+        furniture=furniture_digest(options.furniture) if furnished else None,
         renderer=options.renderer_name,
         panoramas=None if options.panoramas is None else panoramas_digest(options.panoramas),
         furniture_share=None if options.panoramas is None else options.furniture_share,

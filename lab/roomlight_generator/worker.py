@@ -15,8 +15,8 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Final
 
 import cv2
@@ -128,9 +128,12 @@ def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emi
             what = f"room {room} of {options.split}, seed {options.seed}, attempt {attempt + 1} of {ATTEMPTS}: {last}"
             emit({"what": "note", "text": what})
             if attempt == ATTEMPTS - 1:
+                advice = "another `seed` gives other rooms"
+                if options.scenes:
+                    advice = f"free more of the floor of {options.scenes[room].name} in Blender, or leave the scene out"
                 raise DatasetError(
                     f"room {room} of {options.split} with seed {options.seed} cannot be made; all {ATTEMPTS} attempts "
-                    f"failed, the last with {last}; another `seed` gives other rooms"
+                    f"failed, the last with {last}; {advice}"
                 ) from error
 
 
@@ -139,12 +142,6 @@ def _packed(options: "GenerateOptions", room: int, within: int, attempt: int, se
     made = {"seed": options.seed, "split": options.split, "room": room, "walk": within}
     made |= {"attempt": attempt, "room_seed": seed}
     return pack(name, encode(replace(recording, name=name, facts={**recording.facts, "made": made})))
-
-
-def find_renderer(name: str) -> RenderRoom:
-    """Import a renderer by its `module:function`."""
-    module, _, function = name.partition(":")
-    return getattr(import_module(module), function)
 
 
 def main() -> None:
@@ -168,7 +165,7 @@ def main() -> None:
     while True:
         task = ShardTask.from_line(tasks.get())
         try:
-            make_shard(task, find_renderer(task.options.renderer_name), emit)
+            make_shard(task, resolve_name(task.options.renderer_name), emit)
             emit({"what": "shard"})
         except RoomLightError as error:
             emit({"what": "failed", "error": type(error).__name__, "text": str(error)})

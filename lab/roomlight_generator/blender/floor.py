@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float
 
 from roomlight.errors import DatasetError
 from roomlight_generator.blender.scene import BlenderRoom, distances
-from roomlight_generator.sequences.walk import CLEARANCE_M, FreeSpace, sphere_directions
+from roomlight_generator.rooms.shapes import sphere_directions
+from roomlight_generator.sequences.walk import CLEARANCE_M, FreeSpace
 
 CELL_M: Final = 0.1
 REACH_M: Final = 8.0

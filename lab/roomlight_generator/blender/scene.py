@@ -91,8 +91,8 @@ def open_scene(path: Path) -> BlenderRoom:
     """Open a .blend file with all that a render of it would show.
 
     Raises:
-        DatasetError: `bpy` is not installed, the file cannot be opened, a texture or library of it is missing, or it
-            shows no triangle.
+        DatasetError: `bpy` is not installed, the file cannot be opened or is of a newer Blender, a file that it needs
+            is missing, drivers of it need Python, or it shows no triangle.
     """
     bpy = blender()
     try:
@@ -101,9 +101,20 @@ def open_scene(path: Path) -> BlenderRoom:
     except RuntimeError as error:
         reason = str(error).strip().splitlines()[-1]
         raise DatasetError(f"{path}: Blender {bpy.app.version_string} cannot open it ({reason})") from error
+    if bpy.data.version[:2] > bpy.app.version[:2]:
+        saved, this = ("{}.{}".format(*version) for version in (bpy.data.version, bpy.app.version))
+        raise DatasetError(
+            f"{path}: Blender {saved} saved it, and this is Blender {this}, which drops what it does not know; open "
+            f"the scene in Blender {this}, check that it renders, and save it there"
+        )
     scene = bpy.context.scene
     _show_what_is_rendered(bpy, scene)
     graph = bpy.context.evaluated_depsgraph_get()
+    if bpy.app.autoexec_fail and bpy.app.autoexec_fail_message.startswith("Driver"):
+        raise DatasetError(
+            f"{path}: drivers that need Python are not run ({bpy.app.autoexec_fail_message}), and what they drive "
+            "would be 0; in Blender, delete them or replace them by keyframes, and save the scene"
+        )
     _check_files(bpy, graph, path)
     unit_m = float(scene.unit_settings.scale_length)
     parts = [part for instance in graph.object_instances if (part := _triangles(instance, unit_m)) is not None]
@@ -163,19 +174,26 @@ def _show_what_is_rendered(bpy: Any, scene: Any) -> None:
 
 
 def _check_files(bpy: Any, graph: Any, path: Path) -> None:
-    """Refuse a scene that would show the colour of missing textures, or lacks what other files hold."""
+    """Refuse a scene that would show the colour of missing textures, or lacks what other files hold.
+
+    Cycles takes 100 as the factor of an IES file that it cannot read.
+    """
     unpacked = [library.filepath for library in bpy.data.libraries if library.packed_file is None]
     files = {name: bpy.path.abspath(name) for name in unpacked}
     for owner in (part.original for part in graph.ids):
         if isinstance(owner, bpy.types.Material | bpy.types.World | bpy.types.Light):
-            for image in (getattr(node, "image", None) for node in _shader_nodes(owner)):
+            for node in _shader_nodes(owner):
+                if node.type == "TEX_IES" and node.mode == "EXTERNAL":
+                    file = bpy.path.abspath(node.filepath, library=node.id_data.library)
+                    files[node.filepath or node.name] = file
+                image = getattr(node, "image", None)
                 if image is not None and image.packed_file is None and image.source in ("FILE", "MOVIE", "TILED"):
                     files[image.filepath or image.name] = image.filepath_from_user()
     missing = sorted(name for name, file in files.items() if not Path(file).is_file())
     if missing:
         raise DatasetError(
-            f"{path}: textures or libraries that it shows are missing ({len(missing)}): {', '.join(missing[:4])}; find "
-            "them in Blender (File > External Data > Find Missing Files), or take them out, and save the scene"
+            f"{path}: textures, IES files or libraries of it are missing ({len(missing)}): {', '.join(missing[:4])}; "
+            "find them in Blender (File > External Data > Find Missing Files), or take them out, and save the scene"
         )
 
 
@@ -204,7 +222,9 @@ def _triangles(
 ) -> tuple[Float32[np.ndarray, "v 3"], Int32[np.ndarray, "f 3"], UInt8[np.ndarray, " f"]] | None:
     """Return vertices, faces and kinds of an instance of an object; None if it has no surface."""
     thing = instance.object
-    if not instance.show_self or thing.hide_render or thing.type not in ("MESH", "CURVE", "SURFACE", "META", "FONT"):
+    hidden = not instance.show_self or (thing.hide_render and not instance.is_instance)
+    hidden = hidden or not (thing.visible_camera or thing.visible_diffuse)  # as in `cycles`
+    if hidden or thing.type not in ("MESH", "CURVE", "SURFACE", "META", "FONT"):
         return None
     mesh = thing.to_mesh()
     if mesh is None:
@@ -216,7 +236,7 @@ def _triangles(
     mesh.vertices.foreach_get("co", points)
     mesh.loop_triangles.foreach_get("vertices", faces)
     mesh.loop_triangles.foreach_get("material_index", slots)
-    kind_of = np.array([_kind(material) for material in mesh.materials] or [ORDINARY], np.uint8)
+    kind_of = np.array([_kind(slot.material) for slot in thing.material_slots] or [ORDINARY], np.uint8)
     thing.to_mesh_clear()
     if count == 0:
         return None

@@ -8,7 +8,6 @@ albedo of 0.9 under the light of the empty room; the rest it emits. With furnitu
 the irradiance with furniture over that without.
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -44,12 +43,8 @@ _MAX_SHADE: Final = 1.25
 _MAP_ROWS: Final = 256
 
 
-@dataclass(frozen=True, eq=False)
-class _Sources:
-    """The panorama's bright parts as samples; the rest as a picture."""
-
-    lights: LightSamples
-    dim: PanoramaArrays
+_Sources = tuple[LightSamples, PanoramaArrays]
+"""The panorama's bright parts as samples; the rest as a picture."""
 
 
 class FurnishedLight:
@@ -57,16 +52,8 @@ class FurnishedLight:
 
     def __init__(self, shell: PanoramaShell, image: Float32[np.ndarray, "h w 3"], bright: Bool[np.ndarray, "h w"],
                  furniture: Furniture) -> None:  # fmt: skip
-        """Solve the light of the shell.
-
-        Args:
-            shell: The shell.
-            image: Radiance of the panorama.
-            bright: Parts of the panorama that are sampled.
-            furniture: What stands in the shell.
-        """
+        """Solve the light of the shell from a panorama's radiance, of which the bright parts are sampled."""
         self.shell = shell
-        width = bright.shape[1]
         empty = Sky(np.zeros((2, 4, 3), np.float32))
         self.tracer = Tracer(Scene(furniture.items, (), empty))
         kinds = np.zeros(bright.shape, np.uint8)
@@ -74,34 +61,28 @@ class FurnishedLight:
         self.shade = np.empty((0, 3), np.float32)
         dim = padded(np.where(bright[..., None], np.float32(0), image))
         dark = np.zeros_like(dim)
-        sources = _Sources(_lights(shell, image, bright), PanoramaArrays(dim, dark, kinds, shell.centre))
-        with_furniture, without = self._shell_irradiance(sources)
+        lights = _lights(shell, image, bright)
+        position, normal = np.empty((shell.nodes, 3)), np.empty((shell.nodes, 3))
+        gather.nodes(shell.arrays, position, normal)
+        rest = PanoramaArrays(dim, dark, kinds, shell.centre)
+        with_furniture, without = self._irradiance((lights, rest), position, normal)
         self._bounce = (_BOUNCE_ALBEDO * _BOUNCE_LIGHT / np.pi * without.mean(axis=0)).astype(np.float32)
         floor = np.float32(1e-3) * without.mean(axis=0)
         ratio = np.clip((with_furniture + floor) / (without + floor), 0, _MAX_SHADE).astype(np.float32)
         self.shade = _smoothed(shell, ratio)
-        share = self._reflected_share(image, without, width)
+        share = self._reflected_share(image, without)
         self.reflected = image * share[..., None]
         self.emitted = image - self.reflected
         kept = np.where(bright[..., None], np.float32(0), np.float32(1))
-        self._sources = _Sources(
-            sources.lights,
-            PanoramaArrays(padded(self.emitted * kept), padded(self.reflected * kept), kinds, shell.centre),
-        )
+        rest = PanoramaArrays(padded(self.emitted * kept), padded(self.reflected * kept), kinds, shell.centre)
+        self._sources = lights, rest
         self._cells: dict[bytes, np.ndarray] = {}  # irradiance by cell
-
-    def _shell_irradiance(self, sources: _Sources) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
-        """Return the irradiance of the light maps' nodes with and without the furniture."""
-        count = self.shell.nodes
-        position, normal, face = np.empty((count, 3)), np.empty((count, 3)), np.empty(count, np.int32)
-        gather.nodes(self.shell.arrays, position, normal, face)
-        return self._irradiance(sources, position, normal)
 
     def _irradiance(
         self, sources: _Sources, position: np.ndarray, normal: np.ndarray
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
         """Return the irradiance of points with and without the furniture, by the same rays."""
-        count, lights, arrays = len(position), sources.lights, self.shell.arrays
+        count, (lights, rest), arrays = len(position), sources, self.shell.arrays
         weight = np.empty((count, len(lights.area)), np.float32)
         rays = allocated(Rays, weight.size)
         gather.light_rays(arrays, lights, position, normal, weight, rays)
@@ -113,7 +94,7 @@ class FurnishedLight:
 
         rays = allocated(Rays, count * GATHER_RAYS)
         radiance = np.empty((count * GATHER_RAYS, 3), np.float32)
-        gather.gather_rays(arrays, self.shade, sources.dim, position, normal, GATHER_RAYS, radiance, rays)
+        gather.gather_rays(arrays, self.shade, rest, position, normal, GATHER_RAYS, radiance, rays)
         scale = np.float32(np.pi / GATHER_RAYS)
         without += scale * radiance.reshape(count, GATHER_RAYS, 3).sum(axis=1)
         hits = self.tracer.trace(rays.origin, rays.direction)
@@ -122,7 +103,7 @@ class FurnishedLight:
         return irradiance, without
 
     def _reflected_share(
-        self, image: Float32[np.ndarray, "h w 3"], irradiance: Float32[np.ndarray, "n 3"], width: int
+        self, image: Float32[np.ndarray, "h w 3"], irradiance: Float32[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "h w"]:
         """Return the share of each pixel's radiance that an albedo of 0.9 can reflect in the empty room."""
         received = np.empty((_MAP_ROWS, 2 * _MAP_ROWS, 3), np.float32)
@@ -131,7 +112,7 @@ class FurnishedLight:
         gather.irradiance_map(
             self.shell.arrays, irradiance, PanoramaArrays(none, none, kinds, self.shell.centre), received
         )
-        most = cv2.resize(received @ LUMINANCE, (width, width // 2)) * np.float32(_ALBEDO / np.pi)
+        most = cv2.resize(received @ LUMINANCE, image.shape[1::-1]) * np.float32(_ALBEDO / np.pi)
         return np.minimum(1, most / np.maximum(image @ LUMINANCE, np.float32(1e-9))).astype(np.float32)
 
     def shaded(
@@ -195,8 +176,7 @@ def _lights(shell: PanoramaShell, image: Float32[np.ndarray, "h w 3"], bright: B
     power = np.where(bright, (image @ LUMINANCE) * solid, 0).astype(np.float64)
     total = float(power.sum())
     if total <= 0:
-        none = np.zeros((0, 3))
-        return LightSamples(none, none, none.astype(np.float32), np.zeros(0))
+        return allocated(LightSamples, 0)
     blocks = _block_order(bright.shape)
     cumulative = np.cumsum(power.ravel()[blocks])
     chosen = blocks[np.searchsorted(cumulative, (np.arange(LIGHTS) + 0.5) / LIGHTS * total)]

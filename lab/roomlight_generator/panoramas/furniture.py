@@ -81,11 +81,6 @@ class Furniture:
         names = [item.role for item in self.items]
         return {role: names.count(role) for role in sorted(set(names))}
 
-    @property
-    def attributions(self) -> list[str]:
-        """The sorted, distinct attributions of the models."""
-        return sorted({item.attribution for item in self.items if item.attribution})
-
 
 def furnish_shell(shell: PanoramaShell, catalogue: Catalogue, rng: np.random.Generator, *, split: Split) -> Furniture:
     """Draw furniture for a shell; the camera keeps room to walk."""

@@ -19,6 +19,7 @@ from roomlight_generator.panoramas.room import PanoramaRoom, classify_surfaces, 
 from roomlight_generator.panoramas.shell import draw_shell
 from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.rooms.build import room_generator
+from roomlight_generator.rooms.scene import attributions
 from roomlight_generator.sequences.exposure import Exposure, MeterSettings, settle
 from roomlight_generator.sequences.render import catalogue_for, find_camera_path, record
 from roomlight_generator.sequences.walk import FRAME_INTERVAL_S
@@ -75,7 +76,7 @@ def lit_room(request: RoomRequest) -> tuple[PanoramaRoom, dict[str, Any]]:
         "light": {"scenario": "panorama", "sources": [], **facts},
         "panorama": path.name,
         "furniture": {} if pieces is None else pieces.roles,
-        "attributions": [] if pieces is None else pieces.attributions,
+        "attributions": [] if pieces is None else attributions(pieces.items),
     }
 
 

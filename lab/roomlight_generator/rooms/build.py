@@ -12,7 +12,7 @@ from roomlight_generator.rooms.furniture import Catalogue
 from roomlight_generator.rooms.lights import LIGHT_KINDS, LightKind, light_room
 from roomlight_generator.rooms.plan import Placement, Shell
 from roomlight_generator.rooms.planner import ROOM_TYPES, RoomType, furnish
-from roomlight_generator.rooms.scene import Scene
+from roomlight_generator.rooms.scene import Scene, attributions
 from roomlight_generator.rooms.shell import STYLES, ShellStyle, build_shell
 
 _SPLIT_KEYS: Final[dict[Split, int]] = {"train": 0x7261, "test": 0x7465}
@@ -43,14 +43,7 @@ def room_generator(index: int, *, seed: int, split: Split, purpose: int = 0) -> 
 
 
 def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> Room:
-    """Build the room with this index. The same arguments give a byte-identical room.
-
-    Args:
-        index: Number of the room in its split.
-        seed: Seed of the dataset.
-        split: Decides which room types and furniture models may be used.
-        catalogue: Furniture models.
-    """
+    """Build the room with this index in its split. The same arguments give a byte-identical room."""
     rng = room_generator(index, seed=seed, split=split)
     room_type = _choose_type(split, rng)
     finishes = shell_finishes(room_type.name, rng)
@@ -68,7 +61,7 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
         "triangles": scene.triangle_count(),
         "furniture": dict(Counter(placement.model.role for placement in placements)),
         "models": sorted({placement.model.id for placement in placements}),
-        "attributions": scene.attributions(),
+        "attributions": attributions(scene.items),
         "light": lighting.facts,
     }
     return Room(f"{split}-{index:06d}", scene, shell, placements, facts)

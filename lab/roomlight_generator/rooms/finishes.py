@@ -142,7 +142,6 @@ class _FinishChooser:
     rng: np.random.Generator
 
     def room(self, kind: str) -> RoomFinishes:
-        """Choose the large surfaces of one room."""
         rng = self.rng
         wall = self.wall(kind)
         accent = self.accent() if rng.random() < 0.18 else None
@@ -159,12 +158,10 @@ class _FinishChooser:
         return RoomFinishes(wall, self.floor(kind), self.ceiling(wall), skirting, accent, self.lower_wall(kind))
 
     def shaded(self, colour: Rgb, shades: tuple[float, float]) -> Rgb:
-        """Return a colour multiplied by a random factor."""
         shade = float(self.rng.uniform(*shades))
         return (shade * colour[0], shade * colour[1], shade * colour[2])
 
     def optional_roughness(self, chance: float, low: float, high: float) -> float | None:
-        """Return a coat's roughness with the given probability, else None."""
         return float(self.rng.uniform(low, high)) if self.rng.random() < chance else None
 
     def wall(self, kind: str) -> Material:
@@ -178,7 +175,6 @@ class _FinishChooser:
         return self.coloured("wall")
 
     def coloured(self, name: str) -> Material:
-        """Choose a coloured paint."""
         colour = self.shaded(wall_colour(self.rng), _WALL_SHADE)
         return Material(name, colour, roughness=self.optional_roughness(0.14, 0.4, 0.6))
 
@@ -202,7 +198,6 @@ class _FinishChooser:
         return Material(name, glaze(self.rng), roughness=self.optional_roughness(0.85, 0.08, 0.3))
 
     def floor(self, kind: str) -> Material:
-        """Choose the floor of a room of this kind."""
         rng = self.rng
         covering = int(rng.choice(4, p=_FLOORS[kind]))
         colour = self.shaded((wood_colour, stone_colour, cloth_colour, stone_colour)[covering](rng), _FLOOR_SHADE)

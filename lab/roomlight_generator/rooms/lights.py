@@ -11,12 +11,13 @@ from typing import Any, Final, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from roomlight.compositing.objects.polygons import face_normals
 from roomlight.rays import RayTree
 from roomlight_generator.rooms.colour import blackbody_rgb
 from roomlight_generator.rooms.plan import Placement, Shell
 from roomlight_generator.rooms.roles import LAMP_ROLES
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Rgb, Sky
-from roomlight_generator.rooms.shapes import block, sphere, with_material
+from roomlight_generator.rooms.shapes import block, sphere, sphere_directions, with_material
 from roomlight_generator.rooms.sky import make_sky, vertical_irradiance
 
 Scenario = Literal["sunny", "bright", "overcast", "golden", "dusk", "night"]
@@ -110,15 +111,12 @@ def light_room(
     Every room has light: at dusk and at night at least one lamp is on, and a room without lamps gets a ceiling panel.
     Lamps together give a mean illuminance between 30 and 900 lux (log-uniform, dimmer at night).
 
-    Args:
-        shell: The room.
-        placements: What stands in the room.
-        items: The placements' items, in the same order.
-        rng: Random numbers.
-        wanted: Kind of light, if the room has a place for it. `facts` names the kind that the room has.
+    `items` are those of the placements, in the same order. The kind of light is the `wanted` one if the room has a
+    place for it; `facts` names the kind that the room has.
     """
     kind = _possible_kind(wanted, shell)
-    windows = _has_windows(shell)
+    # Daylight also comes through translucent cloth over a fully covered window.
+    windows = bool(shell.openings) or any(_named(item.mesh, "daylit") for item in shell.items)
     scenario = _SCENARIOS[int(rng.choice(len(_SCENARIOS), p=_KIND_SCENARIOS[kind]))] if windows else "night"
     toward = _choose_outward_normal(shell, rng) if kind == "sunbeams" else None
     sky = make_sky(str(rng.choice(_SKIES[scenario])), rng, toward=toward, spread_degrees=_SUNBEAM_SPREAD_DEGREES)
@@ -219,11 +217,6 @@ def _without_shade(item: Item, placement: Placement) -> Item:
     return replace(item, mesh=replace(mesh, faces=mesh.faces[~shade], face_materials=mesh.face_materials[~shade]))
 
 
-def _has_windows(shell: Shell) -> bool:
-    """Return whether daylight comes in, through an opening or translucent cloth over a fully covered window."""
-    return bool(shell.openings) or any(_named(item.mesh, "daylit") for item in shell.items)
-
-
 def _choose_lamps(placements: Sequence[Placement], lamps: Sequence[int], rng: np.random.Generator) -> list[int]:
     """Choose the lamps that are on: those of one role share a switch; sometimes a single lamp is on."""
     if not lamps:
@@ -267,20 +260,15 @@ def _trace_bulb_occlusion(mesh: Mesh, bulbs: Float[np.ndarray, "n 3"]) -> tuple[
     """Return the share of rays from the bulbs that leave the lamp, and the number of hits for each material."""
     if not len(bulbs):
         return 1.0, {}
-    step = np.arange(_RAYS_PER_BULB) + 0.5
-    up = 1 - 2 * step / _RAYS_PER_BULB
-    azimuth = np.pi * (1 + np.sqrt(5)) * step
-    ring = np.sqrt(1 - up**2)
-    directions = np.stack([ring * np.cos(azimuth), up, ring * np.sin(azimuth)], 1).astype(np.float32)
+    directions = np.tile(sphere_directions(_RAYS_PER_BULB), (len(bulbs), 1))
     origins = np.repeat(bulbs.astype(np.float32), _RAYS_PER_BULB, axis=0)
-    face = RayTree(mesh.vertices, mesh.faces).trace(origins, np.tile(directions, (len(bulbs), 1))).face
+    face = RayTree(mesh.vertices, mesh.faces).trace(origins, directions).face
     met, counts = np.unique(mesh.face_materials[face[face >= 0]], return_counts=True)
-    return float((face < 0).mean()), {int(k): int(count) for k, count in zip(met, counts, strict=True)}
+    return float((face < 0).mean()), dict(zip(met.tolist(), counts.tolist(), strict=True))
 
 
 def _area_m2(mesh: Mesh, chosen: Bool[np.ndarray, " f"]) -> float:
-    a, b, c = (mesh.vertices[mesh.faces[chosen, k]].astype(np.float64) for k in range(3))
-    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    return 0.5 * float(np.linalg.norm(face_normals(mesh.vertices, mesh.faces[chosen]), axis=1).sum())
 
 
 def _named(mesh: Mesh, prefix: str) -> list[int]:
@@ -289,7 +277,6 @@ def _named(mesh: Mesh, prefix: str) -> list[int]:
 
 
 def _glowing(mesh: Mesh, chosen: Sequence[int], emission: Rgb) -> Mesh:
-    """Let some of the materials emit."""
     materials = (replace(m, emission=emission) if k in chosen else m for k, m in enumerate(mesh.materials))
     return replace(mesh, materials=tuple(materials))
 

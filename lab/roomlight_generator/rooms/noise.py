@@ -12,12 +12,7 @@ def fbm(
 ) -> Float[np.ndarray, "h w"]:
     """Return smooth tileable fractal noise of variance about 0.15 and mean about 0.
 
-    Args:
-        shape: Rows and columns.
-        rng: Random numbers.
-        cells: Rows and columns of the coarsest octave.
-        octaves: Octaves at most.
-        gain: Factor on the amplitude from octave to octave.
+    `cells` are the rows and columns of the coarsest octave; `gain` is the amplitude's factor from octave to octave.
     """
     total = np.zeros(shape, np.float32)
     for octave in range(octaves):

@@ -5,7 +5,7 @@ per square metre (1.0 is 1,000 cd/m2: a white wall in good daylight is about 0.1
 1.6e6), so that every source can be checked against a physical value.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -175,6 +175,7 @@ class Scene:
         """Return the number of triangles of all items."""
         return sum(len(item.mesh.faces) for item in self.items)
 
-    def attributions(self) -> list[str]:
-        """Return the sorted, distinct attributions of the models used."""
-        return sorted({item.attribution for item in self.items if item.attribution})
+
+def attributions(items: Iterable[Item]) -> list[str]:
+    """Return the sorted, distinct attributions of the models used."""
+    return sorted({item.attribution for item in items if item.attribution})

@@ -58,6 +58,15 @@ def smooth_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f
     return (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)).astype(np.float32)
 
 
+def sphere_directions(count: int) -> Float[np.ndarray, "{count} 3"]:
+    """Return unit directions spread evenly over the sphere (a Fibonacci lattice), float32."""
+    k = np.arange(count) + 0.5
+    y = 1 - 2 * k / count
+    ring = np.sqrt(1 - y * y)
+    azimuth = np.pi * (1 + np.sqrt(5)) * k
+    return np.stack([ring * np.cos(azimuth), y, ring * np.sin(azimuth)], axis=1).astype(np.float32)
+
+
 def block(width: Number, height: Number, depth: Number) -> Mesh:
     """Make a sharp-edged box (12 triangles), centred in x and z and standing on y = 0."""
     half = np.array([width, height, depth], np.float64) / 2

@@ -79,8 +79,6 @@ def make_sky(
     The sun is always above the skyline. Behind a cloud (in a quarter of `partly_cloudy` skies) it is left out.
 
     Args:
-        kind: Kind of sky.
-        rng: Random numbers.
         toward: World direction toward the sun's azimuth, a direction out of a window for example; None: any azimuth.
         spread_degrees: Largest difference of the sun's azimuth from `toward`.
 
@@ -129,12 +127,9 @@ def horizontal_irradiance(sky: Sky) -> Float[np.ndarray, "3"]:
 def vertical_irradiance(
     sky: Sky, outward: Float[np.ndarray, "3"], *, sun_share: float | int = 0.5
 ) -> Float[np.ndarray, "3"]:
-    """Return the linear RGB irradiance in klx of a vertical surface, ground and skyline included.
+    """Return the linear RGB irradiance in klx of a vertical surface that faces `outward`, ground and skyline included.
 
-    Args:
-        sky: The sky.
-        outward: World direction in which the surface faces; its y is ignored.
-        sun_share: Factor on the sun's part: the reveal of a window shades the rest.
+    The y of `outward` is ignored. Of the sun's part `sun_share` counts: the reveal of a window shades the rest.
     """
     normal = np.array([outward[0], 0.0, outward[2]], np.float64)
     normal /= max(float(np.linalg.norm(normal)), 1e-9)

@@ -49,13 +49,7 @@ def place_probes(
     Most points are above visible level surfaces, the rest in mid-air in front of visible surfaces. They are spread over
     distance and over the picture.
 
-    Args:
-        free: Where a camera can be, and the distances to surfaces.
-        rng: Random numbers.
-        intrinsics: The first frame's camera.
-        camera_to_world: The first frame's pose.
-        depth_m: The first frame's exact depth (0: nothing hit), at any size of the same view.
-        count: Number of points.
+    Camera, pose and exact depth (0: nothing hit, at any size of the same view) are those of the first frame.
 
     Returns:
         The points (world, metres), or None if there are too few.

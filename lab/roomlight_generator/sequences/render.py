@@ -160,13 +160,7 @@ def record(
     The world is rotated about the vertical by whole columns of the panoramas, so that walls are not aligned with the
     axes: a phone's session begins in any direction.
 
-    Args:
-        views: Renderer of the room.
-        path: Camera, poses and probes.
-        rng: Random numbers.
-        name: Name of the recording.
-        facts: Metadata of the recording.
-        expose: Chooses exposure and white balance from the radiance of the frames (kcd/m2).
+    `expose` chooses exposure and white balance from the radiance of the frames (kcd/m2).
     """
     seeds = [int(value) for value in rng.integers(2**31, size=len(path.poses) + len(path.probes))]
     seen = [views.frame(path.intrinsics, pose, seed=seed) for pose, seed in zip(path.poses, seeds, strict=False)]
@@ -186,7 +180,10 @@ def record(
         panoramas[k] = views.panorama(position, height=PROBE_HEIGHT, seed=seed)
     depth_m = np.stack([view.depth_m for view in seen])
     columns = int(rng.integers(2 * PROBE_HEIGHT))
-    rotation = _rotation_about_y(2 * np.pi * columns / (2 * PROBE_HEIGHT))
+    # To azimuth atan2(z, x) it adds this angle, as np.roll moves columns.
+    angle = 2 * np.pi * columns / (2 * PROBE_HEIGHT)
+    c, s = np.cos(angle), np.sin(angle)
+    rotation = np.array([[c, 0, -s, 0], [0, 1, 0, 0], [s, 0, c, 0], [0, 0, 0, 1]])
     return Recording(
         name=name,
         colour=colour,
@@ -198,24 +195,15 @@ def record(
         timestamp_s=np.arange(len(path.poses)) * FRAME_INTERVAL_S,
         probe_positions=path.probes @ rotation[:3, :3].T,
         probe_panoramas=np.roll(np.minimum(exposure.panorama(panoramas), _HALF_MAX), columns, 2).astype(np.float32),
-        facts={**facts, **_facts(exposure, sensor, panoramas)},
+        facts={
+            **facts,
+            "white_kcd_m2": round(float(1 / exposure.multiplier[0]), 6),
+            "white_balance": [round(float(gain), 4) for gain in exposure.gains],
+            "brightest_kcd_m2": round(float(panoramas.max(initial=0)), 3),
+            "exact_response": sensor.exact_response,
+        },
         clipped_radiance=clipped,
     )
-
-
-def _rotation_about_y(angle: float) -> Float[np.ndarray, "4 4"]:
-    """Return the rotation that takes azimuth atan2(z, x) to azimuth + angle, as np.roll takes columns."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, -s, 0], [0, 1, 0, 0], [s, 0, c, 0], [0, 0, 0, 1]])
-
-
-def _facts(exposure: Exposure, sensor: Sensor, panoramas: Float[np.ndarray, "p h w 3"]) -> dict[str, Any]:
-    return {
-        "white_kcd_m2": round(float(1 / exposure.multiplier[0]), 6),
-        "white_balance": [round(float(gain), 4) for gain in exposure.gains],
-        "brightest_kcd_m2": round(float(panoramas.max(initial=0)), 3),
-        "exact_response": sensor.exact_response,
-    }
 
 
 @cache

@@ -116,13 +116,8 @@ def clipped_radiance(
 ) -> Float16[np.ndarray, "h w 3"]:
     """Return the radiance of the picture's clipped pixels in units of its own white, 0 elsewhere.
 
-    Pixels that exceed a half float are dimmed without changing their hue.
-
-    Args:
-        radiance: Radiance (kcd/m2) from which `develop` made the picture: without lens, vignetting and noise.
-        picture: The picture.
-        multiplier: Exposure of the picture.
-        gains: White balance of the picture.
+    Pixels that exceed a half float are dimmed without changing their hue. `develop` made the picture from the radiance
+    (kcd/m2), which is without lens, vignetting and noise, with this multiplier and these gains.
     """
     scaled = np.asarray(radiance, np.float32) * (gains * multiplier).astype(np.float32)
     scaled *= np.minimum(1, np.float32(HALF_MAX) / np.maximum(scaled.max(axis=2, keepdims=True), 1))

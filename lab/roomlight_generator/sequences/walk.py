@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import Intrinsics
+from roomlight_generator.rooms.shapes import sphere_directions
 
 FRAME_INTERVAL_S: Final = 1 / 3
 """Every tenth frame of a 30 Hz recording; the paper samples 30 of some ten seconds."""
@@ -95,14 +96,6 @@ class FreeSpace:
         return np.asarray(distances.min(axis=1) >= clearance_m)
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Camera motion from each frame to the next: translation (metres) and rotation (degrees)."""
-
-    translation_m: Float[np.ndarray, " steps"]
-    rotation_degrees: Float[np.ndarray, " steps"]
-
-
 @dataclass(frozen=True)
 class _WalkParameters:
     """Parameters of a walk: mean motion a frame, the bodies' drag, and the hand that carries the camera.
@@ -126,13 +119,15 @@ class _WalkParameters:
     tremor_degrees: float
 
 
-def motion_statistics(camera_to_world: Float[np.ndarray, "f 4 4"]) -> Motion:
-    """Compute distances of consecutive positions and geodesic angles of consecutive rotations."""
+def motion(
+    camera_to_world: Float[np.ndarray, "f 4 4"],
+) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, " steps"]]:
+    """Compute distances of consecutive positions (metres) and geodesic angles of consecutive rotations (degrees)."""
     poses = np.asarray(camera_to_world, np.float64)
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     chords = np.linalg.norm(np.diff(poses[:, :3, :3], axis=0), axis=(1, 2))  # 2 sqrt(2) sin(angle / 2)
     angles = 2 * np.arcsin(np.clip(chords / np.sqrt(8), 0, 1))
-    return Motion(translation_m=steps, rotation_degrees=np.degrees(angles))
+    return steps, np.degrees(angles)
 
 
 def phone_intrinsics(rng: np.random.Generator, width: int = 320, height: int = 240) -> Intrinsics:
@@ -147,15 +142,6 @@ def phone_intrinsics(rng: np.random.Generator, width: int = 320, height: int = 2
         width=width,
         height=height,
     )
-
-
-def sphere_directions(count: int) -> Float[np.ndarray, "{count} 3"]:
-    """Return unit directions spread evenly over the sphere (a Fibonacci lattice), float32."""
-    k = np.arange(count) + 0.5
-    y = 1 - 2 * k / count
-    ring = np.sqrt(1 - y * y)
-    azimuth = np.pi * (1 + np.sqrt(5)) * k
-    return np.stack([ring * np.cos(azimuth), y, ring * np.sin(azimuth)], axis=1).astype(np.float32)
 
 
 def camera_walk(
@@ -343,8 +329,7 @@ def _distance_from(parameters: _WalkParameters, walk: Float[np.ndarray, "f 4 4"]
     """Return how far a walk's motion is from the drawn one, in logarithms."""
     if len(walk) == 1:  # without motion, as all walks of one frame
         return 0.0
-    motion = motion_statistics(walk)
-    step, turn = float(motion.translation_m.mean()), float(motion.rotation_degrees.mean())
+    step, turn = (float(values.mean()) for values in motion(walk))
     return abs(np.log((step + 0.01) / (parameters.step_m + 0.01))) + abs(
         np.log((turn + 0.3) / (parameters.turn_degrees + 0.3))
     )

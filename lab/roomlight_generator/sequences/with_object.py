@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from roomlight.camera import Intrinsics, transform_points
-from roomlight_generator.rooms.scene import Item, Material, Mesh, Scene
-from roomlight_generator.rooms.shapes import bare_mesh, with_material
+from roomlight_generator.rooms.scene import Item, Mesh, Scene
 from roomlight_generator.transport import FrameView, RoomLight, Tracer
 from roomlight_generator.transport.paths import unit_rows
 
@@ -28,6 +27,8 @@ _FLAT_M: Final = 0.004
 _SIDE_CLEARANCE: Final = 1.25
 """Free width around an object, in units of its radius."""
 _DOWN: Final = np.array([[0.0, -1.0, 0.0]], np.float32)
+_LIFT_M: Final = 0.1
+"""A surface is looked for from this far over a point."""
 
 
 @dataclass(frozen=True)
@@ -52,31 +53,16 @@ class ObjectView:
     covered: Bool[np.ndarray, "h w"]
 
 
-def object_mesh(
-    vertices: Float[np.ndarray, "v 3"],
-    normals: Float[np.ndarray, "v 3"],
-    faces: Int[np.ndarray, "f 3"],
-    material: Material,
-) -> Mesh:
-    """Make a mesh of one material from an object's surface in the world."""
-    return with_material(bare_mesh(vertices, normals, faces), material)
-
-
-def with_object(scene: Scene, mesh: Mesh) -> Scene:
-    """Return a room's scene with an object, whose mesh is in the world, as its last item."""
-    return replace(scene, items=(*scene.items, Item(OBJECT, OBJECT, mesh)))
-
-
 def render_pair(
     scene: Scene, mesh: Mesh, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int
 ) -> tuple[ObjectView, FrameView]:
-    """Render one view of the room with the object and one without it, both with the light solved anew.
+    """Render a view of the room with the object, a mesh in the world, and one without it; the light is solved anew.
 
     Blotches that differ between the views would pass for the object's shadow: both are precise (`RoomLight.solve`).
     """
     return (
         render_with_object(scene, mesh, intrinsics, camera_to_world, seed=seed),
-        _solved(Tracer(scene), seed).frame(intrinsics, camera_to_world, seed=seed),
+        RoomLight.solve(Tracer(scene), seed, precise=True).frame(intrinsics, camera_to_world, seed=seed),
     )
 
 
@@ -84,15 +70,13 @@ def render_with_object(
     scene: Scene, mesh: Mesh, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int
 ) -> ObjectView:
     """Solve the light of the room with the object anew and render one view of it."""
-    tracer = Tracer(with_object(scene, mesh))
-    view = _solved(tracer, seed).frame(intrinsics, camera_to_world, seed=seed)
-    rays = intrinsics.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T
-    directions = unit_rows(rays)
+    tracer = Tracer(replace(scene, items=(*scene.items, Item(OBJECT, OBJECT, mesh))))
+    view = RoomLight.solve(tracer, seed, precise=True).frame(intrinsics, camera_to_world, seed=seed)
+    directions = unit_rows(intrinsics.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T)
     origins = np.broadcast_to(camera_to_world[:3, 3], directions.shape)
     hits = tracer.trace(np.ascontiguousarray(origins, np.float32), directions)
-    item = np.where(hits.face >= 0, tracer.geometry.item[hits.face], -1)
-    covered = (item == len(scene.items)).reshape(view.depth_m.shape)
-    return ObjectView(view, covered)
+    covered = (hits.face >= 0) & (tracer.geometry.item[hits.face] == len(scene.items))
+    return ObjectView(view, covered.reshape(view.depth_m.shape))
 
 
 def find_resting_place(
@@ -108,14 +92,6 @@ def find_resting_place(
 
     The surface under the whole foot is level, the cylinder and a margin around it are empty, and the camera sees its
     bottom, middle and top inside the picture. Places near the picture's middle are preferred.
-
-    Args:
-        tracer: The room.
-        intrinsics: The camera.
-        camera_to_world: Its pose.
-        rng: Random numbers.
-        radius_m: Radius of the cylinder.
-        height_m: Height of the cylinder.
     """
     count = _CANDIDATES
     u, v = rng.uniform(0.12, 0.88, count) * intrinsics.width, rng.uniform(0.2, 0.92, count) * intrinsics.height
@@ -140,14 +116,10 @@ def find_resting_place(
     return None
 
 
-def height_above_surface(tracer: Tracer, base: Float[np.ndarray, "3"], *, lift_m: float = 0.1) -> float:
+def height_above_surface(tracer: Tracer, base: Float[np.ndarray, "3"]) -> float:
     """Return how far a point lies above the surface under or just over it, in metres; negative below the surface."""
-    start = np.asarray(base, np.float32)[None] + np.array([[0, lift_m, 0]], np.float32)
-    return float(tracer.distances(start, _DOWN)[0]) - lift_m
-
-
-def _solved(tracer: Tracer, seed: int) -> RoomLight:
-    return RoomLight.solve(tracer, seed, precise=True)
+    start = np.asarray(base, np.float32)[None] + np.array([[0, _LIFT_M, 0]], np.float32)
+    return float(tracer.distances(start, _DOWN)[0]) - _LIFT_M
 
 
 def _fits(

@@ -15,7 +15,6 @@ from roomlight_generator.transport.kernels import irradiance_cache as kernels
 from roomlight_generator.transport.kernels.gather import gather_rays, gather_sum
 from roomlight_generator.transport.kernels.patches import find_hits, find_points
 from roomlight_generator.transport.kernels.structs import (
-    CachedRadiance,
     CacheHits,
     CachePoints,
     ConeScratch,
@@ -24,7 +23,6 @@ from roomlight_generator.transport.kernels.structs import (
     RayEnds,
     RecordColumns,
     RecordLists,
-    RecordSpacing,
     SurfacePoints,
     allocated,
 )
@@ -53,8 +51,6 @@ REACH_PIXELS: Final = (18.0, 8.0, 3.5)
 ROUND_SHARE: Final = (8, 4, 2)
 """Each round considers every n-th new cell, so that the first round's records are far apart."""
 
-SMALLEST_PIXELS: Final = 3.0
-FARTHEST_M: Final = 0.35
 CLEARANCE: Final = 0.35
 """Share of its harmonic mean distance that a record reaches."""
 
@@ -78,16 +74,10 @@ class IrradianceCache:
         gather_rays: int = GATHER_RAYS,
         interpolated: bool = True,
     ) -> None:
-        """Start empty.
+        """Start empty. Gather rays bring the light of `room_cache`.
 
-        Args:
-            tracer: The room.
-            light: Its lights.
-            room_cache: The light that gather rays bring.
-            seed: Of all random numbers.
-            gather_rays: Rays of each record of indirect light.
-            interpolated: False: every cell is a record, cells are twice as wide, and a cell's random numbers depend on
-                its place alone, so that two caches of nearly the same room differ by the room and hardly by noise.
+        If not `interpolated`, every cell is a record, cells are twice as wide, and a cell's random numbers depend on
+        its place alone, so that two caches of nearly the same room differ by the room and hardly by noise.
         """
         self.tracer, self.light, self.room_cache = tracer, light, room_cache
         self._seed, self._gather_rays, self._interpolated = seed, gather_rays, interpolated
@@ -95,11 +85,6 @@ class IrradianceCache:
         self._count = 0
         self._irradiance, self._sun = np.zeros((1 << 16, 3), np.float32), np.zeros((1 << 16, 3), np.float32)
         self._records = _Records()
-
-    @property
-    def count(self) -> int:
-        """Number of filled cells."""
-        return self._count
 
     def irradiance(
         self,
@@ -110,15 +95,9 @@ class IrradianceCache:
         *,
         foot_m: Float32[np.ndarray, " n"],
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
-        """Return the irradiance at surface points as let through by their coats, and the sun's part of it.
+        """Return the irradiance at surface points (as in `Points`), as let through by their coats; and the sun's part.
 
-        Args:
-            position, normal, geometric_normal: The points, as in `Points`.
-            face: Face of each point.
-            foot_m: Width of a pixel at each point, across the ray.
-
-        Returns:
-            The irradiance, and the part of it that comes straight from the sun.
+        foot_m is the width of a pixel at each point, across the ray. The sun's part comes straight from it.
         """
         count = len(face)
         material = self.tracer.geometry.material[face]
@@ -211,11 +190,7 @@ class IrradianceCache:
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
         """Compute indirect irradiance by rays from each point, and the harmonic mean of their lengths.
 
-        Args:
-            points: The points.
-            rays: Rays of a point.
-            first: The points seed their random streams by `first`, `first` + 1 and so on.
-            streams: Seeds of the points' random streams instead.
+        The points seed their random streams by `first`, `first` + 1 and so on, or by `streams`.
         """
         count = len(points.position)
         irradiance, clear = np.empty((count, 3), np.float32), np.empty(count, np.float32)
@@ -243,19 +218,17 @@ class IrradianceCache:
         The rays seed their random streams by `first`, `first` + 1 and so on.
         """
         tracer, cache, materials = self.tracer, self.room_cache, self.tracer.materials
-        ends = follow(tracer, self.light, origin, direction)
+        ends, distance_m, mirrored, factor, radiance = follow(tracer, self.light, origin, direction)
         row, cosine = np.empty(len(origin), np.int32), np.zeros(len(origin), np.float32)
-        find_hits(tracer.geometry, cache.table, RayEnds(ends.face, ends.u, ends.v, ends.direction), row, cosine)
-        row = cache.visible(row, ends.distance_m)
+        find_hits(tracer.geometry, cache.table, ends, row, cosine)
+        row = cache.visible(row, distance_m)
         material = tracer.geometry.material[ends.face]  # without a face: any
         alpha = materials.roughness[material]
-        radiance = ends.radiance
-        near = np.flatnonzero((ends.face >= 0) & (ends.distance_m < NEAR_M))
+        near = np.flatnonzero((ends.face >= 0) & (distance_m < NEAR_M))
         if len(near):
             surface = allocated(SurfacePoints, len(near))
             foot = np.full(len(near), 0.01, np.float32)
-            hits = RayEnds(ends.face[near], ends.u[near], ends.v[near], ends.direction[near])
-            surface_points(tracer.arrays, hits, foot, surface)
+            surface_points(tracer.arrays, RayEnds(*(column[near] for column in ends)), foot, surface)
             points = Points(
                 surface.position,
                 surface.normal,
@@ -268,19 +241,18 @@ class IrradianceCache:
             irradiance = direct.irradiance + cache.indirect[row[near]]
             coated = direct.coated + cache.indirect_coated[row[near]]
             # After a mirror nothing is subtracted, as at no distance.
-            distance = np.where(ends.mirrored[near], np.float32(0), ends.distance_m[near])
+            distance = np.where(mirrored[near], np.float32(0), distance_m[near])
             kernels.subtract_spots(irradiance, direct.sun, distance, NEAR_SPOT_M2)
             kernels.subtract_spots(coated, direct.sun_coated, distance, NEAR_SPOT_M2)
             light = np.empty((len(near), 3), np.float32)
             kernels.reflected_light(
                 irradiance, coated, surface.albedo, alpha[near], cosine[near], self.light.coat, light
             )
-            radiance[near] += light * ends.factor[near, None]
+            radiance[near] += light * factor[near, None]
             row[near] = -1
-        cached = CachedRadiance(cache.base, cache.lobe, cache.sun_base, cache.sun_lobe)
-        hits = CacheHits(row, cosine, alpha, ends.distance_m, ends.mirrored, ends.factor)
-        kernels.add_cached(hits, self.light.coat, cached, NEAR_SPOT_M2, radiance)
-        return ends.face, ends.distance_m, radiance
+        hits = CacheHits(row, cosine, alpha, distance_m, mirrored, factor)
+        kernels.add_cached(hits, self.light.coat, cache.radiance, NEAR_SPOT_M2, radiance)
+        return ends.face, distance_m, radiance
 
 
 def _streams(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
@@ -321,7 +293,8 @@ class _Records:
             before = self.count
             self.count, self._entries = kernels.choose_records(
                 CachePoints(part.position, part.normal, part.alpha, foot[start : start + step]),
-                RecordSpacing(reach_pixels, every, SMALLEST_PIXELS, FARTHEST_M),
+                reach_pixels,
+                every,
                 self.columns,
                 self._lists(),
                 self.count,
@@ -337,7 +310,7 @@ class _Records:
         """Return the irradiance of points interpolated between the records."""
         out = np.empty_like(fallback)
         at = CachePoints(points.position, points.normal, points.alpha, foot)
-        kernels.interpolate(at, SMALLEST_PIXELS, self.columns, self._lists(), fallback, out)
+        kernels.interpolate(at, self.columns, self._lists(), fallback, out)
         return out
 
     def _lists(self) -> RecordLists:

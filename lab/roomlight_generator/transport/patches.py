@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from roomlight_generator.transport.kernels import patches as kernels
 from roomlight_generator.transport.kernels.structs import (
+    CachedRadiance,
     Fineness,
-    GatherPaths,
     PatchColumns,
     PatchLinks,
     PatchPoints,
@@ -29,6 +29,7 @@ from roomlight_generator.transport.lights.direct import DirectLight, Points, Rec
 from roomlight_generator.transport.lights.emitters import OPENING, TRIANGLE
 from roomlight_generator.transport.lights.light_visibility import LightVisibility
 from roomlight_generator.transport.lights.sun_spots import NEAR_SPOT_M2
+from roomlight_generator.transport.paths import over_mirrors
 from roomlight_generator.transport.tables import Table, grown
 from roomlight_generator.transport.tracer import OFFSET_M, Tracer
 
@@ -53,13 +54,10 @@ _RAYS_AT_ONCE: Final = 1 << 16
 
 
 class Arrivals(NamedTuple):
-    """Gather rays after mirrors: hits, last directions, lengths, whether they met a mirror, the share that mirrors
-    left, emitted light (`arriving`)."""
+    """Gather rays after mirrors: ends, lengths, whether they met a mirror, the share that mirrors left, emitted light
+    (`arriving`)."""
 
-    face: Int32[np.ndarray, " n"]
-    u: Float32[np.ndarray, " n"]
-    v: Float32[np.ndarray, " n"]
-    direction: Float32[np.ndarray, "n 3"]
+    ends: RayEnds
     distance_m: Float32[np.ndarray, " n"]
     mirrored: Bool[np.ndarray, " n"]
     factor: Float32[np.ndarray, " n"]
@@ -71,34 +69,12 @@ def follow(
 ) -> Arrivals:
     """Trace rays over at most two mirrors to the first other surface; a third mirror absorbs the ray."""
     hits = tracer.trace(origin, direction)
-    count = len(origin)
-    factor = np.ones(count, np.float32)
-    face, distance, u, v = hits
-    mirrored = np.zeros(count, bool)
-    if tracer.has_mirrors:
-        at = np.flatnonzero(_on_mirror(tracer, face))
-        if len(at):
-            origin, direction = origin.copy(), direction.copy()
-        for _ in range(2):
-            if len(at) == 0:
-                break
-            begin, along, share = origin[at], direction[at], factor[at]
-            ends = RayEnds(face[at], u[at], v[at], along)
-            kernels.mirror_rays(tracer.geometry, tracer.materials, ends, begin, share)
-            again = tracer.trace(begin, along)
-            origin[at], direction[at], factor[at], mirrored[at] = begin, along, share, True
-            face[at], u[at], v[at] = again.face, again.u, again.v
-            distance[at] += again.distance_m
-            at = at[_on_mirror(tracer, again.face)]
-        factor[at] = 0
-    radiance = np.empty((count, 3), np.float32)
-    paths = GatherPaths(origin, distance, mirrored, factor)
-    kernels.arriving(tracer.arrays, light.sources, RayEnds(face, u, v, direction), paths, radiance)
-    return Arrivals(face, u, v, direction, distance, mirrored, factor, radiance)
-
-
-def _on_mirror(tracer: Tracer, face: Int32[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    return (face >= 0) & (tracer.materials.mirror > 0)[tracer.geometry.material[face]]
+    factor = np.ones(len(origin), np.float32)
+    origin, direction, mirrors = over_mirrors(tracer, hits, origin, direction, factor, most=2)
+    mirrored, distance, radiance = mirrors > 0, hits.distance_m, np.empty((len(origin), 3), np.float32)
+    ends = RayEnds(hits.face, hits.u, hits.v, direction)
+    kernels.arriving(tracer.arrays, light.sources, ends, origin, distance, mirrored, factor, radiance)
+    return Arrivals(ends, distance, mirrored, factor, radiance)
 
 
 def _fineness(tracer: Tracer, light: DirectLight) -> Fineness:
@@ -131,21 +107,14 @@ class _PatchSet:
         points = (np.empty((0, kernels.POINTS, 3), np.float32) for _ in range(4))
         self.columns = PatchColumns(*points, *(np.zeros(0, np.int32) for _ in range(3)))
 
-    def visit(self, ends: Arrivals) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+    def visit(self, ends: RayEnds) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
         """Find or add each hit's patch (-1 without a hit); also returns the cosine at which the ray leaves it."""
         count = len(ends.face)
         self.columns = PatchColumns(*(grown(column, self.count, self.count + count) for column in self.columns))
         self.table.reserve(self.count + count)
         patch, cosine = np.empty(count, np.int32), np.zeros(count, np.float32)
         self.count = kernels.visit(
-            self.tracer.arrays,
-            self.fineness,
-            RayEnds(ends.face, ends.u, ends.v, ends.direction),
-            self.table.arrays,
-            self.columns,
-            self.count,
-            patch,
-            cosine,
+            self.tracer.arrays, self.fineness, ends, self.table.arrays, self.columns, self.count, patch, cosine
         )
         return patch, cosine
 
@@ -158,19 +127,14 @@ class RoomCache:
     so that index -1 leads to them.
 
     Attributes:
-        base: Radiance of the diffuse part, before a coat lets it out.
-        lobe: Mean radiance that a coat reflects.
-        sun_base, sun_lobe: The parts of both due to the sun's direct light, which spots represent.
+        radiance: Base before a coat lets it out, mean of the lobe, and the parts of both that spots represent.
         indirect, indirect_coated: Irradiance that comes neither from lights nor from spots.
         enclosed: Patches that cannot be seen from beyond `ENCLOSED_M`: a ray from there meets a part of theirs outside,
             whose light is unknown.
     """
 
     table: PatchTable
-    base: Float32[np.ndarray, "rows 3"]
-    lobe: Float32[np.ndarray, "rows 3"]
-    sun_base: Float32[np.ndarray, "rows 3"]
-    sun_lobe: Float32[np.ndarray, "rows 3"]
+    radiance: CachedRadiance
     indirect: Float32[np.ndarray, "rows 3"]
     indirect_coated: Float32[np.ndarray, "rows 3"]
     enclosed: Bool[np.ndarray, " rows"]
@@ -187,13 +151,13 @@ def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
     """
     fineness = _fineness(tracer, light)
     lit = _PatchSet(tracer, fineness)
-    lit.visit(_seed_rays(tracer, light, seed))
+    lit.visit(_seed_rays(tracer, light, seed).ends)
     # The lights see only the lit part of a patch that is half in shadow: start over from what those patches see.
     patches = _PatchSet(tracer, fineness)
     step = _RAYS_AT_ONCE // FIRST_RAYS
     for start in range(0, lit.count, step):
         rows = np.arange(start, min(start + step, lit.count))
-        patches.visit(_gather(tracer, light, lit, rows, FIRST_RAYS, seed).ends)
+        patches.visit(_gather(tracer, light, lit, rows, FIRST_RAYS, seed).arrivals.ends)
     parts = [_linked(patches, _gather(tracer, light, patches, np.arange(0), GATHER_RAYS, seed))]
     done = 0
     step = _RAYS_AT_ONCE // GATHER_RAYS
@@ -292,9 +256,9 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
 
 
 class _TracedRays(NamedTuple):
-    """Hits of gather rays, the share that the patch's coat lets through, and the number of rays of a patch."""
+    """Gather rays, the share that the patch's coat lets through, and the number of rays of a patch."""
 
-    ends: Arrivals
+    arrivals: Arrivals
     passed: Float32[np.ndarray, " n"]
     per_patch: int
 
@@ -318,13 +282,13 @@ def _linked(patches: _PatchSet, rays: _TracedRays) -> tuple[np.ndarray, ...]:
         For each ray: target patch, cosine there, length, share passed here, whether it met a mirror, and mirrors'
         factor. For each patch: the irradiance that comes from no patch, plain and as let through by its coat.
     """
-    ends = rays.ends
-    target, cosine = patches.visit(ends)
-    radiance = ends.radiance.reshape(-1, rays.per_patch, 3)
+    sent = rays.arrivals
+    target, cosine = patches.visit(sent.ends)
+    radiance = sent.radiance.reshape(-1, rays.per_patch, 3)
     through = rays.passed.reshape(-1, rays.per_patch, 1)
     scale = np.float32(np.pi / rays.per_patch)
     beside, beside_coated = radiance.sum(1) * scale, (radiance * through).sum(1) * scale
-    return target, cosine, ends.distance_m, rays.passed, ends.mirrored, ends.factor, beside, beside_coated
+    return target, cosine, sent.distance_m, rays.passed, sent.mirrored, sent.factor, beside, beside_coated
 
 
 def _direct(tracer: Tracer, light: DirectLight, patches: _PatchSet, visibility: LightVisibility, seed: int) -> Received:
@@ -423,7 +387,8 @@ def _with_fallbacks(
     coarse = visibility.coarse
     return RoomCache(
         PatchTable(patches.fineness, table.keys, table.values, coarse.keys, coarse.values, count, count + wide),
-        *tables,
+        CachedRadiance(*tables[:4]),
+        *tables[4:],
         enclosed=np.concatenate([enclosed, np.zeros(len(tables[0]) - count, bool)]),
     )
 

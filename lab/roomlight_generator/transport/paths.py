@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32, UInt8
 
 from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
+from roomlight.rays import RayHits
 from roomlight_generator.transport.kernels.glossy import pane_rays
 from roomlight_generator.transport.kernels.patches import mirror_rays
 from roomlight_generator.transport.kernels.structs import PaneRays, RayEnds, SurfacePoints, allocated
@@ -77,13 +78,12 @@ class Paths:
 
 def follow_view(tracer: Tracer, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Paths:
     """Trace rays (unit directions) of a view to their ends."""
-    materials, material_of = tracer.materials, tracer.geometry.material
+    materials = tracer.materials
     hits = tracer.trace(origins, directions)
     count = len(origins)
     share = np.ones(count, np.float32)
-    length = hits.distance_m.copy()
-    distance = np.where(hits.face >= 0, length, np.float32(np.inf))
-    material = material_of[hits.face]
+    distance = np.where(hits.face >= 0, hits.distance_m, np.float32(np.inf))
+    material = tracer.geometry.material[hits.face]
     glowing = materials.emission.max(1)[material] > 0
     surface = np.where(glowing, LIGHT, np.where(materials.mirror[material] > 0, MIRROR, ORDINARY)).astype(np.uint8)
     surface[hits.face < 0] = ORDINARY
@@ -93,25 +93,47 @@ def follow_view(tracer: Tracer, origins: Float32[np.ndarray, "n 3"], directions:
         np.minimum.at(first, panes[0], panes[4])
         glassy = first < distance
         distance[glassy], surface[glassy] = first[glassy], GLASS
-    face, u, v = hits.face, hits.u, hits.v
-    direction = directions.copy()
-    mirrors = np.zeros(count, np.uint8)
-    if tracer.has_mirrors:
-        at = np.flatnonzero((face >= 0) & (materials.mirror[material] > 0))
-        begin = origins[at].copy()
-        for bounce in range(MIRRORS):
-            if len(at) == 0:
-                break
-            along, left = direction[at], share[at]
-            mirror_rays(tracer.geometry, materials, RayEnds(face[at], u[at], v[at], along), begin, left)
-            again = tracer.trace(begin, along)
-            face[at], u[at], v[at], direction[at], share[at] = again.face, again.u, again.v, along, left
-            length[at] += again.distance_m
-            mirrors[at] = bounce + 1
-            on = (again.face >= 0) & (materials.mirror[material_of[again.face]] > 0)
-            at, begin = at[on], begin[on]
-        share[at] = 0
-    return Paths(share, distance, surface, face, u, v, direction, length, mirrors, *panes)
+    _, direction, mirrors = over_mirrors(tracer, hits, origins, directions, share, most=MIRRORS)
+    return Paths(share, distance, surface, hits.face, hits.u, hits.v, direction, hits.distance_m, mirrors, *panes)
+
+
+def over_mirrors(
+    tracer: Tracer,
+    hits: RayHits,
+    origins: Float32[np.ndarray, "n 3"],
+    directions: Float32[np.ndarray, "n 3"],
+    share: Float32[np.ndarray, " n"],
+    *,
+    most: int,
+) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], UInt8[np.ndarray, " n"]]:
+    """Follow rays from their hits over mirrors; the one after the last absorbs the ray.
+
+    Changes the hits, whose distances become the lengths of the paths, and multiplies `share` by what the mirrors leave.
+
+    Returns:
+        The last origins and directions, and the number of mirrors on each path.
+    """
+    mirrors = np.zeros(len(origins), np.uint8)
+    if not tracer.has_mirrors:
+        return origins, directions, mirrors
+    face, distance, u, v = hits
+    shiny = tracer.materials.mirror[tracer.geometry.material] > 0
+    at = np.flatnonzero((face >= 0) & shiny[face])
+    if len(at) == 0:
+        return origins, directions, mirrors
+    origins, directions = origins.copy(), directions.copy()
+    for number in range(1, most + 1):
+        if len(at) == 0:
+            break
+        begin, along, left = origins[at], directions[at], share[at]
+        mirror_rays(tracer.geometry, tracer.materials, RayEnds(face[at], u[at], v[at], along), begin, left)
+        again = tracer.trace(begin, along)
+        origins[at], directions[at], share[at], mirrors[at] = begin, along, left, number
+        face[at], u[at], v[at] = again.face, again.u, again.v
+        distance[at] += again.distance_m
+        at = at[(again.face >= 0) & shiny[again.face]]
+    share[at] = 0
+    return origins, directions, mirrors
 
 
 def _through_panes(

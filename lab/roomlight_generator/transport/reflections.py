@@ -16,13 +16,12 @@ from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
 from roomlight_generator.transport.kernels.patches import find_points
 from roomlight_generator.transport.kernels.structs import (
     LightScratch,
-    LobeEnds,
-    LobePoints,
     LobeRays,
     LobeSampling,
+    RayEnds,
     allocated,
 )
-from roomlight_generator.transport.lights.direct import DirectLight, ShadowRays
+from roomlight_generator.transport.lights.direct import DirectLight, Points, ShadowRays
 from roomlight_generator.transport.paths import Paths, Surfaces, follow_view, surfaces_of
 from roomlight_generator.transport.tracer import Tracer
 
@@ -45,7 +44,6 @@ class Reflections:
     """Renders the reflections of a room's surfaces."""
 
     def __init__(self, tracer: Tracer, light: DirectLight, irradiance_cache: IrradianceCache) -> None:
-        """Take a solved room."""
         self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
         self._roughness = tracer.materials.roughness
 
@@ -103,40 +101,36 @@ class Reflections:
         out[sky] = self.sky(paths.direction[sky], show_sun=False) * lights[sky, None]
         return out * paths.share[:, None]
 
-    def lobes(self, points: Surfaces, some: Int64[np.ndarray, " k"], *, seed: int) -> Float32[np.ndarray, "k 3"]:
+    def lobes(self, points: Surfaces, at: Int64[np.ndarray, " k"], *, seed: int) -> Float32[np.ndarray, "k 3"]:
         """Return the specular reflections of the coats of some points, of which there are any, all with a coat."""
-        at = some
         tracer, light = self.tracer, self.light
         alpha = self._roughness[points.material][at]
         row = np.empty(len(at), np.int32)
-        lobe = LobePoints(
-            position=points.position[at],
-            normal=points.normal[at],
-            geometric_normal=points.geometric_normal[at],
-            view=points.view[at],
-            alpha=alpha,
-            row=row,
-            stream=points.ray[at].astype(np.int64),
+        position, normal, geometric_normal, view = (
+            column[at] for column in (points.position, points.normal, points.geometric_normal, points.view)
         )
+        lobe = Points(position, normal, geometric_normal, alpha, row, points.ray[at].astype(np.int64))
         table = self.irradiance_cache.room_cache.table
         find_points(table, lobe.position, lobe.geometric_normal, points.material[at], points.face[at], row)
         sampling = LobeSampling(LOBE_RAYS, LOBE_CANDIDATES, LOBE_PICKS, seed)
         shadow = allocated(ShadowRays, len(at) * (LOBE_PICKS + 1))
         totals = np.empty(len(at), np.float64)
         scratch = LightScratch.empty(len(light.lights.start), LOBE_CANDIDATES)
-        written = glossy.lobe_lights(light.sources, lobe, light.visibility, sampling, scratch, shadow, totals)
+        written = glossy.lobe_lights(light.sources, lobe, view, light.visibility, sampling, scratch, shadow, totals)
         seen = tracer.visible(shadow.origin[:written], shadow.direction[:written], shadow.reach[:written])
         scattered = np.zeros((len(at), 3), np.float32)
         glossy.add_scattered(shadow, seen, written, scattered)
         reflected = allocated(LobeRays, len(at) * LOBE_RAYS)
-        glossy.lobe_rays(lobe, LOBE_RAYS, seed, reflected)
+        glossy.lobe_rays(lobe, view, LOBE_RAYS, seed, reflected)
 
         def shares(paths: Paths) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
             kept, sampled = np.empty(len(paths.face), np.float32), np.empty(len(paths.face), np.float32)
             mirrored = paths.mirrors > 0
-            ends = LobeEnds(paths.face, paths.u, paths.v, paths.length_m, mirrored)
-            glossy.lobe_share(light.sources, lobe, light.visibility, totals, sampling, reflected, ends, kept)
-            glossy.spot_shares(alpha, paths.length_m, LOBE_RAYS, sampled)
+            ends, length = RayEnds(paths.face, paths.u, paths.v, paths.direction), paths.length_m
+            glossy.lobe_share(
+                light.sources, lobe, light.visibility, totals, sampling, reflected, ends, length, mirrored, kept
+            )
+            glossy.spot_shares(alpha, length, LOBE_RAYS, sampled)
             return kept, np.where(mirrored, np.float32(1), 1 - sampled)
 
         gain = reflected.weight

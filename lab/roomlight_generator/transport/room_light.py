@@ -16,11 +16,10 @@ from roomlight.spheres import resize_panorama
 from roomlight_generator.transport.irradiance_cache import IrradianceCache
 from roomlight_generator.transport.kernels import glossy
 from roomlight_generator.transport.kernels.structs import allocated
-from roomlight_generator.transport.lights.direct import DirectLight, Points, ShadowRays
-from roomlight_generator.transport.lights.emitters import small_from
+from roomlight_generator.transport.lights.direct import DirectLight, ShadowRays
 from roomlight_generator.transport.patches import solve_room
 from roomlight_generator.transport.paths import unit_rows
-from roomlight_generator.transport.tracer import FAR_M, OFFSET_M, Tracer
+from roomlight_generator.transport.tracer import FAR_M, Tracer
 from roomlight_generator.transport.view import Camera, Viewer
 
 FINER: Final = 2
@@ -40,9 +39,6 @@ PRECISE_RAYS: Final = 1024
 
 PRECISE_LOBES: Final = 6
 """Passes of coats' reflections in precise views."""
-
-TEST_RAYS: Final = 1024
-"""Gather rays of a point of `RoomLight.irradiance`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +70,9 @@ class RoomLight:
     def solve(cls, tracer: Tracer, rng_seed: int, *, precise: bool = False) -> "RoomLight":
         """Solve the room's interreflection; the same arguments give the same bytes.
 
-        Args:
-            tracer: The room.
-            rng_seed: Seed of the random numbers.
-            precise: Views have no blotches and little noise, at several times the cost: every cell of a surface that
-                they show gathers its own light, and reflections are the mean of `PRECISE_LOBES` passes. Views of nearly
-                the same room share their random numbers.
+        Precise views have no blotches and little noise, at several times the cost: every cell of a surface that they
+        show gathers its own light, and reflections are the mean of `PRECISE_LOBES` passes. Views of nearly the same
+        room share their random numbers.
         """
         light = DirectLight(tracer)
         room = solve_room(tracer, light, seed=rng_seed)
@@ -121,7 +114,8 @@ class RoomLight:
             return unit_rows(uv_to_direction(np.stack([column / (2 * fine), row / fine], 1).astype(np.float32)))
 
         lights = self.light.lights
-        small = small_from(lights, np.asarray(position), SMALL_PIXELS * np.pi / height)
+        distance = np.linalg.norm(lights.centre.T - np.asarray(position, np.float32), axis=1)
+        small = 2 * lights.radius < SMALL_PIXELS * np.pi / height * distance
         splatted = small[lights.cluster] & (lights.face >= 0)
         dark = np.zeros(len(lights.face_cuts), bool)
         dark[lights.face[splatted]] = True
@@ -159,18 +153,6 @@ class RoomLight:
         row = np.minimum((uv[:, 1] * height).astype(np.int64), height - 1)
         column = np.minimum((uv[:, 0] * width).astype(np.int64), width - 1)
         np.add.at(image, (row, column), carried[seen] / panorama_solid_angles(height)[row])
-
-    def irradiance(
-        self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
-    ) -> Float32[np.ndarray, "n 3"]:
-        """Compute irradiance (kcd/m2 times steradians) on small planes in space or on surfaces by many rays a plane."""
-        count = len(points)
-        normal = unit_rows(normals)
-        position = (points + OFFSET_M * normal).astype(np.float32)
-        row = np.full(count, -1, np.int32)  # on no surface: its visibility is unknown
-        samples = Points(position, normal, normal, np.zeros(count, np.float32), row, np.arange(count, dtype=np.int64))
-        direct = self.light.received(samples, candidates=512, picks=128, sun_picks=64, seed=1)
-        return direct.irradiance + self.irradiance_cache.gathered(samples, rays=TEST_RAYS, first=0)[0]
 
 
 def z_depth(intrinsics: Intrinsics, distance_m: Float[np.ndarray, " n"]) -> Float32[np.ndarray, "h w"]:

@@ -56,12 +56,6 @@ class SceneArrays(NamedTuple):
 class Tracer:
     """Geometry, materials, textures and trees of a scene; safe to use from several threads at once."""
 
-    scene: Scene
-    geometry: Geometry
-    materials: Materials
-    atlas: Atlas
-    opaque_faces: int
-
     def __init__(self, scene: Scene) -> None:
         """Flatten the scene and build its trees.
 
@@ -78,7 +72,7 @@ class Tracer:
             if material.texture is not None:
                 textures.setdefault(id(material.texture), material.texture)
         self.materials = _material_table(materials, list(textures))
-        self.atlas = build_atlas(list(textures.values()))
+        self.has_mirrors = bool((self.materials.mirror > 0).any())
         glass = np.array([material.glass for material in materials], bool)[geometry.material]
         order = np.concatenate([np.flatnonzero(~glass), np.flatnonzero(glass)])
         self.geometry = Geometry(*(np.ascontiguousarray(part[order]) for part in geometry))
@@ -87,21 +81,8 @@ class Tracer:
             raise ValueError("a scene needs one opaque triangle at least")
         self._opaque = _tree(self.geometry.corners[: self.opaque_faces])
         self._glass = _tree(self.geometry.corners[self.opaque_faces :]) if glass.any() else None
-
-    @property
-    def arrays(self) -> SceneArrays:
-        """Geometry, materials and textures together, as the kernels take them."""
-        return SceneArrays(self.geometry, self.materials, self.atlas)
-
-    @property
-    def has_glass(self) -> bool:
-        """Whether there is any pane."""
-        return self._glass is not None
-
-    @property
-    def has_mirrors(self) -> bool:
-        """Whether there is any mirror."""
-        return bool(self.materials.mirror.max() > 0)
+        self.has_glass = self._glass is not None
+        self.arrays = SceneArrays(self.geometry, self.materials, build_atlas(list(textures.values())))
 
     def trace(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> RayHits:
         """Find the nearest opaque surface along each ray (unit directions)."""

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
 
 from roomlight_generator.transport.grid import SHARP, Grid
 from roomlight_generator.transport.irradiance_cache import IrradianceCache
-from roomlight_generator.transport.kernels import glossy, images
+from roomlight_generator.transport.kernels import glossy
 from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
 from roomlight_generator.transport.lights.direct import DirectLight, Points
 from roomlight_generator.transport.paths import Paths, Surfaces, follow_view, surfaces_of
@@ -74,12 +74,8 @@ class Viewer:
     ) -> None:
         """Take a solved room.
 
-        Args:
-            tracer: The room.
-            light: Its lights.
-            irradiance_cache: The light of the surfaces that reflections show.
-            view_cache: The light of the surfaces that pictures show; default: the same.
-            lobe_passes: Passes of which coats' reflections are the mean.
+        `irradiance_cache` is the light of the surfaces that reflections show, `view_cache` that of the surfaces that
+        pictures show (default: the same). Coats' reflections are the mean of `lobe_passes` passes.
         """
         self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
         self._view_cache, self._lobe_passes = view_cache or irradiance_cache, lobe_passes
@@ -128,7 +124,10 @@ class Viewer:
         emission = self._emission(points, paths, camera)
         radiance = self._composed(paths, points, received, lobe, emission, ~was_borrowed, camera)
         total, weight = image.reshape(-1, 3).copy(), np.ones(height * width, np.float32)
-        images.add_rays(total, weight, pixel, radiance)
+        edge = pixel[::EXTRA_RAYS]
+        weight[edge] += EXTRA_RAYS
+        for k in range(EXTRA_RAYS):
+            total[edge] += radiance[k::EXTRA_RAYS]
         return (total / weight[:, None]).reshape(height, width, 3)
 
     def _surfaces(

@@ -59,7 +59,8 @@ def box_room(
 def box_room_of_many_settings(path: Path) -> Path:
     """Save `box_room` with walls that emit (40, 20, 10) and settings that would hide or change light.
 
-    It also has a cube of the walls' material that only renders show, and one that only the viewport shows.
+    It also has a cube of the walls' material that only renders show; one that only the viewport shows, and an instance
+    of it by geometry nodes; and a room that no ray sees. The material is the objects', not their mesh's.
     """
     box_room(path, albedo=0.5, walls_emit=40.0)
     bpy = blender()
@@ -84,6 +85,24 @@ def box_room_of_many_settings(path: Path) -> Path:
         cube.location, cube.scale = place, (0.1, 0.1, 0.1)
         collection.objects.link(cube)
         collection.hide_render, collection.hide_viewport = not render, not viewport
+        cube.hide_render = not render
+    group = bpy.data.node_groups.new("copy", "GeometryNodeTree")
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    source = group.nodes.new("GeometryNodeObjectInfo")
+    source.transform_space = "RELATIVE"
+    source.inputs["Object"].default_value, source.inputs["As Instance"].default_value = cube, True
+    group.links.new(source.outputs["Geometry"], group.nodes.new("NodeGroupOutput").inputs[0])
+    copy = bpy.data.objects.new("copy", bpy.data.meshes.new("empty"))
+    copy.modifiers.new("copy", "NODES").node_group = group
+    unseen = bpy.data.objects.new("unseen", room.data)
+    for kind in ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+        setattr(unseen, f"visible_{kind}", False)
+    for thing in (copy, unseen):
+        scene.collection.objects.link(thing)
+    emitting = room.data.materials[0]
+    for (slot,) in (thing.material_slots for thing in scene.objects if thing.data == room.data):
+        slot.link, slot.material = "OBJECT", emitting
+    room.data.materials[0] = bpy.data.materials.new("grey")
     outside = bpy.data.objects.new("outside", bpy.data.cameras.new("outside"))
     outside.location = (0, 0, -50)
     scene.collection.objects.link(outside)

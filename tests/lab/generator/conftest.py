@@ -2,6 +2,7 @@
 
 import pytest
 
+import stub_rooms
 from fixture_rooms import lit_room
 from roomlight_generator.sequences import render
 from roomlight_generator.sequences.walk import phone_intrinsics
@@ -22,6 +23,13 @@ def coarse_room(few_rays):
     """A room whose light is solved with few rays."""
     del few_rays
     return lit_room(1)
+
+
+@pytest.fixture
+def no_workers():
+    """Datasets are made in this process."""
+    with stub_rooms.without_workers():
+        yield
 
 
 @pytest.fixture

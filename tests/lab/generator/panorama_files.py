@@ -4,11 +4,8 @@ import numpy as np
 
 from roomlight.conventions import panorama_directions
 from roomlight.images import write_exr
-from roomlight_generator.rooms.furniture import Catalogue, fallback_models
 
 NAMES = ("attic_01", "attic_02", "barn", "shed", "den_2k", "den_05", "loft")
-
-CATALOGUE = Catalogue(fallbacks=fallback_models("train"))
 
 
 def panorama(seed=0, height=64):

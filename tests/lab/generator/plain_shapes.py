@@ -1,9 +1,10 @@
-"""Rectangles of many triangles, with a hole if wanted; whether faces look the way of their normals."""
+"""Rectangles of many triangles, with a hole if wanted, and rooms of them; areas, volumes and directions of faces."""
 
 from itertools import pairwise
 
 import numpy as np
 
+from roomlight.compositing.objects.polygons import face_normals
 from roomlight_generator.rooms.scene import Mesh
 from roomlight_generator.rooms.shapes import bare_mesh, grid_faces
 
@@ -27,11 +28,33 @@ def rectangle(origin, edge_u, edge_v, *, step: float = 0.1, hole=None) -> Mesh:
     return bare_mesh(vertices.reshape(-1, 3), normals, faces)
 
 
+def room_sides(width, height, depth, *, step: float = 0.1) -> dict[str, Mesh]:
+    """The sides of a room about the y axis, standing on y = 0, that face its inside, by name."""
+    x, z = width / 2, depth / 2
+    return {
+        "floor": rectangle([-x, 0, -z], [0, 0, depth], [width, 0, 0], step=step),
+        "ceiling": rectangle([-x, height, -z], [width, 0, 0], [0, 0, depth], step=step),
+        "back": rectangle([-x, 0, -z], [width, 0, 0], [0, height, 0], step=step),
+        "front": rectangle([-x, 0, z], [0, height, 0], [width, 0, 0], step=step),
+        "left": rectangle([-x, 0, -z], [0, height, 0], [0, 0, depth], step=step),
+        "right": rectangle([x, 0, -z], [0, 0, depth], [0, height, 0], step=step),
+    }
+
+
 def faces_match_normals(mesh: Mesh) -> np.ndarray:
     """Return, for each face with an area, whether its vertex order agrees with its vertices' normals."""
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    geometric_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return (geometric_normals * mesh.normals[mesh.faces].mean(1)).sum(1) > -1e-12
+    return (face_normals(mesh.vertices, mesh.faces) * mesh.normals[mesh.faces].mean(1)).sum(1) > -1e-12
+
+
+def area_m2(vertices, faces) -> np.ndarray:
+    """Return the area of each triangle."""
+    return np.linalg.norm(face_normals(vertices, faces), axis=1) / 2
+
+
+def volume_m3(vertices, faces) -> float:
+    """Return the volume within a closed surface, negative if it faces inward."""
+    corners = vertices[faces].astype(np.float64)
+    return float((corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
 
 
 def _steps(length, step, breaks):

@@ -1,11 +1,11 @@
 """Rooms and furniture for the planner's tests: boxes of usual sizes, hand-made and random shells."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
 from roomlight.dataset.recording import Split
+from roomlight_generator.rooms.furniture import Catalogue
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.plan import Gap, Shell, Wall
 from roomlight_generator.rooms.shapes import block
@@ -76,27 +76,20 @@ def model(role: str, size: tuple[float, float, float], split: Split = "train", t
     )
 
 
-@dataclass
-class BoxCatalogue:
-    """Furniture models that are boxes, without the roles in `lacking`."""
-
-    lacking: frozenset[str] = frozenset()
-
-    def __post_init__(self) -> None:
-        self.models: dict[Split, dict[str, list[FurnitureModel]]] = {
-            split: {role: [model(role, size, split) for size in sizes] for role, sizes in SIZES.items()}
-            for split in SPLITS
-        }
-        for split, roles in self.models.items():
-            roles["kitchen_unit"].append(model("kitchen_unit", (0.8, 0.9, 0.6), split, " with sink"))
-
+class _Boxes(Catalogue):
     def choose(
         self, role: str, split: Split, rng: np.random.Generator, *, fits: Callable[[FurnitureModel], bool] | None = None
     ) -> FurnitureModel | None:
-        if role in self.lacking:
-            return None
-        fitting = [candidate for candidate in self.models[split].get(role, []) if fits is None or fits(candidate)]
+        library, _ = self._by_role.get((role, split), ([], []))
+        fitting = [candidate for candidate in library if fits is None or fits(candidate)]
         return fitting[int(rng.integers(len(fitting)))] if fitting else None
+
+
+def box_catalogue(lacking: Collection[str] = ()) -> Catalogue:
+    """Return furniture models that are boxes, without some roles."""
+    models = [model(role, size, split) for split in SPLITS for role, sizes in SIZES.items() for size in sizes]
+    models += [model("kitchen_unit", (0.8, 0.9, 0.6), split, " with sink") for split in SPLITS]
+    return _Boxes(tuple(candidate for candidate in models if candidate.role not in lacking))
 
 
 def shell(

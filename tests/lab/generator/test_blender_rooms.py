@@ -86,10 +86,10 @@ def test_light_between_walls_is_that_of_the_furnace(tmp_path):
 
 @with_blender
 def test_light_is_physical_whatever_the_settings_of_the_file(tmp_path):
-    """The furnace of E / (1 - rho) in three colours, with one of two cubes in it."""
+    """The furnace of E / (1 - rho) in three colours, with one of two cubes and an instance of the other in it."""
     room = open_scene(box_room_of_many_settings(tmp_path / "room.blend"))
-    assert room.kinds.tolist() == [LIGHT] * 24
-    np.testing.assert_allclose(room.vertices.mean(axis=0), [0.75, 1.75, -0.5], atol=1e-5)  # between room and cube
+    assert room.kinds.tolist() == [LIGHT] * 36
+    np.testing.assert_allclose(room.vertices.mean(axis=0), [0, 5.5 / 3, 0], atol=1e-5)  # between room and both cubes
     panorama = CyclesViews(room, 0.0, samples=16).panorama(np.array([0.3, 1.1, 0.4]), 16, seed=3)
     np.testing.assert_allclose(panorama.mean(axis=(0, 1)), [80, 40, 20], rtol=0.01)
     assert (panorama.min(axis=(0, 1)) > [60, 30, 15]).all()
@@ -111,8 +111,11 @@ def test_a_room_without_light_or_with_a_missing_texture_is_refused(tmp_path):
         CyclesViews(room, 0.0, samples=1).set_median(np.array([0.0, 1, 0]), 1.0)
     tree = bpy.data.materials["walls"].node_tree
     tree.links.new(tree.nodes["Image Texture"].outputs[0], tree.nodes["Diffuse BSDF"].inputs["Color"])
+    profile = tree.nodes.new("ShaderNodeTexIES")
+    profile.mode, profile.filepath = "EXTERNAL", "//lamp.ies"
+    tree.links.new(profile.outputs[0], tree.nodes["Diffuse BSDF"].inputs["Roughness"])
     bpy.ops.wm.save_as_mainfile(filepath=str(scene))
-    with pytest.raises(DatasetError, match=r"textures or libraries .* missing \(1\): //wood\.png"):
+    with pytest.raises(DatasetError, match=r"IES files or libraries .* missing \(2\): //lamp\.ies, //wood\.png"):
         open_scene(scene)
 
 
@@ -211,3 +214,19 @@ def test_files_that_are_no_scene_are_refused_by_name(tmp_path):
     (tmp_path / "broken.blend").write_bytes(b"not a scene")
     with pytest.raises(DatasetError, match=r"broken\.blend: Blender .* cannot open it"):
         open_scene(tmp_path / "broken.blend")
+
+
+@with_blender
+def test_a_file_of_a_newer_blender_or_with_drivers_that_need_python_is_refused(tmp_path):
+    scene = box_room(tmp_path / "room.blend")
+    data = scene.read_bytes()
+    (tmp_path / "newer.blend").write_bytes(data[:9] + b"499" + data[12:])  # after BLENDER-v
+    with pytest.raises(DatasetError, match=r"newer\.blend: Blender 4\.99 saved it, and this is Blender 4\.2"):
+        open_scene(tmp_path / "newer.blend")
+    bpy = blender()
+    bpy.ops.wm.open_mainfile(filepath=str(scene))
+    bpy.data.objects["Cube"].driver_add("location", 0).driver.expression = "__import__('os').getpid()"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "driven.blend"))
+    with pytest.raises(DatasetError, match=r"driven\.blend: .*Driver '__import__"):
+        open_scene(tmp_path / "driven.blend")
+    open_scene(scene)

@@ -6,6 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 from furniture_files import MTL, box_obj, entry, png, write_library
+from plain_shapes import area_m2
 
 from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture.assemble import build_mesh
@@ -121,13 +122,9 @@ def test_leaves_are_cut_out_of_their_rectangles(tmp_path):
     path = library(tmp_path, box_obj(), mtl=mtl, files={"a/leaf.png": png(image)})
     _, leafy = load(path, role="plant")
     _, whole = load(path, role="chair")
-
-    def area(mesh):
-        corners = mesh.vertices[mesh.faces]
-        return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-
+    cut, uncut = (area_m2(mesh.vertices, mesh.faces).sum() for mesh in (leafy, whole))
     # Each of the box's faces shows the picture once; a chair's triangles are kept or removed whole.
-    assert area(leafy) == pytest.approx((image[..., 3] > 0).mean() * area(whole), rel=0.08)
+    assert cut == pytest.approx((image[..., 3] > 0).mean() * uncut, rel=0.08)
     assert len(leafy.faces) > 100
     assert len(whole.faces) == 12
 

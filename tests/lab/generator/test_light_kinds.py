@@ -6,9 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from fixture_rooms import plain_catalogue
 from roomlight.conventions import LUMINANCE
 from roomlight_generator.rooms.build import build_room
-from roomlight_generator.rooms.furniture import Catalogue, fallback_models
 from roomlight_generator.rooms.lights import LIGHT_KINDS
 from roomlight_generator.rooms.planner import free_floor
 from roomlight_generator.sequences.exposure import BRIGHT_LEVEL, PERCENTILE
@@ -21,13 +21,8 @@ SEED = 6
 
 
 @cache
-def catalogue():
-    return Catalogue(fallbacks=fallback_models("train"))
-
-
-@cache
 def room(index):
-    return build_room(index, seed=SEED, split="train", catalogue=catalogue())
+    return build_room(index, seed=SEED, split="train", catalogue=plain_catalogue())
 
 
 @cache

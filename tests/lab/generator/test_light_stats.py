@@ -10,7 +10,6 @@ import pytest
 import stub_rooms
 from roomlight.conventions import linear_to_srgb8, panorama_directions
 from roomlight.dataset.loader import Dataset
-from roomlight.dataset.recording import Recording
 from roomlight.errors import DatasetError
 from roomlight.images import encode_exr
 from roomlight_generator import light_stats
@@ -22,7 +21,6 @@ from roomlight_generator.light_stats import (
     panorama_light,
     recording_light,
 )
-from rooms import camera_at, pinhole
 
 NOTHING = np.zeros((0, 3), np.float32)
 
@@ -81,46 +79,23 @@ def test_views_look_about_the_horizon():
         assert measured["panorama's mean"] > 2
 
 
-def lit_recording(**changes):
-    """A frame whose right half is clipped, and a probe at the camera with 5 x white in that direction."""
-    pose = camera_at((0.0, 1.5, 0.0), 0.0)
-    colour = linear_to_srgb8(np.full((1, 60, 80, 3), 0.2, np.float32))
-    colour[:, :, 40:] = 255
-    right = pose[:3, 0]
-    panorama = np.where(panorama_directions(60) @ right > 0, 5, 0.2).astype(np.float32)
-    recording = Recording(
-        name="lit",
-        colour=colour,
-        depth_mm=np.full((1, 60, 80), 2000, np.uint16),
-        surface=np.zeros((1, 60, 80), np.uint8),
-        intrinsics=pinhole(80, 60, 60.0),
-        camera_to_world=pose[None],
-        exposure=np.ones(1),
-        timestamp_s=np.zeros(1),
-        probe_positions=np.array([[0.0, 1.5, 0.0]]),
-        probe_panoramas=panorama.reshape(1, 60, 120, 1).repeat(3, axis=3),
-        facts={},
-    )
-    return replace(recording, **changes)
-
-
 def test_stored_radiance_is_that_of_clipped_pixels():
-    clipped = np.zeros((1, 60, 80, 3), np.float16)
-    clipped[:, :, 40:] = 40
-    (measured,) = recording_light(lit_recording(clipped_radiance=clipped))
+    """The right half of a frame is clipped."""
+    colour = linear_to_srgb8(np.full((1, 24, 32, 3), 0.2, np.float32))
+    clipped = np.zeros((1, 24, 32, 3), np.float16)
+    colour[:, :, 16:], clipped[:, :, 16:] = 255, 40
+    made = stub_rooms.recording(np.random.default_rng(0), name="lit", frames=1, probes=1)
+    recording = replace(made, colour=colour, clipped_radiance=clipped)
+    (measured,) = recording_light(recording)
     assert measured["clipped pixels' radiance"] == pytest.approx(40)
     assert measured["frame's clipped share"] == pytest.approx(0.5)
     (alone,) = recording_light(
-        lit_recording(
-            clipped_radiance=clipped,
-            probe_panoramas=np.zeros((0, 60, 120, 3), np.float32),
-            probe_positions=np.zeros((0, 3)),
-        )
+        replace(recording, probe_panoramas=recording.probe_panoramas[:0], probe_positions=np.zeros((0, 3)))
     )
     assert alone == {name: value for name, value in measured.items() if name in alone}
     assert len(alone) == 5
     with pytest.raises(DatasetError, match="lit: lacks the radiance of clipped pixels"):
-        recording_light(lit_recording())
+        recording_light(replace(recording, clipped_radiance=None))
 
 
 def test_rows_are_alike_within_a_quarter():

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from panorama_files import CATALOGUE, panorama
+from panorama_files import panorama
 
+from fixture_rooms import plain_catalogue
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.dataset.recording import ORDINARY
@@ -36,12 +37,6 @@ def table_at(x, z, *, size=0.8, height=0.5):
 
 def only(*items):
     return Furniture(items, tuple(Footprint(np.array([9.0, 9.0]), np.ones(2), np.array([1.0, 0.0])) for _ in items))
-
-
-def nodes_of(shell):
-    position, normal, face = np.empty((shell.nodes, 3)), np.empty((shell.nodes, 3)), np.empty(shell.nodes, np.int32)
-    gather.nodes(shell.arrays, position, normal, face)
-    return position, normal
 
 
 @pytest.mark.slow
@@ -81,7 +76,8 @@ def test_a_plate_shades_the_floor_below_and_not_afar():
     shell = box_shell()
     image = np.full((64, 128, 3), 0.4, np.float32)
     light = FurnishedLight(shell, image, bright_parts(image), only(table_at(0.0, 0.0, height=0.1)))
-    position, normal = nodes_of(shell)
+    position, normal = np.empty((shell.nodes, 3)), np.empty((shell.nodes, 3))
+    gather.nodes(shell.arrays, position, normal)
     floor = normal[:, 1] > 0.9
     off = np.abs(position[:, [0, 2]]).max(axis=1)
     below, afar = floor & (off < 0.2), floor & (off > 1.0)
@@ -129,7 +125,7 @@ def test_frames_and_probes_show_the_furniture():
 def test_furniture_stands_in_the_room_and_leaves_a_way(seed):
     rng = np.random.default_rng(seed)
     shell = draw_shell(rng)
-    furniture = furnish_shell(shell, CATALOGUE, rng, split="train")
+    furniture = furnish_shell(shell, plain_catalogue(), rng, split="train")
     assert len(furniture.footprints) <= 8
     for item in furniture.items:
         low, high = item.mesh.bounds()

@@ -3,8 +3,9 @@
 import cv2
 import numpy as np
 import pytest
-from panorama_files import CATALOGUE, folder_of, panorama
+from panorama_files import folder_of, panorama
 
+from fixture_rooms import plain_catalogue
 from roomlight.camera import Intrinsics, transform_points
 from roomlight.conventions import LUMINANCE, direction_to_uv, panorama_directions, panorama_solid_angles
 from roomlight.dataset.folder import read_manifest
@@ -18,6 +19,7 @@ from roomlight_generator.panoramas.library import split_of
 from roomlight_generator.panoramas.room import PanoramaRoom, classify_surfaces, percentile
 from roomlight_generator.panoramas.shell import draw_shell
 from roomlight_generator.room_request import RoomRequest
+from stub_rooms import without_workers
 
 
 def shells():
@@ -162,8 +164,9 @@ def options(folder, sequences=4, **changes):
 def dataset(folder, tmp_path_factory):
     """Sequences of both splits."""
     out = tmp_path_factory.mktemp("dataset")
-    generate(out, options(folder, 2), workers=1)
-    generate(out, options(folder, 1, split="test"), workers=1)
+    with without_workers():
+        generate(out, options(folder, 2))
+        generate(out, options(folder, 1, split="test"))
     return out
 
 
@@ -207,7 +210,7 @@ def test_clipped_pixels_have_their_true_radiance(dataset):
 @pytest.mark.usefixtures("small_views")
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_the_same_room_gives_the_same_recording(folder, share, monkeypatch):
-    monkeypatch.setattr(render, "catalogue_for", lambda _: CATALOGUE)
+    monkeypatch.setattr(render, "catalogue_for", lambda _: plain_catalogue())
     request = RoomRequest(0, 1, "train", count=1, frames=2, panoramas=folder, furniture_share=share)
     first, second = (next(render.render_room(request)) for _ in range(2))
     for name in ("colour", "depth_mm", "surface", "probe_panoramas", "clipped_radiance"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planner_rooms import BoxCatalogue, model, shell
+from planner_rooms import box_catalogue, model, shell
 
 from roomlight_generator.rooms.plan import Gap, Placement
 from roomlight_generator.rooms.planner import free_floor
@@ -108,7 +108,7 @@ def test_floor_under_low_slopes_is_not_free() -> None:
 
 def test_free_wall_spans_exclude_gaps_and_furniture() -> None:
     gaps = {0: (Gap("window", 1.0, 2.0, 0.9, 2.0),)}
-    arrangement = Arrangement(shell(SQUARE, gaps), BoxCatalogue(), np.random.default_rng(0), "train")
+    arrangement = Arrangement(shell(SQUARE, gaps), box_catalogue(), np.random.default_rng(0), "train")
     assert [
         (span.start_m, span.end_m) for span in free_wall_spans(arrangement, 0.4, low=0.0, high=0.8, walls=(0,))
     ] == [(0.0, 4.0)]
@@ -121,7 +121,7 @@ def test_free_wall_spans_exclude_gaps_and_furniture() -> None:
 
 def test_a_piece_that_would_cut_off_a_door_is_refused() -> None:
     gaps = {3: (Gap("door", 1.0, 1.9, 0.0, 2.0, keep_clear_m=0.6),)}
-    arrangement = Arrangement(shell(SQUARE, gaps), BoxCatalogue(), np.random.default_rng(0), "train")
+    arrangement = Arrangement(shell(SQUARE, gaps), box_catalogue(), np.random.default_rng(0), "train")
     before = len(arrangement.pieces)
     assert arrangement.place(model("wardrobe", (0.3, 2.0, 2.9)), 1.0, 1.5, 0.0) is None
     assert len(arrangement.pieces) == before

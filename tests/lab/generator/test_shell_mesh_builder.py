@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plain_shapes import faces_match_normals
+from plain_shapes import faces_match_normals, volume_m3
 
-from roomlight_generator.rooms.scene import Material, Mesh
+from roomlight_generator.rooms.scene import Material
 from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
 from roomlight_generator.rooms.shell.outline import choose_outline, envelope, offset_outline
 from roomlight_generator.rooms.shell.polygons import (
@@ -57,16 +57,11 @@ def test_self_crossing_and_clockwise_outlines_are_refused() -> None:
         envelope([(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)], 2.5, ())
 
 
-def _closed_volume(mesh: Mesh) -> float:
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    return float(np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
-
-
 def test_bars_are_closed_and_face_outward() -> None:
     builder = MeshBuilder()
     builder.bar(WALL, (0.0, 0.5, 1.0, 1.2), (-0.1, 0.2), GREY)
     mesh = builder.mesh()
-    assert _closed_volume(mesh) == pytest.approx(0.5 * 0.2 * 0.3, rel=1e-4)
+    assert volume_m3(mesh.vertices, mesh.faces) == pytest.approx(0.5 * 0.2 * 0.3, rel=1e-4)
     assert faces_match_normals(mesh).all()
 
 

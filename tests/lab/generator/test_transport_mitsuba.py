@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plain_shapes import rectangle
+from plain_shapes import rectangle, room_sides
 
 from roomlight.camera import Intrinsics
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Scene, Sky
@@ -22,14 +22,10 @@ NIGHT = Sky(np.zeros((4, 8, 3), np.float32))
 def box_room() -> list[Mesh]:
     """4 x 2.6 x 4 m about the y axis: its floor is coated, its far wall holds a mirror, a panel lights it."""
     coated = Material("floor", (0.4, 0.3, 0.2), roughness=0.2)
+    sides = room_sides(4, 2.6, 4, step=5)
     panel = with_material(block(0.8, 0.03, 0.8), Material("panel", (0.8, 0.8, 0.8), emission=(5.0, 4.0, 3.0)))
     return [
-        with_material(rectangle((-2, 0, 2), (4, 0, 0), (0, 0, -4), step=5), coated),
-        with_material(rectangle((-2, 2.6, -2), (4, 0, 0), (0, 0, 4), step=5), WHITE),
-        with_material(rectangle((-2, 0, -2), (4, 0, 0), (0, 2.6, 0), step=5), WHITE),
-        with_material(rectangle((2, 0, 2), (-4, 0, 0), (0, 2.6, 0), step=5), WHITE),
-        with_material(rectangle((-2, 0, 2), (0, 0, -4), (0, 2.6, 0), step=5), WHITE),
-        with_material(rectangle((2, 0, -2), (0, 0, 4), (0, 2.6, 0), step=5), WHITE),
+        *(with_material(side, coated if name == "floor" else WHITE) for name, side in sides.items()),
         with_material(rectangle((0.6, 0.9, -1.99), (0.6, 0, 0), (0, 0.8, 0), step=5), Material("mirror", mirror=0.9)),
         panel.placed(0.0, 2.5, 0.2),
     ]

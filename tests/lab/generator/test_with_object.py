@@ -1,5 +1,7 @@
 """Rooms with a real object: where it can stand, and what it changes."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -11,10 +13,8 @@ from roomlight_generator.rooms.shapes import bare_mesh, grid_faces, with_materia
 from roomlight_generator.sequences.with_object import (
     find_resting_place,
     height_above_surface,
-    object_mesh,
     render_pair,
     render_with_object,
-    with_object,
 )
 from roomlight_generator.transport import RoomLight, Tracer
 
@@ -60,8 +60,7 @@ def looking_down():
 
 
 def cube_of(material, centre=(0, 0.2, 0)):
-    mesh = cuboid((0.4, 0.4, 0.4), centre, material)
-    return object_mesh(mesh.vertices, mesh.normals, mesh.faces, material)
+    return cuboid((0.4, 0.4, 0.4), centre, material)
 
 
 @pytest.mark.slow
@@ -134,8 +133,6 @@ def test_resting_places_are_level_and_free():
 @pytest.mark.slow
 def test_an_object_without_room_has_no_place():
     crowded = [cube_of(GREY, (x, 0.2, z)) for x in np.arange(-1.75, 1.8, 0.5) for z in np.arange(-1.75, 1.8, 0.5)]
-    scene = room()
-    for mesh in crowded:
-        scene = with_object(scene, mesh)
+    scene = replace(room(), items=(*room().items, *(Item("cube", "cube", mesh) for mesh in crowded)))
     rng = np.random.default_rng(0)
     assert find_resting_place(Tracer(scene), CAMERA, looking_down(), rng, radius_m=0.3, height_m=0.2) is None

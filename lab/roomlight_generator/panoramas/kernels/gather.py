@@ -42,14 +42,11 @@ class Rays(NamedTuple):
 
 
 @njit(**JIT)
-def nodes(shell, position, normal, face):
+def nodes(shell, position, normal):
     """Write the nodes of all light maps, moved a little into their faces' rectangles.
 
     Args:
-        shell: The shell's triangles and light maps.
-        position: Receives the nodes' positions, [n, 3].
-        normal: Receives their normals, [n, 3].
-        face: Receives their faces, [n].
+        position, normal: Receive the nodes' positions and normals, [n, 3].
     """
     for f in range(len(shell.start)):
         rows, columns = shell.shape[f, 0], shell.shape[f, 1]
@@ -65,7 +62,6 @@ def nodes(shell, position, normal, face):
                 for c in range(3):
                     position[at, c] = o[c] + b * axes[0, c] + a * axes[1, c]
                 normal[at, 0], normal[at, 1], normal[at, 2] = n, m, k
-                face[at] = f
 
 
 @njit(**JIT)
@@ -73,8 +69,6 @@ def light_samples(shell, panorama, pixels, power, position, normal, weighted, ar
     """Place samples on the shell at pixels of the panorama.
 
     Args:
-        shell: The shell.
-        panorama: The panorama.
         pixels: Row and column of each sample, [m, 2].
         power: Radiance times solid angle from the panorama's centre, [m, 3].
         position, normal: Receive the samples' positions and normals, [m, 3].
@@ -105,7 +99,6 @@ def light_rays(shell, lights, position, normal, weight, rays):
     the shell hides the sample.
 
     Args:
-        shell: The shell.
         lights: The samples, m of them.
         position, normal: The points, [n, 3].
         weight: Receives the weights, [n, m].
@@ -137,9 +130,7 @@ def gather_rays(shell, shade, panorama, position, normal, samples, radiance, ray
     """Write cosine-distributed rays from points, and the radiance of the shell where each ray meets it.
 
     Args:
-        shell: The shell.
         shade: Factors of the light that the shell reflects, by node of its light maps; empty: 1 everywhere.
-        panorama: The panorama.
         position, normal: The points, [n, 3].
         samples: Rays of a point.
         radiance: Receives the radiance, [n * samples, 3].

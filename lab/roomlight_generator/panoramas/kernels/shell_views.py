@@ -184,9 +184,6 @@ def trace_corners(shell, panorama, camera, triangle, corner):
     """Trace rays through the corners of all pixels.
 
     Args:
-        shell: The shell.
-        panorama: The panorama.
-        camera: The camera.
         triangle: Receives the triangle at each corner, [h + 1, w + 1].
         corner: Receives direction, point and the point's place (column, row) in the panorama, [h + 1, w + 1, 8].
     """

@@ -35,8 +35,6 @@ _HOLE_LEVELS: Final = 4
 """Number of subdivisions of a leafy object's triangles where its texture has holes. Other triangles are kept or
 removed whole: a texture with holes that lies over another surface is a print on it."""
 
-_UNNAMED: Final = MtlMaterial("default")
-
 
 def build_mesh(archive: Archive, entry: LibraryEntry, *, role: str, warn: WarningCallback) -> Mesh:
     """Build the model's mesh: metres, y up, front toward +z, standing on y = 0.
@@ -87,7 +85,7 @@ def _load_materials(
     textures: dict[str, tuple[TextureImage, Texture] | None] = {}
     kinds = KIND_OF.get(entry.id, {})
     for k, name in enumerate(obj.material_names):
-        mtl = mtl_materials.get(name, replace(_UNNAMED, name=name))
+        mtl = mtl_materials.get(name, MtlMaterial(name))
         loaded = None
         if mtl.texture is not None:
             if mtl.texture not in textures:

@@ -16,7 +16,7 @@ from roomlight_generator.rooms.furniture.exceptions import LIGHT_OFFSETS_M
 from roomlight_generator.rooms.furniture.files.archive import Archive
 from roomlight_generator.rooms.furniture.files.sh3f import LibraryEntry, WarningCallback, read_entries
 from roomlight_generator.rooms.furniture.support_height import measure_top_m
-from roomlight_generator.rooms.furniture_model import FurnitureModel, LightSource
+from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.scene import Mesh
 
 ProgressCallback = Callable[[int, int], None]
@@ -32,12 +32,6 @@ def build_cache(
     """Write a cache file from libraries (one to two minutes for the five of Debian, on one core).
 
     A model that cannot be read, or whose id was in an earlier library, is left out with a warning.
-
-    Args:
-        sources: Libraries.
-        out: The cache file.
-        warn: Called with each warning.
-        progress: Called with the numbers of finished models and of all models.
 
     Raises:
         FurnitureError: a source is not a library, or the sources contain no models.
@@ -77,6 +71,7 @@ def build_cache(
 def _add(writer: CacheWriter, archive: Archive, entry: LibraryEntry, role: str, warn: WarningCallback) -> None:
     mesh = build_mesh(archive, entry, role=role, warn=warn)
     extent = mesh.bounds()[1] - mesh.bounds()[0]
+    way = np.array(LIGHT_OFFSETS_M.get(entry.id, (0, 0, 0)), np.float32)
     model = FurnitureModel(
         id=entry.id,
         name=entry.name,
@@ -88,15 +83,10 @@ def _add(writer: CacheWriter, archive: Archive, entry: LibraryEntry, role: str, 
         load=lambda: mesh,
         elevation_m=elevation_m(role, entry),
         top_m=measure_top_m(mesh, listed_m=entry.drop_top_m) if has_surface(role, entry) else None,
-        lights=_offset_lights(entry),
+        lights=tuple(replace(light, position=light.position + way) for light in entry.lights),
         attribution=entry.attribution,
     )
     writer.add(model, mesh, _digests(archive, entry, mesh))
-
-
-def _offset_lights(entry: LibraryEntry) -> tuple[LightSource, ...]:
-    way = np.array(LIGHT_OFFSETS_M.get(entry.id, (0, 0, 0)), np.float32)
-    return tuple(replace(light, position=light.position + way) for light in entry.lights)
 
 
 def _digests(archive: Archive, entry: LibraryEntry, mesh: Mesh) -> tuple[str, ...]:

@@ -9,7 +9,6 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from io import BytesIO
@@ -40,14 +39,6 @@ Box = list[list[float]]
 """Least and greatest values of columns."""
 
 
-@dataclass(frozen=True, eq=False)
-class StoredModel:
-    """A model of a cache. Its `model.split` is a placeholder: the split depends on all loaded models."""
-
-    model: FurnitureModel
-    shared: tuple[str, ...]
-
-
 @dataclass(eq=False)
 class CacheWriter:
     """Collects models, then writes them as one file."""
@@ -57,13 +48,7 @@ class CacheWriter:
     _textures: dict[bytes, int] = field(default_factory=dict[bytes, int])
 
     def add(self, model: FurnitureModel, mesh: Mesh, shared: tuple[str, ...]) -> None:
-        """Add a model.
-
-        Args:
-            model: The model.
-            mesh: Its mesh.
-            shared: Digests of its geometry and textures (`splits.assign_splits`).
-        """
+        """Add a model with its mesh and the digests of its geometry and textures (`splits.assign_splits`)."""
         (vertices, box), (uvs, uv_box) = _quantised(mesh.vertices), _quantised(mesh.uvs)
         arrays = {
             "vertices": vertices,
@@ -126,10 +111,13 @@ class Cache:
         self._models: list[dict[str, Any]] = index["models"]
         self._textures: WeakValueDictionary[int, Texture] = WeakValueDictionary()
 
-    def models(self) -> list[StoredModel]:
-        """Return all models, in the order in which they were stored."""
+    def models(self) -> list[tuple[FurnitureModel, tuple[str, ...]]]:
+        """Return all models, in the order in which they were stored, with their digests (`CacheWriter.add`).
+
+        Their split is a placeholder: it depends on all loaded models.
+        """
         return [
-            StoredModel(
+            (
                 FurnitureModel(
                     **{name: record[name] for name in _FIELDS},
                     split="train",
@@ -163,14 +151,6 @@ class Cache:
             face_materials=owners,
             materials=tuple(self._material(material) for material in record["materials"]),
         )
-
-    def __getstate__(self) -> Mapping[str, Any]:
-        """Return the path alone: another process opens the file again."""
-        return {"path": self.path}
-
-    def __setstate__(self, state: Mapping[str, Any]) -> None:
-        """Open the file again."""
-        self.__init__(state["path"])
 
     def _material(self, record: dict[str, Any]) -> Material:
         number = record["texture"]

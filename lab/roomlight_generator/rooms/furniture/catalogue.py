@@ -38,31 +38,16 @@ class Catalogue:
     )
 
     def __post_init__(self) -> None:
-        """Index the models by role and split."""
         for place, models in enumerate((self.library, self.fallbacks)):
             for model in models:
                 self._by_role.setdefault((model.role, model.split), ([], []))[place].append(model)
 
-    def models(self, role: str, split: Split) -> list[FurnitureModel]:
-        """Return all models of a role that rooms of this split may use, the library's first."""
-        library, fallbacks = self._by_role.get((role, split), ([], []))
-        return [*library, *fallbacks]
-
     def choose(
         self, role: str, split: Split, rng: np.random.Generator, *, fits: Callable[[FurnitureModel], bool] | None = None
     ) -> FurnitureModel | None:
-        """Choose a model of a role at random; a fallback only if the library has no model that fits.
+        """Choose a model that `fits` accepts (None: any); a fallback only without such a model of the library.
 
-        The number of random values drawn does not depend on which models fit.
-
-        Args:
-            role: Role of the model.
-            split: Split of the room.
-            rng: Random numbers.
-            fits: Accepts a model; None: all models fit.
-
-        Returns:
-            The model, or None if no model fits.
+        The number of random values drawn does not depend on which models fit. None is returned if no model fits.
         """
         library, fallbacks = (
             [model for model in models if fits is None or fits(model)]
@@ -101,9 +86,9 @@ def _divided(cache: Cache) -> Catalogue:
     """Return all models of a cache, divided into splits."""
     stored = cache.models()
     splits = assign_splits(
-        {entry.model.id: entry.model.role for entry in stored}, {entry.model.id: entry.shared for entry in stored}
+        {model.id: model.role for model, _ in stored}, {model.id: shared for model, shared in stored}
     )
-    return Catalogue(library=tuple(replace(entry.model, split=splits[entry.model.id]) for entry in stored))
+    return Catalogue(library=tuple(replace(model, split=splits[model.id]) for model, _ in stored))
 
 
 def library_files(path: Path) -> list[Path]:

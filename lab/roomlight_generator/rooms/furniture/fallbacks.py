@@ -36,17 +36,8 @@ def fallback_models(split: Split) -> tuple[FurnitureModel, ...]:
     return tuple(_model(kind, split, number) for kind in KINDS for number in range(VARIANTS))
 
 
-def _build(kind: str, split: Split, number: int) -> Model:
-    rng = np.random.default_rng([crc32(kind.encode()), _SPLIT_KEYS[split], number])
-    return KINDS[kind](rng)
-
-
-def _mesh(kind: str, split: Split, number: int) -> Mesh:
-    return _build(kind, split, number)[0]
-
-
 def _model(kind: str, split: Split, number: int) -> FurnitureModel:
-    mesh, top, lights = _build(kind, split, number)
+    mesh, top, lights = KINDS[kind](np.random.default_rng([crc32(kind.encode()), _SPLIT_KEYS[split], number]))
     low, high = mesh.bounds()
     width, height, depth = (float(length) for length in high - low)
     return FurnitureModel(
@@ -57,7 +48,7 @@ def _model(kind: str, split: Split, number: int) -> FurnitureModel:
         width_m=width,
         height_m=height,
         depth_m=depth,
-        load=partial(_mesh, kind, split, number),
+        load=lambda: mesh,
         elevation_m=1.3 if kind == "picture" else 0.0,
         top_m=top,
         lights=lights,

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from roomlight.compositing.objects.polygons import face_normals
 from roomlight_generator.rooms.furniture.kernels.collapse import collapse_round, quadrics
 
 _WELD: Final = 1e-5
@@ -45,15 +46,12 @@ def welded(soup: TriangleSoup) -> TriangleSoup:
         uv_faces=uv_index.reshape(-1)[soup.uv_faces],
         materials=soup.materials,
     )
-    corners = soup.points[soup.faces]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    soup = soup.select(np.linalg.norm(area, axis=1) > 1e-10 * size * size)
+    soup = soup.select(2 * _areas(soup) > 1e-10 * size * size)
     if not len(soup.faces):
         return soup
-    corners = soup.points[soup.faces]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     middle = (soup.points.min(0) + soup.points.max(0)) / 2
-    outward = (area * (corners.mean(1) - middle)).sum(1) >= 0
+    away = soup.points[soup.faces].mean(1) - middle
+    outward = (face_normals(soup.points, soup.faces) * away).sum(1) >= 0
     order = np.argsort(~outward, kind="stable")
     _, kept = np.unique(np.sort(soup.faces[order], axis=1), axis=0, return_index=True)
     return soup.select(np.sort(order[kept]))
@@ -101,8 +99,7 @@ def connected_parts(faces: Int[np.ndarray, "f 3"], count: int) -> Int[np.ndarray
 
 
 def _areas(soup: TriangleSoup) -> Float[np.ndarray, " f"]:
-    corners = soup.points[soup.faces]
-    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    return np.linalg.norm(face_normals(soup.points, soup.faces), axis=1) / 2
 
 
 def _thin_parts(

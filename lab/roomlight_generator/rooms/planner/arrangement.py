@@ -8,12 +8,13 @@ the view from a window, the floor in front of a wardrobe) exclude the layers the
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, Protocol, TypeVar, runtime_checkable
+from typing import Final, Literal, TypeVar
 
 import cv2
 import numpy as np
 
 from roomlight.dataset.recording import Split
+from roomlight_generator.rooms.furniture import Catalogue
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.plan import Gap, Placement, Shell, Wall
 from roomlight_generator.rooms.planner.body import Body, Segment, contains_point
@@ -22,6 +23,9 @@ from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
 from roomlight_generator.rooms.shapes import Number
 
 Element = TypeVar("Element")
+
+Snapshot = tuple[int, int, int]
+"""Numbers of pieces, zones and tables that `Arrangement.restore` leaves."""
 
 Layer = Literal["floor", "top", "wall", "ceiling", "flat"]
 
@@ -50,17 +54,6 @@ UNDER_CEILING_M: Final = 0.005
 
 SILL_M: Final = 0.06
 """Height of a window's sill below its hole."""
-
-
-@runtime_checkable  # so that annotations can be checked in the test run
-class Chooser(Protocol):
-    """A collection of furniture models that can be sampled by role."""
-
-    def choose(
-        self, role: str, split: Split, rng: np.random.Generator, *, fits: Callable[[FurnitureModel], bool] | None = None
-    ) -> FurnitureModel | None:
-        """Choose a model of that role and split among those that `fits` accepts; None if there is none."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,21 +88,12 @@ class Zone:
     excluded_layers: frozenset[Layer]
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """A state of the arrangement to restore later."""
-
-    pieces: int
-    zones: int
-    tables: int
-
-
 @dataclass(eq=False)
 class Arrangement:
     """Furniture placed so far. `clutter` from 0 (bare) to 1 (crowded) scales the number of small objects."""
 
     shell: Shell
-    catalogue: Chooser
+    catalogue: Catalogue
     rng: np.random.Generator
     split: Split
     clutter: float = 0.5
@@ -119,7 +103,6 @@ class Arrangement:
     """Tables with seats: lamps may hang low over them."""
 
     def __post_init__(self) -> None:
-        """Analyse the empty room."""
         polygon = self.shell.polygon
         self.outline: list[Segment] = [
             (float(x0), float(z0), float(x1), float(z1))
@@ -249,14 +232,15 @@ class Arrangement:
 
     def snapshot(self) -> Snapshot:
         """Return the current state for `restore`."""
-        return Snapshot(len(self.pieces), len(self.zones), len(self.tables))
+        return len(self.pieces), len(self.zones), len(self.tables)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Remove everything placed since the snapshot."""
-        for piece in self.pieces[snapshot.pieces :]:
+        pieces, zones, tables = snapshot
+        for piece in self.pieces[pieces:]:
             if piece.layer in OBSTACLE_LAYERS and is_obstacle(piece.body):
                 self._update_occupancy(piece.body, -1)
-        del self.pieces[snapshot.pieces :], self.zones[snapshot.zones :], self.tables[snapshot.tables :]
+        del self.pieces[pieces:], self.zones[zones:], self.tables[tables:]
 
     def with_roles(self, *roles: str) -> list[Piece]:
         """Return the pieces with those roles."""

@@ -3,8 +3,9 @@
 import numpy as np
 
 from roomlight.dataset.recording import Split
+from roomlight_generator.rooms.furniture import Catalogue
 from roomlight_generator.rooms.plan import Placement, Shell
-from roomlight_generator.rooms.planner.arrangement import Arrangement, Chooser
+from roomlight_generator.rooms.planner.arrangement import Arrangement
 from roomlight_generator.rooms.planner.groups.ceiling import light_ceiling
 from roomlight_generator.rooms.planner.groups.loose_items import furnish_second_room, place_being
 from roomlight_generator.rooms.planner.groups.tabletops import place_on_tops
@@ -13,7 +14,7 @@ from roomlight_generator.rooms.planner.room_types import RoomType
 
 
 def furnish(
-    shell: Shell, room_type: RoomType, catalogue: Chooser, rng: np.random.Generator, *, split: Split
+    shell: Shell, room_type: RoomType, catalogue: Catalogue, rng: np.random.Generator, *, split: Split
 ) -> tuple[Placement, ...]:
     """Furnish a shell for a room type; placements are in the world frame.
 

@@ -25,22 +25,20 @@ from roomlight_generator.rooms.planner.groups.tables import cafe_tables, desk, d
 from roomlight_generator.rooms.tables import read_table
 
 
-def fill_spare_space(arrangement: Arrangement) -> int:
-    """Place further furniture groups while a large room is still mostly empty; return their number."""
-    done = 0
+def fill_spare_space(arrangement: Arrangement) -> None:
+    """Place further furniture groups while a large room is still mostly empty."""
     groups = arrangement.shuffled(
         (partial(dining, seats=(2, 6)), conversation_group, reading_corner, desk, partial(bookcase_row, longest=2.6))
     )
     for group in groups[:3]:
         if arrangement.free_cells().sum() * arrangement.floor.cell_m**2 < max(9.0, 0.42 * arrangement.area_m2):
             break
-        done += bool(group(arrangement))
-    return done
+        group(arrangement)
 
 
 @dataclass(frozen=True)
 class Step:
-    """A furnishing step with a probability; `fallback` runs if the step is skipped or does not fit."""
+    """A furnishing step with a probability; `fallback` runs if the step is skipped or `place` returns nothing."""
 
     place: Callable[[Arrangement], object]
     chance: float = 1.0
@@ -106,6 +104,8 @@ _GROUPS: Final[dict[str, Callable[..., object]]] = {
 def _step(place: str, *, chance: float = 1.0, fallback: str | None = None, **options: Any) -> Step:
     if "roles" in options:
         options["roles"] = tuple(options["roles"].split())
+    if fallback is not None and _GROUPS[place].__annotations__["return"] is None:
+        raise ValueError(f"{place} does not say whether it placed anything, so it has no fallback")
     return Step(partial(_GROUPS[place], **options), chance, None if fallback is None else _GROUPS[fallback])
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from roomlight_generator.rooms.plan import Shell, inside_outline
 from roomlight_generator.rooms.planner.body import Body
@@ -38,7 +38,8 @@ def shell_bodies(shell: Shell) -> list[Body]:
         if item.role in ENCLOSING_ROLES:
             continue
         points = _along_edges(item.mesh)
-        points = points[_protrudes(shell, points[:, [0, 2]])]
+        inside, squared_m2 = inside_outline(shell.polygon, points[:, 0], points[:, 2])
+        points = points[inside & (squared_m2 >= MIN_PROTRUSION_M**2)]
         if len(points):
             bodies += _boxes(points)
     return bodies
@@ -53,11 +54,6 @@ def _along_edges(mesh: Mesh) -> Float[np.ndarray, "n 3"]:
     shares = np.arange(1, steps)[:, None, None] / max(steps, 1)
     between = starts[long] + shares * (ends[long] - starts[long])
     return np.concatenate([starts, between.reshape(-1, 3)])
-
-
-def _protrudes(shell: Shell, plan: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-    inside, squared_m2 = inside_outline(shell.polygon, plan[:, 0], plan[:, 1])
-    return inside & (squared_m2 >= MIN_PROTRUSION_M**2)
 
 
 def _boxes(points: Float[np.ndarray, "n 3"]) -> list[Body]:

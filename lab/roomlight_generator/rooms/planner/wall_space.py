@@ -47,10 +47,7 @@ def free_wall_spans(
     Rotated neighbours count with their bounding box in the wall's frame, so that a span is free over its whole depth.
 
     Args:
-        arrangement: The room.
-        depth: Depth of the box, metres.
-        low, high: Heights of the box's bottom and top.
-        layer: Layer of the box.
+        depth, low, high: Depth of the box, heights of its bottom and top, metres.
         walls: Indices of the walls; None: all walls.
         lower_walls: Include walls that end below `high` under a slanted ceiling.
     """
@@ -147,17 +144,9 @@ def place_at_wall(
     clear_m: float = 0.0,
     tries: int = 8,
 ) -> Piece | None:
-    """Place a model with its back to a wall, 1 to 5 cm from it.
+    """Place a model with its back to a wall, 1 to 5 cm from it; None without a model or a place.
 
-    Args:
-        arrangement: The room.
-        model: The model; None: nothing is placed.
-        where: Preferred positions along the wall.
-        clear_m: Depth of floor in front of the model to reserve.
-        tries: Positions tried.
-
-    Returns:
-        The piece, or None if there is no place.
+    `clear_m` is the depth of floor in front of the model to reserve.
     """
     if model is None:
         return None

@@ -26,7 +26,8 @@ def door_items(door: Door, plane: Plane, finishes: Finishes, floor: Material, *,
     others = {0: floor} if door.to_second_room else None
     frame.tube(plane, rect(*door.rect), (-OVERLAP, door.depth_m + OVERLAP), finishes.door_frame, others=others)
     _architrave(door, plane, finishes.door_frame, frame)
-    shut = _leaf_depth(door)
+    # The closed leaf's front is near the face of the room that it swings into.
+    shut = 0.002 if design.swings_in else max(door.depth_m - _LEAF_M - 0.002, 0.002)
     if door.to_second_room:
         _architrave(door, _opposite_face(plane, door.depth_m), finishes.door_frame, frame, flipped=True)
     # Door stops: the closed leaf rests against them.
@@ -47,13 +48,6 @@ def door_items(door: Door, plane: Plane, finishes: Finishes, floor: Material, *,
         _leaf(hung, width - 0.005, h1 - h0 - 0.01, design, finishes, leaf)
         items.append(Item(f"leaf {k} of {name}", "door_leaf", leaf.mesh()))
     return items
-
-
-def _leaf_depth(door: Door) -> float:
-    """Return the depth of the closed leaf's front: near the face of the room that it swings into."""
-    if door.design.swings_in:
-        return 0.002
-    return max(door.depth_m - _LEAF_M - 0.002, 0.002)
 
 
 def _opposite_face(plane: Plane, depth: float) -> Plane:

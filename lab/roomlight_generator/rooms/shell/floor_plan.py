@@ -233,7 +233,9 @@ def _second_holes(
     """Choose a window opposite the entry, with no part of the building before it, or in half of the rooms a door."""
     far = second.sides[1]
     if rng.random() < style.second_window:
-        window = _second_window(second, style, wall_m, rng)
+        # Without curtains, over nearly the whole wall.
+        window_style = choose_window_style(style, second.height_m, wall_m, abs(area(second.corners)), rng)
+        window = replace(window_style, cover=Cover("none")).window(1, 0.12, far.length_m - 0.12)
         if window is not None:
             behind_m = wall_m + CLEAR_VIEW_M
             view = far.footprint(window.rect[0], window.rect[1], 0.003, behind_m, flare=0.5 * behind_m)
@@ -245,15 +247,6 @@ def _second_holes(
         return ()
     start = design.architrave_m + 0.05 + float(rng.random()) * free
     return (Door(1, (start, start + width, 0.0, height), 0.06, replace(design, hinge_right=bool(rng.random() < 0.5))),)
-
-
-def _second_window(second: Envelope, style: ShellStyle, wall_m: float, rng: np.random.Generator) -> Window | None:
-    """Choose a window without curtains over nearly the whole far wall; None if the wall is too short."""
-    far = second.sides[1]
-    window_style = replace(
-        choose_window_style(style, second.height_m, wall_m, abs(area(second.corners)), rng), cover=Cover("none")
-    )
-    return window_style.window(1, 0.12, far.length_m - 0.12)
 
 
 def _place_windows(occupancy: _Occupancy, window_style: WindowStyle, count: int, rng: np.random.Generator) -> None:
@@ -297,7 +290,7 @@ def _place_window_row(
     low, high = _longest_free_stretch(occupancy, i)
     for n in range(count, 0, -1):
         cell = (high - low) / n
-        if cell < window_style.min_cell_m and n > 1:
+        if n > 1 and cell < window_style.pier_m + min(window_style.width_m, 0.6):
             continue
         width = min(window_style.width_m, cell - window_style.pier_m)
         jitter = float(rng.uniform(-0.5, 0.5)) * max(cell - width - window_style.pier_m, 0.0) * (n == 1)
@@ -320,7 +313,6 @@ def _place_window_row(
 
 
 def _longest_free_stretch(occupancy: _Occupancy, i: int) -> tuple[float, float]:
-    """Return the longest part of a side without holes."""
     side = occupancy.room.sides[i]
     taken = sorted(edge_m(hole) for hole in occupancy.holes if hole.side == i)
     stops = [0.0, *(stop for span in taken for stop in span), side.length_m]

@@ -57,7 +57,6 @@ class MeshBuilder:
         self._count = 0
 
     def __bool__(self) -> bool:
-        """Return whether any face was added."""
         return self._count > 0
 
     def add(
@@ -111,10 +110,7 @@ class MeshBuilder:
         """Add the sides of a hole through the plane, facing its middle.
 
         Args:
-            plane: The plane.
-            hole: Outline of the hole.
             depths: The two depths between which the sides lie, overlaps included.
-            material: Material of the sides.
             others: Materials of single edges of the outline that differ: a sill, a threshold.
         """
         near, far = depths
@@ -154,12 +150,10 @@ class MeshBuilder:
         """Sweep a profile along the wall.
 
         Args:
-            plane: The wall.
             profile: Points (distance from the wall, h), bottom to top.
             span: Start and end along the wall.
             mitres: How far each end moves inward for each metre off the wall: 1 in a right-angled corner of the room,
                 -1 around an outer corner; None is a free end, closed by a cap.
-            material: Material of the profile.
         """
         away = np.array([point[0] for point in profile])
         start = span[0] + (mitres[0] or 0.0) * away

@@ -61,11 +61,6 @@ class WindowStyle:
             return 2 * self.cover.spread_m + 0.08
         return 0.14 if self.fills_wall_first else 0.3
 
-    @property
-    def min_cell_m(self) -> float:
-        """Minimum width of wall for each window; with less, there are fewer windows."""
-        return self.pier_m + min(self.width_m, 0.6)
-
     def window(self, side: int, s0: float, s1: float) -> Window | None:
         """Make the window from s0 to s1; None if that is too narrow."""
         if s1 - s0 < 0.38:

@@ -55,12 +55,13 @@ def spot_shares(alpha, distance, rays, out):
 
 
 @njit(**JIT)
-def lobe_rays(points, rays, seed, out):
-    """Write `rays` reflections (`LobeRays`) of each point (`LobePoints`) by visible normals (Heitz 2018).
+def lobe_rays(points, view, rays, seed, out):
+    """Write `rays` reflections (`LobeRays`) of each point (`Points`) by visible normals (Heitz 2018).
 
-    A reflection into the surface has weight 0 and the direction of the geometric normal.
+    view is the unit direction toward the viewer. A reflection into the surface has weight 0 and the direction of the
+    geometric normal.
     """
-    _, normal, geometric_normal, view, alpha, _, stream = points
+    _, normal, geometric_normal, alpha, _, stream = points
     direction, weight, density = out
     for i in range(len(alpha)):
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
@@ -109,12 +110,13 @@ def lobe_rays(points, rays, seed, out):
 
 
 @njit(**JIT)
-def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
+def lobe_lights(sources, points, view, visibility, sampling, scratch, shadow, totals):
     """Write the shadow rays by which the lobe of each point samples the lights; returns how many.
 
     Args:
         sources: Lights, outdoors and surfaces of lights (`LightSources`, `LightSurfaces`).
-        points: Coated points (`LobePoints`).
+        points: Coated points (`Points`).
+        view: Unit direction from each toward the viewer, [n, 3].
         visibility: Share of each cluster that each row sees, in 255ths, [rows, l].
         sampling: Numbers of reflected rays, candidates and picks, and the seed (`LobeSampling`).
         scratch: Work space (`LightScratch`).
@@ -123,7 +125,7 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
     """
     lights, outdoors, surfaces = sources
     kind = surfaces.kind
-    position, normal, geometric_normal, view, alpha, row, stream = points
+    position, normal, geometric_normal, alpha, row, stream = points
     rays, candidates, picks, seed = sampling
     owner, origin, direction, reach, weight, _, _ = shadow
     hole, parts = outdoors.hole, outdoors.parts
@@ -215,24 +217,25 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
 
 
 @njit(**JIT)
-def lobe_share(sources, points, visibility, totals, sampling, reflected, ends, share):
+def lobe_share(sources, points, visibility, totals, sampling, reflected, ends, distance, mirrored, share):
     """Write the share of emitted light that each reflected ray keeps, given that the lights are sampled too.
 
     Args:
         sources: Lights and outdoors.
-        points: Coated points (`LobePoints`).
+        points: Coated points (`Points`).
         visibility: Share of each cluster that each row sees, in 255ths, [rows, l].
         totals: Each point's sum of estimates, from `lobe_lights`, [n].
         sampling: As in `lobe_lights`.
         reflected: The rays (`LobeRays`).
-        ends: Where the rays ended (`LobeEnds`).
+        ends: Where the rays ended (`RayEnds`).
+        distance, mirrored: Their lengths, and whether they met a mirror, [n * rays].
         share: Receives the shares, 1 after a mirror, [n * rays].
     """
     lights, outdoors, _ = sources
     position, normal, row = points.position, points.normal, points.row
     rays, candidates, _, _ = sampling
     direction, density = reflected.direction, reflected.density
-    face, u, v, distance, mirrored = ends
+    face, u, v, _ = ends
     for at in range(len(face)):
         i = at // rays
         share[at] = 1.0
@@ -318,7 +321,6 @@ def splat_rays(sources, chosen, samples, point, seed, rays):
         chosen: Which pieces get rays, [p].
         samples: Rays to each cluster.
         point: World position (x, y, z).
-        seed: Seed of the random numbers.
         rays: The rays (`ShadowRays`), of which origin, direction, reach and weight are written; weight is radiance
             times solid angle.
     """

@@ -193,12 +193,3 @@ def borrow(grid, received, lobe, rays, out):
                     for c in range(3):
                         received_out[r, c] = received[j, i, c]
                         lobe_out[r, c] = lobe[j, i, c]
-
-
-@njit(**JIT)
-def add_rays(image, weight, pixel, radiance):
-    """Add the rays' radiance to their pixels, and count the rays of each pixel."""
-    for r in range(len(pixel)):
-        weight[pixel[r]] += 1
-        for c in range(3):
-            image[pixel[r], c] += radiance[r, c]

@@ -15,6 +15,8 @@ from roomlight_generator.transport.kernels.lights import left_to_gathering
 CELL_PIXELS = 1.9  # a cell's width is the power of two in metres nearest to the footprint of this many pixels
 LOWEST_LEVEL = -12
 NORMAL_AGREES = 0.8  # cosine: records count for normals within 37 degrees, in full at 0
+SMALLEST_PIXELS = 3.0  # least reach of a record
+FARTHEST_M = 0.35  # largest reach of a record
 BLEND = 1.6  # a record counts up to this many times its reach: the mean of more records has less noise
 COVERED = 0.35  # a point gets a new record if the total weight of the records around it is below this
 
@@ -98,7 +100,7 @@ def insert(records, lists, which, entries):
 
 
 @njit(**JIT)
-def weigh_records(records, lists, smallest, point, point_normal, bucket, foot):
+def weigh_records(records, lists, point, point_normal, bucket, foot):
     """Weigh the records about a point by distance and normal.
 
     Returns the sum of the weights within the records' reach, the sum within `BLEND` times their reach, and the red,
@@ -128,7 +130,7 @@ def weigh_records(records, lists, smallest, point, point_normal, bucket, foot):
             entry = entry_next[entry]
             if coat[which] != bucket:
                 continue
-            r = min(max(clear[which], smallest * foot), reach[which])
+            r = min(max(clear[which], SMALLEST_PIXELS * foot), reach[which])
             dx, dy, dz = x - position[which, 0], y - position[which, 1], z - position[which, 2]
             d_sq = dx * dx + dy * dy + dz * dz
             if d_sq >= (BLEND * r) ** 2:
@@ -152,14 +154,15 @@ def weigh_records(records, lists, smallest, point, point_normal, bucket, foot):
 
 
 @njit(**JIT)
-def choose_records(points, spacing, records, lists, known, entries, fresh):
+def choose_records(points, reach_pixels, every, records, lists, known, entries, fresh):
     """Add a record at each point that the records so far do not cover; returns the numbers of records and of entries.
 
     The points are considered one after the other, and new records count at their full reach.
 
     Args:
         points: The points (`CachePoints`).
-        spacing: How densely records are placed.
+        reach_pixels: Reach of the records in pixels.
+        every: One in so many points is considered.
         records: The records, `known` of them filled.
         lists: Which records reach into a grid cell.
         known: Number of records so far.
@@ -167,13 +170,12 @@ def choose_records(points, spacing, records, lists, known, entries, fresh):
         fresh: Receives the index of each new record's point.
     """
     position, normal, alpha, foot = points
-    reach_pixels, every, smallest, farthest = spacing
     r_position, r_normal, r_coat, r_clear, r_reach, r_irradiance = records
     new = 0
     for i in range(0, len(foot), every):
         bucket = coat_bucket(alpha[i])
         cover, _, _, _, _ = weigh_records(
-            records, lists, smallest, (position[i, 0], position[i, 1], position[i, 2]),
+            records, lists, (position[i, 0], position[i, 1], position[i, 2]),
             (normal[i, 0], normal[i, 1], normal[i, 2]), bucket, foot[i],
         )  # fmt: skip
         if cover >= COVERED:
@@ -184,7 +186,7 @@ def choose_records(points, spacing, records, lists, known, entries, fresh):
             r_irradiance[which, a] = 0.0
         r_coat[which] = bucket
         r_clear[which] = 1e9
-        r_reach[which] = min(reach_pixels * foot[i], farthest)
+        r_reach[which] = min(reach_pixels * foot[i], FARTHEST_M)
         fresh[new] = i
         new += 1
         entries = insert(records, lists, which, entries)
@@ -192,12 +194,12 @@ def choose_records(points, spacing, records, lists, known, entries, fresh):
 
 
 @njit(**JIT)
-def interpolate(points, smallest, records, lists, fallback, out):
+def interpolate(points, records, lists, fallback, out):
     """Interpolate the indirect irradiance of each point from the records about it; the fallback without any."""
     position, normal, alpha, foot = points
     for i in range(len(foot)):
         _, total, red, green, blue = weigh_records(
-            records, lists, smallest, (position[i, 0], position[i, 1], position[i, 2]),
+            records, lists, (position[i, 0], position[i, 1], position[i, 2]),
             (normal[i, 0], normal[i, 1], normal[i, 2]), coat_bucket(alpha[i]), foot[i],
         )  # fmt: skip
         if total > 1e-6:

@@ -439,7 +439,6 @@ def sun_rays(outdoors, through, points, seed, rays):
         outdoors: Openings and the sun (`Outdoors`).
         through: The coat's table: the share of light let through, by roughness and cosine.
         points: The points (`Points`).
-        seed: Seed of the random numbers.
         rays: The rays (`ShadowRays`). weight is the irradiance that the point's coat lets through; reach, passed and
             cluster are not written.
     """

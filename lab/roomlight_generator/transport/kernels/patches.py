@@ -140,7 +140,6 @@ def patch_rays(points, through, rays, seed, out):
         points: The patches' points (`PatchPoints`).
         through: The coat's table: the share of light let through, by roughness and cosine.
         rays: Rays of a patch.
-        seed: Seed of the random numbers.
         out: The rays (`PatchRays`), [p * rays].
     """
     position, normal, geometric_normal, used, alpha, stream = points
@@ -190,7 +189,7 @@ def mirror_rays(geometry, materials, ends, origin, factor):
 
 
 @njit(**JIT)
-def arriving(scene, sources, ends, paths, radiance):
+def arriving(scene, sources, ends, origin, distance, mirrored, factor, radiance):
     """Write the emitted light that gather rays bring, which shadow rays do not bring.
 
     This is the sky where no opening leads to it, lights seen in a mirror, and a share of very near lights.
@@ -199,12 +198,12 @@ def arriving(scene, sources, ends, paths, radiance):
         scene: Geometry, materials and textures (`SceneArrays`).
         sources: Lights, outdoors and surfaces of lights.
         ends: Where the rays ended, n of them.
-        paths: How the rays came there (`GatherPaths`).
+        origin, distance: The rays' last origins and their lengths, [n, 3], [n].
+        mirrored, factor: Whether they met a mirror, and the share that mirrors left, [n].
         radiance: Receives the radiance, [n, 3].
     """
     lights, outdoors, _ = sources
     face, _, _, direction = ends
-    origin, distance, mirrored, factor = paths
     for i in range(len(face)):
         r, g, b, share = 0.0, 0.0, 0.0, factor[i]
         if face[i] < 0:

@@ -130,25 +130,6 @@ class GatherRays(NamedTuple):
     passed: Float32[np.ndarray, " n"]
 
 
-class LobePoints(NamedTuple):
-    """Coated surface points whose specular lobe is sampled.
-
-    Attributes:
-        view: Unit direction toward the viewer.
-        alpha: Roughness of the coat.
-        row: Row of the visibility table (-1: unknown).
-        stream: Number that seeds a point's random numbers.
-    """
-
-    position: Float32[np.ndarray, "n 3"]
-    normal: Float32[np.ndarray, "n 3"]
-    geometric_normal: Float32[np.ndarray, "n 3"]
-    view: Float32[np.ndarray, "n 3"]
-    alpha: Float32[np.ndarray, " n"]
-    row: Int32[np.ndarray, " n"]
-    stream: Int64[np.ndarray, " n"]
-
-
 class LobeSampling(NamedTuple):
     """Samples of a lobe for each point: reflected rays, candidates on the lights, and how many of those are traced."""
 
@@ -164,16 +145,6 @@ class LobeRays(NamedTuple):
     direction: Float32[np.ndarray, "n 3"]
     weight: Float32[np.ndarray, " n"]
     density: Float32[np.ndarray, " n"]
-
-
-class LobeEnds(NamedTuple):
-    """Hits of reflected rays, and whether the rays met a mirror on the way."""
-
-    face: Int32[np.ndarray, " n"]
-    u: Float32[np.ndarray, " n"]
-    v: Float32[np.ndarray, " n"]
-    distance: Float32[np.ndarray, " n"]
-    mirrored: Bool[np.ndarray, " n"]
 
 
 class PaneRays(NamedTuple):
@@ -220,16 +191,6 @@ class RecordLists(NamedTuple):
     entry_record: Int32[np.ndarray, " e"]
     entry_next: Int32[np.ndarray, " e"]
     levels: Int32[np.ndarray, "64"]
-
-
-class RecordSpacing(NamedTuple):
-    """How densely records are placed: their reach in pixels and at most in metres, the least reach in pixels, and every
-    how many points are considered."""
-
-    reach_pixels: float
-    every: int
-    smallest_pixels: float
-    farthest_m: float
 
 
 class CacheHits(NamedTuple):
@@ -294,15 +255,6 @@ class PatchRays(NamedTuple):
     origin: Float32[np.ndarray, "n 3"]
     direction: Float32[np.ndarray, "n 3"]
     passed: Float32[np.ndarray, " n"]
-
-
-class GatherPaths(NamedTuple):
-    """Gather rays after mirrors: last origin, length, whether they met a mirror, and the share that mirrors left."""
-
-    origin: Float32[np.ndarray, "n 3"]
-    distance: Float32[np.ndarray, " n"]
-    mirrored: Bool[np.ndarray, " n"]
-    factor: Float32[np.ndarray, " n"]
 
 
 class PatchLinks(NamedTuple):

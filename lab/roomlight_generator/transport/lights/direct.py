@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float32, Int32, Int64, UInt8
 
 from roomlight_generator.transport.kernels import lights as kernels
 from roomlight_generator.transport.kernels.structs import LightScratch, ShadowSampling, allocated
-from roomlight_generator.transport.lights.coat import CoatTable, coat_table
-from roomlight_generator.transport.lights.emitters import Lights, LightSources, Outdoors, build_lights
+from roomlight_generator.transport.lights.coat import coat_table
+from roomlight_generator.transport.lights.emitters import build_lights
 from roomlight_generator.transport.tracer import FAR_M, Tracer
 
 _RAYS_AT_ONCE: Final = 1 << 16
@@ -75,10 +75,6 @@ OnRays = Callable[[int, ShadowRays, Bool[np.ndarray, " n"], int], None]
 class DirectLight:
     """The lights of a scene, and their visibility from each part of the room, in 255ths."""
 
-    lights: Lights
-    outdoors: Outdoors
-    sources: LightSources
-    coat: CoatTable
     visibility: UInt8[np.ndarray, "rows l"]
 
     def __init__(self, tracer: Tracer) -> None:
@@ -103,11 +99,7 @@ class DirectLight:
         """Compute each point's irradiance from the lights, sunlit spots among them.
 
         Args:
-            points: The points.
-            candidates: Candidates on the lights for each point.
-            picks: Shadow rays of a point, picked from the candidates.
-            sun_picks: Rays of a point toward the sun's disc.
-            seed: Seed of the random numbers.
+            candidates, picks, sun_picks, seed: As in `ShadowSampling`.
             sun_outside: Count sunlight that passed no opening (on a sill) as part of the sun's light.
             on_rays: Called with each batch of shadow rays.
         """

@@ -9,7 +9,7 @@ then a point in it in proportion to luminance times area. Spots where the sun st
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Int32
+from jaxtyping import Float, Float32, Int, Int32
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight_generator.rooms.scene import Opening
@@ -124,12 +124,6 @@ def build_lights(tracer: Tracer) -> LightSources:
         lights.piece, lights.kind, outdoors.hole, outdoors.parts, outdoors.panorama, lights.coat_share, lights.sun
     )
     return LightSources(lights, outdoors, surfaces)
-
-
-def small_from(lights: Lights, point: Float[np.ndarray, "3"], angle: float) -> Bool[np.ndarray, " l"]:
-    """Return whether each cluster is narrower than an angle (radians) as seen from a point."""
-    distance = np.linalg.norm(lights.centre.T - point.astype(np.float32), axis=1)
-    return 2 * lights.radius < angle * distance
 
 
 def _glowing_pieces(tracer: Tracer) -> tuple[_Pieces, Int32[np.ndarray, " f"], Int32[np.ndarray, " f"], int]:

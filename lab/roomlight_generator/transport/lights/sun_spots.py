@@ -55,8 +55,7 @@ def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
     """Sample the surfaces lit by the sun through the scene's openings."""
     openings = tracer.scene.openings
     if not openings or outdoors.sun_irradiance.max() <= 0:
-        nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
-        return Spots(nothing, nothing, nothing, nothing, none, nothing, nothing, none)
+        return allocated(Spots, 0)
     rng = np.random.default_rng(7)
     sun = outdoors.sun_direction.astype(np.float64)
     across = [abs(float(np.cross(opening.edge_u, opening.edge_v) @ sun)) for opening in openings]

@@ -42,7 +42,6 @@ class Archive:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the file."""
         self._zip.close()
 
     def find(self, name: str, *, relative_to: str = "") -> str | None:

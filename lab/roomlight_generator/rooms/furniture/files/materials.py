@@ -47,16 +47,10 @@ _SCREEN_ROLES: Final = frozenset({"television", "wall_television", "computer", "
 def make_material(
     mtl: MtlMaterial, texture: Texture | None, *, role: str, identity: str, kind: str | None = None
 ) -> Material:
-    """Make the material of a part of a model.
+    """Make the material of a part of the model that has this role and identity.
 
-    A texture replaces the diffuse colour, as it does in Sweet Home 3D.
-
-    Args:
-        mtl: The part's material in the MTL file.
-        texture: Its texture, if any.
-        role: Role of the model.
-        identity: Id of the model.
-        kind: Overrides the keywords: mirror, glass, chrome, matte, glossy, screen, shade.
+    A texture replaces the diffuse colour, as it does in Sweet Home 3D. `kind` overrides the keywords: mirror, glass,
+    chrome, matte, glossy, screen, shade.
     """
     words = mtl.name.lower()
     kind = kind or _kind(words, mtl, texture, role)

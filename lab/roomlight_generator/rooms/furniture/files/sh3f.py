@@ -101,6 +101,7 @@ def _entry(archive: Archive, number: int, properties: dict[str, str], general: d
     drop = _metres(properties, "dropOnTopElevation", where, default=height)
     creator = properties.get("creator") or general.get("provider")
     licence = properties.get("license") or general.get("license")
+    who = ", ".join(" ".join(part.split()) for part in (creator, licence) if part)
     return LibraryEntry(
         id=identity,
         name=name,
@@ -116,13 +117,8 @@ def _entry(archive: Archive, number: int, properties: dict[str, str], general: d
         lights=_lights(properties, (width, height, depth), where),
         glowing=tuple(properties.get("lightSourceMaterialName", "").split()),
         opening=properties.get("doorOrWindow", "").lower() == "true",
-        attribution=_attribution(name, creator, licence),
+        attribution=f"{name}: {who}" if who else None,
     )
-
-
-def _attribution(name: str, creator: str | None, licence: str | None) -> str | None:
-    who = ", ".join(" ".join(part.split()) for part in (creator, licence) if part)
-    return f"{name}: {who}" if who else None
 
 
 def _metres(properties: dict[str, str], key: str, where: str, *, default: float | None = None) -> float:

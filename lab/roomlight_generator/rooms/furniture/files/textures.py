@@ -59,16 +59,12 @@ def decode_image(data: bytes, where: str, *, side: int = MAX_SIDE) -> TextureIma
     if coverage is not None and coverage.max() > 0.5:
         mean = np.average(colour.reshape(-1, 3), axis=0, weights=coverage.ravel())
         colour = np.where(coverage[..., None] > 0.1, colour, np.rint(mean)).astype(np.uint8)
-    return _shrunk(TextureImage(np.ascontiguousarray(colour), coverage), side)
-
-
-def _shrunk(picture: TextureImage, side: int) -> TextureImage:
-    height, width = picture.image.shape[:2]
+    colour = np.ascontiguousarray(colour)
+    height, width = colour.shape[:2]
     scale = side / max(height, width)
-    if scale >= 1:
-        return picture
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    coverage = picture.coverage
-    if coverage is not None:
-        coverage = np.asarray(cv2.resize(coverage, size, interpolation=cv2.INTER_AREA))
-    return TextureImage(np.asarray(cv2.resize(picture.image, size, interpolation=cv2.INTER_AREA)), coverage)
+    if scale < 1:
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        colour = np.asarray(cv2.resize(colour, size, interpolation=cv2.INTER_AREA))
+        if coverage is not None:
+            coverage = np.asarray(cv2.resize(coverage, size, interpolation=cv2.INTER_AREA))
+    return TextureImage(colour, coverage)

@@ -1,12 +1,11 @@
 """Bathroom fixtures along the walls."""
 
-from roomlight_generator.rooms.planner.arrangement import Arrangement, Piece
+from roomlight_generator.rooms.planner.arrangement import Arrangement
 from roomlight_generator.rooms.planner.wall_space import WallPreference, place_at_wall
 
 
-def bathroom(arrangement: Arrangement) -> list[Piece]:
-    """Place a bath or shower, a toilet, a washbasin and optional fixtures; return the placed pieces."""
-    placed: list[Piece] = []
+def bathroom(arrangement: Arrangement) -> None:
+    """Place a bath or shower, a toilet, a washbasin and optional fixtures."""
 
     def add(
         role: str,
@@ -18,9 +17,7 @@ def bathroom(arrangement: Arrangement) -> list[Piece]:
     ) -> bool:
         for clear in (clear_m, clear_m, 0.8 * clear_m, 0.7 * clear_m):
             model = arrangement.pick(role, width=width, depth=depth)
-            piece = place_at_wall(arrangement, model, where=where, clear_m=clear, tries=14)
-            if piece is not None:
-                placed.append(piece)
+            if place_at_wall(arrangement, model, where=where, clear_m=clear, tries=14) is not None:
                 return True
         return False
 
@@ -41,4 +38,3 @@ def bathroom(arrangement: Arrangement) -> list[Piece]:
     for _ in range(arrangement.poisson(1.0 if small else 2.2)):
         role = arrangement.shuffled(("dresser", "sideboard", "stool", "bookcase", "floor_clutter"))[0]
         add(role, where="any", clear_m=0.2, width=(0.2, 0.9), depth=(0.15, 0.5))
-    return placed

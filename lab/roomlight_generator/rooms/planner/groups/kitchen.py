@@ -39,15 +39,13 @@ def _pick_counter_unit(
     return own or arrangement.pick(role, width=(0.3, 1.4), depth=(0.4, 0.8), height=height, also=fits)
 
 
-def kitchen(
-    arrangement: Arrangement, *, longest: float = 4.5, corner: float = 0.45, island: float = 0.35
-) -> list[Piece]:
-    """Place units along one wall, or around a corner; return the pieces on the floor."""
+def kitchen(arrangement: Arrangement, *, longest: float = 4.5, corner: float = 0.45, island: float = 0.35) -> None:
+    """Place units along one wall, or around a corner."""
     unit = _pick_counter_unit(arrangement, "kitchen_unit", sink=False) or _pick_counter_unit(
         arrangement, "kitchen_unit"
     )
     if unit is None:
-        return []
+        return
     spans = free_wall_spans(arrangement, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
     ranked = sorted(
         (span for span in spans if span.length_m >= 0.7),
@@ -66,9 +64,8 @@ def kitchen(
         if arrangement.chance(island) and arrangement.area_m2 > 14:
             _place_island(arrangement, pieces, unit)
         if len(pieces) < 4 and arrangement.area_m2 > 6:
-            pieces += _place_opposite_run(arrangement, pieces, unit)
-        return pieces
-    return []
+            _place_opposite_run(arrangement, pieces, unit)
+        return
 
 
 def _choose_run_models(
@@ -129,7 +126,7 @@ def _place_run(
     return _place_side_by_side(arrangement, span.wall, line, cursor, unit, step=1 if from_left else -1), from_left
 
 
-def _place_opposite_run(arrangement: Arrangement, first: list[Piece], unit: FurnitureModel) -> list[Piece]:
+def _place_opposite_run(arrangement: Arrangement, first: list[Piece], unit: FurnitureModel) -> None:
     """If the first run is short, place a second, plain run along another wall."""
     roles = {piece.role for piece in first}
     spans = free_wall_spans(arrangement, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
@@ -145,8 +142,7 @@ def _place_opposite_run(arrangement: Arrangement, first: list[Piece], unit: Furn
         )
         if run:
             _place_wall_units(arrangement, span.wall, run)
-            return run
-    return []
+            return
 
 
 def _place_side_by_side(

@@ -50,26 +50,23 @@ def place_along_walls(
     return done
 
 
-def fill_walls(arrangement: Arrangement, *, roles: tuple[str, ...], share: tuple[float, float] = (0.16, 0.36)) -> int:
-    """Place pieces of these roles along walls until a share of the floor is covered; return how many were placed."""
+def fill_walls(arrangement: Arrangement, *, roles: tuple[str, ...], share: tuple[float, float] = (0.16, 0.36)) -> None:
+    """Place pieces of these roles along walls until a share of the floor is covered."""
     wanted = arrangement.uniform(share[0], share[1]) * arrangement.area_m2
-    done = missed = 0
+    missed = 0
     while missed < 4:
         taken = sum(4 * p.body.half_width * p.body.half_depth for p in arrangement.pieces if p.layer == "floor")
         if taken >= wanted:
             break
-        put = place_along_walls(arrangement, roles=roles, depth=0.75)
-        done, missed = done + put, missed + (put == 0)
-    return done
+        if place_along_walls(arrangement, roles=roles, depth=0.75) == 0:
+            missed += 1
 
 
-def place_in_corners(arrangement: Arrangement, *, role: str, number: float = 1.0, widest: float = 0.9) -> int:
-    """Place floor lamps or plants in corners and beside furniture (Poisson mean `number`); return their number."""
-    done = 0
+def place_in_corners(arrangement: Arrangement, *, role: str, number: float = 1.0, widest: float = 0.9) -> None:
+    """Place floor lamps or plants in corners and beside furniture (Poisson mean `number`)."""
     for _ in range(arrangement.poisson(number)):
         model = arrangement.pick(role, width=(0.0, widest), depth=(0.0, widest + 0.2))
-        done += place_at_wall(arrangement, model, where="corner" if arrangement.chance(0.75) else "any") is not None
-    return done
+        place_at_wall(arrangement, model, where="corner" if arrangement.chance(0.75) else "any")
 
 
 def free_points(arrangement: Arrangement, number: int) -> list[tuple[float, float]]:
@@ -87,18 +84,16 @@ def free_points(arrangement: Arrangement, number: int) -> list[tuple[float, floa
 
 def scatter_on_floor(
     arrangement: Arrangement, *, role: str, number: float, by_walls: float = 0.5, tallest: float = 1.2
-) -> int:
-    """Scatter small objects on the floor, some along walls (Poisson mean `number`); return their number."""
-    done = 0
+) -> None:
+    """Scatter small objects on the floor, some along walls (Poisson mean `number`)."""
     for _ in range(arrangement.poisson(number)):
         model = arrangement.pick(role, width=(0.0, 0.9), depth=(0.0, 0.9), height=(0.0, tallest))
         if model is None:
-            return done
+            return
         if arrangement.chance(by_walls):
-            done += place_at_wall(arrangement, model) is not None
+            place_at_wall(arrangement, model)
         else:
-            done += _place_on_free_floor(arrangement, model, 4)
-    return done
+            _place_on_free_floor(arrangement, model, 4)
 
 
 def place_being(arrangement: Arrangement, role: Literal["person", "pet"], probability: float) -> None:
@@ -109,19 +104,16 @@ def place_being(arrangement: Arrangement, role: Literal["person", "pet"], probab
         _place_on_free_floor(arrangement, model, tries)
 
 
-def _place_on_free_floor(arrangement: Arrangement, model: FurnitureModel | None, tries: int) -> bool:
-    return any(
-        arrangement.place(model, x, z, arrangement.uniform(0, 360)) is not None
-        for x, z in free_points(arrangement, tries)
-    )
+def _place_on_free_floor(arrangement: Arrangement, model: FurnitureModel | None, tries: int) -> None:
+    for x, z in free_points(arrangement, tries):
+        if arrangement.place(model, x, z, arrangement.uniform(0, 360)) is not None:
+            return
 
 
-def place_rug(
-    arrangement: Arrangement, *, probability: float, narrow: bool = False, small: bool = False
-) -> Piece | None:
+def place_rug(arrangement: Arrangement, *, probability: float, narrow: bool = False, small: bool = False) -> None:
     """Place a rug on free floor, along the room; `narrow` asks for a runner, `small` for a mat."""
     if not arrangement.chance(probability):
-        return None
+        return
     longest = max(arrangement.shell.walls, key=lambda wall: wall.length_m)
     largest = 1.1 if small else (1.2 if narrow else 3.0)
     for _ in range(3):
@@ -136,9 +128,8 @@ def place_rug(
             if placed is None:
                 continue
             if not any(_blocks_rug(piece, placed) for piece in arrangement.pieces):
-                return placed
+                return
             arrangement.pieces.remove(placed)
-    return None
 
 
 def _blocks_rug(piece: Piece, carpet: Piece) -> bool:

@@ -195,12 +195,12 @@ def place_desk_chair(
     return None
 
 
-def desk_islands(arrangement: Arrangement) -> int:
-    """Place desks back to back with chairs outside, in rows along the longest wall; return the number of desks."""
+def desk_islands(arrangement: Arrangement) -> None:
+    """Place desks back to back with chairs outside, in rows along the longest wall."""
     model = arrangement.pick("desk", width=(0.9, 1.9), depth=(0.5, 0.95), height=(0.6, 1.2))
     chair = arrangement.pick("office_chair") or arrangement.pick("chair")
     if model is None or chair is None:
-        return 0
+        return
     walls = sorted(range(len(arrangement.shell.walls)), key=lambda index: -arrangement.shell.walls[index].length_m)
     wall = arrangement.shell.walls[walls[int(arrangement.chance(0.4))]]
     back_to_back = arrangement.chance(0.75)
@@ -212,7 +212,6 @@ def desk_islands(arrangement: Arrangement) -> int:
     away = arrangement.uniform(0.4, 1.0)
     polygon = arrangement.shell.polygon
     depth = max(float(((polygon - side.start) @ side.inward).max()) for side in arrangement.shell.walls)
-    count = 0
     skip_probability = 0.05 + 0.25 * (1 - arrangement.clutter)
     while away + island_depth < depth:
         along = arrangement.uniform(0.5, 1.2)
@@ -228,24 +227,19 @@ def desk_islands(arrangement: Arrangement) -> int:
                         continue
                     snapshot = arrangement.snapshot()
                     piece = arrangement.place(model, x, z, yaw)
-                    if piece is None:
-                        continue
-                    if place_desk_chair(arrangement, piece, chair, room_m=0.2) is None:
+                    if piece is not None and place_desk_chair(arrangement, piece, chair, room_m=0.2) is None:
                         arrangement.restore(snapshot)
-                    else:
-                        count += 1
             along += per_island * model.width_m + aisle
         away += island_depth + arrangement.uniform(0.1, 0.5)
-    return count
 
 
-def cafe_tables(arrangement: Arrangement) -> int:
-    """Place small tables with two to four chairs of one kind throughout the room; return the number of tables."""
+def cafe_tables(arrangement: Arrangement) -> None:
+    """Place small tables with two to four chairs of one kind throughout the room."""
     table = arrangement.pick("dining_table", width=(0.5, 1.3), depth=(0.5, 1.1), height=(0.6, 1.1))
     table = table or arrangement.pick("side_table", width=(0.45, 1.1), height=(0.6, 1.1))
     chair = arrangement.pick("chair", width=(0.3, 0.65), depth=(0.3, 0.7), height=(0.6, 1.3))
     if table is None or chair is None:
-        return 0
+        return
     other = arrangement.pick("dining_table", width=(0.5, 1.8), depth=(0.5, 1.1), height=(0.6, 0.9)) or table
     count = 0
     for attempt in range(int(arrangement.area_m2 * 0.3) + 3):
@@ -261,21 +255,17 @@ def cafe_tables(arrangement: Arrangement) -> int:
             continue
         arrangement.tables.append(placed)
         count += 1
-    return count
 
 
-def reading_tables(arrangement: Arrangement) -> int:
-    """Place long tables with chairs on both sides; return their number."""
+def reading_tables(arrangement: Arrangement) -> None:
+    """Place long tables with chairs on both sides."""
     chair = arrangement.pick("chair", width=(0.3, 0.7), depth=(0.3, 0.75), height=(0.6, 1.3))
     table = arrangement.pick("dining_table", width=(1.1, 2.6), depth=(0.6, 1.3), height=(0.65, 0.85))
     if chair is None or table is None:
-        return 0
-    count = 0
+        return
     for _ in range(1 + int(arrangement.area_m2 / 14)):
         placed = place_table(arrangement, table, room_m=0.75, prefer="middle")
         if placed is None:
             continue
         place_chairs(arrangement, placed, chair, sides=("front", "back"), share=0.8)
         arrangement.tables.append(placed)
-        count += 1
-    return count
