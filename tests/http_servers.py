@@ -8,7 +8,7 @@ import struct
 import threading
 import time
 from dataclasses import dataclass
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from typing import ClassVar
 
 import numpy as np
@@ -23,10 +23,11 @@ from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight_server.answers import light_forms
 from roomlight_server.app import create_app
 from roomlight_server.base.settings import ServerSettings
-from roomlight_server.serving import make_server
+from roomlight_server.serving import GracefulServer
 from roomlight_server.work import workers
 from rooms import BoxRoom, camera_at
 
+TOKEN, OTHER = "a-token-of-sixteen-or-more", "another-token-of-sixteen"
 LATE = "/v1/sessions/room/probes"
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 """An object as an OBJ file."""
@@ -54,9 +55,13 @@ SMALL = {"model": "classical", "height": 16, "reference_exposure": 1.0}
 """Options of a fast session."""
 
 
+LONG_S = 600
+"""Time limit of what must not wait for ever; the first composite of a slow machine compiles its kernels for minutes."""
+
+
 def wait_until(condition):
-    """Ask again and again until a condition holds; a busy machine may take two minutes."""
-    end = time.monotonic() + 120
+    """Ask again and again until a condition holds."""
+    end = time.monotonic() + LONG_S
     while not condition():
         assert time.monotonic() < end, "the condition did not become true"
 
@@ -67,7 +72,9 @@ class RunningServer:
     def __init__(self, *, clock=None, **settings):
         settings.setdefault("wrong_token_delay_s", 0)
         settings.setdefault("refusal_delay_s", 0)
-        settings.setdefault("decode_timeout_s", 120)  # the machine is busy with other tests
+        settings.setdefault("decode_timeout_s", LONG_S)  # the machine is busy with other tests
+        settings.setdefault("object_timeout_s", LONG_S)
+        settings.setdefault("composite_timeout_s", LONG_S)
         settings.setdefault("port", 0)
         if "weights" not in settings:
             settings.setdefault("model", "classical")
@@ -75,7 +82,7 @@ class RunningServer:
         self.app = create_app(self.settings, **({} if clock is None else {"clock": clock}))
         self._up = threading.Event()
         self.loop: asyncio.AbstractEventLoop | None = None  # from the start on
-        self._server = make_server(self.settings, self.app)
+        self._server = GracefulServer(self.settings, self.app)
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def _run(self):
@@ -92,7 +99,7 @@ class RunningServer:
 
     def __enter__(self):
         self._thread.start()
-        assert self._up.wait(60)
+        self._up.wait()
         return self
 
     def __exit__(self, *_):
@@ -104,7 +111,7 @@ class RunningServer:
 
     def stop(self):
         self.begin_stop()
-        self._thread.join(60)
+        self._thread.join(LONG_S)
         assert not self._thread.is_alive()
 
     @property
@@ -115,7 +122,7 @@ class RunningServer:
     def port(self):
         return self._server.servers[0].sockets[0].getsockname()[1]
 
-    def call(self, method, path, body=None, *, token=None, headers=None, timeout=180):
+    def call(self, method, path, body=None, *, token=None, headers=None, timeout=LONG_S):
         """Send one request on a new connection; a dict is sent as JSON."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout)
         given = {} if token is None else {"Authorization": f"Bearer {token}"}
@@ -123,10 +130,13 @@ class RunningServer:
             body, given["Content-Type"] = json.dumps(body).encode(), "application/json"
         try:
             connection.request(method, path, body, given | (headers or {}))
-            response = connection.getresponse()
-            return Answer(response.status, {k.lower(): v for k, v in response.getheaders()}, response.read())
+            return answer_from(connection.getresponse())
         finally:
             connection.close()
+
+    def dial(self, source="127.0.0.1"):
+        """Connect from an address of this machine, without a request."""
+        return socket.create_connection(("127.0.0.1", self.port), LONG_S, (source, 0))
 
     def open(self, name="room", options=None, **more):
         answer = self.call("PUT", f"/v1/sessions/{name}", SMALL if options is None else options, **more)
@@ -142,7 +152,8 @@ class RunningServer:
     def stream(self, name="room", *, token=None, headers=None, **more):
         """Connect to the WebSocket of a session."""
         sent = {**(headers or {}), **({} if token is None else {"Authorization": f"Bearer {token}"})}
-        return connect(f"ws://127.0.0.1:{self.port}/v1/sessions/{name}/stream", additional_headers=sent, **more)
+        url = f"ws://127.0.0.1:{self.port}/v1/sessions/{name}/stream"
+        return connect(url, additional_headers=sent, open_timeout=LONG_S, ping_timeout=None, **more)
 
     def wait_until(self, condition):
         """Wait on the event loop, one request after the other; each must succeed."""
@@ -158,9 +169,18 @@ class RunningServer:
     def wait_until_ready(self):
         self.wait_until(lambda: self.call("GET", "/readyz").status == 200)
 
+    def wait_until_accepted(self, index, name="room"):
+        """Wait until a frame is in the queue."""
+        self.wait_until(lambda: self.state(name)["frames"]["last_index"] == index)
+
     def wait_until_saved(self, index, name="room", **more):
         """Wait until a frame is on disk."""
         self.wait_until(lambda: self.state(name, **more)["frames"]["durable_index"] == index)
+
+
+def server_on(folder, **settings):
+    """Return a server that saves its sessions in a folder, soon after each change."""
+    return RunningServer(**{"state_dir": folder, "state_interval_s": 0.1, "idle_expiry_s": 1e6} | settings)
 
 
 def metric(server, name):
@@ -181,13 +201,23 @@ def post(server, body, path=LATE, token=None, connection=None):
     data = json.dumps(body)
     access = "" if token is None else f"Authorization: Bearer {token}\r\n"
     connection = connection or socket.socket()
-    connection.settimeout(60)
     connection.connect(("127.0.0.1", server.port))
     connection.sendall(
         f"POST {path} HTTP/1.1\r\nHost: localhost\r\n{access}Accept: {MEDIA_TYPE}\r\n"
         f"Content-Type: application/json\r\nContent-Length: {len(data)}\r\n\r\n{data}".encode()
     )
     return connection
+
+
+def flood(connection, data, most=2**25):
+    """Send the data again and again until the server closes; return whether it did before `most` bytes."""
+    sent = 0
+    try:
+        while sent < most:
+            sent += connection.send(data)
+    except ConnectionError:
+        return True
+    return False
 
 
 def is_closed(connection):
@@ -217,6 +247,42 @@ class Answer:
         return self.json["type"].removeprefix("urn:roomlight:problem:")
 
 
+def answer_from(response):
+    return Answer(response.status, {key.lower(): value for key, value in response.getheaders()}, response.read())
+
+
+def answer_of(connection):
+    """Read the answer to a request that was sent by hand."""
+    response = http.client.HTTPResponse(connection)
+    response.begin()
+    return answer_from(response)
+
+
+class Held:
+    """Replaces a function or method: calls of it, or those of which `waits` says so, wait for `release`."""
+
+    def __init__(self, work, waits=lambda *_: True):
+        self._work, self._waits = work, waits
+        self._entered, self._gate = threading.Semaphore(0), threading.Semaphore(0)
+        self.calls = 0
+
+    def __get__(self, instance, owner=None):
+        return partial(self, instance)
+
+    def __call__(self, *args):
+        if self._waits(*args):
+            self.calls += 1
+            self._entered.release()
+            assert self._gate.acquire(timeout=LONG_S)
+        return self._work(*args)
+
+    def wait_entered(self):
+        self._entered.acquire()
+
+    def release(self, count=1):
+        self._gate.release(count)
+
+
 class InThread:
     """A call that runs in a thread; `result` waits for it."""
 
@@ -226,7 +292,7 @@ class InThread:
         self._thread.start()
 
     def result(self):
-        self._thread.join(60)
+        self._thread.join()
         return self._outcome[0]
 
 
@@ -245,7 +311,7 @@ class HeldSession(Session):
 
     @classmethod
     def wait_entered(cls):
-        assert cls.entered.acquire(timeout=60)
+        cls.entered.acquire()
 
     @classmethod
     def release(cls, count=1):
@@ -253,7 +319,7 @@ class HeldSession(Session):
 
     def push(self, frame):
         self.entered.release()
-        assert self.gate.acquire(timeout=60)
+        assert self.gate.acquire(timeout=LONG_S)
         if frame.index in self.broken:
             raise self.broken[frame.index]
         return super().push(frame)

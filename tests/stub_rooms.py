@@ -16,6 +16,7 @@ import resource
 import signal
 import sys
 from pathlib import Path
+from pkgutil import resolve_name
 from unittest import mock
 
 import numpy as np
@@ -91,22 +92,29 @@ def render_views(request):
         yield recording(np.random.default_rng([request.seed, request.index, view]), frames=request.frames, probes=0)
 
 
-def make_dataset(folder, sequences, **options):
-    """A dataset of such recordings, or of another renderer; made without a worker, whose start takes a second."""
-    from roomlight.dataset.loader import Dataset
+def without_workers():
+    """Let datasets be made in this process, without workers, whose start takes a second."""
     from roomlight_generator import generate, worker
 
     class InThisProcess:
-        def __init__(self, *_, **__):
-            pass
+        def __init__(self, _, on_message):
+            self.on_message = on_message
 
         def run(self, tasks):
             for task in tasks:
-                worker.make_shard(task, worker.find_renderer(task.options.renderer_name), lambda _: None)
+                worker.make_shard(task, resolve_name(task.options.renderer_name), self.on_message)
+
+    return mock.patch.object(generate, "WorkerPool", InThisProcess)
+
+
+def make_dataset(folder, sequences, **options):
+    """A dataset of such recordings, or of another renderer, made without workers."""
+    from roomlight.dataset.loader import Dataset
+    from roomlight_generator.generate import GenerateOptions, generate
 
     given = {"seed": 3, "shard_size": 2, "sequences_per_room": 2, "frames": 2, "renderer": NAME, **options}
-    with mock.patch.object(generate, "WorkerPool", InThisProcess):
-        generate.generate(folder, generate.GenerateOptions(sequences, **given))
+    with without_workers():
+        generate(folder, GenerateOptions(sequences, **given))
     return Dataset(folder, given.get("split", "train"))
 
 

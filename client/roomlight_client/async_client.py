@@ -26,11 +26,11 @@ from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, Forms, Position
 from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
-from roomlight_client.memory import BufferLimits, SessionMemory
-from roomlight_client.recovery import Pause, Recovery, RecoveryEvent, RecoveryPolicy, Restore, Resumed, Send, Steps
+from roomlight_client.memory import BufferLimits
+from roomlight_client.recovery import ClientOptions, Pause, Recovery, RecoveryEvent, Restore, Resumed, Send, Steps
 from roomlight_client.retry import NO_RETRY, RECONNECT, Retry, Timeouts
 from roomlight_client.stream import AsyncStream
-from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamOptions, StreamStatus
+from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamStatus
 
 
 class AsyncClient:
@@ -53,9 +53,15 @@ class AsyncClient:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._restoring: dict[Recovery, asyncio.Task[None]] = {}
         self._has_own_transport = transport is None
-        self._retry, self._url = retry or Retry(), url
-        self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
-        self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT)
+        self.options = ClientOptions(
+            url=url,
+            token=token,
+            timeouts=timeouts or Timeouts(),
+            retry=retry or Retry(),
+            reconnect=reconnect or retry or RECONNECT,
+            buffer=buffer or BufferLimits(),
+            notify=on_recovery,
+        )
 
     async def __aenter__(self) -> "AsyncClient":
         return self
@@ -93,13 +99,13 @@ class AsyncClient:
             unknown_depth=unknown_depth,
         )
         state = await self.run(session_calls.open(request))
-        return AsyncSession(self, session_calls, state, self._recovery(session_calls, request))
+        return AsyncSession(self, session_calls, state, request)
 
     async def join(self, session_id: str) -> "AsyncSession":
         """Continue an existing session, whatever its options; see `Client.join`."""
         session_calls = SessionCalls(session_id)
         state = await self.run(session_calls.state())
-        return AsyncSession(self, session_calls, state, self._recovery(session_calls, None))
+        return AsyncSession(self, session_calls, state, None)
 
     async def upload(
         self, source: str | Path | bytes, kind: ObjectFormat | None = None, *, session_id: str | None = None
@@ -117,7 +123,7 @@ class AsyncClient:
 
     async def run(self, call: Call[T], *, retry: Retry | None = None) -> T:
         """Send a call and return its result; see `Client.run`."""
-        attempt = Attempt(call, retry or self._retry, self._url)
+        attempt = Attempt(call, retry or self.options.retry, self.options.url)
         while True:
             self._check_loop()
             calls.check_open(closed=self._http.is_closed)
@@ -171,18 +177,15 @@ class AsyncClient:
             task.add_done_callback(lambda _: self._restoring.pop(recovery))
         await asyncio.shield(self._restoring[recovery])
 
-    def _recovery(self, session_calls: SessionCalls, request: SessionRequest | None) -> Recovery:
-        policy = RecoveryPolicy(self._retry, self.options.reconnect, self._on_recovery)
-        return Recovery(session_calls, SessionMemory(request, self._buffer), policy)
-
 
 class AsyncSession:
     """`Session` for asyncio, with the same attributes and errors."""
 
     def __init__(
-        self, client: AsyncClient, session_calls: SessionCalls, state: SessionState, recovery: Recovery
+        self, client: AsyncClient, session_calls: SessionCalls, state: SessionState, request: SessionRequest | None
     ) -> None:
-        self._client, self._calls, self._recovery = client, session_calls, recovery
+        self._client, self._calls = client, session_calls
+        self._recovery = Recovery(session_calls, request, client.options)
         self.id, self.model = state.id, state.model
         session_calls.resume(state)
 

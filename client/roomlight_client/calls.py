@@ -5,7 +5,6 @@ A `Call` is a request and the parser of its response; `Attempt` counts the attem
 """
 
 import operator
-import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,10 +22,9 @@ from roomlight.frame import Frame
 from roomlight.wire.compositing import CompositeRequest, ObjectInfo, ObjectList
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding, pack_camera_frame, pack_frame
 from roomlight.wire.frame_header import MAX_INDEX, as_whole_number
-from roomlight.wire.frame_message import FrameLimits, pack, parse, to_wire_error
+from roomlight.wire.frame_message import to_wire_error
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight.wire.messages import (
-    ID_PATTERN,
     FrameResult,
     LightForm,
     LightFormat,
@@ -35,6 +33,7 @@ from roomlight.wire.messages import (
     ProbeQuery,
     SessionRequest,
     SessionState,
+    is_id,
 )
 from roomlight_client import _waiting
 from roomlight_client.compositing import CompositeFile, parse_composite
@@ -265,8 +264,9 @@ class SessionCalls:
 
     def push(self, frame: Frame | CameraFrame, index: int, *, colour: FrameEncoding, wait: bool) -> Call[FrameResult]:
         """Send a frame. Raises WireError if the frame is invalid: no server would accept it."""
-        body = pack_camera_frame(frame) if isinstance(frame, CameraFrame) else pack_frame(frame, colour=colour)
-        return self.frame(index, _with_index(body, index), wait=wait)
+        if isinstance(frame, CameraFrame):
+            return self.frame(index, pack_camera_frame(frame, index), wait=wait)
+        return self.frame(index, pack_frame(frame, index, colour=colour), wait=wait)
 
     def frame(self, index: int, body: bytes, *, wait: bool = True) -> Call[FrameResult]:
         """Send the message of a frame."""
@@ -398,14 +398,6 @@ def _parser(model: type[_Model]) -> Callable[[httpx.Response], _Model]:
     return read
 
 
-def _with_index(body: bytes, index: int) -> bytes:
-    """Return a frame message with its index in the header, as a WebSocket needs it."""
-    message = parse(body, FrameLimits(2**40, 2**40, 2**40))  # the size limits are the server's
-    header = message.header.model_copy(update={"index": index})
-    planes = (None if part is None else bytes(part) for part in (message.depth, message.confidence))
-    return pack(header, bytes(message.colour), *planes)
-
-
 def _as_index(value: object) -> int:
     """Return an index of any integer type, or of a float without a fraction, as the wire format allows it."""
     try:
@@ -440,7 +432,7 @@ def _quoted(etag: str) -> str:
 
 
 def _check_id(text: str, option: str) -> None:
-    if re.match(ID_PATTERN, text) is None:
+    if not is_id(text):
         raise OptionError(f"{option} must be 1 to 64 of the characters A-Z a-z 0-9 _ -, got {text[:80]!r}")
 
 

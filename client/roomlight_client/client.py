@@ -27,10 +27,10 @@ from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, Forms, Position
 from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
-from roomlight_client.memory import BufferLimits, SessionMemory
-from roomlight_client.recovery import Pause, Recovery, RecoveryEvent, RecoveryPolicy, Restore, Resumed, Send, Steps
+from roomlight_client.memory import BufferLimits
+from roomlight_client.recovery import ClientOptions, Pause, Recovery, RecoveryEvent, Restore, Resumed, Send, Steps
 from roomlight_client.retry import NO_RETRY, RECONNECT, Retry, Timeouts
-from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamOptions, StreamStatus
+from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamStatus
 
 
 class Client:
@@ -65,9 +65,15 @@ class Client:
     ) -> None:
         arguments = calls.client_arguments(url, token=token)
         self._http = httpx.Client(transport=transport, **arguments)
-        self._retry, self._url = retry or Retry(), url
-        self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
-        self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT)
+        self.options = ClientOptions(
+            url=url,
+            token=token,
+            timeouts=timeouts or Timeouts(),
+            retry=retry or Retry(),
+            reconnect=reconnect or retry or RECONNECT,
+            buffer=buffer or BufferLimits(),
+            notify=on_recovery,
+        )
 
     def __enter__(self) -> "Client":
         return self
@@ -126,7 +132,7 @@ class Client:
             unknown_depth=unknown_depth,
         )
         state = self.run(session_calls.open(request))
-        return Session(self, session_calls, state, self._recovery(session_calls, request))
+        return Session(self, session_calls, state, request)
 
     def join(self, session_id: str) -> "Session":
         """Continue an existing session, whatever its options.
@@ -138,7 +144,7 @@ class Client:
         """
         session_calls = SessionCalls(session_id)
         state = self.run(session_calls.state())
-        return Session(self, session_calls, state, self._recovery(session_calls, None))
+        return Session(self, session_calls, state, None)
 
     def upload(
         self, source: str | Path | bytes, kind: ObjectFormat | None = None, *, session_id: str | None = None
@@ -172,7 +178,7 @@ class Client:
         Raises:
             RemoteError: If no attempt succeeds, or the client was closed.
         """
-        attempt = Attempt(call, retry or self._retry, self._url)
+        attempt = Attempt(call, retry or self.options.retry, self.options.url)
         while True:
             calls.check_open(closed=self._http.is_closed)
             try:
@@ -210,10 +216,6 @@ class Client:
             return _waiting.wait(step.seconds)
         return self.run(step.call, retry=step.retry)
 
-    def _recovery(self, session_calls: SessionCalls, request: SessionRequest | None) -> Recovery:
-        policy = RecoveryPolicy(self._retry, self.options.reconnect, self._on_recovery)
-        return Recovery(session_calls, SessionMemory(request, self._buffer), policy)
-
 
 class Session:
     """One room on a server, made by `Client.open` or `Client.join`. A `with` statement deletes it at its end.
@@ -226,8 +228,11 @@ class Session:
         model: The model that estimates the light: classical, single or video.
     """
 
-    def __init__(self, client: Client, session_calls: SessionCalls, state: SessionState, recovery: Recovery) -> None:
-        self._client, self._calls, self._recovery = client, session_calls, recovery
+    def __init__(
+        self, client: Client, session_calls: SessionCalls, state: SessionState, request: SessionRequest | None
+    ) -> None:
+        self._client, self._calls = client, session_calls
+        self._recovery = Recovery(session_calls, request, client.options)
         self.id, self.model = state.id, state.model
         session_calls.resume(state)
 

@@ -9,12 +9,12 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeVar
 
-from roomlight.wire.messages import FrameResult, SessionState
+from roomlight.wire.messages import FrameResult, SessionRequest, SessionState
 from roomlight_client import _waiting
 from roomlight_client.calls import PERMANENT, Call, SessionCalls, ready
 from roomlight_client.errors import BusyError, GoneError, RefusedError, RemoteError, UnreachableError
-from roomlight_client.memory import SessionMemory
-from roomlight_client.retry import NO_RETRY, Retry
+from roomlight_client.memory import BufferLimits, SessionMemory
+from roomlight_client.retry import NO_RETRY, Retry, Timeouts
 
 T = TypeVar("T")
 _LOST_KINDS: Final = ("", "blank", "stopping", "session-moved")
@@ -73,18 +73,26 @@ class RecoveryEvent:
 
 
 @dataclass(frozen=True)
-class RecoveryPolicy:
-    """How often a session's calls are repeated, and who is told.
+class ClientOptions:
+    """How a client connects, how often it repeats calls, what it keeps and who is told.
 
     Attributes:
-        retry: Attempts after the server has refused a frame for now.
-        reconnect: Attempts after a frame without an answer.
+        url: The server's address.
+        token: The bearer token.
+        timeouts: Of each attempt.
+        retry: Attempts of a call, and after the server has refused a frame for now.
+        reconnect: Attempts after a frame without an answer, and after a lost connection.
+        buffer: Bounds of the frames that are kept.
         notify: Receives the events.
     """
 
+    url: str
+    token: str | None
+    timeouts: Timeouts
     retry: Retry
     reconnect: Retry
-    notify: Callable[[RecoveryEvent], object] | None = None
+    buffer: BufferLimits
+    notify: Callable[[RecoveryEvent], object] | None
 
 
 PushRepeat = Literal["always", "without answer", "never"]
@@ -96,13 +104,13 @@ class Recovery:
 
     Args:
         calls: The session's calls.
-        memory: What the client keeps of the session.
-        policy: How often calls are repeated.
+        request: The options of a session that this client opened; None for one that it joined.
+        options: Of the client.
     """
 
-    def __init__(self, calls: SessionCalls, memory: SessionMemory, policy: RecoveryPolicy) -> None:
-        self.memory = memory
-        self._calls, self._policy = calls, policy
+    def __init__(self, calls: SessionCalls, request: SessionRequest | None, options: ClientOptions) -> None:
+        self.memory = SessionMemory(request, options.buffer)
+        self._calls, self._options = calls, options
         self._may_have_restarted = self._announced = False
         self._stopping: RemoteError | None = None  # the refusal of a server that stops, until one is ready
         self._restoring = False
@@ -192,9 +200,9 @@ class Recovery:
 
     def _delay_s(self, error: RemoteError, failures: int) -> float | None:
         if is_server_lost(error):
-            return self._policy.reconnect.delay_s(failures, jitter=_waiting.jitter())
+            return self._options.reconnect.delay_s(failures, jitter=_waiting.jitter())
         if isinstance(error, BusyError):
-            return self._policy.retry.delay_s(failures, retry_after_s=error.retry_after_s, jitter=_waiting.jitter())
+            return self._options.retry.delay_s(failures, retry_after_s=error.retry_after_s, jitter=_waiting.jitter())
         return None
 
     def _note(self, error: RemoteError) -> None:
@@ -239,8 +247,8 @@ class Recovery:
             self._tell(RecoveryEvent("waiting", error=error))
 
     def _tell(self, event: RecoveryEvent) -> None:
-        if self._policy.notify is not None:
-            self._policy.notify(event)
+        if self._options.notify is not None:
+            self._options.notify(event)
 
     def _resend(self, index: int, message: bytes) -> Steps[None]:
         try:

@@ -252,7 +252,6 @@ class AsyncStream:
 
     @property
     def _unsent(self) -> int:
-        """Bytes that are not yet on the network."""
         return 0 if self._socket is None else self._socket.transport.get_write_buffer_size()
 
     # --- connection -------------------------------------------------------------------------------------------
@@ -298,7 +297,6 @@ class AsyncStream:
                 error = failed
 
     async def _converse(self, socket: ClientConnection, resumed: Resumed) -> RemoteError | None:
-        """Serve one connection; return why it ended."""
         self._socket, self._dropped = socket, None
         self._outbox.clear()
         last = resumed.state.frames.last_index

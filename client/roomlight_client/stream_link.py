@@ -17,8 +17,7 @@ from roomlight.wire.messages import LightAnswer, LightingUpdate, ServerMessage
 from roomlight_client.calls import SESSION_HEADER, SessionCalls, is_loopback
 from roomlight_client.errors import RefusedError, RemoteError, UnreachableError, refusal
 from roomlight_client.light import Light, lights_of
-from roomlight_client.recovery import Recovery, Resumed
-from roomlight_client.retry import Retry, Timeouts
+from roomlight_client.recovery import ClientOptions, Recovery, Resumed
 
 _MESSAGES: Final[TypeAdapter[ServerMessage]] = TypeAdapter(ServerMessage)
 _MAX_ANSWER_BYTES: Final = 2**27
@@ -67,20 +66,10 @@ class StreamHandlers:
 
 
 @dataclass(frozen=True)
-class StreamOptions:
-    """How a client connects: its address, its token, its limits of time, and its attempts after a lost connection."""
-
-    url: str
-    token: str | None
-    timeouts: Timeouts
-    reconnect: Retry
-
-
-@dataclass(frozen=True)
 class StreamLink:
     """What a stream needs of its session and its client. `resume` runs the steps of `Recovery.resume(reopen=..)`."""
 
-    options: StreamOptions
+    options: ClientOptions
     calls: SessionCalls
     recovery: Recovery
     resume: Callable[[bool], Awaitable[Resumed]]

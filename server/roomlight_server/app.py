@@ -11,6 +11,7 @@ from fastapi import Depends, FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
 from fastapi_offline import FastAPIOffline
+from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
@@ -25,7 +26,7 @@ from roomlight_server.answers import composites, light_forms
 from roomlight_server.answers.object_store import ObjectStore
 from roomlight_server.base import problems
 from roomlight_server.base.byte_budget import ByteBudget
-from roomlight_server.base.metrics import CONTENT_TYPE, Metrics
+from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.request_context import REQUEST_ID_HEADER, RequestIdMiddleware
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.recordings.store import RecordingStore
@@ -43,7 +44,7 @@ from roomlight_server.routes.bodies import BodyMiddleware
 from roomlight_server.routes.context import Context, ContextDep
 from roomlight_server.sessions.registry import Clock, Registry
 from roomlight_server.state.store import StateStore
-from roomlight_server.transport.auth import DOCS_ASSETS, LOOPBACK_HOSTS, PHONES, AuthMiddleware, Tokens
+from roomlight_server.transport.auth import DOCS_ASSETS, PHONES, AuthMiddleware, Tokens
 from roomlight_server.transport.guard import ConnectionGuard
 from roomlight_server.transport.head_requests import HeadMiddleware
 from roomlight_server.transport.lan import PHONES_FILE
@@ -115,7 +116,6 @@ class _AllowedOriginsMiddleware(CORSMiddleware):
     """CORS for the origins that are allowed; the check of origins answers all others, preflights too."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle an ASGI connection."""
         origin = Headers(scope=scope).get("origin") if scope["type"] == "http" else None
         allowed = origin is None or self.is_allowed_origin(origin)
         await (super().__call__ if allowed else self.app)(scope, receive, send)
@@ -171,14 +171,7 @@ def _make_context(settings: ServerSettings, clock: Clock) -> Context:
     states, phones_file = None, settings.phones_file
     if settings.state_dir is not None:
         phones_file = phones_file or settings.state_dir / PHONES_FILE
-        states = StateStore(
-            settings.state_dir,
-            interval_s=settings.state_interval_s,
-            expiry_s=settings.state_expiry_s,
-            shared=settings.state_shared,
-            metrics=metrics,
-            clock=clock,
-        )
+        states = StateStore(settings.state_dir, settings, metrics, clock)
     phones = Phones(phones_file, expiry_s=settings.phone_expiry_s, clock=clock)
     registry = Registry(settings, workers, metrics, clock, states, phones_of=phones.owners)
     guard = ConnectionGuard(settings, metrics)
@@ -218,23 +211,8 @@ async def _running(app: FastAPI, context: Context, when_loaded: Callable[[], obj
 def _add_middleware(app: FastAPI, context: Context) -> None:
     """Add the middleware, from the innermost to the outermost."""
     settings, metrics = context.settings, context.metrics
-    app.add_middleware(
-        BodyMiddleware,
-        frame_bytes=settings.max_body_bytes,
-        object_bytes=settings.max_object_file_bytes,
-        timeout_s=settings.body_timeout_s,
-        metrics=metrics,
-    )
-    app.add_middleware(
-        AuthMiddleware,
-        tokens=context.tokens,
-        origins=settings.allow_origins,
-        hosts=settings.allow_hosts if settings.tokens else _hosts_without_token(settings),
-        metrics=metrics,
-        wrong_token_delay_s=settings.wrong_token_delay_s,
-        guard=context.guard,
-        metrics_open=not settings.on_lan,  # anyone in the house could watch who is at home
-    )
+    app.add_middleware(BodyMiddleware, settings=settings, metrics=metrics)
+    app.add_middleware(AuthMiddleware, settings=settings, tokens=context.tokens, metrics=metrics, guard=context.guard)
     if settings.allow_origins:
         app.add_middleware(
             _AllowedOriginsMiddleware,
@@ -247,11 +225,6 @@ def _add_middleware(app: FastAPI, context: Context) -> None:
     app.add_middleware(StopMiddleware, stopping=lambda: context.registry.stopping)
     app.add_middleware(HeadMiddleware)
     app.add_middleware(RequestIdMiddleware)  # answers of all others carry the id
-
-
-def _hosts_without_token(settings: ServerSettings) -> tuple[str, ...]:
-    own = (settings.host.strip("[]"),) if settings.is_loopback else ()
-    return tuple(dict.fromkeys((*LOOPBACK_HOSTS, *own, *settings.allow_hosts)))
 
 
 def _operation_id(route: Any) -> str:  # an APIRoute, or FastAPI's private context of one
@@ -268,6 +241,7 @@ async def _prepare(app: FastAPI, context: Context, when_loaded: Callable[[], obj
         context.ready = True
         _log.info("ready")
     except Exception as error:
+        context.failure = error
         _log.error("server cannot become ready: %s", error, exc_info=not isinstance(error, RoomLightError))
         return
     for load in (light_forms.warm_up, composites.load, app.openapi):  # unknown parameters look into the document
@@ -312,7 +286,7 @@ def _add_health(app: FastAPI) -> None:
     async def metrics(context: ContextDep, request: Request) -> Response:  # pyright: ignore[reportUnusedFunction]
         """Return counters and histograms. They contain no ids and no addresses."""
         check_operator(getattr(request.state, "owner", ""))
-        return Response(context.metrics.text(), media_type=CONTENT_TYPE)
+        return Response(context.metrics.text(), media_type=CONTENT_TYPE_LATEST)
 
 
 def _complete(operation: dict[str, Any]) -> None:

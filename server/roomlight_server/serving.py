@@ -61,12 +61,29 @@ class GracefulServer(uvicorn.Server):
 
     def __init__(
         self,
-        config: uvicorn.Config,
+        settings: ServerSettings,
+        app: FastAPI,
         *,
         when_stopping: Callable[[], object] = lambda: None,
         read_tokens: ReadTokens | None = None,
     ) -> None:
         """Create a server; `when_stopping` is called when the stop begins, `read_tokens` at SIGHUP."""
+        config = uvicorn.Config(
+            app,
+            host=settings.host.strip("[]"),
+            port=settings.port,
+            access_log=settings.access_log,
+            log_config=None,
+            http=HttpProtocol,
+            ws=StreamProtocol,
+            ws_max_size=settings.max_body_bytes + 1,
+            ws_max_queue=settings.frames_in_flight,
+            ws_ping_timeout=120.0,  # a client's pong waits behind its frames on a slow network
+            ws_per_message_deflate=False,  # 6.9 MB on the wire became 3.8 GB; frames are compressed already
+            server_header=False,
+            timeout_keep_alive=KEEP_ALIVE_S,
+            timeout_graceful_shutdown=GRACE_S,
+        )
         super().__init__(config)
         self._when_stopping, self._read_tokens = when_stopping, read_tokens
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -171,36 +188,6 @@ def _end_late() -> None:
     _log.error("the stop took longer than %g s; what is left of it is dropped", STOP_S)
     sys.stderr.flush()
     os._exit(1)
-
-
-def make_server(
-    settings: ServerSettings,
-    app: FastAPI,
-    *,
-    when_stopping: Callable[[], object] = lambda: None,
-    read_tokens: ReadTokens | None = None,
-) -> uvicorn.Server:
-    """Return a uvicorn server that is not started yet; the callbacks are those of `GracefulServer`."""
-    return GracefulServer(
-        uvicorn.Config(
-            app,
-            host=settings.host.strip("[]"),
-            port=settings.port,
-            access_log=settings.access_log,
-            log_config=None,
-            http=HttpProtocol,
-            ws=StreamProtocol,
-            ws_max_size=settings.max_body_bytes + 1,
-            ws_max_queue=settings.frames_in_flight,
-            ws_ping_timeout=120.0,  # a client's pong waits behind its frames on a slow network
-            ws_per_message_deflate=False,  # 6.9 MB on the wire became 3.8 GB; frames are compressed already
-            server_header=False,
-            timeout_keep_alive=KEEP_ALIVE_S,
-            timeout_graceful_shutdown=GRACE_S,
-        ),
-        when_stopping=when_stopping,
-        read_tokens=read_tokens,
-    )
 
 
 def listen(settings: ServerSettings) -> socket.socket:
@@ -311,7 +298,7 @@ def serve(
                 context.public_url = address if settings.on_lan else None
                 _log.info("serving", extra={"url": address})
                 listening(address, _phone_link(context, address))
-                server = make_server(settings, app, when_stopping=_limit_stop, read_tokens=read_tokens)
+                server = GracefulServer(settings, app, when_stopping=_limit_stop, read_tokens=read_tokens)
                 server.run(sockets=[bound, *local])
         finally:
             context.workers.decode_processes.stop()  # also if it cannot listen

@@ -20,7 +20,7 @@ def run(
     """Run a command with `text` as its input and return its standard output; show all output if it fails."""
     assert (PACKAGE / "node_modules").is_dir(), "run `npm ci` in client/js first"
     done = subprocess.run(
-        command, cwd=folder, input=text, env=env, capture_output=True, text=True, check=False, timeout=200
+        command, cwd=folder, input=text, env=env, capture_output=True, text=True, check=False, timeout=800
     )
     assert done.returncode == 0, f"{' '.join(map(str, command))}\n{done.stdout[-8000:]}\n{done.stderr[-4000:]}"
     return done.stdout

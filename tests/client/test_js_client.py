@@ -26,7 +26,7 @@ pytestmark = pytest.mark.js
 
 TOKEN = "a-token-for-the-js-tests"
 NODE = ["node", "--experimental-websocket"]
-TESTS = [*NODE, "--test", "--test-timeout=180000", "--test-reporter=spec"]
+TESTS = [*NODE, "--test", "--test-timeout=600000", "--test-reporter=spec"]
 
 
 @pytest.fixture(scope="module")

@@ -65,4 +65,4 @@ def test_streams_and_pushes_survive_a_killed_server():
             assert answer["reopened"] is True
             assert [(result["index"], result["status"]) for result in answer["results"]] == [(1, "processed")] * 2
             assert (answer["processed"], answer["probes"]) == ([2, 2], {"table": [0, 0, -0.5]})
-            assert node.wait(60) == 0
+            assert node.wait(600) == 0

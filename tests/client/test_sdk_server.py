@@ -124,15 +124,14 @@ def test_a_frame_with_a_lost_answer_is_processed_once(monkeypatch):
     pushing, released = [], []
 
     def wait(_):
-        if pushing and not released:
-            HeldSession.wait_entered()
+        if pushing and HeldSession.entered.acquire(timeout=0.1):
             HeldSession.release()
             released.append(True)
 
     with RunningServer(model="classical") as running, Client(url_of(running)) as patient:
         patient.open("room", **SMALL)
-        # many attempts: on a busy machine an answer may take longer than the timeout
-        impatient = Client(url_of(running), timeouts=sdk.Timeouts(read_s=0.3), retry=Retry(attempts=100))
+        # many attempts: on a busy machine a frame and its answer may take longer than the timeout
+        impatient = Client(url_of(running), timeouts=sdk.Timeouts(read_s=0.3), retry=Retry(attempts=1000))
         monkeypatch.setattr(_waiting, "wait", wait)
         with impatient as client:
             session = client.join("room")

@@ -110,7 +110,7 @@ class Room:
 
     async def until(self, state: str, count: int = 1) -> None:
         async with self._changed:
-            await asyncio.wait_for(self._changed.wait_for(lambda: self.states.count(state) >= count), 30)
+            await self._changed.wait_for(lambda: self.states.count(state) >= count)
 
     def status(self, status: sdk.StreamStatus) -> None:
         self.statuses.append(status)
@@ -139,7 +139,7 @@ def play(work, **options: Any) -> Room:
                     session = await client.open("room")
                     handlers = {"on_status": room.status, "on_problem": room.problems.append}
                     async with await session.stream(**handlers, on_lighting=room.lights.append) as stream:
-                        await asyncio.wait_for(work(room, session, stream), 60)
+                        await work(room, session, stream)
         return room
 
     return asyncio.run(main())
@@ -407,7 +407,7 @@ def play_blocking(work) -> None:
         async with serve(room._serve, "127.0.0.1", 0) as server:
             url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
             with Client(url, transport=httpx.MockTransport(room._respond)) as client:
-                await asyncio.wait_for(asyncio.to_thread(work, room, client.open("room")), 60)
+                await asyncio.to_thread(work, room, client.open("room"))
 
     asyncio.run(main())
 
@@ -435,8 +435,8 @@ def test_calls_in_a_handler_that_would_wait_for_themselves_are_refused():
         with session.stream(on_lighting=on_lighting) as stream:
             stream.submit(FRAMES[0])
             for _ in range(5):
-                seen.get(timeout=30)
-            assert seen.get(timeout=30).result(30).status == "processed"
+                seen.get()
+            assert seen.get().result().status == "processed"
             assert stream.push(FRAMES[2]).status == "processed"
 
     play_blocking(work)
@@ -466,7 +466,7 @@ def test_a_closed_blocking_stream_says_so(call):
         stream.close()
         stream.close()
         with pytest.raises(sdk.UnreachableError, match="the stream was closed"):
-            waiting.result(30)
+            waiting.result()
         with pytest.raises(sdk.UnreachableError, match="the stream was closed"):
             call(stream)
 

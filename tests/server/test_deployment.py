@@ -87,7 +87,7 @@ def test_the_health_check_asks_the_server_and_no_proxy(secure, tmp_path):
     code = json.loads(health[health.index("[") :])[2]
     with RunningServer(**settings) as server, socket.create_server(("127.0.0.1", 0)) as closed:
         proxy = f"http://127.0.0.1:{closed.getsockname()[1]}"
-        command = [sys.executable, "-c", code.replace("timeout=2", "timeout=60")]
+        command = [sys.executable, "-c", code.replace("timeout=2", "timeout=600")]
         environment = {key: value for key, value in os.environ.items() if key.lower() != "no_proxy"}
         environment |= {"http_proxy": proxy, "HTTP_PROXY": proxy, "ROOMLIGHT_PORT": str(server.port)}
         environment |= {f"ROOMLIGHT_{name.upper()}": str(path) for name, path in settings.items()}

@@ -1,9 +1,13 @@
 """What keeps the event loop free: no request waits for a thread of the framework, and large answers are not joined."""
 
 import asyncio
+import gc
 import inspect
 import pkgutil
+import sys
+import threading
 from importlib import import_module
+from unittest.mock import AsyncMock
 
 from fastapi.routing import APIRoute
 
@@ -11,6 +15,7 @@ from roomlight_server import routes
 from roomlight_server.answers.parts_response import PartsResponse
 from roomlight_server.app import create_app
 from roomlight_server.base.settings import ServerSettings
+from roomlight_server.transport.watchdog import frame_of
 
 
 def calls_of(dependant):
@@ -36,19 +41,32 @@ def test_no_request_waits_for_a_thread_of_the_framework():
 
 
 def test_parts_of_an_answer_are_sent_without_joining_them():
-    parts, sent = [b"head", bytes(2**20), b"tail"], []
-
-    async def send(message):
-        sent.append(message)
-
-    async def receive():
-        return {"type": "http.disconnect"}
-
+    parts, send = [b"head", bytes(2**20), b"tail"], AsyncMock()
     response = PartsResponse(parts, "application/x-test")
-    asyncio.run(response({"type": "http"}, receive, send))
-    begin, *bodies = sent
+    asyncio.run(response({"type": "http"}, AsyncMock(), send))
+    begin, *bodies = [call.args[0] for call in send.await_args_list]
     headers = dict(begin["headers"])
     assert (begin["status"], headers[b"content-type"]) == (200, b"application/x-test")
     assert headers[b"content-length"] == str(sum(map(len, parts))).encode()
     assert all(body["body"] is part for body, part in zip(bodies, parts, strict=False))
     assert [(body["more_body"], len(body["body"])) for body in bodies[len(parts) :]] == [(False, 0)]
+
+
+def test_no_garbage_is_collected_while_the_interpreter_lists_its_threads():
+    """Python 3.11 stopped for good there, when the event loop was late: python/cpython#106883."""
+    own, phases, before = inspect.unwrap(frame_of).__code__, [], gc.get_threshold()
+
+    def collected(phase, _):
+        if sys._getframe(1).f_code is own:
+            phases.append(phase)
+
+    gc.callbacks.append(collected)
+    gc.set_threshold(1)
+    try:
+        frame = frame_of(threading.get_ident())
+    finally:
+        gc.set_threshold(*before)
+        gc.callbacks.remove(collected)
+    assert frame is not None
+    assert gc.isenabled()
+    assert not phases

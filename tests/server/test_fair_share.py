@@ -119,7 +119,7 @@ async def test_a_running_job_of_a_higher_order_pauses_while_a_lower_one_runs():
         steps.set()
         assert not late.done()
     await late
-    assert not share.busy
+    assert (share.waiting, share._running) == (0, [])
 
 
 @in_loop

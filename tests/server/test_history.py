@@ -74,6 +74,22 @@ def test_pictures_count_from_when_they_are_made(workers, drawn):
     asyncio.run(run())
 
 
+def test_pictures_thin_a_full_history(workers, drawn):
+    async def run():
+        kept = history.History(10_000_000, workers)
+        record(kept, 0)
+        record(kept, 1)
+        kept._limit_bytes = kept.size + 1000  # for the pictures of one frame
+        for index in range(2):
+            assert len(kept.listed(-1).entries) == 2
+            drawn[index].set()
+            assert await kept.picture(index) == b"p" * 500
+        assert [entry.index for entry in kept.listed(-1).entries] == [0]
+        assert kept.size <= kept._limit_bytes
+
+    asyncio.run(run())
+
+
 def test_a_frame_that_was_wanted_before_the_history_was_full_is_left_out(workers, monkeypatch):
     monkeypatch.setattr(history, "MAX_DRAWING", 0)
 
@@ -89,7 +105,7 @@ def test_a_frame_that_was_wanted_before_the_history_was_full_is_left_out(workers
     asyncio.run(run())
 
 
-def test_a_full_history_counts_what_is_left(workers, monkeypatch):
+def test_a_full_history_keeps_every_second_frame_and_counts_what_is_left(workers, monkeypatch):
     monkeypatch.setattr(history, "MAX_DRAWING", 0)
 
     async def run():
@@ -98,8 +114,8 @@ def test_a_full_history_counts_what_is_left(workers, monkeypatch):
         for index in range(9):
             record(kept, index)
             sizes.append(kept.size)
-        left = [entry.index for entry in kept.listed(-1).entries]
-        assert len(left) > 1
-        assert kept.size == len(left) * sizes[0] <= 10_000
+        listed = kept.listed(-1)
+        assert (listed.stride, [entry.index for entry in listed.entries]) == (8, [0, 8])
+        assert listed.bytes == 2 * sizes[0] <= listed.limit_bytes == 10_000
 
     asyncio.run(run())

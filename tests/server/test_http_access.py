@@ -1,16 +1,14 @@
 """Who is answered: the `Host` of all paths, wrong tokens, and the warning of a server that is open to all pages."""
 
-import asyncio
-import socket
+from types import SimpleNamespace
+from unittest.mock import AsyncMock
 
 import pytest
 
-from http_servers import RunningServer
+from http_servers import TOKEN, RunningServer, answer_of
 from roomlight_server import serving
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.transport import auth
-
-TOKEN = "a-token-of-sixteen-or-more"
 
 
 @pytest.mark.parametrize(
@@ -45,21 +43,14 @@ def test_a_server_with_tokens_answers_metrics_for_every_host():
 
 def test_wrong_tokens_are_counted_logged_and_slowed(monkeypatch, caplog):
     """A wrong token left no trace and could be guessed at the speed of the server."""
-    delays = []
-
-    class Recorder:
-        @staticmethod
-        async def sleep(delay_s):
-            delays.append(delay_s)
-            await asyncio.sleep(0)
-
-    monkeypatch.setattr(auth, "asyncio", Recorder)
+    sleep = AsyncMock()
+    monkeypatch.setattr(auth, "asyncio", SimpleNamespace(sleep=sleep))
     with RunningServer(tokens=(TOKEN,), wrong_token_delay_s=1.5) as server:
         assert server.call("GET", "/v1/sessions/a").status == 401
-        assert delays == []
+        assert not sleep.called
         wrong = server.call("GET", "/v1/sessions/a", token="guess")
         assert (wrong.status, wrong.json["detail"]) == (401, "this server does not know the token")
-        assert delays == [1.5]
+        sleep.assert_awaited_once_with(1.5)
         assert server.call("GET", "/v1/sessions/a", token=TOKEN).status == 404
         text = server.call("GET", "/metrics").body.decode()
     assert 'roomlight_unauthorized_total{reason="wrong"} 1.0' in text
@@ -84,12 +75,11 @@ def test_all_origins_without_a_token_is_warned_about(monkeypatch, capfd, tokens,
 @pytest.mark.parametrize("path", [b"/healthz", b"/v1/sessions"])
 def test_a_request_has_exactly_one_host(server, path, hosts):
     """Both were answered with 200; caches and proxies in front do not agree on the host then (RFC 9112)."""
-    with socket.create_connection(("127.0.0.1", server.port), timeout=60) as connection:
+    with server.dial() as connection:
         connection.sendall(b"GET " + path + b" HTTP/1.1\r\n" + hosts + b"Connection: close\r\n\r\n")
-        with connection.makefile("rb") as answer:
-            text = answer.read().decode()
-    assert text.startswith("HTTP/1.1 400 ")
-    assert "exactly one header Host" in text
+        answer = answer_of(connection)
+    assert answer.status == 400
+    assert "exactly one header Host" in answer.json["detail"]
 
 
 def test_answers_cannot_be_framed_and_pages_have_a_policy(server):

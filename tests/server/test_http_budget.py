@@ -1,6 +1,7 @@
 """Sizes of answers, and the memory budget of all requests, over a real socket."""
 
 import json
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ def noise(height):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("size", "height"), [(None, 16), *((size, 120) for size in (None, *FACE_SIZES))])
+@pytest.mark.parametrize(("size", "height"), [(None, 16), (None, 120), (FACE_SIZES[-1], 120)])
 @pytest.mark.parametrize("name", MEDIA_TYPES)
 def test_the_estimate_bounds_incompressible_light(name, size, height):
     if name == "specular" and size not in (None, 16):
@@ -49,7 +50,7 @@ def test_an_answer_is_bounded_by_the_height_of_the_session(accept):
         assert server.call("POST", "/v1/sessions/room/probes", body, headers=accept).status == 200
         with server.stream() as stream:
             stream.send(json.dumps({"type": "subscribe", "forms": [{"format": "npy"}]}))
-            assert json.loads(stream.recv(timeout=60))["problem"]["field"] == "forms"
+            assert json.loads(stream.recv())["problem"]["field"] == "forms"
 
 
 def test_unread_answers_are_bounded():
@@ -82,18 +83,15 @@ def test_frames_in_flight_are_bounded(monkeypatch):
         assert (answer.status, answer.kind) == (503, "server-busy")
         with server.stream() as stream:
             stream.send(frame(0, index=0))
-            event = json.loads(stream.recv(timeout=60))
+            event = json.loads(stream.recv())
             assert (event["index"], event["problem"]["status"]) == (0, 503)
         assert server.app.state.context.budget.used == 0
 
 
 def test_a_failed_answer_releases_its_memory(monkeypatch):
-    def fail(*_):
-        raise RuntimeError("engine broke")
-
     with RunningServer() as server:
         server.open()
         assert server.push(0).status == 200
-        monkeypatch.setattr(SessionView, "lights_at", fail)
+        monkeypatch.setattr(SessionView, "lights_at", Mock(side_effect=RuntimeError("engine broke")))
         assert server.call("GET", "/v1/sessions/room/probe?x=0&y=0&z=0").status == 500
         assert server.app.state.context.budget.used == 0

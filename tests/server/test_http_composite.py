@@ -6,18 +6,18 @@ import json
 import queue
 import re
 import struct
-import threading
 import zipfile
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
 import pytest
 from gltf_files import packed, textured_quad
 
-from http_servers import TETRAHEDRON, InThread, RunningServer, box_shot
+from http_servers import OTHER, TETRAHEDRON, TOKEN, Held, InThread, RunningServer, box_shot
 from present import present
 from roomlight.compositing.loading import load_object
 from roomlight.compositing.objects.materials import Material
@@ -35,8 +35,8 @@ from rooms import BoxRoom, camera_at
 
 BALL = {"shape": "sphere", "size_m": 0.4, "material": {"kind": "diffuse"}, "position": [0.2, 1.1, -0.4]}
 COMPOSITE = "/v1/sessions/room/composite"
-OTHER = "another-token-of-16"
-TOKEN = "a-token-of-16-chars"
+WORKING_BYTES = 192 * 2**20
+"""Memory of the process besides: blocks of rays, panoramas at the objects, Embree's own."""
 
 
 @pytest.fixture(scope="module")
@@ -190,8 +190,8 @@ def test_a_composite_that_needs_too_much_memory_is_refused_before_it_is_made(mon
 @pytest.mark.parametrize(("quality", "width"), [("preview", 1024), ("good", 512)])
 def test_a_composite_takes_no_more_memory_than_estimated(quality, width):
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:  # nothing else allocates there
-        peak, estimate = pool.submit(peak_of_composite, quality, width).result(timeout=240)
-    assert peak < estimate + composites.WORKING_BYTES
+        peak, estimate = pool.submit(peak_of_composite, quality, width).result()
+    assert peak < estimate + WORKING_BYTES
 
 
 def peak_of_composite(quality, width):
@@ -238,32 +238,22 @@ def status_bytes(name):
 
 
 def test_one_composite_a_session_at_a_time_and_one_waits(server, monkeypatch):
-    entered, gate, answers = threading.Event(), threading.Event(), queue.SimpleQueue()
-    original = composites.make
-
-    def held(*given):
-        entered.set()
-        assert gate.wait(60)
-        return original(*given)
-
-    monkeypatch.setattr("roomlight_server.routes.composites.make", held)
+    make, answers = Held(composites.make), queue.SimpleQueue()
+    monkeypatch.setattr("roomlight_server.routes.composites.make", make)
     for _ in range(3):
         InThread(lambda: answers.put(composite(server, BALL)))
-    refused = answers.get(timeout=60)
+    refused = answers.get()
     assert (refused.status, refused.kind, refused.headers["retry-after"]) == (429, "composite-running", "1")
-    assert entered.wait(60)
+    make.wait_entered()
     server.open("neighbour")
     assert server.push(0, name="neighbour").json["status"] == "processed"  # other sessions do not wait
-    gate.set()
-    assert [answers.get(timeout=60).status for _ in range(2)] == [200, 200]
+    make.release(2)
+    assert [answers.get().status for _ in range(2)] == [200, 200]
     assert server.call("GET", "/v1/sessions/room/probe?x=0&y=1&z=0&format=sh").status == 200
 
 
 def test_an_unexpected_error_leaves_the_session_open(server, monkeypatch):
-    def broken(*_):
-        raise MemoryError
-
-    monkeypatch.setattr("roomlight_server.routes.composites.make", broken)
+    monkeypatch.setattr("roomlight_server.routes.composites.make", Mock(side_effect=MemoryError))
     answer = composite(server, BALL)
     assert (answer.status, answer.kind) == (500, "engine-failed")
     monkeypatch.undo()

@@ -7,13 +7,12 @@ import shutil
 import av
 import pytest
 
-from http_servers import RunningServer
+from http_servers import OTHER, TOKEN, RunningServer
 from roomlight import sample_capture
 from roomlight.wire.recordings import MAX_FILM_FRAMES
 from roomlight_server.recordings import film as recording_film
 from roomlight_server.recordings.worker import film_rate
 
-TOKEN, OTHER = "a-token-of-sixteen-or-more", "another-token-of-sixteen"
 URL = "/v1/recordings"
 SPHERE = {"shape": "sphere", "size_m": 0.2, "material": {"kind": "mirror"}, "position": [-1.9, 0.2, -0.5]}
 FILM = {"objects": [SPHERE], "frames": 2}

@@ -2,13 +2,12 @@
 
 import json
 import logging
-import socket
 import ssl
 import time
 
 import pytest
 
-from http_servers import RunningServer, is_closed, metric
+from http_servers import RunningServer, flood, is_closed, metric
 from roomlight_server.base import tls
 from roomlight_server.serving import allow_files
 from roomlight_server.transport import tls_listener
@@ -21,8 +20,6 @@ UPGRADE = (
     b"GET /v1/sessions/room/stream HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
 )
-MOST = 2**25
-"""Bytes of a flood at most; a server without a limit takes them all."""
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +31,7 @@ def server():
 
 @pytest.fixture
 def connection(server):
-    with socket.create_connection(("127.0.0.1", server.port), timeout=60) as made:
+    with server.dial() as made:
         yield made
 
 
@@ -49,17 +46,6 @@ def upgraded(connection):
     while not head.endswith(b"\r\n\r\n"):
         head += connection.recv(1)
     assert head.startswith(b"HTTP/1.1 101")
-
-
-def flood(connection, data):
-    """Send the data until the server closes the connection; return whether it did."""
-    sent = 0
-    try:
-        while sent < MOST:
-            sent += connection.send(data)
-    except ConnectionError:
-        return True
-    return False
 
 
 def refused(server, kind):
@@ -142,9 +128,9 @@ def test_a_fragmented_message_of_usual_pieces_is_read(server):
     with server.stream() as stream:
         text = '{"type": "track", "name": "table", "position": [0, 0, -1]}'
         stream.send([text, *([" " * 2048] * 20)])
-        assert json.loads(stream.recv(timeout=60))["type"] == "probes"
+        assert json.loads(stream.recv())["type"] == "probes"
         for _ in range(3):
-            stream.ping().wait(60)
+            stream.ping().wait()
 
 
 def test_messages_that_arrive_together_are_answered_one_after_the_other(server):
@@ -152,7 +138,7 @@ def test_messages_that_arrive_together_are_answered_one_after_the_other(server):
         names = [f"p{number}" for number in range(300)]
         for name in names:
             stream.send(json.dumps({"type": "untrack", "name": name}))
-        problems = [json.loads(stream.recv(timeout=60))["problem"] for _ in names]
+        problems = [json.loads(stream.recv())["problem"] for _ in names]
         assert [problem["value"] for problem in problems] == names
 
 
@@ -176,7 +162,7 @@ def secure_server(tmp_path_factory):
 def secure_status(server):
     context = ssl.create_default_context(cafile=server.settings.tls_cert)
     with (
-        socket.create_connection(("127.0.0.1", server.port), 60, ("127.0.0.9", 0)) as plain,
+        server.dial("127.0.0.9") as plain,
         context.wrap_socket(plain, server_hostname="127.0.0.1") as secure,
     ):
         secure.sendall(GET + b"\r\n")
@@ -185,7 +171,7 @@ def secure_status(server):
 
 def test_unfinished_handshakes_count_as_connections(secure_server, caplog):
     """1,400 silent connections took all descriptors for 58 s: limits began after the handshake."""
-    silent = [socket.create_connection(("127.0.0.1", secure_server.port), 60) for _ in range(12)]
+    silent = [secure_server.dial() for _ in range(12)]
     assert all(is_closed(connection) for connection in silent[4:])
     assert secure_server.app.state.context.guard.connections == 4
     assert secure_status(secure_server) == b"HTTP/1.1 200"
@@ -199,7 +185,7 @@ def test_a_handshake_has_a_deadline(tmp_path, monkeypatch, caplog):
     certificate, key = tls.ensure_certificate(tmp_path, ("127.0.0.1",))
     with (
         RunningServer(tls_cert=certificate, tls_key=key) as server,
-        socket.create_connection(("127.0.0.1", server.port), 60, ("127.0.0.7", 0)) as silent,
+        server.dial("127.0.0.7") as silent,
     ):
         assert is_closed(silent)
     # after the end of the server, which has then written its lines

@@ -88,7 +88,7 @@ def test_the_newest_frame_supersedes_a_waiting_one(held):
     first = InThread(held.push, 0)
     HeldSession.wait_entered()
     second = InThread(held.push, 1, frame(1), headers={"X": "waits"})
-    wait_for_queue(held, last=1)
+    held.wait_until_accepted(1)
     third = InThread(held.push, 2, frame(2))
     assert second.result().json["status"] == "superseded"
     assert held.state()["frames"]["queued"] == 2
@@ -98,16 +98,11 @@ def test_the_newest_frame_supersedes_a_waiting_one(held):
     assert (counts["processed"], counts["superseded"], counts["accepted"], counts["gaps"]) == (2, 1, 3, 0)
 
 
-def wait_for_queue(server, last):
-    """Wait until the frame is accepted, by requests to the event loop."""
-    server.wait_until(lambda: server.state()["frames"]["last_index"] == last)
-
-
 def test_too_many_frames_in_flight_are_answered_with_429(held):
     waiting = [InThread(held.push, 0)]
     HeldSession.wait_entered()
     waiting.append(InThread(held.push, 1, frame(1)))
-    wait_for_queue(held, last=1)
+    held.wait_until_accepted(1)
     waiting.append(InThread(held.push, 1, frame(1)))  # a retry takes a slot too
     held.wait_until(lambda: held.state()["frames"]["replayed"])
     full = held.push(2)
@@ -125,7 +120,7 @@ def test_health_is_answered_during_a_frame(held):
     queued(held, 0)
     HeldSession.wait_entered()
     for path in ("/healthz", "/readyz", "/metrics", "/v1/sessions/room"):
-        assert held.call("GET", path, timeout=10).status == 200
+        assert held.call("GET", path).status == 200
     HeldSession.release()
 
 
@@ -166,7 +161,7 @@ def test_deleting_a_session_answers_waiting_requests_and_logs_no_error(held, cap
     first = InThread(held.push, 0)
     HeldSession.wait_entered()
     second = InThread(held.push, 1, frame(1))
-    wait_for_queue(held, last=1)
+    held.wait_until_accepted(1)
     assert held.call("DELETE", "/v1/sessions/room").status == 204
     assert [(call.result().status, call.result().kind) for call in (first, second)] == [(410, "session-closed")] * 2
     HeldSession.release()
@@ -302,7 +297,7 @@ def test_light_of_a_named_probe_waits_for_no_other_session(held):
     other = InThread(held.push, 0, name="other")
     HeldSession.wait_entered()
     queued(held, 1, body=frame(1))
-    light = held.call("GET", "/v1/sessions/room/probes/table?format=sh", timeout=10)
+    light = held.call("GET", "/v1/sessions/room/probes/table?format=sh")
     assert (light.status, light.headers["roomlight-frame"]) == (200, "0")
     HeldSession.release(2)
     assert other.result().status == 200
@@ -320,7 +315,7 @@ def test_a_replacing_frame_is_decoded_when_it_is_taken(held, monkeypatch):
     for index in (1, 2, 3):
         queued(held, index, body=frame(index))
     fourth = InThread(held.push, 4, frame(4))
-    wait_for_queue(held, last=4)
+    held.wait_until_accepted(4)
     assert decoded == [0, 1]
     HeldSession.release(2)
     assert fourth.result().json["status"] == "processed"
@@ -346,13 +341,13 @@ def test_the_frame_of_the_next_session_is_decoded_while_the_engine_works(held, m
         queued(held, 0, name=name)
     queued(held, 1, body=frame(1), name="third")
     for _ in range(3):
-        assert done.acquire(timeout=60)
+        done.acquire()
     newest = InThread(held.push, 2, frame(2), name="third")
-    held.wait_until(lambda: held.state("third")["frames"]["last_index"] == 2)
+    held.wait_until_accepted(2, "third")
     assert [index for index, _ in decoded] == [0, 0, 0]
     HeldSession.release()
     HeldSession.wait_entered()  # of the second session: the third is next
-    assert done.acquire(timeout=60)
+    done.acquire()
     assert decoded[-1] == (2, "third")
     HeldSession.release(2)
     assert newest.result().json["status"] == "processed"
@@ -369,7 +364,7 @@ def test_a_frame_that_fails_to_decode_late_is_rejected(held):
     png = cv2.imencode(".png", np.random.default_rng(1).integers(0, 255, (36, 48, 3), np.uint8))[1].tobytes()
     torn = png[:60] + bytes(len(png) - 72) + png[-12:]  # complete by its header and end marker
     broken = InThread(held.push, 3, with_parts(({"encoding": "png"}, torn)))
-    wait_for_queue(held, last=3)
+    held.wait_until_accepted(3)
     HeldSession.release()
     refused = broken.result()
     assert (refused.status, refused.kind, refused.json["field"]) == (422, "bad-frame", "colour")

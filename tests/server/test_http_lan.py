@@ -19,15 +19,14 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from http_servers import RunningServer
+from http_servers import LONG_S, TOKEN, RunningServer
 from roomlight.errors import ServerError
 from roomlight_client import Client, Retry, UnreachableError
 from roomlight_server import serving
 from roomlight_server.base import tls
 from roomlight_server.base.settings import ServerSettings, load_settings
-from roomlight_server.transport import lan
+from roomlight_server.transport import lan, tls_listener
 
-TOKEN = "a-token-of-sixteen-or-more"
 NAMES = ("127.0.0.1", "room.local", "::1")
 NOW = datetime.datetime(2026, 5, 1, tzinfo=datetime.UTC)
 URL = "https://192.168.1.7:8090/phone#pair=a-code-that-pairs-one-phone"
@@ -42,10 +41,11 @@ def files(tmp_path_factory):
 @pytest.fixture(scope="module")
 def server(files):
     certificate, key = files
-    with RunningServer(
-        tokens=(TOKEN,), tls_cert=certificate, tls_key=key, allow_hosts=NAMES, public_url="https://192.168.1.7:8090"
-    ) as running:
-        yield running
+    names = {"allow_hosts": NAMES, "public_url": "https://192.168.1.7:8090"}
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(tls_listener, "HANDSHAKE_S", LONG_S)
+        with RunningServer(tokens=(TOKEN,), tls_cert=certificate, tls_key=key, **names) as running:
+            yield running
 
 
 def trusting(certificate):
@@ -53,9 +53,7 @@ def trusting(certificate):
 
 
 def call(server, path, *, host="127.0.0.1", token=TOKEN, method="GET", **headers):
-    connection = http.client.HTTPSConnection(
-        "127.0.0.1", server.port, timeout=60, context=trusting(server.settings.tls_cert)
-    )
+    connection = http.client.HTTPSConnection("127.0.0.1", server.port, context=trusting(server.settings.tls_cert))
     try:
         given = {"Host": f"{host}:{server.port}", "Authorization": f"Bearer {token}", **headers}
         connection.request(method, path, headers=given)
@@ -90,7 +88,7 @@ def test_the_client_trusts_the_certificate_it_is_given(server, monkeypatch):
 
 def test_the_fingerprint_is_that_of_the_connection(server):
     with (
-        socket.create_connection(("127.0.0.1", server.port), timeout=60) as plain,
+        server.dial() as plain,
         trusting(server.settings.tls_cert).wrap_socket(plain, server_hostname="room.local") as secure,
     ):
         assert secure.version() == "TLSv1.3"
@@ -116,7 +114,7 @@ def test_websockets_over_tls_check_origin_and_token(server):
     own = f"https://127.0.0.1:{server.port}"
     with dial(own, TOKEN) as stream:
         stream.send(json.dumps({"type": "track", "name": "table", "position": [0, 1, 0]}))
-        assert json.loads(stream.recv(timeout=60)) == {"type": "probes", "probes": {"table": [0.0, 1.0, 0.0]}}
+        assert json.loads(stream.recv()) == {"type": "probes", "probes": {"table": [0.0, 1.0, 0.0]}}
     for origin, token, status in (("https://evil.example", TOKEN, 403), (own, "another-token-here", 401)):
         with pytest.raises(InvalidStatus) as refused:
             dial(origin, token)

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from http_servers import RunningServer
+from http_servers import TOKEN, RunningServer
 from roomlight_server.routes import page as page_routes
-
-TOKEN = "a-token-of-sixteen-or-more"
 
 
 @pytest.fixture(scope="module")

@@ -69,7 +69,7 @@ def test_the_operator_uses_and_deletes_what_its_phones_have(server):
     assert server.open(token=OPERATOR).status == 200  # it joins
     with server.stream(token=OPERATOR) as stream:
         stream.send(json.dumps({"type": "track", "name": "table", "position": [0, 1, 0]}))
-        assert json.loads(stream.recv(timeout=60))["probes"] == {"table": [0.0, 1.0, 0.0]}
+        assert json.loads(stream.recv())["probes"] == {"table": [0.0, 1.0, 0.0]}
     assert list(server.state(token=phone)["probes"]) == ["table"]
     assert server.call("DELETE", "/v1/sessions/room", token=OPERATOR).status == 204
     assert listed(server, phone) == []
@@ -141,10 +141,10 @@ def test_a_removed_phone_is_disconnected_and_its_sessions_stay(server):
     server.open("room", token=token)
     with server.stream(token=token) as stream:
         stream.send(json.dumps({"type": "track", "name": "table", "position": [0, 1, 0]}))
-        stream.recv(timeout=60)
+        stream.recv()
         assert server.call("DELETE", f"/v1/phones/{phone}", token=OPERATOR).status == 204
         with pytest.raises(ConnectionClosed):
-            stream.recv(timeout=60)
+            stream.recv()
     assert server.call("GET", "/v1/sessions", token=token).kind == "unauthorized"
     assert listed(server, OPERATOR) == ["room"]
 

@@ -3,19 +3,20 @@
 import io
 import json
 import struct
+from dataclasses import replace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
 import pytest
 
-from http_servers import RunningServer, box_shot, frame, header_of, with_parts
+from http_servers import OTHER, TOKEN, RunningServer, box_shot, frame, header_of, with_parts
 from present import present
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.wire.frame_encoding import CameraFrame, pack_camera_frame
 from roomlight_server.answers.room_mesh import _without_copies, room_mesh, to_glb
 
-TOKEN, OTHER = "a-token-of-sixteen-or-more", "another-token-of-sixteen"
 ROOM = "/v1/sessions/room"
 
 
@@ -164,18 +165,28 @@ def test_the_mesh_keeps_to_its_bound(server):
 
 def test_merging_equal_meshes_gives_each_triangle_once():
     mesh = FrameMesh(box_shot(0))
-    once, twice = room_mesh([(0, mesh)]), room_mesh([(0, mesh), (1, mesh)])
+    once, twice = room_mesh([mesh]), room_mesh([mesh, mesh])
     assert len(twice.faces) == len(once.faces)
     np.testing.assert_allclose(twice.vertices, once.vertices, atol=1e-5)
     np.testing.assert_allclose(twice.colours, once.colours, atol=1e-5)
-    assert twice.keyframes == (0, 1)
+
+
+@pytest.mark.parametrize("most", [1000, 100_000])
+def test_a_surface_within_a_cell_is_not_lost(most):
+    shot = box_shot(0)
+    pose = shot.camera_to_world + np.pad(np.full((3, 1), 0.01), ((0, 1), (3, 0)))  # the middle of a cell
+    mesh = FrameMesh(replace(shot, depth_m=shot.depth_m * 1e-3, camera_to_world=pose))
+    made = room_mesh([mesh], max_triangles=most)
+    assert most / 2 < len(made.faces) <= most or len(made.faces) == len(mesh.faces)
+    assert len(glb_arrays(to_glb(made))[1][2]) == made.faces.size
 
 
 def test_vertices_have_the_colour_of_their_pixel():
     shot = box_shot(0)
     mesh = FrameMesh(shot)
-    merged = room_mesh([(0, mesh)])
-    assert merged.cell_m == 0.02
+    merged = room_mesh([mesh])
+    cells = np.floor(mesh.vertices[np.unique(mesh.faces)] / 0.02)
+    assert len(merged.vertices) == len(np.unique(cells, axis=0))
     glb = glb_arrays(to_glb(merged))[1]
     assert np.abs(glb[1][:, :3].mean(axis=0) / 65535 - np.clip(shot.image, 0, 1).mean(axis=(0, 1))).max() < 0.05
 
@@ -222,22 +233,6 @@ def test_what_the_history_lacks_is_not_found(server, path):
     assert (answer.status, answer.kind) == (404, "history-not-found")
 
 
-def test_a_full_history_keeps_every_second_frame():
-    with RunningServer(history_bytes=60_000) as server:
-        server.open()
-        server.call("PUT", f"{ROOM}/probes/table", {"position": [0.2, 1.0, -0.5]})
-        for index in range(24):
-            assert server.push(index, frame(15 * index)).status == 200
-        assert server.call("GET", f"{ROOM}/history/0/colour").status == 200  # waits for pictures
-        listed = server.call("GET", f"{ROOM}/history").json
-        assert listed["bytes"] <= listed["limit_bytes"] == 60_000
-        stride = listed["stride"]
-        assert stride in (2, 4, 8)
-        assert [each["index"] for each in listed["entries"]] == list(range(0, 24, stride))
-        assert server.call("GET", f"{ROOM}/history/1/colour").kind == "history-not-found"
-        assert server.state()["memory"]["bytes"] <= server.state()["memory"]["bound_bytes"]
-
-
 def test_a_history_of_no_bytes_keeps_nothing():
     with RunningServer(history_bytes=0) as server:
         server.open()
@@ -248,10 +243,7 @@ def test_a_history_of_no_bytes_keeps_nothing():
 
 
 def test_a_session_goes_on_when_a_frame_is_not_recorded(server, monkeypatch):
-    def fail(*_):
-        raise RuntimeError("no memory")
-
-    monkeypatch.setattr("roomlight_server.sessions.history._lights", fail)
+    monkeypatch.setattr("roomlight_server.sessions.history._lights", Mock(side_effect=RuntimeError("no memory")))
     room = opened(server, "unrecorded")
     assert server.push(0, name="unrecorded").json["status"] == "processed"
     assert server.push(1, name="unrecorded").json["status"] == "processed"
@@ -260,11 +252,7 @@ def test_a_session_goes_on_when_a_frame_is_not_recorded(server, monkeypatch):
 
 def test_a_mesh_is_made_once_for_all_clients(server, monkeypatch):
     first = server.call("GET", f"{ROOM}/mesh?triangles=2000")
-
-    def fail(*_, **__):
-        raise AssertionError("made again")
-
-    monkeypatch.setattr("roomlight_server.routes.room.room_mesh", fail)
+    monkeypatch.setattr("roomlight_server.routes.room.room_mesh", Mock(side_effect=AssertionError("made again")))
     assert server.call("GET", f"{ROOM}/mesh?triangles=2000").body == first.body
 
 

@@ -2,13 +2,12 @@
 
 import pytest
 
-from http_servers import RunningServer
+from http_servers import OTHER, TOKEN, RunningServer, server_on
 from roomlight.wire.compositing import MAX_COMPOSITE_OBJECTS
 
 SCENE = "/v1/sessions/room/scene"
 BALL = {"name": "ball", "shape": "sphere", "size_m": 0.4, "position": [0.2, 1.1, -0.4]}
 KEPT = {"title": "Kitchen, Küche", "objects": [BALL]}
-TOKENS = ("a-token-of-sixteen-or-more", "another-token-of-sixteen")
 
 
 def stated(scene):
@@ -46,11 +45,11 @@ def test_a_scene_that_was_changed_since_it_was_read_is_not_replaced():
 
 
 def test_another_token_reads_and_writes_its_own_sessions_alone():
-    with RunningServer(tokens=TOKENS) as server:
-        server.open(token=TOKENS[0])
+    with RunningServer(tokens=(TOKEN, OTHER)) as server:
+        server.open(token=TOKEN)
         for method, body in (("GET", None), ("PUT", KEPT)):
-            assert server.call(method, SCENE, body, token=TOKENS[1]).kind == "session-not-found"
-        assert server.call("GET", SCENE, token=TOKENS[0]).json["objects"] == []
+            assert server.call(method, SCENE, body, token=OTHER).kind == "session-not-found"
+        assert server.call("GET", SCENE, token=TOKEN).json["objects"] == []
 
 
 @pytest.mark.parametrize(
@@ -64,23 +63,21 @@ def test_another_token_reads_and_writes_its_own_sessions_alone():
         ({"colour": "red"}, "colour"),
     ],
 )
-def test_what_a_scene_cannot_have_is_refused_with_the_rule(scene, said):
-    with RunningServer() as server:
-        server.open()
-        server.call("PUT", SCENE, KEPT)
-        refused = server.call("PUT", SCENE, scene)
-        assert (refused.status, refused.kind) == (422, "invalid")
-        assert said in refused.body.decode()
-        assert stated(server.call("GET", SCENE).json) == KEPT
+def test_what_a_scene_cannot_have_is_refused_with_the_rule(server, scene, said):
+    server.open()
+    server.call("PUT", SCENE, KEPT)
+    refused = server.call("PUT", SCENE, scene)
+    assert (refused.status, refused.kind) == (422, "invalid")
+    assert said in refused.body.decode()
+    assert stated(server.call("GET", SCENE).json) == KEPT
 
 
 def test_a_scene_is_saved_with_its_session(tmp_path):
-    settings = {"state_dir": tmp_path / "state", "state_interval_s": 0.1}
-    with RunningServer(**settings) as server:
+    with server_on(tmp_path / "state") as server:
         server.open()
         server.push(0)
         server.call("PUT", SCENE, KEPT)
-    with RunningServer(**settings) as server:
+    with server_on(tmp_path / "state") as server:
         listed = server.call("GET", "/v1/sessions").json["sessions"]
         assert [(item["title"], item["status"]) for item in listed] == [(KEPT["title"], "saved")]
         assert stated(server.call("GET", SCENE).json) == KEPT

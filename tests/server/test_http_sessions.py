@@ -2,10 +2,8 @@
 
 import pytest
 
-from http_servers import SMALL, RunningServer, frame
+from http_servers import OTHER, SMALL, TOKEN, RunningServer, frame
 from roomlight.engine.networks.graphs import SHIPPED
-
-TOKENS = ("first-token-of-this-test", "second-token-of-this-test")
 
 
 def test_opening_with_the_same_options_changes_nothing(server):
@@ -124,8 +122,8 @@ def test_a_body_that_is_not_json_is_rejected(server):
 
 
 def test_a_session_belongs_to_the_token_that_opened_it():
-    with RunningServer(tokens=TOKENS) as server:
-        mine, yours = TOKENS
+    with RunningServer(tokens=(TOKEN, OTHER)) as server:
+        mine, yours = TOKEN, OTHER
         basic = {"Authorization": "Basic x"}
         for token, headers in ((None, None), ("third-token-of-this-test", None), ("", None), (None, basic)):
             answer = server.call("PUT", "/v1/sessions/room", SMALL, token=token, headers=headers)

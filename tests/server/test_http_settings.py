@@ -10,13 +10,11 @@ import sys
 
 import pytest
 
-from http_servers import RunningServer
+from http_servers import TOKEN, RunningServer
 from roomlight.errors import ModelError, ServerError
 from roomlight_server.base.logs import JsonLines
 from roomlight_server.base.settings import ServerSettings, load_settings
 from roomlight_server.serving import address_of, listen, serve
-
-TOKEN = "a-token-of-sixteen-or-more"
 
 
 @pytest.fixture(autouse=True)

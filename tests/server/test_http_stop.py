@@ -77,7 +77,7 @@ def test_a_request_that_the_stop_ends_is_told_so(monkeypatch, caplog):
         server.open()
         server.push(0)
         post = InThread(server.call, "POST", "/v1/sessions/room/probes", LATE)
-        assert begun.wait(60)
+        begun.wait()
         server.begin_stop()
         answer = post.result()
         free.set()

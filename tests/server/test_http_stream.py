@@ -1,21 +1,19 @@
 """The WebSocket over a real socket: frames, their outcomes, light, and errors that keep the connection open."""
 
 import json
-import threading
 from contextlib import contextmanager
 from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from http_servers import HeldSession, RunningServer, frame
+from http_servers import TOKEN, Held, HeldSession, RunningServer, frame
 from roomlight.engine.session import Session
 from roomlight.wire.light_message import parse_light
 from roomlight.wire.messages import LightAnswer, LightingUpdate
 from roomlight_server.sessions import live_session
 
 POINT = [0.2, 1.2, -0.2]
-TOKEN = "token-of-the-stream-test"
 
 
 class Stream:
@@ -28,7 +26,7 @@ class Stream:
         self.socket.send(json.dumps(message) if isinstance(message, dict) else message)
 
     def receive(self):
-        return self.socket.recv(timeout=60)
+        return self.socket.recv()
 
     def close_code(self):
         """Wait for the server to close the connection; return the code."""
@@ -284,18 +282,12 @@ def test_a_stream_needs_a_token_and_an_allowed_origin(server):
 
 def test_a_client_that_disconnects_while_it_tracks_leaves_no_nameless_probe(server, monkeypatch):
     """The cancelled task left a probe in the engine that every frame paid for and nobody could delete."""
-    entered, gate, original = threading.Event(), threading.Event(), Session.track
-
-    def held(self, position):
-        entered.set()
-        assert gate.wait(60)
-        return original(self, position)
-
-    monkeypatch.setattr(Session, "track", held)
+    track = Held(Session.track)
+    monkeypatch.setattr(Session, "track", track)
     server.open("left")
     with streaming(server, "left") as stream:
         stream.send({"type": "track", "name": "table", "position": POINT})
-        assert entered.wait(60)
-    gate.set()
+        track.wait_entered()
+    track.release()
     server.wait_until(lambda: "table" in server.state("left")["probes"])
     assert server.call("DELETE", "/v1/sessions/left/probes/table").status == 204

@@ -1,15 +1,12 @@
 """Frames without depth over a real socket: accepted, estimated, and said."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from depth_models import SIZE, write_depth_model
-from http_servers import RunningServer, box_shot, with_parts
+from http_servers import RunningServer, with_parts
 from roomlight.errors import ModelError
 from roomlight.monocular.stream import open_depth_stream
-from roomlight.wire.frame_encoding import pack_frame
 from roomlight_server.state.live_state import DepthScale
 
 
@@ -79,15 +76,6 @@ def test_confidence_needs_depth(server):
     answer = server.push(0, with_parts(depth=False, confidence=({}, bytes(48 * 36))), name="odd")
     assert (answer.status, answer.json["field"]) == (422, "confidence")
     assert "must come with depth" in answer.json["rule"]
-
-
-def test_a_client_sends_frames_without_depth(server):
-    shot = box_shot(0)
-    without = replace(shot, depth_m=np.zeros_like(shot.depth_m))
-    server.open("client")
-    for index, colour in enumerate(("exact", "jpeg")):
-        answer = server.push(index, pack_frame(without, colour=colour), name="client")
-        assert answer.json["depth_estimated"] is True, answer
 
 
 def test_a_server_with_a_bad_depth_model_does_not_start(tmp_path):

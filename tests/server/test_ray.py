@@ -73,7 +73,7 @@ class RayServer:
     def __exit__(self, *_):
         self._process.terminate()
         try:
-            self._process.wait(60)
+            self._process.wait(600)
         except subprocess.TimeoutExpired:
             pass
         finally:

@@ -40,9 +40,6 @@ _PIXEL_BYTES: Final[dict[CompositeQuality, int]] = {"preview": 150, "good": 250,
 with sixteen glass spheres that fill the picture."""
 _TRIANGLE_BYTES: Final = 200
 """Memory a triangle of the scene: its place in the world and Embree's tree."""
-WORKING_BYTES: Final = 192 * 2**20
-"""Memory besides, of a composite that is being made: blocks of rays, panoramas at the objects, Embree's own. It is part
-of what the process takes, because those that wait have none."""
 MEDIA_TYPES: Final[dict[CompositeFormat, str]] = {
     "png": "image/png",
     "jpeg": "image/jpeg",

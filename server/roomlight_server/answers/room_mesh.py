@@ -28,23 +28,16 @@ _GROWTH: Final = 1.15
 
 @dataclass(frozen=True)
 class RoomMesh:
-    """A triangle mesh in world metres with a colour for each vertex, linear RGB.
-
-    Attributes:
-        keyframes: indices of the frames that it was made of.
-        cell_m: edge of the cells whose vertices were merged.
-    """
+    """A triangle mesh in world metres with a colour for each vertex, linear RGB."""
 
     vertices: Float32[np.ndarray, "v 3"]
     colours: Float32[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
-    keyframes: tuple[int, ...]
-    cell_m: float
 
 
-def room_mesh(meshes: list[tuple[int, FrameMesh]], *, max_triangles: int = MAX_TRIANGLES) -> RoomMesh:
-    """Merge the meshes of keyframes, given with their frame indices, into at most `max_triangles` triangles."""
-    parts = [(mesh.vertices, _vertex_colours(mesh), mesh.faces) for _, mesh in meshes]
+def room_mesh(meshes: list[FrameMesh], *, max_triangles: int = MAX_TRIANGLES) -> RoomMesh:
+    """Merge the meshes of keyframes into at most `max_triangles` triangles."""
+    parts = [(mesh.vertices, _vertex_colours(mesh), mesh.faces) for mesh in meshes]
     first = np.cumsum([0, *(len(vertices) for vertices, _, _ in parts)])
     vertices = np.concatenate([np.zeros((0, 3), np.float32), *(part[0] for part in parts)])
     colours = np.concatenate([np.zeros((0, 3), np.float32), *(part[1] for part in parts)])
@@ -54,11 +47,15 @@ def room_mesh(meshes: list[tuple[int, FrameMesh]], *, max_triangles: int = MAX_T
     weights = np.ones(len(vertices), np.float32)
     cell_m = _FIRST_CELL_M
     while True:
-        vertices, colours, weights, faces = _clustered(vertices, colours, weights, faces, cell_m)
+        clustered = _clustered(vertices, colours, weights, faces, cell_m)
+        if len(faces) and not len(clustered[3]):  # no triangle is larger than a cell: some stay as they are
+            faces = faces[:: -(-len(faces) // max_triangles)]
+            break
+        vertices, colours, weights, faces = clustered
         if len(faces) <= max_triangles:
             break
         cell_m *= max(_GROWTH, (len(faces) / max_triangles) ** 0.5)  # a surface has 1 / cell^2 triangles
-    return RoomMesh(vertices, colours, faces.astype(np.int32), tuple(index for index, _ in meshes), cell_m)
+    return RoomMesh(vertices, colours, faces.astype(np.int32))
 
 
 def _vertex_colours(mesh: FrameMesh) -> Float32[np.ndarray, "v 3"]:

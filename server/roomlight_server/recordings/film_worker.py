@@ -17,7 +17,7 @@ from roomlight.engine.session import Session
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight_server.answers.composites import BOXES, MAX_PATHS
 from roomlight_server.recordings.jobs import MAX_FILM_BYTES, FilmJob
-from roomlight_server.recordings.worker import capture_path, film_rate, open_output, run, write
+from roomlight_server.recordings.worker import capture_path, film_rate, limited_output, run, write
 
 _NICE: Final = 10
 _LIGHT_FRAMES: Final = 200
@@ -55,7 +55,7 @@ def make(folder: Path, film: Path, job: FilmJob, output: BinaryIO) -> None:
 
 def main(arguments: list[str]) -> None:
     """Make a film, the second argument, of the recording in the folder of the first."""
-    output = open_output(MAX_FILM_BYTES)
+    output = limited_output(MAX_FILM_BYTES)
     os.nice(_NICE)
     folder, film = (Path(argument) for argument in arguments)
     run(lambda: make(folder, film, FilmJob(*pickle.load(sys.stdin.buffer)), output), folder, output)

@@ -10,7 +10,6 @@ import json
 import math
 import os
 import resource
-import signal
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -23,6 +22,7 @@ from roomlight.errors import CaptureError, ObjectError, ProbeError, RoomLightErr
 from roomlight.placement import point_in_view
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight_server.recordings.jobs import RECORD
+from roomlight_server.work.decode_worker import open_output
 
 MAX_MEMORY_BYTES: Final = 4 * 2**30
 """Address space of the process; reading a 12-megapixel frame takes 0.6 GB of it, mostly libraries."""
@@ -113,15 +113,10 @@ def without(folder: Path, text: str) -> str:
     return text
 
 
-def open_output(file_bytes: int = 0) -> BinaryIO:
+def limited_output(file_bytes: int = 0) -> BinaryIO:
     """Limit this process, which may write files of `file_bytes`, and return where it writes records."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends its processes
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    output = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints must not enter the records
-    return output
+    return open_output(MAX_MEMORY_BYTES)
 
 
 def run(work: Callable[[], None], folder: Path, output: BinaryIO) -> None:
@@ -140,7 +135,7 @@ def run(work: Callable[[], None], folder: Path, output: BinaryIO) -> None:
 
 def main(arguments: list[str]) -> None:
     """Play the recording in the folder of the first argument; the second is the rate, or `-`."""
-    output = open_output()
+    output = limited_output()
     folder, fps = Path(arguments[0]), None if arguments[1] == "-" else float(arguments[1])
     run(partial(play, folder, fps, output), folder, output)
 

@@ -1,17 +1,16 @@
 """What Ray Serve's HTTP proxies add to a request and to an answer; `middlewares` is imported by them.
 
 The proxy chooses the replica by the header `X-Session-Id`. Browsers cannot set it for a WebSocket, so it is made from
-the path. What has no session, such as pairing, goes to one replica. An error of Ray itself (the replica was killed)
-becomes a 503 that clients know.
+the path. What has no session, such as pairing, goes to one replica. An error of Ray itself (the replica was killed, or
+the proxy does not know of the application yet and answers 404) becomes a 503 that clients know.
 """
 
-import json
 from typing import Any, Final
 
 from starlette.middleware import Middleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from roomlight_server.base.problems import MEDIA_TYPE, ProblemError
+from roomlight_server.base.problems import MEDIA_TYPE, ProblemError, problem_response
 from roomlight_server.base.request_context import REQUEST_ID_HEADER
 from roomlight_server.state.lease import MOVED
 from roomlight_server.transport.auth import SESSION_PATH
@@ -54,7 +53,7 @@ def routed_headers(path: str, headers: list[tuple[bytes, bytes]]) -> list[tuple[
 
 
 class _Answer:
-    """Passes an answer on; one of Ray itself with a status of 500 and above is replaced by a problem."""
+    """Passes an answer on; an error of Ray itself, which is not of `MEDIA_TYPE`, is replaced by a problem."""
 
     def __init__(self, send: Send) -> None:
         self._send = send
@@ -69,7 +68,7 @@ class _Answer:
         if message["type"] == "http.response.start":
             self._started = True
             headers = _once(message.get("headers", []), REQUEST_ID_HEADER.lower().encode())
-            if message["status"] >= 500 and not _has_type(headers, MEDIA_TYPE):
+            if (message["status"] >= 500 or message["status"] == 404) and not _has_type(headers, MEDIA_TYPE):
                 await self._replace(headers)
                 return
             message = {**message, "headers": headers}
@@ -79,16 +78,11 @@ class _Answer:
     async def _replace(self, headers: list[tuple[bytes, bytes]]) -> None:
         self._started = self._replaced = True
         detail = "the server of the session is away; ask for its state, send lost frames again and go on"
-        problem = ProblemError(MOVED, detail, retry_after_s=1)
-        body = json.dumps(problem.problem.model_dump(exclude_none=True)).encode()
+        answer = problem_response(ProblemError(MOVED, detail, retry_after_s=1))
         ids = [(name, value) for name, value in headers if name.lower() == REQUEST_ID_HEADER.lower().encode()]
-        own = [
-            (b"content-type", MEDIA_TYPE.encode()),
-            (b"content-length", str(len(body)).encode()),
-            (b"retry-after", str(problem.retry_after_s).encode()),
-        ]
-        await self._send({"type": "http.response.start", "status": 503, "headers": [*ids, *own]})
-        await self._send({"type": "http.response.body", "body": body})
+        start = {"type": "http.response.start", "status": answer.status_code, "headers": [*ids, *answer.raw_headers]}
+        await self._send(start)
+        await self._send({"type": "http.response.body", "body": answer.body})
 
 
 def _once(headers: Any, name: bytes) -> list[tuple[bytes, bytes]]:

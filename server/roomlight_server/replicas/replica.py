@@ -48,6 +48,8 @@ def replica_app(settings: ServerSettings, *, local: bool) -> FastAPI:
             try:
                 async with asyncio.timeout(START_S):
                     while not context.ready:
+                        if context.failure is not None:
+                            raise ServerError(f"the replica cannot load: {context.failure}") from context.failure
                         await asyncio.sleep(0.02)
             except TimeoutError:
                 raise ServerError(f"the replica is not ready after {START_S:g} s; its log has the reason") from None

@@ -54,14 +54,15 @@ LOCAL_VARIABLES: Final = {
 
 
 def serve_on_ray(settings: ServerSettings, *, replicas: int, listening: Callable[[str], object]) -> None:
-    """Serve until SIGINT or SIGTERM. If the cluster serves already, change the number of replicas and return.
+    """Serve until SIGINT, SIGTERM or SIGHUP. If the cluster serves already, change the number of replicas and return.
 
     Without `RAY_ADDRESS`, a cluster of this machine is started, which listens on loopback, and stopped at the end.
 
     Args:
         settings: Settings of each replica; `state_dir` is shared by all.
         replicas: Number of replicas.
-        listening: Called with the URL of the server once all replicas are ready.
+        listening: Called with the URL of the server once all replicas are ready; not if the cluster serves already,
+            whose port can be another.
 
     Raises:
         ServerError: Ray is not installed, a setting is missing or has no effect here, the address cannot be used, or
@@ -81,12 +82,13 @@ def serve_on_ray(settings: ServerSettings, *, replicas: int, listening: Callable
         running = APPLICATION in serve.status().applications
         _deploy(ray, serve, settings, replicas)
         _log.info("ready", extra={"replicas": replicas, "ray": ray.get_runtime_context().gcs_address})
-        listening(address_of(settings, port))
         if running:
             _log.info("replicas changed", extra={"replicas": replicas})
             return
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda _number, _frame: stopped.set())
+        listening(address_of(settings, port))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # below `nohup`
+                signal.signal(number, lambda _number, _frame: stopped.set())
         try:
             stopped.wait()
         finally:
@@ -153,9 +155,9 @@ def _set_token(state_dir: Path) -> None:
 def _cluster(ray: Any, replicas: int) -> Generator[None]:
     """Connect to the cluster of `RAY_ADDRESS`, or start one on this machine and stop it at the end."""
     quiet: dict[str, Any] = {"logging_level": logging.WARNING, "configure_logging": False, "namespace": APPLICATION}
-    own = not os.environ.get(ADDRESS_VARIABLE)
+    address = os.environ.get(ADDRESS_VARIABLE)
     try:
-        if own:
+        if not address:
             ray.init(
                 address="local",
                 num_cpus=max(replicas + 1, 4),  # a unit is a replica; one more can be added
@@ -167,7 +169,9 @@ def _cluster(ray: Any, replicas: int) -> Generator[None]:
         else:
             ray.init(**quiet)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        raise ServerError(f"{ADDRESS_VARIABLE}: Ray cannot be started or reached: {error}") from error
+        advice = f"; unset {ADDRESS_VARIABLE} to start a cluster of this machine"
+        failed = f"{ADDRESS_VARIABLE}: {address}: Ray cannot be reached: {error}{advice}"
+        raise ServerError(failed if address else f"Ray cannot be started on this machine: {error}") from error
     try:
         yield
     finally:

@@ -17,10 +17,11 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from roomlight.errors import WireError
 from roomlight.wire.frame_header import FrameHeader
-from roomlight.wire.frame_message import MAX_HEADER_BYTES, pack, to_wire_error
+from roomlight.wire.frame_message import MAX_HEADER_BYTES, bad_frame, pack, to_wire_error
 from roomlight_server.base.byte_budget import Reservation
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError
+from roomlight_server.base.settings import ServerSettings
 from roomlight_server.recordings.files import MAX_PIECE_BYTES, PIECE_PATH
 
 MAX_JSON_BYTES: Final = 65_536
@@ -46,15 +47,12 @@ class BodyMiddleware:
     discards the rest of the body, so that the client receives the answer.
     """
 
-    def __init__(
-        self, app: ASGIApp, *, frame_bytes: int, object_bytes: int, timeout_s: float, metrics: Metrics
-    ) -> None:
+    def __init__(self, app: ASGIApp, *, settings: ServerSettings, metrics: Metrics) -> None:
         """Wrap an application. Frames, objects and all other bodies (`MAX_JSON_BYTES`) have limits of their own.
 
-        `timeout_s` is how far a body may lag behind `MIN_BYTES_PER_S`; bytes that come sooner give no more time.
+        A body may lag behind `MIN_BYTES_PER_S` by `body_timeout_s`; bytes that come sooner give no more time.
         """
-        self._app, self._frame_bytes, self._timeout_s, self._metrics = app, frame_bytes, timeout_s, metrics
-        self._object_bytes = object_bytes
+        self._app, self._settings, self._metrics = app, settings, metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle an ASGI connection."""
@@ -63,11 +61,11 @@ class BodyMiddleware:
             return
         limit = MAX_JSON_BYTES
         if _FRAME_PATH.fullmatch(scope["path"]):  # multipart adds boundaries and a header part
-            limit = self._frame_bytes + (2 * MAX_HEADER_BYTES if _is_multipart(Headers(scope=scope)) else 0)
+            limit = self._settings.max_body_bytes + (2 * MAX_HEADER_BYTES if _is_multipart(Headers(scope=scope)) else 0)
         elif PIECE_PATH.fullmatch(scope["path"]):
             limit = MAX_PIECE_BYTES
         elif scope["path"] == OBJECTS_PATH:
-            limit = self._object_bytes
+            limit = self._settings.max_object_file_bytes
         start_s, status = time.perf_counter(), 0
 
         async def send_observed(message: Message) -> None:
@@ -89,7 +87,8 @@ class BodyMiddleware:
         # Python converts at most 4,300 digits to an integer
         too_long = declared.isdecimal() and (len(declared) > _MAX_LENGTH_DIGITS or int(declared) > limit)
         received, names, done = 0, 0, False
-        deadline = time.monotonic() + self._timeout_s
+        timeout_s = self._settings.body_timeout_s
+        deadline = time.monotonic() + timeout_s
 
         async def limited() -> Message:
             nonlocal received, names, done, deadline
@@ -103,11 +102,11 @@ class BodyMiddleware:
                 async with asyncio.timeout(max(0.0, deadline - time.monotonic())):
                     message = await receive()
             except TimeoutError:
-                rule = f"may lag behind {MIN_BYTES_PER_S} bytes a second by {self._timeout_s:g} s"
+                rule = f"may lag behind {MIN_BYTES_PER_S} bytes a second by {timeout_s:g} s"
                 raise HTTPException(408, f"the body came too slowly ({received} bytes of it): it {rule}") from None
             n_bytes = len(message.get("body", b""))
             received += n_bytes
-            deadline = min(deadline + n_bytes / MIN_BYTES_PER_S, time.monotonic() + self._timeout_s)
+            deadline = min(deadline + n_bytes / MIN_BYTES_PER_S, time.monotonic() + timeout_s)
             done = message["type"] != "http.request" or not message.get("more_body", False)
             if limit == MAX_JSON_BYTES:
                 names += message.get("body", b"").count(b":")
@@ -187,22 +186,20 @@ def _from_parts(parts: dict[str, bytes]) -> bytes:
     """
     if not {"header", "colour"} <= parts.keys() <= {"header", *_FILES}:
         rule = "the parts must be header, colour and optionally depth and confidence"
-        raise WireError("bad-frame", field="", value=", ".join(sorted(parts)), rule=rule)
+        raise bad_frame("", ", ".join(sorted(parts)), rule)
     if len(parts["header"]) > MAX_HEADER_BYTES:
         rule = f"at most {MAX_HEADER_BYTES} bytes"
-        raise WireError("bad-frame", field="header", value=f"{len(parts['header'])} bytes", rule=rule)
+        raise bad_frame("header", f"{len(parts['header'])} bytes", rule)
     try:
         header: Any = json.loads(parts["header"])
     except (ValueError, RecursionError) as error:
-        raise WireError(
-            "bad-frame", field="header", value=f"{len(parts['header'])} bytes", rule=f"must be JSON ({error})"
-        ) from error
+        raise bad_frame("header", f"{len(parts['header'])} bytes", f"must be JSON ({error})") from error
     for name in _FILES:
         part = header.get(name) if isinstance(header, dict) else None
         if isinstance(part, dict) and name in parts:
             part.setdefault("bytes", len(parts[name]))
         elif isinstance(part, dict):
-            raise WireError("bad-frame", field=name, value="no such part", rule="is in the header, must be a part too")
+            raise bad_frame(name, "no such part", "is in the header, must be a part too")
     try:
         checked = FrameHeader.model_validate_json(json.dumps(header))
     except ValidationError as error:

@@ -38,6 +38,8 @@ class Context:
     phones: Phones
     states: StateStore | None = None
     ready: bool = False
+    failure: Exception | None = None
+    """Why the server cannot become ready."""
     public_url: str | None = None
     """Address on the local network, once the server listens."""
     meshes: OrderedDict[str, bytes] = field(default_factory=OrderedDict[str, bytes])

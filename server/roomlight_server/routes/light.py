@@ -61,6 +61,14 @@ _SOURCE: Final[dict[str, Any]] = {
     "emitted": _NUMBER,
     "number": {"type": "integer"},
 }
+_EXAMPLE: Final[dict[str, Any]] = {
+    "direction": [0.0, 1.0, 0.0],
+    "intensity": [2.1, 2.0, 1.8],
+    "radius_deg": 6.0,
+    "shadow_strength": 0.7,
+    "emitted": 1.0,
+    "number": 0,
+}
 _VALUES: Final[dict[str, Any]] = {
     "anyOf": [
         _fields(
@@ -98,7 +106,7 @@ _PROBE_RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
         | {
             "application/json": {
                 "schema": _VALUES,
-                "example": {"direction": [0.0, 1.0, 0.0], "intensity": [2.1, 2.0, 1.8], "coverage": 0.42},
+                "example": _EXAMPLE | {"coverage": 0.42, "lights": [_EXAMPLE]},
             }
         },
     },

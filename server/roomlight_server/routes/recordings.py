@@ -109,9 +109,13 @@ async def put_piece(
     """
     recording = context.recordings.find(owner, recording_id)
     data = await read_body(request, reserved, copies=2)  # as received, and joined
-    try:
+
+    async def write() -> None:
         with recording.files.piece(path, upload_offset, len(data)) as file:
             await asyncio.to_thread(append, file, upload_offset, data)
+
+    try:
+        await asyncio.shield(write())  # to its end: a late thread would cut the next piece
     except ProblemError as error:
         if error.kind != "upload-offset":
             raise

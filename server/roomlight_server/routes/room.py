@@ -165,7 +165,8 @@ async def mesh(
     made = context.meshes.get(etag)
     if made is None:
         reserved.add(_MESH_BYTES)
-        made = await context.workers.run_in_encode_pool(lambda: to_glb(room_mesh(meshes, max_triangles=triangles)))
+        parts = [mesh for _, mesh in meshes]
+        made = await context.workers.run_in_encode_pool(lambda: to_glb(room_mesh(parts, max_triangles=triangles)))
         context.meshes[etag] = made
         while len(context.meshes) > _MESHES_KEPT:
             context.meshes.popitem(last=False)

@@ -73,7 +73,8 @@ class FrameQueue:
         self._counted, self._durable = counted, durable
         self._last: Entry | None = None
         self._before_last: Entry | None = None
-        self._waiting: Entry | None = None
+        self.waiting: Entry | None = None
+        """The frame that waits."""
         self._before_waiting: Entry | None = None
         self._skipped_after_waiting = 0
         self._processing: Entry | None = None
@@ -105,20 +106,20 @@ class FrameQueue:
         if entry.frame is None and entry.message is None:
             self._counts["skipped"] += 1
             self._counted("skipped")
-            self._skipped_after_waiting += self._waiting is not None
+            self._skipped_after_waiting += self.waiting is not None
             entry.settle(FrameResult(index=entry.index, status="skipped", durable_index=self._durable()))
             return
-        if self._waiting is not None:
+        if self.waiting is not None:
             self._counts["superseded"] += 1
             self._counted("superseded")
-            superseded = FrameResult(index=self._waiting.index, status="superseded", durable_index=self._durable())
-            self._waiting.settle(superseded)
-            self._waiting.drop()
-        self._waiting, self._before_waiting, self._skipped_after_waiting = entry, self._before_last, 0
+            superseded = FrameResult(index=self.waiting.index, status="superseded", durable_index=self._durable())
+            self.waiting.settle(superseded)
+            self.waiting.drop()
+        self.waiting, self._before_waiting, self._skipped_after_waiting = entry, self._before_last, 0
 
     def take(self) -> Entry | None:
         """Remove and return the waiting frame for processing, or None."""
-        self._processing, self._waiting = self._waiting, None
+        self._processing, self.waiting = self.waiting, None
         return self._processing
 
     def processed(self, entry: Entry, result: FrameResult) -> None:
@@ -146,25 +147,20 @@ class FrameQueue:
 
     def end_all(self, error: ProblemError) -> None:
         """End all pending frames with this error, because the session ends."""
-        for entry in (self._waiting, self._processing):
+        for entry in (self.waiting, self._processing):
             if entry is not None:
                 self._done(entry)
                 entry.fail(error)
-        self._waiting = None
+        self.waiting = None
 
     @property
     def last_index(self) -> int | None:
         """Index of the last accepted frame; None before the first."""
         return None if self._last is None else self._last.index
 
-    @property
-    def waiting(self) -> Entry | None:
-        """The frame that waits."""
-        return self._waiting
-
     def counts(self) -> FrameCounts:
         """Return the counts of all frames so far."""
-        queued = (self._waiting is not None) + (self._processing is not None)
+        queued = (self.waiting is not None) + (self._processing is not None)
         used = sum(self._counts[name] for name in ("processed", "superseded", "skipped"))
         return FrameCounts(
             accepted=used + queued,
@@ -180,9 +176,9 @@ class FrameQueue:
         A waiting frame and those after it are left out: they are sent again after a restart.
         """
         counts, last = dict(self._counts), self._last
-        if self._waiting is not None and last is not None:
+        if self.waiting is not None and last is not None:
             skipped, before = self._skipped_after_waiting, self._before_waiting
-            since = self._waiting.index - 1 if before is None else before.index  # none counts before the very first
+            since = self.waiting.index - 1 if before is None else before.index  # none counts before the very first
             counts["skipped"] -= skipped
             counts["gaps"] -= max(0, last.index - since - 1 - skipped)
             last = before

@@ -8,7 +8,6 @@ import asyncio
 import logging
 import secrets
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -62,9 +61,9 @@ class _Moment:
 class History:
     """The recorded frames of a session. Used on the event loop; pictures are made on decoding threads."""
 
-    def __init__(self, limit_bytes: int, workers: Workers, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, limit_bytes: int, workers: Workers) -> None:
         """Create an empty history of at most `limit_bytes`; 0 records nothing."""
-        self._limit_bytes, self._workers, self._clock = limit_bytes, workers, clock
+        self._limit_bytes, self._workers = limit_bytes, workers
         self._moments: list[_Moment] = []
         self.size = 0
         """Memory of all entries in bytes."""
@@ -90,7 +89,7 @@ class History:
         self._frames += 1
         if lights is None or between:
             return
-        now_s = self._clock()
+        now_s = time.monotonic()
         if not self._moments:
             self._start_s = now_s
         try:

@@ -24,16 +24,17 @@ from roomlight.frame import Frame
 from roomlight.monocular.stream import DEPTH_STREAM_BYTES, DepthStream
 from roomlight.wire.compositing import SessionScene
 from roomlight.wire.frame_message import FrameMessage
-from roomlight.wire.messages import FrameResult, Memory, SessionRequest, SessionState
+from roomlight.wire.messages import FrameResult, Memory, SessionRequest, SessionState, Volume
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError
 from roomlight_server.base.request_context import request_id
+from roomlight_server.base.settings import ServerSettings
 from roomlight_server.sessions.engine_access import EngineAccess
 from roomlight_server.sessions.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.sessions.history import History, NamedLights, lights_for_history
+from roomlight_server.sessions.quotas import Quotas
 from roomlight_server.sessions.session_lighting import SessionLighting
-from roomlight_server.sessions.session_parts import SCENE_BYTES, FrameSlots, Limits, cached_lights, volume_of
-from roomlight_server.state.journal import Journal
+from roomlight_server.sessions.session_parts import SCENE_BYTES, FrameSlots, cached_lights
 from roomlight_server.state.lease import MOVED, SessionLease
 from roomlight_server.state.live_state import DepthScale, LiveState
 from roomlight_server.work.composite_processes import Composited, CompositeJob
@@ -44,8 +45,11 @@ _log = logging.getLogger("roomlight.server")
 _R = TypeVar("_R")
 
 
-class LiveSession:
-    """One session of the server. The registry maintains `last_used_s` and `users`."""
+class LiveSession(EngineAccess):
+    """One session of the server. The registry maintains `last_used_s` and `users`.
+
+    Only this class and its `SessionLighting` take the locks of `EngineAccess`.
+    """
 
     def __init__(
         self,
@@ -55,29 +59,31 @@ class LiveSession:
         engine: Session,
         workers: Workers,
         footprint: Footprint,
-        limits: Limits,
+        settings: ServerSettings,
+        quotas: Quotas,
         metrics: Metrics,
     ) -> None:
+        super().__init__(engine)
         self.name, self.request = name, request
         self.last_used_s = 0.0
         self.users = 0
         self._model = engine.model
         self._keyframe_capacity = engine.options.keyframes
-        self._workers, self._footprint, self._limits, self._metrics = workers, footprint, limits, metrics
-        self._access = EngineAccess(engine)
-        self.lighting = SessionLighting(self._access, workers, limits, request.height)
+        self._workers, self._footprint, self._settings, self._metrics = workers, footprint, settings, metrics
+        probes = settings.max_probes
+        self.lighting = SessionLighting(self, workers, quotas, max_probes=probes, height=request.height)
         # Frames enter the queue in the order of arrival, although parsing and decoding run on threads. This lock is
         # never held together with those of `EngineAccess`.
         self._ingest_lock = asyncio.Lock()
-        self.slots = FrameSlots(limits.frames_in_flight, self.check_open)
+        self.slots = FrameSlots(settings.frames_in_flight, self.check_open)
         self.lease: SessionLease | None = None
         self._queue = FrameQueue(lambda status: metrics.frames.labels(status).inc(), lambda: self.durable_index)
         self._runner: asyncio.Task[None] | None = None
         self._reference = request.reference_exposure
-        self._latest: LatestFrame | None = None
+        self.latest: LatestFrame | None = None  # the last processed frame, as it was received
         self._depth: DepthStream | None = None
         self._depth_scale: DepthScale | None = None  # of the stream before a restart
-        self.history = History(limits.history_bytes, workers)
+        self.history = History(settings.history_bytes, workers)
         self._composite_lock = asyncio.Lock()
         self._composites_due = 0
         self.scene = SessionScene()
@@ -116,7 +122,7 @@ class LiveSession:
         usable = {"normal"} | ({"limited"} if self.request.use_limited_tracking else set[str]())
 
         def receive() -> tuple[FrameMessage, bytes, int, Frame | None]:  # one job: each costs two hand-overs
-            message, digest = parse_frame(body, self._limits.frame)
+            message, digest = parse_frame(body, self._settings.frame_limits)
             stated = index_of(message, index)
             wanted = alone and message.header.tracking_state in usable and (last is None or stated > last)
             return message, digest, stated, self._decode(message, stated) if wanted else None
@@ -137,7 +143,7 @@ class LiveSession:
                 entry.frame = await self._decoded(message, index)
         self.check_open()
         self._queue.accept(entry)
-        self._access.changed()
+        self.changed()
         return entry
 
     async def _decoded(self, message: FrameMessage, index: int) -> Frame:
@@ -163,7 +169,7 @@ class LiveSession:
             while self._queue.waiting is not None:
                 decode_ahead = partial(copy_context().run, self._decode_ahead)  # on account of this session's owner
                 slot = self._workers.engine_slot(on_next=decode_ahead)
-                async with self._access.engine_lock, slot, self._access.state_lock:
+                async with self.engine_lock, slot, self.state_lock:
                     entry = self._queue.take()
                     if entry is not None:
                         await self._push(entry)
@@ -171,7 +177,7 @@ class LiveSession:
                     listener()
         finally:
             self._runner = None
-            if self._access.ended is not None:
+            if self.ended is not None:
                 self._workers.release_memory()  # of the frame that was being processed
 
     def _decode_ahead(self) -> None:
@@ -182,7 +188,7 @@ class LiveSession:
 
     async def _push(self, entry: Entry) -> None:
         request_id.set(entry.request_id)  # the task was started by an earlier frame
-        engine, frame = self._access.engine, entry.frame
+        engine, frame = self.engine, entry.frame
         if engine is None:
             return  # the session has ended, and the entry has its outcome
         try:
@@ -199,7 +205,7 @@ class LiveSession:
         except ProblemError as error:
             self._reject(entry, error)
             if error.kind == MOVED:
-                self._end(error)
+                self.end(error)
         except (FrameError, ModelError) as error:
             rule = str(error)
             self._reject(entry, ProblemError("bad-frame", rule, field="frame", value=entry.index, rule=rule))
@@ -208,12 +214,12 @@ class LiveSession:
             self._metrics.frames.labels("failed").inc()
             advice = "delete the session and open a new one"
             entry.fail(ProblemError("engine-failed", f"frame {entry.index}: {type(error).__name__}; {advice}"))
-            self._end(ProblemError("session-failed", f"the engine failed on frame {entry.index}; {advice}"))
+            self.end(ProblemError("session-failed", f"the engine failed on frame {entry.index}; {advice}"))
         else:
             if entry.message is None:  # the session has ended meanwhile, and with it the frame
                 return
             self.lighting.frame = entry.index
-            self._latest = LatestFrame(entry.index, entry.message, frame.depth_m if estimated else None)
+            self.latest = LatestFrame(entry.index, entry.message, frame.depth_m if estimated else None)
             if self.journal is not None:
                 self.journal.processed(entry.index, entry.message, keyframe=report.keyframe)
             self._metrics.observe_frame(report)
@@ -262,7 +268,7 @@ class LiveSession:
         """Replace the title and the placed objects. Raises ProblemError if the session has ended."""
         self.check_open()
         self.scene = scene
-        self._access.changed(urgent=True)
+        self.changed(urgent=True)
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` on the event loop after each frame and at the end; return a function that removes it."""
@@ -284,9 +290,9 @@ class LiveSession:
         try:
             async with self._composite_lock:
                 self.check_open()
-                if self._latest is None:
+                if self.latest is None:
                     raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
-                yield self._latest
+                yield self.latest
         finally:
             self._composites_due -= 1
 
@@ -309,8 +315,8 @@ class LiveSession:
             ProblemError: The session has ended.
         """
         workers = self._workers
-        async with workers.preview_slot(), self._access.engine_lock:
-            return await workers.run_preview(work, self._access.live())
+        async with workers.preview_slot(), self.engine_lock:
+            return await workers.run_preview(work, self.live())
 
     async def composite(self, job_of: Callable[[SessionSnapshot, SessionOptions], CompositeJob]) -> Composited:
         """Make a composite in a process, from a copy of the engine: no frame waits for it.
@@ -320,15 +326,10 @@ class LiveSession:
             Exception: As `CompositeProcesses.composite`.
         """
         async with self._workers.composite_slot():
-            async with self._access.engine_lock:
-                engine = self._access.live()
+            async with self.engine_lock:
+                engine = self.live()
                 snapshot = await self._workers.run_in_decode_pool(engine.snapshot)
             return await self._workers.run_composite(job_of(snapshot, engine.options))
-
-    @property
-    def latest(self) -> LatestFrame | None:
-        """The last processed frame, as it was received."""
-        return self._latest
 
     def exposure_of(self, frame: LatestFrame) -> float:
         """Return the exposure of a frame, of which 1 is the reference exposure of the session."""
@@ -336,8 +337,8 @@ class LiveSession:
 
     async def read(self, work: Callable[[Session], _R]) -> _R:
         """Run work that reads the engine on a decoding thread. Raises ProblemError if the session has ended."""
-        async with self._access.state_lock:
-            return await self._workers.run_in_decode_pool(work, self._access.live())
+        async with self.state_lock:
+            return await self._workers.run_in_decode_pool(work, self.live())
 
     # --- on disk ----------------------------------------------------------------------------------------------
 
@@ -348,51 +349,34 @@ class LiveSession:
 
     async def copy_state(self, pool: ThreadPoolExecutor) -> LiveState | None:
         """Return the state between two frames, copied on a thread of the pool; None if the session has ended."""
-        async with self._access.engine_lock:
-            engine, lighting = self._access.engine, self.lighting
+        async with self.engine_lock:
+            engine, lighting = self.engine, self.lighting
             if engine is None:
                 return None
             snapshot = await asyncio.get_running_loop().run_in_executor(pool, engine.snapshot)
             queue, probes = self._queue.saved(), lighting.saved()
             if self._depth is not None:
                 self._depth_scale = DepthScale.of(self._depth)
-            more = lighting.frame, self._latest, self.scene, self._depth_scale
+            more = lighting.frame, self.latest, self.scene, self._depth_scale
             return LiveState(snapshot, self._reference, probes, queue, *more)
 
     def resume(self, state: LiveState) -> None:
         """Continue from a saved state, with the engine that was made from its snapshot."""
-        self._reference, self._latest, self.scene = state.reference, state.latest, state.scene
+        self._reference, self.latest, self.scene = state.reference, state.latest, state.scene
         self._depth_scale = state.depth_scale
         self.lighting.restore(state.probes, state.light_frame)
         self._queue.restore(state.queue)
 
     # --- state and end ----------------------------------------------------------------------------------------
 
-    @property
-    def journal(self) -> Journal | None:
-        """What is unsaved of the session; None if sessions are not saved."""
-        return self._access.journal
-
-    @journal.setter
-    def journal(self, journal: Journal | None) -> None:
-        self._access.journal = journal
-
-    def check_open(self) -> None:
-        """Check that the session is usable. Raises ProblemError if it has failed or was closed."""
-        self._access.check_open()
-
-    @property
-    def ended(self) -> ProblemError | None:
-        """The reason why the session has ended, or None."""
-        return self._access.ended
-
     def close(self, reason: ProblemError | None = None) -> None:
         """End the session: answer all waiting requests and release the engine after its running frame."""
-        self._end(reason or ProblemError("session-closed", "the session was deleted or has expired"))
+        self.end(reason or ProblemError("session-closed", "the session was deleted or has expired"))
 
-    def _end(self, reason: ProblemError) -> None:
-        self._access.end(reason)
-        self._latest = None
+    def end(self, reason: ProblemError) -> None:
+        """Answer all waiting requests with this reason, and release the engine after its running frame."""
+        super().end(reason)
+        self.latest = None
         self.lighting.clear()
         self.history.clear()
         self._queue.end_all(reason)
@@ -403,14 +387,14 @@ class LiveSession:
     @property
     def bound_bytes(self) -> int:
         """Upper bound of the session's memory."""
-        limits = self._limits
+        settings = self._settings
         engine = self._footprint.total(
-            keyframes=self._keyframe_capacity, probes=limits.max_probes, started=True, left=MOST_LEFT
+            keyframes=self._keyframe_capacity, probes=settings.max_probes, started=True, left=MOST_LEFT
         )
         size = self.lighting.light_bytes
         lights = cached_lights(size) * size
         kept = SCENE_BYTES + DEPTH_STREAM_BYTES
-        return engine + lights + limits.frame.max_body_bytes + limits.history_bytes + kept
+        return engine + lights + settings.max_body_bytes + settings.history_bytes + kept
 
     @property
     def frames_in_flight(self) -> int:
@@ -424,18 +408,20 @@ class LiveSession:
 
     def state(self) -> SessionState:
         """Return the current state."""
-        engine = self._access.engine
-        volume = volume_of(engine)
+        engine, volume = self.engine, None
+        grid = None if engine is None else engine.grid
+        if grid is not None:
+            volume = Volume(shape=list(grid.shape), voxel_m=grid.edge_m, depth_max_m=grid.depth_max_m)
         keyframes = 0 if engine is None else engine.keyframes
         left = 0 if engine is None else engine.rooms_left
         engine_bytes = self._footprint.total(
-            keyframes=keyframes, probes=self.probe_count, started=volume is not None, left=left
+            keyframes=keyframes, probes=self.probe_count, started=grid is not None, left=left
         )
-        kept = engine_bytes + self.lighting.cached_bytes + (0 if self._latest is None else self._latest.size)
+        kept = engine_bytes + self.lighting.cached_bytes + (0 if self.latest is None else self.latest.size)
         kept += self.history.size
         return SessionState(
             id=self.name,
-            status="open" if self._access.ended is None else "failed",
+            status="open" if self.ended is None else "failed",
             model=cast("Literal['classical', 'single', 'video']", self._model),
             options=self.request,
             frames=self._queue.counts(),
@@ -444,7 +430,7 @@ class LiveSession:
             keyframes=keyframes,
             memory=Memory(bytes=0 if engine is None else kept, bound_bytes=self.bound_bytes),
             volume=volume,
-            idle_expiry_s=self._limits.idle_expiry_s,
+            idle_expiry_s=self._settings.session_expiry_s,
         )
 
 

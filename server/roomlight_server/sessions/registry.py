@@ -18,9 +18,8 @@ from roomlight_server.base.problems import ProblemError
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.sessions.quotas import Quotas
-from roomlight_server.sessions.session_parts import Limits
 from roomlight_server.state.listing import SavedHead
-from roomlight_server.state.restoring import Restorer
+from roomlight_server.state.restoring import restore
 from roomlight_server.state.store import Saveable, StateStore
 from roomlight_server.work.workers import Workers
 
@@ -45,20 +44,11 @@ class Registry:
         """Create an empty registry; `states` saves and restores its sessions, `phones_of` has an owner's phones."""
         self._phones_of = phones_of
         self._states = states
-        self._restorer = None if states is None else Restorer(workers)
         self._settings, self._workers, self._metrics, self._clock = settings, workers, metrics, clock
         self._sessions: dict[tuple[str, str], LiveSession] = {}
         self._opening = asyncio.Lock()
         self._quotas = Quotas(settings, self._sessions_of)
         metrics.late_points.set_function(lambda: self._quotas.late_points)
-        self._limits = Limits(
-            frame=settings.frame_limits,
-            frames_in_flight=settings.frames_in_flight,
-            max_probes=settings.max_probes,
-            idle_expiry_s=settings.session_expiry_s,
-            history_bytes=settings.history_bytes,
-            quotas=self._quotas,
-        )
         self.stopping = False
         metrics.sessions.set_function(lambda: len(self._sessions))
         metrics.session_bytes.set_function(
@@ -108,28 +98,19 @@ class Registry:
         if existing is not None:
             return self._reopen(existing, request), False
         async with self._opening:  # until it is added: sessions that are opened at once count each other
-            return await self._open_counted(owner, name, request, graphs)
-
-    async def _open_counted(
-        self, owner: str, name: str, request: SessionRequest, graphs: LightingGraphs | None
-    ) -> tuple[LiveSession, bool]:
-        self._check_capacity()
-        await self._check_disk(owner)
-        self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
-        base = self._workers.base_options
-        options = replace(
-            base,
-            model=base.model if request.model == "auto" else request.model,
-            height=request.height,
-            unknown_depth=request.unknown_depth,
-        )
-        live = self._live(name, request, _engine(options, graphs), graphs)
-        self._check_size(owner, live)
-        if self._states is not None:
-            live.journal, live.lease = self._states.journal(), await self._states.claim(owner, name, new=True)
-        self._add(owner, live)
-        _log.info("session opened", extra={"session": name, "model": live.state().model})
-        return live, True
+            self._check_capacity()
+            await self._check_disk(owner)
+            self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
+            base = self._workers.base_options
+            model = base.model if request.model == "auto" else request.model
+            options = replace(base, model=model, height=request.height, unknown_depth=request.unknown_depth)
+            live = self._live(name, request, _engine(options, graphs), graphs)
+            self._check_size(owner, live)
+            if self._states is not None:
+                live.journal, live.lease = self._states.journal(), await self._states.claim(owner, name, new=True)
+            self._add(owner, live)
+            _log.info("session opened", extra={"session": name, "model": live.state().model})
+            return live, True
 
     async def recall(self, owner: str, name: str) -> LiveSession | None:
         """Return the session from memory, or restore it from disk; None if there is none.
@@ -145,7 +126,7 @@ class Registry:
             except ProblemError:
                 self.end_moved((owner, name), known)
                 raise
-        if known is not None or self._states is None or self._restorer is None or not self._states.has(owner, name):
+        if known is not None or self._states is None or not self._states.has(owner, name):
             return known
         async with self._states.lock(owner, name):
             known = self._current(owner, name)  # another request may have restored it in the meantime
@@ -155,7 +136,7 @@ class Registry:
             lease = await self._states.claim(owner, name)  # before it is read: nobody else writes it any more
             reading = await self._states.read(owner, name)
             graphs = await self._graphs_of(reading.values.request)
-            engine, state = await self._restorer.restore(reading, graphs)
+            engine, state = await restore(self._workers, reading, graphs)
             live = self._live(name, reading.values.request, engine, graphs)
             self._check_capacity()  # others may have been opened while it was read
             self._check_size(owner, live)
@@ -178,7 +159,8 @@ class Registry:
             engine=engine,
             workers=self._workers,
             footprint=Footprint.of(graphs, request.height),
-            limits=self._limits,
+            settings=self._settings,
+            quotas=self._quotas,
             metrics=self._metrics,
         )
 

@@ -12,7 +12,8 @@ from roomlight.wire.messages import ProbeQuery
 from roomlight_server.answers.light_forms import default_panorama
 from roomlight_server.base.problems import ProblemError, convert_probe_errors
 from roomlight_server.sessions.engine_access import EngineAccess
-from roomlight_server.sessions.session_parts import LIGHT_PIXEL_BYTES, LightCache, Limits, cached_lights
+from roomlight_server.sessions.quotas import Quotas
+from roomlight_server.sessions.session_parts import LIGHT_PIXEL_BYTES, LightCache, cached_lights
 from roomlight_server.state.live_state import NamedProbe
 from roomlight_server.work.workers import Workers
 
@@ -27,9 +28,10 @@ class SessionLighting:
         frame: Index of the last processed frame, after which light is answered; NO_FRAME before the first.
     """
 
-    def __init__(self, access: EngineAccess, workers: Workers, limits: Limits, height: int) -> None:
+    def __init__(self, access: EngineAccess, workers: Workers, quotas: Quotas, *, max_probes: int, height: int) -> None:
         """Begin without probes; panoramas have `height` rows."""
-        self._access, self._workers, self._limits, self._height = access, workers, limits, height
+        self._access, self._workers, self._quotas = access, workers, quotas
+        self._max_probes, self._height = max_probes, height
         self._named: dict[str, NamedProbe] = {}
         self._cache = LightCache(cached_lights(self.light_bytes))
         self.frame = NO_FRAME
@@ -48,11 +50,11 @@ class SessionLighting:
             engine, old = self._access.live(), self._named.get(name)
             if old is not None and old.position == position:
                 return False
-            if old is None and len(self._named) >= self._limits.max_probes:
-                limit = self._limits.max_probes
+            if old is None and len(self._named) >= self._max_probes:
+                limit = self._max_probes
                 detail = f"the session already tracks {limit} named probes; delete one first"
                 raise ProblemError("too-many-probes", detail, rule=f"at most {limit} probes")
-            with self._limits.quotas.adding_probe(self._height) if old is None else nullcontext():
+            with self._quotas.adding_probe(self._height) if old is None else nullcontext():
                 await self._replace_probe(engine, name, position)
             return old is None
 
@@ -91,7 +93,7 @@ class SessionLighting:
         Raises:
             ProblemError: A probe name is unknown, a position is unusable, or the session has ended.
         """
-        with self._limits.quotas.late_probes(sum(query.name is None for query in queries)):
+        with self._quotas.late_probes(sum(query.name is None for query in queries)):
             async with self._access.state_lock:
                 lights = await self._at_hand(queries)
             if None in lights:

@@ -1,19 +1,14 @@
-"""Parts of a live session: its limits, its slots for frames in flight, the lights it has computed."""
+"""Parts of a live session: its slots for frames in flight, the lights it has computed."""
 
 import asyncio
 from collections import OrderedDict
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from typing import Final
 
 from roomlight.conventions import Position
-from roomlight.engine.session import Session
 from roomlight.light.light import Light
-from roomlight.wire.frame_message import FrameLimits
-from roomlight.wire.messages import Volume
 from roomlight_server.base.problems import ProblemError
-from roomlight_server.sessions.quotas import Quotas
 
 LIGHT_PIXEL_BYTES: Final = 52
 """Memory of a light for each pixel, float32: what its probe has accumulated (7), and two panoramas (6)."""
@@ -28,18 +23,6 @@ _CACHE_BYTES: Final = 12 * 2**20
 def cached_lights(light_bytes: int) -> int:
     """Return how many lights of this size are cached: fewer of tall panoramas."""
     return min(MAX_CACHED_LIGHTS, max(_MIN_CACHED_LIGHTS, _CACHE_BYTES // light_bytes))
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of a session; see `ServerSettings`."""
-
-    frame: FrameLimits
-    frames_in_flight: int
-    max_probes: int
-    idle_expiry_s: float
-    history_bytes: int
-    quotas: Quotas
 
 
 class FrameSlots:
@@ -108,11 +91,3 @@ class LightCache:
     def clear(self) -> None:
         """Remove all lights."""
         self._lights.clear()
-
-
-def volume_of(engine: Session | None) -> Volume | None:
-    """Return the box of a session's volume; None before the first frame and after the end."""
-    grid = None if engine is None else engine.grid
-    if grid is None:
-        return None
-    return Volume(shape=list(grid.shape), voxel_m=grid.edge_m, depth_max_m=grid.depth_max_m)

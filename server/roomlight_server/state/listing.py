@@ -47,21 +47,18 @@ class SavedList:
 
         A file whose first records are damaged or of another version is left out: it does not say whose it is.
         """
-        with self._lock:
-            return self._of(owner)
-
-    def _of(self, owner: str) -> list[SavedHead]:
         heads: list[SavedHead] = []
-        folders = session_folders(self._root)
-        for folder in folders:
-            with contextlib.suppress(OSError):  # it was erased in the meantime, or is not complete yet
-                changed_s = self._read(folder)
-                _, values, model = self._known[folder.name]
-                if values is not None and values.owner == owner:
-                    size = sum(file.stat().st_size for file in folder.iterdir())
-                    heads.append(SavedHead(values, model, max(0.0, time.time() - changed_s), size))
-        for name in self._known.keys() - {folder.name for folder in folders}:
-            del self._known[name]
+        with self._lock:
+            folders = session_folders(self._root)
+            for folder in folders:
+                with contextlib.suppress(OSError):  # it was erased in the meantime, or is not complete yet
+                    changed_s = self._read(folder)
+                    _, values, model = self._known[folder.name]
+                    if values is not None and values.owner == owner:
+                        size = sum(file.stat().st_size for file in folder.iterdir())
+                        heads.append(SavedHead(values, model, max(0.0, time.time() - changed_s), size))
+            for name in self._known.keys() - {folder.name for folder in folders}:
+                del self._known[name]
         return sorted(heads, key=lambda head: head.idle_s)
 
     def _read(self, folder: Path) -> float:

@@ -20,65 +20,48 @@ from roomlight_server.work.intake import LatestFrame, decode_to_size
 from roomlight_server.work.workers import Workers
 
 
-class Restorer:
-    """Makes sessions from saved states, with the weights of this server."""
+async def restore(workers: Workers, reading: Reading, graphs: LightingGraphs | None) -> tuple[Session, LiveState]:
+    """Return the engine, with the weights of this server, and the state of a session; 24 keyframes take 0.3 to 0.5 s.
 
-    def __init__(self, workers: Workers) -> None:
-        """Use the decoding threads and processes of these workers."""
-        self._workers = workers
+    Raises:
+        ProblemError: The state was saved with other weights, or its frames have other pixels now (409), or a frame
+            cannot be decoded now (503).
+    """
+    values, base = reading.values, workers.base_options
+    options = replace(reading.session.options, weights=base.weights, provider=base.provider, parts=base.parts)
 
-    async def restore(self, reading: Reading, graphs: LightingGraphs | None) -> tuple[Session, LiveState]:
-        """Return the engine and the state of a session; 24 keyframes take 0.3 to 0.5 s.
+    def make_engine(bases: dict[int, FrameMesh]) -> tuple[Session, SessionSnapshot]:
+        snapshot = reading.session.snapshot(bases)
+        return Session.from_snapshot(snapshot, options, graphs=graphs), snapshot
 
-        Raises:
-            ProblemError: The state was saved with other weights, or its frames have other pixels now (409), or a frame
-                cannot be decoded now (503).
-        """
-        values = reading.values
-        base = self._workers.base_options
-        options = replace(
-            reading.session.options,
-            weights=base.weights,
-            provider=base.provider,
-            parts=base.parts,
-        )
-        try:
-            bases = await self._bases(reading, options)
-            engine, snapshot = await self._workers.run_in_decode_pool(_engine, reading, bases, options, graphs)
-        except (StateError, ModelError) as error:
-            text = str(error) if values.name in str(error) else f"saved state of session {values.name}: {error}"
-            raise refused(StateError(text), values.name) from error
-        except WireError as error:
-            detail = f"a saved frame cannot be decoded now ({error}); retry later"
-            raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
-        kept = values.reference, values.probes, values.queue, values.light_frame
-        latest = _latest(reading, snapshot)
-        return engine, LiveState(snapshot, *kept, latest, values.scene, values.depth_scale)
+    try:
+        bases = await _bases(workers, reading, options)
+        engine, snapshot = await workers.run_in_decode_pool(make_engine, bases)
+    except (StateError, ModelError) as error:
+        text = str(error) if values.name in str(error) else f"saved state of session {values.name}: {error}"
+        raise refused(StateError(text), values.name) from error
+    except WireError as error:
+        detail = f"a saved frame cannot be decoded now ({error}); retry later"
+        raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
+    kept = values.reference, values.probes, values.queue, values.light_frame
+    latest = _latest(reading, snapshot)
+    return engine, LiveState(snapshot, *kept, latest, values.scene, values.depth_scale)
 
-    async def _bases(self, reading: Reading, options: SessionOptions) -> dict[int, FrameMesh]:
-        messages = reading.messages.keys() - reading.pixels
-        wanted = [index for index in reading.session.elsewhere if index in messages]
-        made = await asyncio.gather(*(self._base(reading, index, options) for index in wanted))
-        return reading.pixels | dict(zip(wanted, made, strict=True))
 
-    async def _base(self, reading: Reading, index: int, options: SessionOptions) -> FrameMesh:
-        message, processes = reading.messages[index], self._workers.decode_processes
+async def _bases(workers: Workers, reading: Reading, options: SessionOptions) -> dict[int, FrameMesh]:
+    reference, least = reading.values.reference, reading.values.request.min_confidence
+
+    def make_base(index: int) -> FrameMesh:
+        message = reading.messages[index]
         if message.depth is None:
             raise StateError(f"frame {index} came without depth, and what was estimated for it is not saved")
-        reference = reading.values.reference or message.header.exposure
-        least = reading.values.request.min_confidence
+        exposure = reference or message.header.exposure
+        return base_of_frame(decode_to_size(message, index, exposure, least, workers.decode_processes), options)
 
-        def make() -> FrameMesh:
-            return base_of_frame(decode_to_size(message, index, reference, least, processes), options)
-
-        return await self._workers.run_in_decode_pool(make)
-
-
-def _engine(
-    reading: Reading, bases: dict[int, FrameMesh], options: SessionOptions, graphs: LightingGraphs | None
-) -> tuple[Session, SessionSnapshot]:
-    snapshot = reading.session.snapshot(bases)
-    return Session.from_snapshot(snapshot, options, graphs=graphs), snapshot
+    messages = reading.messages.keys() - reading.pixels
+    wanted = [index for index in reading.session.elsewhere if index in messages]
+    made = await asyncio.gather(*(workers.run_in_decode_pool(make_base, index) for index in wanted))
+    return reading.pixels | dict(zip(wanted, made, strict=True))
 
 
 def _latest(reading: Reading, snapshot: SessionSnapshot) -> LatestFrame | None:

@@ -47,17 +47,9 @@ class Reading:
     pixels: dict[int, FrameMesh]
 
 
-@dataclass(frozen=True)
-class Written:
-    """What was written: the files of kept frames that the state names, and all bytes of the session on disk."""
-
-    bases: dict[int, SavedBase]
-    bytes: int
-
-
 def write_session(
     folder: Path, live: LiveState, values: SavedValues, messages: dict[int, bytes], bases: dict[int, SavedBase]
-) -> Written:
+) -> tuple[dict[int, SavedBase], int]:
     """Write a session: new files of keyframes, then the state, then remove files that are no longer named.
 
     Args:
@@ -66,6 +58,9 @@ def write_session(
         values: Values of the server; `bases` and `latest` are filled in.
         messages: Messages of keyframes that are not on disk yet.
         bases: Files of keyframes that are on disk.
+
+    Returns:
+        The files of keyframes that the state names, and all bytes of the session on disk.
 
     Raises:
         OSError: The folder cannot be made.
@@ -88,7 +83,7 @@ def write_session(
     head = Record("SERV", values.model_dump(mode="json"))
     file = pack_records([head, *records_of_snapshot(live.snapshot, elsewhere=elsewhere), *records])
     write_durable(folder / STATE, file)
-    return Written(named, len(file) + _tidy(folder, {base.file for base in named.values()}))
+    return named, len(file) + _tidy(folder, {base.file for base in named.values()})
 
 
 def _base(folder: Path, kept: KeptFrame, messages: dict[int, bytes], bases: dict[int, SavedBase]) -> SavedBase:

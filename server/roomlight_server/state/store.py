@@ -21,6 +21,7 @@ from roomlight.errors import OutputError, ServerError, StateError
 from roomlight.wire.messages import SessionRequest
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError
+from roomlight_server.base.settings import ServerSettings
 from roomlight_server.state.ages import SavedAges
 from roomlight_server.state.fence import Fence, LeaseLostError
 from roomlight_server.state.journal import Journal
@@ -30,7 +31,6 @@ from roomlight_server.state.live_state import LiveState, SavedValues
 from roomlight_server.state.session_folder import (
     STATE,
     Reading,
-    Written,
     erase,
     read_session,
     session_folders,
@@ -74,36 +74,22 @@ Sessions = Callable[[], Iterable[tuple[tuple[str, str], Saveable]]]
 class StateStore:
     """The saved sessions of a server, in one folder each. Used on the event loop; files are handled on threads."""
 
-    def __init__(
-        self,
-        root: Path,
-        *,
-        interval_s: float,
-        expiry_s: float,
-        shared: bool,
-        metrics: Metrics,
-        clock: Callable[[], float],
-    ) -> None:
-        """Make the directory and lock it for this process.
+    def __init__(self, root: Path, settings: ServerSettings, metrics: Metrics, clock: Callable[[], float]) -> None:
+        """Make the directory and lock it for this process; only this user can read its folder `sessions`.
 
-        Args:
-            root: The state directory. Only this user can read its folder `sessions`.
-            interval_s: A change is on disk after this time at the latest, unless the disk is slower.
-            expiry_s: A saved session that is not in memory and was not used for this time is erased.
-            shared: Other servers use the directory too; see `fence`.
-            metrics: Counts writes.
-            clock: Monotonic clock in seconds.
+        `root` is the state directory; servers may share it only if each has `state_shared`.
 
         Raises:
             ServerError: The directory cannot be used, or another server uses it and not both share it.
         """
         self._root, self._metrics, self._clock = root / "sessions", metrics, clock
+        shared, expiry_s = settings.state_shared, settings.state_expiry_s
         # other servers touch what they have open once in a period
         self._expiry_s = max(expiry_s, 3 * _EXPIRY_PERIOD_S) if shared else expiry_s
         self._list = SavedList(self._root)
         self._ages = SavedAges(root / "ages.json", clock)
-        self._period_s = interval_s / SAVES_PER_INTERVAL
-        self.tick_s = min(0.25, self._period_s / 4)
+        self._period_s = settings.state_interval_s / SAVES_PER_INTERVAL
+        self._tick_s = min(0.25, self._period_s / 4)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="state")
         self._locks: WeakValueDictionary[tuple[str, str], asyncio.Lock] = WeakValueDictionary()
         self._saving: dict[tuple[str, str], asyncio.Task[None]] = {}
@@ -127,7 +113,7 @@ class StateStore:
         `end_moved` is called with a session that another server owns.
         """
         while True:
-            await asyncio.sleep(self.tick_s)
+            await asyncio.sleep(self._tick_s)
             await self._check_leases(sessions, end_moved)
             for key, live in sessions():
                 if key not in self._saving and live.journal is not None and live.journal.is_due(self._period_s):
@@ -193,7 +179,7 @@ class StateStore:
             with self._metrics.state_write_seconds.time():
                 write = write_session if live.lease is None else live.lease.guarded(write_session)
                 try:
-                    written = await self._in_thread(
+                    bases, size = await self._in_thread(
                         write, self._folder(*key), state, values, dict(journal.messages), journal.bases
                     )
                 except LeaseLostError:
@@ -201,8 +187,8 @@ class StateStore:
                     _log.warning("a session is not saved: another server owns it", extra={"session": live.name})
                     journal.closed = True
                     return
-            journal.saved(written.bases, state.light_frame, state.queue.last_index)
-            self._record_success(written)
+            journal.saved(bases, state.light_frame, state.queue.last_index)
+            self._record_success(size)
 
     def _record_failure(self, error: Exception, name: str) -> None:
         cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
@@ -212,12 +198,12 @@ class StateStore:
         self.failing = reason
         self._metrics.state_writes.labels("failed").inc()
 
-    def _record_success(self, written: Written) -> None:
+    def _record_success(self, n_bytes: int) -> None:
         if self.failing is not None:
             _log.warning("sessions can be saved again")
         self.failing = None
         self._metrics.state_writes.labels("written").inc()
-        self._metrics.state_session_bytes.observe(written.bytes)
+        self._metrics.state_session_bytes.observe(n_bytes)
 
     async def close(self, sessions: Sessions) -> None:
         """Save all changed sessions for the last time, at most twice `CLOSE_S`; release the directory."""
@@ -260,11 +246,6 @@ class StateStore:
             raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
         _log.info("session claimed", extra={"session": name, "epoch": lease.record.epoch})
         return SessionLease(name, fence, lease, self._fence_pool, refuses_gap=lease.taken_over and not new)
-
-    def _release(self, live: Saveable) -> None:
-        """Let another server own a session, if all of it is on disk."""
-        if live.lease is not None and live.journal is not None and live.journal.unsaved_s == 0:
-            live.lease.release()
 
     # --- saved sessions ---------------------------------------------------------------------------------------
 
@@ -317,14 +298,15 @@ class StateStore:
         return existed
 
     def left_memory(self, owner: str, live: Saveable) -> None:
-        """Begin the time to expiry of a saved session again, and let another server own it.
+        """Begin the time to expiry of a saved session again, and let another server own it if all of it is on disk.
 
         The date of its file is that of its last use.
         """
         with contextlib.suppress(OSError):
             used_s = time.time() - max(0.0, self._clock() - live.last_used_s)
             os.utime(self._folder(owner, live.name) / STATE, (used_s, used_s))
-        self._release(live)
+        if live.lease is not None and live.journal is not None and live.journal.unsaved_s == 0:
+            live.lease.release()
 
     def _erase_expired(self, open_folders: set[str]) -> None:
         folders = session_folders(self._root)

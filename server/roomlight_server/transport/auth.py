@@ -14,6 +14,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError, problem_response
 from roomlight_server.base.request_context import Flow, current_flow
+from roomlight_server.base.settings import ServerSettings
 from roomlight_server.base.web_origins import host_name
 from roomlight_server.transport.guard import TRANSPORT, ConnectionGuard
 from roomlight_server.transport.phones import Phones
@@ -73,33 +74,15 @@ class AuthMiddleware:
     """Sets `scope["state"]["owner"]`, or answers 401 or 403 before the body is read."""
 
     def __init__(
-        self,
-        app: ASGIApp,
-        *,
-        tokens: Tokens,
-        origins: tuple[str, ...],
-        hosts: tuple[str, ...],
-        metrics: Metrics,
-        wrong_token_delay_s: float,
-        guard: ConnectionGuard,
-        metrics_open: bool,
+        self, app: ASGIApp, *, settings: ServerSettings, tokens: Tokens, metrics: Metrics, guard: ConnectionGuard
     ) -> None:
-        """Wrap an application.
-
-        Args:
-            app: The application.
-            tokens: Tokens that are accepted.
-            origins: Web origins that are allowed besides the server's own; `*` allows all.
-            hosts: Names and addresses that the header `Host` may have; empty allows all. A page of another site whose
-                name resolves to this machine (DNS rebinding) has another one.
-            metrics: Count requests without a valid token.
-            wrong_token_delay_s: Time after which a request with a wrong token is answered.
-            guard: Counts unsent answers by owner.
-            metrics_open: Whether `/metrics` needs no token.
-        """
-        self._guard, self._metrics_open = guard, metrics_open
-        self._metrics, self._wrong_token_delay_s = metrics, wrong_token_delay_s
-        self._app, self._tokens, self._origins, self._hosts = app, tokens, origins, hosts
+        """Wrap an application; the guard counts unsent answers by owner."""
+        self._app, self._tokens, self._metrics, self._guard = app, tokens, metrics, guard
+        # origins of other sites that may call, `*` for all
+        self._wrong_token_delay_s, self._origins = settings.wrong_token_delay_s, settings.allow_origins
+        # A page of another site whose name resolves to this machine (DNS rebinding) has another host. Empty: any.
+        self._hosts = settings.allow_hosts if settings.tokens else _hosts_without_token(settings)
+        self._metrics_open = not settings.on_lan  # anyone in the house could watch who is at home
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle an ASGI connection."""
@@ -169,6 +152,11 @@ class AuthMiddleware:
 
     def _allowed(self, origin: str, host: str) -> bool:
         return "*" in self._origins or origin in self._origins or origin.partition("://")[2] == host
+
+
+def _hosts_without_token(settings: ServerSettings) -> tuple[str, ...]:
+    own = (settings.host.strip("[]"),) if settings.is_loopback else ()
+    return tuple(dict.fromkeys((*LOOPBACK_HOSTS, *own, *settings.allow_hosts)))
 
 
 def _host_problem(scope: Scope, headers: Headers) -> ProblemError | None:

@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from typing import Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError
@@ -18,6 +18,8 @@ TRANSPORT: Final = "transport"
 """Key of a request's connection in the state of its scope."""
 LINGER_S: Final = 2.0
 """Time for which the rest of a refused connection is read, so that the client receives the answer, not a reset."""
+SLICE_BYTES: Final = 8192
+"""Bytes that a parser is given at once; after each slice the limits are checked."""
 _LOG_LINES: Final = 20
 """Lines a second, of each kind, about refused connections: a flood of connections must not become a flood of lines."""
 
@@ -82,11 +84,6 @@ class ConnectionGuard:
     def connections(self) -> int:
         """Connections that are open, TLS handshakes included."""
         return len(self._addresses)
-
-    @property
-    def idle_connections(self) -> int:
-        """Connections without a request in progress."""
-        return len(self._idle)
 
     def unsent_bytes(self, owner: str | None = None) -> int:
         """Bytes of answers that clients of an owner, or all, have not received yet."""
@@ -179,46 +176,43 @@ class ConnectionGuard:
             self.parsing = before
 
 
-class WriteWatch:
-    """Aborts a connection whose client receives nothing of a waiting answer for `send_timeout_s`."""
-
-    def __init__(self, transport: Transport, guard: ConnectionGuard, address: str) -> None:
-        self._transport, self._guard, self._address = transport, guard, address
-        self._timer: asyncio.TimerHandle | None = None
-
-    def start(self) -> None:
-        """Watch from now on."""
-        size = self._transport.get_write_buffer_size()
-        delay_s = self._guard.settings.send_timeout_s
-        self._timer = asyncio.get_running_loop().call_later(delay_s, self._check, size)
-
-    def stop(self) -> None:
-        """End the watch."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-
-    def _check(self, size: int) -> None:
-        if self._transport.get_write_buffer_size() < size:
-            self.start()
-            return
-        self._guard.record("slow-reader", self._address)
-        self._transport.abort()
-
-
 class WatchedWriting(asyncio.BaseProtocol):
-    """A protocol that watches a client that does not read, once it has its `WriteWatch`."""
+    """A protocol of a counted connection, which it aborts if its client receives nothing of a waiting
+    answer for `send_timeout_s`."""
 
-    _watch: WriteWatch | None = None
+    transport: Any
+    _guard: ConnectionGuard
+    _address = ""
+    _watch: asyncio.TimerHandle | None = None
 
     def pause_writing(self) -> None:
         """Start to watch."""
         super().pause_writing()
-        if self._watch is not None:
-            self._watch.start()
+        self._start_watch()
 
     def resume_writing(self) -> None:
         """Stop to watch."""
         super().resume_writing()
+        self._stop_watch()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Release the connection."""
+        self._stop_watch()
+        self._guard.release(self.transport)
+        super().connection_lost(exc)
+
+    def _start_watch(self) -> None:
+        size, delay_s = self.transport.get_write_buffer_size(), self._guard.settings.send_timeout_s
+        self._watch = asyncio.get_running_loop().call_later(delay_s, self._check_progress, size)
+
+    def _stop_watch(self) -> None:
         if self._watch is not None:
-            self._watch.stop()
+            self._watch.cancel()
+            self._watch = None
+
+    def _check_progress(self, size: int) -> None:
+        if self.transport.get_write_buffer_size() < size:
+            self._start_watch()
+            return
+        self._guard.record("slow-reader", self._address)
+        self.transport.abort()

@@ -6,7 +6,6 @@ not public (`cycle`, `pipeline`, `flow`, `scope`), so `pyproject.toml` has an up
 """
 
 import asyncio
-import json
 import sys
 import uuid
 from collections.abc import Callable
@@ -17,9 +16,16 @@ from urllib.parse import urlsplit
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-from roomlight_server.base.problems import MEDIA_TYPE, ProblemError
+from roomlight_server.base.problems import ProblemError, problem_response
 from roomlight_server.base.request_context import REQUEST_ID_HEADER, request_id
-from roomlight_server.transport.guard import LINGER_S, TRANSPORT, ConnectionGuard, Transport, WatchedWriting, WriteWatch
+from roomlight_server.transport.guard import (
+    LINGER_S,
+    SLICE_BYTES,
+    TRANSPORT,
+    ConnectionGuard,
+    Transport,
+    WatchedWriting,
+)
 from roomlight_server.transport.security_headers import HEADERS
 
 DISCARDED_BYTES: Final = 16 * 2**20
@@ -32,8 +38,6 @@ SPARE_PIECES: Final = 256
 """Pieces of a body that may be small; see `MIN_PIECE_BYTES`."""
 MIN_PIECE_BYTES: Final = 64
 """Mean size of the pieces of a body (chunks, or what arrives at once) beyond the first `SPARE_PIECES`."""
-SLICE_BYTES: Final = 8192
-"""Bytes that the parser is given at once; after each slice the limits are checked."""
 
 
 class _Flow(FlowControl):
@@ -56,7 +60,6 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
         app: Any = self.config.app
         self._guard: ConnectionGuard = app.state.context.guard
         self._problems = app.state.context.metrics.problems
-        self._address = ""
         self.handshake: Transport | None = None
         """The TLS handshake that counted as this connection."""
         self._timer: asyncio.TimerHandle | None = None
@@ -82,7 +85,6 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
         super().connection_made(transport)
         self.flow = _Flow(transport, lambda: self.pipeline)
         self._address = self.client[0] if self.client else ""
-        self._watch = WriteWatch(transport, self._guard, self._address)
         if self.handshake is not None:
             self._guard.release(self.handshake)
         problem = self._guard.admit(transport, self._address)
@@ -95,9 +97,6 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Release the connection and its timers."""
         self._stop_timer()
-        if self._watch is not None:
-            self._watch.stop()
-        self._guard.release(self.transport)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -198,6 +197,7 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
         """Hand the connection to `StreamProtocol`, which releases it."""
         if not self._is_beyond_limits():
             self._stop_timer()
+            self._stop_watch()  # writing is resumed by `StreamProtocol`
             self._upgraded = True
             super().handle_websocket_upgrade()
 
@@ -269,16 +269,7 @@ class HttpProtocol(WatchedWriting, HttpToolsProtocol):
 
 
 def _response(problem: ProblemError) -> bytes:
-    status = HTTPStatus(problem.problem.status)
-    body = json.dumps(problem.problem.model_dump(exclude_none=True)).encode()
-    lines = [
-        f"HTTP/1.1 {status.value} {status.phrase}",
-        f"Content-Type: {MEDIA_TYPE}",
-        f"Content-Length: {len(body)}",
-        "Connection: close",
-        f"{REQUEST_ID_HEADER}: {request_id.get()}",
-        *(f"{name}: {value}" for name, value in HEADERS.items()),
-    ]
-    if problem.retry_after_s is not None:
-        lines.append(f"Retry-After: {problem.retry_after_s}")
-    return "\r\n".join([*lines, "", ""]).encode() + body
+    answer, status = problem_response(problem), HTTPStatus(problem.problem.status)
+    answer.headers.update(HEADERS | {"Connection": "close", REQUEST_ID_HEADER: request_id.get()})
+    lines = [f"{name}: {value}" for name, value in answer.headers.items()]
+    return "\r\n".join([f"HTTP/1.1 {status.value} {status.phrase}", *lines, "", ""]).encode() + bytes(answer.body)

@@ -9,10 +9,15 @@ from typing import Any, Final
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame
 
-from roomlight_server.transport.guard import LINGER_S, TRANSPORT, Allowance, ConnectionGuard, WatchedWriting, WriteWatch
+from roomlight_server.transport.guard import (
+    LINGER_S,
+    SLICE_BYTES,
+    TRANSPORT,
+    Allowance,
+    ConnectionGuard,
+    WatchedWriting,
+)
 
-SLICE_BYTES: Final = 8192
-"""Bytes that the parser is given at once; between slices the limits are checked."""
 CONTROL_FRAMES_PER_S: Final = 16.0
 SPARE_CONTROL_FRAMES: Final = 64
 """Pings and pongs at once; a client sends one of each every 20 s."""
@@ -39,24 +44,13 @@ class StreamProtocol(WatchedWriting, WebSocketsSansIOProtocol):
     def connection_made(self, transport: Any) -> None:
         """Take over an admitted connection."""
         super().connection_made(transport)
-        self._watch = WriteWatch(self.transport, self._guard, self._address)
-
-    @property
-    def _address(self) -> str:
-        return self.client[0] if self.client else ""
+        self._address = self.client[0] if self.client else ""
 
     async def run_asgi(self) -> None:
         """Run the application with the connection in the scope's state."""
         state: dict[str, Any] = self.scope.setdefault("state", {})
         state[TRANSPORT] = self.transport
         await super().run_asgi()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Release the connection."""
-        if self._watch is not None:
-            self._watch.stop()
-        self._guard.release(self.transport)
-        super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
         """Parse data up to the next message; the rest waits until the application has taken it."""

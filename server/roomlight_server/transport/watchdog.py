@@ -1,6 +1,7 @@
 """How late the event loop is: a gauge, and a line in the log that names what makes it late."""
 
 import asyncio
+import gc
 import logging
 import sys
 import threading
@@ -61,10 +62,25 @@ class Watchdog:
         """Return where the loop is, and for which client if it works for one."""
         task: asyncio.Task[Any] | None = asyncio.current_task(loop)
         connection = self._guard.parsing or (task.get_name() if task else "")
-        # faulthandler prints stacks but does not return them
-        place = _place(sys._current_frames().get(thread_id))  # pyright: ignore[reportPrivateUsage]
+        place = _place(frame_of(thread_id))
         is_client = bool(connection) and not connection.startswith("Task-")
         return {"place": place} | ({"connection": connection} if is_client else {})
+
+
+def frame_of(thread_id: int) -> FrameType | None:
+    """Return the innermost frame of a thread; None if it has ended.
+
+    Until Python 3.12, garbage collection in the call, which holds the lock of the list of threads, can run code that
+    waits for that lock or lets another thread run that does: all threads would wait forever (python/cpython#106883).
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        # faulthandler prints stacks but does not return them
+        return sys._current_frames().get(thread_id)  # pyright: ignore[reportPrivateUsage]
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _place(frame: FrameType | None) -> str:

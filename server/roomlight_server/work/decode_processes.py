@@ -4,11 +4,11 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.errors import ObjectError, WireError
 from roomlight.frame import Frame
-from roomlight.wire.frame_message import FrameMessage
+from roomlight.wire.frame_message import FrameMessage, bad_frame
+from roomlight_server.base.settings import ServerSettings
 from roomlight_server.work.decode_worker import unpack_frame
 from roomlight_server.work.object_packing import unpack_object
 from roomlight_server.work.processes import KilledError, Processes
@@ -17,10 +17,10 @@ from roomlight_server.work.processes import KilledError, Processes
 class DecodeProcesses(Processes):
     """Decoding processes. Methods may be called on any thread."""
 
-    def __init__(self, timeout_s: float, object_timeout_s: float, object_limits: ObjectLimits) -> None:
-        """Create an empty pool; a frame and an object may take these times in seconds."""
+    def __init__(self, settings: ServerSettings) -> None:
         super().__init__("roomlight_server.work.decode_worker", "decoding", spare=True)
-        self._timeout_s, self._object_timeout_s, self._object_limits = timeout_s, object_timeout_s, object_limits
+        self._timeout_s, self._object_timeout_s = settings.decode_timeout_s, settings.object_timeout_s
+        self._object_limits = settings.object_limits
 
     def decode(
         self, message: FrameMessage, index: int, reference: float, min_confidence: int, box: tuple[int, int]
@@ -39,7 +39,7 @@ class DecodeProcesses(Processes):
             return self._request(arguments | {"box": box}, body, self._timeout_s, unpack)
         except KilledError as error:
             value = f"{len(body)} bytes, {message.header.colour.encoding}"
-            raise WireError("bad-frame", field="colour", value=value, rule=str(error)) from error
+            raise bad_frame("colour", value, str(error)) from error
 
     def decode_object(self, body: bytes, kind: str | None) -> VirtualObject:
         """Decode the file of an object.

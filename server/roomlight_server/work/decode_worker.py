@@ -24,7 +24,7 @@ from roomlight.camera import Intrinsics
 from roomlight.errors import ObjectError, RoomLightError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.decoding import decode_frame, is_auto_exposed
-from roomlight.wire.frame_message import UNLIMITED, FrameMessage, parse
+from roomlight.wire.frame_message import UNLIMITED, FrameMessage, bad_frame, parse
 from roomlight_server.work.shared_block import BLOCK_BYTES, SharedBlock
 
 REQUEST: Final = struct.Struct("<IQI")
@@ -56,7 +56,7 @@ def decode_to_box(
         raise
     except (RoomLightError, ValueError) as error:
         size = f"{message.intrinsics.width} x {message.intrinsics.height}"
-        raise WireError("bad-frame", field="intrinsics", value=size, rule=str(error)) from error
+        raise bad_frame("intrinsics", size, str(error)) from error
 
 
 def pack_frame(frame: Frame) -> Result:
@@ -155,14 +155,19 @@ def serve(
             _trim(0)
 
 
-def main(answers: Mapping[str, Callable[..., Result]], memory_bytes: int) -> None:
-    """Serve as a process, with a bounded address space and the block of the first argument."""
+def open_output(memory_bytes: int) -> BinaryIO:
+    """Bound the address space of this process, which leaves no core dump and ignores Ctrl-C; return where it writes."""
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends its processes
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not enter the results
-    serve(sys.stdin.buffer, output, SharedBlock(int(sys.argv[1])), answers)
+    return output
+
+
+def main(answers: Mapping[str, Callable[..., Result]], memory_bytes: int) -> None:
+    """Serve as a process, with a bounded address space and the block of the first argument."""
+    serve(sys.stdin.buffer, open_output(memory_bytes), SharedBlock(int(sys.argv[1])), answers)
 
 
 if __name__ == "__main__":

@@ -128,11 +128,6 @@ class FairShare:
         self._closed = False
 
     @property
-    def busy(self) -> bool:
-        """Whether a job runs or waits."""
-        return bool(self._running or self._waiting)
-
-    @property
     def waiting(self) -> int:
         """Number of jobs that wait for a slot."""
         return len(self._waiting)

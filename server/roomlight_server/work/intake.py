@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from roomlight.engine.preparation import WORKING_SIZE
-from roomlight.errors import WireError
 from roomlight.frame import Frame
-from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
+from roomlight.wire.frame_message import FrameLimits, FrameMessage, bad_frame, parse
 from roomlight_server.work.decode_processes import DecodeProcesses
 from roomlight_server.work.decode_worker import decode_to_box
 
@@ -82,7 +81,7 @@ def index_of(message: FrameMessage, index: int | None) -> int:
     """
     stated = message.header.index
     if index is None and stated is None:
-        raise WireError("bad-frame", field="index", value="nothing", rule="required on a WebSocket")
+        raise bad_frame("index", "nothing", "required on a WebSocket")
     if index is not None and stated not in (None, index):
-        raise WireError("bad-frame", field="index", value=stated, rule=f"must equal the index of the path, {index}")
+        raise bad_frame("index", stated, f"must equal the index of the path, {index}")
     return stated if index is None and stated is not None else index or 0

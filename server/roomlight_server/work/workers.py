@@ -72,9 +72,7 @@ class Workers:
         self._preview_share = share("preview", settings.composite_threads)
         self._composite_share = share("composite", settings.composite_threads)
         self.composite_processes = CompositeProcesses()
-        self.decode_processes = DecodeProcesses(
-            settings.decode_timeout_s, settings.object_timeout_s, settings.object_limits
-        )
+        self.decode_processes = DecodeProcesses(settings)
         self._decode_threads, self._composite_timeout_s = settings.decode_threads, settings.composite_timeout_s
         self._base = settings.session_options
         self._depth_model = settings.depth_model
