@@ -10,18 +10,25 @@ import os
 import shutil
 import sys
 from collections.abc import Generator
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import jaxtyping
 import pytest
-from hypothesis import given, settings
+from filelock import FileLock
+from hypothesis import HealthCheck, given, settings
 from hypothesis.strategies import none
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 
 import shape_checks
-from kept_exports import kept_export
+from tiny_networks import FOLDER
 
-settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
-settings.register_profile("default", deadline=None, derandomize=True, max_examples=30)
+# A busy machine makes examples too slowly for Hypothesis's limit on it.
+_PATIENT = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("ci", _PATIENT, print_blob=True)
+settings.register_profile("default", _PATIENT, max_examples=30)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 # The test networks are too small to share between threads, which wait for each other: 10 times the CPU time under load.
@@ -54,6 +61,27 @@ jaxtyping.jaxtyped = lambda *, typechecker: shape_checks.checked  # what the hoo
 jaxtyping.install_import_hook(_modules(), "shape_checks.checked")
 
 
+def _compile_once() -> None:
+    """Let workers compile each kernel once: the others wait for the first one's cache instead of doing the same."""
+    locks, compile_alone = _ROOT / ".pytest_cache" / "kernels", Dispatcher.compile
+    locks.mkdir(parents=True, exist_ok=True)
+
+    @cache
+    def lock(name: str) -> FileLock:
+        return FileLock(locks / f"{name}.lock")
+
+    def compile_once(self: Dispatcher, signature: Any) -> object:
+        function = self.py_func
+        # kernels call each other in one direction only: no two workers wait for each other
+        with global_compiler_lock, lock(f"{function.__module__}.{function.__qualname__}"):
+            return compile_alone(self, signature)
+
+    pytest.MonkeyPatch().setattr(Dispatcher, "compile", compile_once)
+
+
+_compile_once()
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
     """Import without looking for garbage again and again among objects that stay: a seventh of a worker's start."""
@@ -63,7 +91,19 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(100_000, 50, 100)  # tests leave little garbage: a twentieth of the whole run
         gc.enable()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_report_teststatus(report: pytest.TestReport, config: pytest.Config) -> Generator[None, Any, Any]:
+    """Name a failed test at once: a run that is ended from outside prints no summary."""
+    category, letter, word = yield
+    if report.failed and config.get_verbosity() < 1 and letter:
+        crash = getattr(report.longrepr, "reprcrash", None)
+        reason = " ".join((crash.message if crash else report.longreprtext).split())
+        letter = f"\n{letter} {report.nodeid}: {reason[:400]}\n"
+    return category, letter, word
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -81,39 +121,16 @@ def _nothing(_: None) -> None:
 
 
 @pytest.fixture(scope="session")
-def tiny_video() -> tuple[Path, Path]:
-    """A small video model (checkpoint, model folder).
-
-    Its card states one step of training. It holds the single-view graphs too: volumes of 16 x 15 x 21 voxels, panoramas
-    of 32 rows.
-    """
-    folder = kept_export("tiny-video", _export_tiny_video)
-    return folder / "video.pt", folder / "video"
-
-
-def _export_tiny_video(folder: Path) -> None:
-    from roomlight_export.exporting import export_checkpoint
-    from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
-    from untrained import save_untrained
-
-    config = ModelConfig(
-        sg=SGConfig(volume_shape=(16, 15, 21), channels=4, full_channels=4),
-        blend=BlendConfig(height=32, channels=4, full_channels=4),
-    )
-    save_untrained(folder / "video.pt", "video", config, seed=3)
-    export_checkpoint(folder / "video.pt", folder / "video", ort=False)
-    _state_steps(folder / "video", 1)
+def tiny_video() -> Path:
+    """The model folder of `tiny_networks`; tests must not change it."""
+    return FOLDER
 
 
 @pytest.fixture
-def untrained_video(tiny_video: tuple[Path, Path], tmp_path: Path) -> Path:
+def untrained_video(tiny_video: Path, tmp_path: Path) -> Path:
     """A copy of the folder of `tiny_video` whose card says that its weights were never trained."""
-    folder = shutil.copytree(tiny_video[1], tmp_path / "untrained")
-    _state_steps(folder, 0)
-    return folder
-
-
-def _state_steps(folder: Path, steps: int) -> None:
+    folder = shutil.copytree(tiny_video, tmp_path / "untrained")
     description = json.loads((folder / "model.json").read_text())
-    description["card"]["steps"] = steps
+    description["card"]["steps"] = 0
     (folder / "model.json").write_text(json.dumps(description))
+    return folder

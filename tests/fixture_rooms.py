@@ -6,6 +6,7 @@ split, with a sequence of four frames each. All furniture is the generator's own
 
 import shutil
 import sys
+from functools import cache
 from pathlib import Path
 
 from roomlight.dataset.recording import Split
@@ -19,10 +20,15 @@ FRAMES = 4
 SEED = 21
 
 
+@cache
+def plain_catalogue():
+    """The generator's own furniture."""
+    return Catalogue(fallbacks=(*fallback_models("train"), *fallback_models("test")))
+
+
 def lit_room(room_index, *, seed=SEED, split: Split = "train"):
     """A room with its lighting solved, furnished without a library."""
-    models = Catalogue(fallbacks=(*fallback_models("train"), *fallback_models("test")))
-    return solve_lighting(room_index, seed=seed, split=split, catalogue=models)
+    return solve_lighting(room_index, seed=seed, split=split, catalogue=plain_catalogue())
 
 
 def render_room(request):

@@ -174,15 +174,16 @@ def test_parts_are_an_option_of_eval(tmp_path: Path, roomlight: RunCommand) -> N
 @pytest.mark.slow
 def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: RunCommand) -> None:
     sample, out = sample_capture(), "out [/y]"
-    options = ("--probes-from-capture", "--use", "reflection", "--every", "10", "--height", "16")
-    made = roomlight("replay", sample, "--out", out, *options, cwd=tmp_path)
+    options = ("--every", "10", "--model", "classical")
+    form = ("--probes-from-capture", "--use", "reflection", "--height", "16")
+    made = roomlight("replay", sample, "--out", out, *form, *options, cwd=tmp_path)
     assert made.code == 0, made.err
     assert "Pictures: out [/y]/summary.png" in made.out
     assert "4 frames, 3 probes" in made.out
     missing = roomlight("eval", "captures", sample, "--predictions", out, cwd=tmp_path)
     assert missing.code == 1
     assert "--every" in missing.err
-    scored = roomlight("eval", "captures", sample, "--predictions", out, "--every", "10", cwd=tmp_path)
+    scored = roomlight("eval", "captures", sample, "--predictions", out, *options, cwd=tmp_path)
     assert scored.code == 0, scored.err
     assert "predictions" in scored.out
 

@@ -64,7 +64,7 @@ def made(tmp_path_factory):
     """A dataset generated without the modules that training, serving and reading captures need."""
     cwd = tmp_path_factory.mktemp("commands")
     with start("generate", "--out", "set [x]", "--sequences", "8", "--seed", "5", *SMALL, cwd=cwd) as process:
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate()
     assert process.returncode == 0, err
     return cwd, Finished(0, out, err)
 
@@ -178,7 +178,7 @@ def test_ctrl_c_stops_and_the_same_command_continues(tmp_path, monkeypatch, run)
     with start(*command, cwd=tmp_path, **defaults) as process, (tmp_path / "reached").open() as reached:
         assert reached.readline() == "here\n"
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate()
     assert process.returncode == 130
     assert "stopped; finished sequences are kept" in err
     assert "Traceback" not in err

@@ -105,7 +105,7 @@ def test_files_are_the_same_as_those_of_a_local_replay(native, server, tmp_path)
 @pytest.mark.slow
 def test_networks_give_the_same_files(native, tiny_video, tmp_path):
     """The server has the weights; the remote replay names the model only."""
-    weights = tiny_video[1]
+    weights = tiny_video
     options = ReplayOptions(session=SessionOptions(model="video", height=32, weights=weights), probes=PROBES)
     remote = replace(options, session=SessionOptions(model="video", height=32))
     with RunningServer(model="video", weights=weights) as running:

@@ -15,7 +15,6 @@ from roomlight.errors import CaptureError, OptionError, OutputError, ProbeError
 from roomlight.files import write_json
 from roomlight.images import read_panorama
 from roomlight.placement import point_at_pixel
-from roomlight_cli.replays import replay_run
 from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_folder import describe_intent, finished_report
 from roomlight_cli.replays.replay_options import ReplayOptions
@@ -222,7 +221,7 @@ def test_a_finished_replay_is_not_run_again(capture, tmp_path, monkeypatch, room
     assert first.code == 0, first.err
     calls = []
     with monkeypatch.context() as patch:
-        patch.setattr(replay_run, "replay", lambda *arguments, **_: calls.append(arguments))
+        patch.setattr("roomlight_cli.commands.replay.run_replay", lambda *arguments, **_: calls.append(arguments))
         again = roomlight(*command)
     assert again.code == 0, again.err
     assert not calls

@@ -1,6 +1,7 @@
 """Streams: the recording's pace, dropped frames, a clean end; in virtual time, and once with a real server."""
 
 import asyncio
+import re
 from dataclasses import replace
 from pathlib import Path
 from unittest import mock
@@ -16,7 +17,7 @@ from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError
 from roomlight.placement import point_at_pixel
 from roomlight.wire.frame_message import parse
-from roomlight_cli.shared_options import recovery_line, refuse_local_model
+from roomlight_cli.shared_options import print_recovery, refuse_local_model
 from roomlight_cli.stream import Clock, StreamOptions, Tally, stream
 from roomlight_client import AsyncClient, RecoveryEvent, _waiting
 from rooms import BoxRoom, pan
@@ -268,9 +269,11 @@ def test_the_command_against_a_real_server(timed, roomlight):
         assert result.code == 0, result.err
         state = running.state("film")
         assert "film" in result.out
-        assert "frames sent" in result.out
+        assert "6 of 6 frames sent" in result.out
         assert "main light" in result.out
-        assert state["frames"]["accepted"] + state["frames"]["refused"] == 6
+        counted = state["frames"]["accepted"] + state["frames"]["refused"]
+        uncounted = sum(map(int, re.findall(r"(\d+) (?:overtaken|lost)", result.out)))  # each frame has a connection
+        assert counted <= 6 <= counted + uncounted
         assert set(state["probes"]) == {"stream"}
 
 
@@ -341,5 +344,6 @@ def test_a_lost_session_is_opened_again_and_the_stream_goes_on(timed):
         ),
     ],
 )
-def test_the_terminal_says_what_became_of_the_server(event, line):
-    assert recovery_line(event) == line
+def test_the_terminal_says_what_became_of_the_server(event, line, capsys):
+    print_recovery(event)
+    assert capsys.readouterr().err == line + "\n"

@@ -42,7 +42,7 @@ def test_an_unknown_name_is_an_attribute_error():
 
 def test_import_loads_no_heavy_library():
     code = "import sys, roomlight; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
     assert "roomlight" in loaded
     assert not loaded & {"onnxruntime", "av", "cv2", "numba", "numpy", "OpenEXR", "embreex", "torch", "pydantic"}

@@ -47,7 +47,7 @@ def test_no_piece_writes_after_an_error(monkeypatch):
         if start == 0:
             failed.set()
             raise ZeroDivisionError
-        assert failed.wait(60)
+        assert failed.wait(600)
         sum(range(200_000))  # ends after the failed piece
         ended.append(start)
 
@@ -73,16 +73,16 @@ class HeldLoop:
         self.gate = {True: threading.Semaphore(0), False: threading.Semaphore(0)}
         self._loop = in_thread(partial(parallel_for, self._piece, 100))
         for on_helper in (True, False):
-            assert self.entered[on_helper].acquire(timeout=60)
+            self.entered[on_helper].acquire()
 
     def _piece(self, *_):
         self.entered[on_helper()].release()
-        assert self.gate[on_helper()].acquire(timeout=60)
+        assert self.gate[on_helper()].acquire(timeout=600)
 
     def end(self):
         for gate in self.gate.values():
             gate.release(8)
-        self._loop.join(60)
+        self._loop.join()
 
 
 def in_thread(work):
@@ -103,7 +103,7 @@ def test_a_loop_ends_although_another_holds_the_helper():
     def work(start, stop):
         touched[start:stop] += 1
 
-    in_thread(partial(parallel_for, work, 100)).join(60)
+    in_thread(partial(parallel_for, work, 100)).join()
     assert (touched == 1).all()
     held.end()
 
@@ -117,13 +117,13 @@ def test_loops_share_a_helper_piece_by_piece():
             helped.set()
         else:
             begun.set()
-            assert helped.wait(60)
+            assert helped.wait(600)
 
     short = in_thread(partial(parallel_for, work, 100))
-    assert begun.wait(60)
+    begun.wait()
     held.gate[True].release()  # one of the six pieces that the helper could take one after the other
-    assert helped.wait(60)
-    short.join(60)
+    helped.wait()
+    short.join()
     held.end()
 
 
@@ -189,7 +189,7 @@ def test_closing_waits_for_the_item_that_is_made() -> None:
 
     def items() -> Iterator[int]:
         yield 0
-        go_on.wait(30)
+        go_on.wait(600)
         ended.set()
         yield 1
 

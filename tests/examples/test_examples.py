@@ -34,7 +34,7 @@ EXAMPLES = ROOT / "examples"
 def run_example(name: str, *arguments: object, cwd: Path) -> str:
     """Run a script in `cwd`, where it writes to `out/` by default, and return its standard output."""
     command = [sys.executable, str(EXAMPLES / f"{name}.py"), *map(str, arguments)]
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=280)
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=800)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -202,7 +202,7 @@ def run_in_blender(script: Path, *arguments: object, cwd: Path) -> None:
     blender = shutil.which("blender")
     command = [blender, "--background", "--python-exit-code", "1", "--python"] if blender else [sys.executable]
     command += [str(script), "--"]
-    subprocess.run([*command, *map(str, arguments)], cwd=cwd, check=True, timeout=280)
+    subprocess.run([*command, *map(str, arguments)], cwd=cwd, check=True, timeout=800)
 
 
 RENDER_FRAMES = """

@@ -1,5 +1,8 @@
 """Parts of the export: verification inputs, comparison, and the decoder's graph."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -13,6 +16,7 @@ from roomlight_export.ort_file import write_ort
 from roomlight_export.parity import compare_volumes, difference, torch_runner
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel, VideoModel
+from tiny_networks import tiny_network
 
 TINY = ModelConfig(
     SGConfig(volume_shape=(8, 8, 8), channels=4, full_channels=2),
@@ -119,3 +123,13 @@ def test_an_export_that_fails_or_whose_folder_fills_meanwhile_replaces_nothing(t
     assert [path.name for path in old.iterdir()] == ["model.json"]
     assert [path.name for path in other.iterdir()] == ["cat.jpg"]
     assert {path.name for path in tmp_path.iterdir()} == {"model", "photos"}
+
+
+def test_the_committed_graphs_of_tests_are_those_of_the_networks(tiny_video: Path):
+    """Their numbers are compared in tests/core/engine/test_networks.py."""
+    described = json.loads((tiny_video / "model.json").read_text())["graphs"]
+    for graph in graphs_of(tiny_network()):
+        committed = described.pop(graph.name)
+        assert committed["inputs"] == {name: list(shape) for name, shape in graph.inputs.items()}
+        assert committed["outputs"] == {name: list(shape) for name, shape in graph.outputs.items()}
+    assert not described

@@ -26,7 +26,7 @@ def test_every_weight_comes_back_rounded_to_half(any_form):
 def test_untrained_networks_are_refused(tiny_video):
     """The exporter merges equal tensors and omits ones and zeros, so that untrained weights cannot be restored."""
     with pytest.raises(ModelError, match="untrained"):
-        load_exported(tiny_video[1])
+        load_exported(tiny_video)
 
 
 def test_weights_load_from_checkpoint_or_folder(single):

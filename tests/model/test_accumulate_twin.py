@@ -39,6 +39,12 @@ def planes(array):
     return torch.from_numpy(np.atleast_3d(array).transpose(2, 0, 1)[None].copy())
 
 
+def serve(state, frame, clipped=None, guessed=None):
+    """Blend a frame's planes as the serving engine does."""
+    seen = serving.PartialPanorama(frame["detail"], frame["weight"] > 0, frame["detail_depth_m"], clipped, guessed)
+    serving.accumulate(state, seen, hdr=frame["hdr"], weight=frame["weight"], unseen_m=UNSEEN_M)
+
+
 def observed(frame, **clipping):
     """A frame's planes as the networks' input, and its weight."""
     hdr, ldr, depth, weight = (planes(frame[name]) for name in ("hdr", "detail", "detail_depth_m", "weight"))
@@ -50,7 +56,7 @@ def test_agrees_with_serving():
     kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
     state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.observed))
     for frame in frames(6):
-        serving.accumulate(kept, **frame, unseen_m=UNSEEN_M)
+        serve(kept, frame)
         seen, weight = observed(frame)
         state = accumulate(state, seen, accepted(weight, seen, state, margin=serving.CLOSER_M))
     for ours, theirs in zip(state[:3], (kept.radiance, kept.depth_m, kept.observed), strict=True):
@@ -77,7 +83,7 @@ def test_a_sequence_of_exposures_agrees_with_serving():
             "detail_depth_m": (2 + random.uniform(-0.05, 0.05, shape)).astype(np.float32),
             "weight": random.random(shape).astype(np.float32),
         }
-        serving.accumulate(kept, **view, unseen_m=UNSEEN_M, detail_clipped=clipped, detail_guessed=guessed)
+        serve(kept, view, clipped, guessed)
         seen, raw = observed(view, clipped=planes(clipped), guessed=planes(guessed))
         with torch.autocast("cpu", dtype=torch.bfloat16):  # as in training
             weight = accepted(raw, seen, state, margin=serving.CLOSER_M)

@@ -1,8 +1,6 @@
-"""Reading sequences by number, and as a stream: every sequence once, in an order given by the seed."""
+"""Reading sequences by number, and writing them as captures."""
 
 import shutil
-from collections.abc import Generator
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +8,8 @@ import pytest
 
 import stub_rooms
 from roomlight.captures import open_capture
-from roomlight.dataset.arkit_depth import HEIGHT, WIDTH
 from roomlight.dataset.extract import extract
-from roomlight.dataset.loader import Dataset, StreamOptions
+from roomlight.dataset.loader import Dataset
 from roomlight.dataset.shards import index_path, read_index
 from roomlight.errors import DatasetError, OutputError
 from roomlight_generator.generate import GenerateOptions, generate
@@ -40,10 +37,6 @@ def one_damaged(folder, tmp_path):
     return tmp_path
 
 
-def names(stream):
-    return [example.recording.name for example in stream]
-
-
 def test_sequences_are_read_by_number_in_any_order(folder):
     dataset = Dataset(folder)
     assert len(dataset) == 24
@@ -56,8 +49,6 @@ def test_sequences_are_read_by_number_in_any_order(folder):
 
 def test_datasets_made_before_clipped_radiance_have_none(folder):
     assert Dataset(folder).read(0, clipped=True).clipped_radiance is None
-    example = next(Dataset(folder).stream(StreamOptions(clipped=True, workers=1)))
-    assert example.recording.clipped_radiance is None
 
 
 def test_what_is_not_there_is_an_error(folder, tmp_path):
@@ -68,55 +59,6 @@ def test_what_is_not_there_is_an_error(folder, tmp_path):
             Dataset(path)
 
 
-def test_a_stream_has_every_sequence_once_ordered_by_its_seed(folder):
-    dataset = Dataset(folder)
-    orders = [
-        names(dataset.stream(StreamOptions(seed=seed, epoch=epoch, buffer=6)))
-        for seed, epoch in [(0, 0), (0, 1), (1, 0)]
-    ]
-    for order in orders:
-        assert sorted(order) == dataset.names
-        assert order != dataset.names
-    assert len({tuple(order) for order in orders}) == 3
-    assert names(dataset.stream(StreamOptions(seed=0, buffer=6, workers=1))) == orders[0]
-    assert names(dataset.stream(StreamOptions(seed=0, buffer=6, workers=5))) == orders[0]
-    assert names(dataset.stream(StreamOptions(shuffle=False))) == dataset.names
-
-
-def test_a_buffer_parts_the_walks_through_one_room(folder):
-    """Of 23 neighbours in the stream 12 are of one room where nothing is shuffled, and about 1 in a good shuffle."""
-    order = names(Dataset(folder).stream(StreamOptions(seed=4, buffer=24)))
-    rooms = [int(name[-6:]) // 2 for name in order]
-    assert sum(a == b for a, b in pairwise(rooms)) <= 5
-
-
-def test_parts_share_no_sequence_and_miss_none(folder):
-    dataset = Dataset(folder)
-    parts = [names(dataset.stream(StreamOptions(seed=2, part=(k, 4)))) for k in range(4)]
-    assert sorted(name for part in parts for name in part) == dataset.names
-
-
-def test_depth_is_exact_or_simulated_phone_depth(folder):
-    dataset = Dataset(folder)
-    exact = next(dataset.stream(StreamOptions(frames=(0, 2))))
-    np.testing.assert_array_equal(exact.depth_mm, exact.recording.depth_mm)
-    np.testing.assert_array_equal(exact.confidence, np.where(exact.depth_mm > 0, 2, 0))
-    phone = StreamOptions(frames=(0, 2), depth="arkit", shuffle=False)
-    first, again = (next(dataset.stream(phone)) for _ in range(2))
-    assert first.depth_mm.shape == first.confidence.shape == (2, HEIGHT, WIDTH)
-    np.testing.assert_array_equal(first.depth_mm, again.depth_mm)
-    other = next(dataset.stream(StreamOptions(frames=(0, 2), depth="arkit", shuffle=False, epoch=1)))
-    assert (other.depth_mm != first.depth_mm).any()
-    assert abs(np.median(first.depth_mm[first.depth_mm > 0]) - 2300) < 700  # the wall of the recordings
-
-
-def test_a_stream_can_be_left_early(folder):
-    stream = Dataset(folder).stream(StreamOptions())
-    next(stream)
-    assert isinstance(stream, Generator)
-    stream.close()
-
-
 def test_damage_to_one_sequence_leaves_the_others_readable(one_damaged):
     dataset = Dataset(one_damaged)
     for number in range(24):
@@ -124,9 +66,6 @@ def test_damage_to_one_sequence_leaves_the_others_readable(one_damaged):
             dataset.read(number, frames=[0])
     with pytest.raises(DatasetError, match=r"train-00002\.tar: sequence train-000009 has another checksum"):
         dataset.read(9)
-    with pytest.raises(DatasetError, match="train-000009"):
-        names(dataset.stream())
-    assert len(names(dataset.stream(StreamOptions(damaged="skip")))) == 23
 
 
 def test_a_tail_that_is_being_written_is_not_seen(folder, tmp_path):

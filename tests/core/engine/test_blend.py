@@ -1,4 +1,4 @@
-"""Accumulation of a probe's panorama: the paper's recursion, the conservative rule, and the kernel's reference."""
+"""Accumulation of a probe's panorama: the conservative rule, and the kernel's reference."""
 
 import dataclasses
 from typing import Any
@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.kernels.blend import find_extremes
 from roomlight.engine.kernels.reference import accumulate_reference, extremes_around
-from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.panorama.blend import (
     DARK,
     FILL_COLOUR,
     UNSEEN_DEPTH,
     PanoramaState,
+    PartialPanorama,
     accumulate,
     farthest_depth_m,
     fill_in,
@@ -45,26 +45,26 @@ def _views(seed, *, binary=False) -> dict[str, Any]:
     weight = mask.astype(np.float32) if binary else (rng.random(SHAPE) * mask).astype(np.float32)
     return {
         "hdr": rng.uniform(0, 9, (*SHAPE, 3)).astype(np.float32),
-        "detail": (rng.uniform(0, 1, (*SHAPE, 3)) * mask[..., None]).astype(np.float32),
-        "detail_depth_m": (rng.uniform(0.3, 8, SHAPE) * mask).astype(np.float32),
+        "partial": PartialPanorama(
+            (rng.uniform(0, 1, (*SHAPE, 3)) * mask[..., None]).astype(np.float32),
+            mask,
+            (rng.uniform(0.3, 8, SHAPE) * mask).astype(np.float32),
+            (rng.random(SHAPE) * (rng.random(SHAPE) < 0.5) * mask).astype(np.float32),
+            (rng.uniform(0, 0.2, SHAPE) * mask).astype(np.float32),
+        ),
         "weight": weight,
-        "detail_clipped": (rng.random(SHAPE) * (rng.random(SHAPE) < 0.5) * mask).astype(np.float32),
-        "detail_guessed": (rng.uniform(0, 0.2, SHAPE) * mask).astype(np.float32),
         "camera": rng.uniform(-0.2, 0.2, 3).astype(np.float32),
         "unseen_m": 12.0,
     }
 
 
 def _constant(*, hdr=2.0, detail=1.0, depth_m=1.0, weight=1.0, clipped=0.0, guessed=0.0) -> dict[str, Any]:
-    return {
-        "unseen_m": 12.0,
-        "detail_clipped": np.full(SHAPE, clipped, np.float32),
-        "detail_guessed": np.full(SHAPE, guessed, np.float32),
-        "hdr": np.full((*SHAPE, 3), hdr, np.float32),
-        "detail": np.full((*SHAPE, 3), detail, np.float32),
-        "detail_depth_m": np.full(SHAPE, depth_m, np.float32),
-        "weight": np.full(SHAPE, weight, np.float32),
-    }
+    radiance, depth_m, clipped, guessed, weight, hdr = (
+        np.full((*SHAPE, *colours), value, np.float32)
+        for value, colours in ((detail, [3]), (depth_m, []), (clipped, []), (guessed, []), (weight, []), (hdr, [3]))
+    )
+    partial = PartialPanorama(radiance, weight > 0, depth_m, clipped, guessed)
+    return {"partial": partial, "hdr": hdr, "weight": weight, "unseen_m": 12.0}
 
 
 def _after(*views):
@@ -92,12 +92,8 @@ def test_extremes_around_what_a_frame_shows(box):
     views = _views(5)
     mask = np.zeros(SHAPE, bool)
     mask[box] = True
-    planes = [
-        views[name] * (mask if views[name].ndim == 2 else mask[..., None])
-        for name in views
-        if name not in ("camera", "unseen_m")
-    ]
-    _, detail, _, weight, clipped, guessed = planes
+    partial, weight = views["partial"], mask * views["weight"]
+    detail, clipped, guessed = mask[..., None] * partial.radiance, mask * partial.clipped, mask * partial.guessed
     around = np.empty((3, *SHAPE), np.float32)
     rows = find_extremes(detail, clipped, guessed, weight, 1, around)
     seen = weight > 0
@@ -134,27 +130,6 @@ def test_the_first_frame_is_accepted_fully_and_the_rest_is_sglv():
     assert state.coverage() == pytest.approx(0.5)
     accumulate(state, **_constant(hdr=7.0, weight=0.0, depth_m=0.0))
     assert (state.radiance[:, HEIGHT:] == 7.0).all()  # unseen pixels follow the newest volume
-
-
-@pytest.mark.parametrize(
-    ("depth_m", "closer"),
-    [(2.0, False), (2.0 - CLOSER_M + 0.01, False), (3.5, False), (2.0 - CLOSER_M - 0.01, True), (0.1, True)],
-)
-def test_a_clearly_closer_surface_alone_replaces(depth_m, closer):
-    state = _after({"detail": 0.5, "depth_m": 2.0}, {"detail": 0.9, "depth_m": depth_m, "hdr": 30.0})
-    np.testing.assert_allclose(state.radiance, 0.9 if closer else 0.5, rtol=1e-6 * closer)
-    np.testing.assert_allclose(state.depth_m, depth_m if closer else 2.0, rtol=1e-6 * closer)
-    assert (state.observed == 1).all()
-
-
-def test_half_weights_are_the_papers_sums():
-    state = PanoramaState.fresh(HEIGHT, 3.0)
-    accumulate(state, **_constant(hdr=2.0, detail=1.0, depth_m=4.0, weight=0.5))
-    # L = .5 x 1 + .5 (1 x 2 + 0); D = .5 x 4 + .5 x 12; M = .5
-    assert (state.radiance[0, 0, 0], state.depth_m[0, 0], state.observed[0, 0]) == (1.5, 8.0, 0.5)
-    accumulate(state, **_constant(hdr=3.0, detail=1.0, depth_m=4.0, weight=0.5))
-    # L = .5 x 1 + .5 (.5 x 3 + .5 x 1.5); D = .5 x 4 + .5 x 8; M = 1
-    assert (state.radiance[0, 0, 0], state.depth_m[0, 0], state.observed[0, 0]) == (1.625, 6.0, 1.0)
 
 
 @pytest.mark.parametrize("depth_max_m", [0.1, 0.3, 1.0, 3.0, 12.0])
@@ -233,29 +208,13 @@ def test_the_clipped_share_only_falls_on_a_surface(seed):
         true = rng.uniform(0.9, 1.1) * light * np.ones(SHAPE)
         clipped = (true >= white).astype(np.float32)
         shown = np.where(clipped > 0, 2 * white, true)
-        view = _constant(depth_m=2.0) | {
-            "detail": np.repeat(shown[..., None], 3, axis=2).astype(np.float32),
-            "detail_clipped": clipped,
-            "detail_guessed": (clipped * white).astype(np.float32),
-        }
+        view = _constant(depth_m=2.0)
+        view["partial"].radiance[:] = shown[..., None]
+        view["partial"].clipped[:], view["partial"].guessed[:] = clipped, clipped * white
         accumulate(state, **view)
         before, bound = bound, state.radiance @ LUMINANCE - state.guessed
         if before is not None:
             assert (bound >= 0.89 * before).all()
-
-
-def test_nothing_clipped_gives_the_bits_of_the_papers_rule():
-    """Random frames with different estimates but no clipped pixel: the same as without the planes."""
-    with_planes, without = (PanoramaState.fresh(HEIGHT, 3.0) for _ in range(2))
-    for step in range(6):
-        view = _views(step)
-        view["detail_clipped"] = np.zeros(SHAPE, np.float32)
-        accumulate(with_planes, **view)
-        accumulate(
-            without, **{key: view[key] for key in ("hdr", "detail", "detail_depth_m", "weight", "camera", "unseen_m")}
-        )
-    for name in ("radiance", "depth_m", "observed"):
-        np.testing.assert_array_equal(getattr(with_planes, name), getattr(without, name))
 
 
 LIT, DARK_AGAIN = {"detail": 3.0, "clipped": 1.0, "guessed": 2.0}, {"detail": 0.2}
@@ -294,13 +253,13 @@ def test_changed_light_is_blended_as_if_it_were_seen_first():
 
 
 def test_an_edge_shifted_by_a_pixel_is_no_change():
-    edge = _constant(depth_m=2.0)
-    edge["detail"][:, HEIGHT:] = 0.1
-    shifted = edge | {"detail": np.roll(edge["detail"], 1, axis=1)}
+    edge, shifted = _constant(depth_m=2.0), _constant(depth_m=2.0)
+    edge["partial"].radiance[:, HEIGHT:] = 0.1
+    shifted["partial"].radiance[:] = np.roll(edge["partial"].radiance, 1, axis=1)
     state = PanoramaState.fresh(HEIGHT, 3.0)
     for view in (edge, shifted, shifted, shifted):
         accumulate(state, **view)
-    np.testing.assert_allclose(state.radiance[:, 1:-1], edge["detail"][:, 1:-1], rtol=1e-6)
+    np.testing.assert_allclose(state.radiance[:, 1:-1], edge["partial"].radiance[:, 1:-1], rtol=1e-6)
 
 
 def _moved(view, across_m) -> dict[str, Any]:
@@ -333,7 +292,7 @@ def test_a_view_through_a_window_that_moves_with_the_camera_is_no_change():
     for step in range(9):
         sky = np.repeat(np.where(rows < 28 + step, 5.0, 0.0)[..., None] * np.ones((1, 2 * height, 1)), 3, axis=-1)
         camera = np.array([0.0, -step * 2.0 * np.radians(3.0), 0.0], np.float32)
-        view = {"hdr": 0 * sky, "detail": sky, "detail_depth_m": 2 * ones, "weight": ones, "camera": camera}
-        accumulate(state, unseen_m=12.0, **{key: np.asarray(value, np.float32) for key, value in view.items()})
+        seen = PartialPanorama(sky.astype(np.float32), ones > 0, 2 * ones)
+        accumulate(state, seen, hdr=np.zeros_like(seen.radiance), weight=ones, unseen_m=12.0, camera=camera)
     np.testing.assert_array_equal(state.radiance[:28, 60], 5.0)
     np.testing.assert_array_equal(state.radiance[28:, 60], 0.0)

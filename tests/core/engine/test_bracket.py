@@ -11,7 +11,7 @@ from part_models import write_part
 from present import present
 from roomlight.conventions import LUMINANCE, panorama_directions
 from roomlight.engine.networks.clipping import shipped_clipping
-from roomlight.engine.preparation import PreparedFrame
+from roomlight.engine.preparation import restored
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.surface import bracket
 from roomlight.engine.surface.bracket import update_keyframes
@@ -40,7 +40,7 @@ def twice_white(tmp_path_factory):
 
 def prepared(frame, earlier=()):
     """The frame as a session prepares it, with the depth that it has."""
-    return PreparedFrame.of(frame, frame.depth_m, earlier, clipping=shipped_clipping("cpu")).frame
+    return restored(frame, frame.depth_m, earlier, clipping=shipped_clipping("cpu"))
 
 
 def shown(exposure, *, position=(0.3, 1.4, 0.2), yaw=0.0, index=0, room=ROOM, width=160):

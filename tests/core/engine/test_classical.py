@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from roomlight.engine.models.classical import ClassicalVolume
+from roomlight.engine.models.classical import ClassicalProbe, ClassicalVolume
 from roomlight.engine.models.interface import Rendered
-from roomlight.engine.panorama.blend import PanoramaState, accumulate, unseen_depth_m
-from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
+from roomlight.engine.panorama.blend import PanoramaState, PartialPanorama, accumulate, unseen_depth_m
+from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.engine.volume.sglv import render_panorama
 from rooms import BoxRoom, camera_at
@@ -32,7 +32,7 @@ def test_one_frame_is_its_own_volume():
 
 def _estimate(classical, state, partial, position):
     rendered = Rendered(*render_panorama(_updated(classical), position, height=32, far=classical.far))
-    return classical.new_probe().estimate(state, rendered, partial, depth_max_m=GRID.depth_max_m)
+    return ClassicalProbe().estimate(state, rendered, partial, depth_max_m=GRID.depth_max_m)
 
 
 def test_hdr_is_complete_and_details_have_weight_one_where_seen():
@@ -60,14 +60,8 @@ def test_a_uniform_room_gives_uniform_light():
     # Colour and opacity are interpolated separately (equation 1), so that the volume darkens where opaque voxels
     # meet empty black ones; with a weight of a tenth, 2.2 % remain in the fill.
     np.testing.assert_allclose(estimate.hdr, 0.4, rtol=0.03)
-    accumulate(
-        state,
-        hdr=estimate.hdr,
-        detail=partial.radiance,
-        detail_depth_m=partial.depth_m,
-        weight=estimate.weight,
-        unseen_m=unseen_depth_m(GRID.depth_max_m),
-    )
+    unseen_m = unseen_depth_m(GRID.depth_max_m)
+    accumulate(state, partial, hdr=estimate.hdr, weight=estimate.weight, unseen_m=unseen_m)
     np.testing.assert_allclose(state.radiance, 0.4, rtol=0.03)
     np.testing.assert_allclose(state.radiance[partial.mask], 0.4, rtol=1e-5)
 
@@ -84,25 +78,16 @@ def test_nothing_observed_gives_no_light_and_no_error():
 
 def test_unobserved_light_does_not_jump():
     """The fill of the first frame is taken fully, that of a later frame by half."""
-    classical = ClassicalVolume(GRID)
-    state, probe = PanoramaState.fresh(16, 3.0), classical.new_probe()
+    state, probe = PanoramaState.fresh(16, 3.0), ClassicalProbe()
     rendered = Rendered(np.zeros((16, 32, 3), np.float32), np.ones((16, 32), np.float32))
     mask = np.zeros((16, 32), bool)
     mask[4:8, 4:8] = True
 
     def blend_frame(value):
-        radiance = np.where(mask[..., None], np.float32(value), np.float32(0)) * np.ones(3, np.float32)
-        depth = np.where(mask, np.float32(1), np.float32(0))
-        partial = PartialPanorama(radiance, mask, depth)
+        seen = mask.astype(np.float32)
+        partial = PartialPanorama(np.float32(value) * np.dstack([seen] * 3), mask, seen)
         estimate = probe.estimate(state, rendered, partial, depth_max_m=3.0)
-        accumulate(
-            state,
-            hdr=estimate.hdr,
-            detail=radiance,
-            detail_depth_m=depth,
-            weight=estimate.weight,
-            unseen_m=unseen_depth_m(3.0),
-        )
+        accumulate(state, partial, hdr=estimate.hdr, weight=estimate.weight, unseen_m=unseen_depth_m(3.0))
         return estimate.hdr[12, 20, 0]
 
     assert blend_frame(0.8) == pytest.approx(0.8, rel=1e-5)

@@ -21,7 +21,7 @@ from roomlight.errors import ModelError, OptionError
 @pytest.fixture
 def folder(tiny_video, tmp_path):
     """A copy of the model folder that a test may damage."""
-    return shutil.copytree(tiny_video[1], tmp_path / "model")
+    return shutil.copytree(tiny_video, tmp_path / "model")
 
 
 def _load(folder, **options):

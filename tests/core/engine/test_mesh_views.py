@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from roomlight.engine.observations import CLOSER_M
-from roomlight.engine.surface.mesh import FrameMesh
-from roomlight.engine.surface.views import MeshesView, distinct
+from roomlight.engine.surface.mesh import FrameMesh, MeshesView, distinct
 from rooms import BoxRoom, camera_at
 
 HEIGHT = 60

@@ -13,20 +13,19 @@ from roomlight.engine.models.network_probe import OWN_COLOUR, hedged, muted
 from roomlight.engine.models.network_volume import NetworkModel
 from roomlight.engine.networks.graphs import load_graphs
 from roomlight.engine.observations import CLOSER_M
-from roomlight.engine.panorama.blend import PanoramaState, filled_detail
+from roomlight.engine.panorama.blend import PanoramaState, PartialPanorama, fill_beyond, latest_detail
 from roomlight.engine.session import Session, SessionOptions, warm_up
-from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
+from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.engine.volume.sglv import Sglv, render_panorama
 from roomlight.errors import ModelError
 from roomlight.metrics import log_l2
 from roomlight_model.accumulate import Observation
-from roomlight_model.checkpoint import load_checkpoint
-from roomlight_model.networks import VideoModel
 from rooms import BoxRoom, camera_at, pan
+from tiny_networks import tiny_network
 
-ROOM = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35))
+ROOM = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35), lamp_radiance=1.0)  # above white networks have no part in the weight
 FRAMES = pan(ROOM, 4, step_degrees=12, width=80, height=60)
 PROBE = (0.1, 1.2, -0.5)
 SHAPE = (16, 15, 21)
@@ -36,11 +35,11 @@ HEIGHT = 32
 
 @pytest.fixture(scope="module")
 def graphs(tiny_video):
-    return load_graphs(tiny_video[1], provider="cpu")
+    return load_graphs(tiny_video, provider="cpu")
 
 
 def _options(tiny_video, form, height=HEIGHT):
-    return SessionOptions(model=form, weights=tiny_video[1], provider="cpu", height=height, hedge=0.0)
+    return SessionOptions(model=form, weights=tiny_video, provider="cpu", height=height, hedge=0.0)
 
 
 def _after(frames, session):
@@ -65,15 +64,9 @@ def _observation(sglv, frame, before):
         state.radiance[:] = np.moveaxis(before.radiance[0].numpy(), 0, -1)
         state.depth_m[:] = before.depth[0, 0].numpy() * GRID.depth_max_m
         state.observed[:] = before.weight[0, 0].numpy()
-    ldr = filled_detail(state, partial.radiance, partial.depth_m, mask=partial.mask, hdr=hdr)
+    ldr = fill_beyond(*latest_detail(state, partial), partial, hdr=hdr)
     depth = partial.depth_m / GRID.depth_max_m
     return Observation(batch(hdr), batch(ldr), batch(partial.mask), batch(depth))
-
-
-def _video_model(checkpoint):
-    model = load_checkpoint(checkpoint).model
-    assert isinstance(model, VideoModel)
-    return model
 
 
 def _sglv_of(volume):
@@ -81,9 +74,9 @@ def _sglv_of(volume):
 
 
 @torch.inference_mode()
-def _in_torch(checkpoint):
+def _in_torch():
     """(volumes, panorama states) of the video model over the frames, stepped in PyTorch."""
-    model = _video_model(checkpoint)
+    model = tiny_network()
     sg, blend, volumes, panoramas = None, None, [], []
     for frame in FRAMES:
         given = torch.from_numpy(initial_volume(GRID, frame)[None])
@@ -97,7 +90,7 @@ def _in_torch(checkpoint):
 
 
 def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
-    volumes, panoramas = _in_torch(tiny_video[0])
+    volumes, panoramas = _in_torch()
     session = Session(_options(tiny_video, "video"))
     session.track(PROBE)
     for frame, volume, panorama in zip(FRAMES, volumes, panoramas, strict=True):
@@ -116,7 +109,7 @@ def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
 def test_single_view_moves_half_way_to_the_mean_volumes_sglv(tiny_video):
     session = Session(_options(tiny_video, "single"))
     assert session.model == "single"
-    model = _video_model(tiny_video[0]).single
+    model = tiny_network().single
     fused, given = FusedVolume.fresh(GRID.shape), np.empty((5, *GRID.shape), np.float32)
     alpha, lobes, targets = np.float32(0), np.float32(0), []
     for number, frame in enumerate(FRAMES[:4]):
@@ -134,7 +127,7 @@ def test_single_view_moves_half_way_to_the_mean_volumes_sglv(tiny_video):
 
 
 def test_single_view_inference_moves_half_way(graphs):
-    probe = NetworkModel(dataclasses.replace(graphs, form="single")).begin(GRID).new_probe()
+    probe = NetworkModel(dataclasses.replace(graphs, form="single")).new_probe()
     random, shape = np.random.default_rng(2), (HEIGHT, 2 * HEIGHT)
     mask = random.random(shape) < 0.5
     seen = PartialPanorama(
@@ -200,8 +193,8 @@ def test_panoramas_of_other_heights_than_the_graphs(tiny_video, form, height):
 @pytest.mark.parametrize("form", ["single", "video"])
 def test_finer_panoramas_are_sampled_without_mixing_surfaces(graphs, form):
     """Blocks of 3 x 3 with one surface in the middle and others around: the weight is that of the middle one's."""
-    volume = NetworkModel(dataclasses.replace(graphs, form=form)).begin(GRID)
-    coarse, fine = volume.new_probe(), volume.new_probe()
+    model = NetworkModel(dataclasses.replace(graphs, form=form))
+    coarse, fine = model.new_probe(), model.new_probe()
     random, shape = np.random.default_rng(0), (HEIGHT, 2 * HEIGHT)
     for _ in range(3):
         mask = random.random(shape) < 0.6

@@ -1,8 +1,6 @@
-"""Networks that serve every model: what is refused, several threads at once, and no PyTorch."""
+"""Networks that serve every model: what is refused, and several threads at once."""
 
 import shutil
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -92,24 +90,3 @@ def test_a_part_that_a_folder_lacks_is_the_packages(tmp_path):
         assert isinstance(model, NetworkModel)
         assert model.prior.mean[0] == mean
     assert Session(options).networks == Session(replace(options, parts=None)).networks
-
-
-@pytest.mark.slow
-def test_learned_parts_run_without_torch(tmp_path):
-    write_part(tmp_path / "clipping", "clipping", constant=1.0)
-    write_part(tmp_path / "objects", "objects", constant=0.1)
-    code = (
-        "import sys; sys.modules['torch'] = None; sys.modules['onnx'] = None\n"
-        "import numpy as np; from pathlib import Path\n"
-        "from roomlight.camera import Intrinsics; from roomlight.frame import Frame\n"
-        "from roomlight.engine.session import Session, SessionOptions\n"
-        f"parts = Path({str(tmp_path)!r})\n"
-        "frame = Frame(0, np.ones((24, 32, 3), np.float32), np.ones((24, 32), bool), np.ones((24, 32), np.float32),\n"
-        "              Intrinsics(30.0, 30.0, 16.0, 12.0, 32, 24), np.eye(4))\n"
-        "for options in (SessionOptions(), SessionOptions(parts=parts)):\n"
-        "    session = Session(options); session.push(frame)\n"
-        "    print(session.model, np.isfinite(session.light_at((0.0, 0.0, -0.5)).panorama).all())\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split("\n")[:2] == ["single True", "single True"]

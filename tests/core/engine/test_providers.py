@@ -33,7 +33,7 @@ def both_runtimes(monkeypatch, tmp_path):
 
 def _chosen(tiny_video):
     """The runtime that is chosen for one of the graphs."""
-    (graph,) = open_graphs([tiny_video[1] / "single_sg_encoder.onnx"], "any", "auto")
+    (graph,) = open_graphs([tiny_video / "single_sg_encoder.onnx"], "any", "auto")
     return graph.runtime
 
 
@@ -45,7 +45,7 @@ def _measured(monkeypatch, cpu_ms, openvino_ms, bf16_ms=100.0):
 @pytest.mark.parametrize("runtime", ["cpu", "openvino"])
 def test_opening_a_graph_does_not_switch_the_callers_denormals(tiny_video, runtime):
     tiny = np.array([1e-310, 3e-40])
-    graph = open_graph(tiny_video[1] / "single_sg_encoder.onnx", runtime)
+    graph = open_graph(tiny_video / "single_sg_encoder.onnx", runtime)
     graph.bind(graph.new_inputs(), graph.new_outputs()).run()
     assert (tiny * 0.5 > 0).all()
     assert np.float32(3e-40) * np.float32(0.5) > 0
@@ -62,9 +62,9 @@ def test_a_file_that_is_no_graph_is_refused_by_name(tmp_path, runtime, name):
 def test_without_openvino_onnx_runtime_runs_all(tiny_video, monkeypatch):
     monkeypatch.delenv(VARIABLE)
     monkeypatch.setattr(providers, "openvino_version", lambda: None)
-    assert load_graphs(tiny_video[1]).runtime == "cpu"
+    assert load_graphs(tiny_video).runtime == "cpu"
     with pytest.raises(ModelError, match=r'not installed.*provider="cpu"'):
-        load_graphs(tiny_video[1], provider="openvino")
+        load_graphs(tiny_video, provider="openvino")
 
 
 without_cuda = pytest.mark.skipif(CUDA in ort.get_available_providers(), reason="this ONNX Runtime has CUDA")
@@ -73,7 +73,7 @@ without_cuda = pytest.mark.skipif(CUDA in ort.get_available_providers(), reason=
 @without_cuda
 def test_without_cuda_it_is_refused_with_what_to_install(tiny_video):
     with pytest.raises(ModelError, match=r"has no CUDA .*onnxruntime-gpu"):
-        load_graphs(tiny_video[1], provider="cuda")
+        load_graphs(tiny_video, provider="cuda")
 
 
 @without_cuda
@@ -81,18 +81,18 @@ def test_without_cuda_it_is_refused_with_what_to_install(tiny_video):
 def test_an_onnx_runtime_that_falls_back_to_the_cpu_is_refused(tiny_video):
     """It opens a graph with no more than a warning where the machine has no GPU."""
     with pytest.raises(ModelError, match="found no GPU"):
-        open_graph(tiny_video[1] / "single_sg_encoder.onnx", "cuda")
+        open_graph(tiny_video / "single_sg_encoder.onnx", "cuda")
 
 
 def test_the_variable_stands_for_auto_and_is_checked(tiny_video, monkeypatch):
     monkeypatch.setenv(VARIABLE, "cpu")
-    assert load_graphs(tiny_video[1]).runtime == "cpu"
+    assert load_graphs(tiny_video).runtime == "cpu"
     monkeypatch.setenv(VARIABLE, "gpu")
-    assert load_graphs(tiny_video[1], provider="cpu").runtime == "cpu"
+    assert load_graphs(tiny_video, provider="cpu").runtime == "cpu"
     with pytest.raises(
         ModelError, match="ROOMLIGHT_PROVIDER must be one of auto, cpu, openvino, openvino-bf16, cuda; got 'gpu'"
     ):
-        load_graphs(tiny_video[1])
+        load_graphs(tiny_video)
 
 
 @pytest.mark.usefixtures("both_runtimes")
@@ -112,12 +112,12 @@ def test_a_processor_without_bf16_is_not_measured_in_it(tiny_video, both_runtime
     _chosen(tiny_video)
     assert set(both_runtimes[1]) == {"cpu", "openvino"}
     with pytest.raises(ModelError, match=r'does not compute in bf16; use provider="openvino"'):
-        load_graphs(tiny_video[1], provider="openvino-bf16")
+        load_graphs(tiny_video, provider="openvino-bf16")
 
 
 def test_auto_measures_once_and_keeps_its_choice(tiny_video, both_runtimes, monkeypatch):
     folder, opened = both_runtimes
-    assert load_graphs(tiny_video[1]).runtime in providers.CHOICES  # a real measurement
+    assert load_graphs(tiny_video).runtime in providers.CHOICES  # a real measurement
     (kept,) = folder.glob("runtime-*.json")
     stated = json.loads(kept.read_text())
     assert set(stated["least_ms"]) == set(providers.CHOICES)
@@ -126,7 +126,7 @@ def test_auto_measures_once_and_keeps_its_choice(tiny_video, both_runtimes, monk
         kept.write_text(json.dumps({"runtime": "openvino"}))
         _measured(monkeypatch, first, later)
         opened.clear()
-        assert load_graphs(tiny_video[1]).runtime == "openvino"
+        assert load_graphs(tiny_video).runtime == "openvino"
         assert set(opened) == {"openvino"}  # the other is not even loaded
 
 

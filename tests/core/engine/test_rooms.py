@@ -176,7 +176,7 @@ def test_a_room_that_was_left_without_a_keyframe_has_light_without_coverage():
 
 @pytest.mark.parametrize("model", ["classical", "video"])
 def test_a_saved_walk_goes_on_with_the_same_bits(model, tiny_video, walk):
-    weights = tiny_video[1] if model != "classical" else None
+    weights = tiny_video if model != "classical" else None
     walk = walk[::2]
     options = {"model": model, "provider": "cpu", "height": 24, "weights": weights}
     whole = session_of(walk[:9], probes=(FIRST[0], SECOND[0]), **options)

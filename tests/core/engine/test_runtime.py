@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 ENGINE = "import roomlight as rl; rl.Session(rl.SessionOptions(model='classical'))"
-OTHERS = "import roomlight_export.exporting, roomlight_bench.reporting"
 
 
 @pytest.fixture
@@ -20,12 +19,9 @@ def home(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    "imports", [pytest.param(ENGINE, id="engine"), pytest.param(OTHERS, marks=pytest.mark.slow, id="export and bench")]
-)
-def test_a_process_writes_no_telemetry_file(imports, home):
-    code = f"{imports}; import os, sys; print('onnxruntime' in sys.modules, os.environ['ORT_DISABLE_TELEMETRY'])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=200)
+def test_a_process_writes_no_telemetry_file(home):
+    code = f"{ENGINE}; import os, sys; print('onnxruntime' in sys.modules, os.environ['ORT_DISABLE_TELEMETRY'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "1"]
     assert not [path for path in home.rglob("*") if "Microsoft" in path.parts or "onnxruntime" in path.name]
 

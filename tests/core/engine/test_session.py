@@ -15,6 +15,7 @@ from roomlight.engine.kernels.volume_init import initialise_slices
 from roomlight.engine.models import choosing
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import FrameError, ModelError, ProbeError
+from roomlight.metrics import log_l2
 from rooms import BoxRoom, camera_at, pan
 
 BLOCK = ((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0))
@@ -22,10 +23,6 @@ LAMP = ((0.3, 1.6, -2.5), 0.35)
 ROOM = BoxRoom(block=BLOCK, lamp=LAMP)
 CLASSICAL = SessionOptions(model="classical", height=48)
 PROBES = ((0.3, 1.4, 0.2), (-0.4, 1.0, 0.6), (0.2, 0.5, -0.7))
-
-
-def _log_l2(first, second):
-    return float(np.mean((np.log1p(first) - np.log1p(second)) ** 2))
 
 
 def _run(frames, *, probes=(), options=CLASSICAL):
@@ -75,19 +72,15 @@ def test_coverage_grows_and_each_stage_is_timed(tracked):
     assert [report.index for report in tracked[1]] == list(range(16))
 
 
-@pytest.mark.parametrize(
-    ("keyframes", "allowed"),
-    [(24, 1e-4), pytest.param(8, 2e-3, marks=pytest.mark.slow), pytest.param(3, 8e-3, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize(("keyframes", "allowed"), [(24, 1e-4), pytest.param(8, 2e-3, marks=pytest.mark.slow)])
 def test_a_late_probe_is_near_one_tracked_from_the_start(pan_frames, tracked, keyframes, allowed):
-    """Measured log-L2 over probes: 5e-6, 1.2e-3 and 3.9e-3 (against the truth: 1.2e-2 to 2.8e-2). With room for
-    every frame only those with under 4 % of new cells are missing; with fewer, coverage is lost as well."""
+    """Measured log-L2 over probes: 5e-6 and 1.2e-3. Frames with under 4 % of new cells are no keyframes."""
     options = dataclasses.replace(CLASSICAL, keyframes=keyframes)
     session, _ = tracked if options == CLASSICAL else _run(pan_frames, probes=PROBES, options=options)
     assert session.keyframes <= keyframes
     for handle, probe in enumerate(PROBES):
         from_start, late = session.light(handle), session.light_at(probe)
-        assert _log_l2(from_start.panorama, late.panorama) < allowed
+        assert log_l2(late.panorama, from_start.panorama) < allowed
         assert late.coverage > 0.75 * from_start.coverage
 
 

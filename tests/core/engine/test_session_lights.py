@@ -5,9 +5,9 @@ import pytest
 
 from roomlight.engine.panorama.light_tracking import SETTLE_FRAMES
 from roomlight.engine.panorama.likely_light import likely_lights
-from roomlight.engine.session import Session, SessionOptions
 from roomlight.light.main_light import find_lights
 from rooms import BoxRoom, pan
+from sessions import session_of
 
 ROOM = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35))
 POSITION = (0.3, 1.2, 0.2)
@@ -16,13 +16,11 @@ POSITION = (0.3, 1.2, 0.2)
 @pytest.fixture(scope="module")
 def lights():
     """A session after a pan, and of a tracked probe the light and the model's own estimate after each frame."""
-    session = Session(SessionOptions(model="classical", height=32))
-    handle = session.track(POSITION)
-    tracked, estimates = [], []
+    session, tracked, estimates = session_of(probes=[POSITION], height=32), [], []
     for frame in pan(ROOM, 10, start_degrees=-90, step_degrees=15):
         session.push(frame)
-        tracked.append(session.light(handle))
-        estimates.append(session.light(handle).used_for("reflection"))
+        tracked.append(session.light(0))
+        estimates.append(session.light(0).used_for("reflection"))
     return session, tracked, estimates
 
 

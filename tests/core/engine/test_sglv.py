@@ -1,6 +1,4 @@
-"""SGLV ray tracing: equations 1 and 2, conservation, equivariance, and the kernel against its readable reference."""
-
-import dataclasses
+"""SGLV ray tracing: equations 1 and 2, and the kernel against its readable reference."""
 
 import cv2
 import numpy as np
@@ -18,7 +16,7 @@ from roomlight.engine.volume.sglv import (
     render_panorama,
     render_rays,
 )
-from rooms import camera_at, rotation_about_y
+from rooms import camera_at
 
 SHAPE = (16, 15, 21)
 GRID = VolumeGrid(camera_at((0.4, 1.5, -0.3), 35, 10), 3.0, SHAPE)
@@ -84,15 +82,6 @@ def test_a_position_outside_sees_the_volume_and_nothing_else():
         assert left == pytest.approx([0, 1], abs=1e-3)
 
 
-@pytest.mark.parametrize("alpha", [0.0, 0.01, 0.2, 0.9])
-def test_weights_and_transmittance_sum_to_one(alpha):
-    sglv = _constant(alpha=alpha)
-    radiance, left = render_rays(sglv, CENTRE, _directions(), far="none")
-    assert radiance == pytest.approx(np.repeat(1 - left[:, None], 3, axis=1), abs=1e-5)
-    closed, _ = render_rays(sglv, CENTRE, _directions(), far="boundary")
-    assert closed == pytest.approx(np.ones_like(closed), abs=1.1e-3)  # less the 1e-3 at which a ray stops
-
-
 def test_a_panorama_is_its_rays_and_an_empty_volume_gives_no_light():
     sglv = _random(5)
     panorama, left = render_panorama(sglv, CENTRE, height=18)
@@ -103,26 +92,6 @@ def test_a_panorama_is_its_rays_and_an_empty_volume_gives_no_light():
     assert radiance.shape == (16, 32, 3)
     assert (radiance == 0).all()
     assert (left == 1).all()
-
-
-@pytest.mark.parametrize("bandwidth", [0.0, 1.5, 30.0])
-def test_one_voxel_follows_the_lobe_equation(bandwidth):
-    sglv = Sglv.empty(GRID)
-    at = (3, 6, 9)
-    sglv.alpha[at] = 1
-    axis = np.array([0.48, 0.6, 0.64])
-    sglv.lobes[at] = [0.1, 0.2, 0.3, 4.0, 5.0, 6.0, bandwidth, *axis]
-    centre = GRID.volume_to_world[:3, :3] @ GRID.centres_m()[at] + GRID.volume_to_world[:3, 3]
-    directions = _directions(50)
-    for ray in directions:
-        # a step of one half puts a single sample onto the voxel's centre; the next is outside its reach
-        origin = centre - 0.5 * ray
-        radiance, _ = render_rays(sglv, tuple(origin), ray[None], samples=1, step_m=1.0, far="none")
-        cosine = (GRID.world_to_volume[:3, :3] @ ray) @ axis
-        expected = [0.1, 0.2, 0.3] + np.array([4.0, 5.0, 6.0]) * np.exp(bandwidth * (cosine - 1))
-        if GRID.contains(tuple(origin)):
-            # float32 puts the sample within 1e-6 voxels x 30 of the centre
-            assert radiance[0] == pytest.approx(expected, rel=2e-3)
 
 
 def test_parameters_are_accumulated_before_the_lobe_is_taken():
@@ -136,18 +105,6 @@ def test_parameters_are_accumulated_before_the_lobe_is_taken():
     kept = 0.75  # 0.5 + 0.25
     assert left[0] == pytest.approx(0.25)
     assert radiance[0] == pytest.approx([2 * kept * np.exp(3 * kept * (kept - 1))] * 3, rel=1e-5)
-
-
-def test_turning_camera_and_world_together_turns_the_panorama():
-    """The volume is aligned with the first camera: rotating it by 90 degrees shifts the panorama by a quarter."""
-    quarter = np.eye(4)
-    quarter[:3, :3] = rotation_about_y(np.pi / 2)
-    sglv = _random(4)
-    rotated = dataclasses.replace(sglv, grid=VolumeGrid(quarter @ GRID.volume_to_world, 3.0, SHAPE))
-    before, _ = render_panorama(sglv, CENTRE, height=24)
-    after, _ = render_panorama(rotated, tuple((quarter @ [*CENTRE, 1])[:3].tolist()), height=24)
-    # +90 degrees about y take +Z to +X: u falls by a quarter, 12 of 48 columns
-    assert np.quantile(abs(np.roll(before, -12, axis=1) - after), 0.99) < 1e-2
 
 
 def test_a_coarse_panorama_is_interpolated_around_the_circle():

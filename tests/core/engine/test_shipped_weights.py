@@ -7,10 +7,10 @@ import pytest
 
 from roomlight.captures import open_capture
 from roomlight.engine.networks.graphs import SHIPPED
-from roomlight.engine.session import Session, SessionOptions
 from roomlight.metrics import log_l2
 from roomlight.sample import sample_capture
 from roomlight.spheres import SphereRenderer, view_toward
+from sessions import session_of
 
 FOLDER = SHIPPED / "single"
 
@@ -28,13 +28,10 @@ def scored(frames, probes):
     """(log-L2, squared error of a glossy sphere) after these frames of the sample room, a room never trained on."""
     found = {}
     for model in ("single", "classical"):
-        session = Session(SessionOptions(model=model, provider="cpu"))
-        handles = [session.track(probe.position) for probe in probes]
-        for frame in frames:
-            session.push(frame)
+        session = session_of(frames, probes=[probe.position for probe in probes], model=model, provider="cpu")
         errors = []
-        for handle, probe in zip(handles, probes, strict=True):
-            light, truth = session.light(handle).reflection, probe.panorama()
+        for answer, probe in zip(session.lights(), probes, strict=True):
+            light, truth = answer.reflection, probe.panorama()
             spheres = SphereRenderer(view_toward(frames[0].camera_to_world, probe.position))
             drawn = [np.minimum(spheres.pixels(panorama, "glossy"), 1) for panorama in (light, truth)]
             errors.append((log_l2(light, truth), float(np.square(drawn[0] - drawn[1]).mean())))

@@ -163,17 +163,6 @@ def test_unknown_pixels_are_on_the_far_boundary_none_is_empty():
     assert (initial_volume(grid, frame, far_unknown=False) == 0).all()
 
 
-def test_half_known_corners_count_by_weight_and_keep_known_depth():
-    frame = _plane_frame(3.0)
-    frame.depth_m[:, ::4] = 0  # a missing column: every voxel between has at least one known neighbour
-    grid = VolumeGrid(np.eye(4), 4.0)
-    whole = initial_volume(grid, _plane_frame(3.0))
-    holed = initial_volume(grid, frame, far_unknown=False)
-    known = holed[3] > 0
-    np.testing.assert_allclose(holed[:, known], whole[:, known], atol=1e-3)
-    assert known.sum() > 0.5 * (whole[3] > 0).sum()
-
-
 def volumes(count, seed=0):
     """Initial volumes as of frames: surfaces, empty voxels, and voxels that were not observed."""
     random = np.random.default_rng(seed)

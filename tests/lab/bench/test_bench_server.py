@@ -89,7 +89,7 @@ def test_the_server_takes_the_connections_of_all_phones(server):
     """Two each and those that are opened anew; 64 phones were refused at 128 connections of this address."""
     with ExitStack() as opened:
         for _ in range(3 * 64):
-            connection = HTTPConnection("127.0.0.1", server.port, timeout=60)
+            connection = HTTPConnection("127.0.0.1", server.port)
             opened.callback(connection.close)
             connection.request("GET", "/healthz")
             assert connection.getresponse().status == 200

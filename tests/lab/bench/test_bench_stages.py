@@ -30,8 +30,8 @@ FRAME_STAGES = ("prepare", "volume", "sglv", "mesh", "keyframes", "render", "par
 
 
 @pytest.fixture(scope="module")
-def report(tiny_video: tuple[Path, Path]) -> StagesReport:
-    return stages.run_stages(repeats=2, size=SIZE, model=tiny_video[1])
+def report(tiny_video: Path) -> StagesReport:
+    return stages.run_stages(repeats=2, size=SIZE, model=tiny_video)
 
 
 def row(name: str, *, ours: float, reference: float | None = None, torch: float | None = None) -> StageRow:
@@ -68,9 +68,9 @@ def test_ours_the_reference_and_pytorch_agree(report: StagesReport):
 
 
 @pytest.mark.slow
-def test_without_pytorch_all_stages_are_measured(monkeypatch: pytest.MonkeyPatch, tiny_video: tuple[Path, Path]):
+def test_without_pytorch_all_stages_are_measured(monkeypatch: pytest.MonkeyPatch, tiny_video: Path):
     monkeypatch.setattr(plain_torch, "torch_installed", lambda: False)
-    report = stages.run_stages(repeats=1, size=SIZE, model=tiny_video[1])
+    report = stages.run_stages(repeats=1, size=SIZE, model=tiny_video)
     assert set(OWN_STAGES) <= {stage.name for stage in report.rows}
     assert all(stage.torch is None for stage in report.rows)
     console = Console(width=300)

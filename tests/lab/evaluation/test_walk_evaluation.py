@@ -36,7 +36,7 @@ FRAMES, HEIGHT = 3, 32
 
 @pytest.fixture(scope="module")
 def options(tiny_video):
-    return SessionOptions(weights=tiny_video[1], height=HEIGHT)
+    return SessionOptions(weights=tiny_video, height=HEIGHT)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_late_probes_are_scored_on_the_walks_that_are_long_enough(tiny_video, mo
             return self.read(number, frames=range(FRAMES - number))
 
     monkeypatch.setattr("roomlight_evaluation.walks.LATE_FROM", FRAMES)
-    video = SessionOptions(model="video", weights=tiny_video[1], height=HEIGHT)
+    video = SessionOptions(model="video", weights=tiny_video, height=HEIGHT)
     graphs = choose_graphs(video)
 
     def estimators() -> list[Estimator]:
