@@ -44,24 +44,20 @@ def remark(word: str, text: str, console: Console = err) -> None:
 
 
 @runtime_checkable  # the test run checks annotations with isinstance
-class Report(Protocol):
-    """What a benchmark returns."""
-
-    def tables(self) -> list[Table]:
-        """Return the tables to print."""
-        ...
-
-    def to_json(self) -> Any:
-        """Return plain JSON values."""
-        ...
-
-
-@runtime_checkable
 class Scores(Protocol):
     """What an evaluation returns."""
 
     def to_json(self) -> Any:
         """Return what `write_json` writes."""
+        ...
+
+
+@runtime_checkable
+class Report(Scores, Protocol):
+    """What a benchmark returns."""
+
+    def tables(self) -> list[Table]:
+        """Return the tables to print."""
         ...
 
 

@@ -12,6 +12,7 @@
 
 - A positional parameter is an argument, a keyword-only parameter an option.
 - A parameter or a field that is a dataclass stands for an option for each field, under its text as heading.
+- A function in `Annotated` adds the options of a parameter itself, and returns what builds its argument.
 - Help comes from the sections `Args:` and `Attributes:` of the docstrings.
 - The field `above_m` is the flag `--above`, without its unit; a field with a tuple of values, `probes`, is the
   repeatable flag `--probe`.
@@ -26,7 +27,7 @@ from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import partial, wraps
 from pathlib import Path
-from typing import Annotated, Any, Final, Protocol, get_args, get_origin, get_type_hints, runtime_checkable
+from typing import Annotated, Any, Final, cast, get_args, get_origin, get_type_hints
 
 import typer
 from annotated_types import Ge, Le
@@ -84,15 +85,6 @@ class Without:
         self.names = names
 
 
-@runtime_checkable
-class Fields(Protocol):
-    """A note in `Annotated` that adds the options of a parameter itself."""
-
-    def add_to(self, options: "CommandOptions") -> Build:
-        """Add the options, and return what builds the argument of their values."""
-        ...
-
-
 def command_app(function: Callable[..., None], **facts: Any) -> typer.Typer:
     """Return the application of a module that has one command; `facts` are those of `typer.Typer.command`."""
     app = typer.Typer(add_completion=False, **APP_OPTIONS)
@@ -111,9 +103,9 @@ def add_command(app: typer.Typer, function: Callable[..., None], **facts: Any) -
     builds: dict[str, Build] = {}
     for parameter in inspect.signature(function).parameters.values():
         rule = Rule.of(hints[parameter.name])
-        own = next((note for note in rule.notes if isinstance(note, Fields)), None)
+        own = cast("Callable[[CommandOptions], Build] | None", next(filter(callable, rule.notes), None))
         if own is not None:
-            builds[parameter.name] = own.add_to(options)
+            builds[parameter.name] = own(options)
             continue
         if is_dataclass(rule.kind):
             builds[parameter.name] = options.add_dataclass(rule, panel=texts[parameter.name].rstrip("."))

@@ -76,15 +76,12 @@ def scoring_progress() -> Generator[Progress]:
 
 def print_recovery(event: RecoveryEvent) -> None:
     """Say on the terminal that a server is away, or that it is back."""
-    err.print(f"[yellow]{escape(recovery_line(event))}[/]", soft_wrap=True)
-
-
-def recovery_line(event: RecoveryEvent) -> str:
-    """Return what the terminal says about a server that is away, or that is back."""
     if event.state == "waiting":
-        return f"the server is away; waiting for it ({event.error})"
-    again = "the server is back"
-    again += ": it had lost the session, which was opened again" if event.reopened else " with the session"
-    again += f"; {counted(event.resent, 'frame')} sent again" if event.resent else ""
-    lost = "; older frames are lost: the light differs from one without the interruption"
-    return again + (lost if event.incomplete else "")
+        line = f"the server is away; waiting for it ({event.error})"
+    else:
+        line = "the server is back"
+        line += ": it had lost the session, which was opened again" if event.reopened else " with the session"
+        line += f"; {counted(event.resent, 'frame')} sent again" if event.resent else ""
+        lost = "; older frames are lost: the light differs from one without the interruption"
+        line += lost if event.incomplete else ""
+    err.print(f"[yellow]{escape(line)}[/]", soft_wrap=True)

@@ -216,8 +216,6 @@ async def stream(
 
 
 class _Player:
-    """One run of a recording through a session."""
-
     def __init__(
         self,
         session: AsyncSession,

@@ -149,7 +149,6 @@ class Frame:
         object.__setattr__(self, "camera_to_world", pose)
 
     def _repr_png_(self) -> bytes:
-        """Return the picture for a notebook."""
         from roomlight.images import encode_png  # which imports this module
 
         return encode_png(linear_to_srgb8(self.image))

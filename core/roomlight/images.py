@@ -164,7 +164,7 @@ def _decode_encoded(data: bytes, name: str, *, as_stored: bool) -> ColourImage:
         tags = read_tags(data, name)
     except (ValueError, struct.error) as error:
         raise ImageError(f"{name}: {error}") from error
-    depth = 0 if tags.space.is_srgb else cv2.IMREAD_ANYDEPTH
+    depth = 0 if tags.profile is not None else cv2.IMREAD_ANYDEPTH  # profiles are applied to 8 bits
     encoded = _decode_with_opencv(data, name, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION | depth)
     rgb = np.asarray(cv2.cvtColor(encoded, cv2.COLOR_BGR2RGB))
     clipped = clipped_pixels(rgb)
@@ -176,7 +176,7 @@ def _decode_encoded(data: bytes, name: str, *, as_stored: bool) -> ColourImage:
         source = Image.open(io.BytesIO(data)) if _is_cmyk(data) else rgb
         converted, more = profile_to_srgb8(source, tags.profile, name)
         rgb, notes = rgb if converted is None else converted, notes + more
-    image = srgb8_to_linear(rgb) if tags.space.is_srgb else tags.space.to_linear(rgb)
+    image = srgb8_to_linear(rgb) if tags.space.is_srgb and rgb.dtype == np.uint8 else tags.space.to_linear(rgb)
     seen = _opaque(data, name) if tags.alpha else None
     turn = 1 if as_stored else tags.exif.orientation
     if turn != 1:
@@ -221,7 +221,7 @@ def decode_depth(
             return clean_depth(read_exr(data, name).depth() * np.float32(1.0 if unit_m is None else unit_m))
     if data[:8] != _PNG and data[:2] not in (_JPEG, _HDR):
         what = f"this starts with {data[:4].hex()}"
-        raise ImageError(f"{name}: depth must be a 16-bit grey PNG, a TIFF, an EXR or a .npy; {what}")
+        raise ImageError(f"{name}: depth must be a 16-bit grey PNG or PGM, a TIFF, an EXR or a .npy; {what}")
     raw = decode_grey16(data, name)
     depth = raw.astype(np.float32) * np.float32(integer_m if unit_m is None else unit_m)
     depth[raw == 65535] = 0.0

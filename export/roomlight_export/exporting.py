@@ -64,8 +64,6 @@ def export_checkpoint(
     """Write a verified model folder from a checkpoint; an older model folder at `out` is replaced.
 
     Args:
-        checkpoint: The checkpoint file.
-        out: The folder to write.
         ort: Whether to write the `.ort` files too.
         tolerance: Largest difference to PyTorch.
         progress: Receives a message at the start of each step.

@@ -7,6 +7,7 @@ graphs, so that a server can keep states bound between them. Volumes are [z, y, 
 (`roomlight.engine.networks.units`).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from jaxtyping import Float
@@ -33,8 +34,8 @@ class Graph:
 
     name: str
     module: nn.Module
-    inputs: dict[str, Shape]
-    outputs: dict[str, Shape]
+    inputs: Mapping[str, Shape]
+    outputs: Mapping[str, Shape]
 
 
 class _FirstDecoder(nn.Module):
@@ -86,10 +87,8 @@ def graphs_of(model: Network) -> list[Graph]:
 
     A small network has one graph, with the name of its form.
     """
-    if isinstance(model, VideoModel):
-        return _single_graphs(model.single) + _video_graphs(model)
-    if isinstance(model, SingleModel):
-        return _single_graphs(model)
+    if isinstance(model, SingleModel | VideoModel):
+        return _large_graphs(model)
     panorama = (HEIGHT, 2 * HEIGHT)
     if isinstance(model, ClippingNetwork):
         shapes = {"planes": (1, CHANNELS, SIDE, SIDE)}, {"log_radiance": (1, 3, SIDE // 2, SIDE // 2)}
@@ -105,80 +104,41 @@ def _eighth(size: int) -> int:
     return size // 2 // 2 // 2  # each strided convolution rounds down
 
 
-@dataclass(frozen=True)
-class _Shapes:
-    volume: Shape
-    alpha: Shape
-    lobes: Shape
-    f0: Shape
-    f1: Shape
-    panorama: Shape
-    b0: Shape
-    b1: Shape
-
-    @classmethod
-    def of(cls, model: SingleModel | VideoModel) -> "_Shapes":
-        sg, blend = model.config.sg, model.config.blend
-        panorama = (blend.height, 2 * blend.height)
-        return cls(
-            volume=(1, 5, *sg.volume_shape),
-            alpha=sg.volume_shape,
-            lobes=(*sg.volume_shape, 10),
-            f0=(1, sg.channels, *(size // 2 for size in sg.volume_shape)),
-            f1=(1, 4 * sg.channels, *(_eighth(size) for size in sg.volume_shape)),
-            panorama=panorama,
-            b0=(1, blend.channels, *(size // 2 for size in panorama)),
-            b1=(1, 4 * blend.channels, *(_eighth(size) for size in panorama)),
-        )
-
-
-def _single_graphs(model: SingleModel) -> list[Graph]:
-    at = _Shapes.of(model)
-    mask, features = (1, 1, *at.panorama), {"f0": at.b0, "f1": at.b1}
-    return [
-        Graph("single_sg_encoder", model.sg_encoder, {"volume": at.volume}, {"f0": at.f0, "f1": at.f1}),
-        Graph(
-            "single_sg_decoder",
-            _FirstDecoder(model.sg_decoder),
-            {"f0": at.f0, "f1": at.f1, "volume": at.volume},
-            {"alpha": at.alpha, "lobes": at.lobes},
-        ),
-        Graph("single_blend_encoder", model.blend_encoder, {"panels": (1, SINGLE_PANELS, *at.panorama)}, features),
-        Graph("single_blend_decoder", model.blend_decoder, {**features, "mask": mask}, {"weight": mask}),
+def _large_graphs(model: SingleModel | VideoModel) -> list[Graph]:
+    sg, blend = model.config.sg, model.config.blend
+    volume, panorama = {"volume": (1, 5, *sg.volume_shape)}, (blend.height, 2 * blend.height)
+    predicted = {"alpha": sg.volume_shape, "lobes": (*sg.volume_shape, 10)}
+    f0 = (1, sg.channels, *(size // 2 for size in sg.volume_shape))
+    f1 = (1, 4 * sg.channels, *(_eighth(size) for size in sg.volume_shape))
+    b0 = (1, blend.channels, *(size // 2 for size in panorama))
+    b1 = (1, 4 * blend.channels, *(_eighth(size) for size in panorama))
+    features, blend_features = {"f0": f0, "f1": f1}, {"f0": b0, "f1": b1}
+    mask, weight = {"mask": (1, 1, *panorama)}, {"weight": (1, 1, *panorama)}
+    single = model.single if isinstance(model, VideoModel) else model
+    panels = {"panels": (1, SINGLE_PANELS, *panorama)}
+    graphs = [
+        Graph("single_sg_encoder", single.sg_encoder, volume, features),
+        Graph("single_sg_decoder", _FirstDecoder(single.sg_decoder), features | volume, predicted),
+        Graph("single_blend_encoder", single.blend_encoder, panels, blend_features),
+        Graph("single_blend_decoder", single.blend_decoder, blend_features | mask, weight),
     ]
-
-
-def _video_graphs(model: VideoModel) -> list[Graph]:
-    at = _Shapes.of(model)
-    mask, features = (1, 1, *at.panorama), {"f0": at.b0, "f1": at.b1}
-    unit: Shape = (1, 3, 1, 1, 1)
+    if isinstance(model, SingleModel):
+        return graphs
+    unit = {"unit": (1, 3, 1, 1, 1)}
+    state, blend_state = {"h0": f0, "h1": f1}, {"h0": b0, "h1": b1}
+    previous = {f"{name}_previous": shape for name, shape in predicted.items()}
+    panels = {"panels": (1, VIDEO_PANELS, *panorama)}
     return [
-        Graph("video_sg_encoder", model.sg_encoder, {"volume": at.volume, "unit": unit}, {"f0": at.f0, "f1": at.f1}),
-        Graph(
-            "video_sg_gru",
-            _TwoGRUs(model.sg_gru0, model.sg_gru1),
-            {"h0": at.f0, "h1": at.f1, "f0": at.f0, "f1": at.f1},
-            {"h0_next": at.f0, "h1_next": at.f1},
-        ),
-        Graph(
-            "video_sg_decoder",
-            _MergingDecoder(model.sg_decoder),
-            {
-                "h0": at.f0,
-                "h1": at.f1,
-                "volume": at.volume,
-                "alpha_previous": at.alpha,
-                "lobes_previous": at.lobes,
-                "unit": unit,
-            },
-            {"alpha": at.alpha, "lobes": at.lobes},
-        ),
-        Graph("video_blend_encoder", model.blend_encoder, {"panels": (1, VIDEO_PANELS, *at.panorama)}, features),
+        *graphs,
+        Graph("video_sg_encoder", model.sg_encoder, volume | unit, features),
+        Graph("video_sg_gru", _TwoGRUs(model.sg_gru0, model.sg_gru1), state | features, {"h0_next": f0, "h1_next": f1}),
+        Graph("video_sg_decoder", _MergingDecoder(model.sg_decoder), state | volume | previous | unit, predicted),
+        Graph("video_blend_encoder", model.blend_encoder, panels, blend_features),
         Graph(
             "video_blend_gru",
             _TwoGRUs(model.blend_gru0, model.blend_gru1),
-            {"h0": at.b0, "h1": at.b1, **features},
-            {"h0_next": at.b0, "h1_next": at.b1},
+            blend_state | blend_features,
+            {"h0_next": b0, "h1_next": b1},
         ),
-        Graph("video_blend_decoder", model.blend_decoder, {"h0": at.b0, "h1": at.b1, "mask": mask}, {"weight": mask}),
+        Graph("video_blend_decoder", model.blend_decoder, blend_state | mask, weight),
     ]

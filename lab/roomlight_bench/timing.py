@@ -26,7 +26,6 @@ class Implementation:
     """One implementation of a stage.
 
     Attributes:
-        run: Does the work once.
         scale: Factor on the measured time, for a run that does only a share of the stage's work.
         max_runs: Limit on the number of runs, for slow implementations: a long run averages noise out by itself.
     """

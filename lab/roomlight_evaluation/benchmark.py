@@ -44,12 +44,7 @@ _Sessions = Sequence[tuple[SessionOptions, LightingGraphs | None]]
 
 @dataclass(frozen=True)
 class BenchmarkScores:
-    """Errors of all rooms.
-
-    Attributes:
-        rooms: Names of the rooms.
-        errors: By (method, moment) and then by sphere's error (`rmse_mirror` and so on), a value for each room.
-    """
+    """Errors by (method, moment) and then by sphere's error (`rmse_mirror` and so on), a value for each of `rooms`."""
 
     rooms: tuple[str, ...]
     errors: dict[tuple[str, str], dict[str, list[float]]]
@@ -120,7 +115,6 @@ def evaluate_benchmark(
 
     Args:
         walks: One of each room.
-        options: Of the sessions.
         rooms: Score so many, the first ones.
         depth: As it is, or as a phone measures it.
         progress: Called as (rooms done, rooms in all) after each room.

@@ -48,13 +48,9 @@ class Walks(Protocol):
         """The dataset's name in messages and results."""
         ...
 
-    def __len__(self) -> int:
-        """Return the number of walks."""
-        ...
+    def __len__(self) -> int: ...
 
-    def __getitem__(self, number: int, /) -> Recording:
-        """Read one walk."""
-        ...
+    def __getitem__(self, number: int, /) -> Recording: ...
 
 
 @dataclass(frozen=True)
@@ -131,7 +127,6 @@ class FrameAlone:
     name = NO_RNN
 
     def __init__(self, options: SessionOptions, graphs: LightingGraphs) -> None:
-        """Use these networks."""
         self._options, self._graphs = options, graphs
         self._session = Session(options, graphs=graphs)
         self._answers: dict[Position, Panorama] = {}
@@ -204,7 +199,6 @@ def evaluate_walks(
 
     Args:
         datasets: Test splits: rooms that no network was trained on.
-        models: The networks.
         limit: Score this many walks of each dataset, spread evenly; None scores all.
         progress: Called as (walks done, walks in all) after each walk.
 
@@ -260,6 +254,6 @@ def walk_frames(recording: Recording, depth: DepthKind) -> Iterable[Frame]:
     depth_mm = recording.depth_mm
     if depth == "arkit":
         rng = np.random.default_rng([1, *recording.name.encode()])
-        depth_mm, _ = arkit_like(depth_mm, recording.surface, recording.colour, rng)
+        depth_mm = arkit_like(depth_mm, recording.surface, recording.colour, rng)
     for number, measured in enumerate(depth_mm):
         yield recording.frame(number, measured)

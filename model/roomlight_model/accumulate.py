@@ -24,7 +24,7 @@ class Observation(NamedTuple):
     hdr is the volume's rendering. ldr is the mesh's, and outside the mesh (mask 0) a fill from the pixels seen so far
     (`roomlight.engine.panorama.fill.fill_unknown`). depth is in units of the volume's depth_max_m and at most
     `roomlight.engine.panorama.blend.farthest_depth_m`; otherwise the conservative rule would reject surfaces outside
-    the volume when they are first seen. clipped and guessed are as in `roomlight.engine.surface.mesh.PartialPanorama`;
+    the volume when they are first seen. clipped and guessed are those of the engine's `PartialPanorama`;
     None: nothing was clipped in the whole sequence.
     """
 
@@ -65,11 +65,12 @@ def fill_in(
 ) -> Float[Tensor, "b 3 h w"]:
     """Mix the fill in `ldr` into the HDR panorama outside the mesh: its radiance by `weight`, and most of its hue."""
     mixed = blend(hdr, ldr, weight)
-    colour = (ldr + DARK) / (_luminance(ldr) + DARK)
-    return hdr * mask + (1 - mask) * torch.lerp(mixed, _luminance(mixed) * colour, FILL_COLOUR)
+    colour = (ldr + DARK) / (luminance(ldr) + DARK)
+    return hdr * mask + (1 - mask) * torch.lerp(mixed, luminance(mixed) * colour, FILL_COLOUR)
 
 
-def _luminance(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
+def luminance(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
+    """Return the luminance of linear RGB (`roomlight.conventions.LUMINANCE`)."""
     weights = torch.from_numpy(LUMINANCE).to(light.device)
     return (light.float() * weights[:, None, None]).sum(dim=1, keepdim=True)  # in float32 under autocast too
 
@@ -105,7 +106,7 @@ def accepted(
     if seen.clipped is None or seen.guessed is None or kept.clipped is None or kept.guessed is None:
         return ruled
     # `roomlight.engine.panorama.blend.better_share`, of lower bounds of luminance
-    old, new = (_luminance(light.detach()) for light in (kept.radiance, seen.ldr))
+    old, new = (luminance(light.detach()) for light in (kept.radiance, seen.ldr))
     old, new = old - kept.guessed, new - seen.guessed
     less = (kept.clipped - seen.clipped) / kept.clipped.clamp(min=1e-12)
     less = less.clamp(min=0) * (new >= old * (1 - float(NOISE) * kept.clipped))

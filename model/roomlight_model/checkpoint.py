@@ -45,7 +45,6 @@ class Checkpoint:
         form: One of `FORMS`.
         config: The widths of a `single` or `video` model; the small networks have fixed widths and ignore it.
         model: The network, on the CPU, in evaluation mode.
-        card: The record of its training.
     """
 
     form: str

@@ -37,7 +37,6 @@ class ClippingNetwork(nn.Module):
         """Build the layers: `width` channels at half resolution, up to six times that at a sixteenth."""
         super().__init__()
         widths = (width, 2 * width, 3 * width, 4 * width)
-        self.width = width
         self.down = nn.ModuleList(
             nn.Sequential(_block(inputs, outputs, stride=2), _block(outputs, outputs))
             for inputs, outputs in zip((CHANNELS, *widths), widths, strict=False)

@@ -92,7 +92,8 @@ class ConvGRU(nn.Module):
         with torch.no_grad():
             for weight in (*self.gates.parameters(), *self.candidate.parameters()):
                 weight.mul_(_START_NOISE)
-            weight = _convolution(self.candidate).weight  # [C, 2C, *kernel]
+            convolutions = (part for part in self.candidate.modules() if isinstance(part, nn.Conv2d | nn.Conv3d))
+            weight = next(convolutions).weight  # [C, 2C, *kernel]
             channels, centre = weight.shape[0], tuple(size // 2 for size in weight.shape[2:])
             for channel in range(channels):
                 weight[(channel, channels + channel, *centre)] += _START_GAIN
@@ -104,10 +105,6 @@ class ConvGRU(nn.Module):
         keep, reset = torch.sigmoid(self.gates(torch.cat([hidden, feature], dim=1))).chunk(2, dim=1)
         candidate = torch.tanh(self.candidate(torch.cat([reset * hidden, feature], dim=1)))
         return keep * hidden + (1 - keep) * candidate
-
-
-def _convolution(module: nn.Module) -> nn.Conv2d | nn.Conv3d:
-    return next(part for part in module.modules() if isinstance(part, nn.Conv2d | nn.Conv3d))
 
 
 def _initialise(conv: nn.Conv2d | nn.Conv3d) -> None:

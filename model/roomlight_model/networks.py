@@ -48,7 +48,6 @@ class SingleModel(nn.Module):
     form = "single"
 
     def __init__(self, config: ModelConfig) -> None:
-        """Build the four networks."""
         super().__init__()
         self.config = config
         self.sg_encoder = SGEncoder(config.sg)
@@ -76,7 +75,6 @@ class VideoModel(nn.Module):
     form = "video"
 
     def __init__(self, config: ModelConfig) -> None:
-        """Build the single-view networks, the recurrent encoder-decoders and the four GRUs."""
         super().__init__()
         self.config = config
         self.single = SingleModel(config)

@@ -55,7 +55,6 @@ class BlendDecoder(nn.Module):
     """
 
     def __init__(self, config: BlendConfig) -> None:
-        """Build the layers at the configured width."""
         super().__init__()
         width, full = config.channels, config.full_channels
         self.at_eighth = block2d(4 * width, 2 * width)

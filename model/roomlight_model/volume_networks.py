@@ -62,7 +62,6 @@ class SGEncoder(nn.Module):
     """V_f0, V_f1 = SGEncoder(c, alpha, e): features at half and an eighth of the resolution, in [-1, 1]."""
 
     def __init__(self, config: SGConfig) -> None:
-        """Build the layers of the paper's figure at the configured width."""
         super().__init__()
         width = config.channels
         self.at_half = nn.Sequential(block3d(5, width, kernel=4, stride=2), conv3d(width, width))

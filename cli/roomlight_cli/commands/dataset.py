@@ -12,7 +12,7 @@ from jaxtyping import Float32
 from roomlight.dataset.extract import extract as extract_sequence
 from roomlight.dataset.folder import FRAMES
 from roomlight.dataset.loader import Dataset
-from roomlight.dataset.recording import Recording, Split
+from roomlight.dataset.recording import Split
 from roomlight.dataset.verify import verify as verify_dataset
 from roomlight.errors import DatasetError, FurnitureError
 from roomlight.files import check_writable, write_json
@@ -113,7 +113,6 @@ def _generate(out: Path, options: GenerateOptions, workers: int | None) -> None:
 
 
 def _say_split(panoramas: Path, split: Split) -> None:
-    """Print which panoramas light the rooms of this split, and which are kept for the other."""
     files = panorama_files(panoramas)
     used = [path.stem for path in files if split_of(path) == split]
     kept = [path.stem for path in files if split_of(path) != split]
@@ -233,11 +232,12 @@ def prior(
 
     def panoramas(progress: Progress) -> Iterator[Float32[np.ndarray, "h w 3"]]:
         nonlocal count
-        for number, recording in enumerate(recording for dataset in datasets for recording in _probes_of(dataset)):
-            for panorama in recording.true_panoramas():
+        places = ((dataset, number) for dataset in datasets for number in range(len(dataset)))
+        for done, (dataset, number) in enumerate(places, 1):
+            for panorama in dataset.read(number, frames=(0,)).true_panoramas():
                 count += 1
                 yield panorama
-            progress.count(number + 1, total)
+            progress.count(done, total)
         if not count:
             names = ", ".join(map(str, folders))
             raise DatasetError(f"{names}: no sequence has probes to fit to; generate walks, without --any-view")
@@ -257,10 +257,6 @@ def _not_empty(folder: Path, split: Split | None) -> Dataset:
         missing = f" of the split {split}; give another --split, or" if split else ";"
         raise DatasetError(f"{folder}: has no sequence{missing} make some with `roomlight dataset generate`")
     return dataset
-
-
-def _probes_of(dataset: Dataset) -> Iterator[Recording]:
-    return (dataset.read(number, frames=(0,)) for number in range(len(dataset)))
 
 
 app = typer.Typer(

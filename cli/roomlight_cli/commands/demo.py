@@ -9,11 +9,11 @@ from roomlight.captures import CaptureOptions
 from roomlight.compositing.placement.scene import load_scene
 from roomlight.engine.session import SessionOptions
 from roomlight.sample import sample_capture
+from roomlight_cli.commands.replay import replay
 from roomlight_cli.compositing import CompositeOptions, composite_recording
 from roomlight_cli.console import say
 from roomlight_cli.live_demo import find_browser, page_is_built, run_live_demo
 from roomlight_cli.replays.replay_options import ReplayOptions
-from roomlight_cli.replays.replay_run import run_replay
 
 DEFAULT_OUT: Final = Path("roomlight-demo")
 SCENE: Final = Path(__file__).parents[1] / "demo-scene.json"
@@ -54,7 +54,7 @@ def demo(
 
 def write_pictures(capture: Path, out: Path) -> None:
     """Light the sample room and write pictures, a report and a film with virtual objects."""
-    run_replay(capture, out, ReplayOptions(probes_from_capture=True, overwrite=True))
+    replay(capture, ReplayOptions(probes_from_capture=True, overwrite=True), out=out)
     film = CompositeOptions(out / FILM, quality="preview", fps=FILM_RATE, overwrite=True)
     done = composite_recording(capture, load_scene(SCENE), film, light=SessionOptions(), reading=CaptureOptions())
     say(f"A chair, a mirror sphere and two moving objects in the room: {done}")

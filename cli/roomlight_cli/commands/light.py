@@ -82,7 +82,6 @@ def _light_video(
     out: Path,
     forms: tuple[SavedFormat, ...],
 ) -> None:
-    """Light points of a video by all its frames; pixels are those of the first frame."""
     capture = open_capture(video, reading)
     with Progress("estimating the light") as progress:
         warm_up()

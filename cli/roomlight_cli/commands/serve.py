@@ -32,29 +32,27 @@ FLAGS: Final = {
 _VARIABLES: Final = sorted(set(ServerSettings.model_fields) - {name for names in FLAGS.values() for name in names})
 
 
-class _Settings:
-    """The flags of `ServerSettings`. One that is not given leaves the setting to its variable or default."""
-
-    def add_to(self, options: CommandOptions) -> Build:
-        texts, builds = described(ServerSettings, "Attributes"), dict[str, Build]()
-        for panel, names in FLAGS.items():
-            for name in names:
-                field = ServerSettings.model_fields[name]
-                rule = Rule.of(field.annotation, field.metadata)
-                builds[name] = options.add_option(
-                    name,
-                    Rule(rule.kind, optional=True, notes=rule.notes),
-                    texts[name],
-                    default=None,
-                    panel=panel,
-                    flag="--" + name.replace("_", "-"),
-                    show_default=str(field.default) if field.default not in (None, False, ()) else False,
-                )
-        return lambda values: {name: build(values) for name, build in builds.items()}
+def _add_settings(options: CommandOptions) -> Build:
+    """Add the flags of `ServerSettings`. One that is not given leaves the setting to its variable or default."""
+    texts, builds = described(ServerSettings, "Attributes"), dict[str, Build]()
+    for panel, names in FLAGS.items():
+        for name in names:
+            field = ServerSettings.model_fields[name]
+            rule = Rule.of(field.annotation, field.metadata)
+            builds[name] = options.add_option(
+                name,
+                Rule(rule.kind, optional=True, notes=rule.notes),
+                texts[name],
+                default=None,
+                panel=panel,
+                flag="--" + name.replace("_", "-"),
+                show_default=str(field.default) if field.default not in (None, False, ()) else False,
+            )
+    return lambda values: {name: build(values) for name, build in builds.items()}
 
 
 def serve(
-    settings: Annotated[dict[str, Any], _Settings()],
+    settings: Annotated[dict[str, Any], _add_settings],
     *,
     lan: bool = False,
     ray: bool = False,

@@ -94,7 +94,6 @@ def _print_result(tally: Tally, options: StreamOptions) -> None:
 
 
 def _rows(tally: Tally) -> list[tuple[str, str]]:
-    """Return what is known by now, as (name, value)."""
     rows: list[tuple[str, str]] = []
     for name, values in (("frame latency", tally.frame_ms), ("light latency", tally.light_ms)):
         if values:

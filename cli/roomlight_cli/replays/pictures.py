@@ -12,11 +12,12 @@ from roomlight.conventions import Position
 from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session
 from roomlight.frame import Frame
+from roomlight.images import write_png
 from roomlight.imaging.video_writer import VideoWriter, join_videos
 from roomlight.spheres import view_toward
 from roomlight_cli.probe_notes import position_text
 from roomlight_cli.replays.inserted_spheres import ProbeView, insert_spheres, printed
-from roomlight_cli.replays.sheet import Sheet, SheetProbe, SheetTime, mean_light, sheet_times, write_sheet
+from roomlight_cli.replays.sheet import Sheet, SheetProbe, SheetTime, compose_sheet, mean_light, sheet_times
 from roomlight_cli.replays.video import MAX_PROBES, ReplayPicture
 
 SUMMARY: Final = "summary.png"
@@ -158,14 +159,9 @@ class ReplayPictures:
         best = self.state.best
         inserted = None if session is None or best is None else insert_spheres(session, printed(best))
         sheet = Sheet(
-            self._title,
-            self._subtitle,
-            self.state.times,
-            probes,
-            indices=self.state.indices,
-            inserted=inserted,
+            self._title, self._subtitle, self.state.times, probes, indices=self.state.indices, inserted=inserted
         )
-        write_sheet(self._summary, sheet)
+        write_png(self._summary, compose_sheet(sheet))
 
     def abandon(self, error: BaseException) -> None:
         """Remove the unfinished part of the video; there is no summary yet."""

@@ -10,8 +10,9 @@ state that was saved last (`saved_replay`), with the same bits as without the in
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +160,7 @@ def _replay(
 
 
 class _Run:
-    """A replay from its first usable frame on: its panoramas and pictures."""
+    """A replay from its first usable frame on: its panoramas, in a folder a probe, and pictures."""
 
     def __init__(
         self,
@@ -173,10 +174,12 @@ class _Run:
     ) -> None:
         """Begin with the first frame, or go on; a computed or interpolated frame is `step` indices after the last."""
         assert state.pictures is not None
-        self._session, self._state, self._step = session, state, step
-        self._writer = _Writer(out, state, options, capture.film_rate, step=step)
+        self._session, self._options, self._state, self._step = session, options, state, step
+        self._folders = [out / f"probe-{n:02d}" for n in range(len(state.positions))]
+        self._rate = capture.film_rate * step  # at which indices count
+        self._index, self._lights = 0, list[Light]()  # of the last session frame
         if state.reports:
-            self._writer.last = state.reports[-1].index, session.lights()
+            self._index, self._lights = state.reports[-1].index, session.lights()
         frames = counted(capture.frame_count, "frame")
         self.pictures = ReplayPictures(
             out,
@@ -198,22 +201,47 @@ class _Run:
     def add(self, waiting: Sequence[Frame], frame: Frame, report: FrameReport) -> None:
         """Write and draw the light after a frame, and the interpolated light of those before it."""
         lights = self._session.lights()
-        for between, mixed in self._writer.interpolated(waiting, frame, lights):
-            self.pictures.add(between, mixed)
-        self._writer.write(frame, lights)
-        self.pictures.add(
-            frame,
-            panoramas_of(lights, "reflection"),
-            [light.coverage for light in lights],
-            [light.observed for light in lights],
-        )
+        for between in waiting:
+            share = np.float32((between.index - self._index) / (frame.index - self._index))
+
+            def mixed(use: LightUse, share: np.float32 = share) -> list[Float[np.ndarray, "h w 3"]]:
+                pairs = zip(panoramas_of(self._lights, use), panoramas_of(lights, use), strict=True)
+                return [(1 - share) * old + share * new for old, new in pairs]
+
+            self._add_between(between, mixed)
+        self._index, self._lights = frame.index, lights
+        coverage = [light.coverage for light in lights]
+        notes = [{"roomlight:coverage": f"{share:.4f}"} for share in coverage]
+        self._write(frame.index, panoramas_of(lights, self._options.use), notes)
+        reflections = panoramas_of(lights, "reflection")
+        self.pictures.add(frame, reflections, coverage, [light.observed for light in lights])
         self._state.reports.append(report)
 
+    def _add_between(self, frame: Frame, panoramas: Callable[[LightUse], list[Float[np.ndarray, "h w 3"]]]) -> None:
+        """Write and draw the light of a frame that is no session frame."""
+        self._state.interpolated += 1
+        notes = [{"roomlight:interpolated": "true"} for _ in self._folders]
+        self._write(frame.index, panoramas(self._options.use), notes)
+        self.pictures.add(frame, panoramas("reflection"))
+
+    def _write(
+        self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]], notes: Sequence[dict[str, str]]
+    ) -> None:
+        self._state.written.append(index)
+        for folder, panorama, note in zip(self._folders, panoramas, notes, strict=True):
+            metadata = sequence_metadata(index, self._rate) | note | {"roomlight:use": self._options.use}
+            write_exr(folder / _name(index), panorama, metadata=metadata)
+
     def close(self, waiting: Sequence[Frame]) -> None:
-        """Write the frames after the last session frame, and what is made of all."""
+        """Write the frames after the last session frame, and what is made of all: stages, other forms, pictures."""
         for frame in waiting:  # there is nothing to interpolate towards: the light stays
-            self.pictures.add(frame, self._writer.repeat(frame))
-        self._writer.close()
+            self._add_between(frame, partial(panoramas_of, self._lights))
+        names = {index: _name(index) for index in self._state.written}
+        for folder, position, light in zip(self._folders, self._state.positions, self._lights, strict=True):
+            stage = sequence_stage(position, names, self._rate)
+            write_atomic(folder / "light.usda", stage.encode())
+            for form in self._options.forms:
+                light.used_for(self._options.use).save(folder / f"light{ENDINGS[form]}")
         self.pictures.close(self._session if isinstance(self._session, Session) else None)
 
 
@@ -247,68 +275,6 @@ def _report(path: Path, capture: Capture, session: AnySession, state: ReplayStat
         "skipped": [asdict(skipped) for skipped in (*capture.skipped, *state.unusable)],
         "notes": [asdict(note) for note in (*capture.notes, *([pace] if pace else ()))],
     }
-
-
-class _Writer:
-    """Writes panoramas as EXR, a folder per probe."""
-
-    def __init__(self, out: Path, state: ReplayState, options: ReplayOptions, rate: float, *, step: int) -> None:
-        """Write into `out`; the capture gives `rate` frames a second, of which each is `step` indices on."""
-        self._folders = [out / f"probe-{n:02d}" for n in range(len(state.positions))]
-        self._state = state
-        self._use: LightUse = options.use
-        self._forms = options.forms
-        self._rate = rate * step  # at which indices count
-        self.last: tuple[int, Sequence[Light]] = 0, ()
-        """Index and light of the last session frame."""
-
-    def write(self, frame: Frame, lights: Sequence[Light]) -> None:
-        """Write the panoramas of one session frame."""
-        self.last = frame.index, lights
-        self._state.written.append(frame.index)
-        for folder, light, panorama in zip(self._folders, lights, panoramas_of(lights, self._use), strict=True):
-            self._save(folder, frame.index, panorama, {"roomlight:coverage": f"{light.coverage:.4f}"})
-
-    def interpolated(
-        self, between: Sequence[Frame], frame: Frame, lights: Sequence[Light]
-    ) -> Iterator[tuple[Frame, list[Float[np.ndarray, "h w 3"]]]]:
-        """Write the frames between the last session frame and this one; yield them with what is seen at the probes."""
-        start, before = self.last
-        for middle in between:
-            share = np.float32((middle.index - start) / (frame.index - start))
-
-            def mixed(use: LightUse, share: np.float32 = share) -> list[Float[np.ndarray, "h w 3"]]:
-                pairs = zip(panoramas_of(before, use), panoramas_of(lights, use), strict=True)
-                return [(1 - share) * old + share * new for old, new in pairs]
-
-            self._save_interpolated(middle.index, mixed(self._use))
-            yield middle, mixed("reflection")
-
-    def repeat(self, frame: Frame) -> list[Float[np.ndarray, "h w 3"]]:
-        """Write a frame after the last session frame, with that frame's light; return what is seen at the probes."""
-        _, lights = self.last
-        self._save_interpolated(frame.index, panoramas_of(lights, self._use))
-        return panoramas_of(lights, "reflection")
-
-    def _save_interpolated(self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]]) -> None:
-        self._state.interpolated += 1
-        self._state.written.append(index)
-        for folder, panorama in zip(self._folders, panoramas, strict=True):
-            self._save(folder, index, panorama, {"roomlight:interpolated": "true"})
-
-    def close(self) -> None:
-        """Write the stages of the panoramas, and the last light in the other forms."""
-        _, lights = self.last
-        names = {index: _name(index) for index in self._state.written}
-        for folder, position, light in zip(self._folders, self._state.positions, lights, strict=True):
-            stage = sequence_stage(position, names, self._rate)
-            write_atomic(folder / "light.usda", stage.encode())
-            for form in self._forms:
-                light.used_for(self._use).save(folder / f"light{ENDINGS[form]}")
-
-    def _save(self, folder: Path, index: int, panorama: Float[np.ndarray, "h w 3"], metadata: dict[str, str]) -> None:
-        metadata |= {"roomlight:use": self._use}
-        write_exr(folder / _name(index), panorama, metadata=sequence_metadata(index, self._rate) | metadata)
 
 
 def _name(index: int) -> str:

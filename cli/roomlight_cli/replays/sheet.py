@@ -7,14 +7,12 @@ at all times, so that changes in them are changes of the light. Tone mapping is 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.conventions import LUMINANCE, panorama_solid_angles
-from roomlight.images import write_png
 from roomlight.imaging.drawing import BACKGROUND, HEADING, LABEL_ROWS, Canvas, Colour, text_width
 from roomlight.imaging.plots import Plot, Series, draw_plot
 from roomlight.spheres import SphereRenderer
@@ -145,11 +143,6 @@ def compose_sheet(sheet: Sheet) -> UInt8[np.ndarray, "h w 3"]:
     return _Page(sheet).draw()
 
 
-def write_sheet(path: Path, sheet: Sheet) -> None:
-    """Write `compose_sheet`'s picture as a PNG, atomically. Raises OutputError if it cannot be written."""
-    write_png(path, compose_sheet(sheet))
-
-
 class _Page:
     """The layout: two columns as wide as a panorama, a section for the frames and one for each probe."""
 
@@ -160,7 +153,7 @@ class _Page:
         self._tile = (self._wide - (COLUMNS - 1) * _GAP) // COLUMNS
         self._small_sphere = (self._tile - 6) // 2
         self._sphere = self._wide // 10
-        hero = self._hero_image()
+        hero = sheet.times[-1].frame if sheet.inserted is None else sheet.inserted.image
         self._hero_size = _fit(hero.shape, self._wide, self._wide * 3 // 4)
         rows = -(-len(sheet.times) // 3)
         self._frame_size = _fit(sheet.times[0].frame.shape, (self._wide - 2 * _GAP) // 3, self._wide // 4)
@@ -187,10 +180,6 @@ class _Page:
             self._draw_probe(number, top)
             top += self._probe_rows
         return self._canvas.image
-
-    def _hero_image(self) -> np.ndarray:
-        inserted = self._sheet.inserted
-        return self._sheet.times[-1].frame if inserted is None else inserted.image
 
     def _draw_hero(self, top: int) -> None:
         inserted, at = self._sheet.inserted, (self._left, top + LABEL_ROWS)
@@ -247,7 +236,6 @@ class _Page:
             row += 28
 
     def _badge(self, centre: tuple[float, float], number: int) -> None:
-        """Draw a probe's number in its colour."""
         x, y = centre
         self._canvas.disc(centre, _BADGE + 2, BACKGROUND)
         self._canvas.disc(centre, _BADGE, _colour_of(number))

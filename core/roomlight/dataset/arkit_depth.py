@@ -3,7 +3,7 @@
 A phone's depth is estimated by a network from a few hundred laser dots and the colour image. It is smooth; edges bleed
 and follow colour; thin objects vanish; slow flicker grows with distance; depth beyond the laser's five metres is
 estimated; depth on glass and mirrors is wrong. Phones, rooms and recording apps differ, so every sequence draws its own
-`DepthSensor`. Depth is z-depth in millimetres, 0 = unknown; confidence is 0, 1 or 2 as ARKit's.
+`DepthSensor`. Depth is z-depth in millimetres, 0 = unknown.
 
 The default ranges are centred on two measurements. Simulated phone depth of three path-traced captures: relative
 deviation 0.7 % up to 4 m, 0.9 % at 5.5 m, 2.3 % at 10 m; correlated over 30 of 256 pixels and, from frame to frame,
@@ -29,7 +29,6 @@ _FLICKER_CELLS: Final = (6, 8)
 _GUESS_MM: Final = 14_000
 """Largest depth that phones report."""
 _MIN_INVERSE_M: Final = 0.05
-_KNOWN: Final = np.uint8(2)
 
 Unseen = Literal["guess", "far", "hole"]
 """Depth of sky and panes: interpolated from their surroundings, far away, or unknown, as in apps that filter it."""
@@ -101,25 +100,20 @@ class DepthSensor:
         )
 
 
-def exact(depth_mm: UInt16[np.ndarray, "f h w"]) -> tuple[UInt16[np.ndarray, "f h w"], UInt8[np.ndarray, "f h w"]]:
-    """Return the exact depth, with full confidence where depth is known."""
-    return depth_mm, np.where(depth_mm > 0, _KNOWN, np.uint8(0))
-
-
 def arkit_like(
     depth_mm: UInt16[np.ndarray, "f h w"],
     surface: UInt8[np.ndarray, "f h w"],
-    colour: UInt8[np.ndarray, "f h w 3"] | None,
+    colour: UInt8[np.ndarray, "f h w 3"],
     rng: np.random.Generator,
     *,
     sensor: DepthSensor | None = None,
-) -> tuple[UInt16[np.ndarray, "f 192 256"], UInt8[np.ndarray, "f 192 256"]]:
-    """Simulate phone depth and confidence of consecutive frames, 256 x 192 (about 2 ms a frame).
+) -> UInt16[np.ndarray, "f 192 256"]:
+    """Simulate phone depth of consecutive frames, 256 x 192 (about 2 ms a frame).
 
     Args:
         depth_mm: Exact z-depth in millimetres, 0 where nothing is hit.
         surface: Kind of surface of each pixel (`recording.GLASS`, ...).
-        colour: sRGB frames whose edges the depth follows; None for no guidance.
+        colour: sRGB frames whose edges the depth follows.
         rng: The generator; the same state gives the same depth.
         sensor: Error parameters; drawn from `rng` if None.
     """
@@ -128,15 +122,13 @@ def arkit_like(
     flicker, relief = (_slow_fields(rng, frames, sensor.persistence) for _ in range(2))
     factors = 1 + sensor.scale + sensor.jitter * rng.standard_normal(frames)
     measured_mm = np.empty((frames, HEIGHT, WIDTH), np.uint16)
-    confidence = np.empty((frames, HEIGHT, WIDTH), np.uint8)
     for k in range(frames):
         kind = cv2.resize(surface[k], (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
         near = cv2.resize(depth_mm[k], (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
         true_m = near.astype(np.float32) / 1000
         bump = _enlarged(relief[k])
-        perceived_m, holes, doubtful = _perceived(true_m, kind, bump, sensor)
-        guide = None if colour is None else _luma(colour[k])
-        smooth_m = _smoothed(perceived_m, guide, sensor)
+        perceived_m, holes = _perceived(true_m, kind, bump, sensor)
+        smooth_m = _smoothed(perceived_m, _luma(colour[k]), sensor)
         slow = _enlarged(flicker[k])
         deviation = sensor.noise * np.sqrt(1 + (smooth_m / 5.5) ** 4)
         noise = slow * np.minimum(deviation, 0.08) + np.float32(factors[k])
@@ -145,8 +137,7 @@ def arkit_like(
         depth = np.clip(smooth_m * noise * 1000, 1, _GUESS_MM)
         depth[holes] = 0
         measured_mm[k] = np.rint(depth)
-        confidence[k] = _confidence(perceived_m, slow, holes, doubtful)
-    return measured_mm, confidence
+    return measured_mm
 
 
 def _perceived(
@@ -154,8 +145,8 @@ def _perceived(
     kind: UInt8[np.ndarray, "h w"],
     bump: Float[np.ndarray, "h w"],
     sensor: DepthSensor,
-) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Return the depth before noise in metres, the mask of unknown pixels, and the mask of zero confidence."""
+) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Return the depth before noise in metres, and the mask of unknown pixels."""
     sky, glass, mirror = true_m == 0, kind == GLASS, kind == MIRROR
     doubtful = sky | glass | mirror
     holes = np.zeros_like(sky)
@@ -181,7 +172,7 @@ def _perceived(
     depth = depth - (1 - sensor.far_slope) * past
     if sensor.thin_px > 1:  # laser dots miss thin objects: the background closes over them
         depth = cv2.morphologyEx(depth, cv2.MORPH_CLOSE, np.ones((sensor.thin_px, sensor.thin_px), np.uint8))
-    return np.maximum(depth, 0.05).astype(np.float32), holes, doubtful
+    return np.maximum(depth, 0.05).astype(np.float32), holes
 
 
 def _interpolated(depth_m: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -199,12 +190,11 @@ def _interpolated(depth_m: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h 
 
 
 def _smoothed(
-    depth_m: Float[np.ndarray, "h w"], guide: Float[np.ndarray, "h w"] | None, sensor: DepthSensor
+    depth_m: Float[np.ndarray, "h w"], image: Float[np.ndarray, "h w"], sensor: DepthSensor
 ) -> Float[np.ndarray, "h w"]:
-    """Let edges bleed: a guided filter (He et al. 2010) on inverse depth, guided by luma, and a slight blur."""
+    """Let edges bleed: a guided filter (He et al. 2010) on inverse depth, guided by an image, and a slight blur."""
     inverse = cv2.GaussianBlur(1 / depth_m, (3, 3), sensor.softness_px)
     if sensor.bleed:
-        image = inverse if guide is None else guide
         size = (2 * sensor.bleed_px + 1, 2 * sensor.bleed_px + 1)
         mean_image, mean = cv2.blur(image, size), cv2.blur(inverse, size)
         covariance = cv2.blur(image * inverse, size) - mean_image * mean
@@ -213,22 +203,6 @@ def _smoothed(
         filtered = cv2.blur(slope, size) * (image - mean_image) + cv2.blur(mean, size)
         inverse = inverse + np.float32(sensor.bleed) * (filtered - inverse)
     return 1 / np.maximum(inverse, np.float32(_MIN_INVERSE_M))
-
-
-def _confidence(
-    depth_m: Float[np.ndarray, "h w"],
-    slow: Float[np.ndarray, "h w"],
-    holes: Bool[np.ndarray, "h w"],
-    doubtful: Bool[np.ndarray, "h w"],
-) -> UInt8[np.ndarray, "h w"]:
-    """Return 2 on plain surfaces within the laser's reach, 1 at edges and farther, 0 at jumps, panes and sky."""
-    square = np.ones((5, 5), np.uint8)
-    jump = (cv2.dilate(depth_m, square) - cv2.erode(depth_m, square)) / depth_m
-    wobble = 1 + np.float32(0.05) * slow
-    level = np.full(depth_m.shape, _KNOWN)
-    level[(jump > 0.12 * wobble) | (depth_m > (LASER_M - 0.3) * wobble)] = 1
-    level[(jump > 0.4 * wobble) | (depth_m > (LASER_M + 1.2) * wobble) | doubtful | holes] = 0
-    return level
 
 
 def _luma(colour: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "192 256"]:

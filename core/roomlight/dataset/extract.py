@@ -1,7 +1,6 @@
-"""Write one sequence of a dataset as a capture folder; the sample capture is written the same way."""
+"""Write one sequence of a dataset as a capture folder."""
 
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
 
 from roomlight.dataset.loader import Dataset
@@ -17,15 +16,7 @@ def extract(dataset: Dataset, name: str, out: Path) -> None:
         DatasetError: The dataset has no such sequence, or the sequence is damaged.
         OutputError: `out` is not empty, or cannot be written.
     """
-    write_capture(dataset.files(dataset.number_of(name)), out)
-
-
-def write_capture(files: Mapping[str, bytes | memoryview], out: Path) -> None:
-    """Write a capture's files, atomically.
-
-    Raises:
-        OutputError: `out` is not empty, or cannot be written.
-    """
+    files = dataset.files(dataset.number_of(name))
     target = out.absolute()  # `.` has no name
     partial = temporary_beside(target)
     try:

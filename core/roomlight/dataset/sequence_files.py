@@ -149,7 +149,11 @@ def _check(recording: Recording) -> None:
             f"{recording.name}: colour is {width} x {height}, depth {recording.depth_mm.shape[:0:-1]}, intrinsics are "
             f"for {lens.width} x {lens.height}"
         )
-    _check_clipped(recording)
+    clipped = recording.clipped_radiance
+    if clipped is not None and clipped.shape != recording.colour.shape:
+        raise ValueError(f"{recording.name}: clipped_radiance is {clipped.shape}, colour {recording.colour.shape}")
+    if clipped is not None and (not np.isfinite(clipped).all() or (clipped < 0).any()):
+        raise ValueError(f"{recording.name}: clipped_radiance must be finite and not below 0")
     for pose in recording.camera_to_world:
         check_rigid(pose)
     if not (recording.exposure > 0).all() or not np.isfinite(recording.exposure).all():
@@ -160,16 +164,6 @@ def _check(recording: Recording) -> None:
         )
     if not np.isfinite(recording.probe_positions).all() or not np.isfinite(probes).all() or (probes < 0).any():
         raise ValueError(f"{recording.name}: probes must be finite and not below 0")
-
-
-def _check_clipped(recording: Recording) -> None:
-    clipped = recording.clipped_radiance
-    if clipped is None:
-        return
-    if clipped.shape != recording.colour.shape:
-        raise ValueError(f"{recording.name}: clipped_radiance is {clipped.shape}, colour {recording.colour.shape}")
-    if not np.isfinite(clipped).all() or (clipped < 0).any():
-        raise ValueError(f"{recording.name}: clipped_radiance must be finite and not below 0")
 
 
 _SUFFIXES: Final = {"colour": "jpg", "clipped": "exr"}

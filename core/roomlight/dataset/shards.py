@@ -267,7 +267,6 @@ def _append_all(handle: int, data: bytes) -> None:
 
 @contextmanager
 def _writing(path: Path) -> Generator[None]:
-    """Convert an OSError to an OutputError with the file's name."""
     try:
         yield
     except OSError as error:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,13 +40,11 @@ def verify(folder: Path, *, repair: bool = False, progress: Callable[[int, int],
         OutputError: A shard cannot be repaired, or another process is writing to the dataset.
     """
     requested = sum(read_manifest(folder).sequences.values())
-    if repair:
-        with locked(folder):
-            return _verify(folder, requested, repair=True, progress=progress)
-    return _verify(folder, requested, repair=False, progress=progress)
+    with locked(folder) if repair else nullcontext():
+        return _verify(folder, requested, repair, progress)
 
 
-def _verify(folder: Path, requested: int, *, repair: bool, progress: Callable[[int, int], None] | None) -> VerifyReport:
+def _verify(folder: Path, requested: int, repair: bool, progress: Callable[[int, int], None] | None) -> VerifyReport:
     shards = [(tar, read_index(tar)) for tar in shard_files(folder)]
     total = sum(len(index.entries) for _, index in shards)
     whole = done = size = 0

@@ -28,7 +28,7 @@ from roomlight.engine.networks.graphs import SHIPPED, PartFiles, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.likely_light import likely_lights
-from roomlight.engine.panorama.panels import BRIGHTEST, PANELS, changed_light, panel, panorama_panels
+from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT, PANELS, changed_light, panorama_panels, resized
 from roomlight.light.main_light import TrackedLights, relit
 from roomlight.light.sources import LightPanorama, LightUse
 
@@ -44,14 +44,7 @@ class LightingModel:
         self.digest = graph.digest
 
     def panorama(self, state: PanoramaState) -> Float32[np.ndarray, "h w 3"]:
-        """Compute the light that lights things at the place of a panorama.
-
-        Args:
-            state: what the frames have shown of the place.
-
-        Returns:
-            Linear RGB.
-        """
+        """Compute the light, linear RGB, that lights things at the place of a panorama."""
         outputs = self._graph.new_outputs()
         self._graph.bind({"panels": lighting_panels(state)[None]}, outputs).run()
         return changed_light(state.radiance, outputs["change"][0], unmeasured_share(state))
@@ -76,7 +69,7 @@ def lighting_panels(state: PanoramaState) -> Float32[np.ndarray, "10 ph pw"]:
     panels = panorama_panels(
         detail=state.radiance, known=state.observed, clipped=state.clipped, depth_m=state.depth_m, fill=state.radiance
     )
-    return np.concatenate([panels, panel(np.minimum(state.guessed, BRIGHTEST))[None]])
+    return np.concatenate([panels, resized(np.minimum(state.guessed, BRIGHTEST), HEIGHT)[None]])
 
 
 def unmeasured_share(state: PanoramaState) -> Float32[np.ndarray, "h w"]:
@@ -90,9 +83,9 @@ class ProbeLightSource:
     """What a probe has accumulated up to a frame, from which its light is computed when somebody asks.
 
     Attributes:
-        state: a copy that later frames do not change; see `PanoramaState.for_lighting`.
+        state: a copy that later frames do not change (`PanoramaState.for_lighting`).
         tracked: the main lights in `state`; None at a point that is not tracked: they are looked for in it.
-        load: returns the network; called when the light is computed.
+        load: returns the network.
     """
 
     state: PanoramaState

@@ -28,11 +28,7 @@ def better_share(
     of the old exposure. Otherwise it replaces as much as is less clipped in it, unless it is darker than the old bound:
     then it shows another surface (a pose is off by a pixel), or a reflection that is gone.
 
-    Args:
-        clipped: Share of the observation that was clipped.
-        bound: Lower bound of its luminance (the luminance itself where the share is 0).
-        new_clipped: The same of the new observation.
-        new_bound: The same of the new observation.
+    `clipped` is the share that was clipped, `bound` a lower bound of the luminance: itself where the share is 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         less = np.where(new_bound >= bound * (1 - NOISE * clipped), (clipped - new_clipped) / clipped, 0)

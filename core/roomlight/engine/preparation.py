@@ -1,11 +1,11 @@
 """A frame as the session works on it: reduced, its depth completed, its clipped light restored."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from roomlight.depth import UnknownDepth, complete_depth, without_unseen
 from roomlight.engine.networks.clipping import ClippingModel, white_of
@@ -18,45 +18,21 @@ WORKING_SIZE: Final = (320, 240)
 panorama of 120 rows."""
 
 
-@dataclass(frozen=True)
-class PreparedFrame:
-    """A frame that is ready for volume and mesh.
+def restored(
+    measured: Frame,
+    depth_m: Float[np.ndarray, "dh dw"],
+    earlier: Iterable[FrameMesh] = (),
+    *,
+    clipping: ClippingModel,
+) -> Frame:
+    """Return a frame with its completed depth and its clipped light: of earlier frames that show it, or estimated.
 
-    Attributes:
-        frame: With completed depth and restored clipped light.
-        sensor_depth_m: Depth before it was completed.
-        sensor_clipped: Clipped pixels before any was taken from earlier frames.
+    `measured` has the sensor's depth, `depth_m` is that depth completed; of two earlier meshes that know as much, the
+    later one counts.
     """
-
-    frame: Frame
-    sensor_depth_m: Float[np.ndarray, "dh dw"]
-    sensor_clipped: Bool[np.ndarray, "h w"]
-
-    @classmethod
-    def of(
-        cls,
-        measured: Frame,
-        depth_m: Float[np.ndarray, "dh dw"],
-        earlier: Iterable[FrameMesh] = (),
-        *,
-        clipping: ClippingModel,
-    ) -> "PreparedFrame":
-        """Restore the clipped light of a frame: from earlier frames that show it, and else by the network.
-
-        Args:
-            measured: The frame with the sensor's depth.
-            depth_m: Its completed depth.
-            earlier: Meshes of earlier frames; of two that know as much, the later one counts.
-            clipping: Estimates what no frame shows.
-        """
-        bracketed = take_clipped_light(measured, depth_m, earlier)
-        own_white = white_of(measured) if measured.clipped.any() else None
-        restored = clipping.restore(bracketed, depth_m, own_white=own_white)
-        return cls(replace(restored, depth_m=depth_m), measured.depth_m, measured.clipped)
-
-    def mesh(self) -> FrameMesh:
-        """Make the frame's mesh."""
-        return FrameMesh(self.frame, sensor_depth_m=self.sensor_depth_m, sensor_clipped=self.sensor_clipped)
+    bracketed = take_clipped_light(measured, depth_m, earlier)
+    own_white = white_of(measured) if measured.clipped.any() else None
+    return replace(clipping.restore(bracketed, depth_m, own_white=own_white), depth_m=depth_m)
 
 
 def at_working_size(frame: Frame, unknown_depth: UnknownDepth) -> tuple[Frame, Float[np.ndarray, "dh dw"]]:

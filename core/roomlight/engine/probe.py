@@ -12,13 +12,19 @@ from roomlight.engine.lighting import LightingModel, ProbeLightSource
 from roomlight.engine.models.choosing import ProbeEstimator
 from roomlight.engine.models.interface import Rendered
 from roomlight.engine.observations import CLOSER_M
-from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, accumulate, farthest_depth_m, unseen_depth_m
+from roomlight.engine.panorama.blend import (
+    AT_PROBE,
+    PanoramaState,
+    PartialPanorama,
+    accumulate,
+    farthest_depth_m,
+    unseen_depth_m,
+)
 from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.panorama.likely_light import likely_lights
 from roomlight.engine.room import AnyRoom
 from roomlight.engine.state.snapshot import ProbeSnapshot
-from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
-from roomlight.engine.surface.views import MeshesView, distinct
+from roomlight.engine.surface.mesh import FrameMesh, MeshesView, distinct
 from roomlight.engine.volume.sglv import render_coarse_panorama
 from roomlight.light.light import Light
 from roomlight.threads import parallel_for, thread_count
@@ -98,7 +104,7 @@ class Probe:
         depth_max_m = self.room.grid.depth_max_m
         estimate = self.estimator.estimate(self.panorama, self._rendered(), seen, depth_max_m=depth_max_m)
         for _ in range(2):  # surfaces are in several frames: each adds a share of what the ones before left out
-            self._accumulate(self.panorama, seen, None, hdr=estimate.hdr, weight=estimate.weight)
+            self._accumulate(seen, None, hdr=estimate.hdr, weight=estimate.weight)
         self.panorama.viewed_from[:] = shown.viewed_from(cameras)
 
     @classmethod
@@ -134,15 +140,14 @@ class Probe:
     def blend(self, rendered: Rendered | None, partial: PartialPanorama, mesh: FrameMesh) -> None:
         """Let the model estimate the light, and blend the view of a mesh into the panorama."""
         if rendered is None:
-            self._accumulate(self.panorama, partial, mesh, hdr=None, weight=partial.mask.astype(np.float32))
+            self._accumulate(partial, mesh, hdr=None, weight=partial.mask.astype(np.float32))
             return
         depth_max_m = self.room.grid.depth_max_m
         estimate = self.estimator.estimate(self.panorama, rendered, partial, depth_max_m=depth_max_m)
-        self._accumulate(self.panorama, partial, mesh, hdr=estimate.hdr, weight=estimate.weight)
+        self._accumulate(partial, mesh, hdr=estimate.hdr, weight=estimate.weight)
 
     def _accumulate(
         self,
-        state: PanoramaState,
         partial: PartialPanorama,
         mesh: FrameMesh | None,
         *,
@@ -150,17 +155,8 @@ class Probe:
         weight: Float[np.ndarray, "h w"],
     ) -> None:
         camera = AT_PROBE if mesh is None else mesh.camera_to_world[:3, 3] - np.asarray(self.position)
-        accumulate(
-            state,
-            hdr=hdr,
-            detail=partial.radiance,
-            detail_depth_m=partial.depth_m,
-            weight=weight,
-            unseen_m=unseen_depth_m(self.room.grid.depth_max_m),
-            detail_clipped=partial.clipped,
-            detail_guessed=partial.guessed,
-            camera=camera,
-        )
+        unseen_m = unseen_depth_m(self.room.grid.depth_max_m)
+        accumulate(self.panorama, partial, hdr=hdr, weight=weight, unseen_m=unseen_m, camera=camera)
 
     def update_lights(self) -> None:
         """Let the tracker see the panorama after a frame."""

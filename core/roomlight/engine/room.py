@@ -13,10 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import Position
-from roomlight.depth import UnknownDepth
 from roomlight.engine.models.choosing import LightingModel, ProbeEstimator
 from roomlight.engine.models.interface import Arrays
-from roomlight.engine.preparation import PreparedFrame
 from roomlight.engine.state.snapshot import LeftRoom
 from roomlight.engine.surface.bracket import update_keyframes
 from roomlight.engine.surface.keyframes import KeyframeStore
@@ -43,6 +41,7 @@ class Room:
     Attributes:
         grid: Pose and size of the volume.
         volume: The model's 3D state.
+        new_probe: Begins the model's state of a probe.
         keyframes: The kept frames.
     """
 
@@ -50,6 +49,7 @@ class Room:
         """Begin without frames; `keyframes` is the most that are kept."""
         self.grid = grid
         self.volume = model.begin(grid)
+        self.new_probe: Callable[[], ProbeEstimator] = model.new_probe
         self.keyframes = KeyframeStore(grid, keyframes)
 
     @property
@@ -62,23 +62,15 @@ class Room:
         """What a ray gets where it leaves the volume."""
         return self.volume.far
 
-    def new_probe(self) -> ProbeEstimator:
-        """Begin the model's state of a probe."""
-        return self.volume.new_probe()
-
     @property
     def meshes(self) -> list[tuple[int, FrameMesh]]:
         """Frame index and mesh of every keyframe in order of time, then of the last frame if it is no keyframe."""
         return [(kept.index, kept.mesh) for kept in self.keyframes.with_last()]
 
-    def left(self, new_probe: Callable[[], ProbeEstimator]) -> "RoomView":
-        """Return what is remembered of the room when the camera has left it; the SGLV is not copied.
-
-        Args:
-            new_probe: Begins the model's state of a probe, without this room's volume.
-        """
+    def left(self) -> "RoomView":
+        """Return what is remembered of the room when the camera has left it; the SGLV is not copied."""
         kept = self.keyframes.thinned(LEFT_KEYFRAMES)
-        return RoomView(self.grid, self.sglv, self.far, new_probe, [(key.index, key.mesh) for key in kept])
+        return RoomView(self.grid, self.sglv, self.far, self.new_probe, [(key.index, key.mesh) for key in kept])
 
     def take_over(self, meshes: Sequence[tuple[int, FrameMesh]]) -> None:
         """Fill the empty room with those keyframes of others, in order of time, that show enough of its volume."""
@@ -87,10 +79,7 @@ class Room:
             local = vertices + self.grid.world_to_volume[:3, 3].astype(np.float32)
             inside = ((local >= self.grid.lower_m) & (local <= self.grid.upper_m)).all(axis=1)
             if inside.any() and inside.mean(dtype=np.float64) >= _REACHING and self.keyframes.offer(index, mesh):
-                frame = _frame_of(index, mesh)
-                clipping = clipping_buffer(self.grid, frame)
-                initial_volume(self.grid, frame, far_unknown=False, out=self.volume.volume, clipping=clipping)
-                self.volume.add(clipping)
+                self.volume.add(self.write_volume(_frame_of(index, mesh), far_unknown=False))
             mesh.forget()
 
     def view(self) -> "RoomView":
@@ -100,13 +89,10 @@ class Room:
         meshes = [(index, mesh.passing()) for index, mesh in self.meshes]
         return RoomView(self.grid, sglv, self.far, self.new_probe, meshes)
 
-    def write_volume(self, prepared: PreparedFrame, unknown_depth: UnknownDepth) -> Float[np.ndarray, "2 z y x"] | None:
+    def write_volume(self, frame: Frame, *, far_unknown: bool) -> Float[np.ndarray, "2 z y x"] | None:
         """Write the frame's initial volume into the model's buffer; return what of it was clipped (None: nothing)."""
-        frame = prepared.frame
-        # after completion ("rim") only pixels that the frame's mask leaves out are without depth
-        far = unknown_depth == "far" or (unknown_depth == "rim" and frame.seen is None)
         clipping = clipping_buffer(self.grid, frame)
-        initial_volume(self.grid, frame, far_unknown=far, out=self.volume.volume, clipping=clipping)
+        initial_volume(self.grid, frame, far_unknown=far_unknown, out=self.volume.volume, clipping=clipping)
         return clipping
 
     def keep(self, index: int, mesh: FrameMesh, *, turn: int) -> bool:
@@ -118,13 +104,7 @@ class Room:
         return self.keyframes.offer(index, mesh)
 
     def restore(self, saved: Arrays, keyframes: dict[int, FrameMesh], last: tuple[int, FrameMesh] | None) -> None:
-        """Take over a saved state.
-
-        Args:
-            saved: The model's 3D state.
-            keyframes: Their meshes by frame index, in order of time.
-            last: Index and mesh of the last frame if it is no keyframe.
-        """
+        """Take over a saved 3D state of the model, and frames (`KeyframeStore.restore`)."""
         self.volume.restore(saved)
         self.keyframes.restore(keyframes, last)
 

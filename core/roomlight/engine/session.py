@@ -24,12 +24,12 @@ import numpy as np
 from roomlight.camera import Intrinsics
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.lighting import shipped_lighting
-from roomlight.engine.models.choosing import ProbeEstimator, lighting_model
+from roomlight.engine.models.choosing import lighting_model
 from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.networks.graphs import LightingGraphs, part_files, part_folder
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.panorama.blend import PanoramaState
-from roomlight.engine.preparation import PreparedFrame, at_working_size
+from roomlight.engine.preparation import at_working_size, restored
 from roomlight.engine.probe import Probe
 from roomlight.engine.room import BACK_MARGIN, MOST_LEFT, AnyRoom, Room, RoomView, room_at
 from roomlight.engine.session_view import SessionView
@@ -39,6 +39,7 @@ from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Sglv, check_position
 from roomlight.errors import FrameError, ProbeError, StateError
+from roomlight.files import write_durable
 from roomlight.frame import Frame
 from roomlight.light.light import Light
 from roomlight.rules import check_type
@@ -229,14 +230,16 @@ class Session:
             measured, depth_m = at_working_size(frame, options.unknown_depth)
             earlier = [] if self._room is None else [mesh for _, mesh in self._room.meshes]
             drift = self._drift.after(measured, depth_m, earlier)
-            prepared = PreparedFrame.of(drift.corrected(measured), depth_m, earlier, clipping=self._clipping)
-            room = self._room_of(prepared.frame)
+            prepared = restored(drift.corrected(measured), depth_m, earlier, clipping=self._clipping)
+            room = self._room_of(prepared)
         with clock.stage("volume"):
-            clipping = room.write_volume(prepared, options.unknown_depth)
+            # after completion ("rim") only pixels that the frame's mask leaves out are without depth
+            far = options.unknown_depth == "far" or (options.unknown_depth == "rim" and prepared.seen is None)
+            clipping = room.write_volume(prepared, far_unknown=far)
         with clock.stage("sglv"):
             room.volume.update(clipping)
         with clock.stage("mesh"):
-            mesh = prepared.mesh()
+            mesh = FrameMesh(prepared, sensor_depth_m=measured.depth_m, sensor_clipped=measured.clipped)
             mesh.gain = drift.gain
         number = max(frame.index, self._last_number + 1)  # a second recording may begin at 0 again
         with clock.stage("keyframes"):
@@ -289,7 +292,7 @@ class Session:
             others = self._left
         if present is not None:
             room.take_over(present.meshes)
-            self._left = (*others, present.left(self._new_probe))[-MOST_LEFT:]
+            self._left = (*others, present.left())[-MOST_LEFT:]
         self._room = room
         for handle, probe in self._probes.items():
             self._probes[handle] = probe.in_room(room_at(probe.position, self._rooms))
@@ -298,10 +301,6 @@ class Session:
     @property
     def _rooms(self) -> tuple[AnyRoom, ...]:
         return self._left if self._room is None else (*self._left, self._room)
-
-    def _new_probe(self) -> ProbeEstimator:
-        assert self._room is not None
-        return self._room.new_probe()
 
     def _push_to_probes(self, mesh: FrameMesh, clock: _Clock) -> None:
         """Blend the frame into every probe; many probes are computed side by side, on all cores."""
@@ -431,9 +430,10 @@ class Session:
         Raises:
             OutputError: The file cannot be written; a file that was there is unchanged.
         """
-        from roomlight.engine.state.session_file import write_session  # pydantic takes 0.1 s to import
+        from roomlight.engine.state.encoding import records_of_snapshot  # pydantic takes 0.1 s to import
+        from roomlight.engine.state.records import pack_records
 
-        write_session(Path(path), self.snapshot())
+        write_durable(Path(path), pack_records(records_of_snapshot(self.snapshot())))
 
     @classmethod
     def load(
@@ -450,10 +450,14 @@ class Session:
             StateError: The file is missing, damaged, of another version, or was saved with other options or weights.
             ModelError: The weights cannot be used.
         """
-        from roomlight.engine.state.session_file import read_session
+        from roomlight.engine.state.encoding import saved_session
 
         try:
-            return cls.from_snapshot(read_session(Path(path)), options, graphs=graphs)
+            file = Path(path).read_bytes()
+        except OSError as error:
+            raise StateError(f"{path}: cannot be read ({error.strerror or error})") from error
+        try:
+            return cls.from_snapshot(saved_session(file, str(path)).snapshot(), options, graphs=graphs)
         except StateError as error:
             raise error if str(path) in str(error) else StateError(f"{path}: {error}") from error
 
@@ -478,7 +482,7 @@ class Session:
         kept = {frame.index: frame.mesh for frame in snapshot.keyframes}
         self._drift = snapshot.drift
         self._remember_gain()
-        self._left = tuple(RoomView.of_snapshot(saved, kept, room.far, self._new_probe) for saved in snapshot.left)
+        self._left = tuple(RoomView.of_snapshot(saved, kept, room.far, room.new_probe) for saved in snapshot.left)
         keyframes = {index: kept[index] for index in snapshot.present}
         latest = None if snapshot.latest is None else (snapshot.latest.index, snapshot.latest.mesh)
         room.restore(snapshot.volume, keyframes, latest)

@@ -39,10 +39,10 @@ from roomlight.light.ktx2 import panorama_ktx2
 from roomlight.light.main_light import MainLight, TrackedLights, find_lights, no_light
 from roomlight.light.prefilter import SpecularMips, prefilter
 from roomlight.light.sources import (
-    ComputedOnce,
     FileFormat,
     FormReader,
     GivenPanorama,
+    LightPanorama,
     LightSource,
     LightUse,
     SavedFormat,
@@ -119,14 +119,9 @@ class Light:
         """Make a light from a panorama [H, 2H, 3] of both uses, from `forms` that a server sent, or from a `source`.
 
         Args:
-            position: world metres, y up.
             panorama: linear RGB for both uses.
             observed: 1 = observed, 0 = inferred, [H, 2H]; everything, unless given with the panorama.
             coverage: computed from `observed` unless given.
-            frame: index of the last frame that contributed.
-            name: of a tracked probe.
-            etag: a server's identity of this light.
-            forms: what a server sent.
             source: computes the panorama of each use once, when it is needed.
 
         Raises:
@@ -149,7 +144,7 @@ class Light:
         self.use: LightUse = "lighting"
         self._forms = forms
         self._source = source if panorama is None else GivenPanorama(panorama)
-        self._compute = None if self._source is None else ComputedOnce(self._source)
+        self._computed: dict[LightUse, LightPanorama] = {}  # copies of the light share what was computed and received
         self._received: dict[LightUse, Float[np.ndarray, "h w 3"]] = {}
         self._observed = observed
 
@@ -190,9 +185,16 @@ class Light:
         observed = b"" if self._observed is None else np.ascontiguousarray(self._observed).tobytes()
         return hashlib.sha256(self._source.digest().encode() + observed).hexdigest()[:24]
 
+    def _compute(self) -> LightPanorama | None:
+        """Return the panorama of this use, which the source computes once; None without a source."""
+        if self._source is not None and self.use not in self._computed:
+            self._computed[self.use] = self._source.panorama(self.use)
+        return self._computed.get(self.use)
+
     @property
     def _tracked(self) -> TrackedLights | None:
-        return None if self._compute is None else self._compute(self.use).tracked
+        computed = self._compute()
+        return None if computed is None else computed.tracked
 
     @property
     def is_prior(self) -> bool:
@@ -434,8 +436,9 @@ class Light:
         return None if panorama is None else to_png(panorama)
 
     def _find_panorama(self) -> Float[np.ndarray, "h w 3"] | None:
-        if self._compute is not None:
-            return self._compute(self.use).radiance
+        computed = self._compute()
+        if computed is not None:
+            return computed.radiance
         if self.use not in self._received and self._forms is not None:
             received = self._forms.panorama(self.use)
             if received is not None:

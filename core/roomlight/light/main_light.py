@@ -154,12 +154,7 @@ def relit(
 ) -> TrackedLights:
     """Return tracked lights as strong as another panorama of the same place has them.
 
-    Directions, sizes and numbers stay. Where a light was fading in or out, it fades as much in the other panorama.
-
-    Args:
-        tracked: lights followed in `before`.
-        before: linear RGB [H, 2H, 3].
-        after: the same place in other light, [H, 2H, 3].
+    Directions, sizes and numbers stay. Where a light was fading in or out in `before`, it fades as much in `after`.
     """
     seen, lit = Surroundings.of(before), Surroundings.of(after)
 
@@ -200,12 +195,6 @@ def without_lights(
     rest = np.maximum(panorama, 0).reshape(-1, 3).astype(np.float32)
     rest[pixels.index] *= np.maximum(kept, 0).astype(np.float32)
     return rest.reshape(panorama.shape), tuple(taken)
-
-
-def rank(lights: list[MainLight]) -> tuple[MainLight, ...]:
-    """Order lights by weight and number them."""
-    ordered = sorted(lights, key=lambda light: -light.weight)
-    return tuple(replace(light, number=number) for number, light in enumerate(ordered))
 
 
 @dataclass(frozen=True)
@@ -279,14 +268,17 @@ class Surroundings:
 
     def lights(self) -> tuple[MainLight, ...]:
         """Return up to `MAX_LIGHTS` lights, the strongest first."""
-        from roomlight.light.kernels.lobes import shift_to_centre  # numba: 0.5 s that clients without lights save
+        # numba: 0.5 s that clients without lights save
+        from roomlight.light.kernels.lobes import gather, shift_to_centre
 
         pixels, search = self.pixels, self.search
         cell = pixels.cell_of(search.rows)
         left = np.ones(len(cell))  # share of each pixel's light that no lobe has yet
         chosen: list[MainLight] = []
+        gathered = np.empty(len(search.kernel), np.float32)
         while len(cell) and len(chosen) < MAX_LIGHTS:
-            peak = search.brightest(np.bincount(cell, pixels.power * left, minlength=len(self.coarse)))
+            gather(search.kernel, np.bincount(cell, pixels.power * left, minlength=len(self.coarse)), gathered)
+            peak = search.rays[np.argmax(gathered)].astype(np.float64)
             near = left * (_along(pixels.rays, peak) > np.cos(np.radians(_NEAR_DEG)))
             centre = np.array(shift_to_centre(pixels.rays, pixels.power * near, peak, _KERNELS))
             light, share = _light_toward(pixels, near, centre)
@@ -296,7 +288,8 @@ class Surroundings:
                 break
             chosen.append(replace(light, shadow_strength=self.shadow_strength(light)))
             left -= share
-        return rank(chosen)
+        ordered = sorted(chosen, key=lambda light: -light.weight)
+        return tuple(replace(light, number=number) for number, light in enumerate(ordered))
 
     def light(self, direction: Float[np.ndarray, "3"]) -> MainLight:
         """Return the light about a direction, in exactly that direction; it has no number."""
@@ -310,7 +303,9 @@ class Surroundings:
 
     def shadow_strength(self, light: MainLight) -> float:
         """Return the light's share of the irradiance on a surface that faces it."""
-        return self.search.shadow_strength(light, self.coarse)
+        facing = np.maximum(_along(self.search.rays, light.direction.astype(np.float32)), 0)
+        irradiance = float(np.einsum("i,i,i->", self.coarse, self.search.solid_angle, facing))
+        return min(float(light.intensity @ LUMINANCE) / max(irradiance, 1e-30), 1.0)
 
 
 @dataclass(frozen=True)
@@ -330,20 +325,6 @@ class Search:
         solid_angle = np.repeat(panorama_solid_angles(rows)[:, 0], 2 * rows)
         kernel = np.exp((rays @ rays.T - 1) / np.float32(_KERNELS[0] ** 2))
         return Search(rows, kernel, solid_angle, rays)
-
-    def brightest(self, power: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3"]:
-        """Return the direction about which the most power lies."""
-        from roomlight.light.kernels.lobes import gather
-
-        gathered = np.empty(len(self.kernel), np.float32)
-        gather(self.kernel, power, gathered)
-        return self.rays[np.argmax(gathered)].astype(np.float64)
-
-    def shadow_strength(self, light: MainLight, luminance: Float[np.ndarray, " n"]) -> float:
-        """Return the light's share of the irradiance on a surface that faces it; `luminance` of all directions."""
-        facing = np.maximum(_along(self.rays, light.direction.astype(np.float32)), 0)
-        irradiance = float(np.einsum("i,i,i->", luminance, self.solid_angle, facing))
-        return min(float(light.intensity @ LUMINANCE) / max(irradiance, 1e-30), 1.0)
 
 
 def _light_toward(

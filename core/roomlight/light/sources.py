@@ -94,20 +94,6 @@ class LightSource(Protocol):
         ...
 
 
-class ComputedOnce:
-    """The panoramas of a source, each computed when it is first asked for; pickles with those that are."""
-
-    def __init__(self, source: LightSource) -> None:
-        self._source = source
-        self._made: dict[LightUse, LightPanorama] = {}
-
-    def __call__(self, use: LightUse) -> LightPanorama:
-        """Return the panorama of a use."""
-        if use not in self._made:
-            self._made[use] = self._source.panorama(use)
-        return self._made[use]
-
-
 @dataclass(frozen=True, eq=False)
 class GivenPanorama:
     """A panorama that is used for everything."""

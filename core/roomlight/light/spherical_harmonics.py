@@ -6,12 +6,12 @@ Each basis function has unit norm over the sphere.
 | phase            | basis                                                | who uses it                             |
 |------------------|------------------------------------------------------|-----------------------------------------|
 | condon-shortley  | functions of odd m are negative: -y, z, -x, xy, -yz, | ARCore (its sample shader multiplies by |
-|                  | 3z2-1, -xz, x2-y2                                    | -0.325735 for C1-1), WebXR on ARCore    |
-| positive         | all of them positive: y, z, x, xy, yz, 3z2-1, xz, .. | three.js `SphericalHarmonics3`          |
+|                  | 3z2-1, -xz, x2-y2                                    | -0.325735 for C1-1), Filament           |
+| positive         | all of them positive: y, z, x, xy, yz, 3z2-1, xz, .. | three.js, ARCore's SDK for Unity        |
 
 | quantity    | evaluating it gives                                                                              |
 |-------------|--------------------------------------------------------------------------------------------------|
-| radiance    | the light from a direction, un-convolved (ARCore, WebXR)                                         |
+| radiance    | the light from a direction, un-convolved (ARCore)                                                |
 | irradiance  | the light on a surface facing a direction, pi in constant radiance 1 (three.js `LightProbe` does |
 |             | this itself by `shGetIrradianceAt`, so give it radiance)                                         |
 
@@ -166,39 +166,31 @@ def project(
         ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
     """
     panorama = check_panorama(panorama)
-    plan = _Projection.of_height(panorama.shape[0])
-    per_row = plan.azimuths @ panorama  # [h 5 3]: five trigonometric moments a row
-    sums = plan.rows @ per_row.reshape(-1, 3).astype(np.float64)
-    total = SphericalHarmonics(plan.inverse_gram @ sums, "positive").with_phase(phase)
+    azimuths, rows, inverse_gram = _factors(panorama.shape[0])
+    per_row = azimuths @ panorama  # [h 5 3]: five trigonometric moments a row
+    sums = rows @ per_row.reshape(-1, 3).astype(np.float64)
+    total = SphericalHarmonics(inverse_gram @ sums, "positive").with_phase(phase)
     if kind == "total":
         return total
     return total.without(light or main_light(panorama))
 
 
-@dataclass(frozen=True)
-class _Projection:
-    """basis x solid angle of every pixel, factored: rows [9, h * 5] x azimuths [5, 2h]."""
-
-    azimuths: Float[np.ndarray, "5 w"]
-    rows: Float[np.ndarray, "9 h5"]
-    inverse_gram: Float[np.ndarray, "9 9"]
-
-    @staticmethod
-    @lru_cache(maxsize=8)
-    def of_height(height: int) -> "_Projection":
-        few = (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
-        polar = (np.arange(height) + 0.5) / height
-        u, v = np.meshgrid(few, polar)
-        values = basis(uv_to_direction(np.stack([u, v], axis=-1).reshape(-1, 2)), phase="positive")
-        moments = _trigonometric((few - 0.5) * 2 * np.pi)
-        moments /= (moments**2).sum(axis=1, keepdims=True)
-        per_row = np.einsum("jik,mi->kjm", values.reshape(height, _AZIMUTHS, 9), moments)  # [9 h 5]
-        solid_angle = panorama_solid_angles(height).astype(np.float64)
-        longitudes = (np.arange(2 * height) + 0.5) / (2 * height)
-        azimuths = _trigonometric((longitudes - 0.5) * 2 * np.pi)
-        weighted = per_row * solid_angle
-        gram = np.einsum("ajm,bjn,mn->ab", weighted, per_row, azimuths @ azimuths.T)
-        return _Projection(azimuths.astype(np.float32), weighted.reshape(9, -1), np.linalg.inv(gram))
+@lru_cache(maxsize=8)
+def _factors(height: int) -> tuple[Float[np.ndarray, "5 w"], Float[np.ndarray, "9 h5"], Float[np.ndarray, "9 9"]]:
+    """Return basis x solid angle of pixels as azimuths [5, 2h] and rows [9, h * 5], and the inverse Gram matrix."""
+    few = (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
+    polar = (np.arange(height) + 0.5) / height
+    u, v = np.meshgrid(few, polar)
+    values = basis(uv_to_direction(np.stack([u, v], axis=-1).reshape(-1, 2)), phase="positive")
+    moments = _trigonometric((few - 0.5) * 2 * np.pi)
+    moments /= (moments**2).sum(axis=1, keepdims=True)
+    per_row = np.einsum("jik,mi->kjm", values.reshape(height, _AZIMUTHS, 9), moments)  # [9 h 5]
+    solid_angle = panorama_solid_angles(height).astype(np.float64)
+    longitudes = (np.arange(2 * height) + 0.5) / (2 * height)
+    azimuths = _trigonometric((longitudes - 0.5) * 2 * np.pi)
+    weighted = per_row * solid_angle
+    gram = np.einsum("ajm,bjn,mn->ab", weighted, per_row, azimuths @ azimuths.T)
+    return azimuths.astype(np.float32), weighted.reshape(9, -1), np.linalg.inv(gram)
 
 
 def _trigonometric(azimuth: Float[np.ndarray, " n"]) -> Float[np.ndarray, "5 n"]:

@@ -14,7 +14,7 @@ from roomlight.frame import Frame, clipped_pixels, hidden
 from roomlight.images import ColourImage, decode_depth, decode_grey8, decode_picture
 from roomlight.imaging.heic import heic_available, heic_size
 from roomlight.wire.frame_header import DEPTH_BYTES, ConfidencePart, DepthPart, FrameHeader
-from roomlight.wire.frame_message import FrameMessage
+from roomlight.wire.frame_message import FrameMessage, bad_frame
 
 
 def decode_frame(
@@ -36,7 +36,7 @@ def decode_frame(
     if picture.seen is not None and message.header.colour.encoding != "linear_f32":
         image, depth_m = hidden(image, depth_m, picture.seen)
         if message.depth is not None and not depth_m.any():
-            raise _error("depth", "0 pixels", "at least one pixel that is opaque must have a known depth")
+            raise bad_frame("depth", "0 pixels", "at least one pixel that is opaque must have a known depth")
     try:
         return Frame(
             index=index,
@@ -52,7 +52,7 @@ def decode_frame(
             depth_estimated=message.depth_estimated,
         )
     except RoomLightError as error:
-        raise WireError("bad-frame", field="colour", value=message.header.colour.encoding, rule=str(error)) from error
+        raise bad_frame("colour", message.header.colour.encoding, str(error)) from error
 
 
 def is_auto_exposed(header: FrameHeader) -> bool:
@@ -74,7 +74,7 @@ def _colour(message: FrameMessage) -> ColourImage:
         return ColourImage(srgb8_to_linear(rgb), clipped_pixels(rgb))
     if encoding == "heic" and not heic_available():
         rule = "the server has no HEIC decoder (pip install 'roomlight[heic]'); send jpeg or png"
-        raise _error("colour.encoding", "heic", rule)
+        raise bad_frame("colour.encoding", "heic", rule)
     try:
         if encoding == "heic":  # its size is known before any pixel is decoded
             _check_size(heic_size(bytes(data), "the image"), (width, height))
@@ -83,7 +83,7 @@ def _colour(message: FrameMessage) -> ColourImage:
     except WireError:
         raise
     except RoomLightError as error:
-        raise _error("colour", f"{len(data)} bytes of {encoding}", str(error)) from error
+        raise bad_frame("colour", f"{len(data)} bytes of {encoding}", str(error)) from error
     _check_size(picture.image.shape[1::-1], (width, height))
     return picture
 
@@ -91,7 +91,7 @@ def _colour(message: FrameMessage) -> ColourImage:
 def _check_size(size: tuple[int, ...], stated: tuple[int, int]) -> None:
     if size != stated:
         rule = f"the image must have the size stated in the header, {stated[0]} x {stated[1]}"
-        raise _error("colour", f"{size[0]} x {size[1]}", rule)
+        raise bad_frame("colour", f"{size[0]} x {size[1]}", rule)
 
 
 def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh dw"]:
@@ -102,7 +102,7 @@ def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh 
         try:
             depth_m = decode_depth(bytes(data), "the depth map", unit_m=0.001)
         except RoomLightError as error:
-            raise _error("depth", f"{len(data)} bytes of png", str(error)) from error
+            raise bad_frame("depth", f"{len(data)} bytes of png", str(error)) from error
     else:
         raw = _plane(part, data, DEPTH_BYTES[part.format], "depth")
         if part.format == "uint16_mm":
@@ -117,24 +117,24 @@ def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh 
         return depth_m
     confidence = _confidence(message.header.confidence, message.confidence)
     if (highest := confidence.max()) > 2:
-        raise _error("confidence", f"a pixel of {highest}", "each pixel must be 0 (low), 1 (medium) or 2 (high)")
+        raise bad_frame("confidence", f"a pixel of {highest}", "each pixel must be 0 (low), 1 (medium) or 2 (high)")
     trusted = np.where(confidence >= min_confidence, depth_m, np.float32(0))
     if not trusted.any():
         rule = f"at least one pixel with known depth must have a confidence of {min_confidence} or more"
-        raise _error("confidence", f"at most {confidence.max()}", rule)
+        raise bad_frame("confidence", f"at most {confidence.max()}", rule)
     return trusted
 
 
 def _check_median(depth_m: Float32[np.ndarray, "h w"], unit: str) -> None:
     known, (low, high) = np.count_nonzero(depth_m), DEPTH_MEDIAN_M
     if not known:
-        raise _error("depth", "0 known pixels", "at least one pixel must have a known depth")
+        raise bad_frame("depth", "0 known pixels", "at least one pixel must have a known depth")
     if 2 * np.count_nonzero((depth_m >= low) & (depth_m <= high)) > known:
         return  # the median is between these, and takes 1 ms
     median_m = float(np.median(depth_m[depth_m > 0]))
     if not low <= median_m <= high:
         rule = f"must be {low:g} to {high:g} m; check that the unit is that of {unit}"
-        raise _error("depth", f"a median of {median_m:.4g} m", rule)
+        raise bad_frame("depth", f"a median of {median_m:.4g} m", rule)
 
 
 def _confidence(part: ConfidencePart, data: memoryview) -> UInt8[np.ndarray, "h w"]:
@@ -143,7 +143,7 @@ def _confidence(part: ConfidencePart, data: memoryview) -> UInt8[np.ndarray, "h 
     try:
         return decode_grey8(bytes(data), "the confidence map")
     except RoomLightError as error:
-        raise _error("confidence", f"{len(data)} bytes of png", str(error)) from error
+        raise bad_frame("confidence", f"{len(data)} bytes of png", str(error)) from error
 
 
 def _plane(part: DepthPart | ConfidencePart, data: memoryview, item: int, field: str) -> bytes | memoryview:
@@ -156,11 +156,7 @@ def _plane(part: DepthPart | ConfidencePart, data: memoryview, item: int, field:
         decompressor = zstandard.ZstdDecompressor(max_window_size=2**23)
         raw = decompressor.decompress(data, max_output_size=size, allow_extra_data=False)
     except (zstandard.ZstdError, MemoryError) as error:
-        raise _error(field, f"{len(data)} bytes of zstd", f"must decompress to {size} bytes ({error})") from error
+        raise bad_frame(field, f"{len(data)} bytes of zstd", f"must decompress to {size} bytes ({error})") from error
     if len(raw) != size:
-        raise _error(field, f"{len(raw)} bytes decompressed", f"must be {size}")
+        raise bad_frame(field, f"{len(raw)} bytes decompressed", f"must be {size}")
     return raw
-
-
-def _error(field: str, value: object, rule: str) -> WireError:
-    return WireError("bad-frame", field=field, value=value, rule=rule)

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import linear_to_srgb8
-from roomlight.errors import OptionError, WireError
+from roomlight.errors import OptionError
 from roomlight.frame import Frame
 from roomlight.wire.frame_header import (
     ColourEncoding,
@@ -26,7 +26,7 @@ from roomlight.wire.frame_header import (
     TrackingState,
     WireIntrinsics,
 )
-from roomlight.wire.frame_message import UNLIMITED, column_major, pack, parse, to_wire_error
+from roomlight.wire.frame_message import UNLIMITED, bad_frame, column_major, pack, parse, to_wire_error
 
 FrameEncoding = Literal["exact", "jpeg", "png"]
 """Encoding of a `Frame`.
@@ -75,18 +75,18 @@ class CameraFrame:
     depth_estimated: bool = False
 
 
-def pack_camera_frame(frame: CameraFrame) -> bytes:
-    """Encode a camera's frame as a message; an image file is sent unchanged.
+def pack_camera_frame(frame: CameraFrame, index: int | None = None) -> bytes:
+    """Encode a camera's frame as a message, which states the index if one is given; an image file is sent unchanged.
 
     Raises:
         WireError: If the frame is invalid: no server would accept it.
     """
     encoding, colour = _camera_colour(frame)
-    return _message(frame, encoding, colour)
+    return _message(frame, encoding, colour, index)
 
 
-def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
-    """Encode a RoomLight frame of linear radiance as a message.
+def pack_frame(frame: Frame, index: int | None = None, *, colour: FrameEncoding = "exact") -> bytes:
+    """Encode a RoomLight frame of linear radiance as a message, which states the index if one is given.
 
     Raises:
         OptionError: If `colour` is none of these encodings.
@@ -95,7 +95,7 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
     if colour not in get_args(FrameEncoding):
         raise OptionError(f"colour must be one of {', '.join(get_args(FrameEncoding))}; got {colour!r}")
     if colour == "exact":
-        return _pack_exact(frame)
+        return _pack_exact(frame, index)
     small = frame.resized(*PHONE_SIZE)
     exposure, depth_m = _exposure(frame), _known_depth(small, frame)
     srgb8 = linear_to_srgb8(small.image * np.float32(exposure))
@@ -106,7 +106,7 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
         suffix, options = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     ok, data = cv2.imencode(suffix, np.ascontiguousarray(pixels), options)
     if not ok:
-        raise WireError("bad-frame", field="colour", value=srgb8.shape, rule=f"must encode as {colour}")
+        raise bad_frame("colour", srgb8.shape, f"must encode as {colour}")
     return pack_camera_frame(
         CameraFrame(
             colour=data.tobytes(),
@@ -117,11 +117,12 @@ def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
             exposure=exposure,
             auto_exposed=None if frame.auto_exposed == (exposure == 1.0) else frame.auto_exposed,
             depth_estimated=frame.depth_estimated,
-        )
+        ),
+        index,
     )
 
 
-def _pack_exact(frame: Frame) -> bytes:
+def _pack_exact(frame: Frame, index: int | None) -> bytes:
     """Encode colour and depth as float32: the server decodes this frame at the working size, bit for bit."""
     small = frame.resized(*EXACT_SIZE)
     marks = small.clipped.astype(np.uint8)
@@ -137,7 +138,7 @@ def _pack_exact(frame: Frame) -> bytes:
         auto_exposed=frame.auto_exposed or None,
         depth_estimated=frame.depth_estimated,
     )
-    return _message(camera, "linear_f32", colour)
+    return _message(camera, "linear_f32", colour, index)
 
 
 def _known_depth(small: Frame, frame: Frame) -> Float[np.ndarray, "dh dw"] | None:
@@ -145,22 +146,17 @@ def _known_depth(small: Frame, frame: Frame) -> Float[np.ndarray, "dh dw"] | Non
     return small.depth_m if small.depth_m.any() else frame.depth_m if frame.depth_m.any() else None
 
 
-def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes) -> bytes:
+def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes, index: int | None) -> bytes:
     """Join header and parts, and check them with the server's own parser before anything is sent."""
-    depth, depth_part = None, None
-    if frame.depth is not None:
-        depth_format, depth = _depth(frame.depth)
-        width, height = _size(frame.depth, "depth")
-        depth_part = {"format": depth_format, "encoding": "zstd", "bytes": len(depth), "width": width, "height": height}
-        if frame.depth_estimated:
-            depth_part["estimated"] = True
-    confidence = None if frame.confidence is None else _compressed(frame.confidence)
     k = frame.intrinsics
     try:
+        depth_part, depth = _depth(frame)
+        confidence_part, confidence = _confidence(frame)
         header = FrameHeader(
+            index=index,
             colour=ColourPart(encoding=encoding, bytes=len(colour)),
-            depth=None if depth_part is None else DepthPart.model_validate(depth_part),
-            confidence=_confidence_part(frame, confidence),
+            depth=depth_part,
+            confidence=confidence_part,
             intrinsics=WireIntrinsics(
                 fx=float(k.fx), fy=float(k.fy), cx=float(k.cx), cy=float(k.cy), width=k.width, height=k.height
             ),
@@ -177,18 +173,19 @@ def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes) -> byt
     return body
 
 
-def _confidence_part(frame: CameraFrame, data: bytes | None) -> ConfidencePart | None:
-    if frame.confidence is None or data is None:
-        return None
+def _confidence(frame: CameraFrame) -> tuple[ConfidencePart | None, bytes | None]:
+    if frame.confidence is None:
+        return None, None
     if frame.confidence.dtype != np.uint8:
-        raise WireError("bad-frame", field="confidence", value=frame.confidence.dtype.name, rule="must be uint8")
+        raise bad_frame("confidence", frame.confidence.dtype.name, "must be uint8")
     width, height = _size(frame.confidence, "confidence")
-    return ConfidencePart(encoding="zstd", width=width, height=height, bytes=len(data))
+    data = _compressed(frame.confidence)
+    return ConfidencePart(encoding="zstd", width=width, height=height, bytes=len(data)), data
 
 
 def _size(plane: Shaped[np.ndarray, "..."], field: str) -> tuple[int, int]:
     if plane.ndim != 2:
-        raise WireError("bad-frame", field=field, value=f"shape {plane.shape}", rule="must be an array [h, w]")
+        raise bad_frame(field, f"shape {plane.shape}", "must be an array [h, w]")
     return plane.shape[1], plane.shape[0]
 
 
@@ -197,7 +194,7 @@ def _camera_colour(frame: CameraFrame) -> tuple[ColourEncoding, bytes]:
         height, width = frame.colour.shape[:2]
         if (width, height) != (frame.intrinsics.width, frame.intrinsics.height):
             rule = f"the image must have the intrinsics' size, {frame.intrinsics.width} x {frame.intrinsics.height}"
-            raise WireError("bad-frame", field="colour", value=f"{width} x {height}", rule=rule)
+            raise bad_frame("colour", f"{width} x {height}", rule)
         return "rgb8", np.ascontiguousarray(frame.colour).tobytes()
     if frame.colour[:3] == b"\xff\xd8\xff":
         return "jpeg", frame.colour
@@ -206,21 +203,28 @@ def _camera_colour(frame: CameraFrame) -> tuple[ColourEncoding, bytes]:
     if frame.colour[4:8] == b"ftyp":
         return "heic", frame.colour
     rule = "must be the bytes of a JPEG, PNG or HEIC file, or a uint8 array [h, w, 3]"
-    raise WireError("bad-frame", field="colour", value=f"bytes that begin with {frame.colour[:8].hex()}", rule=rule)
+    raise bad_frame("colour", f"bytes that begin with {frame.colour[:8].hex()}", rule)
 
 
-def _depth(depth: Shaped[np.ndarray, "..."]) -> tuple[DepthFormat, bytes]:
+def _depth(frame: CameraFrame) -> tuple[DepthPart | None, bytes | None]:
+    if frame.depth is None:
+        return None, None
     formats: dict[str, tuple[DepthFormat, str]] = {
         "uint16": ("uint16_mm", "<u2"),
         "float16": ("float16_m", "<f2"),
         "float32": ("float32_m", "<f4"),
         "float64": ("float32_m", "<f4"),
     }
-    if depth.dtype.name not in formats:
+    if frame.depth.dtype.name not in formats:
         rule = "must be uint16 (millimetres), float16 or float32 (metres)"
-        raise WireError("bad-frame", field="depth", value=depth.dtype.name, rule=rule)
-    depth_format, stored = formats[depth.dtype.name]
-    return depth_format, _compressed(depth.astype(stored))
+        raise bad_frame("depth", frame.depth.dtype.name, rule)
+    depth_format, stored = formats[frame.depth.dtype.name]
+    width, height = _size(frame.depth, "depth")
+    data, estimated = _compressed(frame.depth.astype(stored)), frame.depth_estimated or None
+    part = DepthPart(
+        format=depth_format, encoding="zstd", width=width, height=height, bytes=len(data), estimated=estimated
+    )
+    return part, data
 
 
 def _compressed(plane: Shaped[np.ndarray, "..."]) -> bytes:

@@ -80,7 +80,7 @@ def pack(header: FrameHeader, colour: bytes, depth: bytes | None = None, confide
             parts.append((name, 0 if part is None else part.bytes, given or b""))
     for name, stated, part in parts:
         if stated != len(part):
-            raise _error(f"{name}.bytes", stated, f"must be the length of the part, {len(part)}")
+            raise bad_frame(f"{name}.bytes", stated, f"must be the length of the part, {len(part)}")
     text = json.dumps(
         _integral_as_int(header.model_dump(exclude_none=True)), sort_keys=True, separators=(",", ":")
     ).encode()
@@ -104,7 +104,7 @@ def parse(body: bytes, limits: FrameLimits | None = None) -> FrameMessage:
     stated = [part.bytes if part else 0 for part in (header.colour, header.depth, header.confidence)]
     if sum(stated) != len(body) - start:
         rule = f"colour.bytes + depth.bytes + confidence.bytes must be the {len(body) - start} bytes after the header"
-        raise _error("", sum(stated), rule)
+        raise bad_frame("", sum(stated), rule)
     colour = view[start : start + stated[0]]
     depth = view[start + stated[0] : start + stated[0] + stated[1]] if header.depth else None
     confidence = view[start + stated[0] + stated[1] :] if header.confidence else None
@@ -163,19 +163,20 @@ def _value_text(value: object) -> str:
     return repr(value[:100]) if isinstance(value, str | bytes) else repr(value)[:100]
 
 
-def _error(field: str, value: object, rule: str) -> WireError:
+def bad_frame(field: str, value: object, rule: str) -> WireError:
+    """Return the error of a frame's message that is refused."""
     return WireError("bad-frame", field=field, value=value, rule=rule)
 
 
 def _read_header(body: bytes) -> tuple[FrameHeader, int]:
     if len(body) < _PREFIX.size:
-        raise _error("", f"{len(body)} bytes", "must begin with RLF1 and the length of the header")
+        raise bad_frame("", f"{len(body)} bytes", "must begin with RLF1 and the length of the header")
     magic, length = _PREFIX.unpack_from(body)
     if magic != MAGIC:
-        raise _error("magic", magic.hex(), f"must be {MAGIC.hex()} (RLF1)")
+        raise bad_frame("magic", magic.hex(), f"must be {MAGIC.hex()} (RLF1)")
     if not 2 <= length <= min(MAX_HEADER_BYTES, len(body) - _PREFIX.size):
         rule = f"must be 2 to {MAX_HEADER_BYTES}, and the header must end inside the message of {len(body)} bytes"
-        raise _error("header length", length, rule)
+        raise bad_frame("header length", length, rule)
     start = _PREFIX.size + length
     try:
         return FrameHeader.model_validate_json(bytes(body[_PREFIX.size : start])), start
@@ -189,7 +190,7 @@ def _intrinsics(header: FrameHeader) -> Intrinsics:
         return Intrinsics(k.fx, k.fy, k.cx, k.cy, k.width, k.height)
     except ValueError as error:
         given = f"fx {k.fx:g}, fy {k.fy:g}, cx {k.cx:g}, cy {k.cy:g} for {k.width} x {k.height}"
-        raise _error("intrinsics", given, str(error)) from error
+        raise bad_frame("intrinsics", given, str(error)) from error
 
 
 def _pose(header: FrameHeader) -> Float[np.ndarray, "4 4"]:
@@ -200,11 +201,11 @@ def _pose(header: FrameHeader) -> Float[np.ndarray, "4 4"]:
                 raise ValueError("the pose contains numbers above 1e9")
             pose = check_rigid(pose)
         except ValueError as error:
-            columns = "x axis, y axis, z axis, position, with fourth components 0 0 0 1"
-            raise _error("camera_to_world", header.camera_to_world, f"{error}; expected columns: {columns}") from error
+            rule = f"{error}; expected columns: x axis, y axis, z axis, position, with fourth components 0 0 0 1"
+            raise bad_frame("camera_to_world", header.camera_to_world, rule) from error
     far_m = float(np.abs(pose[:3, 3]).max())
     if far_m > MAX_POSITION_M:
-        raise _error("camera_to_world", f"{far_m:g} m", f"at most {MAX_POSITION_M:g} m from the origin")
+        raise bad_frame("camera_to_world", f"{far_m:g} m", f"at most {MAX_POSITION_M:g} m from the origin")
     return pose
 
 
@@ -217,19 +218,19 @@ def _check_sizes(header: FrameHeader, limits: FrameLimits) -> None:
         if width * height > most:
             raise WireError("too-large", field=field, value=f"{width} x {height}", rule=f"at most {most} pixels")
         if min(width, height) < 2:
-            raise _error(field, f"{width} x {height}", "at least 2 x 2 pixels")
+            raise bad_frame(field, f"{width} x {height}", "at least 2 x 2 pixels")
     if depth is None:
         if confidence is not None:
-            raise _error("confidence", f"{confidence.width} x {confidence.height}", "must come with depth")
+            raise bad_frame("confidence", f"{confidence.width} x {confidence.height}", "must come with depth")
         return
     if abs(depth.width / depth.height - k.width / k.height) > ASPECT_TOLERANCE * k.width / k.height:
         rule = f"must have the aspect of the image, {k.width} x {k.height}"
-        raise _error("depth", f"{depth.width} x {depth.height}", rule)
+        raise bad_frame("depth", f"{depth.width} x {depth.height}", rule)
     if confidence is not None and (confidence.width, confidence.height) != (depth.width, depth.height):
         rule = f"must have the depth's size, {depth.width} x {depth.height}"
-        raise _error("confidence", f"{confidence.width} x {confidence.height}", rule)
+        raise bad_frame("confidence", f"{confidence.width} x {confidence.height}", rule)
     if depth.encoding == "png" and depth.format != "uint16_mm":
-        raise _error("depth.encoding", f"png with {depth.format}", "png encodes uint16_mm only; use raw or zstd")
+        raise bad_frame("depth.encoding", f"png with {depth.format}", "png encodes uint16_mm only; use raw or zstd")
 
 
 def _check_colour(header: FrameHeader, colour: memoryview) -> None:
@@ -237,40 +238,40 @@ def _check_colour(header: FrameHeader, colour: memoryview) -> None:
     raw = {"rgb8": 3, "linear_f32": 13}.get(encoding)
     if raw is not None and len(colour) != raw * k.width * k.height:
         rule = f"{encoding} of {k.width} x {k.height} must have {raw * k.width * k.height} bytes"
-        raise _error("colour.bytes", len(colour), rule)
+        raise bad_frame("colour.bytes", len(colour), rule)
     if encoding in ("jpeg", "png"):
         _check_image(colour, encoding, (k.width, k.height), "colour")
     if encoding == "heic" and bytes(colour[4:8]) != b"ftyp":
-        raise _error("colour", bytes(colour[:8]).hex(), "a HEIC file must have `ftyp` at byte 4")
+        raise bad_frame("colour", bytes(colour[:8]).hex(), "a HEIC file must have `ftyp` at byte 4")
 
 
 def _check_plane(part: DepthPart | ConfidencePart, data: memoryview, item: int, field: str) -> None:
     """Check the bytes of a depth or confidence part without decoding them."""
     raw = part.width * part.height * item
     if part.encoding == "raw" and len(data) != raw:
-        raise _error(f"{field}.bytes", len(data), f"{part.format} of {part.width} x {part.height} must have {raw}")
+        raise bad_frame(f"{field}.bytes", len(data), f"{part.format} of {part.width} x {part.height} must have {raw}")
     if part.encoding == "png":
         _check_image(data, "png", (part.width, part.height), field)
     if part.encoding == "zstd":
         try:
             content = zstandard.get_frame_parameters(data).content_size
         except zstandard.ZstdError as error:
-            raise _error(field, bytes(data[:4]).hex(), f"must be a zstd frame ({error})") from error
+            raise bad_frame(field, bytes(data[:4]).hex(), f"must be a zstd frame ({error})") from error
         if content not in (raw, zstandard.CONTENTSIZE_UNKNOWN):
-            raise _error(field, f"{content} bytes decompressed", f"{part.width} x {part.height} must have {raw}")
+            raise bad_frame(field, f"{content} bytes decompressed", f"{part.width} x {part.height} must have {raw}")
 
 
 def _check_image(data: memoryview, encoding: str, size: tuple[int, int], field: str) -> None:
     magic = {"jpeg": b"\xff\xd8\xff", "png": b"\x89PNG\r\n\x1a\n"}[encoding]
     if bytes(data[: len(magic)]) != magic:
-        raise _error(field, bytes(data[: len(magic)]).hex(), f"a {encoding} file must begin with {magic.hex()}")
+        raise bad_frame(field, bytes(data[: len(magic)]).hex(), f"a {encoding} file must begin with {magic.hex()}")
     try:
         image_size = peek_size(bytes(data), field)
     except ImageError as error:
-        raise _error(field, f"{len(data)} bytes", str(error)) from error
+        raise bad_frame(field, f"{len(data)} bytes", str(error)) from error
     if image_size != size:
         rule = f"the image must have the size stated in the header, {size[0]} x {size[1]}"
-        raise _error(field, f"{image_size[0]} x {image_size[1]}", rule)
+        raise bad_frame(field, f"{image_size[0]} x {image_size[1]}", rule)
 
 
 def _integral_as_int(value: Any) -> Any:

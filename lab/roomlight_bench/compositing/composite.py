@@ -60,11 +60,8 @@ class CompositeSize:
     """Sizes of a run; the defaults are a phone's.
 
     Attributes:
-        width: Columns of the composited frames.
-        height: Rows of the composited frames.
-        depth: Columns and rows of their depth.
+        depth: Columns and rows.
         keyframes: Frames of a turn of the camera, from which the session knows the room.
-        panorama_height: Rows of the session's panoramas.
     """
 
     width: int = 640
@@ -98,8 +95,6 @@ def run_composite(
     Args:
         frames: Measured frames of a preview; the slower presets take fewer.
         final: Also measure `final`.
-        progress: Called with what is being measured.
-        size: Sizes of frames and panoramas.
 
     Raises:
         OptionError: `frames` is less than 1.

@@ -41,11 +41,7 @@ class PresetTimes:
     """One object in one preset.
 
     Attributes:
-        preset: Quality.
-        object: Name of the object.
-        triangles: Triangles of the object.
         pixels: Pixels that show the object, mean.
-        parts: Every part of a frame.
         whole: Their sum, frame by frame.
         volume_ms: Median of the engine's stage `volume` in between: time passed, processor time.
         frames: Measured frames.
@@ -66,11 +62,9 @@ class CompositeReport:
     """All figures of a run.
 
     Attributes:
-        times: A row per preset and object.
         denoiser: "oidn" if Open Image Denoise is installed, which `final` uses; else "none".
         image: Columns and rows of a frame.
         depth: Columns and rows of its depth.
-        machine: What the figures depend on besides the code.
     """
 
     times: tuple[PresetTimes, ...]

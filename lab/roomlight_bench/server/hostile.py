@@ -85,16 +85,6 @@ class HostileOptions:
                 raise OptionError(f"attacks holds {attack!r}; it must be one of {', '.join(ATTACKS)}")
         object.__setattr__(self, "attacks", self.attacks or tuple(ATTACKS))
 
-    @property
-    def alone_s(self) -> float:
-        """Seconds of the neighbour alone."""
-        return 12.0 * self.minutes
-
-    @property
-    def attack_s(self) -> float:
-        """Seconds of each attack."""
-        return 48.0 * self.minutes / len(self.attacks)
-
 
 def run_hostile(options: HostileOptions, *, progress: ProgressCallback | None = None) -> HostileReport:
     """Measure the neighbour alone and during each attack.
@@ -133,8 +123,8 @@ def run_hostile(options: HostileOptions, *, progress: ProgressCallback | None = 
 
         for target in {server, secure}:  # code that is loaded once is no growth
             _warm_up(target, bodies[0], probe, neighbour)
-        alone = measured("alone", options.alone_s)
-        attacks = [measured(attack, options.attack_s) for attack in options.attacks]
+        alone = measured("alone", 12.0 * options.minutes)
+        attacks = [measured(attack, 48.0 * options.minutes / len(options.attacks)) for attack in options.attacks]
         churn: list[tuple[float, int]] = []
         plain = [attack for attack in options.attacks if attack not in TLS_ATTACKS]
         start_s = time.monotonic()
@@ -158,13 +148,17 @@ def _warm_up(server: ServerProcess, body: bytes, probe: Position, token: str) ->
     """Make a composite of each quality, whose code and kernels then stay in the server's memory."""
     place = {"shape": "sphere", "size_m": 0.2, "position": probe, "material": {"kind": "glass"}}
     verify: Any = True if server.tls is None else server.tls
-    with httpx.Client(base_url=server.url, headers={"Authorization": f"Bearer {token}"}, verify=verify) as client:
+    access = {"Authorization": f"Bearer {token}"}
+    with httpx.Client(base_url=server.url, headers=access, verify=verify, timeout=600) as client:
         path = "/v1/sessions/warm"
         client.put(path, json={"model": "classical"}).raise_for_status()
-        client.put(f"{path}/frames/0", content=body, headers={"Content-Type": FRAME_MEDIA_TYPE}, timeout=120)
+        client.put(f"{path}/frames/0", content=body, headers={"Content-Type": FRAME_MEDIA_TYPE})
         for quality in ("preview", "good"):
             request = {"objects": [place], "quality": quality}
-            client.post(f"{path}/composite", json=request, timeout=120).raise_for_status()
+            answer = client.post(f"{path}/composite", json=request)
+            while answer.status_code == 503:  # it compiled for longer than a composite may take
+                answer = client.post(f"{path}/composite", json=request)
+            answer.raise_for_status()
         client.delete(path).raise_for_status()
 
 

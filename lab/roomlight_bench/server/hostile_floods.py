@@ -62,8 +62,6 @@ async def flood(
     """Send a flood until it is cancelled; `count` gets the start of an answer, or nothing.
 
     Args:
-        connect: Opens a connection.
-        name: Of `FLOODS`.
         token: Bearer token for the WebSocket.
         bytes_per_s: Rate; None: as fast as the server reads.
         count: Called for each connection.

@@ -26,13 +26,11 @@ class AttackRow:
 
     Attributes:
         attack: Name of the attack; `alone` for none.
-        seconds: Duration.
         due: Frames of the neighbour that were due.
         processed: Frames that were processed in time.
         frame: Response times of the neighbour's frames.
         light: Response times of the neighbour's light.
         rss_bytes: Largest resident memory of the server's process.
-        rss_before_bytes: Resident memory before.
         rss_after_bytes: Resident memory after, when its sessions have ended.
         requests: Requests or messages of the hostile client.
         answers: Its answers by status; `closed` counts connections closed without one.
@@ -67,9 +65,6 @@ class HostileReport:
         rss_start_bytes: Resident memory of the server before the first session.
         rss_bound_bytes: Bound on the resident memory: start, sessions of both tokens, requests and answers in
             progress, and an allowance for the rest of the process.
-        fps: Frames per second of the neighbour.
-        machine: Processor, system and versions.
-        cores: Cores of the machine.
         busy: Load average at the end of the run; None where the system has none.
     """
 

@@ -36,7 +36,6 @@ class Outcome:
     """Result of a load.
 
     Attributes:
-        sent: Frames sent.
         in_time: Frames processed before the load's end.
         dropped: Frames not sent, because `IN_FLIGHT` others were unanswered.
         superseded: Frames sent that the server skipped for a newer one.
@@ -54,17 +53,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Load:
-    """What the phones do.
+    """What the phones do, one session each.
 
     Attributes:
-        sessions: Number of phones, one session each.
-        seconds: How long they stream.
         fps: Frames per second that each phone sends.
         bodies: Frame messages, sent one after the other and again from the start after the last.
         probe: Position of the tracked probe, world metres.
-        model: Model of the sessions.
-        height: Rows of the panoramas.
-        token: The phones' bearer token.
         tls: Trusts the certificate of a server with HTTPS.
     """
 

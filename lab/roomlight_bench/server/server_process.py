@@ -27,7 +27,6 @@ class ServerProcess:
     """A server process; the `with` statement starts it, waits until it is ready, and stops it at its end.
 
     Attributes:
-        port: The server's port.
         alive_ms: Time from the start of the process to the first response of /healthz.
         ready_ms: Time from the start of the process to status 200 of /readyz.
     """

@@ -44,10 +44,7 @@ class OverheadRow:
     on the machine.
 
     Attributes:
-        colour: Encoding of the frames' colour.
         body_bytes: Mean size of a frame message.
-        frames: Number of frames.
-        rounds: Number of rounds.
         engine_ms: The engine called directly.
         decoded_ms: The same with parsing, decoding and resizing the message.
         http_ms: The frame sent, processed and answered over HTTP.
@@ -77,13 +74,9 @@ class LoadRow:
     """A number of sessions at the same time.
 
     Attributes:
-        sessions: Number of sessions.
         wanted_fps: Frames per second and session that were due.
         held_fps: Frames per second and session that were processed in time.
         lost: Share of the due frames that the phone dropped or the server skipped.
-        frame: Response times of frames.
-        light: Response times of light.
-        health: Response times of /healthz.
         memory_mb: Growth of the process's resident memory per session; None on systems without /proc.
         stated_mb: Memory that the sessions report for themselves, mean.
         keyframes: Keyframes per session, mean.
@@ -106,15 +99,10 @@ class ServerReport:
     """A run of `roomlight bench server`.
 
     Attributes:
-        model: The engine's model.
         seconds: How long phones streamed, for each row of `load`.
         start_alive_ms: Start of each server process to its first response.
         start_ready_ms: Start of each server process until it accepts sessions.
         overhead: What HTTP adds to a frame.
-        load: Several sessions at the same time.
-        machine: Processor, system and versions; see `describe_machine`.
-        threads: Threads of the engine.
-        cores: Cores of the machine.
         busy: Load average of the machine before the run; None where the system has none.
     """
 

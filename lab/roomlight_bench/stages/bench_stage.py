@@ -13,7 +13,6 @@ class BenchStage:
     """One row of the table of `roomlight bench stages`.
 
     Attributes:
-        name: The stage's name.
         ours: The implementation that the engine uses.
         reference: The readable NumPy implementation.
         torch: The plain PyTorch implementation.

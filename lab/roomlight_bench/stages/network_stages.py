@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +19,9 @@ from roomlight_bench.stages import plain_torch
 from roomlight_bench.stages.bench_stage import BenchStage
 from roomlight_bench.timing import Implementation
 from roomlight_model.config import ModelConfig
+
+if TYPE_CHECKING:
+    from roomlight_export.graphs import Graph
 
 _RUNTIME_TITLES: dict[RuntimeName, str] = {
     "cpu": "ONNX Runtime fp32",
@@ -32,11 +36,6 @@ class Networks:
 
     config: ModelConfig
     loaded: dict[RuntimeName, LightingGraphs]
-
-    @property
-    def fastest(self) -> RuntimeName:
-        """The runtime in which whole frames are measured."""
-        return list(self.loaded)[-1]
 
     @property
     def form(self) -> NetworkForm:
@@ -68,12 +67,12 @@ def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> 
         ("blending network", (f"{blend}_encoder", f"{blend}_decoder"), 5.2, "2D encoder and decoder"),
         ("2D GRU", ("video_blend_gru",), 2.1, "both levels"),
     ]
-    modules = _eager_modules(networks) if plain_torch.torch_installed() else None
+    modules = _graphs_in_pytorch(networks) if plain_torch.torch_installed() else None
     stages: list[BenchStage] = []
     for name, graphs, paper_ms, note in plan:
         if not all(graph in networks.loaded["cpu"].graphs for graph in graphs):
             continue  # a single-view model has no GRUs
-        eager = _run_eager(modules, graphs, volume) if modules is not None else None
+        eager = _run_eager([modules[graph] for graph in graphs], volume) if modules is not None else None
         flops = _counted_flops(eager) if eager is not None else None  # the first run, which also warms it up
         for runtime, loaded in networks.loaded.items():
             first = runtime == "cpu"
@@ -116,32 +115,27 @@ def _run_bound(
     return run
 
 
-def _eager_modules(networks: Networks) -> dict[str, tuple[Callable[..., object], dict[str, tuple[int, ...]]]]:
-    """Return the same networks as PyTorch modules, with the names and shapes of their inputs."""
+def _graphs_in_pytorch(networks: Networks) -> dict[str, "Graph"]:
+    """Return the same graphs (`roomlight_export.graphs.Graph`), whose modules run in PyTorch, by name."""
     from roomlight_export.graphs import graphs_of
     from roomlight_model.checkpoint import build_network
 
     model = build_network(networks.form, networks.config).eval()
-    return {graph.name: (graph.module, graph.inputs) for graph in graphs_of(model)}
+    return {graph.name: graph for graph in graphs_of(model)}
 
 
-def _run_eager(
-    modules: dict[str, tuple[Callable[..., object], dict[str, tuple[int, ...]]]],
-    names: tuple[str, ...],
-    volume: Float[np.ndarray, "5 z y x"],
-) -> Callable[[], object]:
+def _run_eager(graphs: "list[Graph]", volume: Float[np.ndarray, "5 z y x"]) -> Callable[[], object]:
     """Return a function that runs the modules one after the other in eager mode."""
     import torch
 
-    calls: list[tuple[Callable[..., object], list[torch.Tensor]]] = []
-    for name in names:
-        module, shapes = modules[name]
-        calls.append((module, [torch.from_numpy(_graph_input(key, shape, volume)) for key, shape in shapes.items()]))
+    given = [
+        [torch.from_numpy(_graph_input(key, shape, volume)) for key, shape in graph.inputs.items()] for graph in graphs
+    ]
 
     @torch.inference_mode()
     def run() -> None:
-        for module, tensors in calls:
-            module(*tensors)
+        for graph, tensors in zip(graphs, given, strict=True):
+            graph.module(*tensors)
 
     return run
 

@@ -20,7 +20,6 @@ from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Far, Sglv
 from roomlight.frame import Frame
-from roomlight.threads import thread_count
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -29,13 +28,6 @@ if TYPE_CHECKING:
 def torch_installed() -> bool:
     """Return whether PyTorch can be imported, without importing it."""
     return importlib.util.find_spec("torch") is not None
-
-
-def use_our_threads() -> None:
-    """Give PyTorch as many threads as our kernels have."""
-    import torch
-
-    torch.set_num_threads(thread_count())
 
 
 def volume_by_grid_sample(grid: VolumeGrid, frame: Frame) -> Callable[[], Float[np.ndarray, "5 z y x"]]:

@@ -47,12 +47,9 @@ class StagesReport:
     """A run of `roomlight bench stages`.
 
     Attributes:
-        rows: The timed stages.
         peak_flops_per_s: Speed of a float32 matrix product, measured in the same run.
         criteria: The project's demands that these rows can answer.
-        machine: Processor, system and versions; see `describe_machine`.
-        threads: Threads of our kernels, ONNX Runtime and PyTorch.
-        repeats: Runs of each stage.
+        threads: Of our kernels, ONNX Runtime and PyTorch.
         networks: Which networks were timed, in words.
         torch: Whether PyTorch was installed.
     """

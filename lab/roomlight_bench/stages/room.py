@@ -39,11 +39,8 @@ class RoomSize:
     """Sizes of a run; the defaults are those of a session.
 
     Attributes:
-        width: Columns of a frame.
-        height: Rows of a frame.
         volume_shape: Voxels (z, y, x).
-        panorama_height: Rows of a panorama; columns are twice as many.
-        samples: Samples per ray through the volume.
+        samples: Of a ray through the volume.
         keyframes: Frames of the camera's turn.
     """
 

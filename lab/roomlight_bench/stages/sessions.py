@@ -83,7 +83,6 @@ def measure_against(other: Path, models: tuple[str, ...], *, rounds: int) -> Ite
 
     Args:
         other: Folder of the other checkout; this Python runs it, with its kernels compiled before the measurement.
-        models: Models of the sessions.
         rounds: Measurements of each; the least counts.
 
     Yields:

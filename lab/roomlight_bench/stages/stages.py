@@ -13,9 +13,16 @@ from roomlight.conventions import panorama_directions
 from roomlight.engine.kernels.reference import accumulate_reference, initial_volume_reference, render_rays_reference
 from roomlight.engine.models.classical import ClassicalVolume
 from roomlight.engine.networks.graphs import SHIPPED
-from roomlight.engine.panorama.blend import PanoramaState, accumulate, filled_detail, unseen_depth_m
+from roomlight.engine.panorama.blend import (
+    PanoramaState,
+    PartialPanorama,
+    accumulate,
+    fill_beyond,
+    latest_detail,
+    unseen_depth_m,
+)
 from roomlight.engine.session import warm_up
-from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
+from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.engine.volume.sglv import LOBE_CHANNELS, Far, Sglv, render_rays
 from roomlight.errors import OptionError
@@ -52,8 +59,6 @@ def run_stages(
     Args:
         repeats: Interleaved runs of each stage.
         model: A model folder of `roomlight export`; default: the single-view networks inside the package.
-        progress: Called with what is being measured.
-        size: Sizes of frames, volume and panoramas.
 
     Raises:
         ModelError: `model` is not a model folder.
@@ -66,7 +71,9 @@ def run_stages(
     report("compiling kernels")
     warm_up()
     if plain_torch.torch_installed():
-        plain_torch.use_our_threads()
+        import torch
+
+        torch.set_num_threads(thread_count())
     networks = load_networks(model or SHIPPED / "single")
     report("building the room")
     frames = views(size.keyframes, size)
@@ -79,7 +86,7 @@ def run_stages(
     stages += _mesh_stages(frames[0], size)
     stages.append(_fill_stage(frames[0], grid, size))
     stages.append(_accumulate_stage(frames[0], grid, size))
-    provider = networks.fastest
+    provider = list(networks.loaded)[-1]  # the fastest
     sessions = [
         MeasuredSession("classical", size, provider=provider),
         MeasuredSession(networks.form, size, provider=provider, weights=model),
@@ -129,9 +136,7 @@ def run_against(other: Path, *, rounds: int, progress: ProgressCallback | None =
     """Measure whole frames and late points of this checkout and of another one, in turns.
 
     Args:
-        other: Folder of the other checkout.
         rounds: Measurements of each; the least counts.
-        progress: Called with what is being measured.
 
     Raises:
         OptionError: There is no checkout of RoomLight, or it cannot be measured.
@@ -245,7 +250,7 @@ def _fill_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
     seen, state = _first_panorama(frame, grid, size)
 
     def fill() -> Float[np.ndarray, "h w 3"]:
-        return filled_detail(state, seen.radiance, seen.depth_m, mask=seen.mask, hdr=state.radiance)
+        return fill_beyond(*latest_detail(state, seen), seen, hdr=state.radiance)
 
     return BenchStage("fill beyond the mesh", Implementation(fill), note="with networks")
 
@@ -257,20 +262,15 @@ def _first_panorama(frame: Frame, grid: VolumeGrid, size: RoomSize) -> tuple[Par
 
 
 def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
-    seen, state = _first_panorama(frame, grid, size)
+    shown, state = _first_panorama(frame, grid, size)
+    seen = replace(shown, clipped=None, guessed=None)  # as the plain twin takes it
     random, unseen_m = np.random.default_rng(0), unseen_depth_m(grid.depth_max_m)
     hdr = random.random(state.radiance.shape, dtype=np.float32)
     weight = np.where(seen.mask, random.random(seen.mask.shape, dtype=np.float32), np.float32(0))
 
     def apply(to: PanoramaState, accumulate_into: Callable[..., None]) -> Float[np.ndarray, "h w 3"]:
-        planes = {"hdr": hdr, "detail": seen.radiance, "detail_depth_m": seen.depth_m, "weight": weight}
-        accumulate_into(to, **planes, unseen_m=unseen_m)
+        accumulate_into(to, seen, hdr=hdr, weight=weight, unseen_m=unseen_m)
         return to.radiance
-
-    def fresh() -> PanoramaState:
-        return replace(
-            state, radiance=state.radiance.copy(), depth_m=state.depth_m.copy(), observed=state.observed.copy()
-        )
 
     torch = None
     if plain_torch.torch_installed():
@@ -280,10 +280,10 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchSt
             )
         )
     deviations = differences(
-        lambda: apply(fresh(), accumulate),
-        {"reference": lambda: apply(fresh(), accumulate_reference), "torch": torch.run if torch else None},
+        lambda: apply(state.copy(), accumulate),
+        {"reference": lambda: apply(state.copy(), accumulate_reference), "torch": torch.run if torch else None},
     )
-    ours_state, reference_state = fresh(), fresh()
+    ours_state, reference_state = state.copy(), state.copy()
     return BenchStage(
         "accumulation",
         Implementation(lambda: apply(ours_state, accumulate)),

@@ -114,11 +114,9 @@ def evaluate_depth(
 
     Args:
         sources: Captures with depth, and dataset folders.
-        light: How light is estimated.
         reading: How captures are read; its `depth_model` is scored, `every` and `max_frames` hold for datasets too.
         split: Of dataset folders.
         limit: Use this many walks of each dataset, evenly spread; None uses all.
-        progress: Called after each frame.
 
     Raises:
         CaptureError: A capture cannot be read, or has no depth; or there is nothing to score.

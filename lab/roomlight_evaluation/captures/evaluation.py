@@ -42,8 +42,6 @@ def evaluate_engine(
         captures: Captures with ground-truth probes.
         session: Options of the engine's sessions; each capture gets a new session.
         predictions: As in `evaluate_captures`.
-        options: How captures are read.
-        progress: Called after each frame.
 
     Raises:
         ModelError: The weights that `session` names are missing or do not fit.
@@ -74,7 +72,6 @@ def evaluate_captures(
         predictions: A folder of panoramas to score as one more method, last: `<capture name>/probe-00/...`, or
             `probe-00/...` directly if there is one capture; see `PredictionFolder`.
         options: How captures are read; predictions must have been made with its `every` and `max_frames`.
-        progress: Called after each frame.
 
     Raises:
         CaptureError: A capture cannot be read or has no ground truth, two captures have one name, or predictions are

@@ -127,7 +127,6 @@ def evaluate_main_lights(
     Args:
         captures: Captures of at least one frame.
         session: Options of the engine's sessions; each capture gets a new session.
-        options: How captures are read.
         progress: Called as (capture name, frames done, frames in all) after each frame.
 
     Raises:

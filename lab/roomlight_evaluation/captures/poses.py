@@ -111,7 +111,6 @@ def evaluate_poses(
 
     Args:
         captures: Captures with poses and depth.
-        light: How light is estimated.
         reading: How captures are read; `fov_deg`, `depth_model`: how the videos are.
         progress: Called after each capture.
 

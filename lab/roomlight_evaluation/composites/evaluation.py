@@ -52,7 +52,6 @@ def evaluate_composites(
         count: Scenes. A room without a place for the object is replaced by the next room.
         out: The file of results.
         seed: Of the rooms, walks and objects.
-        options: Of the sessions.
         keep: A folder for the rendered scenes: those in it are not rendered again, so that several models are scored
             on the same scenes.
         pictures: A folder for a PNG of each new scene: truth, ours, true panorama, SH + directional.
@@ -124,14 +123,10 @@ def kept_scene(folder: Path | None, number: int, *, seed: int) -> CompositeScene
 
 
 def _score(number: int, scene: CompositeScene, session: Session, pictures: Path | None) -> SceneScore:
+    """Compare the composites of a scene with its truth."""
     images = composites(scene, session)
     if pictures is not None:
         write_scene_picture(pictures / f"{number:03d}-{scene.material}-{scene.shape}.png", scene, images)
-    return score_scene(number, scene, images)
-
-
-def score_scene(number: int, scene: CompositeScene, images: dict[str, Picture]) -> SceneScore:
-    """Compare the composites of a scene with its truth."""
     clean, without = scene.clean
     masks = scene.masks
     darker = darker_part(clean, without, scene.covered, masks[SHADOW])

@@ -32,6 +32,7 @@ from roomlight_evaluation.composites.regions import SHADOW, regions, smoothed_tr
 from roomlight_generator.furniture_digest import furniture_digest
 from roomlight_generator.rooms.build import room_generator
 from roomlight_generator.rooms.scene import Material as RealMaterial
+from roomlight_generator.rooms.shapes import bare_mesh, with_material
 from roomlight_generator.sequences import with_object as real
 from roomlight_generator.sequences.exposure import Exposure, expose
 from roomlight_generator.sequences.render import CameraPath, LitRoom, catalogue_for, draw_camera_path, solve_lighting
@@ -146,13 +147,6 @@ def virtual_object(shape: str, material: str) -> VirtualObject:
     return made.scaled_to(SHAPES[shape]).with_material(look)
 
 
-def real_material(material: str) -> RealMaterial:
-    """Return the same material for the room's light transport."""
-    if material == "mirror":
-        return RealMaterial(real.OBJECT, mirror=1.0)
-    return RealMaterial(real.OBJECT, albedo=_COLOUR, roughness=_ALPHA if material == "glossy" else None)
-
-
 def scene_for(number: int, *, seed: int) -> CompositeScene:
     """Make the scene of this number; the same arguments give the same scene.
 
@@ -238,7 +232,7 @@ def _recorded(
     pictures = [phone.developed(view.radiance, k) for k, view in enumerate(views)]
     depth_mm = np.stack([np.rint(np.clip(view.depth_m * 1000, 0, 65535)).astype(np.uint16) for view in views])
     surface = np.stack([view.surface for view in views])
-    measured_mm, _ = arkit_like(depth_mm, surface, np.stack([eight_bit for _, eight_bit in pictures]), rng)
+    measured_mm = arkit_like(depth_mm, surface, np.stack([eight_bit for _, eight_bit in pictures]), rng)
     frames = [
         Frame(
             index=k,
@@ -288,8 +282,11 @@ def _truth(
     number: int,
 ) -> tuple[real.ObjectView, FrameView]:
     (mesh, look), *_ = geometry.transformed(object_to_world).parts
-    kind = "mirror" if look.metallic else "diffuse" if look.specular == 0 else "glossy"
-    item = real.object_mesh(mesh.vertices, mesh.normals, mesh.faces, real_material(kind))
+    if look.metallic:
+        same = RealMaterial(real.OBJECT, mirror=1.0)
+    else:
+        same = RealMaterial(real.OBJECT, albedo=_COLOUR, roughness=None if look.specular == 0 else _ALPHA)
+    item = with_material(bare_mesh(mesh.vertices, mesh.normals, mesh.faces), same)
     return real.render_pair(lit_room.room.scene, item, intrinsics, camera_to_world, seed=number)
 
 

@@ -31,7 +31,6 @@ class SceneScore:
     """One scene's errors.
 
     Attributes:
-        number: of the scene.
         room, shape, material: as in `CompositeScene`.
         pixels: in each region.
         errors: by method, region and metric.

@@ -101,7 +101,6 @@ def evaluate_objects(
 
     Args:
         sources: Captures with ground truth, and dataset folders.
-        options: Of the sessions.
         frames: How many of a recording's frames are shown, evenly spread.
         split: Of dataset folders.
         limit: Use this many walks of each dataset, evenly spread; None uses all.

@@ -167,7 +167,6 @@ class DepthNetwork(nn.Module):
     form = "depth"
 
     def __init__(self) -> None:
-        """Build the layers."""
         super().__init__()
         self.encoder = _Encoder()
         bottom = _WIDTHS[-1]

@@ -16,12 +16,14 @@ from roomlight.depth import complete_depth
 from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.panorama.blend import (
     PanoramaState,
+    PartialPanorama,
     accumulate,
     farthest_depth_m,
-    filled_detail,
+    fill_beyond,
+    latest_detail,
     unseen_depth_m,
 )
-from roomlight.engine.preparation import PreparedFrame
+from roomlight.engine.preparation import restored
 from roomlight.engine.surface.bracket import update_keyframes
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.fusion import FusedVolume
@@ -40,7 +42,6 @@ class Tensors:
     """Examples of any stage: fields are tensors or arrays whose first axis is the example, or None."""
 
     def __len__(self) -> int:
-        """Return the number of examples."""
         return len(next(value for value in vars(self).values() if value is not None))
 
     def take(self: Self, numbers: Sequence[int]) -> Self:
@@ -124,12 +125,12 @@ def restored_frames(example: Example) -> list[Frame]:
     network estimates the others.
     """
     clipping = shipped_clipping("cpu")
-    frames = [PreparedFrame.of(example.frame, example.depth_m, clipping=clipping).frame]
+    frames = [restored(example.frame, example.depth_m, clipping=clipping)]
     meshes: list[FrameMesh] = []
     for frame in example.later:
         meshes.append(FrameMesh(frames[-1]))
         update_keyframes(meshes[-1], meshes[:-1], turn=len(meshes) - 1)
-        frames.append(PreparedFrame.of(frame, complete_depth(frame.depth_m), meshes, clipping=clipping).frame)
+        frames.append(restored(frame, complete_depth(frame.depth_m), meshes, clipping=clipping))
     return frames
 
 
@@ -175,19 +176,10 @@ def _probe_detail(
     farthest_m = farthest_depth_m(grid.depth_max_m)
     *earlier, last = (mesh.render_panorama(position, height=height).within(farthest_m) for mesh in meshes)
     for mesh, detail in zip(meshes, earlier, strict=False):
-        weight = detail.mask.astype(np.float32)
-        accumulate(
-            state,
-            hdr=nothing,
-            detail=detail.radiance,
-            detail_depth_m=detail.depth_m,
-            weight=weight,
-            unseen_m=unseen_depth_m(grid.depth_max_m),
-            detail_clipped=detail.clipped,
-            detail_guessed=detail.guessed,
-            camera=mesh.camera_to_world[:3, 3] - position,
-        )
-    filled = filled_detail(state, last.radiance, last.depth_m, mask=last.mask, hdr=nothing)
+        weight, camera = detail.mask.astype(np.float32), mesh.camera_to_world[:3, 3] - position
+        unseen_m = unseen_depth_m(grid.depth_max_m)
+        accumulate(state, detail, hdr=nothing, weight=weight, unseen_m=unseen_m, camera=camera)
+    filled = fill_beyond(*latest_detail(state, last), last, hdr=nothing)
     kept = (state.observed > 0) & ~(last.mask & state.is_closer(last.depth_m))
     return _ProbeDetail(filled, last.mask[..., None], state.radiance, kept[..., None])
 
@@ -213,9 +205,8 @@ def fill_detail(
         accumulated.radiance[:] = _image(state.radiance)
         accumulated.depth_m[:] = _image(state.depth)[..., 0] * np.float32(depth_max_m)
         accumulated.observed[:] = _image(state.weight)[..., 0]
-    filled = filled_detail(
-        accumulated, _image(detail), _image(distance_m)[..., 0], mask=_image(mask)[..., 0] > 0, hdr=_image(hdr)
-    )
+    seen = PartialPanorama(_image(detail), _image(mask)[..., 0] > 0, _image(distance_m)[..., 0])
+    filled = fill_beyond(*latest_detail(accumulated, seen), seen, hdr=_image(hdr))
     return torch.from_numpy(np.ascontiguousarray(np.moveaxis(filled, -1, 0)))
 
 

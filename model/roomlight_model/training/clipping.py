@@ -68,8 +68,6 @@ class ClippingFrames(Tensors):
         """Read a frame of every sequence, drawn at random; sequences whose recordings lack the truth are left out.
 
         Args:
-            datasets: The datasets.
-            seed: Seed of the drawn frames and of their depth.
             progress: Receives (done, total) sequences.
 
         Raises:

@@ -35,9 +35,7 @@ _BRIGHTEST = 60_000.0
 class Recordings(Protocol):
     """Sequences by number."""
 
-    def __len__(self) -> int:
-        """Return the number of sequences."""
-        ...
+    def __len__(self) -> int: ...
 
     def frames_of(self, index: int, /) -> int:
         """Return the number of frames of a sequence."""
@@ -82,9 +80,6 @@ def read_example(
     """Read a random frame of a sequence, or several frames.
 
     Args:
-        recordings: The sequences.
-        index: The number of the sequence.
-        rng: The generator of all random choices.
         depth: Exact depth, simulated phone depth, or both in turn.
         augment: Whether to draw frames at random and to augment. Otherwise the example has the first frame and
             later ones spread over the whole sequence.
@@ -108,7 +103,7 @@ def example_of(recording: Recording, rng: np.random.Generator, *, depth: DepthKi
     """
     depth_mm = recording.depth_mm
     if depth == "arkit" or (depth == "both" and rng.random() < 0.5):
-        depth_mm, _ = arkit_like(depth_mm, recording.surface, recording.colour, rng)
+        depth_mm = arkit_like(depth_mm, recording.surface, recording.colour, rng)
     elif depth == "both" and rng.random() < _SEEN_THROUGH:
         depth_mm = np.where(recording.surface == GLASS, np.uint16(0), depth_mm)
     first, *later = (recording.frame(number, measured) for number, measured in enumerate(depth_mm))

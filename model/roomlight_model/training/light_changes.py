@@ -40,7 +40,6 @@ class SphereLamp:
 
     Attributes:
         centre: In the world, metres.
-        radius_m: Its radius.
         radiance: In units of the sequence's first frame, where 1 is white.
     """
 

@@ -64,9 +64,7 @@ class Stage(Protocol):
         """The weights that the stage starts from; None for fresh ones."""
         ...
 
-    def __len__(self) -> int:
-        """Return the number of training examples."""
-        ...
+    def __len__(self) -> int: ...
 
     def network(self) -> Network:
         """Build the network that training starts with, on `device`; what is trained requires a gradient."""
@@ -94,8 +92,6 @@ class TrainingProgress:
     """Progress of a run, reported after each step and each validation.
 
     Attributes:
-        step: Steps done.
-        steps: Steps in all.
         losses: Means over `REPORT_STEPS` steps or up to the last step; empty in between and after a validation.
         learning_rate: Of the last step.
         seconds_a_step: Mean time.

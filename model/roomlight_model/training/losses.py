@@ -78,10 +78,6 @@ def rendering_loss(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:
     return (prediction.clamp(max=1) - truth.clamp(max=1)).square().mean()
 
 
-LossFunction = Callable[[Any, torch.Generator], Losses]
-"""A stage's losses of some examples (`loop.Stage.losses`)."""
-
-
 class _Piece(NamedTuple):
     losses: dict[str, float]
     gradients: Sequence[Tensor | None]
@@ -94,7 +90,7 @@ class BatchGradients:
 
     def __init__(
         self,
-        losses: LossFunction,
+        losses: Callable[[Any, torch.Generator], Losses],
         parameters: Sequence[nn.Parameter],
         options: RunOptions,
         *,
@@ -104,8 +100,6 @@ class BatchGradients:
         """Prepare the threads.
 
         Args:
-            losses: The stage's losses.
-            parameters: Those that the stage trains.
             options: The batch's size and the seed of random directions.
             device: Where the networks run; only a CPU's batches are split.
             piece_size: Examples in one forward pass on a CPU; fixed, so that results do not depend on the cores.

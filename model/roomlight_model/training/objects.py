@@ -17,7 +17,7 @@ from annotated_types import Ge
 from jaxtyping import Float, Float16, Float32
 from torch import Tensor
 
-from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
+from roomlight.conventions import panorama_rays, panorama_solid_angles
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.lighting import LIGHTING_PANELS, lighting_panels
 from roomlight.engine.models.choosing import choose_graphs
@@ -26,6 +26,7 @@ from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError, FrameError
 from roomlight.spheres import DIFFUSE_ALBEDO, GLOSSY_ALBEDO
+from roomlight_model.accumulate import luminance
 from roomlight_model.object_light_network import ObjectLightNetwork
 from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
@@ -98,9 +99,6 @@ class ProbePanels(Tensors):
         one frame is streamed once.
 
         Args:
-            datasets: The datasets.
-            seed: Seed of the streams.
-            streams: Streams of each recording.
             models: The sessions have one of these models each, in turn.
             progress: Receives (done, total) recordings.
 
@@ -185,7 +183,7 @@ def object_light(network: torch.nn.Module, panels: Float32[Tensor, "b 10 h w"]) 
     with torch.autocast("cpu", dtype=torch.bfloat16, enabled=torch.is_grad_enabled()):
         change = network(panels)
     known, guessed, light = panels[:, 3:4], panels[:, 9:10], panels[:, 6:9]
-    free = torch.maximum(1 - known, (guessed / _luminance(light).clamp(min=1e-6)).clamp(0, 1))
+    free = torch.maximum(1 - known, (guessed / luminance(light).clamp(min=1e-6)).clamp(0, 1))
     return torch.expm1((torch.log1p(light) + change.float() * free).clamp(0, 11))
 
 
@@ -200,7 +198,7 @@ def picture_errors(lighting: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3
 
 def brightness_errors(lighting: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]) -> Float[Tensor, " b"]:
     """Return the mean absolute error of the logarithm of the luminance that matte surfaces receive."""
-    ours, theirs = (_luminance(light).flatten(1) @ _reflection_lobe(1) for light in (lighting, truth))
+    ours, theirs = (luminance(light).flatten(1) @ _reflection_lobe(1) for light in (lighting, truth))
     return (torch.log(ours + _DARK) - torch.log(theirs + _DARK)).abs().mean(dim=1)
 
 
@@ -215,11 +213,6 @@ def _squared_below_white(predicted: Float[Tensor, "*n"], wanted: Float[Tensor, "
     above = 1 + _BEYOND_WHITE * torch.log(predicted.clamp(min=1))
     inside = torch.where(predicted < 1, predicted, above) - wanted
     return torch.where(wanted >= 1, (1 - predicted).clamp(min=0), inside).square()
-
-
-def _luminance(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
-    weights = torch.from_numpy(np.asarray(LUMINANCE, np.float32))
-    return (light * weights[:, None, None]).sum(dim=1, keepdim=True)
 
 
 @cache

@@ -79,10 +79,8 @@ class Recipe:
     """A recipe.
 
     Attributes:
-        path: Its file.
         ships: The weights to export, a file of a stage's run: "NAME/best.pt" or "NAME/model.pt".
         data: For each dataset the options that generate it; empty if only a folder of this name is used.
-        stages: The stages in order.
 
     Examples:
         recipe = read_recipe("objects")
@@ -159,7 +157,6 @@ def read_options(kind: type[Any], values: Mapping[str, Any], where: str) -> Any:
     """Read plain values into a dataclass.
 
     Args:
-        kind: The dataclass.
         values: Its fields, as in TOML.
         where: The file and the table, for messages.
 
@@ -190,7 +187,6 @@ def build_stage(
     """Open the data of a stage and build it.
 
     Args:
-        recipe: The stage.
         folders: The folders of `recipe.data`, in order.
         start_from: The weights of `recipe.start_from`.
         device: Where the networks run; those of clipped radiance and of the light of objects run on the CPU.

@@ -120,7 +120,6 @@ class RunFolder:
         """Return whether the folder's run has made all steps and scored its weights.
 
         Args:
-            options: The run's options.
             known: `data` and `start_from` as `open` takes them; what is left out is not compared.
 
         Raises:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from annotated_types import Ge, Interval
@@ -42,8 +42,6 @@ from roomlight_model.training.validation import SingleViewValidation
 from roomlight_model.volume_networks import SGVolume
 
 SingleViewStageName = Literal["single-sglv", "single-blend", "single-joint"]
-HELD_OUT: Final = 48
-"""Default number of sequences that are scored: 12 rooms of four walks, 24 of two."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,7 @@ class SingleViewOptions(RunOptions):
     frames: Annotated[int, Ge(1)] = 1
     augment: bool = True
     surround_max: Annotated[float, Interval(ge=0, le=100)] = 0.0
-    held_out: Annotated[int, Ge(0)] = HELD_OUT
+    held_out: Annotated[int, Ge(0)] = 48  # 12 rooms of four walks, 24 of two
     bf16: bool = True
     model: ModelConfig = field(default_factory=ModelConfig)
 
@@ -120,9 +118,7 @@ class SingleViewStage:
 
         Args:
             options: The stage and its hyperparameters; the widths become those of `start_from`.
-            training: Sequences to train on.
             held_out: Sequences that are scored and not trained on.
-            device: Where the networks run.
             start_from: Single-view weights; None starts with fresh ones.
             data: The description of the datasets for the card.
 
@@ -143,7 +139,6 @@ class SingleViewStage:
     # --- data
 
     def __len__(self) -> int:
-        """Return the number of training sequences."""
         return len(self._training)
 
     def batch(self, step: int) -> Batch:

@@ -65,7 +65,6 @@ class SmallStage(Generic[OptionsT, ExamplesT]):
         return self.options.batch
 
     def __len__(self) -> int:
-        """Return the number of training examples."""
         return len(self.training)
 
     def network(self) -> Any:

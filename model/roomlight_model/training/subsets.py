@@ -38,7 +38,6 @@ class Subset:
         self._places = tuple(places)
 
     def __len__(self) -> int:
-        """Return the number of sequences."""
         return len(self._places)
 
     def read(self, index: int, /, *, frames: list[int]) -> Recording:

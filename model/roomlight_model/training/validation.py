@@ -52,7 +52,6 @@ class SingleViewValidation:
         """Collate the sequences.
 
         Args:
-            recordings: The held-out sequences.
             volume_shape: Resolution [z, y, x] of the volumes.
             frames: Largest number of frames of an example in training.
             rendering_weight: Weight of the rendering loss in the score "loss".
@@ -125,11 +124,9 @@ class WalkValidation:
         """Take the first walks; they are read again for every validation.
 
         Args:
-            recordings: The held-out walks.
             frames: Largest number of frames of a sequence.
             depth: Depth of training; "exact" gives all walks exact depth.
             volume_shape: Resolution [z, y, x] of the volumes.
-            panorama_height: Rows of the panoramas.
             with_probes: Whether the model needs what the probes see of each frame's mesh.
         """
         self._recordings, self._numbers = recordings, tuple(range(min(len(recordings), MOST_WALKS)))

@@ -102,9 +102,7 @@ class VideoStage:
 
         Args:
             options: The stage and its hyperparameters; the widths become those of `start_from`.
-            training: Walks to train on.
             held_out: Walks that are scored and not trained on.
-            device: Where the networks run.
             start_from: Single-view weights, or those of the video stage before.
             data: The description of the datasets for the card.
             change_light: Changes the light of sequences at a frame; None changes it as `options.light_changes` says.
@@ -128,7 +126,6 @@ class VideoStage:
     # --- data
 
     def __len__(self) -> int:
-        """Return the number of walks to train on."""
         return len(self._training)
 
     def batch(self, step: int) -> WalkBatch:

@@ -50,7 +50,7 @@ class StateArrays(NamedTuple):
 class DetailArrays(NamedTuple):
     """What one frame shows a probe.
 
-    radiance to guessed:         as in `roomlight.engine.surface.mesh.PartialPanorama`.
+    radiance to guessed:         as in `roomlight.engine.panorama.blend.PartialPanorama`.
 
     Attributes:
         weight: Of the frame, 0 where its mesh is not visible.

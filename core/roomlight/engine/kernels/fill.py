@@ -81,12 +81,9 @@ def mute(light, colour, own, out):
 
 @njit(**CACHED)
 def halve(pixels, row_sums, out):
-    """Write the next coarser level, by the tent filter (1 3 3 1) / 8, with Gortler's gain of the weights.
+    """Write the coarser level [(h + 1) / 2, (w + 1) / 2, c], by the tent filter (1 3 3 1) / 8, with Gortler's gain.
 
-    Args:
-        pixels: a level [h, w, c].
-        row_sums: a buffer [w, c].
-        out: the coarser level [(h + 1) / 2, (w + 1) / 2, c].
+    `row_sums` is a buffer [w, c].
     """
     height, width, channels = pixels.shape
     eighth, three, tiny = np.float32(0.125), np.float32(3), np.float32(_TINY)
@@ -124,13 +121,9 @@ def halve(pixels, row_sums, out):
 
 @njit(**CACHED)
 def pull(coarse, level, row_sums, out):
-    """Write the filled level: its own colour, and that of the coarser one where its weight leaves room.
+    """Write the filled level [h, w, c - 1]: its own colour, and the coarser one's where its weight leaves room.
 
-    Args:
-        coarse: filled coarser level [h2, w2, c - 1].
-        level: pixels with weight [h, w, c].
-        row_sums: a buffer [w2, c - 1].
-        out: filled level [h, w, c - 1].
+    `row_sums` is a buffer [w2, c - 1].
     """
     height, width, channels = level.shape
     rows, columns, colours = coarse.shape[0], coarse.shape[1], channels - 1

@@ -77,12 +77,7 @@ class Raster(NamedTuple):
 def raise_vertices(depth, uv, camera, camera_to_world, vertices):
     """Write the vertices [v, 3] of depth samples [v] at `uv` [v, 2], 0 to 1 in the image, in world metres.
 
-    Args:
-        depth: z-depth.
-        uv: place in the image.
-        camera: float32 width, height, fx, fy, cx, cy of the image.
-        camera_to_world: float32 [4, 4].
-        vertices: output.
+    `depth` is z-depth, `camera` float32 width, height, fx, fy, cx, cy of the image, `camera_to_world` float32 [4, 4].
     """
     width, height, fx, fy, cx, cy = camera
     for i in range(len(depth)):
@@ -95,14 +90,10 @@ def raise_vertices(depth, uv, camera, camera_to_world, vertices):
 
 @njit(**CACHED, error_model="numpy")
 def leave_out_shown(vertices, wanted, other, relative, least_m):
-    """Clear `wanted` [v] for those of the vertices [v, 3] whose surface another depth grid shows too.
+    """Clear `wanted` [v] for those of the vertices [v, 3], world metres, whose surface `other` (`DepthView`) shows too.
 
-    Args:
-        vertices: world metres.
-        wanted: updated.
-        other: its world_to_camera, lens and depth (`roomlight.engine.surface.mesh.DepthView`).
-        relative: share of the depth that one of the four samples around, or what lies between them, may be away;
-            and `least_m` metres more.
+    One of the four samples around, or what lies between them, may be `relative` times the depth away, and `least_m`
+    metres more.
     """
     m, lens, depth, half = other.world_to_camera, other.lens, other.depth, np.float32(0.5)
     rows, columns = depth.shape
@@ -165,9 +156,9 @@ def near_centres(places, shape, numbers, flags, chosen):
     Args:
         places: columns and rows of the vertices, [2, v].
         shape: rows and columns of the grid.
-        numbers: of the triangles of each quad, [2, quads], ascending.
+        numbers: of the triangles of each quad, [2, quads]; these and `chosen` ascend.
         flags: a buffer, [quads].
-        chosen: output, ascending.
+        chosen: output.
     """
     rows, columns = shape
     after, before, widest = np.float32(1.5) + _REACH, np.float32(1.5) - _REACH, np.float32(1)
@@ -332,30 +323,6 @@ class Surface(NamedTuple):
 
 
 @njit(**CACHED)
-def locate(raster, surface, per_pixel, seen, maps, levels, distance):
-    """Find the pixels that see the front of a mesh; return how many, and each one's place, pyramid level and distance.
-
-    Args:
-        raster: nearest triangles [p].
-        surface: the mesh's corners.
-        per_pixel: image pixels that a panorama pixel spans at a distance equal to the z-depth: focal length x radians.
-        seen: output [p]: the pixels' numbers, ascending.
-        maps: output [p, 2]: (column, row) in the image of each that is seen.
-        levels: output [p]: k for a box of 2^k pixels, of each that is seen.
-        distance: output [p], of all pixels: metres along the ray, 0 where it is not seen.
-    """
-    count = 0
-    for pixel in range(len(distance)):
-        if raster.triangle[pixel] < 0 or raster.front[pixel] == 0:
-            distance[pixel] = 0
-            continue
-        distance[pixel] = raster.distance[pixel]
-        seen[count], levels[count] = pixel, _place_in_image(raster, surface, pixel, per_pixel, maps[count])
-        count += 1
-    return count
-
-
-@njit(**CACHED)
 def _place_in_image(raster, surface, pixel, per_pixel, place):
     """Write the (column, row) in the image that a pixel sees; return its pyramid level."""
     one, number = np.float32(1), raster.triangle[pixel]
@@ -392,9 +359,14 @@ def take_nearer(raster, start, stop, surface, per_pixel, number, closer_m, neare
     """Take the pixels start..stop of a mesh that are nearer by `closer_m`, and clear the raster there.
 
     Args:
-        raster, surface, per_pixel, seen, maps, levels: as in `locate`.
+        raster: nearest triangles [p].
+        surface: the mesh's corners.
+        per_pixel: image pixels that a panorama pixel spans at a distance equal to the z-depth: focal length x radians.
         number: of the mesh.
         nearest: updated (`Nearest`).
+        seen: output [p]: the pixels' numbers, ascending.
+        maps: output [p, 2]: (column, row) in the image of each that it took.
+        levels: output [p]: k for a box of 2^k pixels, of each that it took.
 
     Returns:
         How many pixels it took.

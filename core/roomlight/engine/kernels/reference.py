@@ -20,7 +20,7 @@ from roomlight.engine.kernels.blend import (
     UNBOUNDED,
 )
 from roomlight.engine.observations import CLOSER_M, better_share
-from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, neighbourhood, replaced_by_change
+from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, PartialPanorama, neighbourhood, replaced_by_change
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import LOBE_CHANNELS, MAX_SAMPLES, Far, Sglv, check_position
 from roomlight.frame import Frame
@@ -103,26 +103,24 @@ def render_rays_reference(
 
 def accumulate_reference(
     state: PanoramaState,
+    partial: PartialPanorama,
     *,
     hdr: Float[np.ndarray, "h w 3"] | None,
-    detail: Float[np.ndarray, "h w 3"],
-    detail_depth_m: Float[np.ndarray, "h w"],
     weight: Float[np.ndarray, "h w"],
     unseen_m: float,
-    detail_clipped: Float[np.ndarray, "h w"] | None = None,
-    detail_guessed: Float[np.ndarray, "h w"] | None = None,
     camera: Float[np.ndarray, "3"] = AT_PROBE,
 ) -> None:
     """Compute `roomlight.engine.panorama.blend.accumulate`."""
-    clipped = np.zeros_like(weight) if detail_clipped is None else detail_clipped
-    guessed = np.zeros_like(weight) if detail_guessed is None else detail_guessed
+    detail, depth_m = partial.radiance, partial.depth_m
+    clipped = np.zeros_like(weight) if partial.clipped is None else partial.clipped
+    guessed = np.zeros_like(weight) if partial.guessed is None else partial.guessed
     bound, new_bound = state.radiance @ LUMINANCE - state.guessed, detail @ LUMINANCE - guessed
-    same = (abs(state.depth_m - detail_depth_m) < CLOSER_M) & (weight > 0) & (state.observed > 0)
+    same = (abs(state.depth_m - depth_m) < CLOSER_M) & (weight > 0) & (state.observed > 0)
     lowest, highest, brightest = extremes_around(detail, clipped, guessed, weight=weight)
     shown = state.radiance @ LUMINANCE
     differs = same & ((lowest > CHANGED * shown + LEAST_CHANGE) | (CHANGED * highest + LEAST_CHANGE < bound))
     confirmed = (CHANGED * lowest + LEAST_CHANGE >= bound) & (brightest <= CHANGED * shown + LEAST_CHANGE)
-    point = panorama_directions(len(weight)) * detail_depth_m[..., None]
+    point = panorama_directions(len(weight)) * depth_m[..., None]
     before, now = state.viewed_from - point, camera - point
     lengths = np.linalg.norm(before, axis=-1) * np.linalg.norm(now, axis=-1)
     near = (before * now).sum(axis=-1) >= SAME_VIEW * lengths
@@ -131,7 +129,7 @@ def accumulate_reference(
         state, np.where(differs, np.where(near, BEGINS, DIFFERS), np.where(same, AGREES, APART))
     )
     state.forget(replaced, unseen_m)
-    closer = state.is_closer(detail_depth_m)
+    closer = state.is_closer(depth_m)
     state.viewed_from[((weight > 0) & closer) | (same & ~differs & confirmed)] = camera
     blend = np.maximum(weight - ~closer, 0)
     better = better_share(state.clipped, bound, clipped, new_bound) * np.minimum(weight, 1)
@@ -139,7 +137,7 @@ def accumulate_reference(
     known = state.observed[..., None]
     background = (1 - known) * (state.radiance if hdr is None else hdr) + known * state.radiance
     state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * background
-    for accumulated, new in ((state.depth_m, detail_depth_m), (state.clipped, clipped), (state.guessed, guessed)):
+    for accumulated, new in ((state.depth_m, depth_m), (state.clipped, clipped), (state.guessed, guessed)):
         accumulated[:] = blend * new + (1 - blend) * accumulated
     state.observed[:] = np.minimum(state.observed + blend, 1)
 

@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.engine.models.interface import FILL_UPDATE, Arrays, Estimate, Rendered
-from roomlight.engine.panorama.blend import PanoramaState, latest_detail
+from roomlight.engine.panorama.blend import PanoramaState, PartialPanorama, latest_detail
 from roomlight.engine.panorama.fill import at_most_white, push_pull
-from roomlight.engine.surface.mesh import PartialPanorama
 from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.grid import VOLUME_SHAPE, VolumeGrid
 from roomlight.engine.volume.sglv import Far, Sglv
@@ -35,6 +34,10 @@ class ClassicalModel:
     def begin(self, grid: VolumeGrid) -> "ClassicalVolume":
         """Allocate the sums over frames for this volume."""
         return ClassicalVolume(grid)
+
+    def new_probe(self) -> "ClassicalProbe":
+        """Begin a probe that has observed nothing."""
+        return ClassicalProbe()
 
 
 class ClassicalVolume:
@@ -60,10 +63,6 @@ class ClassicalVolume:
         self._fused.add(self.volume, clipping)
         self._whole = True
 
-    def new_probe(self) -> "ClassicalProbe":
-        """Begin a probe that has observed nothing."""
-        return ClassicalProbe()
-
     def save(self) -> Arrays:
         """Return copies of the sums over frames; the SGLV follows from them."""
         return self._fused.save()
@@ -85,7 +84,7 @@ class ClassicalProbe:
     ) -> Estimate:
         """Estimate the HDR panorama: observed radiance and, with little weight, the SGLV, spread by push-pull."""
         del depth_max_m
-        detail, known = latest_detail(panorama, partial.radiance, partial.depth_m, mask=partial.mask)
+        detail, known = latest_detail(panorama, partial)
         opaque = 1 - rendered.transmittance
         # The edges of the volume's band are half transparent and misleading: hence the fourth power.
         volume_weight = (1 - known) * VOLUME_WEIGHT * opaque**4

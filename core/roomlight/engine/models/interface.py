@@ -1,8 +1,8 @@
 """What the lighting models have in common: initial volumes into an SGLV, and a probe's views into panorama and weight.
 
 A model exists before the first frame and holds no state: sessions share its networks. With the first frame's grid it
-begins a volume (sums or 3D hidden states), which in turn begins each probe (2D hidden states). Each owns its state and
-saves it, as copies, between frames.
+begins a volume (sums or 3D hidden states), and each probe (2D hidden states). Each owns its state and saves it, as
+copies, between frames.
 
 A frame's initial volume is written to the buffer `volume`, which is bound to the graphs. `update` takes it as the next
 frame, and `sglv` is the SGLV after it: zeros before the first frame, overwritten by the next. `add` takes it as an
@@ -28,12 +28,7 @@ Arrays = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Rendered:
-    """The SGLV ray traced at a probe.
-
-    Attributes:
-        radiance: [H, 2H, 3] linear RGB.
-        transmittance: [H, 2H] share of each ray that nothing stopped.
-    """
+    """The SGLV ray traced at a probe: linear RGB, and the share of each ray that nothing stopped."""
 
     radiance: Float[np.ndarray, "h w 3"]
     transmittance: Float[np.ndarray, "h w"]
@@ -41,12 +36,7 @@ class Rendered:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A model's answer for one probe and frame.
-
-    Attributes:
-        hdr: [H, 2H, 3] the HDR panorama, in every direction.
-        weight: [H, 2H] the raw blending weight L_M, 0 where the frame's mesh is not visible.
-    """
+    """A model's HDR panorama for one probe and frame, and raw blending weight L_M, 0 where the mesh is not visible."""
 
     hdr: Float[np.ndarray, "h w 3"]
     weight: Float[np.ndarray, "h w"]

@@ -11,16 +11,23 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from roomlight.engine.kernels.fill import mute
 from roomlight.engine.models.interface import FILL_UPDATE, Arrays, Estimate, Rendered
 from roomlight.engine.networks.graph import BoundGraph
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.networks.runtime import Buffers
-from roomlight.engine.panorama.blend import PanoramaState, fill_beyond, fill_in, latest_detail, mean_colour
+from roomlight.engine.panorama.blend import (
+    PanoramaState,
+    PartialPanorama,
+    fill_beyond,
+    fill_in,
+    latest_detail,
+    mean_colour,
+)
+from roomlight.engine.panorama.panels import resized
 from roomlight.engine.panorama.prior import PanoramaPrior
-from roomlight.engine.surface.mesh import PartialPanorama
 
 OWN_COLOUR: Final = 0.5
 """Share of its own colour that inferred light keeps (`muted`). On 27 captures log-L2, the matte sphere's error and the
@@ -35,10 +42,7 @@ def hedged(
     They err in different rooms: fills where the light is behind the camera, networks in rooms unlike those of their
     training. The error of the mean is never above the mean of the errors, since log-L2 is convex.
 
-    Args:
-        hdr: Linear RGB.
-        fills: Linear RGB; they have equal parts of the share.
-        share: Of the fills together, 0 to 1.
+    The fills have equal parts of the share, 0 to 1.
     """
     if share == 0:
         return hdr
@@ -53,12 +57,8 @@ def muted(
 ) -> Float[np.ndarray, "h w 3"]:
     """Return inferred light with its colour moved toward the mean colour of what was observed; luminance stays.
 
-    Which direction has which colour is a guess: a wall's green smeared over the ceiling shows in every mirror.
-
-    Args:
-        hdr: Linear RGB.
-        detail: Linear RGB that was observed.
-        known: 1 where `detail` was observed, 0 elsewhere.
+    Which direction has which colour is a guess: a wall's green smeared over the ceiling shows in every mirror. `known`
+    is 1 where `detail` was observed, 0 elsewhere.
     """
     if not known.any():
         return hdr
@@ -112,15 +112,15 @@ class NetworkProbe:
         """Estimate HDR panorama and weight; the weight is the network's, within the mesh."""
         first = self.frames == 0
         hdr = rendered.radiance
-        detail, known = latest_detail(panorama, partial.radiance, partial.depth_m, mask=partial.mask)
-        ldr = fill_beyond(detail, known, partial.radiance, mask=partial.mask, hdr=hdr)
+        detail, known = latest_detail(panorama, partial)
+        ldr = fill_beyond(detail, known, partial, hdr=hdr)
         weight = self.weigh(panorama, hdr, replace(partial, radiance=ldr), depth_max_m)
         hdr = fill_in(hdr, ldr, partial.mask, weight=weight)
         if self._hedge > 0:
             hdr = muted(hedged(hdr, (ldr, self._prior.fill(detail, known)), share=self._hedge), detail, known)
         if (self._graphs.form == "single" or self._hedge > 0) and not first:  # the fill has no memory of its own
             hdr = panorama.radiance + np.float32(FILL_UPDATE) * (hdr - panorama.radiance)
-        return Estimate(hdr, weight * partial.mask)
+        return Estimate(hdr, np.where(_above_white(partial), np.float32(1), weight * partial.mask))
 
     def save(self) -> Arrays:
         """Return copies of the hidden states after the last frame, and the number of frames."""
@@ -146,29 +146,28 @@ class NetworkProbe:
         first = self.frames == 0 or self._graphs.form == "single"
         target, height = (self._panels8 if first else self._panels13)[0], self._height
         at = 0 if first else 3
-        target[at : at + 3] = _planes(_resample(rendered, height))
-        target[at + 3 : at + 6] = _planes(_resample(partial.radiance, height))
+        target[at : at + 3] = _planes(resized(rendered, height))
+        target[at + 3 : at + 6] = _planes(resized(partial.radiance, height))
         self._mask[0, 0] = target[at + 6] = _nearest(mask, height)
         np.subtract(1, target[at + 6], out=target[at + 7])
         if not first:
-            target[:3] = _planes(_resample(panorama.radiance, height))
+            target[:3] = _planes(resized(panorama.radiance, height))
             target[11] = _nearest(partial.depth_m, height) / depth_max_m
             target[12] = _nearest(panorama.depth_m, height) / depth_max_m
         for step in self._first if first else self._next[(self.frames - 1) % 2]:
             step.run()
         self.frames += 1
-        return _resample(self._weight[0, 0], mask.shape[0])
+        return resized(self._weight[0, 0], mask.shape[0])
+
+
+def _above_white(partial: PartialPanorama) -> Bool[np.ndarray, "h w"]:
+    """Return where measured light is brighter than white: networks learned weights of light up to it alone."""
+    above = partial.mask & (partial.radiance.max(axis=-1) > 1)
+    return above if partial.clipped is None else above & (partial.clipped == 0)
 
 
 def _planes(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 h w"]:
     return np.moveaxis(image, -1, 0)
-
-
-def _resample(image: Float[np.ndarray, "h w *c"], height: int) -> Float[np.ndarray, "{height} 2*{height} *c"]:
-    if image.shape[0] == height:
-        return image
-    interpolation = cv2.INTER_AREA if image.shape[0] > height else cv2.INTER_LINEAR
-    return cv2.resize(image, (2 * height, height), interpolation=interpolation)
 
 
 def _nearest(plane: Float[np.ndarray, "h w"], height: int) -> Float[np.ndarray, "{height} 2*{height}"]:

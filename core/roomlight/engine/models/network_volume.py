@@ -70,29 +70,23 @@ class NetworkModel:
             raise ModelError(
                 f"{self.graphs.path}: exported for volumes of {self.volume_shape}, this session's is {grid.shape}"
             )
-        return SingleViewVolume(self, grid) if self.graphs.form == "single" else RecurrentVolume(self, grid)
+        return (SingleViewVolume if self.graphs.form == "single" else RecurrentVolume)(self.graphs, grid)
+
+    def new_probe(self) -> NetworkProbe:
+        """Begin a probe that has observed nothing."""
+        return NetworkProbe(self.graphs, self.prior, self.hedge)
 
 
-@dataclass(frozen=True)
-class _SingleViewGraphs:
-    """Encoder and decoder of one frame with their buffers."""
-
-    features: Buffers
-    steps: tuple[BoundGraph, BoundGraph]
-
-    @classmethod
-    def bind(cls, graphs: LightingGraphs, volume: Float[np.ndarray, "5 z y x"], sglv: Buffers) -> "_SingleViewGraphs":
-        encoder, decoder = graphs.graphs["single_sg_encoder"], graphs.graphs["single_sg_decoder"]
-        features = encoder.new_outputs()
-        steps = (
-            encoder.bind({"volume": volume}, features),
-            decoder.bind({**features, "volume": volume}, sglv),
-        )
-        return cls(features, steps)
-
-    def run(self) -> None:
-        for step in self.steps:
-            step.run()
+def _bound_single_view(
+    graphs: LightingGraphs, volume: Float[np.ndarray, "5 z y x"], sglv: Buffers
+) -> tuple[Buffers, list[BoundGraph]]:
+    """Bind encoder and decoder of one frame; return the features between them, and both."""
+    encoder, decoder = graphs.graphs["single_sg_encoder"], graphs.graphs["single_sg_decoder"]
+    features = encoder.new_outputs()
+    return features, [
+        encoder.bind({"volume": volume}, features),
+        decoder.bind({**features, "volume": volume}, sglv),
+    ]
 
 
 class SingleViewVolume:
@@ -100,24 +94,24 @@ class SingleViewVolume:
 
     far: Far = "boundary"
 
-    def __init__(self, model: NetworkModel, grid: VolumeGrid) -> None:
+    def __init__(self, graphs: LightingGraphs, grid: VolumeGrid) -> None:
         """Begin without frames."""
-        self._model = model
         self.volume = np.zeros((5, *grid.shape), np.float32)
         self._fused = FusedVolume.fresh(grid.shape)
         self._mean = np.zeros_like(self.volume)  # bound to the encoder
-        decoder = model.graphs.graphs["single_sg_decoder"]
+        decoder = graphs.graphs["single_sg_decoder"]
         inferred, kept = (decoder.new_outputs() for _ in range(2))
         self._inferred = Sglv(grid, inferred["alpha"], inferred["lobes"])
         self.sglv = Sglv(grid, kept["alpha"], kept["lobes"])
-        self._graphs = _SingleViewGraphs.bind(model.graphs, self._mean, inferred)
+        _, self._steps = _bound_single_view(graphs, self._mean, inferred)
         self._frames = 0
 
     def update(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
         """Infer the mean volume's SGLV and move the kept one half-way to it; clear voxels observed as empty at once."""
         self._fused.add(self.volume, clipping)
         self._fused.write(self._mean)
-        self._graphs.run()
+        for step in self._steps:
+            step.run()
         share = np.float32(FILL_UPDATE if self._frames > 0 else 1)
         observed = self._mean[4].reshape(-1)
         for target, values in ((self._inferred.alpha, self.sglv.alpha), (self._inferred.lobes, self.sglv.lobes)):
@@ -129,10 +123,6 @@ class SingleViewVolume:
     def add(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
         """Add the volume to the mean."""
         self._fused.add(self.volume, clipping)
-
-    def new_probe(self) -> NetworkProbe:
-        """Begin a probe that has observed nothing."""
-        return NetworkProbe(self._model.graphs, self._model.prior, self._model.hedge)
 
     def save(self) -> Arrays:
         """Return copies of the SGLV and of the sums over frames."""
@@ -151,26 +141,25 @@ class RecurrentVolume:
 
     far: Far = "boundary"
 
-    def __init__(self, model: NetworkModel, grid: VolumeGrid) -> None:
+    def __init__(self, graphs: LightingGraphs, grid: VolumeGrid) -> None:
         """Begin without frames."""
-        self._model = model
-        graphs = model.graphs.graphs
+        loaded = graphs.graphs
         self.volume = np.zeros((5, *grid.shape), np.float32)  # bound to the encoders
         self._unit = np.ones((1, 3, 1, 1, 1), np.float32)
-        decoded = [graphs["single_sg_decoder"].new_outputs() for _ in range(2)]
+        decoded = [loaded["single_sg_decoder"].new_outputs() for _ in range(2)]
         self._sglvs = [Sglv(grid, arrays["alpha"], arrays["lobes"]) for arrays in decoded]
-        self._first = _SingleViewGraphs.bind(model.graphs, self.volume, decoded[0])
-        hidden = {"h0": self._first.features["f0"], "h1": self._first.features["f1"]}  # after the first frame, h = f
+        first, self._first = _bound_single_view(graphs, self.volume, decoded[0])
+        hidden = {"h0": first["f0"], "h1": first["f1"]}  # after the first frame, h = f
         self._hidden = [hidden, {key: np.zeros_like(array) for key, array in hidden.items()}]
-        features = graphs["video_sg_encoder"].new_outputs()
-        unit = {"unit": self._unit} if "unit" in graphs["video_sg_encoder"].inputs else {}
-        encode = graphs["video_sg_encoder"].bind({"volume": self.volume, **unit}, features)
+        features = loaded["video_sg_encoder"].new_outputs()
+        unit = {"unit": self._unit} if "unit" in loaded["video_sg_encoder"].inputs else {}
+        encode = loaded["video_sg_encoder"].bind({"volume": self.volume, **unit}, features)
         self._next: list[tuple[BoundGraph, ...]] = []  # by the number of the buffers that are written
         for old, new in ((1, 0), (0, 1)):
             h_next = {f"{key}_next": array for key, array in self._hidden[new].items()}
             before = {"alpha_previous": decoded[old]["alpha"], "lobes_previous": decoded[old]["lobes"]}
-            update = graphs["video_sg_gru"].bind({**self._hidden[old], **features}, h_next)
-            decode = graphs["video_sg_decoder"].bind(
+            update = loaded["video_sg_gru"].bind({**self._hidden[old], **features}, h_next)
+            decode = loaded["video_sg_decoder"].bind(
                 {**self._hidden[new], **before, "volume": self.volume, **unit}, decoded[new]
             )
             self._next.append((encode, update, decode))
@@ -191,18 +180,12 @@ class RecurrentVolume:
         self._frames += 1
         if self._frames == 1:
             self._unit[0, :, 0, 0, 0] = mean_colour(self.volume)
-            self._first.run()
-            return
-        for step in self._next[self._latest]:
+        for step in self._first if self._frames == 1 else self._next[self._latest]:
             step.run()
 
     def add(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
         """Run the graphs: the recursion takes frames one by one."""
         self.update(clipping)
-
-    def new_probe(self) -> NetworkProbe:
-        """Begin a probe that has observed nothing."""
-        return NetworkProbe(self._model.graphs, self._model.prior, self._model.hedge)
 
     def save(self) -> Arrays:
         """Return copies of the SGLV, the hidden states and the unit of colour."""

@@ -89,9 +89,7 @@ class ClippingModel:
     def log_radiance(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float32[np.ndarray, "h w 3"]:
         """Estimate the logarithm of each pixel's radiance in units of the frame's white, if it is clipped.
 
-        Args:
-            frame: With the sensor's depth (0 = unknown).
-            depth_m: Its completed depth.
+        `frame` has the sensor's depth (0 = unknown), `depth_m` is that depth completed.
         """
         planes = clipping_planes(frame, depth_m)
         outputs = self._graph.new_outputs()

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
-from roomlight.engine.networks.runtime import Buffers, LoadedGraph, RuntimeName
+from roomlight.engine.networks.openvino_runtime import OpenVinoGraph
+from roomlight.engine.networks.runtime import Buffers, OnnxRuntimeGraph, RuntimeName
 from roomlight.errors import ModelError
 
 
 class Graph:
     """A loaded graph, run on fixed buffers."""
 
-    def __init__(self, loaded: LoadedGraph, name: str, digest: str = "") -> None:
+    def __init__(self, loaded: OnnxRuntimeGraph | OpenVinoGraph, name: str, digest: str = "") -> None:
         """Check that all shapes are static.
 
         Args:

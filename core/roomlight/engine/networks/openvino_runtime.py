@@ -102,7 +102,7 @@ class OpenVinoGraph:
             raise ModelError(f"{path}: OpenVINO cannot load it ({str(error).splitlines()[0]})") from error
 
     def bind(self, inputs: Buffers, outputs: Buffers) -> Callable[[], object]:
-        """Make a request whose tensors are the buffers."""
+        """Return what `OnnxRuntimeGraph.bind` does: a request whose tensors are the buffers."""
         request, tensor = self._compiled.create_infer_request(), _openvino().Tensor
         for name, array in {**inputs, **outputs}.items():
             request.set_tensor(name, tensor(array, shared_memory=True))

@@ -53,12 +53,7 @@ def open_graph(path: Path, runtime: RuntimeName) -> Graph:
 
 
 def open_graphs(paths: Sequence[Path], digest: str, provider: Provider) -> list[Graph]:
-    """Load the graphs of a model folder, all in one runtime.
-
-    Args:
-        paths: the graphs' files.
-        digest: identity of all of them, under which a measured choice is kept.
-        provider: `auto` chooses the runtime, see the module.
+    """Load the graphs of a model folder, all in one runtime; a measured choice is kept under their `digest`.
 
     Raises:
         ModelError: OpenVINO or CUDA is requested and not installed, or the runtime refuses a graph.

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Final, Literal, Protocol, runtime_checkable
+from typing import Final, Literal
 
 import numpy as np
 from jaxtyping import Float32
@@ -29,24 +29,8 @@ Shapes = dict[str, tuple[int | str, ...]]
 """Shapes by the names of a graph's inputs or outputs; a dynamic size has a name."""
 
 
-@runtime_checkable
-class LoadedGraph(Protocol):
-    """A graph in a runtime, without state: threads may run it at the same time, each on buffers of its own."""
-
-    runtime: RuntimeName
-    inputs: Shapes
-    outputs: Shapes
-
-    def bind(self, inputs: Buffers, outputs: Buffers) -> Callable[[], object]:
-        """Return a function that runs the graph on these buffers, which the caller keeps alive; nothing is copied.
-
-        The buffers fit: contiguous, of the graph's names and shapes.
-        """
-        ...
-
-
 class OnnxRuntimeGraph:
-    """A graph in ONNX Runtime."""
+    """A graph in ONNX Runtime, without state: threads may run it at the same time, each on buffers of its own."""
 
     def __init__(self, session: ort.InferenceSession, path: Path | None = None) -> None:
         self._session, self._name = session, str(path or "the graph")
@@ -89,7 +73,10 @@ class OnnxRuntimeGraph:
         return graph
 
     def bind(self, inputs: Buffers, outputs: Buffers) -> Callable[[], object]:
-        """Bind the buffers' addresses."""
+        """Return a function that runs the graph on these buffers, which the caller keeps alive; nothing is copied.
+
+        The buffers fit: contiguous, of the graph's names and shapes.
+        """
         session, binding = self._session, self._session.io_binding()
         for name, array in inputs.items():
             binding.bind_ortvalue_input(name, ort.OrtValue.ortvalue_from_numpy(array))
@@ -122,4 +109,4 @@ _NUMPY: Final = {
     "tensor(int32)": np.int32,
 }
 
-__all__ = ["CUDA", "Buffers", "LoadedGraph", "OnnxRuntimeGraph", "RuntimeName", "Shapes", "ort"]
+__all__ = ["CUDA", "Buffers", "OnnxRuntimeGraph", "RuntimeName", "Shapes", "ort"]

@@ -18,7 +18,7 @@ reflection. Therefore:
   was accumulated: the darkest and the brightest pixel around it agreed. Pixels beside such a pixel begin with it.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import cv2
@@ -70,6 +70,29 @@ def farthest_depth_m(depth_max_m: float) -> float:
 
 
 @dataclass(frozen=True)
+class PartialPanorama:
+    """What a probe sees of one frame's mesh.
+
+    Attributes:
+        radiance: [H, 2H, 3] linear RGB, 0 where the mask is False.
+        mask: [H, 2H] directions in which the mesh is seen.
+        depth_m: [H, 2H] distance along the ray in metres, 0 where the mask is False.
+        clipped: [H, 2H] share of the surface whose pixels were clipped, 0 to 1; None: nothing was clipped.
+        guessed: [H, 2H] luminance of the radiance that was estimated for these pixels; None: nothing was clipped.
+    """
+
+    radiance: Float[np.ndarray, "h w 3"]
+    mask: Bool[np.ndarray, "h w"]
+    depth_m: Float[np.ndarray, "h w"]
+    clipped: Float[np.ndarray, "h w"] | None = None
+    guessed: Float[np.ndarray, "h w"] | None = None
+
+    def within(self, farthest_m: float) -> "PartialPanorama":
+        """Clamp the depth to `farthest_m`."""
+        return replace(self, depth_m=np.minimum(self.depth_m, np.float32(farthest_m)))
+
+
+@dataclass(frozen=True)
 class PanoramaState:
     """One probe's accumulated panorama, updated in place; float32.
 
@@ -108,15 +131,11 @@ class PanoramaState:
     def for_lighting(self) -> "PanoramaState":
         """Return a copy that later frames do not change; what only blending needs is zero and takes no memory."""
         zero = np.zeros((), np.float32)
-        return PanoramaState(
-            radiance=self.radiance.copy(),
-            depth_m=self.depth_m.copy(),
-            observed=self.observed.copy(),
-            clipped=self.clipped.copy(),
-            guessed=self.guessed.copy(),
-            changed=np.broadcast_to(zero, self.observed.shape),
-            viewed_from=np.broadcast_to(zero, self.radiance.shape),
-        )
+        planes = {
+            name: getattr(self, name).copy() for name in ("radiance", "depth_m", "observed", "clipped", "guessed")
+        }
+        changed, viewed_from = (np.broadcast_to(zero, plane.shape) for plane in (self.changed, self.viewed_from))
+        return PanoramaState(**planes, changed=changed, viewed_from=viewed_from)
 
     def is_closer(self, depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
         """Return where a surface is closer by `CLOSER_M` than the accumulated one: the conservative rule."""
@@ -136,17 +155,14 @@ class PanoramaState:
 
 def accumulate(
     state: PanoramaState,
+    partial: PartialPanorama,
     *,
     hdr: Float[np.ndarray, "h w 3"] | None,
-    detail: Float[np.ndarray, "h w 3"],
-    detail_depth_m: Float[np.ndarray, "h w"],
     weight: Float[np.ndarray, "h w"],
     unseen_m: float,
-    detail_clipped: Float[np.ndarray, "h w"] | None = None,
-    detail_guessed: Float[np.ndarray, "h w"] | None = None,
     camera: Float[np.ndarray, "3"] = AT_PROBE,
 ) -> None:
-    """Blend one frame into the state, in place.
+    """Blend what one frame shows into the state, in place.
 
     With L_M the weight after the conservative rule, L~ the detail, L. the HDR panorama from the SGLV:
     L_M = max(L_M - 1(D^ - D~ < 0.25), 0);  L = L_M L~ + (1 - L_M)((1 - M^) L. + M^ L);
@@ -157,20 +173,16 @@ def accumulate(
     `better_share`. Where its light has changed (see the module), the state is forgotten first: M^ is 0 and D^ is
     `unseen_m`, the depth of what was never seen.
 
-    `detail_clipped` and `detail_guessed` are as in `PanoramaState`; None: nothing was clipped. `camera` is the frame's
-    position in metres from the probe, world axes.
+    `camera` is the frame's position in metres from the probe, world axes.
     """
-    nothing = np.zeros_like(detail_depth_m) if detail_clipped is None or detail_guessed is None else None
-    clipped = nothing if detail_clipped is None else detail_clipped
-    guessed = nothing if detail_guessed is None else detail_guessed
-    assert clipped is not None
-    assert guessed is not None
+    clipped = np.zeros_like(weight) if partial.clipped is None else partial.clipped
+    guessed = np.zeros_like(weight) if partial.guessed is None else partial.guessed
     accumulated = StateArrays(*(getattr(state, plane.name) for plane in fields(state)))
     around = np.empty((3, *weight.shape), np.float32)
     height, closer_m = len(weight), np.float32(CLOSER_M)
-    rows = find_extremes(detail, clipped, guessed, weight, len(neighbourhood(height)) // 2, around)
+    rows = find_extremes(partial.radiance, clipped, guessed, weight, len(neighbourhood(height)) // 2, around)
     place = np.asarray(camera, np.float32)
-    seen = detail, detail_depth_m, clipped, guessed, weight
+    seen = partial.radiance, partial.depth_m, clipped, guessed, weight
     frame = DetailArrays(*seen, around[0], around[1], around[2], place)
     comparison = np.zeros(weight.shape, np.uint8)
     # One thread: both 0.1 ms for 120 x 240, more on a pool.
@@ -201,55 +213,33 @@ def neighbourhood(height: int) -> UInt8[np.ndarray, "k k"]:
 
 
 def latest_detail(
-    state: PanoramaState,
-    detail: Float[np.ndarray, "h w 3"],
-    detail_depth_m: Float[np.ndarray, "h w"],
-    *,
-    mask: Bool[np.ndarray, "h w"],
+    state: PanoramaState, partial: PartialPanorama
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
     """Return (radiance, confidence 0 to 1): this frame's detail where the conservative rule accepts it, else the
     accumulated radiance."""
-    fresh = mask & state.is_closer(detail_depth_m)
+    fresh = partial.mask & state.is_closer(partial.depth_m)
     known = np.where(fresh, np.float32(1), state.observed)
-    return np.where(fresh[..., None], detail, state.radiance), known
-
-
-def filled_detail(
-    state: PanoramaState,
-    detail: Float[np.ndarray, "h w 3"],
-    detail_depth_m: Float[np.ndarray, "h w"],
-    *,
-    mask: Bool[np.ndarray, "h w"],
-    hdr: Float[np.ndarray, "h w 3"],
-) -> Float[np.ndarray, "h w 3"]:
-    """Return this frame's detail, with everything beyond its mask filled from all that was observed so far.
-
-    The blending network mixes it with the SGLV's panorama `hdr`, which is returned where nothing was observed yet.
-    """
-    radiance, known = latest_detail(state, detail, detail_depth_m, mask=mask)
-    return fill_beyond(radiance, known, detail, mask=mask, hdr=hdr)
+    return np.where(fresh[..., None], partial.radiance, state.radiance), known
 
 
 def fill_beyond(
     radiance: Float[np.ndarray, "h w 3"],
     known: Float[np.ndarray, "h w"],
-    detail: Float[np.ndarray, "h w 3"],
+    partial: PartialPanorama,
     *,
-    mask: Bool[np.ndarray, "h w"],
     hdr: Float[np.ndarray, "h w 3"],
 ) -> Float[np.ndarray, "h w 3"]:
-    """Return what `filled_detail` does, from the result of `latest_detail`."""
+    """Return this frame's detail, with everything beyond its mask filled from all that was observed so far.
+
+    `radiance` and `known` are what `latest_detail` returned. The blending network mixes the fill with the SGLV's
+    panorama `hdr`, which is returned where nothing was observed yet.
+    """
     around = fill_unknown(radiance, known) if known.any() else hdr
-    return np.where(mask[..., None], detail, around)
+    return np.where(partial.mask[..., None], partial.radiance, around)
 
 
 def mean_colour(detail: Float[np.ndarray, "h w 3"], known: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3"]:
-    """Return the mean colour of what was observed, at luminance 1; grey where nothing was.
-
-    Args:
-        detail: Linear RGB; counts up to white.
-        known: 1 where `detail` was observed, 0 elsewhere.
-    """
+    """Return the mean colour of what was observed (`known` is 1), up to white, at luminance 1; grey if nothing was."""
     mean = np.tensordot(known * panorama_solid_angles(len(known)), np.minimum(detail, 1), axes=2)
     luminance = float(mean @ LUMINANCE)
     return (mean / luminance if luminance > 0 else np.ones(3)).astype(np.float32)

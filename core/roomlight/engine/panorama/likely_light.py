@@ -15,7 +15,6 @@ of direction is 36 to 39 degrees for powers of 1 to 2, kernels of 18 to 40 degre
 that of the strongest lobe is 45.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -39,9 +38,7 @@ _TRIED_ROWS: Final = 12  # directions tried, 15 degrees apart; the best one then
 def likely_lights(panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarray, "h w"]) -> TrackedLights:
     """Return the lights of a panorama, with the likeliest main light, which need not be among them.
 
-    Args:
-        panorama: linear RGB [H, 2H, 3].
-        observed: 1 = seen, 0 = inferred, [H, 2H].
+    `observed` is 1 where a direction was seen, 0 where its linear RGB was inferred.
     """
     around = Surroundings.of(panorama)
     sources = around.lights()
@@ -50,8 +47,8 @@ def likely_lights(panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarr
     if not power.any():
         return TrackedLights(main, sources)
     rays = around.search.rays
-    tried = _Tried.of_rows(around.search.rows)
-    direction = tried.directions[np.argmax(np.einsum("ij,j->i", tried.kernel, power))]
+    directions, kernels = _tried(around.search.rows)
+    direction = directions[np.argmax(np.einsum("ij,j->i", kernels, power))]
     for _ in range(2):
         direction = np.einsum("i,ij->j", power * _kernel(rays, direction), rays)
         direction = direction / np.linalg.norm(direction)
@@ -76,14 +73,8 @@ def _kernel(rays: Float[np.ndarray, "n 3"], toward: Float[np.ndarray, "3"]) -> F
     return np.exp((np.einsum("ij,j->i", rays, toward.astype(np.float32)) - 1) / np.float32(np.radians(KERNEL_DEG) ** 2))
 
 
-@dataclass(frozen=True, eq=False)
-class _Tried:
-    directions: Float[np.ndarray, "k 3"]
-    kernel: Float[np.ndarray, "k n"]
-
-    @staticmethod
-    @lru_cache(maxsize=4)
-    def of_rows(rows: int) -> "_Tried":
-        """Return the directions to try, and their kernels over a panorama of `rows` rows."""
-        directions = panorama_rays(min(rows, _TRIED_ROWS))
-        return _Tried(directions, np.stack([_kernel(panorama_rays(rows), toward) for toward in directions]))
+@lru_cache(maxsize=4)
+def _tried(rows: int) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k n"]]:
+    """Return the directions to try, and their kernels over a panorama of `rows` rows."""
+    directions = panorama_rays(min(rows, _TRIED_ROWS))
+    return directions, np.stack([_kernel(panorama_rays(rows), toward) for toward in directions])

@@ -1,4 +1,5 @@
 """Panels of a probe's panorama: the input of a network that changes its light (`engine.lighting`).
+`resized` resamples panoramas for all networks.
 
 A network sees the panorama that the frames of the stream make together, never its own results, so that nothing that it
 inferred can grow by being looked at. Its output is the change of log(1 + L), per channel, at the panels' size. One run
@@ -29,17 +30,12 @@ def changed_light(
     Where the share is 0 the light keeps its bits.
     """
     height, change = len(light), np.ascontiguousarray(np.moveaxis(change, 0, -1))
-    fine = _resize(change, height, cv2.INTER_LINEAR)
+    fine = resized(change, height, cv2.INTER_LINEAR)
     edge = -(-height // len(change))  # columns beside the seam; half a turn on, it lies inside
-    turned = np.roll(_resize(np.roll(change, len(change), axis=1), height, cv2.INTER_LINEAR), height, axis=1)
+    turned = np.roll(resized(np.roll(change, len(change), axis=1), height, cv2.INTER_LINEAR), height, axis=1)
     fine[:, :edge], fine[:, -edge:] = turned[:, :edge], turned[:, -edge:]
     log = np.log1p(np.maximum(light, 0)) + fine * share[..., None]
     return np.where(share[..., None] > 0, np.expm1(np.clip(log, 0, np.float32(np.log1p(BRIGHTEST)))), light)
-
-
-def panel(plane: Float[np.ndarray, "h w *c"]) -> Float32[np.ndarray, "ph pw *c"]:
-    """Reduce a plane of a panorama to the panels' size."""
-    return _resize(np.asarray(plane, np.float32), HEIGHT)
 
 
 def panorama_panels(
@@ -51,23 +47,24 @@ def panorama_panels(
     fill: Float[np.ndarray, "h w 3"],
 ) -> Float32[np.ndarray, "9 ph pw"]:
     """Compute the panels: means over their pixels, those of observed values weighted by the share observed."""
-    share = panel(known)
+    share = resized(known, HEIGHT)
 
     def mean(plane: Float[np.ndarray, "h w *c"]) -> Float32[np.ndarray, "ph pw *c"]:
         weighted = known.reshape(known.shape + (1,) * (plane.ndim - 2)) * plane
-        return panel(weighted) / np.maximum(share, 1e-3).reshape(share.shape + (1,) * (plane.ndim - 2))
+        return resized(weighted, HEIGHT) / np.maximum(share, 1e-3).reshape(share.shape + (1,) * (plane.ndim - 2))
 
     panels = np.empty((PANELS, HEIGHT, 2 * HEIGHT), np.float32)
     panels[0:3] = np.moveaxis(mean(np.minimum(detail, BRIGHTEST)), -1, 0)
     panels[3], panels[4] = share, mean(clipped)
     panels[5] = mean(np.minimum(depth_m, FARTHEST_M))
-    panels[6:9] = np.moveaxis(panel(np.minimum(fill, BRIGHTEST)), -1, 0)
+    panels[6:9] = np.moveaxis(resized(np.minimum(fill, BRIGHTEST), HEIGHT), -1, 0)
     return panels
 
 
-def _resize(
+def resized(
     image: Float[np.ndarray, "h w *c"], height: int, interpolation: int | None = None
 ) -> Float32[np.ndarray, "{height} 2*{height} *c"]:
+    """Return an image as a panorama of `height` rows: area means where it gets smaller, else bilinear."""
     if image.shape[0] == height:
         return np.asarray(image, np.float32)
     smaller = image.shape[0] > height

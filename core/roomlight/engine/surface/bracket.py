@@ -140,15 +140,10 @@ def _may_show(mesh: FrameMesh, corners: Float[np.ndarray, "8 3"]) -> bool:
 
 
 def _source(mesh: FrameMesh) -> SourceArrays:
-    texture, bound = mesh.texture, mesh.texture.bound
+    texture, bound, view, k = mesh.texture, mesh.texture.bound, mesh.depth_view, mesh.image_camera
     clipped = np.zeros(bound.shape, bool) if texture.clipped is None else texture.clipped
-    pose = rigid_inverse(mesh.camera_to_world).astype(np.float32)
-    lens, grid = _lens(mesh.image_camera), _lens(mesh.grid_camera)
-    return SourceArrays(texture.image, clipped, bound, mesh.grid_depth_m, lens, grid, pose)
-
-
-def _lens(k: Intrinsics) -> Float[np.ndarray, "4"]:
-    return np.array([k.fx, k.fy, k.cx, k.cy], np.float32)
+    lens = np.array([k.fx, k.fy, k.cx, k.cy], np.float32)
+    return SourceArrays(texture.image, clipped, bound, view.depth, lens, view.lens, view.world_to_camera)
 
 
 def _with_points(texture: Texture, where: Int[np.ndarray, " n"], points: PointArrays) -> Texture:

@@ -70,12 +70,9 @@ class Drift:
         return red, green, blue
 
     def after(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: Sequence[FrameMesh]) -> "Drift":
-        """Return the gain of the next frame.
+        """Return the gain of the next frame, as measured, by the meshes of the keyframes and of the last frame.
 
-        Args:
-            frame: As measured.
-            depth_m: Its completed depth.
-            earlier: Meshes of the keyframes and of the last frame, with their gains applied.
+        The gains of the meshes have been applied; `depth_m` is the frame's completed depth.
         """
         last, measured = np.array(self.log_gain), _measured(frame, depth_m, earlier)
         log_gain, points = (last, 0.0) if measured is None else measured

@@ -1,4 +1,4 @@
-"""The partial mesh of one frame, and what a probe sees of it: LDR panorama, mask, depth (paper, 4.1, 4.2).
+"""The partial mesh of one frame, and what a probe sees of one or several: LDR panorama, mask, depth (paper, 4.1, 4.2).
 
 Vertices are depth pixels in world metres; no triangle crosses a depth edge. A probe's panorama of the mesh is
 rasterised (`roomlight.engine.kernels.rasterise`) and textured with the frame's image
@@ -7,7 +7,7 @@ rasterised (`roomlight.engine.kernels.rasterise`) and textured with the frame's 
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
 
@@ -18,18 +18,22 @@ from jaxtyping import Bool, Float, Int
 from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.conventions import panorama_rays
 from roomlight.engine.kernels.rasterise import (
+    Nearest,
     Raster,
     Surface,
     join_quads,
     leave_out_shown,
-    locate,
     near_centres,
     place_vertices,
     raise_vertices,
     rasterise,
+    take_nearer,
 )
+from roomlight.engine.observations import CLOSER_M
+from roomlight.engine.panorama.blend import PartialPanorama
 from roomlight.engine.surface.texture import Pyramid, Texture
 from roomlight.frame import Frame
+from roomlight.threads import parallel_for
 
 EDGE_RATIO = 1.08
 """Neighbouring vertices whose depths differ by more than this ratio belong to two surfaces. With a vertex every 0.36
@@ -38,32 +42,10 @@ _EVERY: Final = 2
 _SAME_RATIO: Final = 0.02
 _SAME_M: Final = 0.03
 """Two meshes show one surface if they are less than 3 cm and 2 % of the depth apart."""
+_CLOSER_M: Final = np.float32(CLOSER_M)
 MAX_VERTICES: Final = 160 * 120
 """Most vertices of a mesh. Against the 153,000 triangles of all pixels the mask of a 120 x 240 panorama is wrong in
 2.4 % of its pixels; a mesh of 107 x 80 would be wrong in 4.7 %."""
-
-
-@dataclass(frozen=True)
-class PartialPanorama:
-    """What a probe sees of one frame's mesh.
-
-    Attributes:
-        radiance: [H, 2H, 3] linear RGB, 0 where the mask is False.
-        mask: [H, 2H] directions in which the mesh is seen.
-        depth_m: [H, 2H] distance along the ray in metres, 0 where the mask is False.
-        clipped: [H, 2H] share of the surface whose pixels were clipped, 0 to 1; None: nothing was clipped.
-        guessed: [H, 2H] luminance of the radiance that was estimated for these pixels; None: nothing was clipped.
-    """
-
-    radiance: Float[np.ndarray, "h w 3"]
-    mask: Bool[np.ndarray, "h w"]
-    depth_m: Float[np.ndarray, "h w"]
-    clipped: Float[np.ndarray, "h w"] | None = None
-    guessed: Float[np.ndarray, "h w"] | None = None
-
-    def within(self, farthest_m: float) -> "PartialPanorama":
-        """Clamp the depth to `farthest_m`."""
-        return replace(self, depth_m=np.minimum(self.depth_m, np.float32(farthest_m)))
 
 
 @dataclass(frozen=True)
@@ -71,8 +53,8 @@ class MeshGrid:
     """The depth samples that are vertices of a mesh.
 
     Attributes:
-        depth_m: [gh, gw] z-depth, 0 = unknown.
-        measured: [gh, gw] where the sensor measured it; elsewhere it is completed.
+        depth_m: z-depth, 0 = unknown.
+        measured: where the sensor measured it; elsewhere it is completed.
         depth_shape: rows and columns of the depth image that the samples were taken from.
     """
 
@@ -97,13 +79,7 @@ class MeshGrid:
 
 
 class DepthView(NamedTuple):
-    """A depth grid and its camera.
-
-    Attributes:
-        world_to_camera: [4, 4].
-        lens: fx, fy, cx, cy, in samples of the grid.
-        depth: [gh, gw] z-depth.
-    """
+    """A grid of z-depth and its camera; `lens` is fx, fy, cx, cy in samples of the grid."""
 
     world_to_camera: Float[np.ndarray, "4 4"]
     lens: Float[np.ndarray, "4"]
@@ -111,14 +87,7 @@ class DepthView(NamedTuple):
 
 
 class _Triangles(NamedTuple):
-    """What follows from a mesh's depth samples and camera.
-
-    Attributes:
-        vertices: [v, 3] world metres.
-        faces: [n, 3] vertices.
-        numbers: [2, quads] faces of each quad, -1 where one is left out.
-        pixels: [v, 2] (column, row) of a vertex in the image.
-    """
+    """What follows from a mesh's depth samples and camera; `numbers` are the faces of each quad (`grid_faces`)."""
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "n 3"]
@@ -151,7 +120,7 @@ class FrameMesh:
         grid = MeshGrid.of(frame.depth_m, sensor_depth_m, MAX_VERTICES)
         self._take(Texture.of(frame), frame.intrinsics, frame.camera_to_world, grid)
         self.sensor_clipped = clipped if clipped.any() else None
-        self._made = self._triangulated()
+        self._made = self._triangles_of(grid.depth_m, np.s_[:, :])
 
     @classmethod
     def of_grid(
@@ -180,7 +149,7 @@ class FrameMesh:
 
     def prepare(self) -> None:
         """Make what views need now, so that several threads may ask for views."""
-        self._made, self._pyramid = self._triangles, self.levels
+        self._made, self._pyramid = self.triangles, self.levels
 
     def forget(self) -> None:
         """Release what can be made again."""
@@ -203,12 +172,12 @@ class FrameMesh:
     @property
     def vertices(self) -> Float[np.ndarray, "v 3"]:
         """World metres, row by row of `grid_depth_m`."""
-        return self._triangles.vertices
+        return self.triangles.vertices
 
     @property
     def faces(self) -> Int[np.ndarray, "n 3"]:
         """Vertices of each triangle."""
-        return self._triangles.faces
+        return self.triangles.faces
 
     @property
     def known(self) -> Bool[np.ndarray, " v"]:
@@ -216,10 +185,11 @@ class FrameMesh:
         return self.grid_depth_m.reshape(-1) > 0
 
     @property
-    def _triangles(self) -> _Triangles:
+    def triangles(self) -> _Triangles:
+        """What is traced, and where each vertex lies in the image."""
         made = self._made  # once: another thread may forget it
         if made is None:
-            made = self._made = self._triangulated()
+            made = self._made = self._triangles_of(self.grid_depth_m, np.s_[:, :])
         return made
 
     @property
@@ -230,14 +200,11 @@ class FrameMesh:
             pyramid = self._pyramid = self.texture.pyramid()
         return pyramid
 
-    def _triangulated(self) -> _Triangles:
-        return self._triangles_of(self.grid_depth_m, np.s_[:, :])
-
     def _triangles_of(self, depth: Float[np.ndarray, "gh gw"], window: tuple[slice, slice]) -> _Triangles:
         """Return the triangles of depth samples in a window of the grid."""
         k, shape = self.image_camera, self.grid_depth_m.shape
         pixels = _pixels(self._depth_shape, self.grid_depth_m.size, (k.width, k.height)).reshape(*shape, 2)[window]
-        return _Triangles(self._raised(depth, window), *_joined(depth), np.ascontiguousarray(pixels).reshape(-1, 2))
+        return _Triangles(self._raised(depth, window), *grid_faces(depth), np.ascontiguousarray(pixels).reshape(-1, 2))
 
     def _raised(self, depth: Float[np.ndarray, "gh gw"], window: tuple[slice, slice]) -> Float[np.ndarray, "v 3"]:
         """Return the vertices of depth samples in a window of the grid, in world metres."""
@@ -297,31 +264,9 @@ class FrameMesh:
 
         The back of a surface hides what is behind it and is not seen itself: the camera saw its other side.
         """
-        pixels, shape = 2 * height * height, (height, 2 * height)
-        raster = empty_raster(pixels)
-        self.rasterise(position_world, height, raster)
-        seen, distance = np.empty(pixels, np.int32), np.empty(pixels, np.float32)
-        maps, levels = np.empty((pixels, 2), np.float32), np.empty(pixels, np.int8)
-        count = locate(raster, self.surface, self.per_pixel(height), seen, maps, levels, distance)
-        radiance, clipping = self.levels.sample(pixels, seen[:count], maps[:count], levels[:count])
-        clipped, guessed = (None, None) if clipping is None else (clipping[:, 0], clipping[:, 1])
-        return PartialPanorama(
-            radiance.reshape(*shape, 3),
-            (distance > 0).reshape(shape),
-            distance.reshape(shape),
-            None if clipped is None else np.ascontiguousarray(clipped).reshape(shape),
-            None if guessed is None else np.ascontiguousarray(guessed).reshape(shape),
-        )
-
-    @property
-    def surface(self) -> Surface:
-        """What triangles know of the image."""
-        made = self._triangles
-        return Surface(made.faces, made.pixels, self.grid_depth_m.reshape(-1))
-
-    def per_pixel(self, height: int) -> np.float32:
-        """Return the image pixels that a panorama pixel spans at a distance equal to the z-depth."""
-        return np.float32((self.image_camera.fx + self.image_camera.fy) / 2 * np.pi / height)
+        view = MeshesView(position_world, height)
+        view.add([(0, self)])
+        return view.partial()
 
     def rasterise(self, position_world: Float[np.ndarray, "3"], height: int, raster: Raster) -> tuple[int, int]:
         """Add the nearest triangles that a world position (metres) sees to a raster of an H x 2H panorama.
@@ -329,7 +274,7 @@ class FrameMesh:
         Returns:
             The first row that may have changed, and the row after the last.
         """
-        vertices, faces, numbers, _ = self._triangles
+        vertices, faces, numbers, _ = self.triangles
         offsets, places = np.empty((3, len(vertices)), np.float32), np.empty((2, len(vertices)), np.float32)
         place_vertices(vertices, np.asarray(position_world, np.float64), height, offsets, places)
         flags, chosen = np.empty(numbers.shape[1], np.bool_), np.empty(len(faces), np.int32)
@@ -347,15 +292,91 @@ def empty_raster(pixels: int) -> Raster:
     )
 
 
-def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:
+class MeshesView:
+    """A point's panorama of meshes: those added first stay, unless a later one shows a surface closer by `CLOSER_M`."""
+
+    def __init__(self, position_world: Float[np.ndarray, "3"], height: int) -> None:
+        """Begin without meshes, at a position in world metres, with `height` rows."""
+        self._position, self._height = position_world, height
+        pixels, endless = 2 * height * height, np.float32(np.inf)
+        self._nearest = Nearest(np.full(pixels, endless), np.full(pixels, endless), np.full(pixels, -1, np.int32))
+        self._radiance, self._clipping = np.zeros((pixels, 3), np.float32), np.zeros((pixels, 2), np.float32)
+        self._clips = False
+
+    def add(self, meshes: Sequence[tuple[int, FrameMesh]]) -> None:
+        """Add meshes with their numbers, in this order."""
+        height, pixels = self._height, len(self._radiance)
+        raster = empty_raster(pixels)
+        seen, maps, levels = np.empty(pixels, np.int32), np.empty((pixels, 2), np.float32), np.empty(pixels, np.int8)
+        for number, mesh in meshes:
+            rows = mesh.rasterise(self._position, height, raster)
+            some = rows[0] * 2 * height, rows[1] * 2 * height
+            made, pyramid = mesh.triangles, mesh.levels
+            surface = Surface(made.faces, made.pixels, mesh.grid_depth_m.reshape(-1))
+            # image pixels that a panorama pixel spans at a distance equal to the z-depth
+            per_pixel = np.float32((mesh.image_camera.fx + mesh.image_camera.fy) / 2 * np.pi / height)
+            count = take_nearer(raster, *some, surface, per_pixel, number, _CLOSER_M, self._nearest, seen, maps, levels)
+            pyramid.sample_into(self._radiance, self._clipping, seen[:count], maps[:count], levels[:count])
+            self._clips |= bool(pyramid.clipping)
+
+    def add_view(self, other: "MeshesView") -> None:
+        """Add what another view from the same point shows, as if it were one mesh."""
+        mine, theirs = self._nearest, other._nearest
+        closer = np.flatnonzero((theirs.distance <= mine.limit) & (theirs.mesh >= 0))
+        for own, new in zip(
+            (*mine, self._radiance, self._clipping), (*theirs, other._radiance, other._clipping), strict=True
+        ):
+            own[closer] = new[closer]
+        self._clips |= other._clips
+
+    def partial(self) -> PartialPanorama:
+        """Return what is seen."""
+        shape = self._height, 2 * self._height
+        mask = (self._nearest.mesh >= 0).reshape(shape)
+        depth_m = np.where(mask, self._nearest.distance.reshape(shape), np.float32(0))
+        radiance = self._radiance.reshape(*shape, 3)
+        if not self._clips:
+            return PartialPanorama(radiance, mask, depth_m)
+        clipped, guessed = (np.ascontiguousarray(self._clipping[:, part]).reshape(shape) for part in range(2))
+        return PartialPanorama(radiance, mask, depth_m, clipped, guessed)
+
+    def viewed_from(self, cameras: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "h w 3"]:
+        """Return the camera of each pixel's mesh, in metres from the point; 0 where nothing is seen.
+
+        Args:
+            cameras: World metres, by the meshes' numbers.
+        """
+        relative = np.vstack([cameras - self._position, np.zeros(3)]).astype(np.float32)
+        return relative[self._nearest.mesh].reshape(self._height, 2 * self._height, 3)
+
+
+def distinct(meshes: Sequence[FrameMesh]) -> list[tuple[int, FrameMesh]]:
+    """Return copies of meshes, with their numbers, without surfaces that those before them show too, on all cores.
+
+    Those that show nothing of their own are left out.
+    """
+    rest: dict[int, FrameMesh] = {}
+    views = [mesh.depth_view for mesh in meshes]
+
+    def leave_out(first: int, last: int) -> None:
+        for number in range(first, last):
+            mesh = meshes[number].without(views[:number])
+            if mesh is not None:
+                mesh.prepare()
+                rest[number] = mesh
+
+    parallel_for(leave_out, len(meshes), most=1)
+    return sorted(rest.items())
+
+
+def grid_faces(depth: Float[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "2 quads"]]:
     """Make two triangles of each quad of a depth grid, counter-clockwise seen from the camera.
 
     A triangle with an unknown corner, or across a depth edge (`EDGE_RATIO`), is left out.
+
+    Returns:
+        Vertices of the triangles, and the numbers of each quad's, -1 where one is left out.
     """
-    return _joined(depth)[0]
-
-
-def _joined(depth: Float[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "2 quads"]]:
     quads = (depth.shape[0] - 1) * (depth.shape[1] - 1)
     faces, numbers = np.empty((2 * quads, 3), np.int32), np.empty((2, quads), np.int32)
     return faces[: join_quads(depth, EDGE_RATIO, faces, numbers)], numbers

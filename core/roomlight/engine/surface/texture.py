@@ -27,12 +27,7 @@ _DARK: Final = 0.004
 
 
 class Pyramid(NamedTuple):
-    """A texture at all levels.
-
-    Attributes:
-        image: The image and its halves.
-        clipping: Share of clipped pixels, and estimated luminance; None: nothing was clipped.
-    """
+    """A texture at all levels; clipping is share of clipped pixels and estimated luminance (None: nothing clipped)."""
 
     image: list[Float[np.ndarray, "_ _ 3"]]
     clipping: list[Float[np.ndarray, "_ _ 2"]] | None
@@ -45,27 +40,16 @@ class Pyramid(NamedTuple):
         maps: Float[np.ndarray, "n 2"],
         levels: Int[np.ndarray, " n"],
     ) -> None:
-        """Write what `sample` returns of the pixels that are `seen`; others are not touched."""
-        _sample_into(radiance, self.image, seen, maps, levels)
+        """Write image and clipping of the pixels that are `seen`, at (column, row) on the given levels.
+
+        Other pixels are not touched.
+        """
         if self.clipping is None:
             clipping[seen] = 0
-        else:
-            _sample_into(clipping, self.clipping, seen, maps, levels)
-
-    def sample(
-        self,
-        pixels: int,
-        seen: Int[np.ndarray, " n"],
-        maps: Float[np.ndarray, "n 2"],
-        levels: Int[np.ndarray, " n"],
-    ) -> tuple[Float[np.ndarray, "pixels 3"], Float[np.ndarray, "pixels 2"] | None]:
-        """Sample those of so many pixels that are `seen`, at (column, row) on the given levels; 0 elsewhere.
-
-        Returns:
-            The image, and the share of clipped pixels with the estimated luminance (None: nothing was clipped).
-        """
-        clipping = None if self.clipping is None else _sample(self.clipping, pixels, seen, maps, levels)
-        return _sample(self.image, pixels, seen, maps, levels), clipping
+        for out, pyramid in ((radiance, self.image), (clipping, self.clipping or [])):
+            for number, image in enumerate(pyramid):
+                last = number == len(pyramid) - 1
+                sample_level(image, pyramid[0].shape[:2], seen, maps, levels, number, last, out)
 
 
 @dataclass(frozen=True)
@@ -140,30 +124,6 @@ def small_logarithm(
         share = cv2.resize(clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         usable &= cv2.dilate(share, np.ones((3, 3), np.uint8)) == 0
     return np.log(np.maximum(small, _DARK)), usable
-
-
-def _sample(
-    pyramid: list[Float[np.ndarray, "_ _ c"]],
-    pixels: int,
-    seen: Int[np.ndarray, " n"],
-    maps: Float[np.ndarray, "n 2"],
-    levels: Int[np.ndarray, " n"],
-) -> Float[np.ndarray, "pixels c"]:
-    out = np.zeros((pixels, pyramid[0].shape[2]), np.float32)
-    _sample_into(out, pyramid, seen, maps, levels)
-    return out
-
-
-def _sample_into(
-    out: Float[np.ndarray, "pixels c"],
-    pyramid: list[Float[np.ndarray, "_ _ c"]],
-    seen: Int[np.ndarray, " n"],
-    maps: Float[np.ndarray, "n 2"],
-    levels: Int[np.ndarray, " n"],
-) -> None:
-    for number, image in enumerate(pyramid):
-        last = number == len(pyramid) - 1
-        sample_level(image, pyramid[0].shape[:2], seen, maps, levels, number, last, out)
 
 
 def _pyramid(image: Float[np.ndarray, "h w c"]) -> list[Float[np.ndarray, "_ _ c"]]:

@@ -13,11 +13,7 @@ from roomlight.kernels.common import KERNEL
 def lobe(cosines, inner, outer, shares):
     """Write 1 up to `inner` radians from the axis and 0 beyond `outer`; smooth between, so that nothing flickers.
 
-    Args:
-        cosines: float64 [n], of the angles to the axis.
-        inner: radians.
-        outer: radians.
-        shares: float64 [n], written.
+    `cosines`, of the angles to the axis, and `shares`, which is written, are float64 [n].
     """
     least = math.cos(outer)
     for n in range(len(cosines)):
@@ -58,12 +54,9 @@ def shift_to_centre(rays, power, direction, widths):
 
 @njit(**KERNEL)
 def gather(kernel, power, gathered):
-    """Write power @ kernel; rows without power cost nothing, and no matrix is copied.
+    """Write power @ kernel, float64 [n] @ float32 [n, k], into `gathered`, float32 [k].
 
-    Args:
-        kernel: float32 [n, k].
-        power: float64 [n].
-        gathered: float32 [k], written.
+    Rows without power cost nothing, and no matrix is copied.
     """
     gathered[:] = 0
     for row in range(len(power)):
