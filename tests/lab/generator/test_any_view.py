@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from analytic_room import free_space
 
+from fixture_rooms import plain_catalogue
 from roomlight.dataset import sequence_files
 from roomlight.errors import OptionError
 from roomlight_generator.generate import GenerateOptions
@@ -44,6 +45,7 @@ def test_views_of_blender_files_and_of_renderers_are_refused(other: dict[str, An
 def test_single_views_have_depth_and_no_probes_also_when_stored(coarse_room, monkeypatch: pytest.MonkeyPatch) -> None:
     options = GenerateOptions(sequences=2, sequences_per_room=2, shard_size=2, any_view=True)
     assert options.renderer_name == f"{any_view.__name__}:{any_view.render_views.__name__}"
+    monkeypatch.setattr(any_view, "catalogue_for", lambda _: plain_catalogue())
     monkeypatch.setattr(any_view, "solve_lighting", lambda *_, **__: coarse_room)
     (made,) = any_view.render_views(RoomRequest(1, 21, "train", count=1, frames=3))
     recording = sequence_files.decode(sequence_files.encode(made), "here")
