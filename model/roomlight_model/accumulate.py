@@ -3,8 +3,8 @@
 The differentiable twin of `roomlight.engine.panorama.blend`, for training. Panoramas are [batch, channel, H, 2H],
 radiance is linear. Depths are distances from the probe; the margin of the conservative rule has the same unit.
 
-The engine's rule for light that changes has no twin: the light of training rooms is constant, and there it takes
-nothing (tested).
+Two rules of the engine have no twin: that for light that changes, as the light of training rooms is constant and there
+it takes nothing (tested), and the weight of 1 of measured light above white, which was added after the training.
 """
 
 from typing import NamedTuple

@@ -155,9 +155,10 @@ def _warm_up(server: ServerProcess, body: bytes, probe: Position, token: str) ->
         client.put(f"{path}/frames/0", content=body, headers={"Content-Type": FRAME_MEDIA_TYPE})
         for quality in ("preview", "good"):
             request = {"objects": [place], "quality": quality}
-            answer = client.post(f"{path}/composite", json=request)
-            while answer.status_code == 503:  # it compiled for longer than a composite may take
+            for _ in range(10):  # compiling can take longer than a composite may
                 answer = client.post(f"{path}/composite", json=request)
+                if answer.status_code != 503:
+                    break
             answer.raise_for_status()
         client.delete(path).raise_for_status()
 

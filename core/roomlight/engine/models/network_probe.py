@@ -161,7 +161,7 @@ class NetworkProbe:
 
 
 def _above_white(partial: PartialPanorama) -> Bool[np.ndarray, "h w"]:
-    """Return where measured light is brighter than white: networks learned weights of light up to it alone."""
+    """Return where measured light is brighter than white: it is taken whole, as a share of a volume would dim lamps."""
     above = partial.mask & (partial.radiance.max(axis=-1) > 1)
     return above if partial.clipped is None else above & (partial.clipped == 0)
 
