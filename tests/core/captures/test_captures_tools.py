@@ -500,10 +500,11 @@ def poses_of(
     beside: float = 0.0,
     kind: str = "PoseStamped",
     mount: np.ndarray = np.eye(4),  # noqa: B008
+    views: list[formats.View] = VIEWS,
 ) -> list[Message]:
     """Poses of the camera, or `beside` it, or of what carries it: Odometry of `child`, for None a `kind`."""
     messages: list[Message] = []
-    for view in VIEWS:
+    for view in views:
         pose = formats.Y_UP_TO_Z_UP @ view.pose @ formats.FLIP @ np.linalg.inv(mount)
         pose[0, 3] += beside
         header, stated = tool_formats.header(view.time_s, "odom" if beside else "map"), tool_formats.pose_of(pose)
@@ -538,9 +539,14 @@ def test_a_mount_that_is_repeated_on_tf_is_no_movement(tmp_path: Path) -> None:
 
 
 def test_a_camera_that_never_moves_is_noted(tmp_path: Path) -> None:
-    capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", without_tf() + mount_on_tf()))
-    assert "poses that never change" in str(capture.notes[0])
-    assert len(list(capture)) == len(VIEWS)
+    standing = [replace(view, pose=VIEWS[0].pose) for view in VIEWS]
+    goal = poses_of("/initialpose", kind="PoseWithCovarianceStamped")[:1]
+    messages = tool_formats.ros_messages(standing)
+    odometry = poses_of("/odom", "base_link", mount=tool_formats.MOUNT, views=standing)
+    for at, bag in enumerate((without_tf() + mount_on_tf(), messages + odometry, messages + goal)):
+        capture = open_capture(tool_formats.ros2_bag(tmp_path / f"{at}", bag))
+        assert ["poses that never change" in str(note) for note in capture.notes] == [True]
+        assert len(list(capture)) == len(VIEWS)
 
 
 @pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])

@@ -291,13 +291,12 @@ class RosBagReader:
             raise CaptureError(f"{self._path}: is damaged ({error})") from error
         self._frame_id = self._frames.get(self._colour, "")
         settled = self._tree.settle()
-        if not self._tree.moves(self._frame_id):
-            if loose:
-                self._add_poses(loose)
-            elif settled:  # nothing else says where the camera was: it stood
-                self._tree.unsettle(settled)
-                left = f"{self._path}: poses that never change"
-                self.notes.append(Note(left, "the camera is read as one that stands", "record its poses if it moved"))
+        if loose and not self._tree.moves(self._frame_id):
+            self._add_poses(loose)
+        if settled and not self._tree.moves(self._frame_id):  # nothing else says where the camera was: it stood
+            self._tree.unsettle(settled)
+            left = f"{self._path}: poses that never change"
+            self.notes.append(Note(left, "the camera is read as one that stands", "record its poses if it moved"))
         for child, kept, other in self._tree.conflicts(self._frame_id):
             left = f"{self._path}: poses of {child} in {other} beside those in {kept}"
             self.notes.append(
@@ -326,7 +325,7 @@ class RosBagReader:
         if others:
             left = f"{self._path}: the poses of {', '.join(others[:4])}"
             self.notes.append(Note(left, f"those of {best} are read", f"leave {best} out of the bag to read others"))
-        if not topics[best][0].child:
+        if not topics[best][0].child and topics[best][0].parent.lstrip("/") != top:  # else they say nothing of it
             text = f"taken for the poses of {top or 'the camera'}"
             left = f"{self._path}: the {topics[best][0].kind} messages of {best}"
             way = f", or leave tf_static out if they are those of {self._frame_id}" if top != self._frame_id else ""
