@@ -810,6 +810,15 @@ def test_lenses_of_colour_and_of_depth(tmp_path: Path, bent: str, frame_id: str,
     assert abs(edge - 0.4) < 0.01
 
 
+@pytest.mark.parametrize("depth", ["/depth", "/left/depth"])
+def test_depth_beside_rectified_colour_is_rectified(tmp_path: Path, depth: str) -> None:
+    """As of stereo; without a CameraInfo of its own."""
+    messages = tool_formats.ros_messages(VIEWS, without="camera_info")
+    messages = renamed({COLOUR: "/left/image_rect", DEPTH: depth}, messages)
+    messages.append(tool_formats.camera("/left/camera_info", OPTICAL, d=(-0.3, 0.1, 0.0, 0.0, 0.0)))
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS, depth_atol=6e-4)
+
+
 # Refused by name
 
 

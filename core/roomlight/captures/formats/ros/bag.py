@@ -4,7 +4,7 @@ A record is a colour image with the depth image nearest in time. Topics are chos
 `color` or `rgb`, those with a CameraInfo first; depth by `depth`, else by its encoding, that of the colour's frame
 first, then of its namespace, then `aligned` or `registered`. Depth of another frame is projected into the colour image
 by the fixed transforms of tf; of depth and colour of one frame, where one alone is rectified, the other's lens is
-removed.
+removed, of depth only with a CameraInfo of its own.
 
 Conventions: the pose is that of the colour image's frame in the root of tf; without one there, TransformStamped, or one
 topic of Odometry or PoseStamped (also with covariance), carries it. Optical frames are OpenCV's, the world is z-up
@@ -391,14 +391,14 @@ class RosBagReader:
 
     def _between(self, topic: str) -> Float[np.ndarray, "4 4"] | None:
         """Return the transform from depth of another camera, or without a lens; None for the colour's, or taken so."""
-        frame = self._frames.get(topic, "")
+        frame, own = self._frames.get(topic, ""), self._cameras[self._colour]
         if frame.lstrip("/") == self._frame_id.lstrip("/"):
-            self._cameras.setdefault(topic, self._cameras[self._colour])
-            if _is_raw(topic) == _is_raw(self._colour) or (self._lens.straight and self._lens_of(topic).straight):
+            is_lent = self._cameras.setdefault(topic, own) is own
+            alike = _is_raw(topic) == _is_raw(self._colour) or (is_lent and not _is_raw(self._colour))
+            if alike or (self._lens.straight and self._lens_of(topic).straight):
                 return None
             return np.eye(4)
         between = self._tree.between(self._frame_id, frame)
-        own = self._cameras[self._colour]
         if between is not None and self._cameras.get(topic, own) is not own:
             return between
         lacking = "no fixed transform from" if between is None else "no CameraInfo of"
