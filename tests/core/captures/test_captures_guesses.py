@@ -295,10 +295,12 @@ def test_cameras_of_bundle_fusions_info_are_read(tmp_path: Path, name: str) -> N
 
 
 @pytest.mark.parametrize("name", ["seq-01", "rgbd-frames", "data"])
-def test_intrinsics_above_the_frames_are_read(tmp_path: Path, name: str) -> None:
+def test_intrinsics_above_the_frames_are_read(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     path = formats.seven_scenes(tmp_path / name, VIEWS)
     (path / "camera-intrinsics.txt").rename(tmp_path / "camera-intrinsics.txt")
-    same_views(open_capture(path), VIEWS, depth_atol=1e-6)
+    monkeypatch.chdir(path)
+    for folder in (path, Path()):
+        same_views(open_capture(folder), VIEWS, depth_atol=1e-6)
 
 
 def test_exposure_that_is_not_applied_is_noted(tmp_path: Path) -> None:

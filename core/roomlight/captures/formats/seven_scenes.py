@@ -147,6 +147,7 @@ def intrinsics_of(
 
 def _places(folder: Path) -> list[FolderSource]:
     """Return where the files of a folder's camera may be."""
+    folder = folder.absolute()  # `.` has no name
     return [FolderSource(place) for place in ([folder, folder.parent] if _BELOW.fullmatch(folder.name) else [folder])]
 
 
