@@ -1,4 +1,4 @@
-"""HEIC and AVIF photos (libheif, the extra `heic`): pixels with their colour, EXIF, and the depth of portraits.
+"""HEIC photos (libheif, the extra `heic`): pixels with their colour, EXIF, and the depth of portraits; AVIF is refused.
 
 libheif turns colour and depth upright by the file's own rotation, so that the EXIF orientation is not applied again.
 
@@ -60,7 +60,7 @@ class HeicPhoto:
 
 
 def is_heic(data: bytes) -> bool:
-    """Whether a file begins as HEIC or AVIF do."""
+    """Whether a file begins as HEIC does, or as AVIF, which the functions below refuse."""
     return data[4:8] == b"ftyp" and any(data[at : at + 4] in _BRANDS for at in range(8, min(len(data), 40), 4))
 
 
