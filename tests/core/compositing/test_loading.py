@@ -252,8 +252,10 @@ POSITIONS = -140
         ("bufferViews.4.byteStride", 4, "byteStride"),
         ("nodes.0.children", [0], "two parents"),
         ("nodes.0.scale", [0, 0, 0], "flattens"),
+        ("nodes.0.scale", [1, 1, 0], r"flattens it: scales \[1\.0, 1\.0, 0\.0\]"),
         ("nodes.0.matrix", [0] * 16, "flattens|last row"),
         ("nodes", [{}] * 1_000_000, "limited"),
+        ("nodes", [{"scale": [1e9] * 3, "children": [at + 1]} for at in range(50)], r"down to node 3 pass 1e\+30"),
         ("nodes.0.mesh", 9, "mesh 9"),
         ("nodes.0.extensions", {"EXT_mesh_gpu_instancing": 5}, "node 0: EXT_mesh_gpu_instancing JSON is 5"),
         (

@@ -128,7 +128,7 @@ class TriangleMesh:
         Raises:
             ObjectError: The transform is not affine, not finite or flattens the object.
         """
-        linear = _checked(transform)[:3, :3]
+        linear = checked_transform(transform)[:3, :3]
         vertices = self.vertices.astype(np.float64) @ linear.T + transform[:3, 3]
         normals = _unit(self.normals.astype(np.float64) @ np.linalg.inv(linear), self.normals)
         mirrored = np.linalg.det(linear) < 0
@@ -197,7 +197,7 @@ class VirtualObject:
         Raises:
             ObjectError: The transform is not affine, not finite or flattens the object.
         """
-        _checked(transform)
+        checked_transform(transform)
         return replace(self, parts=tuple((mesh.transformed(transform), material) for mesh, material in self.parts))
 
     def with_material(self, material: Material) -> "VirtualObject":
@@ -205,7 +205,8 @@ class VirtualObject:
         return replace(self, parts=tuple((mesh, material) for mesh, _ in self.parts))
 
 
-def _checked(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+def checked_transform(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """Return an affine transform. Raises ObjectError for one that is not affine, not finite or flattens."""
     if not np.isfinite(transform).all():
         raise ObjectError("the object's transform holds NaN or infinity")
     if np.abs(transform[3] - [0, 0, 0, 1]).max() > 1e-6:

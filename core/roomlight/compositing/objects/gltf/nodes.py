@@ -14,6 +14,8 @@ from roomlight.errors import ObjectError
 
 _ROUNDING = 1e-3
 """What exporters leave in a matrix's last row."""
+_MAX_PRODUCT = 1e30
+"""Of nested transforms, far below what overflows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,8 @@ def _transforms(
         if isinstance(shown, dict) and shown.get("visible") is False:
             hidden.add(index)
         transforms[index] = above @ _local(node)
+        if np.abs(transforms[index]).max() > _MAX_PRODUCT:
+            raise ObjectError(f"{name}: the transforms down to node {index} pass {_MAX_PRODUCT:g}; check the unit")
         if index in hidden:
             hidden.update(node.children)
         queue.extend((child, transforms[index], depth + 1) for child in reversed(node.children))

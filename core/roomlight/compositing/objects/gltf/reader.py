@@ -23,7 +23,7 @@ from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import TEXTURES, Material
 from roomlight.compositing.objects.polygons import face_normals
 from roomlight.compositing.objects.shading import joined_corners, with_vertex_colours
-from roomlight.compositing.objects.virtual_object import TriangleMesh
+from roomlight.compositing.objects.virtual_object import TriangleMesh, checked_transform
 from roomlight.errors import ObjectError
 from roomlight.notes import Note, distinct
 
@@ -244,7 +244,7 @@ class _PrimitiveReader:
         if uvs is None and any(texture is not None for texture in textures):
             effect = "its textures show the one texel at (0, 0)"
             notes.append(Note(f"{label}: no TEXCOORD_{surface.uv_set}", effect, "unwrap the object"))
-        scales = np.linalg.svd(transform[:3, :3], compute_uv=False)
+        scales = np.linalg.svd(checked_transform(transform)[:3, :3], compute_uv=False)
         # limits are of the scene's metres, which `transformed` checks too
         size = np.ldexp(0.5, np.frexp(max(scales[2], 1e-6 * scales[0]))[1])
         points = (points * size).astype(np.float32)
