@@ -491,6 +491,16 @@ def test_nearest_texels_keep_their_edges(monkeypatch: pytest.MonkeyPatch) -> Non
     assert texture(4, {"magFilter": 9728}).shape == (6, 12)
 
 
+def test_textures_that_are_converted_by_texel_are_not_enlarged() -> None:
+    file = GltfFile()
+    texture = {"index": file.image(np.zeros((4, 4, 3), np.uint8))}
+    file.tree["samplers"], file.tree["textures"][0]["sampler"] = [{"magFilter": 9728}], 0
+    glossy = {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": texture}}
+    material = load_object(file.quad(emissiveTexture=texture, extensions=glossy).glb()).parts[0][1]
+    textures = material.base_colour_texture, material.metallic_roughness_texture, material.emissive_texture
+    assert [texels(made).shape[:2] for made in textures] == [(4, 4), (4, 4), (64, 64)]
+
+
 def test_draco_skins_stand_in_the_pose_of_their_joints() -> None:
     joints, weights = np.zeros((8, 4), np.uint8), np.zeros((8, 4), np.float32)
     joints[:, 0], weights[:, 0] = 1, 1

@@ -119,7 +119,8 @@ class MaterialReader:
             "sheen": sheen.sheenColorTexture,
             "sheen roughness": sheen.sheenRoughnessTexture,
         }
-        slots = {key: self._slot(info, label, key, notes) for key, info in textures.items()}
+        converted = () if glossy is None else ("base", "rough")  # by texel, in float64: not enlarged
+        slots = {key: self._slot(info, label, key, notes, edged=key not in converted) for key, info in textures.items()}
         uv_set, transform = _common([slots[key] for key in ("base", "normal", "rough", *list(slots)[3:])])
         pixels, means = {}, {}
         for key, slot in slots.items():
@@ -164,7 +165,7 @@ class MaterialReader:
             tuple(notes),
         )
 
-    def _slot(self, info: TextureInfo | None, label: str, key: str, notes: list[Note]) -> _Slot | None:
+    def _slot(self, info: TextureInfo | None, label: str, key: str, notes: list[Note], *, edged: bool) -> _Slot | None:
         if info is None:
             return None
         where = f"{label}, {key} texture"
@@ -175,7 +176,7 @@ class MaterialReader:
         moved = extension(TextureTransform, info, "KHR_texture_transform", where, self._clamped) or TextureTransform()
         uv_set = info.texCoord if moved.texCoord is None else moved.texCoord
         wraps, transform = self._images.wraps(info.index), _matrix(moved)
-        if self._images.is_nearest(info.index):
+        if edged and self._images.is_nearest(info.index):
             pixels = self._with_edged_texels(pixels, MIRRORED in wraps)
         if MIRRORED in wraps:  # the texture beside its mirror image repeats
             which = id(pixels), wraps, key in _COLOURS
@@ -331,7 +332,7 @@ class MaterialReader:
                 roughness=1 - gloss * float(means["rough"][3]),
                 opacity=alpha if opaque else alpha * float(means["base"][3]),
             )
-        sizes = (image.shape[:2] for image in pixels.values() if image is not None)
+        sizes = (image.shape[:2] for image in (pixels["base"], pixels["rough"]) if image is not None)
         size = max(sizes, key=lambda shape: shape[0] * shape[1])
         colours, alphas = _planes(pixels["base"], size, means["base"])
         speculars, glosses = _planes(pixels["rough"], size, means["rough"])
