@@ -559,6 +559,16 @@ def test_a_texture_of_transmission_is_linear() -> None:
     assert one.parts[0][1].transmission == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize(("reds", "transmission"), [((255, 0), 0.5), ((255, 255), 0.5), ((51, 51), 0.2)])
+def test_a_texture_of_transmission_leaves_metal_out(reds: tuple[int, int], transmission: float) -> None:
+    file = GltfFile()
+    texture = {"index": file.image(np.array([[[reds[0], 0, 0], [reds[1], 0, 255]]], np.uint8))}  # the second is metal
+    base = {"roughnessFactor": 0, "metallicRoughnessTexture": texture}
+    glass = {"KHR_materials_transmission": {"transmissionFactor": 1, "transmissionTexture": texture}}
+    one = load_object(file.quad(pbrMetallicRoughness=base, extensions=glass).glb())
+    assert one.parts[0][1].transmission == pytest.approx(transmission)
+
+
 def test_the_thickness_of_glass_scales_with_its_node() -> None:
     volume = {"thicknessFactor": 2000, "attenuationDistance": 1, "attenuationColor": [0.25, 0.5, 1.0]}
     glass = {"transmission": {"transmissionFactor": 1}, "volume": volume}

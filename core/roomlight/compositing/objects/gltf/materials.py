@@ -125,14 +125,15 @@ class MaterialReader:
         pixels, means = {}, {}
         for key, slot in slots.items():
             pixels[key], means[key] = self._brought(slot, uv_set, transform, label, notes)
-        material = self._factors(stated, label, notes)
+        clear = extension(Transmission, stated, "KHR_materials_transmission", label, self._clamped) or Transmission()
+        material = self._factors(stated, clear, label, notes)
         if stated.emissiveTexture is not None and slots["emissive"] is None:
             material = replace(material, emissive=(0.0, 0.0, 0.0))  # else all of it would glow
         if glossy is not None:
             material = self._from_glossy(material, glossy, stated.alphaMode == "OPAQUE", pixels, means)
         else:
             material = self._from_metallic(material, stated, pixels, means)
-            material = _without_clear_metal(material, pixels["rough"], label, notes)
+            material = _without_clear_metal(material, clear.transmissionFactor, pixels["rough"], label, notes)
         volume = extension(Volume, stated, "KHR_materials_volume", label, self._clamped) or Volume()
         if material.transmission > 0 and volume.thicknessFactor == 0:
             material = replace(material, is_thin=True)
@@ -261,9 +262,8 @@ class MaterialReader:
         notes.append(Note(label, "its mean is used everywhere", "bake it into the base colour if it matters"))
         return _mean_of(pixels, of_values=of_values)
 
-    def _factors(self, stated: GltfMaterial, label: str, notes: list[Note]) -> Material:
+    def _factors(self, stated: GltfMaterial, clear: Transmission, label: str, notes: list[Note]) -> Material:
         """Return the material of what the extensions state, before base colour and textures."""
-        clear = extension(Transmission, stated, "KHR_materials_transmission", label, self._clamped) or Transmission()
         ior = extension(Ior, stated, "KHR_materials_ior", label, self._clamped) or Ior()
         specular = extension(Specular, stated, "KHR_materials_specular", label, self._clamped) or Specular()
         key = "KHR_materials_emissive_strength"
@@ -445,17 +445,21 @@ def _with_reflectance(
 
 
 def _without_clear_metal(
-    material: Material, values: UInt8[np.ndarray, "h w c"] | None, label: str, notes: list[Note]
+    material: Material, factor: float, values: UInt8[np.ndarray, "h w c"] | None, label: str, notes: list[Note]
 ) -> Material:
-    """Return the material with glass where it is no metal; a texture of metal counts by its mean."""
+    """Return the material with glass where it is no metal; textures count by their means.
+
+    `factor` is the transmission without its texture. Where metal is uneven, that texture is taken to leave it out.
+    """
     metals = np.array([255]) if values is None else values[..., 2]
     metallic = material.metallic * float(metals.mean()) / 255
     if material.transmission == 0 or metallic == 0:
         return material
+    clear = material.transmission * (1 - metallic)
     if material.metallic * float(metals.std()) > 255 * _EVEN:
         lost = f"{label}: where its glass is metal"
         notes.append(Note(lost, "it is glass everywhere, in the mean share", "give the metal its own material"))
-    clear = material.transmission * (1 - metallic)
+        clear = min(material.transmission, factor * (1 - metallic))
     return replace(material, transmission=clear, metallic=min(material.metallic / (1 - clear), 1.0))
 
 
