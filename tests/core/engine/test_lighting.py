@@ -13,6 +13,7 @@ from roomlight.engine.lighting import (
     LIGHTING_PANELS,
     LightingModel,
     lighting_panels,
+    shipped_lighting,
     unmeasured_share,
 )
 from roomlight.engine.networks.graphs import load_part
@@ -64,6 +65,15 @@ def test_unseen_light_changes_by_the_network(tmp_path: Path) -> None:
     expected = 0.1 * np.moveaxis(planes, 0, -1).repeat(2, axis=0).repeat(2, axis=1)
     gain = np.log1p(known_model(tmp_path, image=0.1).panorama(state)) - np.log1p(state.radiance)
     assert_allclose(gain[inside], expected[inside], atol=0.02)
+
+
+def test_no_colour_channel_is_special() -> None:
+    """A single run of the shipped network gives other light where the channels stand in another order."""
+    state, turned = state_of(), state_of()
+    turned.radiance[:] = np.roll(state.radiance, 1, axis=-1)
+    unseen = state.observed == 0
+    lighting, expected = (shipped_lighting("cpu").panorama(each)[unseen] for each in (turned, state))
+    assert_allclose(lighting, np.roll(expected, 1, axis=-1), rtol=1e-3)
 
 
 def test_panels_are_what_frames_have_shown_and_the_estimate_for_clipped_pixels() -> None:

@@ -75,7 +75,8 @@ def take_radiance(points, source, tolerance_m):
             if share < one and _beside_clipped(source.clipped, r, c):
                 continue
             if better_share(one, points.bound[n], share, source.bound[r, c]) == one:
-                points.radiance[n] = source.image[r, c]
+                for k in range(3):  # assigning the row whole takes Numba a second to compile
+                    points.radiance[n, k] = source.image[r, c, k]
                 points.bound[n] = source.bound[r, c]
                 points.clipped[n] = source.clipped[r, c]
                 taken += 1
