@@ -276,7 +276,7 @@ export class Session {
     packed.catch(() => undefined); // may fail before its turn comes
     const before = this.lastPacked;
     const message = waiting.untilAborted(before.then(() => packed), signal);
-    this.lastPacked = Promise.allSettled([before, message]);
+    this.lastPacked = Promise.allSettled([before, message]).then(() => undefined); // without the frames' bytes
     return { index, message };
   }
 }

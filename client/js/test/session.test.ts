@@ -298,6 +298,7 @@ test("frames are sent in the order of the calls, also next to an invalid one", a
   encoded!(new Blob([Uint8Array.of(1)]));
   await Promise.all([slow, assert.rejects(invalid, RangeError), next]);
   assert.deepEqual(sent, ["room", "0", "3"]);
+  assert.equal(await (session as unknown as { lastPacked: Promise<unknown> }).lastPacked, undefined); // keeps no frame
 });
 
 test("joining a session continues its index and sends no options", async (context) => {
