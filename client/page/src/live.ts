@@ -25,9 +25,9 @@ export class LiveSession {
   private stride = 1;
   private received = 0; // messages with light
   private shown = 0; // the newest of them that is shown
-  private tracked: ReadonlySet<string> | null = null; // probes of the session; null until it says so
+  private readonly removed = new Set<string>(); // by this page, so that light on its way does not show them again
   private readonly awaited = new Set<string>(); // new probes without light so far
-  private arrived: ReadonlyMap<string, ProbeLight> | null = null; // light that is not shown yet
+  private arrived: ReadonlyMap<string, ProbeLight> | null = null; // the newest light of all probes, not shown yet
 
   constructor(
     private readonly api: Api,
@@ -50,7 +50,7 @@ export class LiveSession {
       if (isBack) {
         this.isReplaced = true;
         this.etags = { picture: "", mesh: "" };
-        this.tracked = null;
+        this.removed.clear();
       }
       this.onJoined();
       this.refresh();
@@ -91,16 +91,18 @@ export class LiveSession {
   track(name: string, position: Position): void {
     this.pendingMove = { name, position };
     this.awaited.add(name);
+    this.removed.delete(name);
     this.stream?.track(name, position);
   }
 
   /** Whether a probe of this session has the name, also one whose light has not arrived. */
   hasProbe(name: string): boolean {
-    return this.state.liveProbes.value.has(name) || this.awaited.has(name) || (this.tracked?.has(name) ?? false);
+    return this.state.liveProbes.value.has(name) || this.awaited.has(name);
   }
 
   untrack(name: string): void {
     this.awaited.delete(name);
+    this.removed.add(name);
     this.stream?.untrack(name);
   }
 
@@ -160,22 +162,24 @@ export class LiveSession {
       return; // a newer message was decoded first
     }
     this.shown = order;
-    this.arrived = new Map([...(this.arrived ?? []), ...lights.map((light) => [light.name, light] as const)]);
+    this.arrived = new Map(lights.map((light) => [light.name, light]));
     setTimeout(() => this.showArrived(), TOGETHER_MS);
     this.refresh();
   }
 
   /** Show the light that has arrived: with the picture and the camera, so that the screen changes once. */
   private showArrived(): void {
-    if (!this.arrived || this.closed) {
+    const { arrived, held } = this;
+    if (!arrived || this.closed) {
       return;
     }
-    const next = new Map(this.state.liveProbes.value);
-    for (const light of this.arrived.values()) {
-      if (light.name && light.name !== this.held && (this.tracked?.has(light.name) ?? true)) {
+    const next = new Map([...this.state.liveProbes.value].filter(([name]) => arrived.has(name) || name === held)); // the others were removed
+    for (const light of arrived.values()) {
+      if (light.name && light.name !== held && !this.removed.has(light.name)) {
         next.set(light.name, light);
       }
     }
+    this.removed.forEach((name) => arrived.has(name) || this.removed.delete(name));
     this.arrived = null;
     this.state.liveProbes.value = next;
     next.forEach((_, name) => this.awaited.delete(name));
@@ -207,7 +211,6 @@ export class LiveSession {
   }
 
   private forgetProbes(names: readonly string[]): void {
-    this.tracked = new Set(names);
     const kept = new Map([...this.state.liveProbes.value].filter(([name]) => this.isReplaced || names.includes(name)));
     if (kept.size !== this.state.liveProbes.value.size) {
       this.state.liveProbes.value = kept;

@@ -172,6 +172,15 @@ test("a new frame appears by itself", async () => {
   await page.waitForFunction((text) => document.getElementById("timeline-text").textContent.startsWith(text), text);
 });
 
+test("probes that another client adds and removes come and go with the next frame", async () => {
+  for (const [method, count] of [["PUT", 2], ["DELETE", 1]]) {
+    const body = method === "PUT" ? JSON.stringify({ position: [0.2, 1, 0.1] }) : undefined;
+    await page.evaluate((request) => fetch("v1/sessions/room/probes/other", request), { method, body, headers: { "content-type": "application/json" } });
+    await control("push", { session: "room", count: 1 });
+    await page.waitForFunction((count) => document.getElementById("probe-select").options.length === count, count);
+  }
+});
+
 test("a session without a history, as after a restart, has its counts", async () => {
   const other = await browser.newPage();
   const empty = { stride: 1, bytes: 0, limit_bytes: 1, entries: [] };
