@@ -3,7 +3,7 @@
 The options, the tracked points and the last frames; no I/O.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -113,6 +113,7 @@ class SessionMemory:
         request: The options of a session that this client opened; None for one that it joined.
         frames: The last frames.
         probes: The points that this client tracks.
+        changed: Names of points that were tracked or removed over a stream, until the server says so.
         forms: The forms of the stream's subscription.
         deleted: Whether the app has deleted the session, which then must not be opened again.
     """
@@ -121,9 +122,9 @@ class SessionMemory:
         self.request = request
         self.frames = FrameBuffer(limits)
         self.probes: dict[str, Position] = {}
+        self.changed: set[str] = set()
         self.forms: tuple[LightForm, ...] = ()
         self.deleted = False
-        self._untracked: set[str] = set()
 
     @property
     def can_reopen(self) -> bool:
@@ -133,17 +134,29 @@ class SessionMemory:
     def track(self, name: str, position: Position) -> None:
         """Record a tracked point."""
         self.probes[name] = position
-        self._untracked.discard(name)
+        self.changed.discard(name)
 
     def untrack(self, name: str) -> None:
         """Record that a point is no longer tracked."""
         self.probes.pop(name, None)
-        self._untracked.add(name)
+        self.changed.discard(name)
+
+    def confirm(self, probes: Mapping[str, Sequence[float]]) -> None:
+        """Record that the session has these points, and no others."""
+        self.changed = {name for name in self.changed if self._differs(name, probes)}
 
     def probe_changes(self, state: SessionState) -> tuple[dict[str, Position], tuple[str, ...]]:
-        """Return the points that the session lacks, and the names that it has too much."""
-        wanted = {name: tuple(float(value) for value in position) for name, position in self.probes.items()}
-        missing = {name: self.probes[name] for name, at in wanted.items() if tuple(state.probes.get(name, ())) != at}
-        unwanted = tuple(name for name in self._untracked if name in state.probes)
-        self._untracked.clear()
+        """Return the points that the session lacks, and the names that it has too much.
+
+        In a joined session what others changed stays, unless it has no points at all, as after a restart of the server.
+        """
+        restored = self.changed if self.request is None and state.probes else self.probes
+        missing = {
+            name: at for name, at in self.probes.items() if name in restored and self._differs(name, state.probes)
+        }
+        unwanted = tuple(name for name in self.changed if name in state.probes and name not in self.probes)
+        self.changed.clear()
         return missing, unwanted
+
+    def _differs(self, name: str, probes: Mapping[str, Sequence[float]]) -> bool:
+        return [float(value) for value in self.probes.get(name, ())] != list(probes.get(name, ()))

@@ -24,6 +24,7 @@ from roomlight.wire.messages import (
     LightAnswer,
     LightCall,
     LightingUpdate,
+    ProbesEvent,
     ProblemEvent,
     SessionState,
     Subscribe,
@@ -157,11 +158,13 @@ class AsyncStream:
         """Track a point under a name; an existing name moves to the position."""
         self._link.calls.track(name, position)  # checks both
         self._memory.track(name, position)
+        self._memory.changed.add(name)
         self._send(Track(type="track", name=name, position=[float(value) for value in position]))
 
     async def untrack(self, name: str) -> None:
         """Stop tracking a point."""
         self._memory.untrack(name)
+        self._memory.changed.add(name)
         self._send(Untrack(type="untrack", name=name))
 
     async def close(self) -> None:
@@ -423,6 +426,8 @@ class AsyncStream:
             self._resolve(f"light {message.request}", lights)
         elif isinstance(message, LightingUpdate):
             self._call(self._handlers.on_lighting, lights)
+        elif isinstance(message, ProbesEvent):
+            self._memory.confirm(message.probes)
         elif isinstance(message, ProblemEvent):
             self._refused(message)
         return None

@@ -37,6 +37,7 @@ class Room:
         self.lights: list[list[sdk.Light]] = []
         self.refuse: httpx.Response | None = None
         self.silent: set[int] = set()
+        self.ignored: set[str] = set()
         self.answers: dict[int, list[Any]] = {}
         self.sockets: list[Any] = []
         self._changed = asyncio.Condition()
@@ -53,7 +54,7 @@ class Room:
         self.log.append(f"{request.method} {path}".strip())
         if self.refuse is not None and request.method != "DELETE":
             return httpx.Response(self.refuse.status_code, headers=self.refuse.headers, content=self.refuse.content)
-        if request.method == "DELETE":
+        if request.method == "DELETE" and path == "":
             self.refuse = None
             self.lose()
             return httpx.Response(204)
@@ -76,8 +77,10 @@ class Room:
                 continue
             message = json.loads(data)
             await self._note(" ".join([message["type"], message.get("name", "")]).strip())
-            if message["type"] == "track":
-                self.probes[message["name"]] = message["position"]
+            if message["type"] in ("track", "untrack") and message["name"] not in self.ignored:
+                self.probes.pop(message["name"], None)
+                if message["type"] == "track":
+                    self.probes[message["name"]] = message["position"]
                 await socket.send(json.dumps({"type": "probes", "probes": self.probes}))
 
     async def _frame(self, socket, index: int) -> None:
@@ -165,6 +168,41 @@ def test_a_lost_connection_is_resumed_and_nothing_sent_twice():
     assert room.log.count("track table") == 1  # the session still has it
     assert room.states == ["connecting", "open", "reconnecting", "open", "closed"]
     assert not room.statuses[3].reopened
+
+
+OTHERS = ("moved", "mine", "lamp", "shade")
+ALL = ["track moved", "track removed"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "left", "restored"),
+    [("opened", OTHERS, ["untrack mine", *ALL]), ("joined", OTHERS, ["untrack mine"]), ("joined", (), ALL)],
+)
+def test_a_session_gets_changes_that_it_has_not_confirmed_and_those_of_others_stay(kind, left, restored):
+    async def work(room, session, stream):
+        if kind == "joined":
+            session._recovery.memory.request = None
+        for name in ("moved", "removed", "mine", "lamp"):
+            await stream.track(name, (1.0, 2.0, 3.0))
+        await room.logged("track lamp")
+        await stream.untrack("lamp")
+        await session.untrack("shade")
+        await stream.push(FRAMES[0])
+        room.ignored.add("mine")
+        await stream.untrack("mine")
+        await room.logged("untrack mine")
+        room.ignored.clear()
+        room.probes = {name: [4.0, 5.0, 6.0] for name in left}
+        room.log.clear()
+        room.refuse = httpx.Response(503)
+        await room.cut()
+        await room.until("reconnecting")
+        await stream.track("new", (1.0, 2.0, 3.0))
+        room.refuse = None
+        await stream.push(FRAMES[1])
+        assert [entry for entry in room.log if entry != "GET"] == [*restored, "track new", "frame 1"]
+
+    play(work, reconnect=Retry(attempts=100_000, first_delay_s=0.0, max_delay_s=0.0))
 
 
 def test_a_lost_session_gets_its_probes_and_frames_again():

@@ -101,8 +101,8 @@ export function checkName(name: string): string {
 export class SessionMemory {
   readonly frames: FrameBuffer;
   readonly probes = new Map<string, Position>();
-  /** Points that were removed while no connection was open. */
-  readonly untracked = new Set<string>();
+  /** Points that were tracked or removed over a stream, until the server says so. */
+  readonly changed = new Set<string>();
   /** Forms of the stream's subscription. */
   forms: readonly LightForm[] = [];
   /** The app has deleted the session: it must not be opened again. */
@@ -123,20 +123,33 @@ export class SessionMemory {
 
   track(name: string, position: PositionLike): void {
     this.probes.set(checkName(name), Array.from(position) as unknown as Position);
-    this.untracked.delete(name);
+    this.changed.delete(name);
   }
 
   untrack(name: string): void {
     this.probes.delete(checkName(name));
-    this.untracked.add(name);
+    this.changed.delete(name);
   }
 
-  /** What the session's points lack or have too much: points to track, names to remove. */
+  /** Record that the session has these points, and no others. */
+  confirm(probes: SessionState["probes"]): void {
+    this.changed.forEach((name) => this.differs(name, probes) || this.changed.delete(name));
+  }
+
+  /**
+   * What the session's points lack or have too much: points to track, names to remove.
+   *
+   * In a joined session what others changed stays, unless it has no points at all, as after a restart of the server.
+   */
   probesToRestore({ probes }: SessionState): { track: [string, Position][]; untrack: string[] } {
-    const differs = ([name, position]: [string, Position]) =>
-      !probes[name] || position.some((value, axis) => value !== probes[name]![axis]);
-    const untrack = [...this.untracked].filter((name) => name in probes);
-    this.untracked.clear();
-    return { track: [...this.probes].filter(differs), untrack };
+    const isRestored = this.request !== null || Object.keys(probes).length === 0;
+    const track = [...this.probes].filter(([name]) => (isRestored || this.changed.has(name)) && this.differs(name, probes));
+    const untrack = [...this.changed].filter((name) => name in probes && !this.probes.has(name));
+    this.changed.clear();
+    return { track, untrack };
+  }
+
+  private differs(name: string, probes: SessionState["probes"]): boolean {
+    return String(this.probes.get(name)) !== String(probes[name]);
   }
 }

@@ -162,12 +162,14 @@ export class Stream {
   /** Track a point under a name of 1 to 64 letters, digits, - and _; an existing name moves to the position. */
   track(name: string, position: PositionLike): void {
     this.link.memory.track(name, position);
+    this.link.memory.changed.add(name);
     this.send({ type: "track", name, position: position as Position });
   }
 
   /** Stop tracking a point. */
   untrack(name: string): void {
     this.link.memory.untrack(name);
+    this.link.memory.changed.add(name);
     this.send({ type: "untrack", name });
   }
 
@@ -295,6 +297,7 @@ export class Stream {
       case "lighting":
         return this.options.onLighting?.(message);
       case "probes":
+        this.link.memory.confirm(message.probes);
         return this.options.onProbes?.(message.probes);
       case "problem":
         return this.refused(RoomLightError.fromProblem(message.problem), message.index ?? null, message.request ?? null);

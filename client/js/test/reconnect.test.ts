@@ -81,8 +81,9 @@ class Room {
         const answer = this.answer(message.index!);
         return void (answer && socket.send(JSON.stringify(answer)));
       }
-      if (message.type === "track") {
-        this.probes = { ...this.probes, [message["name"] as string]: message["position"] as number[] };
+      if (message.type === "track" || message.type === "untrack") {
+        const { [message["name"] as string]: _, ...others } = this.probes;
+        this.probes = message.type === "track" ? { ...others, [message["name"] as string]: message["position"] as number[] } : others;
         socket.send(JSON.stringify({ type: "probes", probes: this.probes }));
       }
     });
@@ -149,6 +150,35 @@ test("a lost connection is resumed and nothing is sent twice", async (context) =
   assert.deepEqual(room.states, ["connecting", "open", "reconnecting", "open"]);
   assert.deepEqual([room.statuses[2]!.attempt, room.statuses[3]!.reopened], [1, false]);
 });
+
+const ALL = ["track moved", "track removed"];
+for (const [kind, left, restored] of [
+  ["opened", ["moved", "mine", "lamp", "shade"], ["untrack mine", ...ALL]],
+  ["joined", ["moved", "mine", "lamp", "shade"], ["untrack mine"]],
+  ["joined", [], ALL],
+] as const) {
+  test(`a session that was ${kind} and has ${left.length} points gets changes that it has not confirmed; others' stay`, async (context) => {
+    const room = new Room();
+    const { session, stream, settled } = await room.stream(context);
+    Object.assign((session as unknown as { memory: object }).memory, kind === "joined" ? { request: null } : {});
+    ["moved", "removed", "mine", "lamp"].forEach((name) => stream.track(name, [1, 2, 3]));
+    stream.untrack("lamp");
+    await session.untrack("shade");
+    await stream.push(plainFrame());
+    room.silent = true;
+    stream.untrack("mine");
+    await room.logged("untrack mine");
+    room.silent = false;
+    room.probes = Object.fromEntries(left.map((name) => [name, [4, 5, 6]]));
+    room.log.length = 0;
+    context.mock.method(waiting, "delay", async () => stream.track("new", [1, 2, 3]));
+    const back = settled();
+    room.sockets.at(-1)!.terminate();
+    await back;
+    await stream.push(plainFrame());
+    assert.deepEqual(room.log, ["GET", ...restored, "track new", "frame 1"]);
+  });
+}
 
 test("a session that the server lost is opened again", async (context) => {
   const room = new Room();
