@@ -19,7 +19,7 @@ export interface Upload {
 }
 
 const PIECE_BYTES = 4 * 2 ** 20;
-const PIECE_ATTEMPTS = 10; // within 20 s
+const PIECE_RETRIES = 6; // within about 16 s
 const PARALLEL_FILES = 4;
 const POLL_MS = 500;
 const STALLED_MS = 60_000; // a piece of another page takes less
@@ -134,21 +134,15 @@ export class RecordingUpload {
     } while (offset < file.size && !this.isDone); // a piece of another file may have been refused
   }
 
-  /** Send a piece; after a lost connection send it again, unless the first one had arrived. */
+  /** Send a piece; after a lost connection or while the server is busy send it again, unless the first one had arrived. */
   private async sendPiece(id: string, path: string, offset: number, piece: Blob): Promise<void> {
-    for (let attempt = 1; ; attempt++) {
-      try {
-        await this.api.putPiece(id, path, offset, piece, this.stopped.signal);
-        return;
-      } catch (error) {
-        const { status, kind } = error instanceof RoomLightError ? error : { status: -1, kind: "" };
-        if (attempt > 1 && kind === "upload-offset") {
-          return; // the first attempt arrived, and its answer was lost
-        }
-        if (status !== 0 || attempt >= PIECE_ATTEMPTS) {
-          throw error;
-        }
-        await new Promise((resolve) => setTimeout(resolve, attempt * 500));
+    let isRepeated = false;
+    const beforeRetry = async () => void (isRepeated = true);
+    try {
+      await this.api.putPiece(id, path, offset, piece, { signal: this.stopped.signal, retries: PIECE_RETRIES, beforeRetry });
+    } catch (error) {
+      if (!(isRepeated && error instanceof RoomLightError && error.kind === "upload-offset")) {
+        throw error; // otherwise an earlier attempt arrived, and its answer was lost
       }
     }
   }

@@ -119,7 +119,9 @@ test("a dropped folder is uploaded and played", async () => {
   assert.match(await notes.locator("li").innerText(), /timestamps .*read as nanoseconds; store seconds/);
 });
 
-test("a chosen .r3d file is uploaded and played", async () => {
+test("a chosen .r3d file is uploaded and played, also by a server that is busy for a moment", async () => {
+  const busy = { status: 503, headers: { "retry-after": "0" }, body: "busy" };
+  await page.route("**/files/**", (route) => route.fulfill(busy), { times: 1 });
   await page.route("**/v1/recordings/*", (route) => route.fulfill({ status: 503 }), { times: 1 }); // of a proxy
   await page.click("#open-recording");
   await page.setInputFiles("#file-input", ARCHIVE);

@@ -177,11 +177,11 @@ export class Api {
   }
 
   /** Send one piece of a file of a recording. */
-  async putPiece(id: string, path: string, offset: number, piece: Blob, signal: AbortSignal): Promise<Recording> {
+  async putPiece(id: string, path: string, offset: number, piece: Blob, request: ApiRequest): Promise<Recording> {
     const encoded = path.split("/").map(encodeURIComponent).join("/");
     const headers = { "upload-offset": String(offset), "content-type": "application/octet-stream" };
     const body = new Uint8Array(await piece.arrayBuffer());
-    return this.json(`v1/recordings/${id}/files/${encoded}`, { method: "PUT", body, headers, signal, timeout_s: TRANSFER_S });
+    return this.json(`v1/recordings/${id}/files/${encoded}`, { ...request, method: "PUT", body, headers, timeout_s: TRANSFER_S });
   }
 
   /** A file of the server; null if it still has this ETag. */
