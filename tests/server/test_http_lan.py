@@ -144,6 +144,12 @@ def test_a_server_without_a_known_address_says_how_a_phone_reaches_it(settings, 
     assert re.search(advice, pairing["advice"])
 
 
+def test_a_server_without_tokens_gives_an_address_without_a_code_that_expires():
+    with RunningServer(public_url="https://room.local") as local:
+        pairing = local.call("POST", "/v1/pairing").json
+    assert (pairing["url"], pairing["expires_in_s"]) == ("https://room.local/phone", None)
+
+
 def read_svg(svg):
     """Draw the modules of a QR code and read them."""
     root = ElementTree.fromstring(svg)

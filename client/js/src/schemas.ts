@@ -517,10 +517,11 @@ export interface components {
          * @description How a phone on the local network reaches the server's page.
          *
          *     Attributes:
-         *         url: address of the phone's page with a code that pairs one phone; null if the server cannot be reached.
+         *         url: address of the phone's page, where the server has tokens with a code that pairs one phone; null if the
+         *             server cannot be reached.
          *         qr_svg: the address as a QR code, an SVG document.
          *         fingerprint: SHA-256 of the server's certificate.
-         *         expires_in_s: time in which the code can be used.
+         *         expires_in_s: time in which the code can be used; null without a code.
          *         advice: what to do where there is no address.
          */
         readonly Pairing: {

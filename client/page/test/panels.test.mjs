@@ -25,6 +25,22 @@ test("a session without a recording has no film, and says why", async () => {
   await page.click("#film-dialog [data-closes]");
 });
 
+test("the dialog of a phone shows the server's advice, its error, and an address without a code", async () => {
+  const shown = async (text) => {
+    await page.click("#open-phone");
+    await page.waitForFunction((text) => document.getElementById("phone-body").textContent.includes(text), text);
+    await page.click("#phone-dialog [data-closes]");
+  };
+  await shown("reached from this machine only");
+  await page.route("**/v1/pairing", (route) => route.fulfill({ status: 429, body: "ten codes wait" }), { times: 1 });
+  await shown("ten codes wait");
+  const json = { url: "http://a.server/phone", qr_svg: null, fingerprint: null, expires_in_s: null, advice: null };
+  await page.route("**/v1/pairing", (route) => route.fulfill({ json }), { times: 1 });
+  await shown("a.server");
+  assert.doesNotMatch(await page.textContent("#phone-body"), /minutes/);
+  await noNotices();
+});
+
 test("a session is renamed, and its address is shared", async () => {
   page.once("dialog", (dialog) => {
     page.once("dialog", (again) => again.accept(`Living room${again.defaultValue().slice(80)}`)); // what was typed is kept

@@ -67,6 +67,9 @@ test("a film of the recording is made with the placed objects, refused beforehan
   await page.fill("#film-length", "101");
   await refusal("at most 100.0 s of this recording");
   await page.fill("#film-length", "1");
+  await page.route("**/film", (route) => route.fulfill({ status: 503, body: "no film now" }), { times: 1 });
+  await page.click("#film-make:not(:disabled)");
+  await page.waitForFunction(() => document.getElementById("film-text").textContent.includes("no film now"));
   await page.click("#film-make:not(:disabled)");
   await page.waitForSelector("#film-progress:not([hidden])");
   await page.waitForSelector("#film-save:not([hidden])");

@@ -19,11 +19,11 @@ from roomlight_server.transport.phones import LINK_S, Phone, check_operator
 _log = logging.getLogger("roomlight.server")
 router = APIRouter(tags=["page"])
 ADVICE = (
-    "this server is reached from this machine only; start it with: roomlight serve --lan, or, behind a proxy, set "
+    "This server is reached from this machine only; start it with: roomlight serve --lan, or, behind a proxy, set "
     "ROOMLIGHT_PUBLIC_URL to the proxy's address"
 )
 ADVICE_ON_NETWORK = (
-    "the address by which phones reach this server is not known: set ROOMLIGHT_PUBLIC_URL to it; the camera of a phone "
+    "The address by which phones reach this server is not known: set ROOMLIGHT_PUBLIC_URL to it; the camera of a phone "
     "needs HTTPS: a proxy with TLS, --tls-cert and --tls-key, or roomlight serve --lan"
 )
 _fingerprint = lru_cache(maxsize=4)(fingerprint)
@@ -33,7 +33,7 @@ _fingerprint = lru_cache(maxsize=4)(fingerprint)
     "/v1/pairing", summary="Link for a phone", responses=documented("unauthorized", "operator-only", "owner-quota")
 )
 async def pairing(context: ContextDep, owner: OwnerDep, response: Response) -> Pairing:
-    """Return the address of the phone's page with a code, and the address as a QR code.
+    """Return the address of the phone's page, on a server with tokens with a code, and the address as a QR code.
 
     The code pairs one phone within ten minutes. A phone that opens the address sends the code to `POST /v1/phones` and
     gets a token of its own.
@@ -46,7 +46,8 @@ async def pairing(context: ContextDep, owner: OwnerDep, response: Response) -> P
         return Pairing(url=None, qr_svg=None, fingerprint=None, expires_in_s=None, advice=advice)
     url = phone_url(address, context.phones.link(owner)) if settings.tokens else f"{address.rstrip('/')}/phone"
     fingerprint = None if settings.tls_cert is None else _fingerprint(settings.tls_cert)
-    return Pairing(url=url, qr_svg=qr_svg(url), fingerprint=fingerprint, expires_in_s=LINK_S, advice=None)
+    expires_in_s = LINK_S if settings.tokens else None
+    return Pairing(url=url, qr_svg=qr_svg(url), fingerprint=fingerprint, expires_in_s=expires_in_s, advice=None)
 
 
 @router.post(

@@ -2,13 +2,13 @@
 
 import { isToken, type Api } from "../lib/api";
 import { byId, element } from "../lib/dom";
-import { reportError } from "./notices";
+import { messageOf, reportError } from "./notices";
 
 export function dialogs(api: Api): void {
   const open = (id: string) => {
     byId<HTMLDialogElement>(id).showModal();
     if (id === "phone-dialog") {
-      showPairing(api).catch(reportError);
+      showPairing(api).catch((error) => byId("phone-body").replaceChildren(element("p", { class: "error" }, messageOf(error))));
     }
   };
   byId("open-recording").addEventListener("click", () => open("recording-dialog"));
@@ -51,19 +51,15 @@ export function askForToken(api: Api): Promise<void> {
 async function showPairing(api: Api): Promise<void> {
   const body = byId("phone-body");
   body.replaceChildren(element("p", { class: "hint" }, "Loading"));
-  const { url, qr_svg, fingerprint, expires_in_s } = await api.pairing();
+  const { url, qr_svg, fingerprint, expires_in_s, advice } = await api.pairing();
   if (!url) {
-    return body.replaceChildren(
-      element("p", {}, "This server can be reached from this computer only. Start it for the local network:"),
-      element("p", { class: "address" }, element("code", {}, "roomlight serve --lan")),
-      element("p", { class: "hint" }, "Behind a proxy, set ROOMLIGHT_PUBLIC_URL to its address, such as https://light.example.org."),
-    );
+    return body.replaceChildren(element("p", {}, advice ?? ""));
   }
   const code = element("img", { alt: "QR code of the address below", width: 220, height: 220 });
   code.src = `data:image/svg+xml,${encodeURIComponent(qr_svg ?? "")}`;
   body.replaceChildren(
     element("p", {}, "Scan this with a phone that reaches the address below. Its browser sends what the camera sees."),
-    element("p", { class: "hint" }, `The code is for one phone, within ${Math.round((expires_in_s ?? 0) / 60)} minutes.`),
+    ...(expires_in_s ? [element("p", { class: "hint" }, `The code is for one phone, within ${Math.round(expires_in_s / 60)} minutes.`)] : []),
     ...(qr_svg ? [code] : []),
     element("p", { class: "address" }, url),
     ...(fingerprint ? [element("p", { class: "hint address" }, `If the phone warns, compare the certificate: ${fingerprint}`)] : []),

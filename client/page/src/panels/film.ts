@@ -6,7 +6,7 @@ import { byId } from "../lib/dom";
 import { asRequest, type PlacedObjects, type Quality } from "../objects";
 import type { State } from "../state";
 import { offer } from "./downloads";
-import { reportError } from "./notices";
+import { messageOf, reportError } from "./notices";
 
 /** Of the server: see `MAX_FILM_FRAMES` and `MAX_FILM_BYTES` there. */
 const MOST_FRAMES = 300;
@@ -30,6 +30,7 @@ export function filmPanel(api: Api, state: State, objects: PlacedObjects): void 
   const [from, length] = [byId<HTMLInputElement>("film-from"), byId<HTMLInputElement>("film-length")];
   const bar = byId<HTMLProgressElement>("film-progress");
   let known: Known | null = null;
+  let refused = ""; // the last request of this dialog
   const own = () => api.of(state.selected.value);
   let polling = false;
 
@@ -46,9 +47,9 @@ export function filmPanel(api: Api, state: State, objects: PlacedObjects): void 
     bar.max = Math.max(1, film?.frames ?? 1);
     bar.value = film?.frame ?? 0;
     const texts = { reading: `Reading the room: frame ${done}`, making: `Making frame ${done}`, ready: "The film is ready", failed: "" };
-    byId("film-text").textContent = film ? (film.problem?.detail ?? texts[film.status]) : "";
+    byId("film-text").textContent = refused || (film ? (film.problem?.detail ?? texts[film.status]) : "");
     byId("film-refusal").textContent = isRunning ? "" : (refusal ?? "");
-    byId("film-text").className = film?.problem ? "error" : "hint";
+    byId("film-text").className = refused || film?.problem ? "error" : "hint";
   };
   const read = async () => {
     const { recordings, bytes, limit_bytes } = await own().recordings();
@@ -74,17 +75,20 @@ export function filmPanel(api: Api, state: State, objects: PlacedObjects): void 
     }
   };
   const change = (ask: (recording: Recording) => Promise<unknown>) => async () => {
+    refused = "";
     try {
       await ask(known!.recording!);
       await read();
     } catch (error) {
-      reportError(error);
+      refused = messageOf(error);
+      show();
     }
   };
 
   byId("open-film").addEventListener("click", () => {
     byId<HTMLSelectElement>("film-quality").value = objects.quality;
     known = null;
+    refused = "";
     show();
     dialog.showModal();
     void follow();

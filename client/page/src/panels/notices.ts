@@ -27,5 +27,10 @@ export function reportError(error: unknown): void {
   if ((error instanceof DOMException && error.name === "AbortError") || (error instanceof RoomLightError && isGone(error))) {
     return;
   }
-  notify(error instanceof Error ? error.message : String(error));
+  notify(messageOf(error));
+}
+
+/** The text of an error: for a notice, or for an open dialog, which lies over the notices. */
+export function messageOf(error: unknown): string {
+  return error instanceof Error ? error.message : String(error);
 }
