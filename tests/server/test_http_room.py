@@ -9,6 +9,7 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 
 from http_servers import OTHER, TOKEN, RunningServer, box_shot, frame, header_of, with_parts
 from present import present
@@ -81,6 +82,19 @@ def test_the_picture_is_the_last_frame_as_it_was_sent(server):
     assert server.call("GET", f"{room}/colour", headers={"If-None-Match": etag}).status == 304
     server.push(1, body, "picture")
     assert server.call("GET", f"{room}/colour", headers={"If-None-Match": etag}).status == 200
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "png"])
+def test_a_picture_that_its_exif_turns_is_sent_without_exif(server, kind):
+    shot, exif, file = box_shot(0), Image.Exif(), io.BytesIO()
+    exif[ExifTags.Base.Orientation] = 6
+    Image.new("RGB", (48, 36), "red").save(file, kind, exif=exif)
+    camera = (shot.depth_m.astype(np.float32), shot.intrinsics, shot.camera_to_world)
+    room = opened(server, f"turned-{kind}")
+    assert server.push(0, pack_camera_frame(CameraFrame(file.getvalue(), *camera)), f"turned-{kind}").status == 200
+    answer = server.call("GET", f"{room}/colour")
+    with Image.open(io.BytesIO(answer.body)) as picture:
+        assert (answer.headers["content-type"], picture.size, dict(picture.getexif())) == ("image/jpeg", (48, 36), {})
 
 
 def test_a_raw_picture_is_sent_as_jpeg(server):

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from roomlight.conventions import NO_FRAME, linear_to_srgb8
 from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.imaging.tags import read_tags
 from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.frame_message import column_major
 from roomlight.wire.messages import FrameCounts
@@ -25,7 +26,7 @@ router = APIRouter(tags=["room"])
 KEYFRAMES_HEADER: Final = "Roomlight-Keyframes"
 GLB: Final = "model/gltf-binary"
 _PICTURE_BOX: Final = (1920, 1440)
-"""Pictures that no browser shows (HEIC, raw) are re-encoded at most this large."""
+"""Pictures that browsers do not show (HEIC, raw) or turn (EXIF) are re-encoded at most this large."""
 _MESH_BYTES: Final = 24 * 2**20
 """Memory of 25 keyframe meshes while they are merged."""
 _MESHES_KEPT: Final = 4
@@ -86,7 +87,10 @@ def _saved_summary(head: SavedHead) -> SessionSummary:
     responses=_binary("image/jpeg", "image/png") | documented(*SESSION_PROBLEMS, "no-frame", "server-busy"),
 )
 async def colour(live: SessionDep, context: ContextDep, reserved: ReservationDep, request: Request) -> Response:
-    """Return the picture of the last processed frame: JPEG or PNG as it was sent, anything else as JPEG."""
+    """Return the picture of the last processed frame: JPEG or PNG as it was sent, anything else as JPEG.
+
+    One whose EXIF turns it is encoded again, without EXIF: browsers would turn it away from the camera's intrinsics.
+    """
     live.check_open()
     latest = live.latest
     if latest is None:
@@ -97,7 +101,10 @@ async def colour(live: SessionDep, context: ContextDep, reserved: ReservationDep
         return same
     if encoding in ("jpeg", "png"):
         reserved.add(len(latest.message.colour))
-        return Response(bytes(latest.message.colour), media_type=f"image/{encoding}", headers=headers)
+        sent = bytes(latest.message.colour)
+        tags = await context.workers.run_in_encode_pool(read_tags, sent, "the picture")
+        if tags.exif.orientation == 1:
+            return Response(sent, media_type=f"image/{encoding}", headers=headers)
     reserved.add(16 * _PICTURE_BOX[0] * _PICTURE_BOX[1])
     frame = await live.decode_latest(latest, _PICTURE_BOX)
     data = await context.workers.run_in_encode_pool(_jpeg, frame.image)
