@@ -175,6 +175,18 @@ test("a WebXR phone sends frames with poses and depth", async () => {
   assert.deepEqual(noErrors(heard), []);
 });
 
+test("what fails in AR is shown, and the phone can start again", async () => {
+  const { page } = await open({ camera: true, depth: true });
+  await page.evaluate(() => {
+    globalThis.XRWebGLBinding.prototype.getCameraImage = () => {
+      throw new Error("the camera has no picture");
+    };
+  });
+  await page.getByRole("button", { name: "Start" }).click();
+  await page.getByText("the camera has no picture").waitFor();
+  await page.getByRole("button", { name: "Start" }).waitFor();
+});
+
 test("a WebXR phone without depth says who estimates it", async () => {
   const { page, heard, own } = await open({ camera: true, depth: false });
   await depthWasEstimated(page, heard, own);

@@ -33,7 +33,7 @@ export function requestCameraSession(overlay: HTMLElement): Promise<XRSession> {
   } as XRSessionInit);
 }
 
-/** Send frames until the session ends. `noDepth` is called once if the phone measures none. */
+/** Send frames until the session ends. `noDepth` is called once if the phone measures none. Rejects if a frame fails. */
 export async function sendViews(session: XRSession, link: StreamLink, noDepth: () => void): Promise<void> {
   const canvas = document.createElement("canvas");
   const gl = canvas.getContext("webgl2", { xrCompatible: true, alpha: true })!;
@@ -43,12 +43,10 @@ export async function sendViews(session: XRSession, link: StreamLink, noDepth: (
   const space = await session
     .requestReferenceSpace("local-floor")
     .catch(() => session.requestReferenceSpace("local"));
-  const ended = new Promise<void>((resolve) => session.addEventListener("end", () => resolve(), { once: true }));
   let last_ms = -Infinity;
   let placed = false;
   let measured: boolean | null = null;
   const draw = (time_ms: number, frame: XRFrame) => {
-    session.requestAnimationFrame(draw);
     gl.bindFramebuffer(gl.FRAMEBUFFER, session.renderState.baseLayer!.framebuffer);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT); // the camera's picture shows through
@@ -77,8 +75,18 @@ export async function sendViews(session: XRSession, link: StreamLink, noDepth: (
     }
     void link.send(frameOfView({ view, image, time_ms, emulatedPosition: pose.emulatedPosition, depth }));
   };
-  session.requestAnimationFrame(draw);
-  await ended;
+  await new Promise<void>((resolve, reject) => {
+    const next = (time_ms: number, frame: XRFrame) => {
+      try {
+        draw(time_ms, frame);
+        session.requestAnimationFrame(next);
+      } catch (error) {
+        reject(error); // the browser would only log it
+      }
+    };
+    session.addEventListener("end", () => resolve(), { once: true });
+    session.requestAnimationFrame(next);
+  });
 }
 
 function depthOf(frame: XRFrame, view: XRView): CpuDepthLike | null {
