@@ -2,7 +2,9 @@
 
 import asyncio
 import errno
+import json
 import os
+import re
 import shutil
 import stat
 from unittest.mock import Mock
@@ -328,9 +330,10 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
         wait_until(saved_later)
         assert server.state()["idle_expiry_s"] == 86_400.0
         light = server.call("GET", f"/v1/sessions/room{LIGHTS[1]}").body
-        now_s[0] += 201
-        server.registry.expire()
-        assert server.registry.items() == []
+        with server.stream() as socket:
+            now_s[0] += 201
+            assert server.call("GET", "/v1/sessions").json["sessions"][0]["status"] == "saved"
+            assert re.search("idle.* it is saved, and goes on", json.loads(socket.recv())["problem"]["detail"])
         assert idle_times(server)["room"] >= 200
         (state,) = (tmp_path / "state/sessions").glob("*/state")
         server.open("another")

@@ -371,7 +371,7 @@ class LiveSession(EngineAccess):
 
     def close(self, reason: ProblemError | None = None) -> None:
         """End the session: answer all waiting requests and release the engine after its running frame."""
-        self.end(reason or ProblemError("session-closed", "the session was deleted or has expired"))
+        self.end(reason or ProblemError("session-closed", "the session was deleted, or the server stops"))
 
     def end(self, reason: ProblemError) -> None:
         """Answer all waiting requests with this reason, and release the engine after its running frame."""

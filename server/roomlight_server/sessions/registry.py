@@ -275,7 +275,8 @@ class Registry:
             if live.users or live.last_used_s >= limit or self._may_be_saved_yet(live, limit):
                 continue
             del self._sessions[key]
-            live.close()
+            outcome = "it is deleted" if self._states is None else "it is saved, and goes on with the next request"
+            live.close(ProblemError("session-closed", f"the session was idle for too long: {outcome}"))
             if self._states is not None:
                 self._states.left_memory(key[0], live)
             self._record_end(live.name, "expired" if self._states is None else "saved")
