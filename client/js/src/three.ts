@@ -61,11 +61,11 @@ export function applyToScene(scene: Scene, light: Light, options: ApplyOptions =
   }
   const form = findFormFor("lighting", light, "cube", "ktx2", "hdr");
   const environment = form ? environmentTexture(form) : null;
-  if (environment || scene.environment === lights.environment) {
-    scene.environment = environment; // without a new one, the app's own environment stays
+  removeEnvironment(scene, lights);
+  if (environment) {
+    scene.environment = environment; // without one, the app's own environment stays
     scene.environmentIntensity = intensity;
   }
-  lights.environment?.dispose();
   lights.environment = environment;
 
   const main = findForm(light, "main_light")?.values as unknown as MainLightValues | undefined;
@@ -84,13 +84,18 @@ export function removeFromScene(scene: Scene): void {
   const lights = scenes.get(scene);
   if (lights) {
     scene.remove(lights.probe, lights.directional, lights.directional.target);
-    if (scene.environment === lights.environment) {
-      scene.environment = null;
-    }
-    lights.environment?.dispose();
+    removeEnvironment(scene, lights);
     lights.directional.dispose();
     scenes.delete(scene);
   }
+}
+
+function removeEnvironment(scene: Scene, { environment }: SceneLights): void {
+  if (environment && scene.environment === environment) {
+    scene.environment = null;
+    scene.environmentIntensity = 1;
+  }
+  environment?.dispose();
 }
 
 /** A texture of a form cube, ktx2 or hdr, for `scene.environment`, `scene.background` or a material's `envMap`. */

@@ -129,7 +129,8 @@ test("an environment replaces other lights, and equal light is kept", () => {
   const without = applyToScene(scene, field.light([field.harmonicsForm("arcore"), field.MAIN_LIGHT], "c"), {
     intensity: 2,
   });
-  assert.deepEqual([scene.environment, without.probe.intensity, without.directional.intensity], [null, 2, 6]);
+  assert.deepEqual([scene.environment, scene.environmentIntensity], [null, 1]);
+  assert.deepEqual([without.probe.intensity, without.directional.intensity], [2, 6]);
   assert.equal(without.directional.shadow.intensity, 1);
   assert.equal(applyToScene(scene, field.light([], "d")).directional.intensity, 0);
   assert.deepEqual(probe.sh.coefficients[0]!.toArray(), [0, 0, 0]);
@@ -137,13 +138,16 @@ test("an environment replaces other lights, and equal light is kept", () => {
 
 test("the app's own environment is kept", () => {
   const scene = new Scene();
+  scene.environmentIntensity = 2;
+  applyToScene(scene, field.light([field.harmonicsForm("arkit")]), { intensity: 0.5 });
+  assert.equal(scene.environmentIntensity, 2);
   const own = (scene.environment = new Texture());
-  applyToScene(scene, field.light([field.harmonicsForm("arkit")]));
-  assert.equal(scene.environment, own);
-  applyToScene(scene, field.light([HDR], "b"));
+  applyToScene(scene, field.light([field.harmonicsForm("arkit")], "a"));
+  assert.deepEqual([scene.environment, scene.environmentIntensity], [own, 2]);
+  applyToScene(scene, field.light([HDR], "b"), { intensity: 0.5 });
   assert.notEqual(scene.environment, own);
   removeFromScene(scene);
-  assert.deepEqual([scene.environment, scene.children], [null, []]);
+  assert.deepEqual([scene.environment, scene.environmentIntensity, scene.children], [null, 1, []]);
   removeFromScene(scene);
   const { probe, directional } = applyToScene(scene, field.light([HDR], "b"));
   assert.ok(probe instanceof LightProbe && directional instanceof DirectionalLight && scene.environment);
