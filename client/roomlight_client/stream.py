@@ -428,7 +428,7 @@ class AsyncStream:
             self._call(self._handlers.on_lighting, lights)
         elif isinstance(message, ProbesEvent):
             self._memory.confirm(message.probes)
-        elif isinstance(message, ProblemEvent):
+        else:
             self._refused(message)
         return None
 
