@@ -64,6 +64,12 @@ _LOST: Final = 0.4
 """Distance from which on the assumed one is wrong, relative to the features' movement: 0.01 to 0.3 in captures."""
 _HANGING: Final = -0.5
 """Mean cosine of the cameras' up with the assumed one below which they hang upside down."""
+_ALONG_PICTURE, _UPRIGHT = 0.5, 0.8
+"""Mean cosine of an axis of the world with the picture's columns, or rows, from which on it may be up; and that of the
+assumed up with the columns from which on it is not far from up."""
+_ROLL, _ROLLED, _LEAST_SWING = 0.1, 3.0, 0.03
+"""Sines of roll: the most about up (0.03 in captures); how many times as much there is about what is not up; and the
+least variation of that."""
 _FALLING, _ODD_RATIO = -0.6, 5.0
 """Correlation of depth and its estimate below which it is pointed out, and their ratio beyond which it is."""
 _LENGTHS: Final = tuple(10 ** (step / 8) for step in range(-28, 29))
@@ -112,7 +118,10 @@ class Disagreement:
 
 
 class PoseCheck:
-    """Collects pictures of a pass that differ, set by set; `disagreement` compares those of the latest set."""
+    """Collects pictures of a pass that differ, set by set; `disagreement` compares those of the latest set.
+
+    Directions of the world in the cameras are summed over the pass: a few views at the rate of a video hardly differ.
+    """
 
     def __init__(self, to_y_up: Float[np.ndarray, "4 4"], *, opencv: bool, quaternions: bool) -> None:
         """Take the conventions that are assumed: the turn of the world, whether cameras have OpenCV's axes.
@@ -123,6 +132,8 @@ class PoseCheck:
         self._views: list[tuple[UInt8[np.ndarray, "h w"], Frame]] = []
         self._last: Float32[np.ndarray, "h w"] | None = None
         self._frames = self._resting = 0
+        self._axes = np.column_stack([to_y_up[:3, :3], [0.0, 1.0, 0.0]])  # of the stored world, and the assumed up
+        self._seen = np.zeros((3, 2, 4))  # their x and y in the cameras, the squares of these, and frames
 
     def add(self, frame: Frame) -> bool:
         """Take a frame; returns whether it completes a set.
@@ -130,6 +141,8 @@ class PoseCheck:
         It counts if the pose has turned since the last one that does, or the picture has changed. As many frames as a
         set took are passed over after it. Takes a millisecond, 4 to 11 more (1920 x 1440) for a frame that counts.
         """
+        seen = frame.camera_to_world[:3, :2].T @ self._axes
+        self._seen += [seen, seen**2, np.ones_like(seen)]
         if self._resting:
             self._resting -= 1
             return False
@@ -159,7 +172,7 @@ class PoseCheck:
         stated = [frame.camera_to_world for _, frame in self._views]
         if len(stated) < _LEAST_PAIRS:
             return None
-        wrong_up = self._wrong_up(np.stack(stated)[:, :3, :3])
+        wrong_up = self._wrong_up()
         pairs = [pair for at in range(len(stated) - 1) if (pair := self._tracks(at)) is not None]
         if len(pairs) < _LEAST_PAIRS:
             return wrong_up
@@ -265,17 +278,25 @@ class PoseCheck:
         )
         return there[:, 0], np.where(there_is[:, 0] > 0, unlike[:, 0], np.float32(np.inf))
 
-    def _wrong_up(self, turns: Float[np.ndarray, "n 3 3"]) -> Disagreement | None:
-        """Return what is wrong with the assumed up; None if cameras are level about it, or nothing tells."""
-        if turns[:, 1, 1].mean() < _HANGING:
+    def _wrong_up(self) -> Disagreement | None:
+        """Return what is wrong with the assumed up; None if cameras are level about it, or nothing tells.
+
+        Up lies along the pictures' columns, and cameras hardly roll about it; along their rows where a phone was held
+        upright, with the first pixels of the rows up.
+        """
+        mean, square = self._seen[:2] / self._seen[2]
+        roll = np.where(np.abs(mean)[::-1] > _ALONG_PICTURE, np.sqrt(square), np.inf)
+        row, axis = np.unravel_index(np.argmin(roll[:, :3]), (2, 3))
+        other = np.argmin(roll[:, 3]) if np.isfinite(roll[:, 3]).any() else row
+        swings = square[other, 3] - mean[other, 3] ** 2 > _LEAST_SWING**2
+        level = roll[row, axis] < min(_ROLL, np.sqrt(square[other, 3]) / _ROLLED)
+        if swings and level and mean[1, 3] < _UPRIGHT:
+            upward = mean[1, axis] if row == 0 else -mean[0, axis]
+            return Disagreement(axis=f"{'' if upward > 0 else '-'}{'xyz'[axis]}")
+        if mean[1, 3] < _HANGING:
             down = -self._to_y_up[1, :3]
             return Disagreement(up=max(UP_AXES, key=lambda name: float(down @ UP_AXES[name])))
-        seen = {name: turns.transpose(0, 2, 1) @ self._to_y_up[:3, :3] @ np.array(UP_AXES[name]) for name in "xyz"}
-        up, axis = turns[:, 1], max(seen, key=lambda name: float(np.abs(seen[name][:, 1]).mean()))
-        assumed, other = (np.linalg.norm(way - way.mean(axis=0), axis=1).mean() for way in (up, seen[axis]))
-        wrong = assumed > 0.1 and other < 0.5 * assumed and np.abs(up[:, 1]).mean() < 0.5
-        upward = float(seen[axis][:, 1].mean())
-        return Disagreement(axis=axis if upward > 0 else f"-{axis}") if wrong and abs(upward) > 0.8 else None
+        return None
 
 
 def _best_length(error: Callable[[float], float]) -> tuple[float, float, bool]:

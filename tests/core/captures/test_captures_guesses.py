@@ -59,6 +59,25 @@ def test_a_world_whose_up_is_another_is_pointed_out(tmp_path: Path, turn: float,
     assert not notes_of(path, CaptureOptions(world_up=up))
 
 
+@pytest.mark.parametrize(("roll", "up"), [(0.0, "y"), (-90.0, "y"), (90.0, "-y")])
+def test_a_world_on_its_side_is_pointed_out_at_the_rate_of_a_video(tmp_path: Path, roll: float, up: str) -> None:
+    """Six views hardly differ; a phone is held upright with its home button down, or else the other way round."""
+    views = formats.scene(40)
+    for index, view in enumerate(views):
+        nod = formats.rotation("x", 5.0 * np.sin(index))
+        view.pose[:3, :3] = formats.rotation("y", 10 + 2.0 * index) @ nod @ formats.rotation("z", roll)
+    path = formats.nerfstudio(tmp_path / "level", views)
+    assert "--world-up" not in str(notes_of(path))
+
+    def change(index: dict) -> None:
+        for frame, view in zip(index["frames"], views, strict=True):
+            frame["transform_matrix"] = view.pose.tolist()
+
+    edit(path / "transforms.json", change)
+    (note,) = [note for note in notes_of(path) if "--world-up" in note]
+    assert f"--world-up {up}," in note
+
+
 def test_a_pass_that_goes_on_gives_the_notes_of_a_whole_one(tmp_path: Path) -> None:
     """Where the first pose is the identity the world's up is told by that note alone."""
     views = turning(16)
