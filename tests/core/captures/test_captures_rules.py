@@ -818,5 +818,34 @@ def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:
         unreadable(path, says)
 
 
+@pytest.mark.parametrize(
+    ("shared", "frame", "noted"),
+    [
+        ({}, {}, False),
+        ({"applied_transform": [[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0]]}, {}, False),  # of a phone's recording
+        ({"applied_transform": [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]]}, {}, True),
+        ({"applied_transform": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]}, {}, True),
+        ({}, {"colmap_im_id": 1}, True),
+        ({}, {"colmap_im_id": 1, "depth_file_path": "depth/frame_00001.png"}, False),
+    ],
+)
+def test_the_scale_of_colmap_is_noted_in_nerfstudios_files(
+    transforms: Path, shared: dict, frame: dict, noted: bool
+) -> None:
+    def change(index: dict) -> None:
+        index.update(shared)
+        for entry in index["frames"]:
+            del entry["depth_file_path"]
+            entry.update(frame)
+
+    def is_noted(**stated: float) -> bool:
+        return "COLMAP's scale" in str(open_capture(transforms, CaptureOptions(**stated)).notes)
+
+    edit(transforms / "transforms.json", change)
+    assert (is_noted(), is_noted(camera_height_m=1.5)) == (noted, False)
+    (transforms / "colmap/sparse/0").mkdir(parents=True)
+    assert is_noted() == ("depth_file_path" not in frame)
+
+
 def test_nothing_of_the_sample_is_left_out() -> None:
     assert not open_capture(sample_capture()).notes

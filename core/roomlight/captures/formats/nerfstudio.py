@@ -11,7 +11,8 @@ Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unl
 -x, -y, -z or three numbers), or is NeRFCapture's (it alone has `depth_path` or `*integer_*scale` keys), whose world is
 ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its -y, taken for up, became -x
 (`applied_transform`), and ScanNet++ its own z-up one in this way so that up became -z. cx and cy are used unchanged:
-pixel centres at half integers, as nerfstudio and ARKit have them. Translations are divided by `applied_scale`.
+pixel centres at half integers, as nerfstudio and ARKit have them. Translations are divided by `applied_scale`. Without
+depth, the scale of COLMAP's worlds is noted.
 
 Depth: 16-bit PNG, .npy, TIFF or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, of
 NeRFCapture's script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder
@@ -57,6 +58,9 @@ _SCANNETPP: Final = "resized_"
 """Beginning of the folders of ScanNet++'s own pictures."""
 _SWAPPED: Final = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 """`applied_transform` of the COLMAP worlds that nerfstudio wrote until 2024."""
+_TURNS_OF_COLMAP: Final = (_SWAPPED, [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]])
+_MODEL: Final = "colmap/sparse/0"
+"""Where nerfstudio leaves COLMAP's model."""
 _LENS_KEYS: Final = {"fl_x": "fl_y", "camera_angle_x": "camera_angle_y", "x_fov": "y_fov"}
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
 _EIGHT_BITS: Final = (b"\x08\x02", b"\x08\x06")
@@ -134,6 +138,9 @@ class NerfstudioReader:
         self._masks = self._source_of("mask_path", _MASK_FOLDERS)
         with fields.naming(self._label, CaptureError):
             self.conventions = PoseConventions("opengl", "camera-to-world", self._world_up())
+        if self._is_of_colmap() and not self._depth_keys and options.camera_height_m is None:
+            advice = "state camera_height_m (--camera-height), or scale its poses to metres"
+            self.notes.append(Note(f"{self._label}: COLMAP's scale", "its poses are taken for metres", advice))
 
     def name_of(self, index: int) -> str:
         """Return the colour file as the index names it."""
@@ -300,6 +307,11 @@ class NerfstudioReader:
                 fields.first_of(frame, self._shared, *_LENS_KEYS) is not None for frame in self._frames
             ):
                 raise ValueError("has no intrinsics: neither fl_x nor camera_angle_x nor x_fov, globally or in a frame")
+
+    def _is_of_colmap(self) -> bool:
+        """Whether nerfstudio wrote the file by COLMAP's model; not ScanNet++, whose pictures lie elsewhere."""
+        stated = self._shared.get("applied_transform") in _TURNS_OF_COLMAP or self._source.has(_MODEL)
+        return self._pictures is self._source and (stated or any("colmap_im_id" in frame for frame in self._frames))
 
     def _world_up(self) -> tuple[float, float, float]:
         stated: Any = self._shared.get("world_up")
