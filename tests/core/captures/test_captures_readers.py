@@ -229,19 +229,23 @@ def test_transforms_world_up_key_and_unit(transforms: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("turned", "level"),
+    ("turned", "level", "stated"),
     [
-        ([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]], True),  # nerfstudio's since 2024
-        ([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]], True),  # and before
-        (np.eye(4).tolist(), False),
-        ("none", False),
+        ([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]], True, True),  # nerfstudio's since 2024
+        ([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]], True, True),  # and before
+        ([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]], True, False),  # until 2023
+        (np.eye(4).tolist(), False, True),
+        ("none", False, True),
     ],
 )
-def test_up_of_a_colmap_world_that_nerfstudio_turned(transforms: Path, turned: list, level: bool) -> None:
+def test_up_of_a_colmap_world_that_nerfstudio_turned(transforms: Path, turned: list, level: bool, stated: bool) -> None:
     matrix = np.array([*turned[:3], [0, 0, 0, 1]]) if level else np.eye(4)
 
     def change(index: dict) -> None:
-        index["applied_transform"] = turned
+        if stated:
+            index["applied_transform"] = turned
+        else:
+            (transforms / "colmap/sparse/0").mkdir(parents=True)
         for frame, view in zip(index["frames"], VIEWS, strict=True):
             frame["transform_matrix"] = (matrix @ formats.FLIP @ view.pose).tolist()
 

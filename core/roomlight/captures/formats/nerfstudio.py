@@ -9,10 +9,10 @@ Frames that are marked `is_bad` are skipped.
 
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up` (x, y, z,
 -x, -y, -z or three numbers), or is NeRFCapture's (it alone has `depth_path` or `*integer_*scale` keys), whose world is
-ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its -y, taken for up, became -x
-(`applied_transform`), and ScanNet++ its own z-up one in this way so that up became -z. cx and cy are used unchanged:
-pixel centres at half integers, as nerfstudio and ARKit have them. Translations are divided by `applied_scale`. Without
-depth, the scale of COLMAP's worlds is noted.
+ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its -y, taken for up, became -x (`applied_transform`;
+until March 2023 without this key, but with `colmap/sparse/0` beside the file), and ScanNet++ its own z-up one in this
+way so that up became -z. cx and cy are used unchanged: pixel centres at half integers, as nerfstudio and ARKit have
+them. Translations are divided by `applied_scale`. Without depth, the scale of COLMAP's worlds is noted.
 
 Depth: 16-bit PNG, .npy, TIFF or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, of
 NeRFCapture's script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder
@@ -320,7 +320,7 @@ class NerfstudioReader:
                 return up_vector("y")
             if self._pictures is not self._source and self._pictures.root.name.startswith(_SCANNETPP):
                 return up_vector("-z")
-            turn: Any = self._shared.get("applied_transform")
+            turn: Any = self._shared.get("applied_transform", _SWAPPED if self._source.has(_MODEL) else None)
             return up_vector("-x" if isinstance(turn, list) and turn[:3] == _SWAPPED else "z")
         if isinstance(stated, list):
             components = fields.vector(stated, 3, "world_up").tolist()
