@@ -2,7 +2,7 @@
 
 import zipfile
 from contextlib import suppress
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Final
 
@@ -49,11 +49,16 @@ _MODELS: Final = (
     *(".usdz", ".usda", ".usdc", ".glb", ".gltf", ".obj", ".ply", ".fbx", ".stl", ".dae"),
     *(".spz", ".splat", ".ksplat", ".las", ".laz", ".e57", ".pts", ".xyz"),
 )
-_CAMERAS: Final = ("sfm_data.json", "bundle.out", ".chan", ".abc")
-"""Files of cameras, by name or ending: of OpenMVG, Bundler, Nuke, and Alembic."""
+_CAMERAS: Final = (
+    *("sfm_data.json", "bundle.out", ".chan", ".abc"),
+    *("reconstruction.json", "poses_bounds.npy", "cameras_sphere.npz", "traj.txt", "trajectory.log"),
+)
+"""Files of cameras, by name or ending: of OpenMVG, Bundler, Nuke, Alembic, OpenSfM, LLFF, NeuS, Replica, and Open3D."""
+_PROGRAMS: Final = {".csv": ("RealityCapture", b"#name,", 6), ".xml": ("Metashape", b"<chunk", 1000)}
+"""Programs that write cameras into files of these endings, and the text that is among so many first bytes of them."""
 _STAGES: Final = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
 """Models that may be cameras where pictures are in a folder beside them."""
-_PICTURES: Final = ("images", "rgb", "color", "frames", "plate", "plates")
+_PICTURES: Final = ("images", "image", "input", "rgb", "color", "frames", "results", "plate", "plates")
 _RECORDINGS: Final = (".svo", ".svo2", ".oni", ".vrs", ".klg")
 _SMALL_COPIES: Final = ("thumb", "thumbnail", "preview")
 _LISTED: Final = 1000
@@ -70,11 +75,12 @@ def recognised(path: Path) -> str:
         return name
     if reason := _known_otherwise(path) or _part_of(path):
         raise UnknownFormatError(f"{path}: {reason}")
+    if hint := _nearest(path) or _bare_images(path):
+        raise UnknownFormatError(f"{path}: no capture format recognised. {hint}")
     known = "; ".join(f"{name}: {', '.join(parts).replace('|', ' or ')}" for name, parts in _PARTS.items())
     raise UnknownFormatError(
-        f"{path}: no capture format recognised. {_nearest(path)}{_bare_images(path)}Set `format` to force one. "
-        f"Known are .r3d (record3d), .sens (scannet), .bag, .mcap and .db3 (ros-bag) and video files, and folders of "
-        f"{known}"
+        f"{path}: no capture format recognised. Set `format` to force one. Known are .r3d (record3d), .sens (scannet), "
+        f".bag, .mcap and .db3 (ros-bag) and video files, and folders of {known}"
     )
 
 
@@ -153,7 +159,7 @@ def _nearest(path: Path) -> str:
         own = any(pattern not in _COMMON and _is_there(path, pattern) for part in there for pattern in part.split("|"))
         if (own or len(there) > 1) and share < 1 and (share, len(there)) > best[:2]:
             lacking = " and ".join(part.replace("|", " or ") for part in parts if part not in there)
-            best = share, len(there), f"The nearest is {name}, which lacks {lacking}. "
+            best = share, len(there), f"The nearest is {name}, which lacks {lacking}"
     return best[2]
 
 
@@ -213,24 +219,27 @@ def _reconstruction_program(file: Path) -> str:
         return "Metashape"
     if file.suffix.lower() == ".sfm":
         return "Meshroom"
-    if file.suffix.lower() == ".csv":
-        with suppress(OSError), file.open("rb") as table:
-            return "RealityCapture" if table.read(6) == b"#name," else ""
+    if file.suffix.lower() in _PROGRAMS:
+        program, text, most = _PROGRAMS[file.suffix.lower()]
+        with suppress(OSError), file.open("rb") as start:
+            return program if text in start.read(most) else ""
     return ""
 
 
 def _bare_images(path: Path) -> str:
-    """Return what images without an index lack, as a sentence; empty if the folder holds no image."""
+    """Return what images without an index lack, as a sentence; empty if the folder and those in it hold none."""
     if not path.is_dir():
         return ""
-    pictures = [file for file in islice(path.iterdir(), _LISTED) if file.suffix.lower() in _IMAGES]
-    names = sorted(file.name for file in pictures if file.stem.lower() not in _SMALL_COPIES)
+    files = islice(chain(path.iterdir(), path.glob("*/*")), _LISTED)
+    pictures = [file for file in files if file.suffix.lower() in _IMAGES and file.stem.lower() not in _SMALL_COPIES]
+    stated = (file.relative_to(path).as_posix() for file in pictures)
+    names = sorted(name for name in stated if "depth" not in name.lower())
     if not names:
         return ""
     listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     return (
         f"The folder holds {listed} without focal lengths and camera poses: let COLMAP find them, add them in "
-        f"{nerfstudio.INDEX}, or film a video, which needs none; `roomlight light IMAGE` takes one photo. "
+        f"{nerfstudio.INDEX}, or film a video, which needs none; `roomlight light IMAGE` takes one photo"
     )
 
 

@@ -87,9 +87,16 @@ def test_a_folder_with_nothing_but_a_video(tmp_path: Path) -> None:
     refused(tmp_path / "walk", "no capture format recognised", error=UnknownFormatError)
 
 
-@pytest.mark.parametrize("name", ["sfm_data.json", "bundle.out", "shot.chan", "shot.abc", "shot.fbx", "shot.usda"])
-def test_cameras_of_other_programs_are_named(tmp_path: Path, name: str) -> None:
-    formats.save(tmp_path / "images/000000.png", formats.image(".png", VIEWS[0].srgb8))
+@pytest.mark.parametrize("folder", ["images", "input", "results"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("sfm_data.json", "bundle.out", "shot.chan", "shot.abc", "shot.fbx", "shot.usda", "reconstruction.json"),
+        *("poses_bounds.npy", "cameras_sphere.npz", "traj.txt", "trajectory.log"),
+    ],
+)
+def test_cameras_of_other_programs_are_named(tmp_path: Path, folder: str, name: str) -> None:
+    formats.save(tmp_path / folder / "000000.png", formats.image(".png", VIEWS[0].srgb8))
     formats.save(tmp_path / name, b"x")
     refused(tmp_path, rf"the cameras in {re.escape(name)} are not read; write them into transforms\.json")
 
