@@ -78,8 +78,8 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     """Open a capture for reading: its index is read and checked, no image is decoded.
 
     `path` is the capture's folder, a folder that holds nothing but it, its file (`.r3d`, `.sens`, `.bag`, a video), its
-    index or video (`transforms.json`, `capture.json`, `rgb.mp4`), or a `.zip` of the folder, which is unpacked for as
-    long as the capture is open.
+    index or video (`transforms.json`, `transforms_train.json`, `capture.json`, `rgb.mp4`), or a `.zip` of the folder,
+    which is unpacked for as long as the capture is open.
 
     Raises:
         OptionError: `path` is no path, or `options.format` is not one of `FORMATS`.
@@ -116,9 +116,11 @@ def _opened(path: Path, chosen: CaptureOptions) -> tuple[Path, Reader]:
     try:
         if not path.exists():
             raise CaptureError(f"{path}: there is no such file or folder")
-        stated = chosen.format
+        stated, part = chosen.format, None
         if path.is_file() and path.name in _INDICES:
             path, stated = path.parent, stated or _INDICES[path.name]
+        elif stated in (None, "nerfstudio") and path.is_file() and path.match(nerfstudio.INDICES):
+            path, stated, part = path.parent, "nerfstudio", path
         elif stated is None and path.name in _VIDEOS and format_of(path.parent) in ("stray-scanner", "scannetpp"):
             path = path.parent
         if stated is None:
@@ -130,7 +132,7 @@ def _opened(path: Path, chosen: CaptureOptions) -> tuple[Path, Reader]:
         raise CaptureError(f"{path}: cannot be opened ({error})") from error
     if chosen.fov_deg is not None and name != "video":
         raise OptionError(f"fov_deg is for videos without poses; a recording of the {name} format states its lens")
-    reader = _READERS[name](path, chosen)
+    reader = _READERS[name](part or path, chosen)
     if stated is None and name in _MEASURED and (path / nerfstudio.INDEX).is_file():
         text = f"{path / nerfstudio.INDEX}: it leads to no depth"
         reader.notes.append(Note(text, f"the {name} recording beside it is read", "open the file itself to read it"))

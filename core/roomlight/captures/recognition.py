@@ -178,7 +178,7 @@ def _known_otherwise(path: Path) -> str:
             "its video (data.mov) alone"
         )
     if parts := sorted(file.name for file in files if file.name.startswith("transforms_") and file.suffix == ".json"):
-        return f"holds {', '.join(parts[:4])}, and no transforms.json; rename one of them, or put their frames into it"
+        return f"holds {', '.join(parts[:4])}, and no transforms.json; open one of them, or put their frames into one"
     kinds = (*_CAMERAS, *_STAGES) if any((path / name).is_dir() for name in _PICTURES) else _CAMERAS
     if cameras := next((file.name for file in files if file.name.lower() in kinds or file.suffix.lower() in kinds), ""):
         return f"the cameras in {cameras} are not read; write them into {nerfstudio.INDEX}, beside the pictures"

@@ -140,8 +140,13 @@ def test_a_fisheye_of_rtabmap_is_noted_also_without_coefficients(tmp_path: Path)
 
 
 def test_parts_of_a_data_set_without_the_whole_are_named(transforms: Path) -> None:
-    (transforms / "transforms.json").rename(transforms / "transforms_train.json")
-    refused(transforms, r"holds transforms_train\.json, and no transforms\.json; rename", error=UnknownFormatError)
+    part = (transforms / "transforms.json").rename(transforms / "transforms_train.json")
+    refused(transforms, r"holds transforms_train\.json, and no transforms\.json; open one", error=UnknownFormatError)
+    for options in (CaptureOptions(), CaptureOptions(format="nerfstudio")):
+        capture = open_capture(part, options)
+        assert (capture.format, capture.path) == ("nerfstudio", transforms)
+        same_views(capture, VIEWS)
+    refused(part, r"transforms_train\.json: is a file; the tum format is a folder", CaptureOptions(format="tum"))
 
 
 @pytest.mark.parametrize(("mark", "point"), [("\t", "."), (";", "."), (";", ",")])

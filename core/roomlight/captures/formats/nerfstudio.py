@@ -48,6 +48,8 @@ from roomlight.images import ColourImage
 from roomlight.notes import Note, unread_keys
 
 INDEX: Final = "transforms.json"
+INDICES: Final = "transforms*.json"
+"""Names of parts of a data set, which are read where one is named."""
 _DEPTH_MAP: Final = re.compile(r"depth(_\w+)?_file_path")
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".heic", ".webp", ".tif", ".tiff", ".bmp")
 _PICTURE_FOLDERS: Final = ("../images", "../resized_images", "../resized_undistorted_images")
@@ -106,14 +108,15 @@ def leads_to_depth(source: FolderSource) -> bool:
 
 
 class NerfstudioReader:
-    """Reads a folder with a `transforms.json`."""
+    """Reads a folder with a `transforms.json`, or a file in its form."""
 
     format = "nerfstudio"
 
-    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+    def __init__(self, path: Path, options: CaptureOptions) -> None:
+        folder, index = (path.parent, path.name) if path.is_file() else (path, INDEX)
         self._source = FolderSource(folder)
-        self._label = self._source.label(INDEX)
-        self._shared = fields.parse_json(read_index(self._source, INDEX), self._label)
+        self._label = self._source.label(index)
+        self._shared = fields.parse_json(read_index(self._source, index), self._label)
         with fields.naming(self._label, CaptureError):
             self._frames = _in_order(fields.objects(self._shared.get("frames"), "frames"))
             self._nerfcapture = any(key in self._shared for key in _NERFCAPTURE_SCALES) or any(
