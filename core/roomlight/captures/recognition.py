@@ -232,8 +232,7 @@ def _bare_images(path: Path) -> str:
         return ""
     files = islice(chain(path.iterdir(), path.glob("*/*")), _LISTED)
     pictures = [file for file in files if file.suffix.lower() in _IMAGES and file.stem.lower() not in _SMALL_COPIES]
-    stated = (file.relative_to(path).as_posix() for file in pictures)
-    names = sorted(name for name in stated if "depth" not in name.lower())
+    names = sorted(file.relative_to(path).as_posix() for file in pictures)
     if not names:
         return ""
     listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

@@ -875,9 +875,9 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
         (["rgb.mp4", "depth/000000.png"], r"nearest is stray-scanner, which lacks odometry\.csv and camera_matrix"),
         (["sparse/0/cameras.bin", "images/1.jpg"], r"nearest is colmap, which lacks sparse/0/images\.\* or"),
         (["images/1.jpg", "metadata.json"], r"holds images/1\.jpg without focal lengths"),  # of any program
-        (["rgb/1.jpg", "depth/1.png", "a.json"], r"holds rgb/1\.jpg without focal lengths"),
+        (["rgb/1.jpg", "depth/1.png", "a.json"], r"holds depth/1\.png, rgb/1\.jpg without focal lengths"),
         (["input/1.jpg"], r"holds input/1\.jpg without focal lengths"),
-        (["depth/1.png", "metadata.json"], r"Set `format` to force one\. Known are \.r3d"),
+        (["depth/1.raw", "metadata.json"], r"Set `format` to force one\. Known are \.r3d"),
     ],
 )
 def test_the_nearest_format_and_what_it_lacks_are_named(tmp_path: Path, files: list[str], message: str) -> None:
