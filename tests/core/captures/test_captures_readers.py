@@ -254,6 +254,17 @@ def test_up_of_a_colmap_world_that_nerfstudio_turned(transforms: Path, turned: l
     assert up == pytest.approx(1.0) if level else up < 0.9
 
 
+@pytest.mark.parametrize("key", ["enable_depth_loading", "aabb", "aabb_scale", "camera_angle_x"])
+def test_depth_of_instant_ngp_is_not_taken_for_nerfcaptures(tmp_path: Path, key: str) -> None:
+    """Its world is z-up; it has the same keys of depth."""
+    path = formats.nerfcapture(tmp_path / "capture", VIEWS)
+    edit(path / "transforms.json", lambda index: index.update({key: 1.0}))
+    frame, as_z_up = first_of(path), first_of(path, CaptureOptions(world_up="z"))
+    np.testing.assert_array_equal(frame.camera_to_world, as_z_up.camera_to_world)
+    np.testing.assert_allclose(frame.depth_m, VIEWS[0].depth_m, atol=1e-3)
+    assert not open_capture(path).notes
+
+
 def test_transforms_depth_key_chooses_among_several(transforms: Path) -> None:
     small = cv2.resize(formats.millimetres(VIEWS[0]), (16, 12), interpolation=cv2.INTER_NEAREST)
     formats.save(transforms / "lidar.png", formats.image(".png", small))

@@ -8,11 +8,12 @@ nor are pixels farther than `fisheye_crop_radius` from the centre of the image.
 Frames that are marked `is_bad` are skipped.
 
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up` (x, y, z,
--x, -y, -z or three numbers), or is NeRFCapture's (it alone has `depth_path` or `*integer_*scale` keys), whose world is
-ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its -y, taken for up, became -x (`applied_transform`;
-until March 2023 without this key, but with `colmap/sparse/0` beside the file), and ScanNet++ its own z-up one in this
-way so that up became -z. cx and cy are used unchanged: pixel centres at half integers, as nerfstudio and ARKit have
-them. Translations are divided by `applied_scale`. Without depth, the scale of COLMAP's worlds is noted.
+-x, -y, -z or three numbers), or is NeRFCapture's (`depth_path` or `*integer_*scale` without instant-ngp's other keys),
+whose world is ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its -y, taken for up, became -x
+(`applied_transform`; until March 2023 without this key, but with `colmap/sparse/0` beside the file), and ScanNet++ its
+own z-up one in this way so that up became -z. cx and cy are used unchanged: pixel centres at half integers, as
+nerfstudio and ARKit have them. Translations are divided by `applied_scale`. Without depth, the scale of COLMAP's worlds
+is noted.
 
 Depth: 16-bit PNG, .npy, TIFF or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, of
 NeRFCapture's script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder
@@ -65,6 +66,8 @@ _MODEL: Final = "colmap/sparse/0"
 """Where nerfstudio leaves COLMAP's model."""
 _LENS_KEYS: Final = {"fl_x": "fl_y", "camera_angle_x": "camera_angle_y", "x_fov": "y_fov"}
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
+_OF_INSTANT_NGP: Final = ("enable_depth_loading", "aabb", "aabb_scale", "camera_angle_x")
+"""Keys that NeRFCapture's app and script never write."""
 _EIGHT_BITS: Final = (b"\x08\x02", b"\x08\x06")
 """Bytes 24 and 25 of an RGB or RGBA PNG of 8 bits."""
 _READ: Final = frozenset(
@@ -94,6 +97,7 @@ _HARMLESS: Final = frozenset(  # what trainers of radiance fields need, and name
         *("test_filenames", "test_frames", "sharpness", "colmap_im_id", "has_mask", "name", "id"),
         *("version", "format", "fps", "n_frames", "camera_id", "frame_id", "orientation_override", "rotation"),
         *("auto_scale_poses_override", "camera_linear_velocity", "camera_angular_velocity", "motion_blur_score"),
+        "enable_depth_loading",
     }
 )
 
@@ -119,8 +123,9 @@ class NerfstudioReader:
         self._shared = fields.parse_json(read_index(self._source, index), self._label)
         with fields.naming(self._label, CaptureError):
             self._frames = _in_order(fields.objects(self._shared.get("frames"), "frames"))
-            self._nerfcapture = any(key in self._shared for key in _NERFCAPTURE_SCALES) or any(
-                "depth_path" in frame for frame in self._frames
+            self._nerfcapture = self._shared.keys().isdisjoint(_OF_INSTANT_NGP) and (
+                any(key in self._shared for key in _NERFCAPTURE_SCALES)
+                or any("depth_path" in frame for frame in self._frames)
             )
             self._stated_unit_m = options.depth_unit_m
             self._depth_unit({})  # refuses the capture for what concerns all frames
