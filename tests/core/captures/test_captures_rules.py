@@ -87,6 +87,19 @@ def test_a_fisheye_is_one_by_every_name(transforms: Path, keys: dict) -> None:
     assert bent.intrinsics.fx < 0.98 * formats.FX
 
 
+def test_coefficients_written_as_text_are_read(transforms: Path) -> None:
+    """As nerfstudio copied them from the tables of RealityCapture."""
+
+    def change(index: dict) -> None:
+        for frame, stated in zip(index["frames"], (-0.1, "-0.1", "nan", "x"), strict=True):
+            frame.update(k1=stated, k2="0")
+
+    edit(transforms / "transforms.json", change)
+    plain, text = capture = open_capture(transforms)
+    assert plain.intrinsics == text.intrinsics
+    assert ["k1 is nan" in capture.skipped[0].reason, "k1 is 'x'" in capture.skipped[1].reason] == [True, True]
+
+
 @pytest.mark.parametrize(
     ("keys", "named"),
     [
