@@ -97,6 +97,16 @@ def wrong_scale(name: str, factor: float | None) -> Note:
     )
 
 
+def another_size(name: str, ratio: float | None) -> Note:
+    """Make the note for poses that contradict estimated depth; `ratio` of the sizes, None where it is not clear."""
+    size = "another size than" if ratio is None else f"{float(f'{ratio:.2g}'):g} times as large as"
+    return Note(
+        f"{name}: its poses make the room {size} the pictures let expect",
+        "their unit is taken for a metre",
+        "scale the poses to metres, or state camera_height_m (--camera-height), the camera's height above the floor",
+    )
+
+
 def unlikely_depth(name: str, frames: Sequence[Frame]) -> Note | None:
     """Make the note for depth that the picture contradicts; else None."""
     instead = "or none (of a recording: --depth network): it is then estimated"
@@ -289,12 +299,8 @@ class PassChecks:
             if depth is not None and not self._poses_are_done and self._scale_is_assumed:
                 ratio = 1 / depth.state.per_metre
                 if depth.model.kind == "metric" and ratio > _MOST_BY_POSES:
-                    yield Note(
-                        f"{self._name}: its poses make the room {ratio:.2g} times as large as the pictures let expect",
-                        "their unit is taken for a metre",
-                        "scale the poses to metres, or state camera_height_m (--camera-height), the camera's height "
-                        "above the floor",
-                    )
+                    self._noted.add(_DEPTH)
+                    yield another_size(self._name, ratio)
         elif self._count > FRAMES and self._set_is_whole:
             yield from self._notes_of_poses()
 
@@ -345,9 +351,12 @@ class PassChecks:
             self._poses_are_done = True
             self._noted.discard(_APART)
             if wrong.length != 1:
-                if _DEPTH in self._noted:
+                if _DEPTH in self._noted or not (self._measured or self._scale_is_assumed):
                     return
                 self._noted.add(_DEPTH)
+                if not self._measured:
+                    yield another_size(self._name, None if wrong.length is None else 1 / wrong.length)
+                    return
             note = wrong_poses(self._name, wrong, *self._conventions)
             if self._format == "rtabmap" and not wrong.known:  # format 1 looks the same, with other axes
                 note = replace(note, advice=f"export poses with --poses_format 11; {note.advice}")

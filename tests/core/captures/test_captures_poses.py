@@ -1,5 +1,6 @@
 """Assumed conventions of poses, and intrinsics, are compared with what the pictures show."""
 
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -8,7 +9,7 @@ import cv2
 import formats
 import numpy as np
 import pytest
-from capture_checks import edit
+from capture_checks import edit, notes_of
 
 import box_room
 from roomlight.camera import Intrinsics, pose_from_quaternion
@@ -107,6 +108,17 @@ def test_conventions_that_contradict_the_pictures_are_pointed_out(
     assert len(list(capture)) == 7
     assert len(capture.notes) == (says is not None)
     assert says is None or says in str(capture.notes[0])
+
+
+@pytest.mark.parametrize(("per_metre", "size"), [(39.37, r"1[678]0 times as large as"), (1000, "another size than")])
+def test_poses_in_another_unit_than_estimated_depth_are_pointed_out(
+    tmp_path: Path, per_metre: float, size: str
+) -> None:
+    """The network expects a drawn room to be a fourth as large as it is."""
+    path = written(tmp_path / "walk", in_unit(per_metre))
+    edit(path / "transforms.json", lambda index: [frame.pop("depth_file_path") for frame in index["frames"]])
+    (note,) = [note for note in notes_of(path) if "poses make" in note or "contradicts" in note]
+    assert re.search(rf"its poses make the room {size} the pictures let expect: .* \(--camera-height\)", note)
 
 
 def test_quaternions_with_w_first_are_pointed_out(tmp_path: Path) -> None:
