@@ -159,6 +159,17 @@ def test_tum_lists_of_spreadsheets(tmp_path: Path, mark: str, point: str) -> Non
     same_views(open_capture(path), VIEWS, atol=1e-4)
 
 
+def test_what_a_folder_of_tum_lacks_is_said(tmp_path: Path) -> None:
+    path = formats.tum(tmp_path / "tum", VIEWS)
+    (path / "groundtruth.txt").rename(path / "CameraTrajectory.txt")
+    refused(path, r"tum: has no poses; save CameraTrajectory\.txt as groundtruth\.txt \(time tx ty tz qx qy qz qw\)")
+    (path / "CameraTrajectory.txt").rename(path / "poses.txt")
+    refused(path, r"tum: has no poses; save the trajectory as groundtruth\.txt")
+    (path / "poses.txt").rename(path / "groundtruth.txt")
+    (path / "rgb.txt").rename(path / "color.txt")
+    refused(path, r"tum: has no list of its pictures; write it as rgb\.txt \(time file\)")
+
+
 def test_tum_lists_with_dates(tmp_path: Path) -> None:
     path = formats.tum(tmp_path / "tum", VIEWS)
 

@@ -65,13 +65,21 @@ class TumReader(ListedReader):
         source = FolderSource(folder)
         notes: list[Note] = []
         pairs = next(filter(source.has, PAIRS), None)
-        if source.has("rgb.txt") or pairs is None:
+        if source.has("rgb.txt"):
             self._times = _stream(source, "rgb.txt", notes)
             has_depth = options.depth != "network" and source.has("depth.txt")
             self._depth = _stream(source, "depth.txt", notes) if has_depth else None
-        else:
+        elif pairs is not None:
             self._times, self._depth = (_stream(source, pairs, notes, half=half) for half in (0, 1))
+        else:
+            raise CaptureError(f"{folder}: has no list of its pictures; write it as rgb.txt (time file)")
         self._pose_file = pose_file(source)
+        if not source.has(self._pose_file):
+            trajectories = (name for name in source.names() if re.search(r"rajectory.*\.txt$", name))
+            stated = next(trajectories, "the trajectory")
+            raise CaptureError(
+                f"{folder}: has no poses; save {stated} as {self._pose_file} (time tx ty tz qx qy qz qw)"
+            )
         self._poses = _stream(source, self._pose_file, notes, most=50 * MAX_FRAMES)
         super().__init__(folder, options, [name for _, name in self._times], expected="rgb.txt")
         self.notes.extend(dict.fromkeys(notes))
