@@ -264,6 +264,17 @@ def test_colmaps_own_depth_maps(tmp_path: Path) -> None:
     one_skipped(path, 1, "a map of 32 x 24 does not have")
 
 
+@pytest.mark.parametrize(("model", "read"), [("sparse", "images"), ("distorted/sparse", "input")])
+def test_pictures_of_3d_gaussian_splatting_before_it_undistorts_them(tmp_path: Path, model: str, read: str) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    (path / "images").rename(path / "input")
+    (path / model).parent.mkdir(exist_ok=True)
+    (path / "sparse").rename(path / model)
+    same_views(open_capture(path, CaptureOptions(depth="file")), VIEWS)
+    shutil.copytree(path / "input", path / "images")
+    assert first_of(path).source == f"{path}/{read}/frame_00001.png"
+
+
 def test_relative_depth_beside_a_colmap_model(tmp_path: Path) -> None:
     """As 3D Gaussian splatting takes it, whose `make_depth_scale.py` fits each map to the model's points."""
     path = formats.colmap(tmp_path / "capture", VIEWS)

@@ -37,7 +37,9 @@ from roomlight.files import FolderSource
 from roomlight.images import decode_grey16
 from roomlight.notes import Note
 
-FOLDERS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
+_DISTORTED: Final = "distorted/sparse/0"
+"""The model of the pictures in `input`, as 3D Gaussian splatting has it before it undistorts them."""
+FOLDERS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", _DISTORTED, "")
 _DEPTH: Final = (
     "depth",
     "depths",
@@ -46,7 +48,9 @@ _DEPTH: Final = (
     "dense/stereo/depth_maps",
     "dense/0/stereo/depth_maps",
 )
-_PICTURES: Final = ("images", "images_2", "images_4", "images_8", "colmap/images", "dense/images", "resized_images")
+_PICTURES: Final = (
+    *("images", "images_2", "images_4", "images_8", "colmap/images", "dense/images", "resized_images", "input"),
+)
 _OF_MODELS: Final = (".bin", ".txt", ".ply", ".ini")
 _FITS: Final = "depth_params.json"
 _PRISM: Final = ("s0", "s1", "s2", "s3")
@@ -154,7 +158,8 @@ class ColmapReader(ListedReader):
         except (struct.error, UnicodeDecodeError, OSError) as error:
             raise CaptureError(f"{label}: the model is truncated or damaged ({error})") from error
         self._images = sorted(listed, key=lambda image: fields.natural_key(image.name))
-        root = next(filter(source.has, (f"{self._base}images", *_PICTURES)), "")
+        first = "input" if model == _DISTORTED else f"{self._base}images"
+        root = next(filter(source.has, (first, *_PICTURES)), "")
         colour = [f"{root}/{image.name}" if root else image.name for image in self._images]
         if not root and colour and not any(map(source.has, colour)):
             raise CaptureError(
