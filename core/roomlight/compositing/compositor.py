@@ -232,7 +232,8 @@ class Compositor:
         if not is_drawn:
             return bare
         with clock.stage("render"):
-            rendered = self._render(frame, objects, supports_of(objects, posed.spheres, posed.supports))
+            supports = supports_of(objects, posed.spheres, posed.supports)
+            rendered = self._render(frame, objects, supports, (crop, shadow))
         with clock.stage("occlusion"):
             layer = self._layer(frame, image, real.part(object_crop.inside(crop)), rendered, object_crop, posed)
         with clock.stage("combine"):
@@ -323,10 +324,21 @@ class Compositor:
         pairs = zip(self._placed, matrices, strict=True)
         return TracedObjects([placed.object.geometry.transformed(matrix) for placed, matrix in pairs])
 
-    def _render(self, frame: Frame, objects: TracedObjects, supports: Supports) -> RenderedObjects:
+    def _render(
+        self,
+        frame: Frame,
+        objects: TracedObjects,
+        supports: Supports,
+        shaded: tuple[Crop, Float32[np.ndarray, "ch cw 3"]],
+    ) -> RenderedObjects:
+        """Return the objects in the frame's unit; `shaded` is a crop with its shadow, which glass shows."""
         gain = NO_GAIN if self._probes.given else self._session.gain_of(frame.index)
-        glass = bool((objects.materials.transmission > 0).any())
-        seen = replace(frame, image=with_gain(frame.image, gain)) if glass and gain != NO_GAIN else frame
+        behind = None
+        if (objects.materials.transmission > 0).any():
+            crop, shadow = shaded
+            seen = with_gain(frame.image, gain)  # a copy
+            seen[crop.slices] *= shadow
+            behind = BehindGlass(replace(frame, image=seen))
         rendered = render_objects(
             objects,
             frame.intrinsics,
@@ -334,7 +346,7 @@ class Compositor:
             self._probes.lights(),
             quality=self.quality,
             seed=self._seed,
-            background=BehindGlass(seen) if glass else None,
+            background=behind,
             supports=supports,
             max_paths=self._max_paths,
         )

@@ -15,7 +15,7 @@ from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.light.probes import given_light
 from roomlight.compositing.light.temporal import LIGHT_S, DepthFilter, EasedLight, share_of
 from roomlight.compositing.objects.materials import diffuse, glass, mirror
-from roomlight.compositing.objects.primitives import cube, sphere
+from roomlight.compositing.objects.primitives import cube, plane, sphere
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, measure_camera
 from roomlight.compositing.picture.layers import encode_srgb8
 from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, MotionKey, SceneObject
@@ -78,6 +78,19 @@ def test_layers_make_the_image(session):
     assert (made.shadow[outside] == 1).all()
     assert made.alpha[made.object_crop.slices].sum() == made.alpha.sum() > 0
     assert made.crop.union(made.object_crop) == made.crop
+
+
+@pytest.mark.parametrize("quality", ["preview", "good"])
+def test_glass_shows_the_shadows_behind_it(session, quality):
+    upright = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    pane = plane(0.8, 0.8, glass(ior=1.0)).transformed(upright)  # casts no shadow and reflects nothing
+    before = SceneObject("pane", pane, AtPosition((0.3, 0.2, -0.2)))
+    made = composite(session, view(), [BALL, before], quality=quality)
+    expected = view().image * made.shadow
+    shaded = (made.object_id == 1) & (made.alpha > 0.99) & (made.shadow.max(axis=-1) < 0.8)
+    shown = made.objects[shaded] / expected[shaded]
+    assert len(shown) > 100
+    assert np.median(shown) == pytest.approx(1, abs=0.02)  # in `good` some show the ball
 
 
 def test_the_rim_of_an_object_in_a_soft_frame_has_its_depth_and_number(session, monkeypatch):
