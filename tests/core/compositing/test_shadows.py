@@ -195,6 +195,19 @@ def test_an_emissive_texture_dims_the_light_that_an_object_gives():
     assert faint[below].mean() == pytest.approx(dark[below].mean(), abs=0.002)
 
 
+def test_a_glowing_ball_lights_the_floor_in_its_colour_and_ends_softly():
+    glow = replace(diffuse((0.0, 0.0, 0.0)), emissive=(100.0, 50.0, 10.0))
+    ratio, grid = ratio_of(ball(lit(60, [], level=1.0), 0.1, 0.2, glow), ShadowQuality(1, 64, 8))
+    distance_m = np.linalg.norm(grid.points - np.array([0, 0.2, 0], np.float32), axis=-1)
+    lit_by = grid.known & (distance_m < 0.6)
+    assert ratio.max() == pytest.approx(4, abs=1e-3)
+    red, green, blue = ratio[lit_by].T
+    np.testing.assert_allclose((red - green) / (red - blue), 5 / 9, rtol=0.02)  # of the light, also at the limit
+    near = grid.known & (distance_m > 0.38) & (distance_m < 0.55)  # 0.4 is 4 radii
+    exact = 1 + 0.8 * 100 * 0.1**2 * 0.2 / distance_m[near] ** 3  # the floor counts as of an albedo of 0.8
+    np.testing.assert_allclose(ratio[near][:, 0], exact, rtol=0.15)
+
+
 class Ceiling(RoomGeometry):
     """A ceiling 2 m above the floor and nothing else."""
 

@@ -104,10 +104,12 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
                     red += weight * dark[y, x, 0]
                     green += weight * dark[y, x, 1]
                     blue += weight * dark[y, x, 2]
-            most = np.float32(most_ratio)
-            out[i, j, 0] = min(red / total + glow_red / glow_total, most)
-            out[i, j, 1] = min(green / total + glow_green / glow_total, most)
-            out[i, j, 2] = min(blue / total + glow_blue / glow_total, most)
+            red, green, blue = red / total, green / total, blue / total
+            glow_red, glow_green, glow_blue = glow_red / glow_total, glow_green / glow_total, glow_blue / glow_total
+            most = np.float32(most_ratio) - max(red, green, blue)  # of glow, whose colour stays as it is
+            dim = min(most / max(glow_red, glow_green, glow_blue, np.float32(1e-9)), np.float32(1))
+            out[i, j, 0], out[i, j, 1] = red + dim * glow_red, green + dim * glow_green
+            out[i, j, 2] = blue + dim * glow_blue
 
 
 @njit(**JIT)

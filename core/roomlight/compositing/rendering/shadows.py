@@ -48,7 +48,8 @@ from roomlight.conventions import direction_to_uv
 from roomlight.threads import parallel_for
 
 GLOW_REACH: Final = 4.0
-"""Objects light surfaces up to this distance from their centre, in radii of their bounding sphere."""
+"""Objects that emit no light themselves light surfaces up to this distance from their centre, in radii of their
+bounding sphere."""
 SNAP_M: Final = 0.02
 SNAP_SHARE: Final = 0.01
 """Points this close to the plane that an object stands on are moved onto it: 2 cm and 1 % of the depth are noise."""
@@ -311,7 +312,7 @@ def coarse_ratio(
     dark[near] = 1 - share[:, None] * np.clip(blocked, 0, 1 - RATIO_RANGE[0])
     # by the smooth irradiance: divided by a noisy one, the mean would be too bright
     reflected = received.bounced / np.maximum(received.irradiance, floor)
-    glow[near] = share[:, None] * np.minimum(reflected, _MOST_REFLECTED)
+    glow[near] = reflected * (share / np.maximum(reflected.max(axis=1) / _MOST_REFLECTED, 1))[:, None]
     noise[near] = share * received.doubt / (np.maximum(received.unblocked, floor) @ _THIRDS)
     lost[near], nearness[near] = received.blocked @ _THIRDS, received.nearness
     occluder_m = cv2.blur(lost, (5, 5)) / np.maximum(cv2.blur(nearness, (5, 5)), np.float32(1e-9))
@@ -366,7 +367,8 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     blocked, squares, nearness = np.zeros((count, 3), np.float32), *np.zeros((2, count), np.float32)
     bounced = np.zeros((count, 3), np.float32)
-    spheres, lift, reach = caster.spheres, np.float32(LIFT_M), np.float32(GLOW_REACH)
+    spheres, lift = caster.spheres, np.float32(LIFT_M)
+    reach = np.float32(quality.reach if caster.scene.materials.emissive.any() else GLOW_REACH)
     numbers = subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
     of_lamp = np.zeros(light.directions.shape[:2], bool) if lamp is None else lamp.holds(light.directions)
     places = _light_places(caster, light)
