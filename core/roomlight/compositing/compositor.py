@@ -224,11 +224,14 @@ class Compositor:
         with clock.stage("camera"):
             self._follow_camera(image)
         with clock.stage("scene"):
+            matrices = self._matrices
             objects = self._built(posed.matrices)
         with clock.stage("depth"):
             real, shaded_m = self._room_depth(depth_m, frame, crop)
         with clock.stage("shadow"):
-            shadow = self._shadow_ratio(frame, crop, shaded_m, posed, share_of(step_s, SHADOW_S))
+            at_once = self.quality != "preview" and self._matrices != matrices  # a moving object's would lag
+            share = 1.0 if at_once else share_of(step_s, SHADOW_S)
+            shadow = self._shadow_ratio(frame, crop, shaded_m, posed, share)
         if not is_drawn:
             return bare
         with clock.stage("render"):

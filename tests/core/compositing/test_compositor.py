@@ -223,6 +223,18 @@ def test_a_moving_object_changes_without_steps(session):
     assert np.ptp(means) > 0.001 * np.mean(means)  # but it does change
 
 
+def test_the_shadow_of_a_moving_object_is_where_the_object_is(session):
+    motion = Motion.model_validate({"unit": "frames", "keys": [{"at": 0}, {"at": 4, "offset_m": [-0.3, 0, 0]}]})
+    there = replace(BALL, place=AtPosition((0.0, 0.0, -0.8)))
+    light = np.full((16, 32, 3), 0.5, np.float32)
+    moving, resting = (Compositor(session, [one], light=light) for one in (replace(BALL, motion=motion), there))
+    for index in range(4):
+        moving.follow(view(index=index))
+    moved, expected = (compositor.composite(view(index=4)).shadow for compositor in (moving, resting))
+    assert expected.min() < 0.5
+    np.testing.assert_allclose(moved, expected, atol=1e-3)
+
+
 def test_light_is_eased_in_with_its_time_constant():
     dark, bright = np.full((16, 32, 3), 0.2, np.float32), np.full((16, 32, 3), 1.2, np.float32)
     light = EasedLight((0.0, 0.0, 0.0), dark)

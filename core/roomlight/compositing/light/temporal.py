@@ -26,7 +26,7 @@ LIGHT_S: Final = 0.4
 DEPTH_S: Final = 0.12
 """Time constant of depth: averages the noise of 4 frames at 30 a second."""
 SHADOW_S: Final = 0.08
-"""Time constant of shadows: a moving object's shadow lags by less than 3 frames."""
+"""Time constant of shadows: in a preview a moving object's shadow lags by less than 3 frames."""
 SAME_SURFACE: Final = 0.04
 """Largest relative change of depth that counts as noise; beyond it the new depth is another surface."""
 MAX_HELD: Final = 10
