@@ -41,7 +41,7 @@ class NoPictures:
     def end_part(self) -> PicturesState:
         return self.state
 
-    def add(self, *_: object) -> None:
+    def add(self, *_: object, **__: object) -> None:
         pass
 
     def close(self, _: object = None) -> None:

@@ -121,6 +121,19 @@ def test_every_and_interpolate(capture, tmp_path):
     assert (panoramas[5] == panoramas[4]).all()  # nothing comes after it: the light stays
 
 
+def test_the_pictures_of_interpolated_frames_know_what_was_seen(capture, tmp_path, monkeypatch):
+    seen = []
+
+    def add(_, frame, panoramas, coverage=(), observed=()):
+        seen.append((bool(coverage), [share.mean() for share in observed]))
+
+    monkeypatch.setattr("roomlight_cli.replays.replay.ReplayPictures.add", add)
+    replay(capture, tmp_path, replace(ONE, every=2, interpolate=True))
+    assert [is_computed for is_computed, _ in seen] == [True, False] * 3
+    assert [shares for _, shares in seen[1::2]] == [shares for _, shares in seen[::2]]  # those of the frame before
+    assert 0 < seen[1][1][0] < 1
+
+
 def test_a_probe_outside_every_volume_is_reported(tmp_path):
     """A probe of a room that was left is not outside."""
     frames = [replace(frame, timestamp_s=0.1 * frame.index) for frame in pan(BoxRoom(), 2, width=64, height=48)]

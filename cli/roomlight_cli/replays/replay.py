@@ -222,7 +222,7 @@ class _Run:
         self._state.interpolated += 1
         notes = [{"roomlight:interpolated": "true"} for _ in self._folders]
         self._write(frame.index, panoramas(self._options.use), notes)
-        self.pictures.add(frame, panoramas("reflection"))
+        self.pictures.add(frame, panoramas("reflection"), observed=[light.observed for light in self._lights])
 
     def _write(
         self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]], notes: Sequence[dict[str, str]]
