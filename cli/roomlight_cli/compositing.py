@@ -329,7 +329,8 @@ def _clear(options: CompositeOptions, frame: Frame, recording: Path) -> None:
 
 def _write_pictures(picture: Composite, options: CompositeOptions, rate: float) -> None:
     frame, index = picture.frame, picture.frame.index
-    metadata = {"roomlight:source": Path(frame.source).name, **sequence_metadata(index, rate)}
+    source = Path(frame.source).name.encode(errors="replace").decode()  # a name may not be UTF-8
+    metadata = {"roomlight:source": source, **sequence_metadata(index, rate)}
     k, pose = frame.intrinsics, frame.camera_to_world.ravel()
     metadata["roomlight:intrinsics"] = f"{k.fx:.9g} {k.fy:.9g} {k.cx:.9g} {k.cy:.9g}"
     if abs(k.fy / k.fx - 1) > _OBLONG:

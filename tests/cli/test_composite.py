@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 
 import av
 import cv2
@@ -13,7 +14,7 @@ from present import present
 from roomlight_cli import compositing
 from roomlight_cli.progress import Progress
 from rooms import BoxRoom, camera_at
-from written_captures import write_capture
+from written_captures import edited_copy, write_capture
 
 ROOM = BoxRoom(lamp=((0.3, 3.0, 0.0), 0.5), lamp_radiance=20.0)
 FAST = ("--quality", "preview", "--height", "16", "--model", "classical")
@@ -84,6 +85,15 @@ def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(
     assert 1.0 < channels["Z"].pixels.max() < 3.0
     numbers = OpenEXR.File(str(out / "000003/object_id.exr")).channels()["id"].pixels
     assert (numbers == np.where(channels["Z"].pixels > 0, 0, -1)).all()
+
+
+def test_the_header_of_a_frame_whose_name_is_not_utf8_has_the_rest_of_the_name(roomlight, capture, tmp_path):
+    name = os.fsdecode(b"caf\xe9.jpg")
+    copy = edited_copy(capture, tmp_path / "copy", lambda index: index["frames"][0].update(colour=name))
+    (copy / "colour/000000.jpg").rename(copy / name)
+    done = roomlight("composite", copy, *BALL, *FAST, "--picture", "exr", "--max-frames", "1", "--out", tmp_path / "out")
+    assert (done.code, done.err) == (0, "")
+    assert OpenEXR.File(str(tmp_path / "out/000000.exr")).header()["roomlight:source"] == "caf?.jpg"
 
 
 def test_overwrite_leaves_no_picture_of_an_earlier_run(roomlight, capture, tmp_path):
