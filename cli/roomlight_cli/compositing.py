@@ -231,7 +231,8 @@ def composite_recording(
             for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
                 unseen.pop(number, None)
     print_notes(capture.notes)
-    if options.is_film and options.fps is None and (pace := capture.pace_note(count, start, following - 1)):
+    rate = options.rate(capture)
+    if options.is_film and options.fps is None and (pace := capture.pace_note(count, start, following - 1, rate=rate)):
         print_notes([pace])
     if options.is_film and (height % 2 or width % 2):
         even = f"{width - width % 2} x {height - height % 2}"

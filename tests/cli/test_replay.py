@@ -96,6 +96,14 @@ def test_a_capture_without_times_runs_at_30_frames_a_second(tmp_path):
     assert open_capture(untimed, CaptureOptions(every=3)).film_rate == 10
 
 
+@pytest.mark.parametrize(("step_s", "notes"), [(0.1, 0), (1.0, 1)])
+def test_a_recording_slower_than_its_video_is_noted(tmp_path, step_s, notes):
+    frames = [replace(frame, timestamp_s=step_s * frame.index) for frame in pan(BoxRoom(), 2, width=64, height=48)]
+    report = replay(write_capture(tmp_path / "slow", frames), tmp_path / "out", ONE)
+    effects = [note["effect"] for note in report["notes"] if "film runs" in note["effect"]]
+    assert effects == ["the film runs 0.5 s, the recording 1 s"] * notes
+
+
 def test_usd_core_reads_the_stage_of_a_replay(capture, tmp_path):
     Usd, UsdLux = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdLux")
     replay(capture, tmp_path / "out", replace(ONE, every=2))

@@ -59,6 +59,11 @@ class PicturesState:
         return cls([view_toward(first.camera_to_world, position) for position in positions], (width, height))
 
 
+def video_rate(frames_per_second: float) -> float:
+    """Return the frames per second of the video of a recording."""
+    return min(max(frames_per_second, _RATES[0]), _RATES[1])
+
+
 class ReplayPictures:
     """Draws each frame with its panoramas; `close` finishes video and summary, `abandon` leaves neither.
 
@@ -96,7 +101,7 @@ class ReplayPictures:
         self._truths = truths
         self._wanted = sheet_times(frame_count)
         self._picture = ReplayPicture(self._labels, views=state.views, frame_size=state.frame_size)
-        self._rate = min(max(frames_per_second, _RATES[0]), _RATES[1])
+        self._rate = video_rate(frames_per_second)
         self._video = self._next_part()
 
     def _next_part(self) -> VideoWriter:

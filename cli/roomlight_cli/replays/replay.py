@@ -34,7 +34,7 @@ from roomlight.light.usd import sequence_stage
 from roomlight.placement import point_at_pixel, point_in_view
 from roomlight.threads import read_ahead
 from roomlight_cli.probe_notes import counted
-from roomlight_cli.replays.pictures import PicturesState, ReplayPictures
+from roomlight_cli.replays.pictures import PicturesState, ReplayPictures, video_rate
 from roomlight_cli.replays.remote_session import RemoteSession
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
 from roomlight_cli.replays.replay_options import ReplayOptions
@@ -248,7 +248,8 @@ class _Run:
 def _report(path: Path, capture: Capture, session: AnySession, state: ReplayState) -> dict[str, Any]:
     """Return the values of `report.json`, without the fingerprint."""
     reports, last = state.reports, session.grid
-    pace = capture.pace_note(len(state.written), state.written[0], state.written[-1])
+    written, rate = state.written, video_rate(capture.film_rate)
+    pace = capture.pace_note(len(written), written[0], written[-1], rate=rate)
     return {
         "complete": True,
         "roomlight": __version__,

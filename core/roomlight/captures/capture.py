@@ -242,18 +242,18 @@ class Capture:
         """`frames_per_second`; without timestamps as if records were `DEFAULT_RATE` a second."""
         return self.frames_per_second or DEFAULT_RATE / self._options.every
 
-    def pace_note(self, frames: int, first: int, last: int) -> Note | None:
+    def pace_note(self, frames: int, first: int, last: int, *, rate: float | None = None) -> Note | None:
         """Make the note for so many frames, of index `first` to `last`, whose steps of time are not those of the rate.
 
-        None where a film at `frames_per_second` runs as long as the recording, within 1 %.
+        None where a film at `rate`, by default `frames_per_second`, runs as long as the recording, within 1 %.
         """
-        rate, start_s, end_s = self.frames_per_second, self._timeline.times_s[first], self._timeline.times_s[last]
-        if rate is None or start_s is None or end_s is None:
+        own, start_s, end_s = self.frames_per_second, self._timeline.times_s[first], self._timeline.times_s[last]
+        if own is None or start_s is None or end_s is None:
             return None
-        film_s, recorded_s = (frames - 1) / rate, end_s - start_s
+        film_s, recorded_s = (frames - 1) / (rate or own), end_s - start_s
         if abs(film_s - recorded_s) <= 0.01 * recorded_s:
             return None
-        text = f"{self.path}: frames that are skipped or have uneven timestamps"
+        text = f"{self.path}: frames that are skipped or have uneven timestamps, or a rate that films do not have"
         effect = f"the film runs {film_s:.3g} s, the recording {recorded_s:.3g} s"
         return Note(text, effect, "place its pictures by the timestamps if the pace matters")
 
