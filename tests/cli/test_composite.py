@@ -91,7 +91,8 @@ def test_the_header_of_a_frame_whose_name_is_not_utf8_has_the_rest_of_the_name(r
     name = os.fsdecode(b"caf\xe9.jpg")
     copy = edited_copy(capture, tmp_path / "copy", lambda index: index["frames"][0].update(colour=name))
     (copy / "colour/000000.jpg").rename(copy / name)
-    done = roomlight("composite", copy, *BALL, *FAST, "--picture", "exr", "--max-frames", "1", "--out", tmp_path / "out")
+    options = ("--picture", "exr", "--max-frames", "1", "--out", tmp_path / "out")
+    done = roomlight("composite", copy, *BALL, *FAST, *options)
     assert (done.code, done.err) == (0, "")
     assert OpenEXR.File(str(tmp_path / "out/000000.exr")).header()["roomlight:source"] == "caf?.jpg"
 

@@ -129,17 +129,22 @@ def test_every_and_interpolate(capture, tmp_path):
     assert (panoramas[5] == panoramas[4]).all()  # nothing comes after it: the light stays
 
 
-def test_the_pictures_of_interpolated_frames_know_what_was_seen(capture, tmp_path, monkeypatch):
-    seen = []
+def test_the_pictures_of_interpolated_frames_know_what_was_seen_and_wait_as_small_as_printed(
+    capture, tmp_path, monkeypatch
+):
+    seen, columns = [], []
 
-    def add(_, frame, panoramas, coverage=(), observed=()):
+    def add(_, frame, __, coverage=(), observed=()):
         seen.append((bool(coverage), [share.mean() for share in observed]))
+        columns.append(frame.image.shape[1])
 
     monkeypatch.setattr("roomlight_cli.replays.replay.ReplayPictures.add", add)
+    monkeypatch.setattr("roomlight_cli.replays.inserted_spheres._COLUMNS", 48)
     replay(capture, tmp_path, replace(ONE, every=2, interpolate=True))
     assert [is_computed for is_computed, _ in seen] == [True, False] * 3
     assert [shares for _, shares in seen[1::2]] == [shares for _, shares in seen[::2]]  # those of the frame before
     assert 0 < seen[1][1][0] < 1
+    assert columns == [64, 48] * 3
 
 
 def test_a_probe_outside_every_volume_is_reported(tmp_path):

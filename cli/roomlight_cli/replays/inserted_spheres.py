@@ -61,11 +61,11 @@ class ProbeView:
         return cls(frame, tuple(positions), tuple(marks), tuple(depths_m.tolist()))
 
 
-def printed(view: ProbeView) -> ProbeView:
-    """Return the view with its frame no wider than it is printed."""
-    rows = round(view.frame.image.shape[0] * _COLUMNS / view.frame.image.shape[1])
-    fits = view.frame.image.shape[1] <= _COLUMNS
-    return view if fits else replace(view, frame=view.frame.resized(max(_COLUMNS, rows), max(_COLUMNS, rows)))
+def printed(frame: Frame) -> Frame:
+    """Return the frame no wider than it is printed."""
+    height, width = frame.image.shape[:2]
+    side = max(_COLUMNS, round(height * _COLUMNS / width))
+    return frame if width <= _COLUMNS else frame.resized(side, side)
 
 
 def insert_spheres(session: Session, view: ProbeView) -> InsertedObjects | None:

@@ -1,7 +1,7 @@
 """The pictures of a replay: a video in parts while it runs, which are joined at its end, and a summary."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -141,7 +141,7 @@ class ReplayPictures:
         self.state.parts += 1
         self._video = self._next_part()
         if self.state.best is not None:
-            self.state.best = printed(self.state.best)
+            self.state.best = replace(self.state.best, frame=printed(self.state.best.frame))
         return self.state
 
     def close(self, session: Session | None) -> None:
@@ -162,7 +162,10 @@ class ReplayPictures:
             )
         ]
         best = self.state.best
-        inserted = None if session is None or best is None else insert_spheres(session, printed(best))
+        if session is None or best is None:
+            inserted = None
+        else:
+            inserted = insert_spheres(session, replace(best, frame=printed(best.frame)))
         sheet = Sheet(
             self._title, self._subtitle, self.state.times, probes, indices=self.state.indices, inserted=inserted
         )

@@ -34,6 +34,7 @@ from roomlight.light.usd import sequence_stage
 from roomlight.placement import point_at_pixel, point_in_view
 from roomlight.threads import read_ahead
 from roomlight_cli.probe_notes import counted
+from roomlight_cli.replays.inserted_spheres import printed
 from roomlight_cli.replays.pictures import PicturesState, ReplayPictures, video_rate
 from roomlight_cli.replays.remote_session import RemoteSession
 from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
@@ -108,7 +109,7 @@ def _replay(
 
     began = time.perf_counter() - state.wall_s
     run: _Run | None = None
-    waiting: list[Frame] = []  # frames between the last session frame and the next, for interpolation
+    waiting: list[Frame] = []  # frames between the last session frame and the next, for interpolation, as printed
     try:
         if saved is not None:
             run = _Run(out, capture, session, options, state, step=read.every * stride)
@@ -116,7 +117,7 @@ def _replay(
                 progress("replaying", min(run.done, capture.frame_count), capture.frame_count)
         for frame, passed in read_ahead((frame, capture.passed()) for frame in capture.frames(state.passed)):
             if run is not None and frame.index // read.every % options.every:
-                waiting.append(frame)
+                waiting.append(printed(frame))
                 continue
             try:
                 if not state.positions:  # a frame that cannot start the session must not track its probes twice
