@@ -228,6 +228,10 @@ def test_more_glass_than_paths_can_cross_is_not_black() -> None:
     assert covered.mean() == pytest.approx(1, rel=0.02)  # nothing absorbs the even light
 
 
+def test_glass_on_a_plate_in_the_dark_is_black() -> None:
+    assert (rendered([moved(plane(2.0, 2.0), 0, -0.5), sphere(0.4, glass())], 0).radiance == 0).all()
+
+
 def test_glass_sphere_turns_the_light_upside_down() -> None:
     light = np.zeros((32, 64, 3), np.float32)
     light[:16] = (0, 0, 1)  # blue above

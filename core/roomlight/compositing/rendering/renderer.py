@@ -450,7 +450,7 @@ def _traced(
     film, paths, queues = _film(count), _paths(count), (_queue(count), _queue(count))
     path_kernels.camera_rays(view, samples, first, paths)
     offset_m, live = scene.offset_m(), count
-    brightest = _BRIGHTEST_CAUSTIC * float(world.light.radiance.mean())
+    brightest = max(_BRIGHTEST_CAUSTIC * float(world.light.radiance.mean()), 1e-30)
     for depth in range(settings.bounces + 1):
         hits = scene.trace(paths.origin[:live], paths.direction[:live])
         step = _Settings(samples, first, depth, settings.bounces, background is not None, offset_m, brightest)
