@@ -243,6 +243,28 @@ def test_glass_sphere_turns_the_light_upside_down() -> None:
     assert lower[2] > 0.8
 
 
+def test_a_small_glowing_ball_lights_a_plate_evenly_by_its_solid_angle() -> None:
+    ball = moved(sphere(0.02, replace(diffuse((0.0, 0.0, 0.0)), emissive=(400.0, 200.0, 0.0))), 0, 0.4)
+    lit = rendered([plane(2.0, 2.0, diffuse((0.5, 0.5, 0.5))), ball], 0, paths(64), look_at((0, 1.2, 0), (0, 0, 0)))
+    x, z = (CAMERA.rays()[..., axis] * 1.2 for axis in (0, 1))
+    exact = 0.5 * 400 * 0.02**2 * 0.4 / (x**2 + z**2 + 0.4**2) ** 1.5
+    ratio = lit.radiance[lit.object_id == 0][:, 0] / exact[lit.object_id == 0]
+    assert ratio.mean() == pytest.approx(1, abs=0.02)
+    assert ratio.std() < 0.2  # 4.6 by rays that meet it by chance
+    red, green, blue = lit.radiance[lit.object_id == 0].mean(axis=0)
+    assert (green / red, blue) == pytest.approx((0.5, 0), rel=1e-4)
+
+
+@pytest.mark.parametrize("material", [diffuse((1.0, 1.0, 1.0)), glossy((1.0, 1.0, 1.0)), rough_metal(0.5), glass()])
+@pytest.mark.parametrize("opacity", [1.0, 0.5])
+def test_a_furnace_of_glowing_walls_is_as_bright_as_one_of_the_panorama(material: Material, opacity: float) -> None:
+    glow = replace(diffuse((0.0, 0.0, 0.0)), opacity=opacity, emissive=(1.0, 1.0, 1.0))
+    walls = [sphere(2.5 + k, glow) for k in range(3)]
+    lit = rendered([sphere(0.5, material), *walls], 1, paths(16, 12))
+    inside = lit.radiance[lit.object_id == 0]
+    np.testing.assert_allclose(inside.mean(axis=0), 1, rtol=0.015)
+
+
 def test_cut_out_shows_what_is_behind() -> None:
     hole = Material(specular=0.0, opacity=0.3, alpha_cutoff=0.5)
     behind = sphere(0.4, diffuse())

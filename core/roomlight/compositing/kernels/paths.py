@@ -3,7 +3,7 @@
 
 Light and scattering are drawn both and combined by the balance heuristic (Veach 1995, section 9.2): with stratified
 points it left 5 to 20 % less noise than the power heuristic. At the first surface, directions of the light are drawn by
-light x scattering (`guiding`).
+light x scattering (`guiding`). Points of objects that emit light are drawn too, with shadow rays of their own.
 
 Faces that nothing rises above are open: rays from there are not traced, as all of them reach the light. What an open
 face's base reflects of the panoramas is known without noise, from their irradiance; samples give the lobe's light, and
@@ -71,7 +71,7 @@ def camera_rays(view, samples, first, paths):
             paths.origin[slot, axis] = m[axis, 3]
             paths.direction[slot, axis] = (m[axis, 0] * x + m[axis, 1] * y - m[axis, 2]) * scale
             paths.throughput[slot, axis] = 1
-        paths.share[slot], paths.flags[slot], paths.slot[slot] = 1, PRIMARY, slot
+        paths.share[slot], paths.density[slot], paths.flags[slot], paths.slot[slot] = 1, 0, PRIMARY, slot
 
 
 @njit(**JIT)
@@ -83,11 +83,14 @@ def _add(out, slot, paths, i, r, g, b):
 
 @njit(**JIT)
 def _continue(paths, i, live, origin, direction, weight, share, flags):
-    """Store the next ray at place `live`, which is at most i; `share` is 1 where only this ray finds its light."""
+    """Store the next ray at place `live`, which is at most i.
+
+    `share` is 1 where only this ray finds the panoramas' light; its `density` is 0 where only it finds emitters.
+    """
     for axis in range(3):
         paths.origin[live, axis], paths.direction[live, axis] = origin[axis], direction[axis]
         paths.throughput[live, axis] = paths.throughput[i, axis] * weight[axis]
-    paths.share[live], paths.flags[live], paths.slot[live] = share, flags, paths.slot[i]
+    paths.share[live], paths.density[live], paths.flags[live], paths.slot[live] = share, 0, flags, paths.slot[i]
 
 
 @njit(**JIT)
@@ -218,13 +221,53 @@ def _light_ray(world, paths, i, hit, film, shadow, count, guiding, points2):
             return count
     if red + green + blue <= 0:
         return count
-    shadow.light[count, 0] = paths.throughput[i, 0] * red
-    shadow.light[count, 1] = paths.throughput[i, 1] * green
-    shadow.light[count, 2] = paths.throughput[i, 2] * blue
+    return _store(shadow, count, paths, i, (origin, d), (red, green, blue), np.inf)
+
+
+@njit(**JIT)
+def _store(shadow, count, paths, i, ray, light, reach_m):
+    """Store a shadow ray (origin, direction) at `count`; returns the number of them."""
     for axis in range(3):
-        shadow.origin[count, axis], shadow.direction[count, axis] = origin[axis], d[axis]
-    shadow.slot[count] = paths.slot[i]
+        shadow.origin[count, axis], shadow.direction[count, axis] = ray[0][axis], ray[1][axis]
+        shadow.light[count, axis] = paths.throughput[i, axis] * light[axis]
+    shadow.reach_m[count], shadow.slot[count] = reach_m, paths.slot[i]
     return count + 1
+
+
+@njit(**JIT)
+def _emitter_ray(world, paths, i, hit, shadow, count, points2):
+    """Draw a point of the triangles that emit light; store a shadow ray to it at `count`; returns their number."""
+    scatter, (normal, a, b, origin), local_view, _, _, _ = hit
+    emitters = world.emitters
+    at = min(np.searchsorted(emitters.upto, points2[0], "right"), len(emitters.face) - 1)
+    before = emitters.upto[at - 1] if at > 0 else 0.0
+    root = math.sqrt(min((points2[0] - before) / max(emitters.upto[at] - before, 1e-12), 1.0))
+    face, u, v = emitters.face[at], root * (1 - points2[1]), root * points2[1]
+    place, _ = points(world.surfaces, face, u, v, 1.0)
+    x, y, z = place[0] - origin[0], place[1] - origin[1], place[2] - origin[2]
+    distance_m = math.sqrt(max(x * x + y * y + z * z, 1e-12))
+    d = (x / distance_m, y / distance_m, z / distance_m)
+    flat = geometric_normal(world.surfaces, face)
+    facing = flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2]
+    local = (
+        a[0] * d[0] + a[1] * d[1] + a[2] * d[2],
+        b[0] * d[0] + b[1] * d[1] + b[2] * d[2],
+        normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2],
+    )
+    value, own = evaluate(scatter, local_view, local)
+    _, shares, emitted = colours(world, face, u, v, -1.0 if facing > 0 else 1.0)
+    scale = shares[2] / (own + _emitter_density(world, face, distance_m, facing))
+    light = (value[0] * emitted[0] * scale, value[1] * emitted[1] * scale, value[2] * emitted[2] * scale)
+    if light[0] + light[1] + light[2] <= 0:
+        return count
+    return _store(shadow, count, paths, i, (origin, d), light, distance_m * 0.999)
+
+
+@njit(**JIT)
+def _emitter_density(world, face, distance_m, facing):
+    """Return the density, per steradian, of drawing a point of a face that is so far away."""
+    density = world.emitters.density[world.surfaces.material[face]]
+    return density * distance_m * distance_m / max(abs(facing), 1e-6)
 
 
 @njit(**JIT)
@@ -264,6 +307,7 @@ def _opaque(world, paths, i, live, hit, film, guiding, choice, points2):
         return 0
     matte = choice >= scatter.lobe_probability or scatter.roughness >= LEAST_BLURRED_ROUGHNESS
     _continue(paths, i, live, origin, d, weight, share, BLURRED if matte else blurred)
+    paths.density[live] = max(pdf, 0.0)
     return 1
 
 
@@ -280,7 +324,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         count: number of rays, the first of `paths`.
         hits: what each ray met (`roomlight.rays.RayHits`).
         film: [n] a value for each sample, by the rays' slots (`renderer._Film`); light is added.
-        queues: shadow rays, and rays to the background (`renderer._Queue`), each with room for n.
+        queues: shadow rays, with room for 2 n if things emit light, and rays to the background (`renderer._Queue`).
         settings: `renderer._Settings`.
 
     Returns:
@@ -329,11 +373,20 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
                 paths.layer[live] = (chance - shares[2]) / (1 - shares[2])
                 live += 1
             continue
-        # 4. The first surface of a camera ray is recorded; every surface adds the light that it emits.
+        # 4. The first surface of a camera ray is recorded; every surface adds the light that it emits, as far as
+        # shadow rays to it have not.
         normal = shading_normal(world, face, b, c, d, side, True)
         if paths.flags[i] & PRIMARY:
             _record(film, slot, world, (face, place[0], normal, base), view)
-        _add(film.radiance, slot, paths, i, emitted[0], emitted[1], emitted[2])
+        most = max(emitted[0], emitted[1], emitted[2])
+        if most > 0:
+            scale, drawn = 1.0, paths.density[i] * 1.0
+            if drawn > 0:
+                facing = flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2]
+                scale = drawn / (drawn + _emitter_density(world, face, hits.distance_m[i], facing))
+            elif paths.flags[i] & BLURRED:
+                scale = settings.brightest / max(most, settings.brightest)
+            _add(film.radiance, slot, paths, i, emitted[0] * scale, emitted[1] * scale, emitted[2] * scale)
         # 5. Glass reflects or refracts the ray; the last one goes straight on to the light.
         material = world.surfaces.material[face]
         clear = world.materials.transmission[material]
@@ -402,6 +455,8 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
             light_point = point(key, number, dimension + 1)
             guiding = (weights, guide, guided)
             shadows = _light_ray(world, paths, i, hit, film, shadow, shadows, guiding, light_point)
+            if len(world.emitters.face) and not is_open:
+                shadows = _emitter_ray(world, paths, i, hit, shadow, shadows, point(key, number, dimension + 3))
         # 10. The next ray, by scattering.
         own_point = point(key, number, dimension + 2)
         live += _opaque(world, paths, i, live, hit, film, (weights, guide, guided), choice, own_point)

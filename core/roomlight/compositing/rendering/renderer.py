@@ -22,7 +22,7 @@ from roomlight.compositing.light.lighting import Environment, ProbeSet
 from roomlight.compositing.objects.materials import MaterialArrays, lobe_table
 from roomlight.compositing.objects.textures import TextureArrays
 from roomlight.compositing.rendering.denoise import denoise
-from roomlight.compositing.rendering.tracer import Surfaces, TracedObjects
+from roomlight.compositing.rendering.tracer import Emitters, Surfaces, TracedObjects
 from roomlight.errors import OptionError
 from roomlight.rays import RayHits
 from roomlight.threads import parallel_for
@@ -104,6 +104,7 @@ class _World(NamedTuple):
     lobe: Float32[np.ndarray, "c r 3"]
     supports: Supports
     is_open: Bool[np.ndarray, " f"]
+    emitters: Emitters
 
 
 class _View(NamedTuple):
@@ -126,6 +127,7 @@ class _Paths(NamedTuple):
     direction: Float32[np.ndarray, "n 3"]
     throughput: Float32[np.ndarray, "n 3"]
     share: Float32[np.ndarray, " n"]
+    density: Float32[np.ndarray, " n"]
     layer: Float32[np.ndarray, " n"]
     flags: UInt8[np.ndarray, " n"]
     slot: Int32[np.ndarray, " n"]
@@ -135,6 +137,7 @@ class _Queue(NamedTuple):
     origin: Float32[np.ndarray, "n 3"]
     direction: Float32[np.ndarray, "n 3"]
     light: Float32[np.ndarray, "n 3"]
+    reach_m: Float32[np.ndarray, " n"]
     slot: Int32[np.ndarray, " n"]
 
 
@@ -203,7 +206,7 @@ def render_objects(
         light = lights.environment if settings.samples else lights.panoramas
         is_open = scene.is_open() if settings.samples else np.zeros(0, bool)
         stage = scene.surfaces, scene.materials, scene.textures
-        world = _World(*stage, light, lobe_table(), supports or _NO_SUPPORTS, is_open)
+        world = _World(*stage, light, lobe_table(), supports or _NO_SUPPORTS, is_open, scene.emitters)
         row, column = np.divmod(pixels, camera.width)
         key = _mixed_keys(pixels, seed)
         view = _View(pose, camera.fx, camera.fy, camera.cx, camera.cy, column, row, key, jitter=True)
@@ -270,13 +273,14 @@ def _film(count: int, *, extra: bool = True) -> _Film:
 
 def _paths(count: int) -> _Paths:
     origin, direction, throughput = np.empty((3, count, 3), np.float32)
-    share, layer = np.empty((2, count), np.float32)
+    share, density, layer = np.empty((3, count), np.float32)
     flags, slot = np.empty(count, np.uint8), np.empty(count, np.int32)
-    return _Paths(origin, direction, throughput, share, layer, flags, slot)
+    return _Paths(origin, direction, throughput, share, density, layer, flags, slot)
 
 
 def _queue(count: int) -> _Queue:
-    return _Queue(*np.empty((3, count, 3), np.float32), slot=np.empty(count, np.int32))
+    origin, direction, light = np.empty((3, count, 3), np.float32)
+    return _Queue(origin, direction, light, np.empty(count, np.float32), np.empty(count, np.int32))
 
 
 def _camera_hits(scene: TracedObjects, view: _View, samples: int) -> tuple[_Paths, RayHits]:
@@ -447,7 +451,8 @@ def _traced(
     """Trace the samples span = (first, count) of some pixels in this thread."""
     first, samples = span
     count = len(view.column) * samples
-    film, paths, queues = _film(count), _paths(count), (_queue(count), _queue(count))
+    emits = len(world.emitters.face) > 0
+    film, paths, queues = _film(count), _paths(count), (_queue(count * (1 + emits)), _queue(count))
     path_kernels.camera_rays(view, samples, first, paths)
     offset_m, live = scene.offset_m(), count
     brightest = max(_BRIGHTEST_CAUSTIC * float(world.light.radiance.mean()), 1e-30)
@@ -457,7 +462,8 @@ def _traced(
         live, shadows, escaped = path_kernels.bounce(world, view, paths, live, hits, film, queues, step)
         shadow, escape = queues
         if shadows:
-            blocked = scene.blocked(shadow.origin[:shadows], shadow.direction[:shadows])
+            reach_m = shadow.reach_m[:shadows] if emits else None
+            blocked = scene.blocked(shadow.origin[:shadows], shadow.direction[:shadows], reach_m)
             path_kernels.add_lit(shadow, blocked, shadows, film.radiance)
         if escaped and background is not None:
             _add_background(world, _Queue(*(column[:escaped] for column in escape)), film, background)

@@ -6,10 +6,11 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
 
 from roomlight.camera import rigid_inverse
 from roomlight.compositing.kernels.rigid import fill_open, grow_boxes, turn_vectors
+from roomlight.compositing.kernels.surfaces import EMISSIVE
 from roomlight.compositing.objects.materials import Material, material_arrays
 from roomlight.compositing.objects.polygons import row_keys
 from roomlight.compositing.objects.virtual_object import VirtualObject
@@ -40,6 +41,20 @@ class Surfaces(NamedTuple):
     material: Int32[np.ndarray, " f"]
     object_id: Int32[np.ndarray, " f"]
     part: Int32[np.ndarray, " f"]
+
+
+class Emitters(NamedTuple):
+    """Triangles that emit light; a point of them is drawn by its material's mean emission.
+
+    Attributes:
+        face: their numbers.
+        upto: sum of the odds of drawing them and those before, up to 1.
+        density: of drawing a point of each material, per square metre.
+    """
+
+    face: Int64[np.ndarray, " e"]
+    upto: Float64[np.ndarray, " e"]
+    density: Float64[np.ndarray, " m"]
 
 
 def is_rigid(transform: Float[np.ndarray, "4 4"]) -> bool:
@@ -136,6 +151,17 @@ class TracedObjects:
         images = [table.texels[first:end, :3] for first, end in zip(table.first, ends, strict=True)]
         means = [image.mean(axis=0, dtype=np.float64) / 65535 for image in images]
         return np.array([*means, np.ones(3)], np.float32)
+
+    @cached_property
+    def emitters(self) -> Emitters:
+        """The triangles that emit light; a rigid motion changes nothing."""
+        means = self.texture_means()[self.materials.texture[:, EMISSIVE]]
+        level = (self.materials.emissive * means).mean(axis=1, dtype=np.float64)
+        face = np.flatnonzero(level[self.surfaces.material])
+        a, b, c = self.surfaces.corners[face].astype(np.float64).swapaxes(0, 1)
+        odds = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2 * level[self.surfaces.material[face]]
+        total = max(odds.sum(), 1e-30)
+        return Emitters(face, np.cumsum(odds) / total, level / total)
 
     def is_open(self) -> Bool[np.ndarray, " f"]:
         """Return which triangles have nothing of the scene above their plane: light reaches them unhindered.
