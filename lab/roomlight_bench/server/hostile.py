@@ -155,11 +155,11 @@ def _warm_up(server: ServerProcess, body: bytes, probe: Position, token: str) ->
         client.put(f"{path}/frames/0", content=body, headers={"Content-Type": FRAME_MEDIA_TYPE})
         for quality in ("preview", "good"):
             request = {"objects": [place], "quality": quality}
-            for _ in range(10):  # compiling can take longer than a composite may
+            for attempt in range(10):  # compiling can take longer than a composite may
                 answer = client.post(f"{path}/composite", json=request)
-                if answer.status_code != 503:
+                if answer.status_code != 503 or attempt == 9:
+                    answer.raise_for_status()
                     break
-            answer.raise_for_status()
         client.delete(path).raise_for_status()
 
 
