@@ -130,9 +130,7 @@ def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emi
             if attempt == ATTEMPTS - 1:
                 advice = "another `seed` gives other rooms"
                 if options.scenes:
-                    advice = f"leave {options.scenes[room].name} out"
-                    if isinstance(error, ValueError):
-                        advice = f"free more of its floor in Blender, or {advice}"
+                    advice = f"leave {options.scenes[room].name} out, or free more of its floor if places lack"
                 raise DatasetError(
                     f"room {room} of {options.split} with seed {options.seed} cannot be made; all {ATTEMPTS} attempts "
                     f"failed, the last with {last}; {advice}"
