@@ -128,6 +128,7 @@ def _composited(
         for frame in frames:
             _check_pixels(compositor.scene, frame, is_first=not read)
             session.push(frame)
+            compositor.geometry.update(session, latest=False)  # later the session drops keyframes and rooms
             read.append(frame.index)
         _check_frames(compositor.scene, read)
     any_frame, is_whole = False, True

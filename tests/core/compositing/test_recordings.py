@@ -1,5 +1,7 @@
 """Whole recordings with objects, and scenes of one object on a pixel."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,16 @@ def test_every_frame_has_the_object_where_it_stands():
 def test_online_pictures_know_only_earlier_frames():
     first = made(FRAMES[:1], online=True)[0]
     assert (made(FRAMES, online=True)[0].image == first.image).all()
+
+
+def test_a_room_that_the_camera_leaves_keeps_its_surfaces():
+    turned = [ROOM.frame(camera_at((0.2, 1.4, 1.4), 60.0, -30), index=3, width=64, height=48)]
+    away = np.eye(4)
+    away[0, 3] = 40.0  # metres: another room
+    first = replace(FRAMES[0], depth_m=FRAMES[0].depth_m.copy())
+    first.depth_m[28:44, 24:40] = 0  # around the pixel, whose surface only other frames show
+    other = [replace(frame, index=4 + frame.index, camera_to_world=away @ frame.camera_to_world) for frame in FRAMES]
+    assert made([first, *FRAMES[1:], *turned, *other])[0].alpha.max() > 0.9
 
 
 def test_recordings_that_do_not_fit_are_refused(monkeypatch):
