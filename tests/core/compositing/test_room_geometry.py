@@ -48,6 +48,15 @@ def test_what_a_later_frame_sees_through_is_removed():
     assert (after[inside] > 0).mean() > 0.97
 
 
+def test_what_comes_back_after_a_later_frame_saw_through_is_added_again():
+    blocked, free = BLOCKED.frame(POSE), ROOM.frame(POSE)
+    before, _ = cast_at(fused(blocked), blocked)
+    after, _ = cast_at(fused(blocked, blocked, free, blocked), blocked)
+    block = (before > 0) & (before < free.depth_m - 0.2)
+    assert block.sum() > 1000
+    assert (np.abs(after - before)[block] < 0.01).mean() > 0.97
+
+
 def test_the_same_view_adds_hardly_a_triangle():
     geometry = fused(ROOM.frame(POSE))
     first = geometry.triangles

@@ -34,6 +34,7 @@ class _Piece:
     """What one frame added.
 
     Attributes:
+        measured: Whether the sensor gave depth that no later frame saw through [h, w].
         vertices, faces, centres: Triangles left, with their centroids [n, 3].
         spacing_m: Distance between samples at each centroid.
     """
@@ -102,6 +103,7 @@ class RoomGeometry:
             replaced = (seen == ON_SURFACE) & (
                 _spacing(other.centres, piece.view, piece.focal_px) < FINER * other.spacing_m
             )
+            other.measured.reshape(-1)[_classify(other.vertices, piece) == FREE] = False
             other.keep((seen != FREE) & ~replaced)
         new = np.ones(len(piece.faces), bool)
         for other in self._pieces:
@@ -174,7 +176,7 @@ def _piece_of(index: int, mesh: FrameMesh) -> _Piece:
     centres = corners.mean(axis=1, dtype=np.float32)
     focal_px = (lens.fx + lens.fy) / 2
     spacing_m = _spacing(centres, view, focal_px)
-    return _Piece(index, view, mesh.measured, focal_px, mesh.vertices, faces, centres, spacing_m)
+    return _Piece(index, view, mesh.measured.copy(), focal_px, mesh.vertices, faces, centres, spacing_m)
 
 
 def _spacing(points: Float[np.ndarray, "n 3"], view: DepthView, focal_px: float) -> Float[np.ndarray, " n"]:
