@@ -105,6 +105,12 @@ def test_invalid_panorama_shapes(shape, rule: str) -> None:
         check_panorama(np.zeros(shape, np.float32))
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.int32, bool, complex])
+def test_encoded_panoramas_are_refused(dtype) -> None:
+    with pytest.raises(ValueError, match=r"linear float RGB, got .*; roomlight\.conventions\.srgb8_to_linear decodes"):
+        check_panorama(np.zeros((8, 16, 3), dtype))
+
+
 def test_invalid_numbers() -> None:
     panorama = lit(8, [], level=1.0)
     for value in (np.nan, np.inf, -np.inf):

@@ -12,10 +12,15 @@ def check_panorama(panorama: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, 
     """Return the panorama as contiguous float32.
 
     Raises:
-        ValueError: it is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
+        ValueError: it is not [H, 2H, 3] with 4 to 4096 rows of finite floats.
     """
     if panorama.ndim != 3 or panorama.shape[2] != 3:
         raise ValueError(f"a panorama has shape (H, 2H, 3), got {panorama.shape}")
+    if panorama.dtype.kind != "f":
+        raise ValueError(
+            f"a panorama is linear float RGB, got {panorama.dtype}; "
+            "roomlight.conventions.srgb8_to_linear decodes 8-bit sRGB"
+        )
     return _check_map(panorama, "a panorama")
 
 

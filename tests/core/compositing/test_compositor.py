@@ -1,6 +1,7 @@
 """The compositor on a room whose geometry and light are known: layers, stability, easing and refusals."""
 
 import dataclasses
+import inspect
 from dataclasses import replace
 from typing import Any
 
@@ -113,6 +114,8 @@ def test_light_may_be_a_light_a_panorama_or_a_function(session):
     assert (made[0] == made[2]).all()
     with pytest.raises(OptionError, match=r"light must be a Light, a panorama or a function .* this is 32 x 8"):
         given_light(panorama[:8])
+    with pytest.raises(OptionError, match=r"got uint8; .* decodes 8-bit sRGB"):
+        inspect.unwrap(given_light)(panorama.astype(np.uint8))
     with pytest.raises(OptionError, match=r"radiance is not negative, got -1"):
         given_light(panorama * 0 - 1)
 

@@ -43,7 +43,7 @@ def given_light(light: GivenLight | None) -> LightAt | None:
     if light is None or (callable(light) and not isinstance(light, Light | type)):
         return light
     try:
-        panorama = check_panorama(np.array(light.panorama if isinstance(light, Light) else light, np.float32))
+        panorama = check_panorama(np.array(light.panorama if isinstance(light, Light) else light))
         if panorama.min() < 0:
             raise ValueError(f"radiance is not negative, got {panorama.min():.4g}")
     except (TypeError, ValueError) as error:
