@@ -129,7 +129,7 @@ class Compositor:
             seed: of the sampling points; the same seed gives the same picture.
             match_camera: give objects the frame's noise and blur.
             light: from elsewhere (a light probe, another estimator): a `Light`, a panorama, or a function that returns
-                the panorama at a world position, in the unit of the frames; default the session's light.
+                either at a world position, in the unit of the frames; default the session's light.
             max_paths: limit on the light paths of a picture, see `render_objects`; `Composite.samples` says what a
                 pixel got.
 

@@ -29,26 +29,37 @@ MAX_TOTAL: Final = 16
 
 LightAt = Callable[[Position], Float[np.ndarray, "h w 3"]]
 """Returns the panorama [h, 2h, 3] of the light that arrives at a world position."""
-GivenLight = Light | Float[np.ndarray, "h w 3"] | LightAt
-"""Light from elsewhere: one for all places, as a `Light` or a panorama [h, 2h, 3], or that at each place."""
+OneLight = Light | Float[np.ndarray, "h w 3"]
+"""A `Light`, or its panorama [h, 2h, 3]."""
+GivenLight = OneLight | Callable[[Position], OneLight]
+"""Light from elsewhere: one for all places, or that at each place."""
 
 
 def given_light(light: GivenLight | None) -> LightAt | None:
     """Return the light of the caller at each position; None for the session's.
 
+    What a function returns is checked when it is called.
+
     Raises:
-        OptionError: It is neither a `Light` nor a panorama nor a function.
+        OptionError: It is neither a `Light` nor a panorama nor a function that returns one of them.
         RoomLightError: It is a server's, and its panorama was not requested.
     """
-    if light is None or (callable(light) and not isinstance(light, Light | type)):
-        return light
+    if light is None:
+        return None
+    if callable(light) and not isinstance(light, Light | type):
+        return lambda position: _checked(light(position))
+    panorama = _checked(light)
+    return lambda _: panorama
+
+
+def _checked(light: object) -> Float[np.ndarray, "h w 3"]:
     try:
         panorama = check_panorama(np.array(light.panorama if isinstance(light, Light) else light))
         if panorama.min() < 0:
             raise ValueError(f"radiance is not negative, got {panorama.min():.4g}")
     except (TypeError, ValueError) as error:
         raise OptionError(f"light must be a Light, a panorama or a function of the position: {error}") from error
-    return lambda _: panorama
+    return panorama
 
 
 def box_probes(
