@@ -119,7 +119,8 @@ def test_light_may_be_a_light_a_panorama_or_a_function(session):
     [
         (np.full((8, 32, 3), 0.7, np.float32), "a Light, a panorama or a function .* this is 32 x 8"),
         (np.zeros((16, 32, 3), np.uint8), "got uint8; .* decodes 8-bit sRGB"),
-        (np.full((16, 32, 3), -1, np.float32), "radiance is not negative, got -1"),
+        (np.full((16, 32, 3), -1, np.float32), r"radiance is 0 to 1e\+12, got -1 to -1"),
+        (np.full((16, 32, 3), 1e20, np.float32), r"radiance is 0 to 1e\+12, got 1e\+20"),
     ],
 )
 def test_given_light_is_checked_also_of_a_function(panorama, problem):

@@ -16,6 +16,7 @@ from roomlight.compositing.light.temporal import EasedLight
 from roomlight.conventions import Position
 from roomlight.engine.session import Session
 from roomlight.errors import OptionError
+from roomlight.frame import MAX_RADIANCE
 from roomlight.light.checks import check_panorama
 from roomlight.light.light import Light
 
@@ -55,8 +56,9 @@ def given_light(light: GivenLight | None) -> LightAt | None:
 def _checked(light: object) -> Float[np.ndarray, "h w 3"]:
     try:
         panorama = check_panorama(np.array(light.panorama if isinstance(light, Light) else light))
-        if panorama.min() < 0:
-            raise ValueError(f"radiance is not negative, got {panorama.min():.4g}")
+        if panorama.min() < 0 or panorama.max() > MAX_RADIANCE:
+            extremes = f"{panorama.min():.4g} to {panorama.max():.4g}"
+            raise ValueError(f"radiance is 0 to {MAX_RADIANCE:g}, got {extremes}")
     except (TypeError, ValueError) as error:
         raise OptionError(f"light must be a Light, a panorama or a function of the position: {error}") from error
     return panorama
