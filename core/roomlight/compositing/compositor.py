@@ -1,6 +1,6 @@
 """The compositor: a frame in, the frame with virtual objects out, and its layers apart.
 
-    compositor = Compositor(session, load_scene("scene.json"), quality="good")
+    compositor = Compositor(session, "scene.json", quality="good")
     for frame in capture:
         session.push(frame)
         picture = compositor.composite(frame)
@@ -14,6 +14,7 @@ the gain of a frame whose exposure drifts. Light of the caller is in the frame's
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Final, Literal, cast, get_args
 
 import numpy as np
@@ -54,7 +55,7 @@ from roomlight.compositing.placed_object import (
 )
 from roomlight.compositing.placement.places import Placement
 from roomlight.compositing.placement.room_geometry import RoomGeometry
-from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject, naming_object
+from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject, load_scene, naming_object
 from roomlight.compositing.rendering import shadows
 from roomlight.compositing.rendering.renderer import RenderedObjects, render_objects
 from roomlight.compositing.rendering.tracer import TracedObjects, is_rigid
@@ -64,8 +65,9 @@ from roomlight.depth import complete_depth
 from roomlight.engine.networks.clipping import white_of
 from roomlight.engine.session import Session
 from roomlight.engine.surface.drift import NO_GAIN, with_gain
-from roomlight.errors import OptionError, SceneError
+from roomlight.errors import FrameError, OptionError, SceneError
 from roomlight.frame import CLIPPED_SRGB8, Frame
+from roomlight.rules import check_type
 
 Quality = Literal["preview", "good", "final"]
 
@@ -112,7 +114,7 @@ class Compositor:
     def __init__(
         self,
         session: Session,
-        scene: Scene | Sequence[SceneObject],
+        scene: Scene | Sequence[SceneObject] | str | Path,
         *,
         quality: str = "good",
         seed: int = 0,
@@ -124,7 +126,7 @@ class Compositor:
 
         Args:
             session: gives light and geometry; the caller pushes its frames.
-            scene: the objects.
+            scene: the objects, or the path of a scene.json.
             quality: preview (30 ms for a sphere in 640 x 480 pixels on two cores), good or final.
             seed: of the sampling points; the same seed gives the same picture.
             match_camera: give objects the frame's noise and blur.
@@ -134,11 +136,15 @@ class Compositor:
                 pixel got.
 
         Raises:
-            OptionError: the quality is unknown, or the light is none of these.
-            SceneError: the scene has no object, too many, or two of one name; a position or pose is refused.
+            OptionError: the session or the light is none, or the quality is unknown.
+            SceneError: the scene or its file is refused, or a position or pose.
+            ObjectError: an object's file is refused.
         """
+        check_type(session, Session, "session")
         if quality not in get_args(Quality):
             raise OptionError(f"quality must be one of {', '.join(get_args(Quality))}; got {quality!r}")
+        if isinstance(scene, str | Path):
+            scene = load_scene(scene)
         self.scene = scene if isinstance(scene, Scene) else Scene(tuple(scene))
         self.quality: Quality = cast(Quality, quality)
         self.geometry = RoomGeometry()
@@ -185,6 +191,7 @@ class Compositor:
         Raises:
             SceneError: the session has no frame yet, or a pixel of this frame shows no known surface; nothing changed.
                 Or the compositor is closed.
+            FrameError: `frame` is none.
         """
         return self._step(frame, is_drawn=True)
 
@@ -192,11 +199,12 @@ class Compositor:
         """Do what later pictures need of a frame, without its picture: places, eased light, depth and shadows.
 
         Raises:
-            SceneError: as `composite`.
+            SceneError, FrameError: as `composite`.
         """
         self._step(frame, is_drawn=False)
 
     def _step(self, frame: Frame, *, is_drawn: bool) -> Composite:
+        check_type(frame, Frame, "frame", FrameError)
         if self._closed:
             raise SceneError("the compositor is closed: make a new one, or close it after its last frame")
         if self._session.frames == 0:
@@ -463,7 +471,7 @@ class Compositor:
 def composite(
     session: Session,
     frame: Frame,
-    scene: Scene | Sequence[SceneObject],
+    scene: Scene | Sequence[SceneObject] | str | Path,
     *,
     quality: str = "good",
     seed: int = 0,
@@ -472,8 +480,10 @@ def composite(
     """Return one frame with objects in it; for a stream of frames, keep a `Compositor`, which has these options.
 
     Raises:
-        OptionError: the quality is unknown, or the light is refused.
+        OptionError: the session or the light is refused, or the quality is unknown.
+        FrameError: `frame` is none.
         SceneError: the session has no frame, the scene or a place is refused, or an object is not in view.
+        ObjectError: an object's file is refused.
 
     Examples:
         >>> import roomlight as rl

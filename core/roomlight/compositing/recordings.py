@@ -20,7 +20,6 @@ from roomlight.compositing.placement.scene import (
     AtPixel,
     Scene,
     SceneObject,
-    load_scene,
     naming_object,
     parse_scene,
 )
@@ -113,8 +112,7 @@ def composite_capture(
     if not online and iter(frames) is frames:
         raise OptionError("capture is an iterator, which can be read once: give a list, or online=True")
     session = Session(options or SessionOptions())
-    loaded = load_scene(scene) if isinstance(scene, str | Path) else scene
-    compositor = Compositor(session, loaded, quality=quality, seed=seed, light=light)
+    compositor = Compositor(session, scene, quality=quality, seed=seed, light=light)
     return _composited(
         frames, compositor, session, online, first_frame, sys.maxsize if last_frame is None else last_frame
     )

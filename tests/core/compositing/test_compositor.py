@@ -22,7 +22,7 @@ from roomlight.compositing.picture.layers import encode_srgb8
 from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, MotionKey, SceneObject
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8, srgb8_to_linear
 from roomlight.engine.session import Session
-from roomlight.errors import OptionError, SceneError
+from roomlight.errors import FrameError, OptionError, SceneError
 from roomlight.light.light import Light
 from rooms import BoxRoom, camera_at
 from sessions import session_of
@@ -386,6 +386,16 @@ def test_what_cannot_be_composited_is_refused(session):
     ):
         with pytest.raises(SceneError, match=message):
             composite(session, view(), [replace(BALL, place=place)], quality="preview")
+
+
+def test_a_scene_may_be_a_path_and_other_types_are_refused(session, tmp_path):
+    path = tmp_path / "scene.json"
+    path.write_text('{"objects": [{"name": "ball", "shape": "sphere", "position": [0.3, 0, -0.8]}]}')
+    assert composite(session, view(), str(path), quality="preview").alpha.any()
+    with pytest.raises(OptionError, match="session is of the type str; it must be Session"):
+        inspect.unwrap(Compositor.__init__)(object.__new__(Compositor), "session", [BALL])
+    with pytest.raises(FrameError, match="frame is of the type str; it must be Frame"):
+        inspect.unwrap(Compositor._step)(Compositor(session, [BALL]), "frame", is_drawn=True)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Scenes: what a `scene.json` may hold, and how motions are interpolated."""
 
+import inspect
 import json
 
 import numpy as np
@@ -99,6 +100,8 @@ def test_scenes_with_wrong_names_counts_and_files_are_refused(tmp_path):
         scene_of(*({**BALL, "name": str(number)} for number in range(65)))
     with pytest.raises(SceneError, match="1 to 64 objects, got 0"):
         Scene(())
+    with pytest.raises(SceneError, match=r"objects\[0\] is of the type str; it must be SceneObject"):
+        inspect.unwrap(Scene.__init__)(object.__new__(Scene), ("cube",))
     with pytest.raises(SceneError, match=r"scene\.json: cannot be read"):
         load_scene(tmp_path / "scene.json")
     document = {"objects": [{"name": "a", "file": "no.glb", "position": [0, 0, 0]}]}

@@ -29,6 +29,7 @@ from roomlight.compositing.objects.virtual_object import SIZE_ADVICE, VirtualObj
 from roomlight.compositing.placement.places import Anchor, Box
 from roomlight.errors import CaptureError, FrameError, ObjectError, SceneError
 from roomlight.files import FolderSource
+from roomlight.rules import check_type
 
 Z_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Turns an object whose z axis points up: z becomes y, x stays."""
@@ -245,7 +246,7 @@ class Scene:
     """Objects to be composited.
 
     Raises:
-        SceneError: there is no object, there are more than `MAX_OBJECTS`, or two have one name.
+        SceneError: there is no object, there are more than `MAX_OBJECTS`, or two of one name; or an item is no object.
     """
 
     objects: tuple[SceneObject, ...] = field(default_factory=tuple)
@@ -255,6 +256,7 @@ class Scene:
             raise SceneError(f"objects: a scene has 1 to {MAX_OBJECTS} objects, got {len(self.objects)}")
         seen: set[str] = set()
         for number, scene_object in enumerate(self.objects):
+            check_type(scene_object, SceneObject, f"objects[{number}]", SceneError)
             if scene_object.name in seen:
                 raise SceneError(f"objects[{number}].name: {scene_object.name!r} is used twice; names must differ")
             seen.add(scene_object.name)
