@@ -34,6 +34,7 @@ from roomlight.captures.source import member_name
 from roomlight.captures.video import DEMUXERS
 from roomlight.errors import CaptureError, OptionError, RoomLightError, UnknownFormatError
 from roomlight.notes import Note
+from roomlight.rules import check_type
 
 _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
     "roomlight": NativeReader,
@@ -82,7 +83,7 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
     which is unpacked for as long as the capture is open.
 
     Raises:
-        OptionError: `path` is no path, or `options.format` is not one of `FORMATS`.
+        OptionError: `path` or `options` is of another type, or `options.format` is not one of `FORMATS`.
         UnknownFormatError: No reader recognises the files.
         CaptureError: The index is missing or damaged, so that no frame can be read.
 
@@ -92,6 +93,7 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
         (240, 320, 3)
     """
     chosen = CaptureOptions() if options is None else options
+    check_type(chosen, CaptureOptions, "options")
     try:
         path = Path(path)
     except TypeError:

@@ -1,5 +1,6 @@
 """Every reader gives the same frames of the same room, in RoomLight's conventions, from that format's own bytes."""
 
+import inspect
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -159,6 +160,8 @@ def test_unknown_format_names_and_paths(tmp_path: Path) -> None:
         CaptureOptions(format="betamax"),
         error=OptionError,
     )
+    with pytest.raises(OptionError, match="options is of the type str; it must be CaptureOptions"):
+        inspect.unwrap(open_capture)(tmp_path, "tum")
     for name, message in (("missing", "no such file"), ("x" * 5000, "cannot be opened")):
         refused(tmp_path / name, message)
     images = tmp_path / "images"
