@@ -12,6 +12,7 @@ from roomlight.camera import transform_points
 from roomlight.conventions import Position
 from roomlight.errors import OptionError, ProbeError
 from roomlight.frame import Frame
+from roomlight.rules import check_type
 
 ABOVE_M: Final = 0.1
 """Default distance of a point from the surface that it is picked on: the middle of a mug or a small plant."""
@@ -27,6 +28,7 @@ def point_in_view(frame: Frame) -> Position:
     """Return a point in free space in front of the camera: on its axis, at 60 % of the median depth.
 
     Raises:
+        OptionError: `frame` is no frame.
         ProbeError: The frame has no depth.
 
     Examples:
@@ -34,6 +36,7 @@ def point_in_view(frame: Frame) -> Position:
         >>> frame = next(iter(rl.open_capture(rl.sample_capture())))
         >>> x, y, z = rl.point_in_view(frame)
     """
+    check_type(frame, Frame, "frame")
     known = frame.depth_m[frame.depth_m > 0]
     if known.size == 0:
         raise ProbeError(f"{frame.source}: no depth to place a probe by; give the probe's position")
@@ -53,7 +56,7 @@ def point_at_pixel(frame: Frame, u: float, v: float, *, above_m: float = ABOVE_M
         above_m: Distance from the surface in metres.
 
     Raises:
-        OptionError: The pixel lies outside the image, or `above_m` is negative or not finite.
+        OptionError: `frame` is no frame, the pixel lies outside the image, or `above_m` is negative or not finite.
         ProbeError: The frame has no depth at the pixel.
 
     Examples:
@@ -61,6 +64,7 @@ def point_at_pixel(frame: Frame, u: float, v: float, *, above_m: float = ABOVE_M
         >>> frame = next(iter(rl.open_capture(rl.sample_capture())))
         >>> x, y, z = rl.point_at_pixel(frame, 160.0, 180.0, above_m=0.05)
     """
+    check_type(frame, Frame, "frame")
     height, width = frame.image.shape[:2]
     if not (0 <= u < width and 0 <= v < height):
         raise OptionError(

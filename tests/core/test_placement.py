@@ -1,5 +1,6 @@
 """Points to light by a pixel: above the surface that the pixel shows, or an error that says what to do."""
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -65,6 +66,12 @@ def test_a_pixel_outside_the_image_and_a_bad_distance_are_refused(frame):
     for above_m in (-0.1, float("nan"), float("inf")):
         with pytest.raises(OptionError, match="above_m"):
             point_at_pixel(frame, 5.0, 5.0, above_m=above_m)
+
+
+def test_what_is_no_frame_is_refused():
+    for function, pixel in ((point_in_view, ()), (point_at_pixel, (1.0, 2.0))):
+        with pytest.raises(OptionError, match="frame is of the type str; it must be Frame"):
+            inspect.unwrap(function)("frame", *pixel)
 
 
 def test_a_pixel_without_depth_names_the_nearest_with_depth(frame):
