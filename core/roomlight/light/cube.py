@@ -49,7 +49,7 @@ class CubeMap:
 
         Raises:
             OptionError: another size.
-            ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
+            ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite floats.
         """
         panorama = check_panorama(panorama)
         resample = _to_cube(len(panorama), size)

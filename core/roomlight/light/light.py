@@ -126,7 +126,7 @@ class Light:
 
         Raises:
             ValueError: none of `panorama`, `forms` and `source` is given, the panorama is not [H, 2H, 3] of finite
-                numbers, or `observed` is not of its size.
+                floats, or `observed` is not of its size.
         """
         if panorama is None and forms is None and source is None:
             raise ValueError("a light is made from a panorama, from forms or from a source; got none of them")
@@ -406,7 +406,7 @@ class Light:
         .json:       `to_json`.
 
         Args:
-            path: of the file.
+            path: of the file; missing folders are made.
             use: lighting or reflection instead of the suffix's own.
 
         Raises:

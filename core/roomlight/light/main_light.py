@@ -144,7 +144,7 @@ def find_lights(panorama: Float[np.ndarray, "h w 3"]) -> tuple[MainLight, ...]:
     threads, which wait for a core beside a running engine (12 to 16 ms in all, at a load of 8 on two cores).
 
     Raises:
-        ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
+        ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite floats.
     """
     return Surroundings.of(panorama).lights()
 

@@ -163,7 +163,7 @@ def project(
     for 120 x 240 on one core.
 
     Raises:
-        ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
+        ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite floats.
     """
     panorama = check_panorama(panorama)
     azimuths, rows, inverse_gram = _factors(panorama.shape[0])

@@ -91,7 +91,7 @@ class LightSampler:
         120 rows.
 
         Raises:
-            ValueError: The panorama is not [H, 2H, 3] of finite numbers.
+            ValueError: The panorama is not [H, 2H, 3] of finite floats.
             ProbeError: The position is not finite.
         """
         if not np.isfinite(position).all():
