@@ -19,7 +19,7 @@ from roomlight.compositing.picture.layer_files import (
     encode_picture,
 )
 from roomlight.compositing.picture.layers import Composite
-from roomlight.compositing.placement.scene import MAX_SIZE_M, Scene, load_scene
+from roomlight.compositing.placement.scene import MAX_SIZE_M, AtPixel, Scene, load_scene
 from roomlight.compositing.recordings import composite_capture, scene_of_object
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError, OutputError
@@ -49,8 +49,8 @@ class ObjectOptions:
     Attributes:
         scene: The objects: a scene.json.
         object: A GLB, glTF, OBJ or PLY file, or sphere, cube, plane, vase, chair, teapot.
-        pixel: Put the object on the surface that this pixel of the first frame shows: column U, row V, without the
-            distortion of its lens.
+        pixel: Put the object on the surface that this pixel of the first frame that is used shows: column U, row V,
+            without the distortion of its lens.
         material: Replaces the materials of the file.
         size_m: Longest side in metres. Default: the file's own size; 0.2 for a sphere, 0.85 for a chair.
         yaw_degrees: Turn about the surface, in degrees.
@@ -73,7 +73,7 @@ class ObjectOptions:
         if (self.scene is None) == (self.object is None):
             raise OptionError("give either `scene`, a scene.json, or `object` with `pixel`")
         if self.object is not None and self.pixel is None:
-            raise OptionError("`object` needs `pixel` U,V: the pixel of the first frame that shows where it stands")
+            raise OptionError("`object` needs `pixel` U,V: the pixel of the first frame used that shows where it stands")
         given = [name for name in ("pixel", "material", "size_m") if getattr(self, name) is not None]
         if self.scene is not None and given:
             names = ", ".join(f"`{name}`" for name in given)
@@ -231,6 +231,8 @@ def composite_recording(
             for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
                 unseen.pop(number, None)
     print_notes(capture.notes)
+    if any(isinstance(item.place, AtPixel) and item.place.frame is None for item in scene.objects):
+        print_notes(capture.pixel_notes())
     rate = options.rate(capture)
     if options.is_film and options.fps is None and (pace := capture.pace_note(count, start, following - 1, rate=rate)):
         print_notes([pace])

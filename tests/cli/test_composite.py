@@ -187,6 +187,16 @@ def test_a_film_of_odd_sides_is_told_to_lack_a_row_and_a_column(roomlight, tmp_p
     assert "the film shows 64 x 48 of 65 x 49 pixels" in done.err
 
 
+@pytest.mark.parametrize("place", [{"pixel": [32, 36]}, {"pixel": [32, 36], "frame": 1}])
+def test_a_pixel_without_its_frame_is_noted_if_the_first_frame_is_skipped(roomlight, capture, tmp_path, place):
+    recording = edited_copy(capture, tmp_path / "recording", lambda _: None)
+    (recording / "depth/000000.png").write_bytes(b"")
+    (tmp_path / "scene.json").write_text(json.dumps({"objects": [{"name": "a", "shape": "sphere"} | place]}))
+    done = roomlight("composite", recording, "--scene", tmp_path / "scene.json", *FAST, "--out", tmp_path / "out")
+    assert done.code == 0
+    assert ("000001.jpg: the frames before it are skipped" in done.err) == ("frame" not in place)
+
+
 def test_progress_counts_the_frames_of_each_pass(roomlight, capture, tmp_path, monkeypatch):
     shown = []
     monkeypatch.setattr(Progress, "count_of", lambda _, *state: shown.append(state))

@@ -268,15 +268,17 @@ def test_an_ambiguous_orientation_needs_an_option(room):
 def test_a_video_alone_is_lit_by_all_its_frames(tmp_path, roomlight):
     frames = list(islice(open_capture(sample_capture()), 6))
     with VideoWriter(tmp_path / "walk.mp4", frames_per_second=5.0) as writer:
+        writer.write(np.zeros((240, 320, 3), np.uint8))
         for one in frames:
             writer.write(linear_to_srgb8(one.image))
     depth = cv2.resize(frames[2].depth_m, SIZE[::-1], interpolation=cv2.INTER_NEAREST)
     write_depth_model(tmp_path / "m.onnx", {"depth": 1 / depth[None]})  # without a sidecar it is taken for disparity
-    files = ("walk.mp4", "--depth-model", "m.onnx", "--probe", "0,0,-1", "--model", "classical", "--out", "out")
+    files = ("walk.mp4", "--depth-model", "m.onnx", "--pixel", "160,200", "--model", "classical", "--out", "out")
     result = roomlight("light", *files, cwd=tmp_path)
     assert result.code == 0, result.err
     assert "its camera poses are estimated" in result.err
     assert "its focal length is not stated" in result.err
+    assert "the pixel is of walk.mp4: frame 1, at 0.2 s: the frames before it are skipped" in result.err
     report = json.loads((tmp_path / "out" / "light.json").read_text())
     assert len(report["probes"]) == 1
     assert read_panorama(tmp_path / "out" / "probe-00.exr").max() > 0

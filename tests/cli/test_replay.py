@@ -261,11 +261,17 @@ def test_a_finished_replay_is_not_run_again(capture, tmp_path, monkeypatch, room
     assert "already holds" not in repeated.out
 
 
-def test_pixels_are_points_on_the_first_frame(capture, tmp_path):
-    expected = point_at_pixel(next(iter(open_capture(capture))), 20.0, 30.0, above_m=0.3)
-    options = replace(ONE, capture=CaptureOptions(max_frames=1), pixels=((20.0, 30.0),), above_m=0.3)
-    report = replay(capture, tmp_path / "out", options)
+@pytest.mark.parametrize("first", [0, 1])
+def test_pixels_are_points_on_the_first_frame_that_is_used(capture, tmp_path, first):
+    recording = edited_copy(capture, tmp_path / "recording", lambda _: None)
+    if first:
+        (recording / "depth" / "000000.png").write_bytes(b"")
+    expected = point_at_pixel(next(iter(open_capture(recording))), 20.0, 30.0, above_m=0.3)
+    options = replace(ONE, capture=CaptureOptions(max_frames=2), pixels=((20.0, 30.0),), above_m=0.3)
+    report = replay(recording, tmp_path / "out", options)
     assert [tuple(probe["position"]) for probe in report["probes"]] == [PROBES[0], expected]
+    noted = [note["left_out"] for note in report["notes"] if "pixel" in note["left_out"]]
+    assert [text.endswith("000001.jpg") for text in noted] == [True] * first
 
 
 def test_a_probe_that_was_hardly_seen_gets_a_warning(capture, tmp_path, roomlight):

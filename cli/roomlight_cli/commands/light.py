@@ -96,7 +96,7 @@ def _light_video(
                 progress.count_of("estimating the light", number, capture.frame_count)
 
         lights = light_photo(counted(), positions, out, options=options, graphs=choose_graphs(options), forms=forms)
-    print_notes(capture.notes)
+    print_notes([*capture.notes, *(capture.pixel_notes() if points.pixels else [])])
     for skipped in capture.skipped[:3]:
         remark("skipped", skipped.reason)
     if len(capture.skipped) > 3:

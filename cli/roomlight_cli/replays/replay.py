@@ -31,6 +31,7 @@ from roomlight.imaging.exr import sequence_metadata
 from roomlight.light.light import ENDINGS, Light
 from roomlight.light.sources import LightUse
 from roomlight.light.usd import sequence_stage
+from roomlight.notes import Note
 from roomlight.placement import point_at_pixel, point_in_view
 from roomlight.threads import read_ahead
 from roomlight_cli.probe_notes import counted
@@ -153,7 +154,7 @@ def _replay(
             run.pictures.abandon(error)
         raise
     state.wall_s = time.perf_counter() - began
-    report = _report(path, capture, session, state)
+    report = _report(path, capture, session, state, capture.pixel_notes() if options.pixels else [])
     report["fingerprint"] = fingerprint(capture.path, out, options)
     write_json(out / REPORT, report)
     forget_replay(out)
@@ -246,7 +247,9 @@ class _Run:
         self.pictures.close(self._session if isinstance(self._session, Session) else None)
 
 
-def _report(path: Path, capture: Capture, session: AnySession, state: ReplayState) -> dict[str, Any]:
+def _report(
+    path: Path, capture: Capture, session: AnySession, state: ReplayState, pixel_notes: list[Note]
+) -> dict[str, Any]:
     """Return the values of `report.json`, without the fingerprint."""
     reports, last = state.reports, session.grid
     written, rate = state.written, video_rate(capture.film_rate)
@@ -275,7 +278,7 @@ def _report(path: Path, capture: Capture, session: AnySession, state: ReplayStat
         ],
         "interpolated": state.interpolated,
         "skipped": [asdict(skipped) for skipped in (*capture.skipped, *state.unusable)],
-        "notes": [asdict(note) for note in (*capture.notes, *([pace] if pace else ()))],
+        "notes": [asdict(note) for note in (*capture.notes, *pixel_notes, *([pace] if pace else ()))],
     }
 
 

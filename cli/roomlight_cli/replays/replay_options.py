@@ -26,8 +26,8 @@ class ReplayOptions:
         session: How to estimate the light.
         probes: Light this point: world metres, y up. Repeatable. Default: one point in front of the first camera, at
             60 % of its frame's median depth.
-        pixels: Light a point above the surface that this pixel of the first colour image shows: column U, row V from
-            the top left, without the distortion of its lens. Repeatable.
+        pixels: Light a point above the surface that this pixel of the first frame that is used shows: column U, row V
+            from the top left, without the distortion of its lens. Repeatable.
         above_m: Distance in metres of the points of `--pixel` from their surface.
         probes_from_capture: Light the positions of the capture's own probes.
         every: Process every n-th frame only.

@@ -257,6 +257,18 @@ class Capture:
         effect = f"the film runs {film_s:.3g} s, the recording {recorded_s:.3g} s"
         return Note(text, effect, "place its pictures by the timestamps if the pace matters")
 
+    def pixel_notes(self) -> list[Note]:
+        """Make the note for a pixel of the first frame that is used, after it is read; none if it is the first frame.
+
+        What that one shows may be another part of the room.
+        """
+        skipped = {record.index for record in self.skipped}
+        first = next((index for index in self._indices if index not in skipped), 0)
+        if first == 0:
+            return []
+        text = f"the pixel is of {self._reader.name_of(first)}"
+        return [Note(text, "the frames before it are skipped", "give a pixel of that frame")]
+
     @property
     def notes(self) -> tuple[Note, ...]:
         """What the files state and was left out, guessed or changed, as far as they have been read."""

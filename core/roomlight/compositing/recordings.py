@@ -37,7 +37,7 @@ def scene_of_object(
     yaw_degrees: float = 0.0,
     up: str = "y",
 ) -> Scene:
-    """Return a scene of one object that stands on the surface behind a pixel of the first frame.
+    """Return a scene of one object that stands on the surface behind a pixel of the first frame that is used.
 
     Args:
         source: A shape (a key of `SHAPE_SIZE_M`), or a glTF, GLB, OBJ or PLY file.
