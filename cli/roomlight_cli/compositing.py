@@ -73,7 +73,7 @@ class ObjectOptions:
         if (self.scene is None) == (self.object is None):
             raise OptionError("give either `scene`, a scene.json, or `object` with `pixel`")
         if self.object is not None and self.pixel is None:
-            raise OptionError("`object` needs `pixel` U,V: the pixel of the first frame used that shows where it stands")
+            raise OptionError("`object` needs `pixel` U,V: the pixel of the first frame that shows where it stands")
         given = [name for name in ("pixel", "material", "size_m") if getattr(self, name) is not None]
         if self.scene is not None and given:
             names = ", ".join(f"`{name}`" for name in given)

@@ -40,8 +40,8 @@ class PhotoPoints:
     Attributes:
         probes: Light this point: metres from the camera, x right, y up, z backward (negative in front), level.
             Repeatable.
-        pixels: Light a point above the surface that this pixel of the upright photo, or of a video's first frame that is
-            used, shows: column U, row V from the top left. Repeatable.
+        pixels: Light a point above the surface that this pixel of the upright photo, or of a video's first frame
+            that is used, shows: column U, row V from the top left. Repeatable.
         above_m: Distance in metres of the points of `--pixel` from their surface.
 
     Raises:
