@@ -185,8 +185,8 @@ class BareVideoReader:
             self.notes.append(
                 Note(
                     f"{self._path}: {len(motion.misfits)} of {len(motion.poses)} pictures, from {first:.1f} to "
-                    f"{last:.1f} s, do not fit the others",
-                    "the rooms before and after may be turned against each other by tens of degrees",
+                    f"{last:.1f} s, fit the others badly",
+                    "their turns may be off, mostly by a few degrees",
                     "cut the video there, move slowly in good light, or give poses in a transforms.json",
                 )
             )
