@@ -197,10 +197,12 @@ class BareVideoReader:
                 if USUAL_FOV_DEG[0] <= longer <= USUAL_FOV_DEG[1]
                 else ", which is hardly a phone's: poses are doubtful"
             )
+            is_prior = abs(lens.fx / self._lens(*size)[0].fx - 1) < 1e-3  # nothing moved that could tell
+            known_by = "is assumed, as of phones' main cameras" if is_prior else f"fits the pictures best{odd}"
             self.notes.append(
                 Note(
                     f"{self._path}: its focal length is not stated",
-                    f"a horizontal field of view of {fov_deg:.0f} degrees fits the pictures best{odd}",
+                    f"a horizontal field of view of {fov_deg:.0f} degrees {known_by}",
                     "state fov_deg (--fov) if the camera's is known",
                 )
             )

@@ -133,6 +133,14 @@ def test_misfits_a_lens_that_hardly_a_phone_has_and_a_panorama_s_shape_are_point
     assert "twice as wide as high" in notes
 
 
+def test_the_field_of_view_of_a_single_picture_is_said_to_be_assumed(
+    tmp_path: Path, model: Path, pictures: list[np.ndarray]
+) -> None:
+    path = written(tmp_path / "still.mp4", pictures[:1])
+    said = " ".join(notes_of(path, CaptureOptions(depth_model=model), frames=1))
+    assert "a horizontal field of view of 64 degrees is assumed, as of phones' main cameras" in said
+
+
 def test_frames_before_a_cut_without_encoding_are_not_counted(tmp_path: Path) -> None:
     """As `ffmpeg -ss -c copy` leaves it: packets before the cut are there to decode others, marked by an edit list."""
     pictures = [np.full((64, 96, 3), 20 * k, np.uint8) for k in range(10)]
