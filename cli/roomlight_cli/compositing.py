@@ -29,7 +29,7 @@ from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.notes import distinct
 from roomlight.rules import check_options
-from roomlight_cli.console import print_notes, remark, stopped_by_signals
+from roomlight_cli.console import print_notes, print_skipped, remark, stopped_by_signals
 from roomlight_cli.options import Flag
 from roomlight_cli.probe_notes import counted
 from roomlight_cli.progress import Progress, duration
@@ -233,6 +233,7 @@ def composite_recording(
     print_notes(capture.notes)
     if any(isinstance(item.place, AtPixel) and item.place.frame is None for item in scene.objects):
         print_notes(capture.pixel_notes())
+    print_skipped([record.reason for record in capture.skipped])
     rate = options.rate(capture)
     if options.is_film and options.fps is None and (pace := capture.pace_note(count, start, following - 1, rate=rate)):
         print_notes([pace])

@@ -4,7 +4,7 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol, runtime_checkable
@@ -18,6 +18,7 @@ from rich.table import Table
 from roomlight.errors import OptionError, RoomLightError, SceneError
 from roomlight.files import write_json
 from roomlight.notes import Note
+from roomlight_cli.probe_notes import counted
 
 err = Console(stderr=True, highlight=False)
 out = Console(highlight=False)
@@ -36,6 +37,14 @@ def print_notes(notes: Iterable[Note]) -> None:
     """Print what the files state and was left out, guessed or changed, a line each."""
     for note in notes:
         remark("note:", str(note))
+
+
+def print_skipped(reasons: Sequence[str]) -> None:
+    """Print why frames of a recording were skipped, a line each for the first three, and how many more there are."""
+    for reason in reasons[:3]:
+        remark("skipped", reason)
+    if len(reasons) > 3:
+        remark("skipped", counted(len(reasons) - 3, "more frame"))
 
 
 def remark(word: str, text: str, console: Console = err) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 
 import av
 import cv2
@@ -195,6 +196,7 @@ def test_a_pixel_without_its_frame_is_noted_if_the_first_frame_is_skipped(roomli
     done = roomlight("composite", recording, "--scene", tmp_path / "scene.json", *FAST, "--out", tmp_path / "out")
     assert done.code == 0
     assert ("000001.jpg: the frames before it are skipped" in done.err) == ("frame" not in place)
+    assert re.search(r"skipped \S*000000\.png: ", done.err)
 
 
 def test_progress_counts_the_frames_of_each_pass(roomlight, capture, tmp_path, monkeypatch):

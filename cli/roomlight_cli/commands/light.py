@@ -15,7 +15,7 @@ from roomlight.errors import OptionError
 from roomlight.frame import Frame
 from roomlight.light.sources import SavedFormat
 from roomlight_cli.console import out as terminal
-from roomlight_cli.console import print_notes, remark, say
+from roomlight_cli.console import print_notes, print_skipped, remark, say
 from roomlight_cli.photo import PhotoLight, PhotoPoints, check_output, light_photo
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
 from roomlight_cli.progress import Progress
@@ -97,10 +97,7 @@ def _light_video(
 
         lights = light_photo(counted(), positions, out, options=options, graphs=choose_graphs(options), forms=forms)
     print_notes([*capture.notes, *(capture.pixel_notes() if points.pixels else [])])
-    for skipped in capture.skipped[:3]:
-        remark("skipped", skipped.reason)
-    if len(capture.skipped) > 3:
-        remark("skipped", f"{len(capture.skipped) - 3} more frames")
+    print_skipped([record.reason for record in capture.skipped])
     _print_lights(lights, out)
 
 
