@@ -187,6 +187,13 @@ def test_unusable_input_is_refused(room, arguments, code, message, roomlight):
     assert code == 2 or result.err.count("\n") == 1
 
 
+def test_a_video_of_a_kind_that_is_not_read_is_named(tmp_path, roomlight):
+    (tmp_path / "walk.avi").write_bytes(b"RIFF")
+    result = roomlight("light", "walk.avi", "--probe", "0,0,-1", "--out", "out", cwd=tmp_path)
+    assert result.code == 1
+    assert "walk.avi: is a video of a kind that is not read; convert it to .mp4" in result.err
+
+
 def test_a_pixel_is_lit_above_its_surface(room):
     frame = frame_of(room)
     expected = point_at_pixel(frame, 20.0, 40.0, above_m=0.2)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.captures.photo import Photo, PhotoOptions, read_photo
-from roomlight.captures.video import DEMUXERS
+from roomlight.captures.recognition import VIDEOS
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import warm_up
 from roomlight.errors import OptionError
@@ -49,7 +49,7 @@ def light(
         overwrite: Replace the light that `--out` holds.
     """
     check_output(out, overwrite=overwrite)
-    if image.suffix.lower() in DEMUXERS:
+    if image.suffix.lower() in VIDEOS:
         _light_video(image, points, _video_options(image, depth, reading), options, out, forms)
         return
     photo = read_photo(image, depth, reading)

@@ -1,4 +1,4 @@
-"""A video without poses, depth and intrinsics, as camera apps write it: `.mp4`, `.mov`, `.m4v`, `.mkv`, `.webm`.
+"""A video without poses, depth and intrinsics, as cameras write it: `.mp4`, `.mov`, `.m4v`, `.3gp`, `.mkv`, `.webm`.
 
 A record is a frame, a fifth of a second after the last one. Poses are estimated from the pictures
 (`roomlight.monocular.motion`) when the first record is read; depth is estimated as for any recording without. Frames

@@ -42,7 +42,8 @@ _COMMON: Final = ("metadata", "metadata.json", "rgb", "*rgb", "color", "pose", "
 """Names that many programs write; one of them alone tells no format."""
 
 _IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr", ".heic", ".heif", ".avif", ".webp", ".tif", ".tiff", ".bmp")
-_VIDEOS: Final = (*DEMUXERS, ".avi", ".wmv", ".3gp", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg", ".hevc", ".gif", ".lrv")
+VIDEOS: Final = (*DEMUXERS, ".avi", ".wmv", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg", ".hevc", ".gif", ".lrv")
+"""Ends of names of videos, also of those that are not read."""
 _PANORAMAS: Final = (".insv", ".360", ".insp")
 _ARCHIVES: Final = (".tar", ".gz", ".tgz", ".7z", ".rar", ".xz", ".bz2")
 _MODELS: Final = (
@@ -184,7 +185,7 @@ def _known_otherwise(path: Path) -> str:
         return f"the cameras in {cameras} are not read; write them into {nerfstudio.INDEX}, beside the pictures"
     models = [file.name for file in files if file.suffix.lower() in _MODELS]
     is_flat = path.is_file() or not any(file.is_dir() for file in islice(path.iterdir(), _LISTED))
-    if models and not ends & {*_IMAGES, *_VIDEOS, ".txt", ".csv"} and (is_flat or ".json" not in ends):
+    if models and not ends & {*_IMAGES, *VIDEOS, ".txt", ".csv"} and (is_flat or ".json" not in ends):
         return (
             f"{models[0]} is a model, not a recording; Scaniverse exports models only. Record the room with Record3D, "
             "Stray Scanner, NeRFCapture, Polycam (export raw data) or 3D Scanner App (export all data)"
@@ -200,7 +201,7 @@ def _known_otherwise(path: Path) -> str:
         return "has COLMAP's database and no model; write the model too: colmap mapper makes sparse/0"
     if any(file.suffix.lower() == ".db" for file in files) and ends <= {".db"}:
         return "is RTAB-Map's database; export it: rtabmap-export --images --poses_camera FILE.db"
-    if path.is_file() and path.suffix.lower() in _VIDEOS:
+    if path.is_file() and path.suffix.lower() in VIDEOS:
         return f"is a video of a kind that is not read; convert it to {', '.join(DEMUXERS)} (ffmpeg -i IN OUT.mp4)"
     if path.is_file() and path.suffix.lower() in _PANORAMAS:
         return "is a camera's recording of all directions; export a reframed, flat video or picture with its program"

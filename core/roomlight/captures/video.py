@@ -27,7 +27,7 @@ _TAGS: Final = ("color_primaries", "color_trc", "colorspace")
 _FULL_RANGE: Final = 2
 _BT2020_MATRICES: Final = (9, 10)
 _BT2020: Final = 9
-DEMUXERS: Final = {".mp4": "mp4", ".mov": "mp4", ".m4v": "mp4", ".mkv": "matroska", ".webm": "matroska"}
+DEMUXERS: Final = {".mp4": "mp4", ".mov": "mp4", ".m4v": "mp4", ".3gp": "mp4", ".mkv": "matroska", ".webm": "matroska"}
 """FFmpeg's reader by the end of a file's name."""
 _AREA: Final = Interpolation.AREA
 _EXACT: Final = Interpolation.AREA | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND

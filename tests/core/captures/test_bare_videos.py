@@ -265,9 +265,12 @@ def test_a_video_is_turned_and_mirrored_as_players_show_it(
     assert bool(stored.notes) == (matrix != (1, 0, 0, 1))
 
 
-@pytest.mark.parametrize(("container", "name"), [("matroska", "walk.mp4"), ("mp4", "walk.webm"), ("mp4", "walk.mkv")])
+@pytest.mark.parametrize(
+    ("container", "name"), [("matroska", "walk.mp4"), ("mp4", "walk.webm"), ("mp4", "walk.mkv"), ("3gp", "walk.3gp")]
+)
 def test_a_video_is_told_by_its_first_bytes(tmp_path: Path, container: str, name: str) -> None:
     formats.video(tmp_path / name, [np.full((24, 32, 3), 128, np.uint8)], file={"format": container})
+    assert open_capture(tmp_path / name).format == "video"
     with VideoFrames(tmp_path / name, name) as frames:
         assert frames.frame(0).image.shape == (24, 32, 3)
 
