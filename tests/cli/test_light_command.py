@@ -75,7 +75,7 @@ def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
     assert result.code == 0, result.err
     lines = result.out.splitlines()
     assert lines[0] == f"field of view {fov:.1f} degrees, horizontal: from --fov"
-    assert "of the sphere around it is in the photograph" in lines[1]
+    assert lines[1].endswith(" % of the sphere around it seen")
     assert re.search(r"main light \d+ degrees above the horizon", lines[2])
     assert "outside the lighting volume" in result.out
     report = json.loads((folder / "out" / "light.json").read_text())

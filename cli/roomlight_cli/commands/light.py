@@ -130,7 +130,7 @@ def _print_field_of_view(photo: Photo) -> None:
 
 def _print_light(lit: PhotoLight) -> None:
     coverage = lit.light.coverage
-    say(f"{position_text(lit.position)}: {percent(coverage)} of the sphere around it is in the photograph")
+    say(f"{position_text(lit.position)}: {percent(coverage)} of the sphere around it seen")
     for warning in probe_warnings(coverage, inside_volume=lit.inside_volume, behind_camera=lit.behind_camera):
         remark("  warning:", warning, terminal)
     say(f"  {_main_light_text(lit)}")
