@@ -263,8 +263,8 @@ class Capture:
         What that one shows may be another part of the room.
         """
         skipped = {record.index for record in self.skipped}
-        first = next((index for index in self._indices if index not in skipped), 0)
-        if first == 0:
+        first = next((index for index in self._indices if index not in skipped), None)
+        if first in (None, self._indices[0]):
             return []
         text = f"the pixel is of {self._reader.name_of(first)}"
         return [Note(text, "the frames before it are skipped", "give a pixel of that frame")]
