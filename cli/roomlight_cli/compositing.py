@@ -29,9 +29,8 @@ from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.notes import distinct
 from roomlight.rules import check_options
-from roomlight_cli.console import print_notes, print_skipped, remark, stopped_by_signals
+from roomlight_cli.console import counted, print_notes, print_skipped, remark, stopped_by_signals
 from roomlight_cli.options import Flag
-from roomlight_cli.probe_notes import counted
 from roomlight_cli.progress import Progress, duration
 
 LONG_S: Final = 300.0

@@ -18,7 +18,6 @@ from rich.table import Table
 from roomlight.errors import OptionError, RoomLightError, SceneError
 from roomlight.files import write_json
 from roomlight.notes import Note
-from roomlight_cli.probe_notes import counted
 
 err = Console(stderr=True, highlight=False)
 out = Console(highlight=False)
@@ -37,6 +36,11 @@ def print_notes(notes: Iterable[Note]) -> None:
     """Print what the files state and was left out, guessed or changed, a line each."""
     for note in notes:
         remark("note:", str(note))
+
+
+def counted(number: int, noun: str) -> str:
+    """Format a number of things: "1 frame", "2 frames"."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def print_skipped(reasons: Sequence[str]) -> None:

@@ -14,11 +14,6 @@ def position_text(position: Position) -> str:
     return f"({x:.2f}, {y:.2f}, {z:.2f}) m"
 
 
-def counted(number: int, noun: str) -> str:
-    """Format a number of things: "1 frame", "2 frames"."""
-    return f"{number} {noun}" + ("" if number == 1 else "s")
-
-
 def percent(share: float) -> str:
     """Format a share, 0 to 1, as whole percent."""
     return f"{100 * share:.0f} %"

@@ -9,9 +9,8 @@ from rich.markup import escape
 
 from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
-from roomlight_cli.console import err, remark
+from roomlight_cli.console import counted, err, remark
 from roomlight_cli.options import Check, Flag, Without
-from roomlight_cli.probe_notes import counted
 from roomlight_cli.progress import Progress
 from roomlight_client import RecoveryEvent
 

@@ -5,9 +5,9 @@ from typing import Any
 
 from roomlight.engine.session import warm_up
 from roomlight.notes import Note
+from roomlight_cli.console import counted, print_notes, remark, say, stopped_by_signals
 from roomlight_cli.console import out as terminal
-from roomlight_cli.console import print_notes, remark, say, stopped_by_signals
-from roomlight_cli.probe_notes import counted, percent, position_text, probe_warnings
+from roomlight_cli.probe_notes import percent, position_text, probe_warnings
 from roomlight_cli.progress import Progress
 from roomlight_cli.replays.pictures import SUMMARY, VIDEO
 from roomlight_cli.replays.replay import replay as run_replay

@@ -34,7 +34,7 @@ from roomlight.light.usd import sequence_stage
 from roomlight.notes import Note
 from roomlight.placement import point_at_pixel, point_in_view
 from roomlight.threads import read_ahead
-from roomlight_cli.probe_notes import counted
+from roomlight_cli.console import counted
 from roomlight_cli.replays.inserted_spheres import printed
 from roomlight_cli.replays.pictures import PicturesState, ReplayPictures, video_rate
 from roomlight_cli.replays.remote_session import RemoteSession

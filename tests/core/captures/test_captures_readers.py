@@ -259,9 +259,16 @@ def test_up_of_a_colmap_world_that_nerfstudio_turned(transforms: Path, turned: l
 
 @pytest.mark.parametrize("key", ["enable_depth_loading", "aabb", "aabb_scale", "camera_angle_x"])
 def test_depth_of_instant_ngp_is_not_taken_for_nerfcaptures(tmp_path: Path, key: str) -> None:
-    """Its world is z-up; it has the same keys of depth."""
+    """Its world is z-up; it has the same keys of depth, and one lens. To a NeRFCapture file its users add its keys."""
     path = formats.nerfcapture(tmp_path / "capture", VIEWS)
     edit(path / "transforms.json", lambda index: index.update({key: 1.0}))
+    np.testing.assert_allclose(first_of(path).camera_to_world, VIEWS[0].pose, atol=1e-6)
+
+    def change(index: dict) -> None:
+        for frame in index["frames"]:
+            index.update({name: frame.pop(name) for name in ("fl_x", "fl_y", "cx", "cy", "w", "h")})
+
+    edit(path / "transforms.json", change)
     frame, as_z_up = first_of(path), first_of(path, CaptureOptions(world_up="z"))
     np.testing.assert_array_equal(frame.camera_to_world, as_z_up.camera_to_world)
     np.testing.assert_allclose(frame.depth_m, VIEWS[0].depth_m, atol=1e-3)

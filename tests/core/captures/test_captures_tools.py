@@ -558,6 +558,9 @@ def test_a_camera_that_never_moves_is_noted(tmp_path: Path) -> None:
         capture = open_capture(tool_formats.ros2_bag(tmp_path / f"{at}", bag))
         assert ["poses that never change" in str(note) for note in capture.notes] == [True]
         assert len(list(capture)) == len(VIEWS)
+    mount = [tool_formats.transform(view.time_s, "camera_link", OPTICAL, tool_formats.MOUNT) for view in VIEWS]
+    apart = tool_formats.ros2_bag(tmp_path / "apart", without_tf() + mount + poses_of("/odom", "base_link"))
+    refused(apart, "poses of base_link, and no tf from there")
 
 
 @pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])

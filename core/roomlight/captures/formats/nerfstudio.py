@@ -8,12 +8,12 @@ nor are pixels farther than `fisheye_crop_radius` from the centre of the image.
 Frames that are marked `is_bad` are skipped.
 
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up` (x, y, z,
--x, -y, -z or three numbers), or is NeRFCapture's (`depth_path` or `*integer_*scale` without instant-ngp's other keys),
-whose world is ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its -y, taken for up, became -x
-(`applied_transform`; until March 2023 without this key, but with `colmap/sparse/0` beside the file), and ScanNet++ its
-own z-up one in this way so that up became -z. cx and cy are used unchanged: pixel centres at half integers, as
-nerfstudio and ARKit have them. Translations are divided by `applied_scale`. Without depth, the scale of COLMAP's worlds
-is noted.
+-x, -y, -z or three numbers), or is NeRFCapture's (`depth_path` or `*integer_*scale` without instant-ngp's other keys,
+or with a lens in each frame), whose world is ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its
+-y, taken for up, became -x (`applied_transform`; until March 2023 without this key, but with `colmap/sparse/0` beside
+the file), and ScanNet++ its own z-up one in this way so that up became -z. cx and cy are used unchanged: pixel centres
+at half integers, as nerfstudio and ARKit have them. Translations are divided by `applied_scale`. Without depth, the
+scale of COLMAP's worlds is noted.
 
 Depth: 16-bit PNG, .npy, TIFF or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, of
 NeRFCapture's script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder
@@ -123,7 +123,8 @@ class NerfstudioReader:
         self._shared = fields.parse_json(read_index(self._source, index), self._label)
         with fields.naming(self._label, CaptureError):
             self._frames = _in_order(fields.objects(self._shared.get("frames"), "frames"))
-            self._nerfcapture = self._shared.keys().isdisjoint(_OF_INSTANT_NGP) and (
+            own_lenses = all("fl_x" in frame and "w" in frame for frame in self._frames)  # users add `aabb_scale`
+            self._nerfcapture = (own_lenses or self._shared.keys().isdisjoint(_OF_INSTANT_NGP)) and (
                 any(key in self._shared for key in _NERFCAPTURE_SCALES)
                 or any("depth_path" in frame for frame in self._frames)
             )

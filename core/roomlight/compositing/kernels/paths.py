@@ -378,14 +378,11 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         normal = shading_normal(world, face, b, c, d, side, True)
         if paths.flags[i] & PRIMARY:
             _record(film, slot, world, (face, place[0], normal, base), view)
-        most = max(emitted[0], emitted[1], emitted[2])
-        if most > 0:
+        if emitted[0] + emitted[1] + emitted[2] > 0:
             scale, drawn = 1.0, paths.density[i] * 1.0
             if drawn > 0:
                 facing = flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2]
                 scale = drawn / (drawn + _emitter_density(world, face, hits.distance_m[i], facing))
-            elif paths.flags[i] & BLURRED:
-                scale = settings.brightest / max(most, settings.brightest)
             _add(film.radiance, slot, paths, i, emitted[0] * scale, emitted[1] * scale, emitted[2] * scale)
         # 5. Glass reflects or refracts the ray; the last one goes straight on to the light.
         material = world.surfaces.material[face]

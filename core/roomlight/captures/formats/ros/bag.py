@@ -293,7 +293,8 @@ class RosBagReader:
         settled = self._tree.settle()
         if loose and not self._tree.moves(self._frame_id):
             self._add_poses(loose)
-        if settled and not self._tree.moves(self._frame_id):  # nothing else says where the camera was: it stood
+        stands = not self._tree.moves(self._frame_id) and not (loose and self._tree.moving())
+        if settled and stands:  # nothing says that it moved
             self._tree.unsettle(settled)
             left = f"{self._path}: poses that never change"
             self.notes.append(Note(left, "the camera is read as one that stands", "record its poses if it moved"))

@@ -177,8 +177,11 @@ class MaterialReader:
         moved = extension(TextureTransform, info, "KHR_texture_transform", where, self._clamped) or TextureTransform()
         uv_set = info.texCoord if moved.texCoord is None else moved.texCoord
         wraps, transform = self._images.wraps(info.index), _matrix(moved)
-        if edged and self._images.is_nearest(info.index):
-            pixels = self._with_edged_texels(pixels, MIRRORED in wraps)
+        if self._images.is_nearest(info.index):
+            if edged:
+                pixels = self._with_edged_texels(pixels, MIRRORED in wraps)
+            else:
+                notes.append(Note(f"{where}: its sampler NEAREST", "its texels are smoothed", "use metallic-roughness"))
         if MIRRORED in wraps:  # the texture beside its mirror image repeats
             which = id(pixels), wraps, key in _COLOURS
             if which not in self._mirrored:  # the pixels are kept, so that their id stays theirs
