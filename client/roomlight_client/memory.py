@@ -150,12 +150,12 @@ class SessionMemory:
 
         In a joined session what others changed stays, unless it has no points at all, as after a restart of the server.
         """
+        self.confirm(state.probes)
         restored = self.changed if self.request is None and state.probes else self.probes
         missing = {
             name: at for name, at in self.probes.items() if name in restored and self._differs(name, state.probes)
         }
-        unwanted = tuple(name for name in self.changed if name in state.probes and name not in self.probes)
-        self.changed.clear()
+        unwanted = tuple(name for name in self.changed if name not in self.probes)
         return missing, unwanted
 
     def _differs(self, name: str, probes: Mapping[str, Sequence[float]]) -> bool:

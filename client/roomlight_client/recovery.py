@@ -229,8 +229,10 @@ class Recovery:
         missing, unwanted = self.memory.probe_changes(resumed.state)
         for name in unwanted:
             yield Send(self._calls.untrack(name))
+            self.memory.changed.discard(name)
         for name, position in missing.items():
             yield Send(self._calls.track(name, position))
+            self.memory.changed.discard(name)
         last = resumed.state.frames.last_index
         lost = [frame for frame in self.memory.frames if frame.state == "done" and (last is None or frame.index > last)]
         incomplete = self.memory.frames.lacks(last)

@@ -198,11 +198,33 @@ def test_a_session_gets_changes_that_it_has_not_confirmed_and_those_of_others_st
         await room.cut()
         await room.until("reconnecting")
         await stream.track("new", (1.0, 2.0, 3.0))
+        room.ignored.update(("mine", "moved", "removed", "new"))
         room.refuse = None
+        await room.logged("track new")
+        room.ignored.clear()
+        await room.cut()  # before the server took them
+        await room.logged("track new", 2)
         await stream.push(FRAMES[1])
-        assert [entry for entry in room.log if entry != "GET"] == [*restored, "track new", "frame 1"]
+        assert [entry for entry in room.log if entry != "GET"] == [*restored, "track new"] * 2 + ["frame 1"]
 
     play(work, reconnect=Retry(attempts=100_000, first_delay_s=0.0, max_delay_s=0.0))
+
+
+def test_a_joined_session_gets_changes_over_http_once():
+    async def work(room, session, stream):
+        session._recovery.memory.request = None
+        await stream.push(FRAMES[0])
+        room.ignored.update(("lamp", "shade"))
+        room.probes = {"shade": [4.0, 5.0, 6.0]}
+        await stream.track("lamp", (1.0, 2.0, 3.0))
+        await stream.untrack("shade")
+        await room.logged("untrack shade")
+        room.log.clear()
+        for _ in range(2):  # the second time, others have changed both again
+            await session._client.follow(session._recovery.restore())
+        assert room.log == ["GET", "DELETE /probes/shade", "PUT /probes/lamp", "GET"]
+
+    play(work)
 
 
 def test_a_lost_session_gets_its_probes_and_frames_again():

@@ -142,10 +142,10 @@ export class SessionMemory {
    * In a joined session what others changed stays, unless it has no points at all, as after a restart of the server.
    */
   probesToRestore({ probes }: SessionState): { track: [string, Position][]; untrack: string[] } {
+    this.confirm(probes);
     const isRestored = this.request !== null || Object.keys(probes).length === 0;
     const track = [...this.probes].filter(([name]) => (isRestored || this.changed.has(name)) && this.differs(name, probes));
-    const untrack = [...this.changed].filter((name) => name in probes && !this.probes.has(name));
-    this.changed.clear();
+    const untrack = [...this.changed].filter((name) => !this.probes.has(name));
     return { track, untrack };
   }
 

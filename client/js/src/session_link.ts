@@ -121,9 +121,11 @@ export class SessionRequests {
     const probes = this.memory.probesToRestore(state);
     for (const name of probes.untrack) {
       await this.http.send({ method: "DELETE", path: this.probePath(name) });
+      this.memory.changed.delete(name);
     }
     for (const [name, position] of probes.track) {
       await this.restoreTrack(name, position);
+      this.memory.changed.delete(name);
     }
     const last = state.frames.last_index ?? -1;
     for (const { index, message } of [...this.memory.frames].filter((one) => one.state === "done" && one.index > last)) {

@@ -172,13 +172,35 @@ for (const [kind, left, restored] of [
     room.probes = Object.fromEntries(left.map((name) => [name, [4, 5, 6]]));
     room.log.length = 0;
     context.mock.method(waiting, "delay", async () => stream.track("new", [1, 2, 3]));
-    const back = settled();
+    room.silent = true;
     room.sockets.at(-1)!.terminate();
+    await room.logged("track new");
+    room.silent = false;
+    context.mock.method(waiting, "delay", async () => undefined);
+    const back = settled();
+    room.sockets.at(-1)!.terminate(); // before the server took them
     await back;
     await stream.push(plainFrame());
-    assert.deepEqual(room.log, ["GET", ...restored, "track new", "frame 1"]);
+    const sent = ["GET", ...restored, "track new"];
+    assert.deepEqual(room.log, [...sent, ...sent, "frame 1"]);
   });
 }
+
+test("a joined session gets changes over HTTP once", async (context) => {
+  const room = new Room();
+  const { session, stream } = await room.stream(context);
+  const { memory, requests } = session as unknown as { memory: object; requests: { restore(): Promise<void> } };
+  Object.assign(memory, { request: null });
+  room.silent = true;
+  room.probes = { shade: [4, 5, 6] };
+  stream.track("lamp", [1, 2, 3]);
+  stream.untrack("shade");
+  await room.logged("untrack shade");
+  room.log.length = 0;
+  await requests.restore();
+  await requests.restore(); // others have changed both again
+  assert.deepEqual(room.log, ["GET", "DELETE /probes/shade", "PUT /probes/lamp", "GET"]);
+});
 
 test("a session that the server lost is opened again", async (context) => {
   const room = new Room();
