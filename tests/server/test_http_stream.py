@@ -73,7 +73,12 @@ def test_frames_are_answered_and_subscribed_light_is_sent(server):
         assert update["results"][0]["forms"][0]["values"]["coefficients"] == over_http["coefficients"]
         stream.send({"type": "untrack", "name": "table"})
         assert stream.next("probes")["probes"] == {}
-    assert server.state("flow")["frames"]["processed"] == 3
+        stream.send({"type": "track", "name": "table", "position": POINT})
+        assert stream.next("probes")["probes"] == {"table": POINT}
+        assert server.call("DELETE", "/v1/sessions/flow/probes/table").status == 204  # as another client does
+        stream.send(frame(90, index=3))
+        assert stream.next("probes")["probes"] == {}
+    assert server.state("flow")["frames"]["processed"] == 4
 
 
 def test_binary_forms_are_sent_as_light_messages(server):

@@ -231,7 +231,11 @@ class _Connection:
             await self._send(answer(frame=lights[0].frame, results=results), parts)
 
     async def _send_updates(self) -> None:
-        """Send the newest light of the named probes after each frame; frames during an update count as one."""
+        """Send the newest light of the named probes after each frame; frames during an update count as one.
+
+        After the last probe was removed, by whichever client, send that there are none.
+        """
+        had_probes = False
         while True:
             await self._update_due.wait()
             self._update_due.clear()
@@ -249,6 +253,9 @@ class _Connection:
                     # a probe was deleted, the memory budget is used up, or the session has ended: the next event
                     with suppress(ProblemError):
                         await self._send_light(named, self._subscribed_forms, LightingUpdate)
+            elif self._subscribed_forms and had_probes:
+                await self._send_probes()
+            had_probes = bool(named)
 
     async def _send(self, message: _Answer, parts: Sequence[bytes] = ()) -> None:
         """Send a message as text, or as binary if it has data, and wait until the client accepts it."""
