@@ -60,6 +60,10 @@ class ProbeView:
             marks.append((x, y) if within and not _hidden(frame, x, y, depth_m) else None)
         return cls(frame, tuple(positions), tuple(marks), tuple(depths_m.tolist()))
 
+    def printed(self) -> "ProbeView":
+        """Return the view with its frame no wider than it is printed."""
+        return replace(self, frame=printed(self.frame))
+
 
 def printed(frame: Frame) -> Frame:
     """Return the frame no wider than it is printed."""

@@ -1,7 +1,7 @@
 """The pictures of a replay: a video in parts while it runs, which are joined at its end, and a summary."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +16,7 @@ from roomlight.images import write_png
 from roomlight.imaging.video_writer import VideoWriter, join_videos
 from roomlight.spheres import view_toward
 from roomlight_cli.probe_notes import position_text
-from roomlight_cli.replays.inserted_spheres import ProbeView, insert_spheres, printed
+from roomlight_cli.replays.inserted_spheres import ProbeView, insert_spheres
 from roomlight_cli.replays.sheet import Sheet, SheetProbe, SheetTime, compose_sheet, mean_light, sheet_times
 from roomlight_cli.replays.video import MAX_PROBES, ReplayPicture
 
@@ -141,7 +141,7 @@ class ReplayPictures:
         self.state.parts += 1
         self._video = self._next_part()
         if self.state.best is not None:
-            self.state.best = replace(self.state.best, frame=printed(self.state.best.frame))
+            self.state.best = self.state.best.printed()
         return self.state
 
     def close(self, session: Session | None) -> None:
@@ -162,10 +162,7 @@ class ReplayPictures:
             )
         ]
         best = self.state.best
-        if session is None or best is None:
-            inserted = None
-        else:
-            inserted = insert_spheres(session, replace(best, frame=printed(best.frame)))
+        inserted = None if session is None or best is None else insert_spheres(session, best.printed())
         sheet = Sheet(
             self._title, self._subtitle, self.state.times, probes, indices=self.state.indices, inserted=inserted
         )

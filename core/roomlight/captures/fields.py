@@ -145,13 +145,19 @@ def number(value: object, what: str) -> float:
     return result
 
 
+def of_text(value: object) -> object:
+    """Return a number that is written as text, anything else as it is."""
+    if isinstance(value, str):
+        with suppress(ValueError):
+            return float(value)
+    return value
+
+
 def time(value: object) -> float | None:
     """Return a stated time in the file's unit: a number, also as text, or seconds of an ISO 8601 date; NaN for other
     values, None for none.
     """
-    if isinstance(value, str):
-        with suppress(ValueError):
-            value = float(value)
+    value = of_text(value)
     try:
         if isinstance(value, str):
             date = datetime.fromisoformat(value)

@@ -7,7 +7,6 @@ pictures, Aria's FISHEYE624, F-theta) are refused by name, because a pinhole in 
 import math
 import re
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -122,7 +121,8 @@ def lens_of(entry: Mapping[str, Any], shared: Mapping[str, Any]) -> Lens:
         raise ValueError(
             f"distortion_params of {len(listed)} values is not read; state k1, k2, p1, p2 or undistort the images"
         )
-    known = {key: _coefficient(fields.first_of(entry, shared, key), key) for key in _KEYS}
+    values = {key: fields.of_text(fields.first_of(entry, shared, key)) for key in _KEYS}
+    known = {key: 0.0 if value is None else fields.number(value, key) for key, value in values.items()}
     if max(abs(value) for value in known.values()) > 100:
         raise ValueError(f"the lens distortion {known} is out of range; coefficients are at most 100")
     if fisheye:
@@ -132,14 +132,6 @@ def lens_of(entry: Mapping[str, Any], shared: Mapping[str, Any]) -> Lens:
     if known["k4"] and not (known["k5"] or known["k6"] or model == "FULL_OPENCV"):
         raise ValueError("k4 of a lens that is not a fisheye is not read; state camera_model or undistort the images")
     return Lens(tuple(known[key] for key in _KEYS))
-
-
-def _coefficient(value: object, key: str) -> float:
-    """Return a stated coefficient, also one written as text; 0 for none. Raises ValueError."""
-    if isinstance(value, str):
-        with suppress(ValueError):
-            value = float(value)
-    return 0.0 if value is None else fields.number(value, key)
 
 
 def undistorted(

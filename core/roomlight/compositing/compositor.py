@@ -244,7 +244,7 @@ class Compositor:
             return bare
         with clock.stage("render"):
             supports = supports_of(objects, posed.spheres, posed.supports)
-            rendered = self._render(frame, objects, supports, (crop, shadow))
+            rendered = self._render(frame, objects, supports, crop, shadow)
         with clock.stage("occlusion"):
             layer = self._layer(frame, image, real.part(object_crop.inside(crop)), rendered, object_crop, posed)
         with clock.stage("combine"):
@@ -340,13 +340,13 @@ class Compositor:
         frame: Frame,
         objects: TracedObjects,
         supports: Supports,
-        shaded: tuple[Crop, Float32[np.ndarray, "ch cw 3"]],
+        crop: Crop,
+        shadow: Float32[np.ndarray, "ch cw 3"],
     ) -> RenderedObjects:
-        """Return the objects in the frame's unit; `shaded` is a crop with its shadow, which glass shows."""
+        """Return the objects in the frame's unit; glass shows the shadow of the crop."""
         gain = NO_GAIN if self._probes.given else self._session.gain_of(frame.index)
         behind = None
         if (objects.materials.transmission > 0).any():
-            crop, shadow = shaded
             seen = with_gain(frame.image, gain)  # a copy
             seen[crop.slices] *= shadow
             behind = BehindGlass(replace(frame, image=seen))

@@ -7,8 +7,8 @@ frames have shown of a place together, and changes the light of directions that 
 pixels, so that pictures of objects come out as near to those under the true light as it can: it is trained on matte,
 glossy and metal spheres (`roomlight train objects`).
 
-Directions that were measured keep their bits. Cost: three runs of the network for each light that is asked for, a third
-of the time of the SGLV's networks; none where nobody asks.
+Directions that were measured keep their bits. Cost: the network runs three times when somebody asks for light, which
+takes a third of the time of the SGLV's networks.
 """
 
 import hashlib
