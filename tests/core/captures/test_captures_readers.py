@@ -232,23 +232,24 @@ def test_transforms_world_up_key_and_unit(transforms: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("turned", "level", "stated"),
+    ("turned", "level", "model"),
     [
-        ([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]], True, True),  # nerfstudio's since 2024
-        ([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]], True, True),  # and before
-        ([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]], True, False),  # until 2023
-        (np.eye(4).tolist(), False, True),
-        ("none", False, True),
+        ([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]], True, ""),  # nerfstudio's since 2024
+        ([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]], True, ""),  # and before
+        ([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]], True, "cameras.bin"),  # until 2023
+        ([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]], True, "cameras.txt"),  # z-up, of Spectacular AI
+        (np.eye(4).tolist(), False, ""),
+        ("none", False, ""),
     ],
 )
-def test_up_of_a_colmap_world_that_nerfstudio_turned(transforms: Path, turned: list, level: bool, stated: bool) -> None:
+def test_up_of_a_colmap_world_that_nerfstudio_turned(transforms: Path, turned: list, level: bool, model: str) -> None:
     matrix = np.array([*turned[:3], [0, 0, 0, 1]]) if level else np.eye(4)
 
     def change(index: dict) -> None:
-        if stated:
-            index["applied_transform"] = turned
+        if model:
+            formats.save(transforms / "colmap/sparse/0" / model, b"")
         else:
-            (transforms / "colmap/sparse/0").mkdir(parents=True)
+            index["applied_transform"] = turned
         for frame, view in zip(index["frames"], VIEWS, strict=True):
             frame["transform_matrix"] = (matrix @ formats.FLIP @ view.pose).tolist()
 

@@ -856,7 +856,7 @@ def test_the_scale_of_colmap_is_noted_in_nerfstudios_files(
 
     edit(transforms / "transforms.json", change)
     assert (is_noted(), is_noted(camera_height_m=1.5)) == (noted, False)
-    (transforms / "colmap/sparse/0").mkdir(parents=True)
+    formats.save(transforms / "colmap/sparse/0/cameras.bin", b"")
     assert is_noted() == ("depth_file_path" not in frame)
 
 

@@ -10,8 +10,8 @@ Frames that are marked `is_bad` are skipped.
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up` (x, y, z,
 -x, -y, -z or three numbers), or is NeRFCapture's (`depth_path` or `*integer_*scale` without instant-ngp's other keys,
 or with a lens in each frame), whose world is ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its
--y, taken for up, became -x (`applied_transform`; until March 2023 without this key, but with `colmap/sparse/0` beside
-the file), and ScanNet++ its own z-up one in this way so that up became -z. cx and cy are used unchanged: pixel centres
+-y, taken for up, became -x (`applied_transform`; until March 2023 without this key, but with COLMAP's own
+`colmap/sparse/0/cameras.bin`; Spectacular AI, whose world is z-up, writes `cameras.txt` there), and ScanNet++ its own z-up one in this way so that up became -z. cx and cy are used unchanged: pixel centres
 at half integers, as nerfstudio and ARKit have them. Translations are divided by `applied_scale`. Without depth, the
 scale of COLMAP's worlds is noted.
 
@@ -62,7 +62,7 @@ _SCANNETPP: Final = "resized_"
 _SWAPPED: Final = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 """`applied_transform` of the COLMAP worlds that nerfstudio wrote until 2024."""
 _TURNS_OF_COLMAP: Final = (_SWAPPED, [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]])
-_MODEL: Final = "colmap/sparse/0"
+_MODEL: Final = "colmap/sparse/0/cameras.bin"
 """Where nerfstudio leaves COLMAP's model."""
 _LENS_KEYS: Final = {"fl_x": "fl_y", "camera_angle_x": "camera_angle_y", "x_fov": "y_fov"}
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
