@@ -267,26 +267,29 @@ def first_of(entry: Mapping[str, Any], shared: Mapping[str, Any], *keys: str) ->
     return None
 
 
-def numbers_of_line(line: str, count: int, what: str) -> list[float]:
-    """Parse the first `count` numbers of a line, separated by blanks or commas; NaN and infinity pass.
+def numbers_of_line(line: str, count: int, what: str, *, more: bool = False) -> list[float]:
+    """Parse the first `count` numbers of a line, or all if it may hold more, separated by blanks or commas.
 
-    A comma is a decimal point beside semicolons, and inside numbers that blanks separate.
+    NaN and infinity pass. A comma is a decimal point beside semicolons, and inside numbers that blanks separate.
     """
     is_point = ";" in line or _DECIMAL_COMMA.fullmatch(line.strip())
     parts = (line.replace(",", ".").replace(";", " ") if is_point else line.replace(",", " ")).split()
     if len(parts) < count:
         raise ValueError(f"{what} has {len(parts)} values where {count} are needed: {_short(line)}")
     try:
-        return [float(part) for part in parts[:count]]
+        return [float(part) for part in (parts if more else parts[:count])]
     except ValueError as error:
         raise ValueError(f"{what} holds a word that is not a number: {_short(line)}") from error
 
 
 def matrix_of_text(data: bytes, size: int, label: str) -> Float[np.ndarray, "{size} {size}"]:
-    """Parse a size x size matrix from the first rows of a text file."""
+    """Parse a size x size matrix from the first rows of a text file; only the row 0 0 0 1 may follow."""
     lines = [line for line in parse_text(data, label) if line.strip()]
     if len(lines) < size:
         raise ValueError(f"has {len(lines)} rows of numbers where {size} are needed")
+    rest = " ".join(lines[size:])
+    if numbers_of_line(rest, 0, "what follows the matrix", more=True) not in ([], [0, 0, 0, 1]):
+        raise ValueError(f"what follows the matrix is not read: {_short(rest)}; if it is a lens, undistort the images")
     rows = [numbers_of_line(line, size, f"row {row}") for row, line in enumerate(lines[:size])]
     return np.stack([coordinates(values, f"row {row}") for row, values in enumerate(rows)])
 

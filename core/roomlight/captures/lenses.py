@@ -41,7 +41,8 @@ _FOREIGN_KEY: Final = re.compile(
 )
 """Keys of lenses that no pinhole stands for."""
 _FOREIGN_LENS: Final = re.compile(r"fish.?eye|equirect|equidistant|panoram|spherical|omnidir|orthograph|kannala", re.I)
-_KEYS: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""Keys of a lens in OpenCV's order."""
 _MODEL_KEYS: Final = ("camera_model", "lens_mode", "lens", "model", "camera_type", "distortion_model")
 _MAX_TANGENT: Final = math.tan(math.radians(60))
 """A straightened camera sees at most 120 degrees: beyond it pixels at the edge are stretched four times."""
@@ -50,7 +51,7 @@ _MAX_ERROR_PX: Final = 0.25
 _MOST_RESAMPLED: Final = 16
 _SHRINKS: Final = 12
 """Steps of 5 % by which the view is reduced until the lens model can be inverted everywhere."""
-MODEL_KEYS: Final = (*_MODEL_KEYS, *_KEYS, "is_fisheye", "distortion_params", "distortion", "ortho")
+MODEL_KEYS: Final = (*_MODEL_KEYS, *COEFFICIENTS, "is_fisheye", "distortion_params", "distortion", "ortho")
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def lens_of(entry: Mapping[str, Any], shared: Mapping[str, Any]) -> Lens:
         raise ValueError(
             f"distortion_params of {len(listed)} values is not read; state k1, k2, p1, p2 or undistort the images"
         )
-    values = {key: fields.of_text(fields.first_of(entry, shared, key)) for key in _KEYS}
+    values = {key: fields.of_text(fields.first_of(entry, shared, key)) for key in COEFFICIENTS}
     known = {key: 0.0 if value is None else fields.number(value, key) for key, value in values.items()}
     if max(abs(value) for value in known.values()) > 100:
         raise ValueError(f"the lens distortion {known} is out of range; coefficients are at most 100")
@@ -131,7 +132,7 @@ def lens_of(entry: Mapping[str, Any], shared: Mapping[str, Any]) -> Lens:
         return Lens(tuple(known[key] for key in ("k1", "k2", "k3", "k4")), fisheye=True)
     if known["k4"] and not (known["k5"] or known["k6"] or model == "FULL_OPENCV"):
         raise ValueError("k4 of a lens that is not a fisheye is not read; state camera_model or undistort the images")
-    return Lens(tuple(known[key] for key in _KEYS))
+    return Lens(tuple(known[key] for key in COEFFICIENTS))
 
 
 def undistorted(

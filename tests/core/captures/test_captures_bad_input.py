@@ -138,6 +138,22 @@ def test_a_data_sets_own_camera_is_scaled_to_its_aspect_alone(tmp_path: Path, ki
 
 
 @pytest.mark.parametrize(
+    ("file", "text", "words"),
+    [
+        ("calibration.txt", "26 27 15.5 11.5" + 9 * " 0.1", r"holds 13 numbers, more than fx fy cx cy k1"),
+        ("calibration.txt", "26 27 15.5 11.5 640 480", r"distortion .*640.* is out of range"),
+        ("camera-intrinsics.txt", "26 0 15\n0 27 11\n0 0 1\n-0.2 0.08 0 0", r"'-0\.2 0\.08 0 0'; if it is a lens"),
+    ],
+)
+def test_more_than_a_matrix_in_a_file_of_intrinsics_is_refused(
+    tmp_path: Path, file: str, text: str, words: str
+) -> None:
+    path = formats.tum(tmp_path / "capture", VIEWS)
+    (path / "camera-intrinsics.txt").rename(path / file).write_text(text)
+    refused(path, words)
+
+
+@pytest.mark.parametrize(
     ("file", "picture", "words"),
     [
         *(

@@ -304,19 +304,23 @@ def test_transforms_focal_length_from_the_angle_and_npy_depth(transforms: Path) 
     np.testing.assert_allclose(frame.depth_m[1:], VIEWS[0].depth_m[1:], atol=1e-6)
 
 
-@pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
-def test_lens_distortion_is_removed(transforms: Path, model: str) -> None:
+@pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE", "calibration.txt"])
+def test_lens_distortion_is_removed(transforms: Path, tmp_path: Path, model: str) -> None:
     """A plane's depth and a linear colour ramp on it stay what they are where the straightened camera looks."""
-    k1 = -0.08
+    k1, path = -0.08, transforms
     edit(transforms / "transforms.json", lambda index: index.update(k1=k1, camera_model=model))
-    frames = list(capture := open_capture(transforms))
+    if model == "calibration.txt":
+        path = formats.tum(tmp_path / "tum", VIEWS)
+        (path / "camera-intrinsics.txt").unlink()
+        (path / model).write_text(f"{formats.FX} {formats.FY} {formats.CX - 0.5} {formats.CY - 0.5} {k1} 0 0 0\n")
+    frames = list(capture := open_capture(path))
     assert len(frames) == 4
     frame, view = frames[0], VIEWS[0]
     assert f"a pinhole with fx {frame.intrinsics.fx:.6g}" in str(capture.notes[-1])
     rays = frame.intrinsics.rays()
     x, y = rays[..., 0], -rays[..., 1]
     r = np.hypot(x, y)
-    bent = 1 + k1 * r**2 if model == "OPENCV" else np.arctan(r) * (1 + k1 * np.arctan(r) ** 2) / r
+    bent = 1 + k1 * r**2 if model != "OPENCV_FISHEYE" else np.arctan(r) * (1 + k1 * np.arctan(r) ** 2) / r
     column = np.rint(formats.CX + formats.FX * x * bent - 0.5).astype(int)
     row = np.rint(formats.CY + formats.FY * y * bent - 0.5).astype(int)
     assert column.min() >= -1

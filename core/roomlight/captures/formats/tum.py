@@ -11,13 +11,14 @@ system), while its pictures are stored from the top: the y axes are turned round
 239.5, and its times are numbers of frames, 30 a second.
 
 Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
-`camera-intrinsics.txt` (3 x 3) or ETH3D's `calibration.txt` (`fx fy cx cy`) if one exists, else the data set's default
-of 525, 525, 319.5, 239.5 for 640 x 480, scaled to images of that aspect. K has pixel centres at whole
-numbers, so that half a pixel is added here.
+`camera-intrinsics.txt` (3 x 3) or ETH3D's `calibration.txt` (`fx fy cx cy`, and the lens as DROID-SLAM has it: some or
+all of `k1 k2 p1 p2 k3 k4 k5 k6`) if one exists, else the data set's default of 525, 525, 319.5, 239.5 for 640 x 480,
+scaled to images of that aspect. K has pixel centres at whole numbers, so that half a pixel is added here.
 """
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +31,7 @@ from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import read_rgbd
 from roomlight.captures.formats.listed import ListedReader
 from roomlight.captures.formats.seven_scenes import INTRINSICS, assumed_camera, intrinsics_of, read_matrix
+from roomlight.captures.lenses import COEFFICIENTS, Lens, lens_of, straightened
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.captures.times import in_seconds, nearest
@@ -87,7 +89,11 @@ class TumReader(ListedReader):
         if self._icl:
             self.conventions = PoseConventions("opencv", "camera-to-world", (0.0, -1.0, 0.0))
         default = _ICL_CAMERA if self._icl else _DEFAULT_CAMERA
-        self._matrix = read_matrix(source) if source.has(INTRINSICS) else _eth3d_matrix(source, default)
+        self._lens = Lens()
+        if source.has(INTRINSICS):
+            self._matrix = read_matrix(source)
+        else:
+            self._matrix, self._lens = _calibration(source, default)
         if isinstance(self._matrix, Intrinsics):
             self.notes.append(assumed_camera(folder, self._matrix))
 
@@ -108,19 +114,23 @@ class TumReader(ListedReader):
         height, width = picture.image.shape[:2]
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_of(self._matrix, width=width, height=height, shift=0.5)
-        return self._raw_frame(index, picture, depth_m, depth_name, intrinsics, pose)
+            picture, depth_m, camera, stated = straightened(picture, depth_m, intrinsics, self._lens, label)
+        return replace(self._raw_frame(index, picture, depth_m, depth_name, camera, pose), stated=stated)
 
 
-def _eth3d_matrix(source: FolderSource, default: Intrinsics) -> Float[np.ndarray, "3 3"] | Intrinsics:
-    """Return the K of `calibration.txt`; the default without it. Raises CaptureError."""
+def _calibration(source: FolderSource, default: Intrinsics) -> tuple[Float[np.ndarray, "3 3"] | Intrinsics, Lens]:
+    """Return the K and the lens of `calibration.txt`; the default without it. Raises CaptureError."""
     if not source.has(ETH3D_INTRINSICS):
-        return default
+        return default, Lens()
     label = source.label(ETH3D_INTRINSICS)
     text = " ".join(fields.parse_text(read_index(source, ETH3D_INTRINSICS), label))
     with fields.naming(label, CaptureError):
-        values = fields.numbers_of_line(text, 4, "fx fy cx cy")
-        fx, fy, cx, cy = (fields.positive(value, "fx, fy, cx or cy") for value in values)
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        values = fields.numbers_of_line(text, 4, "fx fy cx cy", more=True)
+        fx, fy, cx, cy = (fields.positive(value, "fx, fy, cx or cy") for value in values[:4])
+        if len(values) > 4 + len(COEFFICIENTS):
+            raise ValueError(f"holds {len(values)} numbers, more than fx fy cx cy {' '.join(COEFFICIENTS)}")
+        lens = lens_of(dict(zip(COEFFICIENTS, values[4:], strict=False)), {})
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), lens
 
 
 def _stream(
