@@ -835,14 +835,16 @@ def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:
     ("shared", "frame", "noted"),
     [
         ({}, {}, False),
-        ({"applied_transform": [[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0]]}, {}, False),  # of a phone's recording
+        ({"applied_transform": np.eye(4).tolist()[:3]}, {}, False),
+        ({"applied_transform": [[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0]]}, {}, True),  # of Metashape
         ({"applied_transform": [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]]}, {}, True),
         ({"applied_transform": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]}, {}, True),
         ({}, {"colmap_im_id": 1}, True),
+        ({}, {"sharpness": 30.0}, True),  # of instant-ngp's scripts
         ({}, {"colmap_im_id": 1, "depth_file_path": "depth/frame_00001.png"}, False),
     ],
 )
-def test_the_scale_of_colmap_is_noted_in_nerfstudios_files(
+def test_the_scale_of_photogrammetry_is_noted_in_nerfstudios_files(
     transforms: Path, shared: dict, frame: dict, noted: bool
 ) -> None:
     def change(index: dict) -> None:
@@ -852,12 +854,14 @@ def test_the_scale_of_colmap_is_noted_in_nerfstudios_files(
             entry.update(frame)
 
     def is_noted(**stated: float) -> bool:
-        return "COLMAP's scale" in str(open_capture(transforms, CaptureOptions(**stated)).notes)
+        return "the scale of COLMAP" in str(open_capture(transforms, CaptureOptions(**stated)).notes)
 
     edit(transforms / "transforms.json", change)
     assert (is_noted(), is_noted(camera_height_m=1.5)) == (noted, False)
     formats.save(transforms / "colmap/sparse/0/cameras.bin", b"")
     assert is_noted() == ("depth_file_path" not in frame)
+    (transforms / "keyframes/cameras").mkdir(parents=True)  # of Polycam, whose converter writes sharpness too
+    assert "the scale of" not in str(open_capture(transforms / "transforms.json").notes)
 
 
 def test_nothing_of_the_sample_is_left_out() -> None:

@@ -11,9 +11,10 @@ Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unl
 -x, -y, -z or three numbers), or is NeRFCapture's (`depth_path` or `*integer_*scale` without instant-ngp's other keys,
 or with a lens in each frame), whose world is ARKit's, y-up. Until 2024 nerfstudio turned COLMAP's world so that its
 -y, taken for up, became -x (`applied_transform`; until March 2023 without this key, but with COLMAP's own
-`colmap/sparse/0/cameras.bin`; Spectacular AI, whose world is z-up, writes `cameras.txt` there), and ScanNet++ its own z-up one in this way so that up became -z. cx and cy are used unchanged: pixel centres
-at half integers, as nerfstudio and ARKit have them. Translations are divided by `applied_scale`. Without depth, the
-scale of COLMAP's worlds is noted.
+`colmap/sparse/0/cameras.bin`; Spectacular AI, whose world is z-up, writes `cameras.txt` there), and ScanNet++ its own
+z-up one in this way so that up became -z. cx and cy are used unchanged: pixel centres at half integers, as nerfstudio
+and ARKit have them. Translations are divided by `applied_scale`. Without depth, the scale of photogrammetry is noted:
+of COLMAP and Metashape, and of frames with `sharpness`, which instant-ngp's scripts write.
 
 Depth: 16-bit PNG, .npy, TIFF or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, of
 NeRFCapture's script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder
@@ -40,6 +41,7 @@ from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, ReadRecord
 from roomlight.captures.decoding import DEPTH_SUFFIXES, read_mask, read_rgbd, with_mask
 from roomlight.captures.formats.listed import probes_of
+from roomlight.captures.formats.polycam import is_polycam
 from roomlight.captures.lenses import MODEL_KEYS, lens_of, straightened
 from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.captures.source import MAX_FRAMES, read_index
@@ -61,7 +63,14 @@ _SCANNETPP: Final = "resized_"
 """Beginning of the folders of ScanNet++'s own pictures."""
 _SWAPPED: Final = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 """`applied_transform` of the COLMAP worlds that nerfstudio wrote until 2024."""
-_TURNS_OF_COLMAP: Final = (_SWAPPED, [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]])
+_TURNS: Final = (
+    _SWAPPED,
+    [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]],
+    [[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0]],
+)
+"""`applied_transform` of nerfstudio for COLMAP, until and since 2024, and for Metashape."""
+_OF_PHOTOGRAMMETRY: Final = ("colmap_im_id", "sharpness")
+"""Keys of frames: of nerfstudio's COLMAP, and of instant-ngp's scripts (colmap2nerf, agi2nerf, mr2nerf)."""
 _MODEL: Final = "colmap/sparse/0/cameras.bin"
 """Where nerfstudio leaves COLMAP's model."""
 _LENS_KEYS: Final = {"fl_x": "fl_y", "camera_angle_x": "camera_angle_y", "x_fov": "y_fov"}
@@ -147,9 +156,10 @@ class NerfstudioReader:
         self._masks = self._source_of("mask_path", _MASK_FOLDERS)
         with fields.naming(self._label, CaptureError):
             self.conventions = PoseConventions("opengl", "camera-to-world", self._world_up())
-        if self._is_of_colmap() and not self._depth_keys and options.camera_height_m is None:
+        if self._is_photogrammetry() and not self._depth_keys and options.camera_height_m is None:
             advice = "state camera_height_m (--camera-height), or scale its poses to metres"
-            self.notes.append(Note(f"{self._label}: COLMAP's scale", "its poses are taken for metres", advice))
+            text = f"{self._label}: the scale of COLMAP, Metashape or Meshroom"
+            self.notes.append(Note(text, "its poses are taken for metres", advice))
 
     def name_of(self, index: int) -> str:
         """Return the colour file as the index names it."""
@@ -317,10 +327,15 @@ class NerfstudioReader:
             ):
                 raise ValueError("has no intrinsics: neither fl_x nor camera_angle_x nor x_fov, globally or in a frame")
 
-    def _is_of_colmap(self) -> bool:
-        """Whether nerfstudio wrote the file by COLMAP's model; not ScanNet++, whose pictures lie elsewhere."""
-        stated = self._shared.get("applied_transform") in _TURNS_OF_COLMAP or self._source.has(_MODEL)
-        return self._pictures is self._source and (stated or any("colmap_im_id" in frame for frame in self._frames))
+    def _is_photogrammetry(self) -> bool:
+        """Whether a program found the poses in pictures alone, as its converters' keys and files tell.
+
+        ScanNet++, whose pictures lie elsewhere, and Polycam have the same keys, and metres.
+        """
+        if self._pictures is not self._source or is_polycam(self._source):
+            return False
+        stated = self._shared.get("applied_transform") in _TURNS or self._source.has(_MODEL)
+        return stated or any(not frame.keys().isdisjoint(_OF_PHOTOGRAMMETRY) for frame in self._frames)
 
     def _world_up(self) -> tuple[float, float, float]:
         stated: Any = self._shared.get("world_up")
