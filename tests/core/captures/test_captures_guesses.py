@@ -170,6 +170,12 @@ def test_what_a_folder_of_tum_lacks_is_said(tmp_path: Path) -> None:
     refused(path, r"tum: has no list of its pictures; write it as rgb\.txt \(time file\)")
 
 
+def test_poses_of_markers_are_refused(tmp_path: Path) -> None:
+    path = formats.tum(tmp_path / "rgbd_bonn_balloon", VIEWS)
+    refused(path, r"Bonn RGB-D Dynamic are those of markers; write the camera's .*without rgbd_bonn_")
+    same_views(open_capture(path.rename(tmp_path / "balloon")), VIEWS)
+
+
 def test_tum_lists_with_dates(tmp_path: Path) -> None:
     path = formats.tum(tmp_path / "tum", VIEWS)
 

@@ -10,6 +10,8 @@ ICL-NUIM names its poses `NAME.gt.freiburg`. They are those of a world with y up
 system), while its pictures are stored from the top: the y axes are turned round here. Its K is 481.2, 480, 319.5,
 239.5, and its times are numbers of frames, 30 a second.
 
+Bonn RGB-D Dynamic (`rgbd_bonn_*`) has the files too, but poses of markers on the camera: it is refused.
+
 Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
 `camera-intrinsics.txt` (3 x 3) or ETH3D's `calibration.txt` (`fx fy cx cy`, and the lens as DROID-SLAM has it: some or
 all of `k1 k2 p1 p2 k3 k4 k5 k6`) if one exists, else the data set's default of 525, 525, 319.5, 239.5 for 640 x 480,
@@ -48,6 +50,7 @@ ICL_POSES: Final = ".gt.freiburg"
 _DEFAULT_CAMERA: Final = Intrinsics(525.0, 525.0, 320.0, 240.0, 640, 480)
 _ICL_CAMERA: Final = Intrinsics(481.2, 480.0, 320.0, 240.0, 640, 480)
 _ICL_RATE: Final = 30
+_BONN: Final = "rgbd_bonn_"
 _Y_TURNED: Final = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -64,6 +67,11 @@ class TumReader(ListedReader):
     conventions = PoseConventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        if folder.absolute().name.startswith(_BONN):
+            raise CaptureError(
+                f"{folder}: poses of Bonn RGB-D Dynamic are those of markers; write the camera's (T_ros P T_ros T_m, by "
+                f"the data set's page) into groundtruth.txt, and name the folder without {_BONN}"
+            )
         source = FolderSource(folder)
         notes: list[Note] = []
         pairs = next(filter(source.has, PAIRS), None)
