@@ -1,5 +1,7 @@
 """Recognise a capture's format by the files in its folder, and say what the nearest format lacks."""
 
+import os
+import re
 import zipfile
 from contextlib import suppress
 from itertools import chain, islice
@@ -55,6 +57,10 @@ _CAMERAS: Final = (
     *("reconstruction.json", "poses_bounds.npy", "cameras_sphere.npz", "traj.txt", "trajectory.log"),
 )
 """Files of cameras, by name or ending: of OpenMVG, Bundler, Nuke, Alembic, OpenSfM, LLFF, NeuS, Replica, and Open3D."""
+_CAMERAS_BELOW: Final = re.compile(
+    r"(.*/)?(cameras\.(txt|bin|json)|sfm_data\.bin|[^/]+\.sfm|extrinsics/[^/]+|transformations\w*\.json)", re.IGNORECASE
+)
+"""Paths of further files of cameras: of COLMAP, Gaussian splatting, OpenMVG, Meshroom, SUN3D, and MuSHRoom."""
 _PROGRAMS: Final = {".csv": ("RealityCapture", b"#name,", 6), ".xml": ("Metashape", b"<chunk", 1000)}
 """Programs that write cameras into files of these endings, and the text that is among so many first bytes of them."""
 _STAGES: Final = (".fbx", ".usd", ".usda", ".usdc", ".usdz")
@@ -64,6 +70,8 @@ _RECORDINGS: Final = (".svo", ".svo2", ".oni", ".vrs", ".klg")
 _SMALL_COPIES: Final = ("thumb", "thumbnail", "preview")
 _LISTED: Final = 1000
 """Most files of a folder that are looked at for a message."""
+_MOST_FOLDERS: Final = 100
+"""Most folders in which files of cameras are looked for."""
 
 
 def recognised(path: Path) -> str:
@@ -237,10 +245,24 @@ def _bare_images(path: Path) -> str:
     if not names:
         return ""
     listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    return (
-        f"The folder holds {listed} without focal lengths and camera poses: let COLMAP find them, add them in "
-        f"{nerfstudio.INDEX}, or film a video, which needs none; `roomlight light IMAGE` takes one photo"
+    advice = (
+        f"let COLMAP find them, add them in {nerfstudio.INDEX}, or film a video, which needs none; `roomlight light "
+        "IMAGE` takes one photo"
     )
+    if cameras := _cameras_below(path):
+        advice = f"write those of {cameras} into {nerfstudio.INDEX}, or as COLMAP's into sparse/0, beside the pictures"
+    return f"The folder holds {listed} without focal lengths and poses in a form that is read: {advice}"
+
+
+def _cameras_below(path: Path) -> str:
+    """Return a file of cameras in a form that is not read, up to three folders below; empty without one."""
+    for root, folders, names in islice(os.walk(path), _MOST_FOLDERS):
+        folder = Path(root).relative_to(path)
+        folders[:] = sorted(folders) if len(folder.parts) < 3 else []
+        for file in (folder / name for name in sorted(names)):
+            if {file.name.lower(), file.suffix.lower()} & {*_CAMERAS} or _CAMERAS_BELOW.fullmatch(file.as_posix()):
+                return file.as_posix()
+    return ""
 
 
 def is_record3d_archive(path: Path) -> bool:

@@ -871,7 +871,7 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
         ("room.xml", "the cameras that Metashape found"),
         ("scene.sfm", "that Meshroom found"),
         ("cams.csv", "that RealityCapture found"),
-        ("2.jpg", "holds 1.jpg, 2.jpg without focal lengths and camera poses: let COLMAP find them"),
+        ("2.jpg", "holds 1.jpg, 2.jpg without focal lengths and poses in a form that is read: let COLMAP find them"),
     ):
         formats.save(tmp_path / "other" / name / "1.jpg", b"x")
         formats.save(tmp_path / "other" / name / name, b"#name,x,y <chunk>")
@@ -891,6 +891,14 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
         (["images/1.jpg", "metadata.json"], r"holds images/1\.jpg without focal lengths"),  # of any program
         (["rgb/1.jpg", "depth/1.png", "a.json"], r"holds depth/1\.png, rgb/1\.jpg without focal lengths"),
         (["input/1.jpg"], r"holds input/1\.jpg without focal lengths"),
+        *(
+            (["color/1.jpg", file], rf"is read: write those of {file} into transforms\.json, or as COLMAP")
+            for file in (
+                *("scene/trajectory.log", "a/b/c/cameras.sfm", "out/sfm_data.bin", "sparse_3/0/cameras.txt"),
+                *("extrinsics/20140804.txt", "transformations.json"),
+            )
+        ),
+        (["color/1.jpg", "a/b/c/d/cameras.sfm"], "let COLMAP find them"),
         (["depth/1.raw", "metadata.json"], r"Set `format` to force one\. Known are \.r3d"),
     ],
 )

@@ -69,8 +69,8 @@ class TumReader(ListedReader):
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
         if folder.absolute().name.startswith(_BONN):
             raise CaptureError(
-                f"{folder}: poses of Bonn RGB-D Dynamic are those of markers; write the camera's (T_ros P T_ros T_m, by "
-                f"the data set's page) into groundtruth.txt, and name the folder without {_BONN}"
+                f"{folder}: poses of Bonn RGB-D Dynamic are those of markers; write the camera's (T_ros P T_ros T_m, "
+                f"by the data set's page) into groundtruth.txt, and name the folder without {_BONN}"
             )
         source = FolderSource(folder)
         notes: list[Note] = []
