@@ -137,7 +137,7 @@ def format_of(path: Path) -> str | None:
         return "colmap"
     elif is_scanner_app(source):
         return "3d-scanner-app"
-    elif record3d.layout_of(source) is not None:  # its reader says what the index lacks
+    elif record3d.is_record3d(source, *record3d.LENS_KEYS):  # its reader says what the index lacks
         return "record3d"
     return None
 
@@ -269,4 +269,4 @@ def is_record3d_archive(path: Path) -> bool:
     """Whether a file is a zip archive with Record3D's files, which are read in place."""
     if not zipfile.is_zipfile(path):
         return False
-    return record3d.layout_of(ZipSource(path)) is not None
+    return record3d.is_record3d(ZipSource(path), *record3d.LENS_KEYS)

@@ -34,8 +34,16 @@ def test_metadata_of_another_program_is_not_record3ds(tmp_path: Path, kind: str)
 
 def test_record3ds_files_without_poses_are_named(tmp_path: Path) -> None:
     path = formats.record3d_export(tmp_path / "capture", VIEWS[:1])
-    (path / "metadata.json").write_text('{"w": 32, "h": 24}')
+    (path / "metadata.json").write_text('{"w": 32, "h": 24, "K": []}')
     refused(path, r"metadata\.json: poses is missing.*record with LiDAR.*roomlight light")
+
+
+def test_images_beside_metadata_without_record3ds_keys_are_not_record3ds(tmp_path: Path) -> None:
+    path = formats.record3d_export(tmp_path / "capture", VIEWS[:1])
+    (path / "metadata.json").write_text('{"frameCount": 1}')
+    refused(path, r"rgb/0\.jpg without focal lengths", error=UnknownFormatError)
+    members = {name: (path / name).read_bytes() for name in ("metadata.json", "rgb/0.jpg")}
+    refused(formats.zipped(tmp_path / "a.zip", members), r"holds rgb/0\.jpg without", error=UnknownFormatError)
 
 
 @pytest.mark.parametrize("kind", ["record3d", "polycam"])

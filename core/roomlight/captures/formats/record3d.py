@@ -42,6 +42,9 @@ from roomlight.notes import Note, keys_of_use, unread_keys
 LAYOUTS: Final = (("metadata", "rgbd"), ("metadata.json", "rgb"))
 """Index and folder of colour images, of a `.r3d` and of an export."""
 
+LENS_KEYS: Final = (b'"K"', b'"perFrameIntrinsicCoeffs"')
+"""Keys of which an index of Record3D has one; other programs name their files alike."""
+
 _COLOUR: Final = re.compile(r"(?:rgbd|rgb)/(\d{1,9})\.(?:jpg|jpeg|png)", re.IGNORECASE)
 
 
@@ -57,13 +60,14 @@ def layout_of(source: Source) -> tuple[str, str] | None:
     return None
 
 
-def is_record3d(source: Source) -> bool:
-    """Whether the files are Record3D's: images and an index with their poses."""
+def is_record3d(source: Source, *keys: bytes) -> bool:
+    """Whether the files are Record3D's: images and an index with one of these keys, by default with poses."""
     layout = layout_of(source)
     try:
-        return layout is not None and b'"poses"' in source.read(layout[0], max_bytes=MAX_INDEX_BYTES)
+        index = b"" if layout is None else source.read(layout[0], max_bytes=MAX_INDEX_BYTES)
     except FrameError:
         return False
+    return any(key in index for key in keys or (b'"poses"',))
 
 
 class Record3DReader:
