@@ -17,7 +17,7 @@ from roomlight.dataset.verify import verify as verify_dataset
 from roomlight.errors import DatasetError, FurnitureError
 from roomlight.files import check_writable, write_json
 from roomlight_cli import console
-from roomlight_cli.console import APP_OPTIONS, say, stopped_by_signals
+from roomlight_cli.console import APP_OPTIONS, counted, say, stopped_by_signals
 from roomlight_cli.generation import cost_text, show_generation
 from roomlight_cli.options import Flag, Without, add_command
 from roomlight_cli.progress import Progress, duration
@@ -98,7 +98,7 @@ def _generate(out: Path, options: GenerateOptions, workers: int | None) -> None:
     kept = "finished sequences are kept, and the same command continues"
     with stopped_by_signals(lambda: kept), Progress("generating") as progress:
         report = run_generator(out, options, workers=workers, progress=show_generation(progress))
-    sequences = f"{report.sequences} {options.split} sequences"
+    sequences = counted(report.sequences, f"{options.split} sequence")
     if report.sequences < report.asked:
         sequences += f" of the {report.asked} asked for earlier"
     if not report.made:

@@ -192,7 +192,7 @@ def test_a_scene_becomes_a_dataset_that_is_not_made_twice(tmp_path):
     command += ["dataset", "render", scene, "--out", tmp_path / "rooms", "--frames", "2", "--samples", "1"]
     first, second = (subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2))
     assert "1 made" in first
-    assert "already has its 1 train sequences" in second
+    assert "already has 1 train sequence\n" in second
     recording = Dataset(tmp_path / "rooms").read(0)
     assert recording.facts["scene"] == "room.blend"
     assert recording.probe_panoramas.shape == (3, 120, 240, 3)
