@@ -113,7 +113,6 @@ class GenerationProgress:
         made: Sequences made in this run.
         bytes: Bytes of all finished sequences.
         core_s: Processor time of the sequences made.
-        note: A message to show, if any.
     """
 
     wanted: int

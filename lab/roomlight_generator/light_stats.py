@@ -91,7 +91,6 @@ def measure_light(
     Args:
         frame: Linear RGB as the phone shows it, at most 1.
         clipped: True radiance at the frame's clipped pixels; empty if none is clipped.
-        panorama: Radiance from all sides.
     """
     luminances = frame @ LUMINANCE
     mean = max(float(luminances.mean()), _TINY)

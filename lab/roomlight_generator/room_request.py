@@ -13,10 +13,7 @@ class RoomRequest:
 
     Attributes:
         index: Number of the room in its split.
-        seed: Seed of the dataset.
-        split: Split of the room.
         count: Number of sequences.
-        frames: Frames of a sequence.
         furniture: Furniture library or cache; None: the installed libraries.
         panoramas: Folder of panoramas, for rooms that they light.
         furniture_share: Share of the rooms lit by panoramas that have furniture.

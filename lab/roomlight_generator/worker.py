@@ -42,9 +42,7 @@ class ShardTask:
     """A shard to make or to continue.
 
     Attributes:
-        tar: File of the shard.
         first, last: The shard's sequences are `first` to `last` - 1 of the split.
-        options: Of the dataset.
     """
 
     tar: Path

@@ -127,7 +127,6 @@ def create_app(
     """Return the application of a server.
 
     Args:
-        settings: Settings of the server.
         clock: Monotonic clock in seconds, for the expiry of sessions.
         when_loaded: Called once when everything is loaded: shortly after the server is ready for frames.
     """

@@ -269,7 +269,6 @@ def serve(
     """Serve until SIGINT or SIGTERM.
 
     Args:
-        settings: Settings of the server.
         listening: Called before the first request is answered, with the URL of the server and, on the local network,
             the URL that pairs a phone.
         read_tokens: Called at SIGHUP; None: SIGHUP stops the server.

@@ -50,7 +50,6 @@ def load_object(
     Args:
         source: A path, or the file's content.
         kind: The format; None: known from the content, or from the path's ending.
-        limits: What is refused.
         name: The object's name; None: the file's name without its ending, or "object".
 
     Raises:

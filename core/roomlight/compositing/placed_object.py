@@ -39,7 +39,6 @@ class PlacedObject:
 
     Attributes:
         number: index in the scene.
-        object: as the scene describes it.
         placement: before its motion.
         pivot: anchor in the world, about which it moves.
         support: plane that it stands on, before its motion.

@@ -94,7 +94,6 @@ def run_composite(
 
     Args:
         frames: Measured frames of a preview; the slower presets take fewer.
-        final: Also measure `final`.
 
     Raises:
         OptionError: `frames` is less than 1.

@@ -44,7 +44,6 @@ class PresetTimes:
         pixels: Pixels that show the object, mean.
         whole: Their sum, frame by frame.
         volume_ms: Median of the engine's stage `volume` in between: time passed, processor time.
-        frames: Measured frames.
     """
 
     preset: str

@@ -62,9 +62,7 @@ async def flood(
     """Send a flood until it is cancelled; `count` gets the start of an answer, or nothing.
 
     Args:
-        token: Bearer token for the WebSocket.
         bytes_per_s: Rate; None: as fast as the server reads.
-        count: Called for each connection.
     """
     kind = FLOODS[name]
     while True:

@@ -59,8 +59,6 @@ class HostileReport:
     """A run of `roomlight bench hostile`.
 
     Attributes:
-        alone: The neighbour without an attack.
-        attacks: The neighbour during each attack.
         churn: Seconds and the resident memory after each attack of the churn, without its first round.
         rss_start_bytes: Resident memory of the server before the first session.
         rss_bound_bytes: Bound on the resident memory: start, sessions of both tokens, requests and answers in

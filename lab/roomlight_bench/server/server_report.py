@@ -102,7 +102,6 @@ class ServerReport:
         seconds: How long phones streamed, for each row of `load`.
         start_alive_ms: Start of each server process to its first response.
         start_ready_ms: Start of each server process until it accepts sessions.
-        overhead: What HTTP adds to a frame.
         busy: Load average of the machine before the run; None where the system has none.
     """
 

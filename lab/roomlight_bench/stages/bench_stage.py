@@ -14,8 +14,6 @@ class BenchStage:
 
     Attributes:
         ours: The implementation that the engine uses.
-        reference: The readable NumPy implementation.
-        torch: The plain PyTorch implementation.
         paper_ms: The paper's time for the same stage, on its GPU.
         flops: Floating-point operations of a network, as PyTorch counts them; None for other stages.
         note: What is timed, e.g. the number of rays.

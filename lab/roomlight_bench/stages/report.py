@@ -51,7 +51,6 @@ class StagesReport:
         criteria: The project's demands that these rows can answer.
         threads: Of our kernels, ONNX Runtime and PyTorch.
         networks: Which networks were timed, in words.
-        torch: Whether PyTorch was installed.
     """
 
     rows: tuple[StageRow, ...]

@@ -57,7 +57,6 @@ def run_stages(
     """Time every stage; two to three minutes by default.
 
     Args:
-        repeats: Interleaved runs of each stage.
         model: A model folder of `roomlight export`; default: the single-view networks inside the package.
 
     Raises:

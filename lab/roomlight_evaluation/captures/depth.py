@@ -55,7 +55,6 @@ class DepthScore:
     Attributes:
         room: The capture's name, or the walk's number.
         source: The dataset of a walk, or `captures`.
-        frames: How many were scored.
         abs_rel: By `METHODS`.
         delta: Likewise, the share within 25 %.
         light: By `LIGHT`, the errors of light by estimated depth and by exact depth; none without true panoramas.
@@ -115,7 +114,6 @@ def evaluate_depth(
     Args:
         sources: Captures with depth, and dataset folders.
         reading: How captures are read; its `depth_model` is scored, `every` and `max_frames` hold for datasets too.
-        split: Of dataset folders.
         limit: Use this many walks of each dataset, evenly spread; None uses all.
 
     Raises:

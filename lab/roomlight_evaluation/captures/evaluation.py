@@ -39,7 +39,6 @@ def evaluate_engine(
     """Score the engine beside the classical model and the two baselines, mean colour and warp-and-fill.
 
     Args:
-        captures: Captures with ground-truth probes.
         session: Options of the engine's sessions; each capture gets a new session.
         predictions: As in `evaluate_captures`.
 
@@ -67,7 +66,6 @@ def evaluate_captures(
     """Score any estimators on captures.
 
     Args:
-        captures: Captures with ground-truth probes.
         estimators: Returns new estimators; called once for each capture.
         predictions: A folder of panoramas to score as one more method, last: `<capture name>/probe-00/...`, or
             `probe-00/...` directly if there is one capture; see `PredictionFolder`.

@@ -125,7 +125,6 @@ def evaluate_main_lights(
     """Score the main light on captures, with or without ground truth.
 
     Args:
-        captures: Captures of at least one frame.
         session: Options of the engine's sessions; each capture gets a new session.
         progress: Called as (capture name, frames done, frames in all) after each frame.
 

@@ -112,7 +112,6 @@ def evaluate_poses(
     Args:
         captures: Captures with poses and depth.
         reading: How captures are read; `fov_deg`, `depth_model`: how the videos are.
-        progress: Called after each capture.
 
     Raises:
         CaptureError: A capture cannot be read, or no camera of a video can be placed.

@@ -50,8 +50,6 @@ def evaluate_composites(
 
     Args:
         count: Scenes. A room without a place for the object is replaced by the next room.
-        out: The file of results.
-        seed: Of the rooms, walks and objects.
         keep: A folder for the rendered scenes: those in it are not rendered again, so that several models are scored
             on the same scenes.
         pictures: A folder for a PNG of each new scene: truth, ours, true panorama, SH + directional.

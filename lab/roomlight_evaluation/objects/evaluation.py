@@ -102,7 +102,6 @@ def evaluate_objects(
     Args:
         sources: Captures with ground truth, and dataset folders.
         frames: How many of a recording's frames are shown, evenly spread.
-        split: Of dataset folders.
         limit: Use this many walks of each dataset, evenly spread; None uses all.
         progress: Called as (room, rooms done, rooms in all) before each room.
 

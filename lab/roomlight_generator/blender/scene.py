@@ -30,7 +30,6 @@ class BlenderRoom:
 
     Attributes:
         scene: `bpy.types.Scene`.
-        path: Its file.
         unit_m: Metres of Blender's unit.
         vertices: Corners in metres, y up, in the file's own origin.
         kinds: Kind of surface of each triangle (`roomlight.dataset.recording`).

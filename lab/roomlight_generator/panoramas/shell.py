@@ -40,12 +40,10 @@ class PanoramaShell:
     """A shell: its triangles, the panorama's centre, its plan and facts.
 
     Attributes:
-        arrays: as the kernels take them.
         centre: where the panorama was taken.
         plan: corners (x, z) of the floor.
         lowest_m: the ceiling's least height.
         reach_m: how far from the centre the camera walks.
-        facts: shape and sizes.
     """
 
     arrays: ShellArrays

@@ -49,7 +49,6 @@ class Finishes:
     """All materials that `build_shell` applies.
 
     Attributes:
-        room: The main room.
         second: The room or corridor visible through an open door or a passage.
         frame: Window frames, sills and mullions.
         door, door_frame: Leaves; their linings and architraves.

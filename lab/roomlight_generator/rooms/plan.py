@@ -40,7 +40,6 @@ class Wall:
     Seen from inside, start is at the left and end at the right: (end - start) / length = (inward_z, -inward_x).
 
     Attributes:
-        start, end: Its ends in plan.
         inward: Unit normal into the room.
         height_m: Minimum height along it; slanted ceilings make it lower than the room's.
     """
@@ -73,7 +72,6 @@ class Shell:
 
     Attributes:
         items: Walls, floor, ceiling, frames, doors, curtains, part of a second room.
-        openings: Outdoor openings.
         polygon: Floor outline of the main room, clockwise seen from above (x to the right, z down the page).
         walls: A wall for each side of the polygon, in the same order.
         height_m: Height of the flat ceiling; `ceiling_at` gives the height at any point.

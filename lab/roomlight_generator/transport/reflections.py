@@ -75,7 +75,6 @@ class Reflections:
         """Return the radiance along reflected rays.
 
         Args:
-            origins, directions: The rays.
             width_m: Width of each ray where it starts.
             widening: Growth of the width a metre.
             shares: Gives the shares of each ray that are kept of light straight from lights and the sky, and of the

@@ -36,11 +36,8 @@ class Camera:
 
     Attributes:
         origin: World, metres.
-        rays_at: The rays.
-        shape: Height and width.
         pixel_angle: Width of a pixel in radians.
         dark_faces: Faces shown without their emission, except in mirrors.
-        show_sun: Whether the sun's disc is shown.
     """
 
     origin: Float[np.ndarray, "3"]

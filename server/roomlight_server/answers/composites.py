@@ -93,7 +93,6 @@ def memory_of(
 
     Args:
         size: Width and height of the frame.
-        quality: Of the composite.
         placed: The uploaded object of each place, again where it stands twice.
         files: The same without repetition: their textures are copied once.
     """

@@ -25,7 +25,6 @@ def replica_app(settings: ServerSettings, *, local: bool) -> FastAPI:
     """Return the application of a replica; its start ends when kernels and networks are loaded.
 
     Args:
-        settings: Settings of the server.
         local: The cluster is of this machine alone: Ray's own port of the replica listens on loopback.
 
     Raises:

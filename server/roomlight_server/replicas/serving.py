@@ -60,7 +60,6 @@ def serve_on_ray(settings: ServerSettings, *, replicas: int, listening: Callable
 
     Args:
         settings: Settings of each replica; `state_dir` is shared by all.
-        replicas: Number of replicas.
         listening: Called with the URL of the server once all replicas are ready; not if the cluster serves already,
             whose port can be another.
 

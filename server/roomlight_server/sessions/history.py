@@ -80,8 +80,6 @@ class History:
         """Record a processed frame; a failure is logged and harms nothing else.
 
         Args:
-            frame: The frame as it was decoded.
-            report: The engine's report on it.
             counts: Counts of the session's frames before this one.
             lights: Of the named probes, by `lights_for_history`; None: the frame is not recorded.
         """

@@ -62,7 +62,6 @@ class SessionLease:
         leaves a gap is refused, once: the client then sees which frames are missing.
 
         Args:
-            index: Index of the new frame.
             last_index: Last index of the session; None before the first frame.
 
         Raises:

@@ -88,8 +88,6 @@ class SavedValues(_Saved):
         name: id of the session.
         request: options of the session.
         reference: exposure at which radiance 1 is white; None before the first frame.
-        probes: the named probes.
-        queue: the order of frames.
         light_frame: index of the last processed frame.
         bases: files of the kept frames, by index.
         latest: index of the last frame, if its message is in the file or in `bases`.

@@ -54,7 +54,6 @@ def write_session(
 
     Args:
         folder: Folder of the session; made if it is missing.
-        live: The state.
         values: Values of the server; `bases` and `latest` are filled in.
         messages: Messages of keyframes that are not on disk yet.
         bases: Files of keyframes that are on disk.

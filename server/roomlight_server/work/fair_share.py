@@ -116,7 +116,6 @@ class FairShare:
         Args:
             slots: Jobs at once.
             slots_per_owner: Jobs of one owner at once; by default all.
-            clock: A clock in seconds.
             waited: Called with the waiting time of each job, in seconds.
         """
         self._free, self._per_owner, self._clock, self._waited = slots, slots_per_owner or slots, clock, waited

@@ -56,11 +56,8 @@ def decode_to_size(
     thread.
 
     Args:
-        message: The parsed message.
-        index: Index of the frame.
         reference: Exposure at which radiance 1 is white.
         min_confidence: Depth below this confidence becomes unknown.
-        processes: Decode image files.
         box: Width and height that the frame is reduced to fit into.
 
     Raises:

@@ -22,8 +22,6 @@ class FilesBeside:
         """Begin with the object's own file.
 
         Args:
-            folder: Its folder.
-            limits: What is refused.
             file_bytes: Its size, which counts toward `ObjectLimits.file_bytes`.
         """
         self._source = None if folder is None else FolderSource(folder, follow_folders=False)
@@ -54,7 +52,6 @@ class FilesBeside:
 
         Args:
             uri: Its address relative to the object's file.
-            label: What names it, for messages.
 
         Raises:
             ObjectError: It is not inside the folder, is missing or cannot be read, or all together pass `file_bytes`.

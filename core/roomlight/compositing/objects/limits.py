@@ -26,8 +26,6 @@ class ObjectLimits:
         nodes: Nodes of a glTF file.
         node_depth: Nodes above each other.
         parts: Pairs of a mesh and its material, each instance counted.
-        materials: Materials.
-        images: Images.
         image_pixels: Pixels of one image.
         total_pixels: Pixels of all images together: 16 bytes each while they are converted.
     """

@@ -29,7 +29,6 @@ def triangles_of(
     Args:
         sizes: Corners of each polygon; polygons of fewer than three are left out.
         corners: Index of each polygon corner's point.
-        points: Positions.
 
     Returns:
         Rows of three indices into `corners`, not into the points.
@@ -111,7 +110,6 @@ def corner_normals(
 
     Args:
         points: Vertices; those at the same place are one.
-        faces: Triangles.
         groups: A smoothing group of each face, 0 is flat; None: faces that meet at less than 40 degrees are one. Those
             that look opposite ways never shade smoothly together.
     """

@@ -148,8 +148,6 @@ class VirtualObject:
     """A named object of one or more parts, each a mesh with its material.
 
     Attributes:
-        name: The name.
-        parts: Meshes with their materials.
         notes: What the object's file states and was left out or changed.
 
     Raises:

@@ -148,8 +148,6 @@ def on_carrier(
 
     Args:
         real: depth of real surfaces at the pixels of the crop.
-        camera: of the crop.
-        camera_to_world: its pose.
         planes: what each object stands on; None for nothing. Planes that face away from the camera do not count.
         object_id: the object at each pixel, -1 for none; there the nearest pixel's counts.
     """

@@ -185,8 +185,6 @@ def render_objects(
     Args:
         scene: The objects, in the world.
         camera: Size, focal length and principal point of the frame.
-        camera_to_world: The camera's pose.
-        lights: The light at the objects.
         quality: `preview`, `good`, `final`, or settings of one's own.
         seed: Chooses the sampling points; keep it from frame to frame.
         background: What glass shows of the frame behind it; None: the probes' light.

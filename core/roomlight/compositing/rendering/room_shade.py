@@ -70,7 +70,6 @@ def lamp_seen(
     """Return 1 where surfaces see the lamp, 0 where the room's geometry hides it; 1 also where nothing is known.
 
     Args:
-        wanted: pixels to test.
         position: the object's, which sees the lamp.
     """
     seen = np.ones(wanted.shape, np.float32)

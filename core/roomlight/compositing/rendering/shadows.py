@@ -122,7 +122,6 @@ class Caster:
     """Objects that cast shadows together, under one light.
 
     Attributes:
-        scene: the objects in the world.
         spheres: [k, 4] centre and radius of each object.
         object_ids: [k] the objects' indices in the scene.
         light: at their position: what they reflect.
@@ -181,8 +180,6 @@ def shadow_ratio(
     Args:
         casters: The objects, in groups that share a light.
         depth_m: z-depth of the real surfaces at every pixel of `camera`, 0 unknown: ratio 1 or its neighbours'.
-        camera: Of the image.
-        camera_to_world: Its pose.
         quality: Effort; its `step` is the distance of the pixels that are computed.
         supports: Planes that objects stand on; default: those of the casters.
         smooth: Changes the ratio of the computed pixels, given their surfaces, depth and camera.

@@ -70,8 +70,6 @@ class TracedObjects:
     Attributes:
         objects: As they were given; a scene of `moved` keeps those of the scene that it was made from.
         surfaces: All triangles in the world.
-        materials: Of the triangles.
-        textures: Of the materials.
         bounds: [n, 2, 3] least and greatest corner of each object's box, in world metres; not to be written.
     """
 

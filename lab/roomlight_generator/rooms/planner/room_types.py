@@ -51,14 +51,12 @@ class RoomType:
 
     Attributes:
         split: "test" reserves the type for the test split; types of "train" are used in both.
-        area_m2: Floor area of the main room.
         aspect: Long to short side.
         p_windowless, p_attic, p_l_shape, p_second_room: Probabilities of a room without any window, of slanted
             ceilings, of an L-shaped plan, of an open door or passage to a second room or corridor.
         wall_items: Mean numbers by role.
         ceiling: Probabilities of kinds of ceiling light.
         clutter: Range, from bare (0) to crowded (1).
-        people, pets: Probabilities.
         radiators: Probability of a radiator below a window.
     """
 

@@ -151,7 +151,6 @@ class MeshBuilder:
 
         Args:
             profile: Points (distance from the wall, h), bottom to top.
-            span: Start and end along the wall.
             mitres: How far each end moves inward for each metre off the wall: 1 in a right-angled corner of the room,
                 -1 around an outer corner; None is a free end, closed by a cap.
         """

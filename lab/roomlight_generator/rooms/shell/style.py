@@ -54,7 +54,6 @@ class ShellStyle:
     A room gets at most one second room. A room with no door of any kind gets a closed door.
 
     Attributes:
-        area_m2: Floor area of the main room.
         aspect: Long over short side of the main rectangle.
         slanted, two_slopes, skylights: Probability of slopes, of slopes on two sides, of windows in them (never if
             windows are (0, 0)).
@@ -64,7 +63,6 @@ class ShellStyle:
         accent_wall: Probability of an accent wall, if the finishes have its material.
         lower_wall: Kind of finish of the walls' lower part: tiles or wainscot all round up to lower_wall_m, or a
             backsplash as a band on the wall with the most space for units.
-        lower_wall_chance: Probability of that finish.
     """
 
     area_m2: Range = (12.0, 30.0)

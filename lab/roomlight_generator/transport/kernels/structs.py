@@ -172,7 +172,6 @@ class RecordColumns(NamedTuple):
     Attributes:
         coat: Bucket of the coat's roughness.
         clear: Reach by clearance: a share of the harmonic mean distance to the surfaces that the record sees.
-        reach: Largest reach.
     """
 
     position: Float32[np.ndarray, "r 3"]

@@ -24,7 +24,6 @@ def decode_ktx2(data: bytes, label: str, check: Callable[[int, int], None]) -> U
     """Return the pixels of a file's largest level; None without the extra, and of files that hold other data.
 
     Args:
-        data: The file.
         label: Begins every message.
         check: Receives width and height before anything is decoded; raises where they pass a limit.
 

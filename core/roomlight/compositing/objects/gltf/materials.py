@@ -50,7 +50,6 @@ class Surface:
     """A material and the texture coordinates that it reads.
 
     Attributes:
-        material: The material.
         uv_set: Number of the set of texture coordinates.
         uv_transform: What its textures do to these coordinates.
         opaque: Whether alpha counts for nothing.

@@ -35,8 +35,6 @@ def decode_view(stated: Compressed, view: BufferView, content: memoryview, label
     Args:
         stated: The extension.
         view: The view, of as many bytes as the values have.
-        content: The compressed bytes.
-        label: What they are, for messages.
 
     Raises:
         ObjectError: The bytes are damaged, or the extension contradicts the view.
