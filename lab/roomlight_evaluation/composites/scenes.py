@@ -169,15 +169,15 @@ def scene_for(number: int, *, seed: int) -> CompositeScene:
             continue
         object_to_world, shift_m = placed
         pose = path.poses[shown]
-        view, bare = _truth(lit_room, geometry, object_to_world, path.intrinsics, pose, number)
+        view, covered, bare = _truth(lit_room, geometry, object_to_world, path.intrinsics, pose, number)
         low, high = geometry.bounds()
         centre = object_to_world[:3, :3] @ ((low + high) / 2) + object_to_world[:3, 3]
         x, y, z = centre.tolist()
-        clean = phone.in_white(view.view.radiance), phone.in_white(bare.radiance)
+        clean = phone.in_white(view.radiance), phone.in_white(bare.radiance)
         radius_m = float(np.linalg.norm(high - low) / 2)
-        distance_m = _distances(path.intrinsics, pose, view.view, centre)
-        masks = regions(*clean, view.covered, distance_m, radius_m=radius_m)
-        developed = phone.developed(view.view.radiance, shown)[0]
+        distance_m = _distances(path.intrinsics, pose, view, centre)
+        masks = regions(*clean, covered, distance_m, radius_m=radius_m)
+        developed = phone.developed(view.radiance, shown)[0]
         light = lit_room.light.panorama(centre, _PANORAMA_ROWS, seed=number)
         return CompositeScene(
             name=lit_room.room.name,
@@ -186,9 +186,9 @@ def scene_for(number: int, *, seed: int) -> CompositeScene:
             frame=frames[shown],
             objects=objects,
             position=(x, y, z),
-            truth=smoothed_truth(frames[shown].image, developed, clean, view.covered, masks[SHADOW]),
+            truth=smoothed_truth(frames[shown].image, developed, clean, covered, masks[SHADOW]),
             clean=clean,
-            covered=view.covered,
+            covered=covered,
             masks=masks,
             true_light=phone.in_white(light),
             frames=frames,
@@ -280,7 +280,7 @@ def _truth(
     intrinsics: Intrinsics,
     camera_to_world: Float[np.ndarray, "4 4"],
     number: int,
-) -> tuple[real.ObjectView, FrameView]:
+) -> tuple[FrameView, Bool[np.ndarray, "h w"], FrameView]:
     (mesh, look), *_ = geometry.transformed(object_to_world).parts
     if look.metallic:
         same = RealMaterial(real.OBJECT, mirror=1.0)

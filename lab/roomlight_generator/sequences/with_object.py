@@ -40,43 +40,24 @@ class RestingPlace:
     point: tuple[float, float, float]
 
 
-@dataclass(frozen=True, eq=False)
-class ObjectView:
-    """A view of a room with the object.
-
-    Attributes:
-        view: radiance, depth and surfaces.
-        covered: pixels whose centre shows the object.
-    """
-
-    view: FrameView
-    covered: Bool[np.ndarray, "h w"]
-
-
 def render_pair(
     scene: Scene, mesh: Mesh, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int
-) -> tuple[ObjectView, FrameView]:
+) -> tuple[FrameView, Bool[np.ndarray, "h w"], FrameView]:
     """Render a view of the room with the object, a mesh in the world, and one without it; the light is solved anew.
 
     Blotches that differ between the views would pass for the object's shadow: both are precise (`RoomLight.solve`).
+    The mask is of the pixels whose centre shows the object.
     """
-    return (
-        render_with_object(scene, mesh, intrinsics, camera_to_world, seed=seed),
-        RoomLight.solve(Tracer(scene), seed, precise=True).frame(intrinsics, camera_to_world, seed=seed),
-    )
-
-
-def render_with_object(
-    scene: Scene, mesh: Mesh, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int
-) -> ObjectView:
-    """Solve the light of the room with the object anew and render one view of it."""
     tracer = Tracer(replace(scene, items=(*scene.items, Item(OBJECT, OBJECT, mesh))))
-    view = RoomLight.solve(tracer, seed, precise=True).frame(intrinsics, camera_to_world, seed=seed)
+    view, bare = (
+        RoomLight.solve(room, seed, precise=True).frame(intrinsics, camera_to_world, seed=seed)
+        for room in (tracer, Tracer(scene))
+    )
     directions = unit_rows(intrinsics.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T)
     origins = np.broadcast_to(camera_to_world[:3, 3], directions.shape)
     hits = tracer.trace(np.ascontiguousarray(origins, np.float32), directions)
     covered = (hits.face >= 0) & (tracer.geometry.item[hits.face] == len(scene.items))
-    return ObjectView(view, covered.reshape(view.depth_m.shape))
+    return view, covered.reshape(view.depth_m.shape), bare
 
 
 def find_resting_place(
