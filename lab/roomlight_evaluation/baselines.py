@@ -57,12 +57,8 @@ class _View:
     frames: int = 0
 
 
-@dataclass(frozen=True)
-class _Points:
-    """The pixels with depth of one frame, as coloured points in the world."""
-
-    position_m: Float[np.ndarray, "n 3"]
-    colour: Float[np.ndarray, "n 3"]
+_Points = tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
+"""The pixels with depth of one frame: their positions in the world, metres, and colours."""
 
 
 class WarpAndFill:
@@ -123,11 +119,12 @@ def _unproject(frame: Frame) -> _Points:
         depth = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
     known = depth > 0
     points = frame.intrinsics.rays()[known] * depth[known][:, None]
-    return _Points(transform_points(frame.camera_to_world, points), frame.image[known])
+    return transform_points(frame.camera_to_world, points), frame.image[known]
 
 
 def _splat(view: _View, points: _Points, position: Position, *, rows: int) -> None:
-    offset = points.position_m - np.asarray(position, np.float32)
+    positions_m, colours = points
+    offset = positions_m - np.asarray(position, np.float32)
     distance = np.linalg.norm(offset, axis=-1)
     usable = distance > 1e-4  # a point on the probe has no direction
     distance = distance[usable]
@@ -137,7 +134,7 @@ def _splat(view: _View, points: _Points, position: Position, *, rows: int) -> No
     nearest = np.full_like(view.distance_m, np.inf)
     colour = np.zeros_like(view.colour)
     nearest[cell] = distance
-    colour[cell] = points.colour[usable][far_to_near]
+    colour[cell] = colours[usable][far_to_near]
     wins = np.isfinite(nearest) & (nearest <= view.distance_m)
     view.distance_m[wins] = nearest[wins]
     view.colour[wins] = colour[wins]

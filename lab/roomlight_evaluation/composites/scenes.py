@@ -21,7 +21,7 @@ from roomlight.compositing.objects import materials, primitives
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject
-from roomlight.conventions import Position, srgb8_to_linear
+from roomlight.conventions import srgb8_to_linear
 from roomlight.dataset.arkit_depth import arkit_like
 from roomlight.dataset.folder import GENERATOR
 from roomlight.engine.networks.graphs import LightingGraphs
@@ -67,7 +67,6 @@ class CompositeScene:
         material: one of `MATERIALS`.
         frame: the one of the frames into which the object is put; its white is the unit of light.
         objects: the scene for the compositor.
-        position: centre of the object.
         truth: [h, w, 3] the developed picture with the object, linear, of `composites.regions.smoothed_truth`.
         clean: radiance with the object and without, undeveloped, in units of white.
         covered: pixels that show the real object.
@@ -82,7 +81,6 @@ class CompositeScene:
     material: str
     frame: Frame
     objects: Scene
-    position: Position
     truth: Float32[np.ndarray, "h w 3"]
     clean: tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]
     covered: Bool[np.ndarray, "h w"]
@@ -172,7 +170,6 @@ def scene_for(number: int, *, seed: int) -> CompositeScene:
         view, covered, bare = _truth(lit_room, geometry, object_to_world, path.intrinsics, pose, number)
         low, high = geometry.bounds()
         centre = object_to_world[:3, :3] @ ((low + high) / 2) + object_to_world[:3, 3]
-        x, y, z = centre.tolist()
         clean = phone.in_white(view.radiance), phone.in_white(bare.radiance)
         radius_m = float(np.linalg.norm(high - low) / 2)
         distance_m = _distances(path.intrinsics, pose, view, centre)
@@ -185,7 +182,6 @@ def scene_for(number: int, *, seed: int) -> CompositeScene:
             material=material,
             frame=frames[shown],
             objects=objects,
-            position=(x, y, z),
             truth=smoothed_truth(frames[shown].image, developed, clean, covered, masks[SHADOW]),
             clean=clean,
             covered=covered,

@@ -180,7 +180,7 @@ def drawn_scene():
     )
     objects = Scene((SceneObject(NAME, virtual_object("vase", "glossy"), AtPixel(30.5, 40.0)),))
     return CompositeScene(
-        "room", "vase", "glossy", frames[1], objects, (0.1, 0.2, -0.3), picture, (picture, FLOOR), covered,
+        "room", "vase", "glossy", frames[1], objects, picture, (picture, FLOOR), covered,
         dict.fromkeys(REGIONS, covered), FLOOR, frames, 0.004,
     )  # fmt: skip
 
