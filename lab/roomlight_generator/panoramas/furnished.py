@@ -21,9 +21,7 @@ from roomlight_generator.panoramas.kernels.gather import LightSamples, Rays
 from roomlight_generator.panoramas.kernels.shell_views import PanoramaArrays
 from roomlight_generator.panoramas.shell import PanoramaShell
 from roomlight_generator.rooms.scene import Scene, Sky
-from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
-from roomlight_generator.transport.kernels.structs import allocated
-from roomlight_generator.transport.lights.coat import coat_table
+from roomlight_generator.transport.kernels.structs import RayEnds, allocated
 from roomlight_generator.transport.paths import Surfaces, surfaces_of
 from roomlight_generator.transport.tracer import Tracer
 
@@ -126,12 +124,9 @@ class FurnishedLight:
             return on, np.empty((0, 3), np.float32), np.empty(0, np.float32)
         distance = hits.distance_m[on]
         foot = distance * np.float32(pixel_angle)
-        points = surfaces_of(self.tracer, hits.face[on], hits.u[on], hits.v[on], directions[on], foot)
-        received = self._received(points, cell_m)
-        alpha = self.tracer.materials.roughness[points.material]
-        cosine = np.clip((points.normal * points.view).sum(1), 0.02, 1).astype(np.float32)
-        light = np.empty_like(received)
-        diffuse_light(received, points.albedo, alpha, cosine, coat_table(), alpha > 0, light)
+        ends = RayEnds(hits.face[on], hits.u[on], hits.v[on], directions[on])
+        points = surfaces_of(self.tracer, ends, foot)
+        light = points.reflected(self._received(points, cell_m), points.alpha > 0)
         return on, light + points.emission, distance
 
     def _received(self, points: Surfaces, cell_m: float) -> Float32[np.ndarray, "n 3"]:

@@ -28,14 +28,12 @@ RECEIVES: Final = 1.7
 class Grid:
     """Surface points of a picture (height, width) and the light that they receive and reflect; others are left out."""
 
-    def __init__(
-        self, shape: tuple[int, int], points: Surfaces, kinds: Int32[np.ndarray, " m"], alpha: Float32[np.ndarray, " m"]
-    ) -> None:
+    def __init__(self, shape: tuple[int, int], points: Surfaces, kinds: Int32[np.ndarray, " m"]) -> None:
         """Lay out the points by their rays' indices; kinds are equal for pixels that show one surface."""
         self._ray = points.ray
         self._shape = shape
         self._lobe_spread = np.ones(shape, np.float32)
-        self._lobe_spread.reshape(-1)[points.ray] = np.where(alpha < SHARP, 3, 1000)
+        self._lobe_spread.reshape(-1)[points.ray] = np.where(points.alpha < SHARP, 3, 1000)
         kind = np.full(shape, -1, np.int32)
         kind.reshape(-1)[points.ray] = kinds
         foot = np.ones(shape, np.float32)

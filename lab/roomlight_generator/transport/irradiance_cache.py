@@ -13,7 +13,7 @@ from jaxtyping import Float32, Int32, Int64
 
 from roomlight_generator.transport.kernels import irradiance_cache as kernels
 from roomlight_generator.transport.kernels.gather import gather_rays, gather_sum
-from roomlight_generator.transport.kernels.patches import find_hits, find_points
+from roomlight_generator.transport.kernels.patches import find_hits
 from roomlight_generator.transport.kernels.structs import (
     CacheHits,
     CachePoints,
@@ -31,6 +31,7 @@ from roomlight_generator.transport.lights.direct import DirectLight, Points, Rec
 from roomlight_generator.transport.lights.sun_spots import NEAR_SPOT_M2
 from roomlight_generator.transport.lights.visibility_variance import VisibilityVariance
 from roomlight_generator.transport.patches import RoomCache, follow
+from roomlight_generator.transport.paths import Surfaces
 from roomlight_generator.transport.tables import Table, grown
 from roomlight_generator.transport.tracer import Tracer
 
@@ -86,26 +87,16 @@ class IrradianceCache:
         self._irradiance, self._sun = np.zeros((1 << 16, 3), np.float32), np.zeros((1 << 16, 3), np.float32)
         self._records = _Records()
 
-    def irradiance(
-        self,
-        position: Float32[np.ndarray, "n 3"],
-        normal: Float32[np.ndarray, "n 3"],
-        geometric_normal: Float32[np.ndarray, "n 3"],
-        face: Int32[np.ndarray, " n"],
-        *,
-        foot_m: Float32[np.ndarray, " n"],
-    ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
-        """Return the irradiance at surface points (as in `Points`), as let through by their coats; and the sun's part.
+    def irradiance(self, surfaces: Surfaces) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
+        """Return the irradiance at surface points, as let through by their coats; and what comes straight from the sun.
 
-        foot_m is the width of a pixel at each point, across the ray. The sun's part comes straight from it.
+        foot_m of the points is the width of a pixel there, across the ray.
         """
-        count = len(face)
-        material = self.tracer.geometry.material[face]
-        foot = np.clip(foot_m if self._interpolated else 2 * foot_m, *_FOOT_RANGE)
-        alpha = self.tracer.materials.roughness[material]
+        count = len(surfaces.face)
+        foot = np.clip(surfaces.foot_m if self._interpolated else 2 * surfaces.foot_m, *_FOOT_RANGE)
         self._table.reserve(self._count + count)
         cell, fresh = np.empty(count, np.int32), np.empty(count, np.int32)
-        points = CachePoints(position, normal, alpha, foot)
+        points = CachePoints(surfaces.position, surfaces.normal, surfaces.alpha, foot)
         new = kernels.claim(points, self._table.arrays, self._count, cell, fresh)
         if new:
             at = fresh[:new]
@@ -113,28 +104,19 @@ class IrradianceCache:
             self._irradiance = grown(self._irradiance, first, self._count)
             self._sun = grown(self._sun, first, self._count)
             self._irradiance[first : self._count], self._sun[first : self._count] = self._fill(
-                position[at], normal[at], geometric_normal[at], face[at], foot[at], first
+                surfaces.part(at), foot[at], first
             )
         return self._irradiance[cell], self._sun[cell]
 
     def _fill(
-        self,
-        position: Float32[np.ndarray, "n 3"],
-        normal: Float32[np.ndarray, "n 3"],
-        geometric_normal: Float32[np.ndarray, "n 3"],
-        face: Int32[np.ndarray, " n"],
-        foot: Float32[np.ndarray, " n"],
-        first: int,
+        self, surfaces: Surfaces, foot: Float32[np.ndarray, " n"], first: int
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
         """Compute `irradiance` of new cells, numbered from `first` on, at a point in each."""
-        material = self.tracer.geometry.material[face]
-        alpha = self.tracer.materials.roughness[material]
-        row = np.empty(len(face), np.int32)
-        find_points(self.room_cache.table, position, geometric_normal, material, face, row)
-        stream = np.arange(first, first + len(material), dtype=np.int64) if self._interpolated else _streams(position)
-        points = Points(position, normal, geometric_normal, alpha, row, stream)
+        numbered = np.arange(first, first + len(foot), dtype=np.int64)
+        stream = numbered if self._interpolated else _streams(surfaces.position)
+        points = self.room_cache.points(surfaces, stream)
         direct = self._direct(points)
-        coat = (alpha > 0)[:, None]
+        coat, row = (points.alpha > 0)[:, None], points.row
         if self._interpolated:
             fallback = np.where(coat, self.room_cache.indirect_coated[row], self.room_cache.indirect[row])
             indirect = self._interpolate(points, foot, fallback)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Int32
+from jaxtyping import Bool, Float, Float32, Int, Int32, Int64
 
 from roomlight_generator.transport.kernels import patches as kernels
 from roomlight_generator.transport.kernels.structs import (
@@ -29,7 +29,7 @@ from roomlight_generator.transport.lights.direct import DirectLight, Points, Rec
 from roomlight_generator.transport.lights.emitters import OPENING, TRIANGLE
 from roomlight_generator.transport.lights.light_visibility import LightVisibility
 from roomlight_generator.transport.lights.sun_spots import NEAR_SPOT_M2
-from roomlight_generator.transport.paths import over_mirrors
+from roomlight_generator.transport.paths import Surfaces, over_mirrors
 from roomlight_generator.transport.tables import Table, grown
 from roomlight_generator.transport.tracer import OFFSET_M, Tracer
 
@@ -138,6 +138,13 @@ class RoomCache:
     indirect: Float32[np.ndarray, "rows 3"]
     indirect_coated: Float32[np.ndarray, "rows 3"]
     enclosed: Bool[np.ndarray, " rows"]
+
+    def points(self, surfaces: Surfaces, stream: Int64[np.ndarray, " n"]) -> Points:
+        """Return surface points to be lit, with their rows."""
+        row = np.empty(len(stream), np.int32)
+        points = Points(surfaces.position, surfaces.normal, surfaces.geometric_normal, surfaces.alpha, row, stream)
+        kernels.find_points(self.table, points.position, points.geometric_normal, surfaces.material, surfaces.face, row)
+        return points
 
     def visible(self, row: Int32[np.ndarray, " n"], distance_m: Float32[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
         """Return the rows, with -1 in place of those that cannot be seen from that distance."""

@@ -4,17 +4,20 @@ Frames: world, y up, metres; radiance in kcd/m2.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
 
 from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
 from roomlight.rays import RayHits
+from roomlight_generator.transport.kernels.common import LEAST_COSINE
 from roomlight_generator.transport.kernels.glossy import pane_rays
+from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
 from roomlight_generator.transport.kernels.patches import mirror_rays
 from roomlight_generator.transport.kernels.structs import PaneRays, RayEnds, SurfacePoints, allocated
 from roomlight_generator.transport.kernels.surfaces import surface_points
+from roomlight_generator.transport.lights.coat import coat_table
 from roomlight_generator.transport.tracer import OFFSET_M, Tracer
 
 MIRRORS: Final = 3
@@ -24,9 +27,8 @@ PANES: Final = 4
 """Panes that a path passes."""
 
 
-@dataclass(frozen=True, eq=False)
-class Surfaces:
-    """Surface points on which rays ended, and the rays' indices. Positions and normals are as in `Points`.
+class Surfaces(NamedTuple):
+    """Surface points on which rays ended, and the rays' indices. Positions, normals and alpha are as in `Points`.
 
     Attributes:
         view: Unit direction back along the ray.
@@ -35,16 +37,26 @@ class Surfaces:
 
     ray: Int32[np.ndarray, " m"]
     face: Int32[np.ndarray, " m"]
-    u: Float32[np.ndarray, " m"]
-    v: Float32[np.ndarray, " m"]
     material: Int32[np.ndarray, " m"]
+    alpha: Float32[np.ndarray, " m"]
+    view: Float32[np.ndarray, "m 3"]
+    foot_m: Float32[np.ndarray, " m"]
     position: Float32[np.ndarray, "m 3"]
     normal: Float32[np.ndarray, "m 3"]
     geometric_normal: Float32[np.ndarray, "m 3"]
-    view: Float32[np.ndarray, "m 3"]
     albedo: Float32[np.ndarray, "m 3"]
     emission: Float32[np.ndarray, "m 3"]
-    foot_m: Float32[np.ndarray, " m"]
+
+    def part(self, at: Int32[np.ndarray, " k"] | Int64[np.ndarray, " k"]) -> "Surfaces":
+        """Return some of the points, copied."""
+        return Surfaces(*(column[at] for column in self))
+
+    def reflected(self, received: Float32[np.ndarray, "m 3"], with_lobe: Bool[np.ndarray, " m"]) -> np.ndarray:
+        """Return the radiance along the rays, [m, 3], by irradiance; arguments as in `diffuse_light`."""
+        cosine = np.clip((self.normal * self.view).sum(1), LEAST_COSINE, 1)
+        out = np.empty_like(received)
+        diffuse_light(received, self.albedo, self.alpha, cosine, coat_table(), with_lobe, out)
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +69,13 @@ class Paths:
         share: Share of the light that panes and mirrors leave.
         distance_m: Distance to the first surface of any kind, inf without.
         surface: Class of that surface.
-        face: Last hit (-1: the sky along `direction`).
+        ends: Last hits (face -1: the sky along `direction`).
     """
 
     share: Float32[np.ndarray, " n"]
     distance_m: Float32[np.ndarray, " n"]
     surface: UInt8[np.ndarray, " n"]
-    face: Int32[np.ndarray, " n"]
-    u: Float32[np.ndarray, " n"]
-    v: Float32[np.ndarray, " n"]
-    direction: Float32[np.ndarray, "n 3"]
+    ends: RayEnds
     length_m: Float32[np.ndarray, " n"]
     mirrors: UInt8[np.ndarray, " n"]
     pane_ray: Int32[np.ndarray, " p"]
@@ -94,7 +103,8 @@ def follow_view(tracer: Tracer, origins: Float32[np.ndarray, "n 3"], directions:
         glassy = first < distance
         distance[glassy], surface[glassy] = first[glassy], GLASS
     _, direction, mirrors = over_mirrors(tracer, hits, origins, directions, share, most=MIRRORS)
-    return Paths(share, distance, surface, hits.face, hits.u, hits.v, direction, hits.distance_m, mirrors, *panes)
+    ends = RayEnds(hits.face, hits.u, hits.v, direction)
+    return Paths(share, distance, surface, ends, hits.distance_m, mirrors, *panes)
 
 
 def over_mirrors(
@@ -168,34 +178,14 @@ def _through_panes(
     return result
 
 
-def surfaces_of(
-    tracer: Tracer,
-    face: Int32[np.ndarray, " n"],
-    u: Float32[np.ndarray, " n"],
-    v: Float32[np.ndarray, " n"],
-    direction: Float32[np.ndarray, "n 3"],
-    foot_m: Float32[np.ndarray, " n"],
-) -> Surfaces:
+def surfaces_of(tracer: Tracer, ends: RayEnds, foot_m: Float32[np.ndarray, " n"]) -> Surfaces:
     """Compute the surface points of the rays that hit a face; foot_m is the rays' width where they end."""
-    ray = np.flatnonzero(face >= 0).astype(np.int32)
-    face, u, v, foot = face[ray], u[ray], v[ray], foot_m[ray]
-    along = direction[ray]
+    ray = np.flatnonzero(ends.face >= 0).astype(np.int32)
+    ends, foot = RayEnds(*(column[ray] for column in ends)), foot_m[ray]
     points = allocated(SurfacePoints, len(ray))
-    surface_points(tracer.arrays, RayEnds(face, u, v, along), foot, points)
-    return Surfaces(
-        ray=ray,
-        face=face,
-        u=u,
-        v=v,
-        material=tracer.geometry.material[face],
-        position=points.position,
-        normal=points.normal,
-        geometric_normal=points.geometric_normal,
-        view=-along,
-        albedo=points.albedo,
-        emission=points.emission,
-        foot_m=foot,
-    )
+    surface_points(tracer.arrays, ends, foot, points)
+    material = tracer.geometry.material[ends.face]
+    return Surfaces(ray, ends.face, material, tracer.materials.roughness[material], -ends.direction, foot, *points)
 
 
 def unit_rows(vectors: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:

@@ -12,18 +12,14 @@ from jaxtyping import Float32, Int64
 
 from roomlight_generator.transport.irradiance_cache import IrradianceCache
 from roomlight_generator.transport.kernels import glossy
-from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
-from roomlight_generator.transport.kernels.patches import find_points
 from roomlight_generator.transport.kernels.structs import (
     LightScratch,
     LobeRays,
     LobeSampling,
-    RayEnds,
     allocated,
 )
-from roomlight_generator.transport.lights.direct import DirectLight, Points, ShadowRays
+from roomlight_generator.transport.lights.direct import ShadowRays
 from roomlight_generator.transport.paths import Paths, Surfaces, follow_view, surfaces_of
-from roomlight_generator.transport.tracer import Tracer
 
 LOBE_RAYS: Final = 1
 LOBE_CANDIDATES: Final = 10
@@ -43,9 +39,12 @@ Shares = Callable[[Paths], tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, 
 class Reflections:
     """Renders the reflections of a room's surfaces."""
 
-    def __init__(self, tracer: Tracer, light: DirectLight, irradiance_cache: IrradianceCache) -> None:
-        self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
-        self._roughness = tracer.materials.roughness
+    def __init__(self, irradiance_cache: IrradianceCache) -> None:
+        self.tracer, self.light, self.irradiance_cache = (
+            irradiance_cache.tracer,
+            irradiance_cache.light,
+            irradiance_cache,
+        )
 
     def panes(self, paths: Paths, pixel_angle: float) -> Float32[np.ndarray, "p 3"]:
         """Return the radiance that the paths' panes reflect, times their share; pixel_angle is in radians."""
@@ -82,35 +81,24 @@ class Reflections:
         """
         paths = follow_view(self.tracer, origins, directions)
         width = (width_m + paths.length_m * widening).astype(np.float32)
-        points = surfaces_of(self.tracer, paths.face, paths.u, paths.v, paths.direction, width)
-        alpha = self._roughness[points.material]
-        cosine = np.clip((points.normal * points.view).sum(1), glossy.LEAST_COSINE, 1)
-        received, sun = self.irradiance_cache.irradiance(
-            points.position, points.normal, points.geometric_normal, points.face, foot_m=points.foot_m
-        )
+        points = surfaces_of(self.tracer, paths.ends, width)
+        received, sun = self.irradiance_cache.irradiance(points)
         lights = np.ones(len(origins), np.float32)
         if shares is not None:
             lights, spots = shares(paths)
             received = received - (1 - spots[points.ray, None]) * sun
-        light = np.empty_like(received)
-        diffuse_light(received, points.albedo, alpha, cosine, self.light.coat, np.ones(len(alpha), bool), light)
         out = np.zeros((len(origins), 3), np.float32)
+        light = points.reflected(received, np.ones(len(received), bool))
         out[points.ray] = light + points.emission * lights[points.ray, None]
-        sky = np.flatnonzero(paths.face < 0)
-        out[sky] = self.sky(paths.direction[sky], show_sun=False) * lights[sky, None]
+        sky = np.flatnonzero(paths.ends.face < 0)
+        out[sky] = self.sky(paths.ends.direction[sky], show_sun=False) * lights[sky, None]
         return out * paths.share[:, None]
 
     def lobes(self, points: Surfaces, at: Int64[np.ndarray, " k"], *, seed: int) -> Float32[np.ndarray, "k 3"]:
         """Return the specular reflections of the coats of some points, of which there are any, all with a coat."""
         tracer, light = self.tracer, self.light
-        alpha = self._roughness[points.material][at]
-        row = np.empty(len(at), np.int32)
-        position, normal, geometric_normal, view = (
-            column[at] for column in (points.position, points.normal, points.geometric_normal, points.view)
-        )
-        lobe = Points(position, normal, geometric_normal, alpha, row, points.ray[at].astype(np.int64))
-        table = self.irradiance_cache.room_cache.table
-        find_points(table, lobe.position, lobe.geometric_normal, points.material[at], points.face[at], row)
+        points = points.part(at)
+        lobe, view = self.irradiance_cache.room_cache.points(points, points.ray.astype(np.int64)), points.view
         sampling = LobeSampling(LOBE_RAYS, LOBE_CANDIDATES, LOBE_PICKS, seed)
         shadow = allocated(ShadowRays, len(at) * (LOBE_PICKS + 1))
         totals = np.empty(len(at), np.float64)
@@ -123,18 +111,17 @@ class Reflections:
         glossy.lobe_rays(lobe, view, LOBE_RAYS, seed, reflected)
 
         def shares(paths: Paths) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-            kept, sampled = np.empty(len(paths.face), np.float32), np.empty(len(paths.face), np.float32)
-            mirrored = paths.mirrors > 0
-            ends, length = RayEnds(paths.face, paths.u, paths.v, paths.direction), paths.length_m
+            length, mirrored = paths.length_m, paths.mirrors > 0
+            kept, sampled = np.empty_like(length), np.empty_like(length)
             glossy.lobe_share(
-                light.sources, lobe, light.visibility, totals, sampling, reflected, ends, length, mirrored, kept
+                light.sources, lobe, light.visibility, totals, sampling, reflected, paths.ends, length, mirrored, kept
             )
-            glossy.spot_shares(alpha, length, LOBE_RAYS, sampled)
+            glossy.spot_shares(lobe.alpha, length, LOBE_RAYS, sampled)
             return kept, np.where(mirrored, np.float32(1), 1 - sampled)
 
         gain = reflected.weight
-        width = np.repeat(points.foot_m[at], LOBE_RAYS) * np.where(gain < FAINT, FAINT_WIDTH, STRONG_WIDTH)
-        widening = np.repeat(alpha, LOBE_RAYS) * np.float32(LOBE_WIDENING)
+        width = np.repeat(points.foot_m, LOBE_RAYS) * np.where(gain < FAINT, FAINT_WIDTH, STRONG_WIDTH)
+        widening = np.repeat(lobe.alpha, LOBE_RAYS) * np.float32(LOBE_WIDENING)
         start = np.repeat(lobe.position, LOBE_RAYS, axis=0)
         radiance = self._seen(start, reflected.direction, width.astype(np.float32), widening, shares) * gain[:, None]
         return scattered + radiance.reshape(-1, LOBE_RAYS, 3).mean(1)

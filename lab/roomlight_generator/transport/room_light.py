@@ -78,9 +78,9 @@ class RoomLight:
         room = solve_room(tracer, light, seed=rng_seed)
         cache = IrradianceCache(tracer, light, room, seed=rng_seed)
         if not precise:
-            return cls(Viewer(tracer, light, cache))
+            return cls(Viewer(cache))
         view_cache = IrradianceCache(tracer, light, room, seed=rng_seed, gather_rays=PRECISE_RAYS, interpolated=False)
-        return cls(Viewer(tracer, light, cache, view_cache=view_cache, lobe_passes=PRECISE_LOBES))
+        return cls(Viewer(cache, view_cache=view_cache, lobe_passes=PRECISE_LOBES))
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
         """Render what a pinhole camera sees; the pose is camera-to-world, OpenGL axes."""

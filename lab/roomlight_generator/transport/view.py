@@ -13,12 +13,9 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
 
 from roomlight_generator.transport.grid import SHARP, Grid
 from roomlight_generator.transport.irradiance_cache import IrradianceCache
-from roomlight_generator.transport.kernels import glossy
-from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
-from roomlight_generator.transport.lights.direct import DirectLight, Points
+from roomlight_generator.transport.lights.direct import Points
 from roomlight_generator.transport.paths import Paths, Surfaces, follow_view, surfaces_of
 from roomlight_generator.transport.reflections import Reflections
-from roomlight_generator.transport.tracer import Tracer
 
 EXTRA_RAYS: Final = 3
 """Rays added in pixels on edges."""
@@ -61,31 +58,28 @@ class Viewer:
     """Renders pictures of one room."""
 
     def __init__(
-        self,
-        tracer: Tracer,
-        light: DirectLight,
-        irradiance_cache: IrradianceCache,
-        *,
-        view_cache: IrradianceCache | None = None,
-        lobe_passes: int = 1,
+        self, irradiance_cache: IrradianceCache, *, view_cache: IrradianceCache | None = None, lobe_passes: int = 1
     ) -> None:
         """Take a solved room.
 
         `irradiance_cache` is the light of the surfaces that reflections show, `view_cache` that of the surfaces that
         pictures show (default: the same). Coats' reflections are the mean of `lobe_passes` passes.
         """
-        self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
+        self.tracer, self.light, self.irradiance_cache = (
+            irradiance_cache.tracer,
+            irradiance_cache.light,
+            irradiance_cache,
+        )
         self._view_cache, self._lobe_passes = view_cache or irradiance_cache, lobe_passes
-        self.reflections = Reflections(tracer, light, irradiance_cache)
-        self._roughness = tracer.materials.roughness
+        self.reflections = Reflections(irradiance_cache)
 
     def picture(self, camera: Camera, *, seed: int) -> Picture:
         """Render a picture of height x width rays and more at edges."""
         height, width = camera.shape
         row, column = np.divmod(np.arange(height * width), width)
         paths, points = self._surfaces(camera, row + 0.5, column + 0.5)
-        alpha = self._roughness[points.material]
-        grid = Grid(camera.shape, points, self._kinds(points, paths.mirrors), alpha)
+        alpha = points.alpha
+        grid = Grid(camera.shape, points, self._kinds(points, paths.mirrors))
         received = grid.smooth_received(self._received(points))
         coated = np.flatnonzero((alpha > 0) & _sparse(row[points.ray], column[points.ray], alpha))
         lobe, known = np.zeros_like(received), alpha <= 0
@@ -95,8 +89,7 @@ class Viewer:
             known[coated] = True
             lobe, known = grid.smooth_lobes(lobe, known)
         received = received + self._sunlight(points, seed)
-        emission = self._emission(points, paths, camera)
-        image = self._composed(paths, points, received, lobe, emission, ~known, camera).reshape(height, width, 3)
+        image = self._composed(paths, points, received, lobe, ~known, camera).reshape(height, width, 3)
         surface = paths.surface.reshape(camera.shape)
         edge = grid.edges(image) | (surface != np.roll(surface, 1, axis=1))
         pixel = np.repeat(np.flatnonzero(edge), EXTRA_RAYS)
@@ -116,10 +109,9 @@ class Viewer:
         kinds = self._kinds(points, paths.mirrors)
         received, lobe, was_borrowed = grid.borrowed(points, kinds, row[points.ray], column[points.ray])
         alone = np.flatnonzero(~was_borrowed)
-        received[alone] = self._received(points, alone)
+        received[alone] = self._received(points.part(alone))
         received += self._sunlight(points, seed + 1)
-        emission = self._emission(points, paths, camera)
-        radiance = self._composed(paths, points, received, lobe, emission, ~was_borrowed, camera)
+        radiance = self._composed(paths, points, received, lobe, ~was_borrowed, camera)
         total, weight = image.reshape(-1, 3).copy(), np.ones(height * width, np.float32)
         edge = pixel[::EXTRA_RAYS]
         weight[edge] += EXTRA_RAYS
@@ -135,30 +127,22 @@ class Viewer:
         origins = np.broadcast_to(np.asarray(camera.origin, np.float32), directions.shape).copy()
         paths = follow_view(self.tracer, origins, directions)
         foot = paths.length_m * np.float32(camera.pixel_angle)
-        return paths, surfaces_of(self.tracer, paths.face, paths.u, paths.v, paths.direction, foot)
+        return paths, surfaces_of(self.tracer, paths.ends, foot)
 
-    def _received(self, points: Surfaces, some: Int64[np.ndarray, " k"] | None = None) -> Float32[np.ndarray, "_ 3"]:
+    def _received(self, points: Surfaces) -> Float32[np.ndarray, "m 3"]:
         """Return the irradiance of points, without what comes straight from the sun."""
-        at = slice(None) if some is None else some
-        received, sun = self._view_cache.irradiance(
-            points.position[at],
-            points.normal[at],
-            points.geometric_normal[at],
-            points.face[at],
-            foot_m=points.foot_m[at],
-        )
+        received, sun = self._view_cache.irradiance(points)
         return received - sun
 
     def _sunlight(self, points: Surfaces, seed: int) -> Float32[np.ndarray, "m 3"]:
-        alpha = self._roughness[points.material]
-        unknown = np.full(len(alpha), -1, np.int32)
-        stream = np.arange(len(alpha), dtype=np.int64)
-        lit = Points(points.position, points.normal, points.geometric_normal, alpha, unknown, stream)
+        unknown = np.full(len(points.alpha), -1, np.int32)
+        stream = np.arange(len(unknown), dtype=np.int64)
+        lit = Points(points.position, points.normal, points.geometric_normal, points.alpha, unknown, stream)
         return self.light.sunlight(lit, seed=seed)
 
     def _kinds(self, points: Surfaces, mirrors: UInt8[np.ndarray, " n"]) -> Int32[np.ndarray, " m"]:
         """Combine material and mirrors on the way into a number, equal for pixels that show one surface."""
-        return points.material + mirrors[points.ray].astype(np.int32) * np.int32(len(self._roughness))
+        return points.material + mirrors[points.ray].astype(np.int32) * np.int32(len(self.tracer.materials.mirror))
 
     def _emission(self, points: Surfaces, paths: Paths, camera: Camera) -> Float32[np.ndarray, "m 3"]:
         if camera.dark_faces is None:
@@ -172,19 +156,14 @@ class Viewer:
         points: Surfaces,
         received: Float32[np.ndarray, "m 3"],
         lobe: Float32[np.ndarray, "m 3"],
-        emission: Float32[np.ndarray, "m 3"],
         even_lobe: Bool[np.ndarray, " m"],
         camera: Camera,
     ) -> Float32[np.ndarray, "n 3"]:
         """Sum each ray's radiance: surface or sky, less what panes and mirrors take, plus what panes reflect."""
-        alpha = self._roughness[points.material]
-        cosine = np.clip((points.normal * points.view).sum(1), glossy.LEAST_COSINE, 1)
-        light = np.empty_like(received)
-        diffuse_light(received, points.albedo, alpha, cosine, self.light.coat, even_lobe, light)
-        out = np.zeros((len(paths.face), 3), np.float32)
-        out[points.ray] = light + lobe + emission
-        sky = np.flatnonzero(paths.face < 0)
-        out[sky] = self.reflections.sky(paths.direction[sky], show_sun=camera.show_sun)
+        out = np.zeros((len(paths.share), 3), np.float32)
+        out[points.ray] = points.reflected(received, even_lobe) + lobe + self._emission(points, paths, camera)
+        sky = np.flatnonzero(paths.ends.face < 0)
+        out[sky] = self.reflections.sky(paths.ends.direction[sky], show_sun=camera.show_sun)
         out *= paths.share[:, None]
         if len(paths.pane_ray):
             np.add.at(out, paths.pane_ray, self.reflections.panes(paths, camera.pixel_angle))

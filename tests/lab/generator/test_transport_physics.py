@@ -315,9 +315,7 @@ def test_a_coat_reflects_a_lamp_alike_however_little_of_it_was_seen():
     light = solved([floor, item("lamp", lamp, Material("l", emission=(10.0, 10.0, 10.0)))])
     along = np.tile(unit_rows(np.array([[0.0, -0.35, -1.0]])), (200, 1))
     paths = follow_view(light.tracer, np.tile(np.array([[0.0, 0.3, 1.2]], np.float32), (200, 1)), along)
-    points = surfaces_of(
-        light.tracer, paths.face, paths.u, paths.v, paths.direction, paths.length_m * np.float32(0.003)
-    )
+    points = surfaces_of(light.tracer, paths.ends, paths.length_m * np.float32(0.003))
     reflections = []
     for seen in (255, 10):
         light.light.visibility[:] = seen
