@@ -26,7 +26,7 @@ from roomlight_generator.transport.kernels.common import (
     unit,
 )
 from roomlight_generator.transport.kernels.lights import crossings, left_to_gathering
-from roomlight_generator.transport.kernels.surfaces import OFFSET, face_normal, shading_normal, texture_at
+from roomlight_generator.transport.kernels.surfaces import OFFSET, hit_at, texture_at
 
 CELL_M = 0.08
 POINTS = 4
@@ -91,17 +91,9 @@ def visit(scene, fine, ends, table, patches, known, patch, cosine):
         patch[i] = -1
         if f < 0:
             continue
-        corner = geometry.corners[f]
-        s, t = u[i], v[i]
-        w = 1 - s - t
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        gx, gy, gz = face_normal(corner, dx, dy, dz)
-        x = w * corner[0, 0] + s * corner[1, 0] + t * corner[2, 0]
-        y = w * corner[0, 1] + s * corner[1, 1] + t * corner[2, 1]
-        z = w * corner[0, 2] + s * corner[1, 2] + t * corner[2, 2]
+        (x, y, z), (gx, gy, gz), (nx, ny, nz) = hit_at(geometry, ends, i)
         m = geometry.material[f]
-        nx, ny, nz = shading_normal(geometry.normals[f], s, t, gx, gy, gz)
-        cosine[i] = max(-(nx * dx + ny * dy + nz * dz), 0.0)
+        cosine[i] = max(-(nx * directions[i, 0] + ny * directions[i, 1] + nz * directions[i, 2]), 0.0)
         key = patch_key(fine, (x, y, z), (gx, gy, gz), m, f)
         at = slot_of(keys, key)
         if keys[at] == -1:
@@ -123,7 +115,7 @@ def visit(scene, fine, ends, table, patches, known, patch, cosine):
             geometric_normal[p, n, 0], geometric_normal[p, n, 1], geometric_normal[p, n, 2] = gx, gy, gz
             r, g, b = 1.0, 1.0, 1.0
             if materials.texture[m] >= 0:
-                r, g, b = texture_at(scene, materials.texture[m], f, s, t, (-gx, -gy, -gz), (gx, gy, gz), FOOT_M)
+                r, g, b = texture_at(scene, materials.texture[m], f, u[i], v[i], (-gx, -gy, -gz), (gx, gy, gz), FOOT_M)
             albedo[p, n, 0] = materials.albedo[m, 0] * r
             albedo[p, n, 1] = materials.albedo[m, 1] * g
             albedo[p, n, 2] = materials.albedo[m, 2] * b
@@ -168,22 +160,16 @@ def patch_rays(points, through, rays, seed, out):
 @njit(**JIT)
 def mirror_rays(geometry, materials, ends, origin, factor):
     """Reflect rays that met a mirror, in place: origin, direction (of `ends`), and factor times its reflectance."""
-    face, u, v, direction = ends
+    face, direction = ends.face, ends.direction
     for i in range(len(face)):
-        corner = geometry.corners[face[i]]
+        (px, py, pz), (gx, gy, gz), (nx, ny, nz) = hit_at(geometry, ends, i)
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
-        gx, gy, gz = face_normal(corner, dx, dy, dz)
-        s, t = u[i], v[i]
-        w = 1 - s - t
-        nx, ny, nz = shading_normal(geometry.normals[face[i]], s, t, gx, gy, gz)
         slope = dx * nx + dy * ny + dz * nz
         x, y, z = dx - 2 * slope * nx, dy - 2 * slope * ny, dz - 2 * slope * nz
         under = x * gx + y * gy + z * gz
         if under < 0:
             x, y, z = x - 2 * under * gx, y - 2 * under * gy, z - 2 * under * gz
-        origin[i, 0] = w * corner[0, 0] + s * corner[1, 0] + t * corner[2, 0] + OFFSET * gx
-        origin[i, 1] = w * corner[0, 1] + s * corner[1, 1] + t * corner[2, 1] + OFFSET * gy
-        origin[i, 2] = w * corner[0, 2] + s * corner[1, 2] + t * corner[2, 2] + OFFSET * gz
+        origin[i, 0], origin[i, 1], origin[i, 2] = px + OFFSET * gx, py + OFFSET * gy, pz + OFFSET * gz
         direction[i, 0], direction[i, 1], direction[i, 2] = x, y, z
         factor[i] *= materials.mirror[geometry.material[face[i]]]
 
@@ -402,30 +388,15 @@ def look_up(table, point, geometric_normal, material, face):
 @njit(**JIT)
 def find_hits(geometry, table, ends, row, cosine):
     """Write the row of the room's cache for each hit (-1 without a face), and the cosine of the leaving ray."""
-    face, u, v, directions = ends
+    face, directions = ends.face, ends.direction
     for i in range(len(face)):
         f = face[i]
         row[i] = -1
         if f < 0:
             continue
-        corner = geometry.corners[f]
-        s, t = u[i], v[i]
-        w = 1 - s - t
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        gx, gy, gz = face_normal(corner, dx, dy, dz)
-        nx, ny, nz = shading_normal(geometry.normals[f], s, t, gx, gy, gz)
-        cosine[i] = max(-(nx * dx + ny * dy + nz * dz), 0.0)
-        row[i] = look_up(
-            table,
-            (
-                w * corner[0, 0] + s * corner[1, 0] + t * corner[2, 0],
-                w * corner[0, 1] + s * corner[1, 1] + t * corner[2, 1],
-                w * corner[0, 2] + s * corner[1, 2] + t * corner[2, 2],
-            ),
-            (gx, gy, gz),
-            geometry.material[f],
-            f,
-        )
+        place, geometric_normal, (nx, ny, nz) = hit_at(geometry, ends, i)
+        cosine[i] = max(-(nx * directions[i, 0] + ny * directions[i, 1] + nz * directions[i, 2]), 0.0)
+        row[i] = look_up(table, place, geometric_normal, geometry.material[f], f)
 
 
 @njit(**JIT)

@@ -138,29 +138,37 @@ def shading_normal(normals, u, v, gx, gy, gz):
 
 
 @njit(**JIT)
+def hit_at(geometry, ends, i):
+    """Return where a ray (`RayEnds`) hit a face, and the face's geometric and shading normal on the ray's side."""
+    f, u, v = ends.face[i], ends.u[i], ends.v[i]
+    corner, w = geometry.corners[f], 1 - u - v
+    g = face_normal(corner, ends.direction[i, 0], ends.direction[i, 1], ends.direction[i, 2])
+    x = w * corner[0, 0] + u * corner[1, 0] + v * corner[2, 0]
+    y = w * corner[0, 1] + u * corner[1, 1] + v * corner[2, 1]
+    z = w * corner[0, 2] + u * corner[1, 2] + v * corner[2, 2]
+    return (x, y, z), g, shading_normal(geometry.normals[f], u, v, g[0], g[1], g[2])
+
+
+@njit(**JIT)
 def surface_points(scene, ends, foot, out):
     """Write the surface points (`SurfacePoints`) at rays' ends, all of which have a face.
 
     foot is the width of each ray there. Positions stand off the surface, toward the ray.
     """
-    geometry, materials, directions = scene.geometry, scene.materials, ends.direction
+    materials, direction = scene.materials, ends.direction
     position, normal, geometric_normal, albedo, emission = out
     for i in range(len(ends.face)):
-        f = ends.face[i]
-        corner = geometry.corners[f]
-        s, t = ends.u[i], ends.v[i]
-        w = 1 - s - t
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        gx, gy, gz = face_normal(corner, dx, dy, dz)
+        (x, y, z), (gx, gy, gz), (nx, ny, nz) = hit_at(scene.geometry, ends, i)
+        position[i, 0], position[i, 1], position[i, 2] = x + OFFSET * gx, y + OFFSET * gy, z + OFFSET * gz
+        normal[i, 0], normal[i, 1], normal[i, 2] = nx, ny, nz
         geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2] = gx, gy, gz
-        normal[i, 0], normal[i, 1], normal[i, 2] = shading_normal(geometry.normals[f], s, t, gx, gy, gz)
-        position[i, 0] = w * corner[0, 0] + s * corner[1, 0] + t * corner[2, 0] + OFFSET * gx
-        position[i, 1] = w * corner[0, 1] + s * corner[1, 1] + t * corner[2, 1] + OFFSET * gy
-        position[i, 2] = w * corner[0, 2] + s * corner[1, 2] + t * corner[2, 2] + OFFSET * gz
-        m = geometry.material[f]
+        m = scene.geometry.material[ends.face[i]]
         r, g, b = 1.0, 1.0, 1.0
         if materials.texture[m] >= 0:
-            r, g, b = texture_at(scene, materials.texture[m], f, s, t, (dx, dy, dz), (gx, gy, gz), foot[i])
+            along = direction[i, 0], direction[i, 1], direction[i, 2]
+            r, g, b = texture_at(
+                scene, materials.texture[m], ends.face[i], ends.u[i], ends.v[i], along, (gx, gy, gz), foot[i]
+            )
         albedo[i, 0] = materials.albedo[m, 0] * r
         albedo[i, 1] = materials.albedo[m, 1] * g
         albedo[i, 2] = materials.albedo[m, 2] * b
