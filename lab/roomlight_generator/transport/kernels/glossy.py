@@ -35,7 +35,7 @@ from roomlight_generator.transport.kernels.lights import (
     resample,
     sun_may_reach,
 )
-from roomlight_generator.transport.kernels.surfaces import OFFSET, face_normal
+from roomlight_generator.transport.kernels.surfaces import OFFSET, hit_at
 
 SPOT_M = 0.06  # where a lobe is wider than this, samples of spots replace sunlit surfaces
 
@@ -292,24 +292,17 @@ def add_scattered(shadow, seen, count, out):
 @njit(**JIT)
 def pane_rays(geometry, ends, out):
     """Write how rays that met a thin pane go on (`PaneRays`): mirrored by both its faces, and straight."""
-    face, u, v, direction = ends
+    direction = ends.direction
     reflected, mirrored, through, share = out
-    for i in range(len(face)):
-        corner = geometry.corners[face[i]]
+    for i in range(len(direction)):
+        (x, y, z), (gx, gy, gz), _ = hit_at(geometry, ends, i)
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
-        gx, gy, gz = face_normal(corner, dx, dy, dz)
         slope = dx * gx + dy * gy + dz * gz
         f, _ = dielectric(min(-slope, 1.0), COAT_INDEX)
         share[i] = 2 * f / (1 + f)
         mirrored[i, 0], mirrored[i, 1], mirrored[i, 2] = dx - 2 * slope * gx, dy - 2 * slope * gy, dz - 2 * slope * gz
-        s, t = u[i], v[i]
-        w = 1 - s - t
-        for c in range(3):
-            place = w * corner[0, c] + s * corner[1, c] + t * corner[2, c]
-            through[i, c] = place + OFFSET * direction[i, c]
-        reflected[i, 0] = w * corner[0, 0] + s * corner[1, 0] + t * corner[2, 0] + OFFSET * gx
-        reflected[i, 1] = w * corner[0, 1] + s * corner[1, 1] + t * corner[2, 1] + OFFSET * gy
-        reflected[i, 2] = w * corner[0, 2] + s * corner[1, 2] + t * corner[2, 2] + OFFSET * gz
+        through[i, 0], through[i, 1], through[i, 2] = x + OFFSET * dx, y + OFFSET * dy, z + OFFSET * dz
+        reflected[i, 0], reflected[i, 1], reflected[i, 2] = x + OFFSET * gx, y + OFFSET * gy, z + OFFSET * gz
 
 
 @njit(**JIT)
