@@ -36,7 +36,7 @@ from roomlight_server.sessions.quotas import Quotas
 from roomlight_server.sessions.session_lighting import SessionLighting
 from roomlight_server.sessions.session_parts import SCENE_BYTES, FrameSlots, cached_lights
 from roomlight_server.state.lease import MOVED, SessionLease
-from roomlight_server.state.live_state import DepthScale, LiveState
+from roomlight_server.state.live_state import DepthScale, LiveState, SavedValues
 from roomlight_server.work.composite_processes import Composited, CompositeJob
 from roomlight_server.work.intake import LatestFrame, decode_to_size, index_of, parse_frame
 from roomlight_server.work.workers import Workers
@@ -347,25 +347,40 @@ class LiveSession(EngineAccess):
         """Index up to which frames are on disk; None: none are."""
         return None if self.journal is None else self.journal.durable_index
 
-    async def copy_state(self, pool: ThreadPoolExecutor) -> LiveState | None:
-        """Return the state between two frames, copied on a thread of the pool; None if the session has ended."""
+    async def copy_state(self, pool: ThreadPoolExecutor, owner: str) -> LiveState | None:
+        """Return the state between two frames, copied on a thread of the pool; None if the session has ended.
+
+        Args:
+            owner: As in `SavedValues`.
+        """
         async with self.engine_lock:
-            engine, lighting = self.engine, self.lighting
-            if engine is None:
+            if self.engine is None:
                 return None
-            snapshot = await asyncio.get_running_loop().run_in_executor(pool, engine.snapshot)
-            queue, probes = self._queue.saved(), lighting.saved()
+            snapshot = await asyncio.get_running_loop().run_in_executor(pool, self.engine.snapshot)
             if self._depth is not None:
                 self._depth_scale = DepthScale.of(self._depth)
-            more = lighting.frame, self.latest, self.scene, self._depth_scale
-            return LiveState(snapshot, self._reference, probes, queue, *more)
+            values = SavedValues(
+                owner=owner,
+                name=self.name,
+                request=self.request,
+                reference=self._reference,
+                probes=self.lighting.saved(),
+                queue=self._queue.saved(),
+                light_frame=self.lighting.frame,
+                bases={},
+                latest=None,
+                scene=self.scene,
+                depth_scale=self._depth_scale,
+            )
+            return LiveState(snapshot, values, self.latest)
 
     def resume(self, state: LiveState) -> None:
         """Continue from a saved state, with the engine that was made from its snapshot."""
-        self._reference, self.latest, self.scene = state.reference, state.latest, state.scene
-        self._depth_scale = state.depth_scale
-        self.lighting.restore(state.probes, state.light_frame)
-        self._queue.restore(state.queue)
+        values = state.values
+        self._reference, self.latest, self.scene = values.reference, state.latest, values.scene
+        self._depth_scale = values.depth_scale
+        self.lighting.restore(values.probes, values.light_frame)
+        self._queue.restore(values.queue)
 
     # --- state and end ----------------------------------------------------------------------------------------
 

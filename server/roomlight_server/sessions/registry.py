@@ -143,7 +143,7 @@ class Registry:
             live.resume(state)
             live.journal, live.lease = self._states.restored(reading), lease
             self._add(owner, live)
-            _log.info("session restored", extra={"session": name, "frame": state.light_frame})
+            _log.info("session restored", extra={"session": name, "frame": state.values.light_frame})
             return live
 
     async def _graphs_of(self, request: SessionRequest) -> LightingGraphs | None:

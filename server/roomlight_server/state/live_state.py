@@ -110,13 +110,8 @@ class SavedValues(_Saved):
 
 @dataclass(frozen=True)
 class LiveState:
-    """The state of a session between two frames."""
+    """The state of a session between two frames; `bases` and `latest` of the values are filled in on disk."""
 
     snapshot: SessionSnapshot
-    reference: float | None
-    probes: dict[str, NamedProbe]
-    queue: SavedQueue
-    light_frame: int
+    values: SavedValues
     latest: LatestFrame | None
-    scene: SessionScene
-    depth_scale: DepthScale | None

@@ -43,9 +43,7 @@ async def restore(workers: Workers, reading: Reading, graphs: LightingGraphs | N
     except WireError as error:
         detail = f"a saved frame cannot be decoded now ({error}); retry later"
         raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
-    kept = values.reference, values.probes, values.queue, values.light_frame
-    latest = _latest(reading, snapshot)
-    return engine, LiveState(snapshot, *kept, latest, values.scene, values.depth_scale)
+    return engine, LiveState(snapshot, values, _latest(reading, snapshot))
 
 
 async def _bases(workers: Workers, reading: Reading, options: SessionOptions) -> dict[int, FrameMesh]:

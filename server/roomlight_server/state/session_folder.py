@@ -48,13 +48,12 @@ class Reading:
 
 
 def write_session(
-    folder: Path, live: LiveState, values: SavedValues, messages: dict[int, bytes], bases: dict[int, SavedBase]
+    folder: Path, live: LiveState, messages: dict[int, bytes], bases: dict[int, SavedBase]
 ) -> tuple[dict[int, SavedBase], int]:
     """Write a session: new files of keyframes, then the state, then remove files that are no longer named.
 
     Args:
         folder: Folder of the session; made if it is missing.
-        values: Values of the server; `bases` and `latest` are filled in.
         messages: Messages of keyframes that are not on disk yet.
         bases: Files of keyframes that are on disk.
 
@@ -78,7 +77,7 @@ def write_session(
             latest, records = index, [Record("LAST", {"index": index}, body)]
             if live.snapshot.latest is not None and live.latest.message.depth is not None:
                 elsewhere.add(index)
-    values = values.model_copy(update={"bases": named, "latest": latest})
+    values = live.values.model_copy(update={"bases": named, "latest": latest})
     head = Record("SERV", values.model_dump(mode="json"))
     file = pack_records([head, *records_of_snapshot(live.snapshot, elsewhere=elsewhere), *records])
     write_durable(folder / STATE, file)

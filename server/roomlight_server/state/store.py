@@ -18,7 +18,6 @@ from typing import Final, Protocol, TypeVar, runtime_checkable
 from weakref import WeakValueDictionary
 
 from roomlight.errors import OutputError, ServerError, StateError
-from roomlight.wire.messages import SessionRequest
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError
 from roomlight_server.base.settings import ServerSettings
@@ -27,7 +26,7 @@ from roomlight_server.state.fence import Fence, LeaseLostError
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import SessionLease
 from roomlight_server.state.listing import SavedHead, SavedList
-from roomlight_server.state.live_state import LiveState, SavedValues
+from roomlight_server.state.live_state import LiveState
 from roomlight_server.state.session_folder import (
     STATE,
     Reading,
@@ -53,7 +52,6 @@ class Saveable(Protocol):
     """A session that can be saved: a `LiveSession`."""
 
     name: str
-    request: SessionRequest
     lease: SessionLease | None
     last_used_s: float
 
@@ -62,8 +60,8 @@ class Saveable(Protocol):
         """What is unsaved of the session; None if sessions are not saved."""
         ...
 
-    async def copy_state(self, pool: ThreadPoolExecutor) -> LiveState | None:
-        """Return the state between two frames, copied on a thread of the pool; None if the session has ended."""
+    async def copy_state(self, pool: ThreadPoolExecutor, owner: str) -> LiveState | None:
+        """Return the state between two frames; see `LiveSession`."""
         ...
 
 
@@ -146,33 +144,17 @@ class StateStore:
         journal.begin()
         try:
             await self._save(key, live, journal)
-        except (OSError, OutputError) as error:
-            journal.failed()
-            self._record_failure(error, live.name)
-        except Exception as error:  # out of memory, a bug: other sessions are saved nevertheless
-            if self.failing is None:
+        except Exception as error:  # also if out of memory, or of a bug, other sessions are saved nevertheless
+            if self.failing is None and not isinstance(error, OSError | OutputError):
                 _log.exception("unexpected error while a session was saved", extra={"session": live.name})
             journal.failed()
             self._record_failure(error, live.name)
 
     async def _save(self, key: tuple[str, str], live: Saveable, journal: Journal) -> None:
-        state = await live.copy_state(self._pool)
+        state = await live.copy_state(self._pool, digest_of_owner(key[0]))
         if state is None:  # it has ended: nothing can be saved any more
             journal.closed = True
             return
-        values = SavedValues(
-            owner=digest_of_owner(key[0]),
-            name=live.name,
-            request=live.request,
-            reference=state.reference,
-            probes=state.probes,
-            queue=state.queue,
-            light_frame=state.light_frame,
-            bases={},
-            latest=None,
-            scene=state.scene,
-            depth_scale=state.depth_scale,
-        )
         async with self.lock(*key):
             if journal.closed:  # deleted in the meantime
                 return
@@ -180,14 +162,14 @@ class StateStore:
                 write = write_session if live.lease is None else live.lease.guarded(write_session)
                 try:
                     bases, size = await self._in_thread(
-                        write, self._folder(*key), state, values, dict(journal.messages), journal.bases
+                        write, self._folder(*key), state, dict(journal.messages), journal.bases
                     )
                 except LeaseLostError:
                     self._metrics.state_writes.labels("refused").inc()
                     _log.warning("a session is not saved: another server owns it", extra={"session": live.name})
                     journal.closed = True
                     return
-            journal.saved(bases, state.light_frame, state.queue.last_index)
+            journal.saved(bases, state.values.light_frame, state.values.queue.last_index)
             self._record_success(size)
 
     def _record_failure(self, error: Exception, name: str) -> None:
