@@ -77,7 +77,7 @@ def evaluate_captures(
         OptionError: Two estimators have one name.
         ModelError: An estimator returned something else than a finite panorama without negative values.
     """
-    names = [_capture_name(path) for path in captures]
+    names = [path.stem if path.is_file() else path.name for path in map(Path.resolve, captures)]
     for name in names:
         if names.count(name) > 1:
             raise CaptureError(f"two captures are called {name}: their results would be mixed up; rename one")
@@ -219,11 +219,6 @@ class _ProbeScorer:
         scores = {key: tuple(values) for key, values in self._scores.items()}
         scores["smoothness"] = scores["smoothness"][1:]  # none is before the first frame
         return Track(capture, self._probe, self.method, tuple(indices), scores)
-
-
-def _capture_name(path: Path) -> str:
-    resolved = path.resolve()
-    return resolved.stem if resolved.is_file() else resolved.name
 
 
 def _prediction_folder(folder: Path, name: str, *, only_capture: bool) -> Path:

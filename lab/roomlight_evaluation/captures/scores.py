@@ -115,7 +115,8 @@ class CaptureScores:
         [*values] = of_captures.values()
         if len(values) == 1:
             return tuple(mean_with_interval(column) for column in np.transpose(values[0]))
-        rows, rooms = [_known_mean(probes) for probes in values], self._rooms
+        rooms = self._rooms
+        rows = [np.ma.filled(np.ma.masked_invalid(probes).mean(axis=0), np.nan) for probes in values]  # of known ones
         groups = [rooms[name] for name in of_captures]
         return tuple(mean_with_interval(column, groups) for column in np.transpose(rows))
 
@@ -160,8 +161,3 @@ class CaptureScores:
 def _span(frames: Sequence[int]) -> str:
     """Return the first and the last number of frames, counted from 1."""
     return "none" if not frames else "-".join(str(index + 1) for index in sorted({frames[0], frames[-1]}))
-
-
-def _known_mean(rows: list[_Columns]) -> _Columns:
-    """Return the mean of rows, of those that are known in each column."""
-    return np.ma.filled(np.ma.masked_invalid(rows).mean(axis=0), np.nan)

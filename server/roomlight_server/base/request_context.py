@@ -27,13 +27,6 @@ current_flow: ContextVar[Flow] = ContextVar("current_flow", default=Flow())  # n
 request_id: ContextVar[str] = ContextVar("request_id", default="")
 
 
-def _name_task(scope: Scope) -> None:
-    """Name the task of a request after its connection, for `transport.watchdog`."""
-    task, client = asyncio.current_task(), scope.get("client")
-    if task is not None:
-        task.set_name(f"{client[0]}:{client[1]} {scope['path'][:100]}" if client else scope["path"][:100])
-
-
 class RequestIdMiddleware:
     """Gives each request and WebSocket an id: the client's `X-Request-Id`, or a new one. Answers return it."""
 
@@ -48,7 +41,9 @@ class RequestIdMiddleware:
         given = Headers(scope=scope).get(REQUEST_ID_HEADER, "")
         name = given if _USABLE_ID.fullmatch(given) else uuid.uuid4().hex
         request_id.set(name)
-        _name_task(scope)
+        task, client = asyncio.current_task(), scope.get("client")
+        if task is not None:  # for `transport.watchdog`
+            task.set_name(f"{client[0]}:{client[1]} {scope['path'][:100]}" if client else scope["path"][:100])
 
         async def send_with_id(message: Message) -> None:
             if message["type"] in ("http.response.start", "websocket.accept", "websocket.http.response.start"):

@@ -83,8 +83,12 @@ class RecordingStore:
         self._recordings: dict[str, StoredRecording] = {}
         self._root: LockedFolder | None = None
         remove_left_folders(settings.recordings_folder)
-        if settings.recordings_folder is not None:
-            _check_folder(settings.recordings_folder)
+        if (folder := settings.recordings_folder) is not None:
+            try:
+                LockedFolder(folder).remove()
+            except OSError as error:
+                rule = f"cannot be used ({error.strerror}); choose another folder"
+                raise ServerError(f"recordings_folder: {folder}: {rule}") from error
 
     def add(self, owner: str, announced: RecordingRequest) -> Recording:
         """Begin an upload.
@@ -313,14 +317,6 @@ class RecordingStore:
         if self._root is None:
             self._root = LockedFolder(self._settings.recordings_folder)
         return self._root.path
-
-
-def _check_folder(folder: Path) -> None:
-    try:
-        LockedFolder(folder).remove()
-    except OSError as error:
-        advice = "choose another folder"
-        raise ServerError(f"recordings_folder: {folder}: cannot be used ({error.strerror}); {advice}") from error
 
 
 @contextmanager

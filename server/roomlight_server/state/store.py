@@ -302,17 +302,12 @@ class StateStore:
             # it was erased or restored in the meantime, or cannot be removed: next time
             with contextlib.suppress(OSError, OutputError, LeaseLostError):
                 if ages_s[folder.name] > self._expiry_s and _version(folder) == versions[folder.name]:
-                    self._erase_folder(folder)
+                    fence = self._fence
+                    with contextlib.nullcontext() if fence is None else fence.guarded(fence.claim(folder.name)):
+                        erase(folder)
                     _log.info("a saved session has expired")
         if self._fence is not None:  # records of sessions that are gone
             self._fence.forget(time.time() - self._expiry_s, open_folders | {folder.name for folder in folders})
-
-    def _erase_folder(self, folder: Path) -> None:
-        if self._fence is None:
-            erase(folder)
-            return
-        with self._fence.guarded(self._fence.claim(folder.name)):
-            erase(folder)
 
     def _folder(self, owner: str, name: str) -> Path:
         return self._root / hashlib.sha256(f"{digest_of_owner(owner)}/{name}".encode()).hexdigest()[:32]

@@ -71,21 +71,21 @@ def test_uncovered_pixels_get_the_mean_colour():
     image = np.zeros((8, 8, 4), np.uint8)
     image[:, :4] = (40, 160, 20, 255)
     image[:, 4:] = (255, 255, 255, 0)
-    picture = decode_image(png(image), "leaf")
-    assert picture.coverage is not None
-    assert picture.coverage[0].tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
-    assert (picture.image == (40, 160, 20)).all()
+    texture, coverage = decode_image(png(image), "leaf")
+    assert coverage is not None
+    assert coverage[0].tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
+    assert (texture.image == (40, 160, 20)).all()
 
 
 def test_images_are_scaled_down_and_keep_their_aspect():
-    picture = decode_image(png(np.full((100, 400, 3), 90, np.uint8)), "wide", side=64)
-    assert picture.image.shape == (16, 64, 3)
-    assert picture.coverage is None
+    texture, coverage = decode_image(png(np.full((100, 400, 3), 90, np.uint8)), "wide", side=64)
+    assert texture.image.shape == (16, 64, 3)
+    assert coverage is None
 
 
 def test_sixteen_bit_and_grey_images_are_read():
     data = cv2.imencode(".png", np.full((4, 4), 0x8000, np.uint16))[1].tobytes()
-    assert (decode_image(data, "grey").image == 128).all()
+    assert (decode_image(data, "grey")[0].image == 128).all()
 
 
 @pytest.mark.parametrize("damage", ["text", "cut", "body", "huge"])

@@ -114,7 +114,9 @@ def with_vertex_colours(
     textured = [getattr(material, f"{name}_texture") for name in TEXTURES]
     uniform = bool(np.abs(used - mean).max() < _SAME)
     if uniform or any(texture is not None for texture in textured) or texels < 2:
-        return mesh, _tinted(material, mean), uniform
+        base = colour_of(np.minimum(np.array(material.base_colour) * mean[:3], 1.0))
+        opacity = min(1.0, material.opacity * float(mean[3]))
+        return mesh, replace(material, base_colour=base, opacity=opacity), uniform
     steps = np.arange(texels, dtype=np.float32) / np.float32(texels - 1)
     b, c = np.meshgrid(steps, steps)
     weights = np.stack([1 - b - c, b, c], axis=-1)  # of the corners, at each texel
@@ -129,8 +131,3 @@ def with_vertex_colours(
     corners = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
     split = TriangleMesh(mesh.vertices[at], mesh.normals[at], uvs.reshape(-1, 2).astype(np.float32), corners)
     return split, replace(material, base_colour_texture=Texture.from_linear(image)), True
-
-
-def _tinted(material: Material, colour: Float32[np.ndarray, "4"]) -> Material:
-    base = colour_of(np.minimum(np.array(material.base_colour) * colour[:3], 1.0))
-    return replace(material, base_colour=base, opacity=min(1.0, material.opacity * float(colour[3])))

@@ -90,7 +90,8 @@ class TriangleMesh:
         """
         if self.tangents is not None:
             return self
-        areas = self._texture_areas()
+        a, b, c = (self.uvs[self.faces[:, k]].astype(np.float64) for k in range(3))
+        areas = (b - a)[:, 0] * (c - a)[:, 1] - (c - a)[:, 0] * (b - a)[:, 1]  # twice each face's, with its sign
         mesh = self._split(areas)
         corner = [mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3)]
         e1, e2 = corner[1] - corner[0], corner[2] - corner[0]
@@ -106,11 +107,6 @@ class TriangleMesh:
         # glTF's bitangent is cross(n, t) w and points up the image: against v.
         sign = np.where(mesh._at_vertices(mirrored) < 0, 1.0, -1.0)
         return replace(mesh, tangents=np.concatenate([tangent, sign[:, None].astype(np.float32)], axis=1))
-
-    def _texture_areas(self) -> Float[np.ndarray, " f"]:
-        """Return twice each face's signed area in the texture."""
-        a, b, c = (self.uvs[self.faces[:, k]].astype(np.float64) for k in range(3))
-        return (b - a)[:, 0] * (c - a)[:, 1] - (c - a)[:, 0] * (b - a)[:, 1]
 
     def _split(self, areas: Float[np.ndarray, " f"]) -> "TriangleMesh":
         """Give faces of negative area their own vertices where faces of positive area use them too."""

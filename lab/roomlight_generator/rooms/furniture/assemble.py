@@ -14,7 +14,7 @@ from roomlight_generator.rooms.furniture.files.archive import Archive
 from roomlight_generator.rooms.furniture.files.materials import looks_like_shade, make_material
 from roomlight_generator.rooms.furniture.files.obj import MtlMaterial, Obj, parse_mtl, parse_obj
 from roomlight_generator.rooms.furniture.files.sh3f import LibraryEntry, WarningCallback
-from roomlight_generator.rooms.furniture.files.textures import MAX_IMAGE_BYTES, MAX_SIDE, TextureImage, decode_image
+from roomlight_generator.rooms.furniture.files.textures import MAX_IMAGE_BYTES, MAX_SIDE, decode_image
 from roomlight_generator.rooms.furniture.simplify import TriangleSoup, simplified, welded
 from roomlight_generator.rooms.roles import CEILING_ROLES, LAMP_ROLES, TOP_ROLES
 from roomlight_generator.rooms.scene import Material, Mesh, Texture
@@ -82,19 +82,20 @@ def _load_materials(
     side = MAX_SIDE * 2 if role in _LARGE_TEXTURE_ROLES else MAX_SIDE
     materials: list[Material] = []
     coverages: dict[int, np.ndarray] = {}
-    textures: dict[str, tuple[TextureImage, Texture] | None] = {}
+    textures: dict[str, tuple[Texture | None, Float[np.ndarray, "h w"] | None]] = {}
     kinds = KIND_OF.get(entry.id, {})
     for k, name in enumerate(obj.material_names):
         mtl = mtl_materials.get(name, MtlMaterial(name))
-        loaded = None
+        texture, coverage = None, None
         if mtl.texture is not None:
             if mtl.texture not in textures:
                 textures[mtl.texture] = _load_texture(archive, entry, mtl.texture, side, warn)
-            loaded = textures[mtl.texture]
-        if loaded is not None and loaded[0].coverage is not None:
-            coverages[k] = loaded[0].coverage
-        kind = kinds.get(name) or ("shade" if _is_shade(name, entry, role) else None)
-        texture = loaded[1] if loaded is not None else None
+            texture, coverage = textures[mtl.texture]
+        if coverage is not None:
+            coverages[k] = coverage
+        may_be_shade = role in LAMP_ROLES and entry.id not in KIND_OF
+        shade = name in entry.glowing or (may_be_shade and looks_like_shade(name))
+        kind = kinds.get(name) or ("shade" if shade else None)
         materials.append(make_material(mtl, texture, role=role, identity=entry.id, kind=kind))
     if all(material.glass for material in materials):
         # Rays pass straight through glass, so a model made only of glass would be invisible.
@@ -102,15 +103,10 @@ def _load_materials(
     return tuple(materials), coverages
 
 
-def _is_shade(name: str, entry: LibraryEntry, role: str) -> bool:
-    lamp = role in LAMP_ROLES
-    return name in entry.glowing or (lamp and entry.id not in KIND_OF and looks_like_shade(name))
-
-
 def _load_texture(
     archive: Archive, entry: LibraryEntry, name: str, side: int, warn: WarningCallback
-) -> tuple[TextureImage, Texture] | None:
-    """Load a texture; return None with a warning if it is missing: the material's colour replaces it."""
+) -> tuple[Texture | None, Float[np.ndarray, "h w"] | None]:
+    """Load a texture and its coverage; warn if it is missing: the material's colour replaces it."""
     try:
         member = archive.find(name, relative_to=entry.member)
         if member is None:
@@ -119,13 +115,12 @@ def _load_texture(
             warn(
                 f"{archive.path}: model {entry.id!r}: its texture {name!r} is not in the library; using a plain colour"
             )
-            return None
+            return None, None
         data = archive.read(member, limit=MAX_IMAGE_BYTES)
-        picture = decode_image(data, f"{archive.path}: texture {member}", side=side)
+        return decode_image(data, f"{archive.path}: texture {member}", side=side)
     except FurnitureError as error:
         warn(f"{error}; using a plain colour")
-        return None
-    return picture, Texture(picture.image)
+        return None, None
 
 
 def _drop_unused_uvs(soup: TriangleSoup, materials: tuple[Material, ...]) -> TriangleSoup:

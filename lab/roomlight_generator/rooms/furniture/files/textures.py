@@ -1,14 +1,14 @@
 """Texture images of furniture libraries: their size is checked before decoding, then they are scaled down."""
 
-from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from roomlight.errors import FurnitureError, ImageError
 from roomlight.images import peek_size
+from roomlight_generator.rooms.scene import Texture
 
 MAX_SIDE: Final = 256
 """Maximum side of a stored texture in pixels: a sofa covers about as many of a 240 x 320 frame."""
@@ -17,16 +17,8 @@ MAX_IMAGE_BYTES: Final = 48 << 20
 _MAX_PIXELS: Final = 40_000_000
 
 
-@dataclass(frozen=True, eq=False)
-class TextureImage:
-    """An sRGB image, row 0 at the top, and its coverage 0 to 1 if it has holes."""
-
-    image: UInt8[np.ndarray, "h w 3"]
-    coverage: Float[np.ndarray, "h w"] | None = None
-
-
-def decode_image(data: bytes, where: str, *, side: int = MAX_SIDE) -> TextureImage:
-    """Decode a PNG or JPEG, scaled down to at most `side` pixels.
+def decode_image(data: bytes, where: str, *, side: int = MAX_SIDE) -> tuple[Texture, Float[np.ndarray, "h w"] | None]:
+    """Decode a PNG or JPEG, scaled down to at most `side` pixels; also return its coverage 0 to 1 if it has holes.
 
     Uncovered pixels get the mean of the others: their colour is arbitrary.
 
@@ -67,4 +59,4 @@ def decode_image(data: bytes, where: str, *, side: int = MAX_SIDE) -> TextureIma
         colour = np.asarray(cv2.resize(colour, size, interpolation=cv2.INTER_AREA))
         if coverage is not None:
             coverage = np.asarray(cv2.resize(coverage, size, interpolation=cv2.INTER_AREA))
-    return TextureImage(colour, coverage)
+    return Texture(colour), coverage

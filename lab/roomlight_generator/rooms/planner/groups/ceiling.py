@@ -32,7 +32,8 @@ def light_ceiling(arrangement: Arrangement, kinds: tuple[tuple[CeilingLight, flo
     if kind == "panels":
         _hang_grid(arrangement, _pick_panel(arrangement), arrangement.uniform(1.8, 2.9))
     elif kind == "spots":
-        _hang_grid(arrangement, _pick_spot(arrangement), arrangement.uniform(1.0, 1.7))
+        model = arrangement.pick("ceiling_lamp", width=(0.0, 0.22), depth=(0.0, 0.22), height=(0.0, 0.3))
+        _hang_grid(arrangement, model or _pick_flat_lamp(arrangement, 0.2), arrangement.uniform(1.0, 1.7))
     elif kind == "pendants":
         model = _pick_pendant(arrangement, arrangement.shell.height_m - HEADROOM_M)
         _hang_grid(arrangement, model, arrangement.uniform(2.0, 3.2))
@@ -50,11 +51,6 @@ def _pick_panel(arrangement: Arrangement) -> FurnitureModel | None:
         return "panel" in name or "fluorescent" in name or (max(model.width_m, model.depth_m) > 0.45)
 
     return arrangement.pick("ceiling_lamp", height=(0.0, 0.16), also=fits) or _pick_flat_lamp(arrangement, 0.3)
-
-
-def _pick_spot(arrangement: Arrangement) -> FurnitureModel | None:
-    small = arrangement.pick("ceiling_lamp", width=(0.0, 0.22), depth=(0.0, 0.22), height=(0.0, 0.3))
-    return small or _pick_flat_lamp(arrangement, 0.2)
 
 
 def _pick_pendant(arrangement: Arrangement, longest: float) -> FurnitureModel | None:
