@@ -33,7 +33,6 @@ from roomlight_generator.transport.lights.visibility_variance import VisibilityV
 from roomlight_generator.transport.patches import RoomCache, follow
 from roomlight_generator.transport.paths import Surfaces
 from roomlight_generator.transport.tables import Table, grown
-from roomlight_generator.transport.tracer import Tracer
 
 GATHER_RAYS: Final = 320
 CONE_SHARE: Final = 0.3
@@ -67,7 +66,6 @@ class IrradianceCache:
 
     def __init__(
         self,
-        tracer: Tracer,
         light: DirectLight,
         room_cache: RoomCache,
         *,
@@ -80,7 +78,7 @@ class IrradianceCache:
         If not `interpolated`, every cell is a record, cells are twice as wide, and a cell's random numbers depend on
         its place alone, so that two caches of nearly the same room differ by the room and hardly by noise.
         """
-        self.tracer, self.light, self.room_cache = tracer, light, room_cache
+        self.tracer, self.light, self.room_cache = light.tracer, light, room_cache
         self._seed, self._gather_rays, self._interpolated = seed, gather_rays, interpolated
         self._table = Table(1 << 16)
         self._count = 0
@@ -200,7 +198,7 @@ class IrradianceCache:
         The rays seed their random streams by `first`, `first` + 1 and so on.
         """
         tracer, cache, materials = self.tracer, self.room_cache, self.tracer.materials
-        ends, distance_m, mirrored, factor, radiance = follow(tracer, self.light, origin, direction)
+        ends, distance_m, mirrored, factor, radiance = follow(self.light, origin, direction)
         row, cosine = np.empty(len(origin), np.int32), np.zeros(len(origin), np.float32)
         find_hits(tracer.geometry, cache.table, ends, row, cosine)
         row = cache.visible(row, distance_m)

@@ -31,7 +31,7 @@ from roomlight_generator.transport.lights.light_visibility import LightVisibilit
 from roomlight_generator.transport.lights.sun_spots import NEAR_SPOT_M2
 from roomlight_generator.transport.paths import Surfaces, over_mirrors
 from roomlight_generator.transport.tables import Table, grown
-from roomlight_generator.transport.tracer import OFFSET_M, Tracer
+from roomlight_generator.transport.tracer import OFFSET_M
 
 GATHER_RAYS: Final = 32
 MOST_BOUNCES: Final = 60
@@ -64,10 +64,9 @@ class Arrivals(NamedTuple):
     radiance: Float32[np.ndarray, "n 3"]
 
 
-def follow(
-    tracer: Tracer, light: DirectLight, origin: Float32[np.ndarray, "n 3"], direction: Float32[np.ndarray, "n 3"]
-) -> Arrivals:
+def follow(light: DirectLight, origin: Float32[np.ndarray, "n 3"], direction: Float32[np.ndarray, "n 3"]) -> Arrivals:
     """Trace rays over at most two mirrors to the first other surface; a third mirror absorbs the ray."""
+    tracer = light.tracer
     hits = tracer.trace(origin, direction)
     factor = np.ones(len(origin), np.float32)
     origin, direction, mirrors = over_mirrors(tracer, hits, origin, direction, factor, most=2)
@@ -77,8 +76,8 @@ def follow(
     return Arrivals(ends, distance, mirrored, factor, radiance)
 
 
-def _fineness(tracer: Tracer, light: DirectLight) -> Fineness:
-    corners = tracer.geometry.corners
+def _fineness(light: DirectLight) -> Fineness:
+    corners = light.tracer.geometry.corners
     low = corners.min((0, 1)) - np.float32(0.01)
     size = corners.max((0, 1)) - low
     cell = max(0.1, float(size.max()) / 256)
@@ -99,9 +98,8 @@ def _fineness(tracer: Tracer, light: DirectLight) -> Fineness:
 class _PatchSet:
     """Patches while they are found: columns with a row a patch (`PatchColumns`), of which `count` are in use."""
 
-    def __init__(self, tracer: Tracer, fineness: Fineness) -> None:
-        self.tracer = tracer
-        self.fineness = fineness
+    def __init__(self, light: DirectLight, fineness: Fineness, seed: int) -> None:
+        self.light, self.fineness, self.seed = light, fineness, seed
         self.table = Table()
         self.count = 0
         points = (np.empty((0, kernels.POINTS, 3), np.float32) for _ in range(4))
@@ -113,10 +111,33 @@ class _PatchSet:
         self.columns = PatchColumns(*(grown(column, self.count, self.count + count) for column in self.columns))
         self.table.reserve(self.count + count)
         patch, cosine = np.empty(count, np.int32), np.zeros(count, np.float32)
-        self.count = kernels.visit(
-            self.tracer.arrays, self.fineness, ends, self.table.arrays, self.columns, self.count, patch, cosine
-        )
+        arrays, table = self.light.tracer.arrays, self.table.arrays
+        self.count = kernels.visit(arrays, self.fineness, ends, table, self.columns, self.count, patch, cosine)
         return patch, cosine
+
+    def gather(self, rows: Int[np.ndarray, " c"], rays: int) -> tuple[Arrivals, Float32[np.ndarray, " n"]]:
+        """Trace cosine-weighted rays of some patches; also returns the share that each patch's coat lets through."""
+        position, normal, geometric_normal, _, used, _, material = (column[rows] for column in self.columns)
+        roughness = self.light.tracer.materials.roughness[material]
+        points = PatchPoints(position, normal, geometric_normal, used, roughness, rows.astype(np.int64))
+        sent = allocated(PatchRays, len(rows) * rays)
+        kernels.patch_rays(points, self.light.coat.through, rays, self.seed, sent)
+        return follow(self.light, sent.origin, sent.direction), sent.passed
+
+    def linked(self, rows: Int[np.ndarray, " c"]) -> tuple[np.ndarray, ...]:
+        """Return the columns of the links from some patches to others, by `GATHER_RAYS` rays each.
+
+        Returns:
+            For each ray: target patch, cosine there, length, share passed here, whether it met a mirror, and mirrors'
+            factor. For each patch: the irradiance that comes from no patch, plain and as let through by its coat.
+        """
+        sent, passed = self.gather(rows, GATHER_RAYS)
+        target, cosine = self.visit(sent.ends)
+        radiance = sent.radiance.reshape(-1, GATHER_RAYS, 3)
+        through = passed.reshape(-1, GATHER_RAYS, 1)
+        scale = np.float32(np.pi / GATHER_RAYS)
+        beside, beside_coated = radiance.sum(1) * scale, (radiance * through).sum(1) * scale
+        return target, cosine, sent.distance_m, passed, sent.mirrored, sent.factor, beside, beside_coated
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,21 +172,21 @@ class RoomCache:
         return np.where(self.enclosed[row] & (distance_m > ENCLOSED_M), np.int32(-1), row)
 
 
-def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
+def solve_room(light: DirectLight, *, seed: int) -> RoomCache:
     """Find the patches, light them and let the light bounce.
 
     Sets `light.visibility`, which then has a row for each row of the cache.
     """
-    fineness = _fineness(tracer, light)
-    lit = _PatchSet(tracer, fineness)
-    lit.visit(_seed_rays(tracer, light, seed).ends)
+    fineness = _fineness(light)
+    lit = _PatchSet(light, fineness, seed)
+    lit.visit(_seed_rays(light, seed).ends)
     # The lights see only the lit part of a patch that is half in shadow: start over from what those patches see.
-    patches = _PatchSet(tracer, fineness)
+    patches = _PatchSet(light, fineness, seed)
     step = _RAYS_AT_ONCE // FIRST_RAYS
     for start in range(0, lit.count, step):
         rows = np.arange(start, min(start + step, lit.count))
-        patches.visit(_gather(tracer, light, lit, rows, FIRST_RAYS, seed).arrivals.ends)
-    parts = [_linked(patches, _gather(tracer, light, patches, np.arange(0), GATHER_RAYS, seed))]
+        patches.visit(lit.gather(rows, FIRST_RAYS)[0].ends)
+    parts = [patches.linked(np.arange(0))]
     done = 0
     step = _RAYS_AT_ONCE // GATHER_RAYS
     for _ in range(MOST_WAVES):
@@ -173,23 +194,19 @@ def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
         if stop == done:
             break
         for start in range(done, stop, step):
-            rows = np.arange(start, min(start + step, stop))
-            parts.append(_linked(patches, _gather(tracer, light, patches, rows, GATHER_RAYS, seed)))
+            parts.append(patches.linked(np.arange(start, min(start + step, stop))))
         done = stop
     columns = tuple(np.concatenate(column) for column in zip(*parts, strict=True))
-    enclosed, changed = _drop_enclosed(tracer, light, patches, done, seed)
+    enclosed, changed = _drop_enclosed(patches, done)
     for start in range(0, len(changed), step):
         some = changed[start : start + step]
-        again = _linked(patches, _gather(tracer, light, patches, some, GATHER_RAYS, seed))
-        for column, new in zip(columns, again, strict=True):
+        for column, new in zip(columns, patches.linked(some), strict=True):
             rays_each = len(column) // done
             column.reshape(done, rays_each, *column.shape[1:])[some] = new.reshape(len(some), rays_each, *new.shape[1:])
-    return _bounced(tracer, light, patches, done, columns, enclosed, seed)
+    return _bounced(patches, done, columns, enclosed)
 
 
-def _drop_enclosed(
-    tracer: Tracer, light: DirectLight, patches: _PatchSet, count: int, seed: int
-) -> tuple[Bool[np.ndarray, " p"], Int32[np.ndarray, " c"]]:
+def _drop_enclosed(patches: _PatchSet, count: int) -> tuple[Bool[np.ndarray, " p"], Int32[np.ndarray, " c"]]:
     """Drop points inside of closed lamps from patches that also have points outside.
 
     Returns which patches are entirely inside, and those that lost points.
@@ -212,8 +229,8 @@ def _drop_enclosed(
         np.zeros(points, np.float32),
         np.arange(points, dtype=np.int64),
     )
-    rays = allocated(PatchRays, points * _ENCLOSED_RAYS)
-    kernels.patch_rays(origins, light.coat.through, _ENCLOSED_RAYS, seed + 5, rays)
+    rays, tracer = allocated(PatchRays, points * _ENCLOSED_RAYS), patches.light.tracer
+    kernels.patch_rays(origins, patches.light.coat.through, _ENCLOSED_RAYS, patches.seed + 5, rays)
     hits = tracer.trace(rays.origin, rays.direction)
     items, material = tracer.geometry.item, tracer.geometry.material
     lamp = np.zeros(int(items.max()) + 1, bool)
@@ -239,12 +256,12 @@ def _points_of(used: Int32[np.ndarray, " p"]) -> tuple[Int32[np.ndarray, " n"], 
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
 
 
-def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
+def _seed_rays(light: DirectLight, seed: int) -> Arrivals:
     """Trace rays from the lights in all directions, evenly over clusters, so that dark corners are found too."""
     rng = np.random.default_rng([seed, 1])
     lights = light.lights
     if len(lights.piece) == 0:
-        low, high = (getattr(tracer.geometry.corners, name)((0, 1)) for name in ("min", "max"))
+        low, high = (getattr(light.tracer.geometry.corners, name)((0, 1)) for name in ("min", "max"))
         begin = rng.uniform(low, high, (SEED_RAYS, 3)).astype(np.float32)
     else:
         # Evenly over clusters and over a cluster's pieces: weak lamps in corners reach places that windows do not.
@@ -259,52 +276,16 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
         begin = np.where(kind == TRIANGLE, on_face, np.where(kind == OPENING, on_opening, first)).astype(np.float32)
     along = rng.standard_normal((SEED_RAYS, 3)).astype(np.float32)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return follow(tracer, light, begin + np.float32(OFFSET_M) * along, along)
+    return follow(light, begin + np.float32(OFFSET_M) * along, along)
 
 
-class _TracedRays(NamedTuple):
-    """Gather rays, the share that the patch's coat lets through, and the number of rays of a patch."""
-
-    arrivals: Arrivals
-    passed: Float32[np.ndarray, " n"]
-    per_patch: int
-
-
-def _gather(
-    tracer: Tracer, light: DirectLight, patches: _PatchSet, rows: Int[np.ndarray, " c"], rays: int, seed: int
-) -> _TracedRays:
-    """Trace cosine-weighted rays of some patches."""
-    position, normal, geometric_normal, _, used, _, material = (column[rows] for column in patches.columns)
-    roughness = tracer.materials.roughness[material]
-    points = PatchPoints(position, normal, geometric_normal, used, roughness, rows.astype(np.int64))
-    sent = allocated(PatchRays, len(rows) * rays)
-    kernels.patch_rays(points, light.coat.through, rays, seed, sent)
-    return _TracedRays(follow(tracer, light, sent.origin, sent.direction), sent.passed, rays)
-
-
-def _linked(patches: _PatchSet, rays: _TracedRays) -> tuple[np.ndarray, ...]:
-    """Return the columns of the links between patches.
-
-    Returns:
-        For each ray: target patch, cosine there, length, share passed here, whether it met a mirror, and mirrors'
-        factor. For each patch: the irradiance that comes from no patch, plain and as let through by its coat.
-    """
-    sent = rays.arrivals
-    target, cosine = patches.visit(sent.ends)
-    radiance = sent.radiance.reshape(-1, rays.per_patch, 3)
-    through = rays.passed.reshape(-1, rays.per_patch, 1)
-    scale = np.float32(np.pi / rays.per_patch)
-    beside, beside_coated = radiance.sum(1) * scale, (radiance * through).sum(1) * scale
-    return target, cosine, sent.distance_m, rays.passed, sent.mirrored, sent.factor, beside, beside_coated
-
-
-def _direct(tracer: Tracer, light: DirectLight, patches: _PatchSet, visibility: LightVisibility, seed: int) -> Received:
+def _direct(patches: _PatchSet, visibility: LightVisibility) -> Received:
     """Compute each patch's direct light, the mean over its points, in two rounds.
 
     The first only measures which lights each patch sees; the second samples by that. `light.visibility` holds the
     counts of both.
     """
-    count = len(visibility.owner)
+    count, light, seed = len(visibility.owner), patches.light, patches.seed
     columns = patches.columns
     used = columns.used[:count]
     owner, place = _points_of(used)
@@ -312,7 +293,7 @@ def _direct(tracer: Tracer, light: DirectLight, patches: _PatchSet, visibility: 
         columns.position[owner, place],
         columns.normal[owner, place],
         columns.geometric_normal[owner, place],
-        tracer.materials.roughness[columns.material[owner]],
+        light.tracer.materials.roughness[columns.material[owner]],
         np.full(len(owner), -1, np.int32),
         np.arange(len(owner), dtype=np.int64),
     )
@@ -335,16 +316,11 @@ def _direct(tracer: Tracer, light: DirectLight, patches: _PatchSet, visibility: 
 
 
 def _bounced(
-    tracer: Tracer,
-    light: DirectLight,
-    patches: _PatchSet,
-    count: int,
-    columns: tuple[np.ndarray, ...],
-    enclosed: Bool[np.ndarray, " p"],
-    seed: int,
+    patches: _PatchSet, count: int, columns: tuple[np.ndarray, ...], enclosed: Bool[np.ndarray, " p"]
 ) -> RoomCache:
-    """Sum the bounces of light between the patches; columns are those of `_linked`."""
-    materials, coat = tracer.materials, light.coat
+    """Sum the bounces of light between the patches; columns are those of `linked`."""
+    light = patches.light
+    materials, coat = light.tracer.materials, light.coat
     position, _, _, albedos, used, _, material = (column[:count] for column in patches.columns)
     alpha = materials.roughness[material]
     point = np.arange(kernels.POINTS) < used[:, None]
@@ -352,7 +328,7 @@ def _bounced(
     visibility = LightVisibility(
         position, used, material.copy(), lights=max(1, len(light.lights.start)), materials=len(materials.mirror)
     )
-    direct = _direct(tracer, light, patches, visibility, seed)
+    direct = _direct(patches, visibility)
     target, cosine, distance, passed, mirrored, factor, beside, beside_coated = columns
     target[target >= count] = -1  # found by the last wave and never lit
     target[enclosed[target] & (distance > ENCLOSED_M)] = -1

@@ -40,11 +40,8 @@ class Reflections:
     """Renders the reflections of a room's surfaces."""
 
     def __init__(self, irradiance_cache: IrradianceCache) -> None:
-        self.tracer, self.light, self.irradiance_cache = (
-            irradiance_cache.tracer,
-            irradiance_cache.light,
-            irradiance_cache,
-        )
+        self.irradiance_cache = irradiance_cache
+        self.tracer, self.light = irradiance_cache.tracer, irradiance_cache.light
 
     def panes(self, paths: Paths, pixel_angle: float) -> Float32[np.ndarray, "p 3"]:
         """Return the radiance that the paths' panes reflect, times their share; pixel_angle is in radians."""

@@ -75,11 +75,11 @@ class RoomLight:
         room share their random numbers.
         """
         light = DirectLight(tracer)
-        room = solve_room(tracer, light, seed=rng_seed)
-        cache = IrradianceCache(tracer, light, room, seed=rng_seed)
+        room = solve_room(light, seed=rng_seed)
+        cache = IrradianceCache(light, room, seed=rng_seed)
         if not precise:
             return cls(Viewer(cache))
-        view_cache = IrradianceCache(tracer, light, room, seed=rng_seed, gather_rays=PRECISE_RAYS, interpolated=False)
+        view_cache = IrradianceCache(light, room, seed=rng_seed, gather_rays=PRECISE_RAYS, interpolated=False)
         return cls(Viewer(cache, view_cache=view_cache, lobe_passes=PRECISE_LOBES))
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:

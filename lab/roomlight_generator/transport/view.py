@@ -65,11 +65,8 @@ class Viewer:
         `irradiance_cache` is the light of the surfaces that reflections show, `view_cache` that of the surfaces that
         pictures show (default: the same). Coats' reflections are the mean of `lobe_passes` passes.
         """
-        self.tracer, self.light, self.irradiance_cache = (
-            irradiance_cache.tracer,
-            irradiance_cache.light,
-            irradiance_cache,
-        )
+        self.irradiance_cache = irradiance_cache
+        self.tracer, self.light = irradiance_cache.tracer, irradiance_cache.light
         self._view_cache, self._lobe_passes = view_cache or irradiance_cache, lobe_passes
         self.reflections = Reflections(irradiance_cache)
 
