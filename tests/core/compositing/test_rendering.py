@@ -78,9 +78,9 @@ def test_pixels_without_noise_get_the_least_samples(monkeypatch: pytest.MonkeyPa
     counts: list[int] = []
     traced = renderer._traced
 
-    def counted(scene, world, view, settings, span, background):
-        counts.append(len(view.column) * span[1])
-        return traced(scene, world, view, settings, span, background)
+    def counted(stage, view, first, samples):
+        counts.append(len(view.column) * samples)
+        return traced(stage, view, first, samples)
 
     monkeypatch.setattr(renderer, "_traced", counted)
     smooth = ProbeSet.single(cv2.GaussianBlur(panorama(), (0, 0), 3))

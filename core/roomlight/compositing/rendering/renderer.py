@@ -107,6 +107,13 @@ class _World(NamedTuple):
     emitters: Emitters
 
 
+class _Stage(NamedTuple):
+    scene: TracedObjects
+    world: _World
+    settings: RenderSettings
+    background: Background | None
+
+
 class _View(NamedTuple):
     camera_to_world: Float[np.ndarray, "4 4"]
     fx: float
@@ -203,15 +210,16 @@ def render_objects(
     if len(pixels):
         light = lights.environment if settings.samples else lights.panoramas
         is_open = scene.is_open() if settings.samples else np.zeros(0, bool)
-        stage = scene.surfaces, scene.materials, scene.textures
-        world = _World(*stage, light, lobe_table(), supports or _NO_SUPPORTS, is_open, scene.emitters)
+        tables = scene.surfaces, scene.materials, scene.textures
+        world = _World(*tables, light, lobe_table(), supports or _NO_SUPPORTS, is_open, scene.emitters)
+        stage = _Stage(scene, world, settings, background)
         row, column = np.divmod(pixels, camera.width)
         key = _mixed_keys(pixels, seed)
         view = _View(pose, camera.fx, camera.fy, camera.cx, camera.cy, column, row, key, jitter=True)
         if settings.samples == 0:
-            _preview(scene, world, lights, view, film, camera, background)
+            _preview(stage, lights, view, film, camera)
         else:
-            settings = _sampled(scene, world, view, film, camera, settings, background, max_paths)
+            settings = _sampled(stage, view, film, camera, max_paths)
     shape = camera.height, camera.width
     radiance, alpha = film.radiance.reshape(*shape, 3), film.alpha.reshape(shape)
     if settings.denoised and len(pixels):
@@ -298,21 +306,13 @@ def _camera_hits(scene: TracedObjects, view: _View, samples: int) -> tuple[_Path
     return paths, hits
 
 
-def _preview(
-    scene: TracedObjects,
-    world: _World,
-    lights: ProbeSet,
-    view: _View,
-    film: _Film,
-    camera: Intrinsics,
-    background: Background | None,
-) -> None:
+def _preview(stage: _Stage, lights: ProbeSet, view: _View, film: _Film, camera: Intrinsics) -> None:
     """Shade pixel centres, and several points of the pixels on outlines."""
+    scene = stage.scene
     pixels = view.row * camera.width + view.column
     centres = view._replace(jitter=False)
     paths, hits = _camera_hits(scene, centres, 1)
-    shaded = _shaded(world, lights, centres, paths, hits, background)
-    _store(film, pixels, shaded)
+    _store(film, pixels, _shaded(stage, lights, centres, paths, hits))
     chosen = np.flatnonzero(_on_outline(film.object_id.reshape(camera.height, camera.width), view))
     if len(chosen) == 0:
         return
@@ -322,15 +322,13 @@ def _preview(
     mixed = (ids >= 0).any(axis=1)  # also where all meet one object: a mirror's rim shows a half of the room in a pixel
     rays = np.repeat(mixed, _EDGE_SAMPLES)
     paths, hits = _Paths(*(column[rays] for column in paths)), RayHits(*(column[rays] for column in hits))
-    shaded = _shaded(world, lights, part.part(np.flatnonzero(mixed)), paths, hits, background)
+    shaded = _shaded(stage, lights, part.part(np.flatnonzero(mixed)), paths, hits)
     _store(film, pixels[chosen[mixed]], _reduced(shaded, _EDGE_SAMPLES, extra=False))
 
 
-def _shaded(
-    world: _World, lights: ProbeSet, view: _View, paths: _Paths, hits: RayHits, background: Background | None
-) -> _Film:
+def _shaded(stage: _Stage, lights: ProbeSet, view: _View, paths: _Paths, hits: RayHits) -> _Film:
     film = _film(len(paths.slot), extra=False)
-    mips = lights.prefiltered
+    mips, world, background = lights.prefiltered, stage.world, stage.background
 
     def work(begin: int, end: int) -> None:
         behind = np.empty((0 if background is None else end - begin, 3), np.float32)
@@ -353,26 +351,18 @@ def _on_outline(object_id: Int32[np.ndarray, "h w"], view: _View) -> Bool[np.nda
     return mixed[view.row - top, view.column - left]
 
 
-def _sampled(
-    scene: TracedObjects,
-    world: _World,
-    view: _View,
-    film: _Film,
-    camera: Intrinsics,
-    settings: RenderSettings,
-    background: Background | None,
-    max_paths: int | None,
-) -> RenderSettings:
+def _sampled(stage: _Stage, view: _View, film: _Film, camera: Intrinsics, max_paths: int | None) -> RenderSettings:
     """Trace paths through the pixels that objects cover, and their neighbours; return the settings within the limit."""
     pixels = view.row * camera.width + view.column
-    _, hits = _camera_hits(scene, view, _COVERAGE_SAMPLES)
+    _, hits = _camera_hits(stage.scene, view, _COVERAGE_SAMPLES)
     covered = np.zeros(camera.width * camera.height, np.uint8)
     covered[pixels] = (hits.face.reshape(-1, _COVERAGE_SAMPLES) >= 0).any(axis=1)
     grown = cv2.dilate(covered.reshape(camera.height, camera.width), np.ones((3, 3), np.uint8)).reshape(-1)
     chosen = np.flatnonzero(grown[pixels])
-    view, pixels = view.part(chosen), pixels[chosen]
+    view, pixels, settings = view.part(chosen), pixels[chosen], stage.settings
     while max_paths is not None and settings.samples > 1 and settings.samples * len(pixels) > max_paths:
         settings = replace(settings, samples=settings.samples // 2)
+    stage = stage._replace(settings=settings)
     per_pass = min(settings.samples, _BLOCK_RAYS)
     per_block = max(1, _BLOCK_RAYS // per_pass)
     sparing = 0 < settings.least < settings.samples == per_pass
@@ -382,26 +372,24 @@ def _sampled(
             own = slice(block * per_block, (block + 1) * per_block)
             part, total = view.part(own), _film(len(pixels[own]))
             if sparing:
-                total = _spared(scene, world, part, settings, background)
+                total = _spared(stage, part)
             else:
                 for first in range(0, settings.samples, per_pass):
-                    traced = _traced(scene, world, part, settings, (first, per_pass), background)
-                    _accumulate(total, _reduced(traced, per_pass), per_pass / settings.samples)
+                    _accumulate(total, _traced(stage, part, first, per_pass), per_pass / settings.samples)
             _store(film, pixels[own], total)
 
     parallel_for(work, -(-len(pixels) // per_block), pieces_per_thread=16)
     return settings
 
 
-def _spared(
-    scene: TracedObjects, world: _World, view: _View, settings: RenderSettings, background: Background | None
-) -> _Film:
+def _spared(stage: _Stage, view: _View) -> _Film:
     """Trace the least samples, and twice as many of the pixels where these differ, until they are all."""
+    settings = stage.settings
     count = settings.least
-    out = _reduced(_traced(scene, world, view, settings, (0, count), background), count)
+    out = _traced(stage, view, 0, count)
     noisy = np.flatnonzero(_is_noisy(out, view, settings.smoothed))
     while len(noisy) and count < settings.samples:
-        more = _reduced(_traced(scene, world, view.part(noisy), settings, (count, count), background), count)
+        more = _traced(stage, view.part(noisy), count, count)
         total = _film(len(noisy))
         for half in (_Film(*(column[noisy] for column in out)), more):
             _accumulate(total, half, 0.5)
@@ -438,16 +426,9 @@ def _smoothed(film: _Film, pixels: Int64[np.ndarray, " p"], camera: Intrinsics) 
     return out
 
 
-def _traced(
-    scene: TracedObjects,
-    world: _World,
-    view: _View,
-    settings: RenderSettings,
-    span: tuple[int, int],
-    background: Background | None,
-) -> _Film:
-    """Trace the samples span = (first, count) of some pixels in this thread."""
-    first, samples = span
+def _traced(stage: _Stage, view: _View, first: int, samples: int) -> _Film:
+    """Trace so many samples of some pixels, from `first` on, in this thread; return their mean."""
+    scene, world, settings, background = stage
     count = len(view.column) * samples
     emits = len(world.emitters.face) > 0
     film, paths, queues = _film(count), _paths(count), (_queue(count * (1 + emits)), _queue(count))
@@ -467,7 +448,7 @@ def _traced(
             _add_background(world, _Queue(*(column[:escaped] for column in escape)), film, background)
         if live == 0:
             break
-    return film
+    return _reduced(film, samples)
 
 
 def _add_background(world: _World, rays: _Queue, film: _Film, background: Background) -> None:
