@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from roomlight.captures import Capture
 from roomlight.conventions import Position
 from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session
@@ -72,11 +73,8 @@ class ReplayPictures:
         positions: The probes, world metres.
         state: What is known so far.
         parts: Folder for the parts of the video.
-        frame_count: Frames of the whole replay.
-        frames_per_second: The recording's rate.
-        truths: Measured panoramas of the probes; None where the capture has none.
-        title: The summary's.
-        subtitle: The line below it.
+        capture: The recording; measured panoramas of its probes are shown beside the estimated ones.
+        subtitle: The line below the summary's title.
     """
 
     def __init__(
@@ -86,22 +84,20 @@ class ReplayPictures:
         state: PicturesState,
         *,
         parts: Path,
-        frame_count: int,
-        frames_per_second: float,
-        truths: Sequence[Float[np.ndarray, "th tw 3"] | None],
-        title: str,
+        capture: Capture,
         subtitle: str,
     ) -> None:
         self.state = state
         self._summary, self._whole, self._parts = out / SUMMARY, out / VIDEO, parts
-        self._title, self._subtitle = title, subtitle
+        self._title, self._subtitle = capture.path.name, subtitle
         self._positions = tuple(positions)
         self._labels = [f"Probe {n} at {position_text(position)}" for n, position in enumerate(positions)]
         self._shown = f", {MAX_PROBES} of {len(positions)} probes" if len(positions) > MAX_PROBES else ""
-        self._truths = truths
-        self._wanted = sheet_times(frame_count)
+        measured = {probe.position: probe for probe in capture.probes if probe.panorama_path is not None}
+        self._truths = [measured[at].panorama() if at in measured else None for at in self._positions]
+        self._wanted = sheet_times(capture.frame_count)
         self._picture = ReplayPicture(self._labels, views=state.views, frame_size=state.frame_size)
-        self._rate = video_rate(frames_per_second)
+        self._rate = video_rate(capture.film_rate)
         self._video = self._next_part()
 
     def _next_part(self) -> VideoWriter:

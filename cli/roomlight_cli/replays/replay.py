@@ -188,10 +188,7 @@ class _Run:
             state.positions,
             state.pictures,
             parts=out / FOLDER,
-            frame_count=capture.frame_count,
-            frames_per_second=capture.film_rate,
-            truths=_truths(capture, state.positions),
-            title=capture.path.name,
+            capture=capture,
             subtitle=f"Light estimated by RoomLight from {frames}, model {session.model}",
         )
 
@@ -299,12 +296,6 @@ def _positions(capture: Capture, first: Frame, options: ReplayOptions) -> tuple[
         return tuple(probe.position for probe in capture.probes)
     picked = (point_at_pixel(first, u, v, above_m=options.above_m) for u, v in options.pixels)
     return (*options.probes, *picked) or (point_in_view(first),)
-
-
-def _truths(capture: Capture, positions: Sequence[Position]) -> list[Float[np.ndarray, "h w 3"] | None]:
-    """Return the capture's measured panoramas at these positions; None where it has none."""
-    measured = {probe.position: probe for probe in capture.probes if probe.panorama_path is not None}
-    return [measured[position].panorama() if position in measured else None for position in positions]
 
 
 def _medians(reports: Sequence[FrameReport]) -> dict[str, float]:
