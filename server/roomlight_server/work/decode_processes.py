@@ -2,7 +2,6 @@
 
 from dataclasses import asdict
 from functools import partial
-from typing import Any
 
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.errors import ObjectError, WireError
@@ -50,12 +49,6 @@ class DecodeProcesses(Processes):
         """
         arguments = {"work": "object", "kind": kind, "limits": asdict(self._object_limits)}
         try:
-            return self._request(arguments, body, self._object_timeout_s, _decoded_object)
+            return self._request(arguments, body, self._object_timeout_s, unpack_object)
         except (KilledError, ObjectError) as error:
             raise WireError("bad-object", field="body", value="", rule=str(error)) from error
-
-
-def _decoded_object(text: dict[str, Any], data: memoryview) -> VirtualObject:
-    if "rejected" in text:
-        raise WireError(**text["rejected"])
-    return unpack_object(text, data)

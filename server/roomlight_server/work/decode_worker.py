@@ -75,13 +75,7 @@ def pack_frame(frame: Frame) -> Result:
 
 
 def unpack_frame(text: dict[str, Any], data: bytes | memoryview, message: FrameMessage, index: int) -> Frame:
-    """Return the frame of a result of `pack_frame`, with arrays of its own: a kept image keeps no depth in memory.
-
-    Raises:
-        WireError: The decoder rejected the frame.
-    """
-    if "rejected" in text:
-        raise WireError(**text["rejected"])
+    """Return the frame of a result of `pack_frame`, with arrays of its own: a kept image keeps no depth in memory."""
     (height, width), (depth_height, depth_width) = text["image"], text["depth"]
     pixels, depth_pixels = height * width, depth_height * depth_width
     depth_at = 12 * pixels

@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import IO, Any, Final, Literal, TypeVar
 
+from roomlight.errors import WireError
 from roomlight_server.work.decode_worker import READY, REQUEST, RESULT
 from roomlight_server.work.shared_block import BLOCK_BYTES, SharedBlock
 
@@ -248,6 +249,7 @@ class Processes:
 
         Raises:
             KilledError: The process took too long, has ended, or used up its memory.
+            WireError: The process rejected the body.
             RuntimeError: The work failed; the text is the traceback.
         """
         wanted = json.dumps(arguments).encode()
@@ -277,6 +279,8 @@ class Processes:
                 try:
                     if "memory" in text:
                         raise KilledError("must decode within the memory of a decoding process", "memory")
+                    if "rejected" in text:
+                        raise WireError(**text["rejected"])
                     if "failed" in text:
                         raise RuntimeError(text["failed"])
                     with process.arrays(size, len(body)) as arrays:

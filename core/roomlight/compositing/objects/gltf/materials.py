@@ -1,7 +1,6 @@
 """glTF's materials as `Material`: textures brought to one set of coordinates, extensions converted or noted."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -120,7 +119,9 @@ class MaterialReader:
         }
         converted = () if glossy is None else ("base", "rough")  # by texel, in float64: not enlarged
         slots = {key: self._slot(info, label, key, notes, edged=key not in converted) for key, info in textures.items()}
-        uv_set, transform = _common([slots[key] for key in ("base", "normal", "rough", *list(slots)[3:])])
+        in_order = (slots[key] for key in ("base", "normal", "rough", *list(slots)[3:]))
+        first = next((slot for slot in in_order if slot is not None), None)  # the mesh has one set of coordinates
+        uv_set, transform = (0, np.eye(3)) if first is None else (first.uv_set, first.transform)
         pixels, means = {}, {}
         for key, slot in slots.items():
             pixels[key], means[key] = self._brought(slot, uv_set, transform, label, notes)
@@ -512,14 +513,6 @@ def _matrix(transform: TextureTransform) -> Float[np.ndarray, "3 3"]:
     c, s = math.cos(transform.rotation), math.sin(transform.rotation)
     (x, y), (u, v) = transform.offset, transform.scale
     return np.array([[c * u, s * v, x], [-s * u, c * v, y], [0, 0, 1]])
-
-
-def _common(slots: Sequence[_Slot | None]) -> tuple[int, Float[np.ndarray, "3 3"]]:
-    """Return set and transform of the first texture: the mesh has one set of coordinates."""
-    for slot in slots:
-        if slot is not None:
-            return slot.uv_set, slot.transform
-    return 0, np.eye(3)
 
 
 def _mean_of(pixels: UInt8[np.ndarray, "h w c"], *, of_values: bool = False) -> Float[np.ndarray, "4"]:
