@@ -1,6 +1,6 @@
 """A mean with its 95 % bootstrap interval: the figure that every table of an evaluation shows; what it is taken of."""
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -62,6 +62,13 @@ def ratio_of_means(
     means = table[:, _resampled_rows(count)].mean(axis=2)
     low, high = np.percentile(means[0] / means[1], [2.5, 97.5])
     return MeanWithInterval(ratio, float(low), float(high))
+
+
+def resampled(rooms: Mapping[str, str]) -> str:
+    """Return what intervals are over, by each capture's room: "probes" of a single capture, "captures", or "rooms"."""
+    if len(rooms) == 1:
+        return "probes"
+    return "rooms" if len(set(rooms.values())) < len(rooms) else "captures"
 
 
 @lru_cache(maxsize=8)

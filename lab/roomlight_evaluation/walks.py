@@ -221,8 +221,8 @@ def evaluate_walks(
         if walk_tracks:
             tracks += walk_tracks
             probes = len({track.probe for track in walk_tracks})
-            frames, room = len(walk_tracks[0].frames), f"{dataset.folder.name}/{recording.room}"
-            summaries.append(CaptureSummary(name, str(dataset.folder), frames, 0, probes, room))
+            frames = len(walk_tracks[0].frames)
+            summaries.append(CaptureSummary(name, str(dataset.folder), frames, 0, probes, recording.room))
         if progress is not None:
             progress(done, len(chosen))
     if not tracks:

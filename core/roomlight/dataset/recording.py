@@ -59,9 +59,8 @@ class Recording:
 
     @property
     def room(self) -> str:
-        """The room by its seed and number: walks through one room are alike. The own name where it is not known."""
-        made = self.facts.get("made")
-        return f"{made['split']}-{made['room_seed']}-{made['room']}" if made else self.name
+        """The room, as `room_of` names it; the own name where it is not known."""
+        return room_of(self.facts) or self.name
 
     def true_panoramas(self) -> Float32[np.ndarray, "p ph pw 3"]:
         """Return the light at each probe, in units of the first decoded frame's white."""
@@ -86,3 +85,17 @@ class Recording:
             camera_to_world=self.camera_to_world[number],
             source=self.name,
         )
+
+
+def room_of(facts: Any) -> str | None:
+    """Return the room that facts state: recordings of one room are alike.
+
+    Rooms lit by panoramas of one building are one room, as is a scene of Blender. Others have a seed and a number.
+    """
+    match facts:
+        case {"room": str(name)} | {"light": {"building": str(name)}} | {"scene": str(name)}:
+            return name
+        case {"made": {"split": split, "room_seed": seed, "room": number}}:
+            return f"{split}-{seed}-{number}"
+        case _:
+            return None

@@ -28,7 +28,7 @@ from roomlight.frame import Frame
 from roomlight.imaging.tables import figure_table
 from roomlight.monocular.stream import DepthStream, open_depth_stream
 from roomlight_evaluation.captures.estimators import EngineEstimator
-from roomlight_evaluation.captures.evaluation import ProgressCallback, score_frames
+from roomlight_evaluation.captures.evaluation import ProgressCallback, capture_room, score_frames
 from roomlight_evaluation.captures.scores import Track
 from roomlight_evaluation.confidence import (
     MeanWithInterval,
@@ -58,7 +58,7 @@ class DepthScore:
         abs_rel: By `METHODS`.
         delta: Likewise, the share within 25 %.
         light: By `LIGHT`, the errors of light by estimated depth and by exact depth; none without true panoramas.
-        of_room: The same of walks through one room; None: no other is of this one's.
+        of_room: The same of recordings of one room; None: no other is of this one's.
     """
 
     room: str
@@ -204,7 +204,7 @@ def _rooms(path: Path, reading: CaptureOptions, split: Split, limit: int | None)
     if not (path / MANIFEST).is_file():
         capture = open_capture(path, replace(reading, depth="file", depth_model=None))
         truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
-        yield _Room(path.resolve().name, _CAPTURES, capture, capture.frame_count, truths)
+        yield _Room(path.resolve().name, _CAPTURES, capture, capture.frame_count, truths, capture_room(path))
         return
     dataset = Dataset(path, split)
     for number in evenly_spread(len(dataset), limit):

@@ -15,6 +15,8 @@ from jaxtyping import Float
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import Position
+from roomlight.dataset.recording import room_of
+from roomlight.dataset.sequence_files import FACTS
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
@@ -101,7 +103,7 @@ def evaluate_capture(
     """Score estimators on one open capture; `name` labels the results.
 
     Raises:
-        CaptureError: The capture has no ground truth.
+        CaptureError: The capture has no ground truth, or its `facts.json` is not JSON.
         OptionError: Two estimators have one name.
         ModelError: An estimator returned something else than a finite panorama.
     """
@@ -131,8 +133,24 @@ def evaluate_capture(
         frames=len(indices),
         skipped=len(capture.skipped),
         probes=len(probes),
+        room=capture_room(capture.path),
     )
     return summary, tracks
+
+
+def capture_room(path: Path) -> str | None:
+    """Return the room that a capture's `facts.json` states, as those of datasets do; None without one.
+
+    Raises:
+        CaptureError: The file is not JSON.
+    """
+    facts = path / FACTS
+    try:
+        return room_of(json.loads(facts.read_bytes()))
+    except OSError:
+        return None
+    except ValueError as error:
+        raise CaptureError(f"{facts}: is not JSON ({error}); write the capture's room there, {{\"room\": ...}}") from error
 
 
 def score_frames(

@@ -26,7 +26,8 @@ from roomlight.engine.session import Session, SessionOptions
 from roomlight.imaging.tables import figure_table
 from roomlight.light.main_light import main_light
 from roomlight.placement import point_in_view
-from roomlight_evaluation.confidence import MeanWithInterval, mean_cell, mean_with_interval
+from roomlight_evaluation.captures.evaluation import capture_room
+from roomlight_evaluation.confidence import MeanWithInterval, mean_cell, mean_with_interval, resampled
 
 METHODS: Final = ("tracked", "one panorama")
 SETTLED_FRAME: Final = 5
@@ -43,6 +44,7 @@ class DirectionTrack:
     Attributes:
         directions: unit directions after each frame.
         truth: the truth's main light; None without ground truth.
+        room: the same of captures of one room; None: no other is of this one's.
     """
 
     capture: str
@@ -50,6 +52,7 @@ class DirectionTrack:
     method: str
     directions: tuple[Direction, ...]
     truth: Direction | None
+    room: str | None = None
 
     @property
     def jumps_deg(self) -> list[float]:
@@ -70,7 +73,7 @@ class DirectionTrack:
 
 @dataclass(frozen=True)
 class MethodSummary:
-    """One method over all tracks; errors are means over tracks, with 95 % bootstrap intervals over captures, or over
+    """One method over all tracks; errors are means over tracks, with 95 % bootstrap intervals over rooms, or over
     the tracks of a single capture."""
 
     method: str
@@ -88,13 +91,18 @@ class MainLightScores:
 
     tracks: tuple[DirectionTrack, ...]
 
+    @property
+    def rooms(self) -> dict[str, str]:
+        """The room of each capture with ground truth."""
+        return {track.capture: track.room or track.capture for track in self.tracks if track.truth is not None}
+
     def summary(self, method: str) -> MethodSummary:
         """Summarise one of `METHODS`."""
         tracks = [track for track in self.tracks if track.method == method]
         steps = [jump for track in tracks for jump in track.jumps_deg]
         known = [track for track in tracks if track.truth is not None]
-        errors, captures = [track.errors_deg for track in known], [track.capture for track in known]
-        groups = captures if len(set(captures)) > 1 else None
+        errors, rooms = [track.errors_deg for track in known], self.rooms
+        groups = [rooms[track.capture] for track in known] if len(rooms) > 1 else None
         return MethodSummary(
             method,
             largest_jump_deg=max(steps, default=0.0),
@@ -143,7 +151,7 @@ def evaluate_main_lights(
 def _score_capture(
     capture: Capture, session: Session, progress: Callable[[str, int, int], None] | None
 ) -> list[DirectionTrack]:
-    name = capture.path.resolve().name
+    name, room = capture.path.resolve().name, capture_room(capture.path)
     probes = [probe for probe in capture.probes if probe.panorama_path is not None]
     truths = [main_light(probe.panorama()).direction for probe in probes] or [None]
     positions: list[Position] = [probe.position for probe in probes]
@@ -162,7 +170,7 @@ def _score_capture(
         if progress is not None:
             progress(name, count, capture.frame_count - len(capture.skipped))
     return [
-        DirectionTrack(name, probe, method, tuple(directions), truths[probe])
+        DirectionTrack(name, probe, method, tuple(directions), truths[probe], room)
         for (probe, method), directions in directions_of.items()
     ]
 
@@ -176,13 +184,12 @@ def main_light_table(scores: MainLightScores) -> Table:
     """Return the table: jumps after the fifth frame, share from below, mean errors with 95 % intervals."""
     sequences = len({(track.capture, track.probe) for track in scores.tracks})
     known = {(track.capture, track.probe) for track in scores.tracks if track.truth is not None}
-    over = "captures" if len({capture for capture, _ in known}) > 1 else "probes"
     table = figure_table(
         f"Main light, probes: {sequences}",
         ("largest\njump", f"over {JUMP_DEG:g}", "below", "error", "last\nframe"),
         caption=(
             f"degrees; jumps: angle between frames after frame {SETTLED_FRAME}; below: share of the frames; errors: of "
-            f"probes with ground truth ({len(known)}), 95 % intervals over {over}"
+            f"probes with ground truth ({len(known)}), 95 % intervals over {resampled(scores.rooms)}"
         ),
     )
     for method in METHODS:

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.metrics import METRICS, PAPER_INTERVALS, interval_means, intervals
-from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means, resampled
 
 SCHEMA: Final = "roomlight-evaluation-1"
 _Columns = Float[np.ndarray, "6"]
@@ -31,7 +31,7 @@ _Columns = Float[np.ndarray, "6"]
 class CaptureSummary:
     """One capture: numbers of frames scored, frames skipped as unusable, and probes with ground truth.
 
-    Walks through one room have the same `room`; None: no other capture is of this one's.
+    Captures of one room have the same `room`; None: no other is of this one's.
     """
 
     name: str
@@ -76,10 +76,8 @@ class CaptureScores:
 
     @property
     def resampled(self) -> str:
-        """What intervals are over: "probes" of a single capture, "captures", or "rooms" of several walks."""
-        if len(self.captures) == 1:
-            return "probes"
-        return "rooms" if len(set(self._rooms.values())) < len(self.captures) else "captures"
+        """What intervals are over: "probes" of a single capture, "captures", or "rooms" of several captures."""
+        return resampled(self._rooms)
 
     @property
     def _rooms(self) -> dict[str, str]:

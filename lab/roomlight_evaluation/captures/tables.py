@@ -64,7 +64,7 @@ def _ratios(scores: CaptureScores, method: str, *, to: str) -> Table:
             [title, *(mean_cell(scores.ratio(key, method, to, capture=name)) for key in _COMPARED)]
             for title, name in rows
         ),
-        caption="ratio of mean errors over captures (95 % bootstrap interval over captures)",
+        caption=f"ratio of mean errors over captures (95 % bootstrap interval over {scores.resampled})",
     )
 
 

@@ -24,6 +24,7 @@ from roomlight.frame import Frame
 from roomlight.spheres import resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import beside_classical
+from roomlight_evaluation.captures.evaluation import capture_room
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
 from roomlight_evaluation.confidence import MeanWithInterval, evenly_spread, mean_with_interval, ratio_of_means
 from roomlight_evaluation.objects.lit_objects import LOOKS, MEASURES, SHADOW, LitObjects, unseen_look
@@ -41,7 +42,7 @@ Truth = tuple[Position, Panorama]
 class RoomObjects:
     """One capture's or walk's errors and its unseen directions, by method: means over its probes.
 
-    Walks through one room have the same `of_room`; None: no other is of this one's.
+    Recordings of one room have the same `of_room`; None: no other is of this one's.
     """
 
     room: str
@@ -146,7 +147,7 @@ def _of_walk(dataset: Dataset, number: int, frames: int) -> _Shown:
     recording = dataset[number]
     chosen = _spread(len(recording.colour), frames)
     pictures = [recording.frame(number, recording.depth_mm[number]) for number in chosen]
-    return pictures, recording.truths(), f"{dataset.folder.name} {recording.room}"
+    return pictures, recording.truths(), recording.room
 
 
 def _of_capture(path: Path, frames: int) -> _Shown:
@@ -162,7 +163,7 @@ def _of_capture(path: Path, frames: int) -> _Shown:
     pictures = shown(capture.frame_count)
     if capture.skipped:
         pictures = shown(capture.frame_count - len(capture.skipped))
-    return pictures, truths, None
+    return pictures, truths, capture_room(path)
 
 
 def _spread(count: int, frames: int) -> list[int]:

@@ -10,6 +10,7 @@ import stub_rooms
 from roomlight.captures import open_capture
 from roomlight.dataset.extract import extract
 from roomlight.dataset.loader import Dataset
+from roomlight.dataset.recording import room_of
 from roomlight.dataset.shards import index_path, read_index
 from roomlight.errors import DatasetError, OutputError
 from roomlight_generator.generate import GenerateOptions, generate
@@ -45,6 +46,16 @@ def test_sequences_are_read_by_number_in_any_order(folder):
     assert dataset.number_of("train-000023") == 23
     assert [dataset.room_of(number) for number in (0, 1, 23)] == [0, 0, 11]
     np.testing.assert_array_equal(dataset[17].depth_mm, Dataset(folder)[17].depth_mm)
+
+
+def test_recordings_of_one_room_state_it(folder):
+    made = {"split": "train", "room_seed": 3, "room": 8}
+    assert [Dataset(folder)[number].room for number in (16, 17)] == ["train-3-8"] * 2
+    assert room_of({"light": {"building": "hall"}, "made": made}) == "hall"  # other rooms' light is that of the hall too
+    assert room_of({"scene": "loft.blend", "made": made}) == "loft.blend"
+    assert room_of({"room": "attic"}) == "attic"
+    assert [room_of(facts) for facts in ({}, [], {"room": 8, "light": "hall"})] == [None] * 3
+    assert stub_rooms.recording(np.random.default_rng(0), name="walk").room == "walk"
 
 
 def test_datasets_made_before_clipped_radiance_have_none(folder):

@@ -293,6 +293,18 @@ def test_captures_have_equal_weight_whatever_their_probes() -> None:
         scores.means("x", "log_l2")
 
 
+def test_captures_whose_facts_state_one_room_count_together(tmp_path: Path) -> None:
+    captures = [capture_of(tmp_path / name, frames=1) for name in ("a", "b", "c")]
+    for capture, room in zip(captures, ('{"room": "hall"}', '{"light": {"building": "hall"}}'), strict=False):
+        (capture / "facts.json").write_text(room)
+    scores = evaluate_captures(captures, lambda: [MeanColour(16), WarpAndFill(16)])
+    assert [capture.room for capture in scores.captures] == ["hall", "hall", None]
+    assert scores.resampled == "rooms"
+    (captures[2] / "facts.json").write_text("{")
+    with pytest.raises(CaptureError, match=r"c.facts\.json: is not JSON"):
+        evaluate_captures(captures, lambda: [MeanColour(16)])
+
+
 def test_captures_are_compared_with_the_classical_model() -> None:
     classical = uniform_scores({("a", 0): 1.0, ("b", 0): 1.0}, method="classical")
     single = uniform_scores({("a", 0): 0.5, ("b", 0): 1.0}, method="single")
@@ -306,6 +318,10 @@ def test_captures_are_compared_with_the_classical_model() -> None:
     ]
     *_, table = capture_tables(scores)
     assert [list(column.cells) for column in table.columns][:2] == [["single"], ["0.750 (0.500 to 1.000)"]]
+    alike = tuple(dataclasses.replace(capture, room="a") for capture in scores.captures)
+    *_, table = capture_tables(dataclasses.replace(scores, captures=alike), per_capture=True)
+    assert [*table.columns[1].cells][-1] == "0.750"
+    assert "interval over rooms" in str(table.caption)
 
 
 def test_the_bootstrap_interval_matches_the_standard_error() -> None:

@@ -18,8 +18,9 @@ def test_a_model_that_knows_the_room_beats_the_constant(tmp_path: Path) -> None:
     capture = write_capture(tmp_path / "room", [frame(k, pose(0.02 * k), depth=True) for k in range(3)])
     truth = exact_depth(pose(0), LENS.resized(SIZE[1], SIZE[0]))
     model = write_depth_model(tmp_path / "metric.onnx", {"depth": 1.1 * truth[None]})
+    (capture / "facts.json").write_text('{"room": "box"}')
     (score,) = evaluate_depth([capture], SessionOptions(model="classical"), CaptureOptions(depth_model=model)).scores
-    assert score.frames == 3
+    assert (score.frames, score.of_room) == (3, "box")
     assert score.abs_rel["single"] == pytest.approx(0.1, abs=0.02)
     assert score.delta["single"] > 0.95
     assert score.abs_rel["constant"] > 0.15

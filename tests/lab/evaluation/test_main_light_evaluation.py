@@ -75,8 +75,10 @@ def test_errors_are_means_over_probes_with_intervals() -> None:
     captures = [
         replace(track, capture=name) for name, of in (("a", near), ("b", far)) for track in of for _ in range(9)
     ]
-    alike = MainLightScores(tuple(captures)).summary("tracked").last_error_deg
-    assert (alike.low, alike.high) == pytest.approx((0, 45))  # two captures, not 18 probes
+    rooms = [replace(track, capture=f"{track.capture}{n}", room=track.capture) for n, track in enumerate(captures)]
+    for grouped in (captures, rooms):  # two captures, two rooms, not 18 probes
+        alike = MainLightScores(tuple(grouped)).summary("tracked").last_error_deg
+        assert (alike.low, alike.high) == pytest.approx((0, 45))
 
 
 @pytest.mark.slow
@@ -96,7 +98,10 @@ def test_every_method_is_scored_at_every_probe(tmp_path) -> None:
 
 
 def test_a_capture_without_truth_is_scored_for_jumps(tmp_path) -> None:
-    scores = evaluate_main_lights([capture_of(tmp_path / "room")], SessionOptions(height=32))
+    capture = capture_of(tmp_path / "room")
+    (capture / "facts.json").write_text('{"room": "hall"}')
+    scores = evaluate_main_lights([capture], SessionOptions(height=32))
+    assert {track.room for track in scores.tracks} == {"hall"}
     assert all(track.truth is None for track in scores.tracks)
     console = Console(width=120, record=True)
     print_table(console, main_light_table(scores))

@@ -83,8 +83,9 @@ def test_a_place_without_a_shadow_has_no_error_of_it():
 def scores(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rooms")
     reported = []
+    (write_room(folder / "b") / "facts.json").write_text('{"light": {"building": "hall"}}')
     found = evaluate_objects(
-        [write_room(folder / "a"), write_room(folder / "b")],
+        [write_room(folder / "a"), folder / "b"],
         SessionOptions(model="classical"),
         frames=3,
         progress=lambda *at: reported.append(at),
@@ -95,7 +96,7 @@ def scores(tmp_path_factory):
 
 def test_every_method_is_scored_in_every_room(scores):
     assert scores.methods == (MEAN_COLOUR, HARMONICS, WARPED, "classical", f"classical, {COMPOSITED}")
-    assert [(room.room, room.probes) for room in scores.rooms] == [("a", 2), ("b", 2)]
+    assert [(room.room, room.probes, room.of_room) for room in scores.rooms] == [("a", 2, None), ("b", 2, "hall")]
     assert scores.ratio(HARMONICS, "diffuse").mean == scores.worst(HARMONICS, "diffuse") == 1
     assert scores.ratio("classical", "mirror").mean < scores.ratio(MEAN_COLOUR, "mirror").mean
 
