@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 import torch
 
+import lamp_rooms
 import stub_rooms
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, OptionError
-from roomlight_model.training.clipping import ClippingOptions
+from roomlight_model.training.clipping import ClippingOptions, ClippingStage
 from roomlight_model.training.objects import ObjectsOptions
 from roomlight_model.training.recipe import RECIPES, StageRecipe, build_stage, read_recipe
 from roomlight_model.training.single_view import SingleViewOptions
@@ -168,3 +169,14 @@ def test_data_without_what_a_stage_learns_from_is_named(data, options, message, 
     recipe, device = StageRecipe("run", options, ("rooms",)), torch.device("cpu")
     with pytest.raises(DatasetError, match=message):
         build_stage(recipe, [tmp_path / "rooms"], start_from=None, device=device)
+
+
+def test_small_networks_score_rooms_that_they_do_not_train_on(tmp_path) -> None:
+    folder = tmp_path / "lamps"
+    stub_rooms.make_dataset(folder, 6, frames=1, renderer=lamp_rooms.NAME)
+    recipe, device = StageRecipe("run", ClippingOptions(), ("lamps", "lamps")), torch.device("cpu")
+    stage = build_stage(recipe, [folder, folder], start_from=None, device=device)
+    assert isinstance(stage, ClippingStage)
+    seen, scored = ([frame.tobytes() for frame in part.radiance] for part in (stage.training, stage.held_out))
+    assert (len(seen), len(scored)) == (8, 2)  # two rooms, each walk twice, and one
+    assert set(seen).isdisjoint(scored)

@@ -9,7 +9,7 @@ import stub_rooms
 from recordings import BoxRecordings
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import DatasetError
-from roomlight_model.training.subsets import describe, random_split, surround, test_split, train_val_split
+from roomlight_model.training.subsets import describe, surround, test_split, train_val_split
 
 setattr(test_split, "__test__", False)  # noqa: B010  (a function of the package, no test)
 
@@ -31,6 +31,8 @@ def test_every_twelfth_room_is_trained_on_in_no_stage():
     kept = [f"box-{number}" for number in range(30) if number not in (0, 1, 24, 25)]
     assert names(training) == ["box-2", "box-3", *kept, "box-2", "box-3"]
     assert names(train_val_split([first, second], 3)[1]) == ["box-0", "box-1", "box-24"]
+    held_out = names(train_val_split([second, first, second])[1])
+    assert held_out == [f"box-{number}" for number in (0, 1, 0, 1, 24, 25)]
     with pytest.raises(DatasetError, match=r"the 2 sequences are all of held-out rooms, .*; generate more rooms"):
         train_val_split([BoxRecordings(2)], 48)
 
@@ -48,15 +50,6 @@ def test_test_splits_are_found_where_there_are_any(dataset, tmp_path):
     splits = test_split([dataset, both, both])
     assert [split.folder for split in splits] == [tmp_path / "both"]
     assert len(splits[0]) == 4
-
-
-def test_a_twelfth_is_split_off_at_random():
-    training, held_out = random_split(36, 0)
-    assert len(held_out) == 3
-    assert sorted(training + held_out) == list(range(36))
-    assert random_split(36, 0) == (training, held_out)
-    assert random_split(36, 1) != (training, held_out)
-    assert len(random_split(5, 0)[1]) == 1
 
 
 def test_surroundings_over_the_frame_by_hand():

@@ -29,7 +29,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
 from roomlight_model.training.small_stage import SmallStage
-from roomlight_model.training.subsets import ProgressCallback, each_sequence
+from roomlight_model.training.subsets import ProgressCallback, Subset, each_sequence
 
 GRADIENT_WEIGHT: Final = 0.5
 """Weight of the differences between neighbouring errors, at four scales: edges and planes (Li and Snavely 2018)."""
@@ -117,7 +117,7 @@ class DepthFrames(Tensors):
         )
 
     @classmethod
-    def read(cls, datasets: Sequence[Dataset], *, progress: ProgressCallback | None = None) -> "DepthFrames":
+    def read(cls, datasets: Sequence[Dataset | Subset], *, progress: ProgressCallback | None = None) -> "DepthFrames":
         """Read the frames of every sequence, but few that are near the floor.
 
         Raises:

@@ -23,7 +23,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.small_stage import SmallOptions, SmallStage
-from roomlight_model.training.subsets import ProgressCallback, each_sequence
+from roomlight_model.training.subsets import ProgressCallback, Subset, each_sequence
 
 CLIPPED: Final = 0.956
 """Radiance from which an 8-bit sRGB value counts as clipped (`roomlight.frame.CLIPPED_SRGB8`)."""
@@ -63,7 +63,7 @@ class ClippingFrames(Tensors):
 
     @classmethod
     def read(
-        cls, datasets: Sequence[Dataset], *, seed: int, progress: ProgressCallback | None = None
+        cls, datasets: Sequence[Dataset | Subset], *, seed: int, progress: ProgressCallback | None = None
     ) -> "ClippingFrames":
         """Read a frame of every sequence, drawn at random; sequences whose recordings lack the truth are left out.
 

@@ -32,7 +32,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.small_stage import SmallOptions, SmallStage
-from roomlight_model.training.subsets import ProgressCallback, each_sequence
+from roomlight_model.training.subsets import ProgressCallback, Subset, each_sequence
 
 MATERIALS: Final = ("diffuse", "glossy", "metal")
 """Pictures whose errors are the loss: spheres of these materials."""
@@ -86,7 +86,7 @@ class ProbePanels(Tensors):
     @classmethod
     def read(
         cls,
-        datasets: Sequence[Dataset],
+        datasets: Sequence[Dataset | Subset],
         *,
         seed: int,
         streams: int = _STREAMS,
@@ -227,7 +227,7 @@ def _reflection_lobe(power: int) -> Float32[Tensor, "n k"]:
 
 
 def _stream(
-    session: Session, dataset: Dataset, index: int, rng: np.random.Generator
+    session: Session, dataset: Dataset | Subset, index: int, rng: np.random.Generator
 ) -> list[tuple[Float16[np.ndarray, "10 h w"], Float16[np.ndarray, "3 h w"]]]:
     """Push random frames of a recording; return the panels and the truth of its probes at two moments."""
     count = dataset.frames_of(index)

@@ -42,7 +42,7 @@ from roomlight_model.training.loop import Stage
 from roomlight_model.training.objects import ObjectsOptions, ObjectsStage, ProbePanels
 from roomlight_model.training.run_folder import RunOptions
 from roomlight_model.training.single_view import SingleViewOptions, SingleViewStage
-from roomlight_model.training.subsets import ProgressCallback, describe, random_split, test_split, train_val_split
+from roomlight_model.training.subsets import ProgressCallback, describe, test_split, train_val_split
 from roomlight_model.training.video import VideoOptions, VideoStage
 
 RECIPES: Final = Path(__file__).parent / "recipes"
@@ -217,13 +217,12 @@ def build_stage(
             return VideoStage(options, training, held_out, device=device, start_from=start_from, data=data)
         return SingleViewStage(options, training, held_out, device=device, start_from=start_from, data=data)
     test = test_split(datasets)
+    training, held_out = (datasets, test) if test else ([part] for part in train_val_split(datasets))
     stage, read = _small_stage(options)
-    examples = read(datasets, progress=progress)
-    train, split_off = random_split(len(examples), options.seed)
     return stage(
         options,
-        examples if test else examples.take(train),
-        read(test) if test else examples.take(split_off),
+        read(training, progress=progress),
+        read(held_out),
         start_from=start_from,
         data=data,
         device=device if isinstance(options, DepthOptions) else torch.device("cpu"),

@@ -2,7 +2,7 @@
 
 View and video stages hold out every twelfth room of every dataset, so that no stage trains on a room that another one
 scores; the shipped single-view weights are older than this rule. Buildings differ between splits alone: a panorama that
-lights a held-out room lights others too. The small networks hold out the test splits, or a twelfth of their examples.
+lights a held-out room lights others too. The small networks hold out the test splits; where there are none, such rooms.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -40,10 +40,10 @@ class Subset:
     def __len__(self) -> int:
         return len(self._places)
 
-    def read(self, index: int, /, *, frames: list[int]) -> Recording:
-        """Read a sequence with the requested frames."""
+    def read(self, index: int, /, **options: Any) -> Recording:
+        """Read a sequence; `options` are those of its dataset's `read`."""
         recordings, number = self._places[index]
-        return recordings.read(number, frames=frames)
+        return recordings.read(number, **options)
 
     def frames_of(self, index: int, /) -> int:
         """Return the number of frames of a sequence."""
@@ -71,8 +71,8 @@ class Subset:
 
 
 def each_sequence(
-    datasets: Sequence[Dataset], progress: ProgressCallback | None = None
-) -> Iterator[tuple[Dataset, int]]:
+    datasets: Sequence[Dataset | Subset], progress: ProgressCallback | None = None
+) -> Iterator[tuple[Dataset | Subset, int]]:
     """Yield every sequence as its dataset and its number there; `progress` is called when one has been used."""
     sequences = [(dataset, index) for dataset in datasets for index in range(len(dataset))]
     for done, sequence in enumerate(sequences, 1):
@@ -81,10 +81,11 @@ def each_sequence(
             progress(done, len(sequences))
 
 
-def train_val_split(datasets: Sequence[RoomRecordings], scored: int) -> tuple[Subset, Subset]:
+def train_val_split(datasets: Sequence[RoomRecordings], scored: int | None = None) -> tuple[Subset, Subset]:
     """Split into the sequences to train on, without every twelfth room, and those to score.
 
-    The latter are the first ones of the first dataset's held-out rooms, at most `scored`.
+    The latter are the first ones of the first dataset's held-out rooms, at most `scored`; None: those of every dataset,
+    once each.
 
     Raises:
         DatasetError: No sequence is left to train on.
@@ -95,8 +96,10 @@ def train_val_split(datasets: Sequence[RoomRecordings], scored: int) -> tuple[Su
         raise DatasetError(
             f"the {len(places)} sequences are all of held-out rooms, every twelfth from the first; generate more rooms"
         )
-    first = [number for number in range(len(datasets[0])) if datasets[0].room_of(number) % _HELD_OUT_EVERY == 0]
-    return Subset(training), Subset([(datasets[0], number) for number in first[:scored]])
+    chosen = datasets[:1] if scored is not None else dict.fromkeys(datasets)
+    places = [(dataset, number) for dataset in chosen for number in range(len(dataset))]
+    held_out = [(dataset, number) for dataset, number in places if dataset.room_of(number) % _HELD_OUT_EVERY == 0]
+    return Subset(training), Subset(held_out[:scored])
 
 
 def test_split(datasets: Sequence[Dataset]) -> list[Dataset]:
@@ -104,16 +107,6 @@ def test_split(datasets: Sequence[Dataset]) -> list[Dataset]:
     folders = {dataset.folder: dataset for dataset in datasets if dataset.manifest.sequences.get("test")}
     splits = [Dataset(folder, "test") for folder in folders]
     return [split for split in splits if len(split)]
-
-
-def random_split(count: int, seed: int) -> tuple[list[int], list[int]]:
-    """Split off a twelfth of `count` examples at random, to score; returns the training and the held-out numbers.
-
-    Rooms are shared with training, so that the scores show progress alone.
-    """
-    order = np.random.default_rng([seed, 13]).permutation(count).tolist()
-    held_out = max(1, count // 12)
-    return order[held_out:], order[:held_out]
 
 
 def describe(datasets: Sequence[Dataset]) -> list[dict[str, Any]]:
