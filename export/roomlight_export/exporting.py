@@ -50,7 +50,7 @@ class ExportReport:
     parity: dict[str, Parity]
     """By network: "sg" and "blend", or the small network's form."""
     untrained: tuple[str, ...] = ()
-    """Of "sglv" and "blending": what no stage of the card trained, if it names all stages."""
+    """Of "sglv" and "blending": what no stage of the form trained, if the card names all stages."""
 
 
 def export_checkpoint(
@@ -108,10 +108,11 @@ def _untrained(loaded: Checkpoint) -> tuple[str, ...]:
     cards = [loaded.card]
     while (before := cards[-1].get("before")) is not None:
         cards.append(before)
-    ends = {str(card.get("stage", "")).rpartition("-")[2] for card in cards}
-    if loaded.form not in ("single", "video") or "" in ends:
+    stages = {str(card.get("stage", "")) for card in cards}
+    if loaded.form not in ("single", "video") or "" in stages:
         return ()
-    return tuple(name for name, own in (("sglv", "sglv"), ("blending", "blend")) if not ends & {own, "joint"})
+    networks = (("sglv", "sglv"), ("blending", "blend"))
+    return tuple(name for name, own in networks if not stages & {f"{loaded.form}-{end}" for end in (own, "joint")})
 
 
 def _metadata(loaded: Checkpoint, name: str) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 
 import numpy as np
 import onnx
@@ -12,11 +13,12 @@ from export_models import CARD, CONFIG, SHAPE
 from onnx import TensorProto, numpy_helper
 
 from roomlight.errors import ModelError, OutputError
+from roomlight_cli.commands.export import warn_of_untrained
 from roomlight_export import exporting
 from roomlight_export.exporting import RECURRENT_STEPS, export_checkpoint
 from roomlight_export.graphs import graphs_of
 from roomlight_export.inputs import room_volume
-from roomlight_model.checkpoint import load_checkpoint, save_checkpoint
+from roomlight_model.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from roomlight_model.config import ModelConfig
 from roomlight_model.networks import SingleModel, VideoModel
 from untrained import save_untrained
@@ -147,7 +149,7 @@ def test_graphs_of_another_checkpoint_are_refused(tmp_path):
 
 
 @pytest.mark.usefixtures("traced")
-def test_networks_that_no_stage_trained_are_reported(single, tmp_path):
+def test_networks_that_no_stage_trained_are_reported(single, tmp_path, capsys):
     network = load_checkpoint(single.checkpoint).model
     sglv, joint = ({"steps": 2, "stage": f"single-{end}"} for end in ("sglv", "joint"))
     for card, untrained in (
@@ -157,7 +159,12 @@ def test_networks_that_no_stage_trained_are_reported(single, tmp_path):
         ({}, ()),
     ):
         save_checkpoint(tmp_path / "weights.pt", network, card=card)
-        assert export_checkpoint(tmp_path / "weights.pt", tmp_path / "out", ort=False).untrained == untrained
+        report = export_checkpoint(tmp_path / "weights.pt", tmp_path / "out", ort=False)
+        assert report.untrained == untrained
+    video = {"steps": 2, "stage": "video-sglv", "before": joint}  # single-view stages train no recurrent network
+    left = exporting._untrained(Checkpoint("video", CONFIG, VideoModel(CONFIG), video))
+    warn_of_untrained(replace(report, form="video", untrained=left))
+    assert "its blending network is as it began, from the single-view one; train video-blend" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("traced")
