@@ -129,7 +129,7 @@ class ClippingStage(SmallStage[ClippingOptions, ClippingFrames]):
     def batch(self, step: int) -> ClippingBatch:
         """Expose the frames of a step anew."""
         numbers = [index for index, _ in self.options.draw_examples(len(self), step)]
-        return clipping_batch(self.training.take(numbers), self.options.rng(step))
+        return clipping_batch(self.training.take(numbers), self.options.rng(step, self.options.batch))
 
     def losses(self, network: ClippingNetwork, batch: ClippingBatch, _: torch.Generator) -> Losses:
         """Return squared errors of log radiance: of pixels, and of each frame's clipped light."""

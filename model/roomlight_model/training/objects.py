@@ -136,7 +136,7 @@ class ObjectsStage(SmallStage[ObjectsOptions, ProbePanels]):
     def batch(self, step: int) -> PanelsBatch:
         """Augment and stack the examples of a step."""
         numbers = [index for index, _ in self.options.draw_examples(len(self), step)]
-        return panels_batch(self.training.take(numbers), self.options.rng(step))
+        return panels_batch(self.training.take(numbers), self.options.rng(step, self.options.batch))
 
     def losses(self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator) -> Losses:
         """Return the errors of pictures, divided by their usual errors, of brightness, and the panorama's log-L2."""

@@ -74,8 +74,9 @@ class RunOptions:
         check_options(self)
 
     def rng(self, *keys: int) -> np.random.Generator:
-        """Return the random stream of this run for some keys: the same in a resumed run."""
-        return np.random.default_rng([self.seed, crc32(self.stage.encode()), *keys])
+        """Return the random stream of this run for some keys: the same in a resumed run, another for other keys."""
+        # without their number, zeros at the end would not count
+        return np.random.default_rng([self.seed, crc32(self.stage.encode()), len(keys), *keys])
 
     def draw_examples(self, count: int, step: int) -> Iterator[tuple[int, np.random.Generator]]:
         """Yield the numbers of a step's examples, each with its random stream; an epoch has every example once."""

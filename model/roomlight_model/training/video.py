@@ -133,7 +133,7 @@ class VideoStage:
         options = self.options
         drawn = list(options.draw_examples(len(self), step))
         most = min(options.frames, *(self._training.frames_of(index) for index, _ in drawn))
-        length = draw_length(most, options.rng(step)) if options.augment else most
+        length = draw_length(most, options.rng(step, options.batch)) if options.augment else most
         walks = [
             PreparedWalk.of(
                 read_walk(
