@@ -100,22 +100,13 @@ class VideoModel(nn.Module):
         _copy_rows(self.sg_decoder, self.single.sg_decoder)
         _copy_panels(self.blend_encoder, self.single.blend_encoder)
 
-    def forward(self, volumes: Float[Tensor, "b t 5 z y x"]) -> list[SGVolume]:
-        """Predict the volumes of all frames of a sequence; initial volumes share the first frame's grid."""
-        state = self.start(volumes[:, 0])
-        predicted = [state.volume]
-        for index in range(1, volumes.shape[1]):
-            state = self.step(volumes[:, index], state)
-            predicted.append(state.volume)
-        return predicted
-
     def start(self, volume: Float[Tensor, "b 5 z y x"]) -> SGState:
         """Run frame 0 through the single-view networks; their features become the hidden states."""
         f0, f1 = self.single.sg_encoder(volume)
         return SGState(f0, f1, self.single.sg_decoder(f0, f1, volume), mean_colour(volume))
 
     def step(self, volume: Float[Tensor, "b 5 z y x"], state: SGState) -> SGState:
-        """Run frame i > 0."""
+        """Run frame i > 0; initial volumes share the first frame's grid."""
         f0, f1 = self.sg_encoder(volume, state.unit)  # eq. 3dRNN
         h0 = self.sg_gru0(state.h0, f0)
         h1 = self.sg_gru1(state.h1, f1)

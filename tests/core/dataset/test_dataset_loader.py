@@ -51,7 +51,7 @@ def test_sequences_are_read_by_number_in_any_order(folder):
 def test_recordings_of_one_room_state_it(folder):
     made = {"split": "train", "room_seed": 3, "room": 8}
     assert [Dataset(folder)[number].room for number in (16, 17)] == ["train-3-8"] * 2
-    assert room_of({"light": {"building": "hall"}, "made": made}) == "hall"  # other rooms' light is that of the hall too
+    assert room_of({"light": {"building": "hall"}, "made": made}) == "hall"  # as of other rooms
     assert room_of({"scene": "loft.blend", "made": made}) == "loft.blend"
     assert room_of({"room": "attic"}) == "attic"
     assert [room_of(facts) for facts in ({}, [], {"room": 8, "light": "hall"})] == [None] * 3
