@@ -150,7 +150,7 @@ def capture_room(path: Path) -> str | None:
     except OSError:
         return None
     except ValueError as error:
-        raise CaptureError(f"{facts}: is not JSON ({error}); write the capture's room there, {{\"room\": ...}}") from error
+        raise CaptureError(f'{facts}: is not JSON ({error}); it states the room: {{"room": ...}}') from error
 
 
 def score_frames(

@@ -52,7 +52,8 @@ def captures(
 
     The tables have the paper's intervals of frames as columns. Beside the model are the classical one, by ratios too,
     and two baselines: mean colour, and warp-and-fill. With --predictions, every frame that is read (--every,
-    --max-frames) needs one for each probe.
+    --max-frames) needs one for each probe. Captures of one room, which `facts.json` in each states ({"room": "attic"}),
+    count together in intervals.
 
     Args:
         captures: Captures that have ground-truth probes.
