@@ -45,7 +45,7 @@ def walks(
         data: Dataset folders (roomlight dataset generate --split test).
         light: How to estimate the light.
         images: Score the single-view networks on the first frame of each walk instead.
-        drift: Score the chosen model with exposure and white balance that drift, and without, instead.
+        drift: Score the default model with exposure and white balance that drift, and without, instead.
         split: Which rooms; no network is trained on those of test.
         limit: Score this many walks of each, evenly spread.
     """
