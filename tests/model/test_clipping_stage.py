@@ -18,6 +18,7 @@ from roomlight_model.config import ModelConfig
 from roomlight_model.object_light_network import ObjectLightNetwork
 from roomlight_model.training.clipping import CLIPPED, ClippingFrames, ClippingOptions, ClippingStage, clipping_batch
 from roomlight_model.training.loop import Run
+from tiny_stages import keys_of_batch
 
 SHORT = ClippingOptions(steps=24, batch=2, learning_rate=2e-3, warm_up=12, ema=0.5, seed=1, validate_steps=100)
 
@@ -114,3 +115,8 @@ def test_frames_hold_the_true_radiance(tmp_path: Path) -> None:
 def test_recordings_without_the_truth_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no sequence holds the radiance of clipped pixels"):
         ClippingFrames.read([stub_rooms.make_dataset(tmp_path, 2)], seed=0)
+
+
+def test_a_batch_has_a_random_stream_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = keys_of_batch(ClippingStage(SHORT, lamp_frames(3), lamp_frames(1)), monkeypatch)
+    assert len(set(keys)) == len(keys) >= 4

@@ -30,6 +30,7 @@ from roomlight_model.training.objects import (
     picture_errors,
     reduced_truth,
 )
+from tiny_stages import keys_of_batch
 
 EVALUATED = ("diffuse", "glossy")
 SHORT = ObjectsOptions(steps=24, batch=2, learning_rate=1e-3, warm_up=6, ema=0.5, seed=1, validate_steps=100)
@@ -145,3 +146,8 @@ def test_reduced_truth_keeps_the_energy(rows: int) -> None:
     reduced = reduced_truth(truth)
     assert reduced.shape == (3, 60, 120)
     assert reduced.astype(np.float32).mean() == pytest.approx(float(truth.mean()), rel=2e-3)  # half precision
+
+
+def test_a_batch_has_a_random_stream_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = keys_of_batch(ObjectsStage(SHORT, half_rooms(3), half_rooms(1)), monkeypatch)
+    assert len(set(keys)) == len(keys) >= 4

@@ -16,6 +16,7 @@ from tiny_stages import (
     TINY,
     WALKS,
     dimmed,
+    keys_of_batch,
     networks_moved_by,
     single_view_weights,
     trained_networks,
@@ -106,3 +107,8 @@ def test_walks_are_read_as_often_as_they_are_drawn():
     first, again, other = stage.batch(0), stage.batch(0), stage.batch(1)
     np.testing.assert_array_equal(first.volume, again.volume)
     assert not (first.frames == other.frames and first.volume.equal(other.volume))
+
+
+def test_a_batch_has_a_random_stream_of_its_own(monkeypatch):
+    keys = keys_of_batch(video_stage(), monkeypatch)
+    assert len(set(keys)) == len(keys) >= 4

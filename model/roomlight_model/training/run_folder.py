@@ -74,9 +74,11 @@ class RunOptions:
         check_options(self)
 
     def rng(self, *keys: int) -> np.random.Generator:
-        """Return the random stream of this run for some keys: the same in a resumed run, another for other keys."""
-        # without their number, zeros at the end would not count
-        return np.random.default_rng([self.seed, crc32(self.stage.encode()), len(keys), *keys])
+        """Return the random stream of this run for some keys, where zeros at the end do not count.
+
+        It is the same in a resumed run. A batch's own keys are (step, `batch`), after those of its examples.
+        """
+        return np.random.default_rng([self.seed, crc32(self.stage.encode()), *keys])
 
     def draw_examples(self, count: int, step: int) -> Iterator[tuple[int, np.random.Generator]]:
         """Yield the numbers of a step's examples, each with its random stream; an epoch has every example once."""
