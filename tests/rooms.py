@@ -13,8 +13,7 @@ from roomlight.conventions import panorama_directions
 from roomlight.frame import Frame
 
 WALLS = np.array(
-    [[0.8, 0.3, 0.2], [0.2, 0.6, 0.3], [0.5, 0.4, 0.3], [0.9, 0.9, 0.8], [0.2, 0.3, 0.8], [0.7, 0.6, 0.2]],
-    np.float64,
+    [[0.8, 0.3, 0.2], [0.2, 0.6, 0.3], [0.5, 0.4, 0.3], [0.9, 0.9, 0.8], [0.2, 0.3, 0.8], [0.7, 0.6, 0.2]], np.float64
 )
 """Base colours of the walls at -x, +x, -y, +y, -z, +z."""
 

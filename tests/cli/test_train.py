@@ -166,11 +166,7 @@ def test_a_second_run_in_a_folder_is_refused(tmp_path: Path, roomlight: RunComma
         (("", ""), "recipe.toml --set steps=soon", "steps is 'soon': Input should be a valid integer"),
         (("", ""), "recipe.toml --device cuda", "use 'cpu'"),
         (("sequences = 6", "sequences = 0"), "recipe.toml", "data lamps: sequences is 0: Input should be"),
-        (
-            ("sequences = 6", 'sequences = 6\nsplit = "test"'),
-            "recipe.toml",
-            "data lamps: split is 'test'; stages",
-        ),
+        (("sequences = 6", 'sequences = 6\nsplit = "test"'), "recipe.toml", "data lamps: split is 'test'; stages"),
         (("sequences = 6", "rooms = 6"), "recipe.toml", "data lamps: there is no option rooms"),
         (
             ("sequences = 6", 'sequences = 6\npanoramas = "hdris"'),

@@ -152,8 +152,7 @@ def test_a_server_without_lights_sends_the_main_light_alone():
 
 
 @pytest.mark.parametrize(
-    "broken",
-    [{"radius_deg": "wide"}, {"emitted": [1, 2]}, {"lights": [{"direction": [0, 1, 0]}]}, {"lights": 3}],
+    "broken", [{"radius_deg": "wide"}, {"emitted": [1, 2]}, {"lights": [{"direction": [0, 1, 0]}]}, {"lights": 3}]
 )
 def test_lights_that_cannot_be_read_are_refused(broken):
     light = received(("main_light", {**ENGINE.main_light.to_json(), "lights": [], **broken}))

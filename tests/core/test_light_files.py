@@ -28,9 +28,7 @@ def test_exr_is_the_file_that_is_written(tmp_path: Path) -> None:
 
 
 @given(
-    seed=st.integers(0, 1000),
-    scale=st.sampled_from([1e-6, 0.01, 1.0, 255.5, 3e4]),
-    height=st.sampled_from([4, 8, 30]),
+    seed=st.integers(0, 1000), scale=st.sampled_from([1e-6, 0.01, 1.0, 255.5, 3e4]), height=st.sampled_from([4, 8, 30])
 )
 @settings(max_examples=20, deadline=None)
 def test_hdr_is_within_its_mantissa_and_unbiased(seed: int, scale: float, height: int) -> None:

@@ -22,11 +22,7 @@ def frame():
 
 @pytest.mark.parametrize(
     ("pitch_degrees", "on_surface", "normal"),
-    [
-        (0.0, (0.2, 1.4, -2.5), (0, 0, 1)),
-        (-35.0, (0.4, 0.0, -1.9), (0, 1, 0)),
-        (35.0, (0.8, 3.0, -2.0), (0, -1, 0)),
-    ],
+    [(0.0, (0.2, 1.4, -2.5), (0, 0, 1)), (-35.0, (0.4, 0.0, -1.9), (0, 1, 0)), (35.0, (0.8, 3.0, -2.0), (0, -1, 0))],
 )
 @pytest.mark.parametrize("above_m", [0.0, 0.1, 0.5])
 def test_point_is_above_the_surface(pitch_degrees, on_surface, normal, above_m):

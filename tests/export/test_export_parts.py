@@ -19,8 +19,7 @@ from roomlight_model.networks import SingleModel, VideoModel
 from tiny_networks import tiny_network
 
 TINY = ModelConfig(
-    SGConfig(volume_shape=(8, 8, 8), channels=4, full_channels=2),
-    BlendConfig(height=8, channels=2, full_channels=2),
+    SGConfig(volume_shape=(8, 8, 8), channels=4, full_channels=2), BlendConfig(height=8, channels=2, full_channels=2)
 )
 
 

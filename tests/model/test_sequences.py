@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from roomlight_model.training.sequences import (
-    PreparedWalk,
-    collate_walks,
-    draw_frames,
-    draw_length,
-    with_views,
-)
+from roomlight_model.training.sequences import PreparedWalk, collate_walks, draw_frames, draw_length, with_views
 from tiny_stages import SHAPE, box_walk, dimmed, unclipped, walk_batch
 
 

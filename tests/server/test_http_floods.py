@@ -161,10 +161,7 @@ def secure_server(tmp_path_factory):
 
 def secure_status(server):
     context = ssl.create_default_context(cafile=server.settings.tls_cert)
-    with (
-        server.dial("127.0.0.9") as plain,
-        context.wrap_socket(plain, server_hostname="127.0.0.1") as secure,
-    ):
+    with server.dial("127.0.0.9") as plain, context.wrap_socket(plain, server_hostname="127.0.0.1") as secure:
         secure.sendall(GET + b"\r\n")
         return secure.recv(12)
 
@@ -183,10 +180,7 @@ def test_unfinished_handshakes_count_as_connections(secure_server, caplog):
 def test_a_handshake_has_a_deadline(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(tls_listener, "HANDSHAKE_S", 0.2)
     certificate, key = tls.ensure_certificate(tmp_path, ("127.0.0.1",))
-    with (
-        RunningServer(tls_cert=certificate, tls_key=key) as server,
-        server.dial("127.0.0.7") as silent,
-    ):
+    with RunningServer(tls_cert=certificate, tls_key=key) as server, server.dial("127.0.0.7") as silent:
         assert is_closed(silent)
     # after the end of the server, which has then written its lines
     lines = [vars(record) for record in caplog.records if vars(record).get("address") == "127.0.0.7"]

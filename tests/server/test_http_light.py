@@ -19,14 +19,7 @@ from roomlight.light.prior import prior_panorama
 from roomlight.light.resample import panorama_to_cube
 from roomlight.light.spherical_harmonics import project
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
-from roomlight.wire.messages import (
-    MAX_FORMS,
-    HarmonicsBasis,
-    HarmonicsKind,
-    LightForm,
-    LightFormat,
-    LightResponse,
-)
+from roomlight.wire.messages import MAX_FORMS, HarmonicsBasis, HarmonicsKind, LightForm, LightFormat, LightResponse
 from roomlight_server.answers import light_forms
 
 POINT = {"position": [0.2, 1.2, -0.2]}

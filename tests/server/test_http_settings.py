@@ -163,11 +163,7 @@ def test_a_token_file_is_read_as_editors_write_it(tmp_path):
         ("FRAMES_INFLIGHT", "4", "ROOMLIGHT_FRAMES_INFLIGHT: unknown.*ROOMLIGHT_FRAMES_IN_FLIGHT"),
         ("LAN", "1", "ROOMLIGHT_LAN: unknown environment variable; there is only the flag --lan"),
         ("XYZ", "1", "ROOMLIGHT_XYZ: unknown environment variable; roomlight serve --help names those"),
-        (
-            "PORT",
-            "tcp://10.96.0.1:8090",
-            "ROOMLIGHT_PORT is tcp://10.96.0.1:8090, which .*enableServiceLinks",
-        ),
+        ("PORT", "tcp://10.96.0.1:8090", "ROOMLIGHT_PORT is tcp://10.96.0.1:8090, which .*enableServiceLinks"),
     ],
 )
 def test_an_invalid_variable_is_named_with_its_rule(monkeypatch, name, value, message):

@@ -270,10 +270,7 @@ def test_a_stream_needs_a_token_and_an_allowed_origin(server):
         pass
     with RunningServer(tokens=(TOKEN,)) as locked:
         locked.open(token=TOKEN)
-        ways: list[dict[str, Any]] = [
-            {"token": TOKEN},
-            {"subprotocols": ["roomlight.v1", f"bearer.{TOKEN}"]},
-        ]
+        ways: list[dict[str, Any]] = [{"token": TOKEN}, {"subprotocols": ["roomlight.v1", f"bearer.{TOKEN}"]}]
         for way in ways:
             with streaming(locked, **way) as stream:
                 stream.send(frame(0, index=0))

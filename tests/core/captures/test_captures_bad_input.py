@@ -52,8 +52,7 @@ def test_an_invalid_pose_skips_the_frame(transforms: Path, matrix: object, says:
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"),
-    [("tum", "rgb.txt"), ("arkitscenes", "lowres_wide.traj"), ("rtabmap", "room_camera_poses.txt")],
+    ("kind", "name"), [("tum", "rgb.txt"), ("arkitscenes", "lowres_wide.traj"), ("rtabmap", "room_camera_poses.txt")]
 )
 def test_a_line_that_was_cut_off_is_left_out(tmp_path: Path, kind: str, name: str) -> None:
     path = BUILDERS[kind](tmp_path / "capture", VIEWS[:2])

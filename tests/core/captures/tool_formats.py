@@ -10,21 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from formats import (
-    CX,
-    CY,
-    FLIP,
-    FX,
-    FY,
-    HEIGHT,
-    WIDTH,
-    Y_UP_TO_Z_UP,
-    View,
-    image,
-    millimetres,
-    quaternion,
-    save,
-)
+from formats import CX, CY, FLIP, FX, FY, HEIGHT, WIDTH, Y_UP_TO_Z_UP, View, image, millimetres, quaternion, save
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -215,10 +201,7 @@ COLOUR, DEPTH = "/camera/color/image_raw", "/camera/aligned_depth_to_color/image
 
 def ros_messages(views: list[View], *, without: str = "\0") -> list[Message]:
     """Colour, aligned depth 4 ms later, poses of the robot, its camera's mount; none whose topic holds `without`."""
-    messages = [
-        transform(0.0, "base_link", OPTICAL, MOUNT, fixed=True),
-        camera("/camera/color/camera_info", OPTICAL),
-    ]
+    messages = [transform(0.0, "base_link", OPTICAL, MOUNT, fixed=True), camera("/camera/color/camera_info", OPTICAL)]
     for view in views:
         bgr, depth_mm = np.ascontiguousarray(view.srgb8[..., ::-1]), millimetres(view)
         messages += [

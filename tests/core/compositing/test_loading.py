@@ -267,11 +267,7 @@ POSITIONS = -140
         ("meshes.0.primitives.0.mode", 0, "no surface"),  # points alone
         ("scene", 4, "scene 4"),
         ("extensionsRequired", ["KHR_gaussian_splatting"], "splatting"),
-        (
-            "materials.0.pbrMetallicRoughness.roughnessFactor",
-            [1],
-            r"roughnessFactor is \[1\]; it must be a number",
-        ),
+        ("materials.0.pbrMetallicRoughness.roughnessFactor", [1], r"roughnessFactor is \[1\]; it must be a number"),
         ("asset", {"version": "1.0"}, "glTF 2"),
     ],
 )

@@ -101,11 +101,7 @@ def test_normals_follow_the_inverse_transpose() -> None:
 
 @pytest.mark.parametrize(
     ("transform", "message"),
-    [
-        (np.diag([1.0, 0, 1, 1]), "flattens"),
-        (np.diag([1.0, 1, 1, 2]), "last row"),
-        (np.full((4, 4), np.nan), "NaN"),
-    ],
+    [(np.diag([1.0, 0, 1, 1]), "flattens"), (np.diag([1.0, 1, 1, 2]), "last row"), (np.full((4, 4), np.nan), "NaN")],
 )
 def test_unusable_transforms_are_refused(transform: np.ndarray, message: str) -> None:
     with pytest.raises(ObjectError, match=message):

@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 from roomlight.conventions import panorama_directions
 from roomlight.engine.kernels.reference import render_rays_reference
 from roomlight.engine.volume.grid import VolumeGrid
-from roomlight.engine.volume.sglv import (
-    COARSE_ROWS,
-    Sglv,
-    render_coarse_panorama,
-    render_panorama,
-    render_rays,
-)
+from roomlight.engine.volume.sglv import COARSE_ROWS, Sglv, render_coarse_panorama, render_panorama, render_rays
 from rooms import camera_at
 
 SHAPE = (16, 15, 21)

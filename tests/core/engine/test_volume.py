@@ -11,12 +11,7 @@ from hypothesis import strategies as st
 from roomlight.camera import rigid_inverse
 from roomlight.engine.kernels.reference import initial_volume_reference
 from roomlight.engine.volume.fusion import FusedVolume
-from roomlight.engine.volume.grid import (
-    DEPTH_MAX_FLOOR_M,
-    VOLUME_SHAPE,
-    VolumeGrid,
-    initial_volume,
-)
+from roomlight.engine.volume.grid import DEPTH_MAX_FLOOR_M, VOLUME_SHAPE, VolumeGrid, initial_volume
 from roomlight.errors import FrameError
 from roomlight.frame import Frame
 from rooms import BoxRoom, camera_at, pinhole

@@ -8,14 +8,7 @@ from analytic_room import smooth_noise
 
 from roomlight.conventions import LUMINANCE
 from roomlight_generator.rooms.colour import blackbody_rgb
-from roomlight_generator.sequences.exposure import (
-    Exposure,
-    MeterSettings,
-    expose,
-    meter,
-    settle,
-    white_balance,
-)
+from roomlight_generator.sequences.exposure import Exposure, MeterSettings, expose, meter, settle, white_balance
 
 PLAIN = replace(
     MeterSettings.draw(np.random.default_rng(0)),

@@ -7,11 +7,7 @@ from plain_shapes import area_m2
 
 from roomlight.compositing.objects.polygons import corner_normals, face_normals
 from roomlight_generator.rooms.furniture.files.obj import parse_obj
-from roomlight_generator.rooms.furniture.simplify import (
-    TriangleSoup,
-    simplified,
-    welded,
-)
+from roomlight_generator.rooms.furniture.simplify import TriangleSoup, simplified, welded
 from roomlight_generator.rooms.furniture.support_height import measure_top_m
 from roomlight_generator.rooms.scene import Mesh
 from roomlight_generator.rooms.shapes import block, lathe

@@ -78,8 +78,7 @@ def test_no_room_is_dark(index):
 
 
 @pytest.mark.parametrize(
-    ("seeds", "expected"),
-    [(8, {"night"}), pytest.param(60, {"sunny", "overcast", "night"}, marks=pytest.mark.slow)],
+    ("seeds", "expected"), [(8, {"night"}), pytest.param(60, {"sunny", "overcast", "night"}, marks=pytest.mark.slow)]
 )
 def test_scenarios_and_lamp_states_vary(seeds, expected):
     built = room(0)

@@ -7,14 +7,7 @@ from plain_shapes import faces_match_normals, volume_m3
 from roomlight_generator.rooms.scene import Material
 from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
 from roomlight_generator.rooms.shell.outline import choose_outline, envelope, offset_outline
-from roomlight_generator.rooms.shell.polygons import (
-    OVERLAP,
-    area,
-    difference,
-    intersection,
-    rect,
-    triangles,
-)
+from roomlight_generator.rooms.shell.polygons import OVERLAP, area, difference, intersection, rect, triangles
 from roomlight_generator.rooms.shell.style import ShellStyle
 
 WALL = Plane(np.array([1.0, 0.0, 2.0]), np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0]))
