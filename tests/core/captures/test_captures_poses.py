@@ -85,21 +85,6 @@ def with_w_first(pose: np.ndarray) -> np.ndarray:
         (lambda _: walk()[0], {}, "poses do not stand still"),
         (lambda pose: pose @ np.diag([-1.0, -1, 1, 1]), {}, "move otherwise than poses and depth say"),
     ],
-    ids=[
-        "right",
-        "opencv",
-        "w2c",
-        "both",
-        "w-first",
-        "mm",
-        "inches",
-        "small",
-        "z-up",
-        "body",
-        "focal",
-        "frozen",
-        "upside down",
-    ],
 )
 def test_conventions_that_contradict_the_pictures_are_pointed_out(
     tmp_path: Path, stored: Callable[[np.ndarray], np.ndarray], keys: dict, says: str | None
