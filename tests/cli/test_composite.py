@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
+from gltf_files import ply
 
 from present import present
 from roomlight_cli import compositing
@@ -19,20 +20,7 @@ from written_captures import edited_copy, write_capture
 
 ROOM = BoxRoom(lamp=((0.3, 3.0, 0.0), 0.5), lamp_radiance=20.0)
 FAST = ("--quality", "preview", "--height", "16", "--model", "classical")
-TINY = b"""ply
-format ascii 1.0
-element vertex 3
-property float x
-property float y
-property float z
-element face 1
-property list uchar int vertex_indices
-end_header
-0 0 0
-1e-5 0 0
-0 1e-5 0
-3 0 1 2
-"""
+TINY = ply(np.array([[0, 0, 0], [1e-5, 0, 0], [0, 1e-5, 0]]), [[0, 1, 2]], "ascii")
 BALL = ("--object", "sphere", "--size", "0.4", "--pixel", "32,36")
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from gltf_files import GltfFile
+from gltf_files import CUBE, CUBE_FACES, GltfFile
 from js_package import build, run
 
 import roomlight as rl
@@ -327,11 +327,8 @@ await browser.close();
 def red_box(width: float) -> bytes:
     """Return a GLB file of a box whose origin is a corner."""
     box = GltfFile()
-    corners = width * np.indices((2, 2, 2)).reshape(3, 8).T
-    sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-    faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
     red = box.material(pbrMetallicRoughness={"baseColorFactor": [0.8, 0.02, 0.02, 1], "metallicFactor": 0})
-    box.node(mesh=box.mesh(corners, faces, material=red))
+    box.node(mesh=box.mesh(width * CUBE, CUBE_FACES, material=red))
     return box.glb()
 
 

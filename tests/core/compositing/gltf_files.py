@@ -169,6 +169,9 @@ def area(found: VirtualObject) -> float:
 QUAD = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
 QUAD_UVS = [[0, 1], [1, 1], [1, 0], [0, 0]]
 QUAD_FACES = [[0, 1, 2], [0, 2, 3]]
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
+CUBE_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+CUBE_FACES = [corner for a, b, c, d in CUBE_QUADS for corner in ([a, b, c], [a, c, d])]
 
 
 def textured_quad() -> GltfFile:

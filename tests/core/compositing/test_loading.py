@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, png, shows, textured_quad
+from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, ply, png, shows, textured_quad
 
 from present import present
 from roomlight.compositing.loading import load_object
@@ -18,20 +18,7 @@ from roomlight.light.usd import to_usdz
 
 OBJ = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n"
 OBJ_FACE = b"usemtl a\nf 1/1/1 2/2/1 3/3/1 4/4/1\n"
-PLY = b"""ply
-format ascii 1.0
-element vertex 3
-property float x
-property float y
-property float z
-element face 1
-property list uchar int vertex_indices
-end_header
-0 0 0
-1 0 0
-0 1 0
-3 0 1 2
-"""
+PLY = ply(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), [[0, 1, 2]], "ascii")
 
 
 def test_glb_keeps_geometry_and_applies_the_node() -> None:

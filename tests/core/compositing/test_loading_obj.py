@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gltf_files import CUBE, CUBE_QUADS, QUAD_FACES, GltfFile, area, face_normals, left_out, ply, png, shows
 from gltf_files import QUAD as CORNERS
-from gltf_files import QUAD_FACES, GltfFile, area, face_normals, left_out, ply, png, shows
 from PIL import Image
 
 from colour_profiles import matrix_profile
@@ -162,9 +162,7 @@ def test_numbers_of_a_gltf_that_are_not_finite_are_not_stated(key: str, kind: st
 
 
 def test_normals_of_a_ply_that_are_all_zero_are_not_stated() -> None:
-    points = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    ((mesh, _),) = load_object(ply(points, quads, "ascii", NORMALS, [[0, 0, 0]] * 8), "ply").parts
+    ((mesh, _),) = load_object(ply(CUBE, CUBE_QUADS, "ascii", NORMALS, [[0, 0, 0]] * 8), "ply").parts
     np.testing.assert_allclose(mesh.normals[mesh.faces[:, 0]], face_normals(mesh), atol=1e-6)
 
 

@@ -7,7 +7,21 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, area, face_normals, ply, shows, texels, textured_quad
+from gltf_files import (
+    CUBE,
+    CUBE_FACES,
+    CUBE_QUADS,
+    QUAD,
+    QUAD_FACES,
+    QUAD_UVS,
+    GltfFile,
+    area,
+    face_normals,
+    ply,
+    shows,
+    texels,
+    textured_quad,
+)
 from jaxtyping import UInt8
 from PIL import Image
 
@@ -21,9 +35,6 @@ from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.errors import ObjectError
 
-CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
-CUBE_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-CUBE_FACES = [corner for a, b, c, d in CUBE_QUADS for corner in ([a, b, c], [a, c, d])]
 L_SHAPE = [[0, 0, 0], [2, 0, 0], [2, 0, -1], [1, 0, -1], [1, 0, -2], [0, 0, -2]]
 ARROW = [[0, 0, 0], [2, 0, 0], [0.5, 0, -0.5], [0, 0, -2]]
 
