@@ -62,14 +62,6 @@ def test_a_frame_is_parsed_and_decoded_in_one_job():
         assert read("roomlight_decode_seconds_count") == 3
 
 
-def test_gaps_are_allowed_and_counted(server):
-    server.open("gaps")
-    for index in (3, 4, 9, 10, 20):
-        assert server.push(index, name="gaps").json["status"] == "processed"
-    counts = server.state("gaps")["frames"]
-    assert (counts["gaps"], counts["accepted"], counts["last_index"]) == (13, 5, 20)
-
-
 def test_a_frame_without_tracking_is_skipped_and_counted(server):
     server.open("lost")
     server.open("brave", SMALL | {"use_limited_tracking": True})

@@ -17,7 +17,6 @@ from capture_checks import one_skipped, refused, same_views
 from PIL import ExifTags, Image
 
 from roomlight.captures import fields, open_capture
-from roomlight.captures.formats.record3d import _declared_size
 from roomlight.errors import CaptureError, FrameError, UnknownFormatError
 
 VIEWS = formats.scene()
@@ -47,7 +46,6 @@ def test_depth_of_another_size_than_the_metadata_says(tmp_path: Path) -> None:
 
 def test_a_bomb_is_refused_by_its_declared_size(tmp_path: Path) -> None:
     bomb = lzfse.compress(bytes(5_000_000))
-    assert _declared_size(bomb) == 5_000_000
     path = repacked(tmp_path / "a.r3d", lambda members: members.update({"rgbd/2.depth": bomb}))
     one_skipped(path, 2, "rgbd/2.depth", "5000000")
     archive = bytearray(path.read_bytes())
