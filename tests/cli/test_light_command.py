@@ -17,7 +17,7 @@ from roomlight.captures.photo import DEFAULT_FOV_DEG, PhotoOptions, read_photo
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import FrameError, OptionError, OutputError
-from roomlight.images import read_panorama, write_exr
+from roomlight.images import read_panorama
 from roomlight.imaging.exif import oriented
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.placement import point_at_pixel
@@ -132,21 +132,6 @@ def test_the_field_of_view_is_horizontal(room):
     assert frame.intrinsics.fx == pytest.approx(intrinsics.fx)
     assert frame.intrinsics.cx == 32
     assert frame.camera_to_world.tolist() == np.eye(4).tolist()
-
-
-@pytest.mark.parametrize("kind", ["mm.npy", "m.npy", "exr", "cm.png"])
-def test_every_file_type_gives_the_same_depth(room, kind):
-    folder, shot, fov = room
-    path = folder / f"depth.{kind}"
-    if kind.endswith("npy"):
-        np.save(path, shot.depth_m if kind == "m.npy" else np.rint(shot.depth_m * 1000).astype(np.uint16))
-    elif kind == "exr":
-        write_exr(path, np.repeat(shot.depth_m[..., None], 3, axis=-1))
-    else:
-        cv2.imwrite(str(path), np.rint(shot.depth_m * 100).astype(np.uint16))
-    unit = 0.01 if kind == "cm.png" else None
-    frame = read_photo(folder / "photo.png", path, PhotoOptions(fov_deg=fov, depth_unit_m=unit)).frame
-    np.testing.assert_allclose(frame.depth_m, shot.depth_m, rtol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -53,16 +53,6 @@ def test_png_keeps_every_value(tmp_path):
     assert (clipped == (SRGB >= 250).any(axis=-1)).all()
 
 
-def test_png_and_jpeg_are_rgb_not_bgr(tmp_path):
-    red = np.zeros((16, 16, 3), np.uint8)
-    red[..., 0] = 200
-    write_png(tmp_path / "red.png", red)
-    for data in ((tmp_path / "red.png").read_bytes(), _encoded("jpg", red[..., ::-1])):
-        image, _ = decode_colour(data, "red")
-        assert image[..., 0].min() > 0.5
-        assert image[..., 1:].max() < 0.01
-
-
 def test_what_a_camera_clipped_is_marked():
     pixels = np.full((2, 3, 3), 249, np.uint8)
     pixels[0, 1, 2] = 250
@@ -80,13 +70,6 @@ def test_exr_keeps_radiance_to_half_precision(tmp_path):
     with OpenEXR.File(str(tmp_path / "p.exr")) as file:
         assert file.header()["probe"] == "1 2 3"
         assert file.header()["chromaticities"] == pytest.approx((0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329))
-
-
-def test_beyond_half_becomes_its_largest_value(tmp_path):
-    image = np.full((2, 4, 3), 1e9, np.float32)
-    image[0, 0] = np.inf
-    write_exr(tmp_path / "p.exr", image)
-    assert (read_panorama(tmp_path / "p.exr") == 65504).all()
 
 
 def test_invalid_exr_colours_become_black(tmp_path):

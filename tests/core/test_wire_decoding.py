@@ -74,11 +74,11 @@ def test_every_colour_encoding_decodes_to_linear_light(encoding):
     assert frame.camera_to_world[:3, 3].tolist() == [0.5, 1.5, -2.0]
 
 
-def heic(rgb, **options):
+def heic(rgb):
     stream = io.BytesIO()
     height, width = rgb.shape[:2]
     image = pillow_heif.from_bytes("RGB", (width, height), rgb.tobytes())
-    image.save(stream, format="HEIF", quality=95, **options)
+    image.save(stream, format="HEIF", quality=95)
     return stream.getvalue()
 
 
@@ -129,12 +129,6 @@ def test_a_mask_and_whether_depth_was_estimated_are_sent_with_every_encoding(enc
 def test_an_unknown_encoding_is_refused():
     with pytest.raises(OptionError, match="exact, jpeg, png; got 'webp'"):
         inspect.unwrap(pack_frame)(decode_frame(message(), 0), colour="webp")
-
-
-def test_the_colour_space_of_heic_counts_on_the_wire_too():
-    red = np.full((HEIGHT, WIDTH, 3), (200, 40, 40), np.uint8)
-    frame = decode_frame(message(("heic", heic(red, color_primaries=12, transfer_characteristics=13))), 0)
-    assert frame.image[..., 0].mean() > 0.62  # 0.578 as sRGB; 0.70 as Display P3
 
 
 def test_heic_without_the_decoder_is_rejected_with_advice(monkeypatch):

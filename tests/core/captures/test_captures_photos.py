@@ -110,8 +110,9 @@ def test_depth_without_a_range_is_noted(tmp_path: Path) -> None:
     assert picture.own_depth is None
     formats.save(tmp_path / "photo.heic", data)
     depth = formats.save(tmp_path / "d.png", formats.image(".png", np.full((48, 64), 1500, np.uint16)))
-    photo = read_photo(tmp_path / "photo.heic", depth)
-    np.testing.assert_allclose(photo.frame.depth_m, 1.5, rtol=1e-6)
+    for unit_m, depth_m in ((None, 1.5), (0.002, 3.0)):
+        photo = read_photo(tmp_path / "photo.heic", depth, PhotoOptions(depth_unit_m=unit_m))
+        np.testing.assert_allclose(photo.frame.depth_m, depth_m, rtol=1e-6)
 
 
 def test_heic_without_the_decoder_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
