@@ -13,24 +13,7 @@ import cv2
 import formats
 import numpy as np
 
-VALUES = [
-    float("nan"),
-    float("inf"),
-    10**400,
-    -1,
-    0,
-    1e308,
-    1e-308,
-    True,
-    None,
-    "x",
-    "",
-    [],
-    {},
-    [[]],
-    2**63,
-    "../../x",
-]
+VALUES = [np.nan, np.inf, 10**400, -1, 0, 1e308, 1e-308, True, None, "x", "", [], {}, [[]], 2**63, "../../x"]
 TOKENS = ["nan", "inf", "-inf", "0", "1e308", "1e999", "-1", "abc", "", "9" * 400, "\x00", "../../etc/passwd", "é"]
 SIZES = [(60000, 60000), (2**31 - 1, 2**31 - 1), (0, 24), (33, 24), (1, 1), (32, 2**30)]
 
