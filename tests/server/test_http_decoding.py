@@ -18,11 +18,13 @@ import pytest
 
 from http_servers import InThread, RunningServer, box_shot, with_parts
 from present import present
-from roomlight.errors import ServerError
+from roomlight.errors import ServerError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_message import FrameLimits, parse
+from roomlight_server.base.settings import ServerSettings
 from roomlight_server.work import decode_worker, processes
+from roomlight_server.work.decode_processes import DecodeProcesses
 from roomlight_server.work.decode_worker import MAX_MEMORY_BYTES, decode_to_box
 from roomlight_server.work.shared_block import SharedBlock
 
@@ -178,6 +180,18 @@ def test_a_large_result_gives_its_memory_back():
     block.release(2**23)
     assert (os.fstat(block.descriptor).st_blocks, block.read(1)) == (0, b"\0")
     block.close()
+
+
+def test_a_refused_object_does_not_stay_in_shared_memory():
+    decoders = DecodeProcesses(ServerSettings())
+    try:
+        with pytest.raises(WireError, match="vertices are limited"):
+            decoders.decode_object(b"v 0 0 0\n" * 1_000_000, "obj")
+        (pid,) = decoders.pids
+        shared = [file.stat() for file in Path(f"/proc/{pid}/fd").iterdir() if "memfd:" in str(file.readlink())]
+        assert 512 * max(block.st_blocks for block in shared) < 2**20
+    finally:
+        decoders.stop()
 
 
 def test_a_decoded_frame_has_arrays_of_its_own(one_decoder):

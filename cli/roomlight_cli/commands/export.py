@@ -52,8 +52,8 @@ def use_of(report: ExportReport) -> str:
 
 def warn_of_untrained(report: ExportReport) -> None:
     """Print which networks of an exported model no stage trained."""
-    began = "is as it began, from the single-view one"
-    effect = began if report.form == "video" else "is untrained, so its light is wrong"
+    of_video = "had no stage of its own, so its light may be wrong"
+    effect = of_video if report.form == "video" else "is untrained, so its light is wrong"
     for name in report.untrained:
         end = "sglv" if name == "sglv" else "blend"
         stages = f"{report.form}-{end} or {report.form}-joint"

@@ -204,7 +204,7 @@ def _rooms(path: Path, reading: CaptureOptions, split: Split, limit: int | None)
     if not (path / MANIFEST).is_file():
         capture = open_capture(path, replace(reading, depth="file", depth_model=None))
         truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
-        yield _Room(path.resolve().name, _CAPTURES, capture, capture.frame_count, truths, capture_room(path))
+        yield _Room(path.resolve().name, _CAPTURES, capture, capture.frame_count, truths, capture_room(capture.path))
         return
     dataset = Dataset(path, split)
     for number in evenly_spread(len(dataset), limit):

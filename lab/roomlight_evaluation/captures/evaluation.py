@@ -83,6 +83,8 @@ def evaluate_captures(
     for name in names:
         if names.count(name) > 1:
             raise CaptureError(f"two captures are called {name}: their results would be mixed up; rename one")
+    for path in captures:
+        capture_room(path)  # an error there is told before minutes of work
     tracks: list[Track] = []
     summaries: list[CaptureSummary] = []
     for name, path in zip(names, captures, strict=True):
@@ -103,7 +105,7 @@ def evaluate_capture(
     """Score estimators on one open capture; `name` labels the results.
 
     Raises:
-        CaptureError: The capture has no ground truth, or its `facts.json` is not JSON.
+        CaptureError: The capture has no ground truth, or its `facts.json` does not state its room as text.
         OptionError: Two estimators have one name.
         ModelError: An estimator returned something else than a finite panorama.
     """
@@ -120,7 +122,7 @@ def evaluate_capture(
             f"{capture.path}: there is no ground truth to compare with; an evaluation needs probes with panoramas "
             "(probes: [{position, file_path}] in transforms.json)"
         )
-    total = capture.frame_count - len(capture.skipped)
+    room, total = capture_room(capture.path), capture.frame_count - len(capture.skipped)
 
     def show(done: int) -> None:
         if progress is not None:
@@ -133,7 +135,7 @@ def evaluate_capture(
         frames=len(indices),
         skipped=len(capture.skipped),
         probes=len(probes),
-        room=capture_room(capture.path),
+        room=room,
     )
     return summary, tracks
 
@@ -142,15 +144,19 @@ def capture_room(path: Path) -> str | None:
     """Return the room that a capture's `facts.json` states, as those of datasets do; None without one.
 
     Raises:
-        CaptureError: The file is not JSON.
+        CaptureError: The file is not JSON, or its room is no text.
     """
-    facts = path / FACTS
+    file = path / FACTS
     try:
-        return room_of(json.loads(facts.read_bytes()))
+        facts = json.loads(file.read_bytes())
     except OSError:
         return None
     except ValueError as error:
-        raise CaptureError(f'{facts}: is not JSON ({error}); it states the room: {{"room": ...}}') from error
+        raise CaptureError(f'{file}: is not JSON ({error}); it states the room: {{"room": "attic"}}') from error
+    room = room_of(facts)
+    if room is None and isinstance(facts, dict) and "room" in facts:
+        raise CaptureError(f"{file}: room is not text, but {facts['room']!r:.80}")
+    return room
 
 
 def score_frames(

@@ -155,6 +155,7 @@ def _of_capture(path: Path, frames: int) -> _Shown:
     truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
     if not truths:
         raise CaptureError(f"{path}: has no ground-truth probes; give captures that have them")
+    room = capture_room(capture.path)
 
     def shown(readable: int) -> list[Frame]:
         chosen = set(_spread(readable, frames))
@@ -163,7 +164,7 @@ def _of_capture(path: Path, frames: int) -> _Shown:
     pictures = shown(capture.frame_count)
     if capture.skipped:
         pictures = shown(capture.frame_count - len(capture.skipped))
-    return pictures, truths, capture_room(path)
+    return pictures, truths, room
 
 
 def _spread(count: int, frames: int) -> list[int]:

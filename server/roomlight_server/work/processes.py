@@ -277,13 +277,13 @@ class Processes:
                 if cancel is not None:
                     cancel.watch(None)
                 try:
-                    if "memory" in text:
-                        raise KilledError("must decode within the memory of a decoding process", "memory")
-                    if "rejected" in text:
-                        raise WireError(**text["rejected"])
-                    if "failed" in text:
-                        raise RuntimeError(text["failed"])
-                    with process.arrays(size, len(body)) as arrays:
+                    with process.arrays(size, len(body)) as arrays:  # its end frees the body too
+                        if "memory" in text:
+                            raise KilledError("must decode within the memory of a decoding process", "memory")
+                        if "rejected" in text:
+                            raise WireError(**text["rejected"])
+                        if "failed" in text:
+                            raise RuntimeError(text["failed"])
                         return unpack(text, arrays)
                 finally:
                     self._release(process)
