@@ -38,7 +38,7 @@ def light(
     Each point gets an HDR panorama (EXR and PNG), a picture of a mirror sphere and a glossy sphere, and its main light.
 
     Args:
-        image: The photograph: JPEG, PNG, HEIC, or linear EXR. Or a video: MP4, MOV, MKV or WebM.
+        image: The photograph: JPEG, PNG, WebP, TIFF, HEIC, or linear EXR. Or a video: MP4, MOV, MKV or WebM.
         points: Where to light.
         reading: How to read the photograph.
         options: How to estimate the light.

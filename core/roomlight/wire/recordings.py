@@ -1,4 +1,4 @@
-"""Messages of uploaded recordings: `/v1/recordings`. A recording is a folder of files, or one `.r3d` file."""
+"""Messages of uploaded recordings: `/v1/recordings`. A recording is a folder of files, or one file."""
 
 from typing import Annotated, Final, Literal
 

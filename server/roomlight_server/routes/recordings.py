@@ -51,7 +51,7 @@ _FILM: Final[dict[str, Any]] = {
 async def add_recording(
     context: ContextDep, owner: OwnerDep, body: Annotated[RecordingRequest, Body(openapi_examples=_EXAMPLE)]
 ) -> Recording:
-    """Announce the size of a recording, a folder or one .r3d file; then send its files with `PUT`.
+    """Announce the size of a recording, a folder or one file; then send its files with `PUT`.
 
     It is deleted after an hour without a request.
     """

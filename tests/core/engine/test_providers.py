@@ -93,6 +93,8 @@ def test_the_variable_stands_for_auto_and_is_checked(tiny_video, monkeypatch):
         ModelError, match="ROOMLIGHT_PROVIDER must be one of auto, cpu, openvino, openvino-bf16, cuda; got 'gpu'"
     ):
         load_graphs(tiny_video)
+    monkeypatch.setenv(VARIABLE, "")  # blank is unset
+    assert load_graphs(tiny_video).runtime != "cuda"
 
 
 @pytest.mark.usefixtures("both_runtimes")

@@ -72,7 +72,7 @@ def _opened(paths: Sequence[Path], runtime: RuntimeName) -> list[Graph]:
 
 def _requested(provider: Provider) -> RuntimeName | None:
     """Return the runtime that is asked for, and the only one where OpenVINO cannot be used; None: the faster one."""
-    wanted = os.environ.get(VARIABLE, "auto") if provider == "auto" else provider
+    wanted = (os.environ.get(VARIABLE) or "auto") if provider == "auto" else provider  # blank is unset
     if wanted not in get_args(Provider):
         raise ModelError(f"{VARIABLE} must be one of {', '.join(get_args(Provider))}; got {wanted!r}")
     if wanted in ("openvino", "openvino-bf16") and openvino_version() is None:
