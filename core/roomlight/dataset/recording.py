@@ -97,5 +97,7 @@ def room_of(facts: Any) -> str | None:
             return name
         case {"made": {"split": split, "room_seed": seed, "room": number}}:
             return f"{split}-{seed}-{number}"
+        case {"room": int(number)}:
+            return str(number)
         case _:
             return None

@@ -300,10 +300,9 @@ def test_captures_whose_facts_state_one_room_count_together(tmp_path: Path) -> N
     scores = evaluate_captures(captures, lambda: [MeanColour(16), WarpAndFill(16)])
     assert [capture.room for capture in scores.captures] == ["hall", "hall", None]
     assert scores.resampled == "rooms"
-    for text, rule in (("{", "is not JSON"), ('{"room": 12}', "room is not text, but 12")):
-        (captures[2] / "facts.json").write_text(text)
-        with pytest.raises(CaptureError, match=rf"c.facts\.json: {rule}"):
-            evaluate_captures(captures, list)  # before any frame is scored
+    (captures[2] / "facts.json").write_text("{")
+    with pytest.raises(CaptureError, match=r"c.facts\.json: is not JSON"):
+        evaluate_captures(captures, list)  # before any frame is scored
 
 
 def test_captures_are_compared_with_the_classical_model() -> None:
