@@ -331,6 +331,8 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
         assert server.state()["idle_expiry_s"] == 86_400.0
         light = server.call("GET", f"/v1/sessions/room{LIGHTS[1]}").body
         with server.stream() as socket:
+            # accepted before the session is looked up: it would be restored
+            server.wait_until(lambda: "roomlight_streams 1.0" in server.call("GET", "/metrics").body.decode())
             now_s[0] += 201
             assert server.call("GET", "/v1/sessions").json["sessions"][0]["status"] == "saved"
             assert re.search("idle.* it is saved, and goes on", json.loads(socket.recv())["problem"]["detail"])
