@@ -32,6 +32,7 @@ from roomlight.rules import check_options
 from roomlight_cli.console import counted, print_notes, print_skipped, remark, stopped_by_signals
 from roomlight_cli.options import Flag
 from roomlight_cli.progress import Progress, duration
+from roomlight_server.work.compiling import compile_beside
 
 LONG_S: Final = 300.0
 """Time left of more than this is told with what makes it shorter."""
@@ -194,6 +195,7 @@ def composite_recording(
         typer.Exit: Ctrl-C or SIGTERM stopped it (code 130 or 143).
     """
     check_writable(options.out if options.is_film else options.out / "000000.png")
+    compile_beside(options.quality)
     print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
     capture, advised, unseen = open_capture(path, reading), False, dict(enumerate(scene.objects))
     count = following = start = height = width = 0

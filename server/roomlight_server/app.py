@@ -52,6 +52,7 @@ from roomlight_server.transport.phones import Phones, check_operator
 from roomlight_server.transport.security_headers import SecurityHeadersMiddleware
 from roomlight_server.transport.stop_middleware import StopMiddleware
 from roomlight_server.transport.watchdog import Watchdog
+from roomlight_server.work.compiling import compile_beside
 from roomlight_server.work.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -236,6 +237,7 @@ async def _prepare(app: FastAPI, context: Context, when_loaded: Callable[[], obj
     What of the latter does not load is logged: its first answer tries again.
     """
     try:
+        await context.workers.run_in_encode_pool(compile_beside, "preview", "good")
         await context.workers.start()
         context.ready = True
         _log.info("ready")

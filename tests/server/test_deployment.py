@@ -210,6 +210,27 @@ def test_a_server_needs_no_compiler_after_precompiling(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")} == compiled
 
 
+COMPILED_BESIDE = """
+from numba.core.event import install_recorder
+from roomlight_server.answers import composites
+from roomlight_server.work.compiling import compile_beside
+
+assert compile_beside("preview", "good").wait() == 0
+assert compile_beside.__wrapped__("preview", "good") is None
+with install_recorder("numba:compile") as recorder:
+    composites.warm_up()
+for _, event in recorder.buffer:
+    print(event.data["dispatcher"], event.data["args"])
+"""
+
+
+@pytest.mark.slow
+def test_composites_need_no_compiler_after_it_ran_beside(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", COMPILED_BESIDE]
+    assert subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout == ""
+
+
 def run_tool(*command, **more):
     ran = subprocess.run(command, capture_output=True, text=True, check=False, **more)
     assert ran.returncode == 0, ran.stdout + ran.stderr

@@ -14,6 +14,7 @@ from roomlight_cli.compositing import CompositeOptions, composite_recording
 from roomlight_cli.console import say
 from roomlight_cli.live_demo import find_browser, page_is_built, run_live_demo
 from roomlight_cli.replays.replay_options import ReplayOptions
+from roomlight_server.work.compiling import compile_beside
 
 DEFAULT_OUT: Final = Path("roomlight-demo")
 SCENE: Final = Path(__file__).parents[1] / "demo-scene.json"
@@ -54,6 +55,7 @@ def demo(
 
 def write_pictures(capture: Path, out: Path) -> None:
     """Light the sample room and write pictures, a report and a film with virtual objects."""
+    compile_beside("preview")
     replay(capture, ReplayOptions(probes_from_capture=True, overwrite=True), out=out)
     film = CompositeOptions(out / FILM, quality="preview", fps=FILM_RATE, overwrite=True)
     done = composite_recording(capture, load_scene(SCENE), film, light=SessionOptions(), reading=CaptureOptions())

@@ -20,6 +20,7 @@ from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.kernels.preview import shade_hits
 from roomlight.compositing.light.lighting import Environment, ProbeSet
 from roomlight.compositing.objects.materials import MaterialArrays, lobe_table
+from roomlight.compositing.objects.primitives import sphere
 from roomlight.compositing.objects.textures import TextureArrays
 from roomlight.compositing.rendering.denoise import denoise
 from roomlight.compositing.rendering.tracer import Emitters, Surfaces, TracedObjects
@@ -228,6 +229,14 @@ def render_objects(
         radiance = _smoothed(film, pixels, camera)
     depth_m, object_id = film.depth_m.reshape(shape), film.object_id.reshape(shape)
     return RenderedObjects(radiance, alpha, depth_m, object_id, settings.samples)
+
+
+def warm_up(quality: str) -> None:
+    """Compile the kernels of a quality, or load them from numba's cache, by a sphere in 16 x 16 pixels."""
+    camera, pose = Intrinsics(16.0, 16.0, 8.0, 8.0, 16, 16), np.eye(4)
+    pose[2, 3] = 1.0
+    lights = ProbeSet.single(np.ones((8, 16, 3), np.float32))
+    render_objects(TracedObjects([sphere(0.5)]), camera, pose, lights, quality=quality)
 
 
 def _checked_settings(quality: str | RenderSettings) -> RenderSettings:

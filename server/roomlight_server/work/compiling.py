@@ -1,0 +1,32 @@
+"""The kernels of composites, compiled in a process beside where numba's cache has none yet.
+
+They take 27 s of one core, and numba compiles on one core at a time.
+"""
+
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+from roomlight.compositing.kernels.paths import add_lit
+
+_LAST: Final = add_lit
+"""Compiled after the large ones."""
+
+
+@cache
+def compile_beside(*qualities: str) -> "subprocess.Popen[bytes] | None":
+    """Start to compile the kernels of composites, once in this process, unless they are cached: returns at once.
+
+    The process goes on if the caller ends: what it compiled serves the next one.
+
+    Args:
+        qualities: Of the compositor, in the order in which they will be needed.
+    """
+    cached = Path(_LAST.stats.cache_path or "").glob(f"*.{_LAST.py_func.__name__}-*.nbi")
+    if any(cached):
+        return None
+    command = [sys.executable, "-m", "roomlight_server.precompile", *qualities]
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
