@@ -17,13 +17,13 @@ from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import CaptureError, FrameError
 from roomlight.frame import clipped_pixels
 from roomlight.images import MAX_PIXELS, MIN_ALPHA, ColourImage
-from roomlight.imaging.colour_spaces import ColourSpace
+from roomlight.imaging.colour_spaces import UNSPECIFIED, ColourSpace
 from roomlight.imaging.exif import oriented
 from roomlight.notes import Note, oblong_pixels
 
-_UNSPECIFIED: Final = 2
-"""H.273's code of what is not stated."""
-_TAGS: Final = ("color_primaries", "color_trc", "colorspace")
+_UNSPECIFIED: Final = UNSPECIFIED[0]
+_UNSTATED: Final = {"color_primaries": UNSPECIFIED, "color_trc": UNSPECIFIED, "colorspace": (_UNSPECIFIED, 3)}
+"""Codes that state nothing, by tag; the matrix of code 0 is that of RGB."""
 _FULL_RANGE: Final = 2
 _BT2020_MATRICES: Final = (9, 10)
 _BT2020: Final = 9
@@ -112,7 +112,7 @@ class VideoFrames:
             self._container.close()
             raise CaptureError(f"{self._label}: declares {width} x {height} pixels of a codec that can be decoded")
         # FFmpeg's decoders of HEVC and ProRes forget what the container states
-        self._tags = {name: int(getattr(stream.codec_context, name)) for name in (*_TAGS, "color_range")}
+        self._tags = {name: int(getattr(stream.codec_context, name)) for name in (*_UNSTATED, "color_range")}
         stream.thread_type = "AUTO"
         self._packets = self._container.demux(stream)
         self._decoded: list[VideoFrame] = []
@@ -217,11 +217,12 @@ class VideoFrames:
 
     def _tag(self, frame: VideoFrame) -> None:
         """State what the frame leaves open and the container states."""
-        unstated = [name for name in _TAGS if int(getattr(frame, name)) == _UNSPECIFIED]
-        if len(unstated) == len(_TAGS) and self._tags["color_range"] == _FULL_RANGE:
+        unstated = [name for name, codes in _UNSTATED.items() if int(getattr(frame, name)) in codes]
+        if len(unstated) == len(_UNSTATED) and self._tags["color_range"] == _FULL_RANGE:
             frame.color_range = _FULL_RANGE
         for name in unstated:
-            setattr(frame, name, self._tags[name])
+            code = self._tags[name]
+            setattr(frame, name, _UNSPECIFIED if code in _UNSTATED[name] else code)
 
 
 def _demuxer(path: Path) -> str:

@@ -26,9 +26,11 @@ ACES_AP0: Final[Chromaticities] = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.0770, 0.
 """Of an EXR that is an ACES image container (SMPTE ST 2065-4)."""
 DISPLAY_P3: Final[Chromaticities] = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *_D65)
 
+UNSPECIFIED: Final = (2, 0, 3)
+"""Code points of primaries and curves that are not stated: H.273's own, and reserved ones that recorders write."""
+
 PRIMARIES: Final[dict[int, Chromaticities]] = {
-    1: REC709,
-    2: REC709,  # unspecified
+    **dict.fromkeys((1, *UNSPECIFIED), REC709),
     4: (0.67, 0.33, 0.21, 0.71, 0.14, 0.08, *_C),
     5: (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, *_D65),
     6: (0.630, 0.340, 0.310, 0.595, 0.155, 0.070, *_D65),
@@ -41,7 +43,7 @@ PRIMARIES: Final[dict[int, Chromaticities]] = {
 }
 """Primaries by code point."""
 
-LIKE_SRGB: Final = (1, 2, 6, 7, 11, 12, 13, 14, 15)
+LIKE_SRGB: Final = (1, *UNSPECIFIED, 6, 7, 11, 12, 13, 14, 15)
 _GAMMAS: Final = {4: 2.2, 5: 2.8, 8: 1.0, 17: 2.6}
 PQ, HLG = 16, 18
 _BRADFORD: Final = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
@@ -66,7 +68,7 @@ class ColourSpace:
         """Make the colour space of two code points.
 
         Raises:
-            ValueError: A code point is reserved or of a curve that no camera writes; the message names it.
+            ValueError: A code point is another reserved one or of a curve that no camera writes; the message names it.
         """
         if primaries not in PRIMARIES:
             raise ValueError(f"has colour primaries of code {primaries}, which are not read; convert it to sRGB")

@@ -1,5 +1,6 @@
 """Colours of video: tags that only the container states, curves that nothing states, exact conversion to RGB."""
 
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,22 @@ def test_an_unstated_matrix_of_wide_colours_is_theirs(tmp_path: Path) -> None:
         video(tmp_path / f"{matrix}.mkv", (502, 400, 700), tags=HLG_2020 | {"colorspace": matrix}) for matrix in (9, 2)
     )
     np.testing.assert_allclose(first_of(other).image, first_of(stated).image, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("reserved", "stated"),
+    [((3, 3, 3), (2, 2, 2)), ((0, 0, 6), (2, 2, 6)), ((3, 18, 9), (9, 18, 9)), ((9, 18, 3), (9, 18, 9))],
+)
+def test_reserved_codes_of_the_container_state_nothing(
+    tmp_path: Path, reserved: tuple[int, ...], stated: tuple[int, ...]
+) -> None:
+    """As phones of Samsung and Android 15 write them."""
+    whole = video(tmp_path / "a.mov", (502, 400, 700), tags=HLG_2020).read_bytes()
+    images = []
+    for codes in (reserved, stated):
+        (tmp_path / "a.mov").write_bytes(whole.replace(b"nclc\0\x09\0\x12\0\x09", b"nclc" + struct.pack(">3H", *codes)))
+        images.append(first_of(tmp_path / "a.mov").image)
+    np.testing.assert_allclose(*images, rtol=1e-3)
 
 
 @pytest.mark.parametrize("primaries", [9, 2])  # of Apple Log, and of Apple Log 2

@@ -67,6 +67,12 @@ def test_unknown_codes_are_refused_by_number() -> None:
         decode_picture(data, "x")
 
 
+@pytest.mark.parametrize("code", [0, 3])
+def test_reserved_codes_of_png_state_nothing(code: int) -> None:
+    data = png(RED, chunk(b"cICP", bytes([code, code, 0, 1])))
+    np.testing.assert_array_equal(linear_of(data), linear_of(png(RED)))
+
+
 @pytest.mark.parametrize("kind", ["JPEG", "PNG"])
 def test_icc_profiles_are_applied(kind: str) -> None:
     plain = linear_of(saved(kind))
