@@ -32,8 +32,8 @@ DEMUXERS: Final = {".mp4": "mp4", ".mov": "mp4", ".m4v": "mp4", ".3gp": "mp4", "
 _AREA: Final = Interpolation.AREA
 _EXACT: Final = Interpolation.AREA | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
 """How 8 bits are made: FFmpeg's quick way is 1 to 2 levels too dark. Its 16 bits are right in the quick way alone."""
-_LIMITED_WHITE: Final = (65024, 65280)
-"""What FFmpeg makes of limited range's white in 16 bits, from 8 bits and from more."""
+_LIMITED_WHITE: Final = 65280
+"""What FFmpeg makes of limited range's white in 16 bits."""
 _SONY: Final = "XAVC"
 _SONY_BYTES: Final = 2**22
 _SONY_CURVE: Final = re.compile(rb'CaptureGammaEquation"\s+value="(s-log[^"]{0,20})"')
@@ -179,20 +179,20 @@ class VideoFrames:
         except ValueError as error:
             raise FrameError(f"{self._label}: {error}") from error
         # HLG and PQ have 10 bits, which 8 would band in the shadows.
+        deep = not space.is_srgb and frame.format.components[0].bits > 8
         alpha = any(component.is_alpha for component in frame.format.components)
-        layout = ("rgba" if alpha else "rgb24") if space.is_srgb else ("rgba64le" if alpha else "rgb48le")
+        layout = ("rgba64le" if alpha else "rgb48le") if deep else ("rgba" if alpha else "rgb24")
         try:
             share = min(1.0, (longest or MAX_PIXELS) / max(frame.width, frame.height))
             width, height = round(share * frame.width), round(share * frame.height)
-            how = _EXACT if space.is_srgb else _AREA
+            how = _AREA if deep else _EXACT
             small = frame.reformat(width, height, layout, src_colorspace=_matrix(frame), interpolation=how)
             pixels = small.to_ndarray(format=layout)
         except (FFmpegError, ValueError, MemoryError) as error:
             raise FrameError(f"{self._label}: frame {number} does not convert to RGB ({error})") from error
         rgb = np.ascontiguousarray(pixels[..., :3])
-        if not space.is_srgb and not frame.format.is_rgb and frame.color_range != _FULL_RANGE:
-            white = _LIMITED_WHITE[frame.format.components[0].bits > 8]
-            rgb = np.rint(np.minimum(rgb, white) * np.float32(65535 / white)).astype(np.uint16)
+        if deep and not frame.format.is_rgb and frame.color_range != _FULL_RANGE:
+            rgb = np.rint(np.minimum(rgb, _LIMITED_WHITE) * np.float32(65535 / _LIMITED_WHITE)).astype(np.uint16)
         clipped = clipped_pixels(rgb)
         shown = pixels[..., 3] >= MIN_ALPHA * (256**pixels.itemsize - 1) if alpha else None
         seen = None if shown is None or shown.all() else shown

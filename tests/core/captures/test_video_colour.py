@@ -66,6 +66,17 @@ def test_ordinary_greys_keep_their_level(tmp_path: Path, grey: int) -> None:
     assert first_of(path).image[0, 0] == pytest.approx(srgb_to_linear(np.full(3, grey / 255)), rel=0.01, abs=1e-3)
 
 
+@pytest.mark.parametrize("primaries", [5, 6, 12])
+def test_greys_of_8_bits_are_the_same_whatever_the_primaries(tmp_path: Path, primaries: int) -> None:
+    others, usual = (
+        video(
+            tmp_path / f"{code}.mp4", (54, 128, 128), tags={"color_primaries": code}, codec="libx264", pixels="yuv420p"
+        )
+        for code in (primaries, 1)
+    )
+    np.testing.assert_allclose(first_of(others).image, first_of(usual).image, rtol=1e-3)
+
+
 @pytest.mark.parametrize("matrix", [0, 2])
 @pytest.mark.parametrize(("size", "kr", "kb"), [((1280, 48), 0.2126, 0.0722), ((64, 576), 0.299, 0.114)])
 def test_an_unstated_matrix_is_that_of_the_size(
