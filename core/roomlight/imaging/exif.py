@@ -73,10 +73,10 @@ def read_exif(data: bytes) -> ExifCamera:
         return ExifCamera()
 
 
-def exif_camera_of(exif: Image.Exif, *, upright: bool = False) -> ExifCamera:
-    """Return what EXIF states; `upright` leaves out its orientation. Damaged EXIF gives the defaults."""
+def exif_camera_of(exif: Image.Exif) -> ExifCamera:
+    """Return what EXIF states. Damaged EXIF gives the defaults."""
     try:
-        orientation = 1 if upright else exif.get(ExifTags.Base.Orientation)
+        orientation = exif.get(ExifTags.Base.Orientation)
         details = exif.get_ifd(ExifTags.IFD.Exif)
         interoperability = exif.get_ifd(ExifTags.IFD.Interop).get(_INTEROPERABILITY_INDEX)
         width, height, zoom, focal, focal_mm = (

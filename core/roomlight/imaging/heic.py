@@ -12,7 +12,7 @@ import importlib.util
 import math
 import re
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -32,6 +32,10 @@ _FARTHEST_M: Final = 100.0
 _GAIN_MAP: Final = "hdrgainmap"
 _TONE_MAP: Final = re.compile(rb"infe[\x02\x03].{3}(?:.{4}|.{6})tmap", re.DOTALL)
 """The entry of a gain map among the items: version, flags, number and protection precede its type."""
+_IROT: Final = re.compile(rb"\0\0\0\x09irot([\0-\3])")
+_IMIR: Final = re.compile(rb"\0\0\0\x09imir([\0\1])")
+_ORIENTATIONS: Final = {None: (1, 8, 3, 6), 0: (4, 5, 2, 7), 1: (2, 7, 4, 5)}
+"""EXIF's orientation by the axis of imir, if any, and the quarter turns of irot, counter-clockwise and first."""
 _HEAD: Final = 65536
 """Bytes that may name the item of ISO 21496-1's gain map; pixels further on may look like its name."""
 
@@ -75,8 +79,10 @@ def heic_size(data: bytes, name: str) -> tuple[int, int]:
 
 
 def heic_exif(data: bytes, name: str) -> ExifCamera:
-    """Read the EXIF without decoding pixels; its orientation is 1, because the picture comes out upright."""
-    return exif_camera_of(_exif(_opened(data, name)), upright=True)
+    """Read the EXIF without decoding pixels; its orientation is the rotation that libheif applies, not EXIF's own."""
+    turn, mirror = _IROT.search(data), _IMIR.search(data)
+    orientation = _ORIENTATIONS[mirror and mirror[1][0]][turn[1][0] if turn else 0]
+    return replace(exif_camera_of(_exif(_opened(data, name))), orientation=orientation)
 
 
 def _exif(photo: Any) -> Image.Exif:

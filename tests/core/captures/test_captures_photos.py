@@ -79,6 +79,22 @@ def test_a_turned_portrait_comes_out_upright(tmp_path: Path) -> None:
     np.testing.assert_allclose([photo.frame.depth_m[30, 44], photo.frame.depth_m[30, 4]], [2.0, 1.0], rtol=0.04)
 
 
+@pytest.mark.parametrize("turns", range(4))
+@pytest.mark.parametrize("mirror", [(), (heic_files.box(b"imir", b"\0"),), (heic_files.box(b"imir", b"\1"),)])
+def test_depth_stored_like_the_pixels_of_a_heic_is_turned_with_them(
+    tmp_path: Path, turns: int, mirror: tuple[bytes, ...]
+) -> None:
+    """A quarter of the picture is bright and near."""
+    near = np.zeros((96, 128), bool)
+    near[:48, :64] = True
+    colour = np.where(near[..., None], np.uint8(200), np.full(3, 20, np.uint8))
+    data = heic_files.portrait(colour, None, more=(heic_files.box(b"irot", bytes([turns])), *mirror))
+    np.save(tmp_path / "d.npy", np.where(near, 1.0, 3.0))
+    options = PhotoOptions(depth_orientation="stored", world_up="y")
+    frame = read_photo(formats.save(tmp_path / "p.heic", data), tmp_path / "d.npy", options).frame
+    assert np.mean((frame.image[..., 1] > 0.3) == (frame.depth_m < 2)) > 0.98
+
+
 def test_the_colour_space_of_heic_is_converted() -> None:
     colour, _ = scene()
     p3 = heic_files.box(b"colr", b"nclx", struct.pack(">HHHB", 12, 13, 6, 0x80))
