@@ -160,7 +160,7 @@ def _depth(images: list[Any], data: bytes, name: str) -> tuple[Float[np.ndarray,
     stated = images[0].info.get("metadata") or {}
     low, high = stated.get("d_min"), stated.get("d_max")
     near, far = stated.get("z_near"), stated.get("z_far")
-    kind = _xmp(data, "apdi:AuxiliaryImageType") or "disparity"
+    is_depth = re.search(rb'apdi:AuxiliaryImageType(?:>|=")\s*depth\b', data) is not None  # other images have types too
     if low is None or high is None:
         low, high = _xmp_number(data, "apdi:FloatMinValue"), _xmp_number(data, "apdi:FloatMaxValue")
     form = int(stated.get("representation_type", _DISPARITY))
@@ -172,7 +172,7 @@ def _depth(images: list[Any], data: bytes, name: str) -> tuple[Float[np.ndarray,
         note = Note(f"{name}: its depth map", "it states no range, so that it is not used", "give the depth as a file")
         return None, (note,)
     values = low + share * (high - low)
-    metres = values if kind == "depth" else 1 / np.where(values > 1 / _FARTHEST_M, values, np.inf)
+    metres = values if is_depth else 1 / np.where(values > 1 / _FARTHEST_M, values, np.inf)
     notes: tuple[Note, ...] = ()
     if _xmp(data, "depthData:Accuracy") == "relative":
         text = "distances may be off by a factor, and the light of near lamps with them"

@@ -59,6 +59,14 @@ def test_a_portraits_own_depth_is_read(tmp_path: Path, stated: str) -> None:
     assert [note for note in photo.notes if "which way is up" not in note.left_out] == []
 
 
+def test_depth_in_metres_is_told_from_the_type_of_a_gain_map(tmp_path: Path) -> None:
+    gain_map = "<apdi:AuxiliaryImageType>urn:com:apple:photo:2020:aux:hdrgainmap</apdi:AuxiliaryImageType>"
+    text = gain_map + xmp().replace(">disparity<", ">depth<")
+    path = formats.save(tmp_path / "p.heic", heic_files.portrait(*scene(), xmp=text))
+    depth_m = read_photo(path, options=PhotoOptions(world_up="y")).frame.depth_m
+    np.testing.assert_allclose([depth_m[4, 30], depth_m[44, 30]], [0.5, 1.0], rtol=0.04)
+
+
 def test_relative_depth_is_said_and_can_be_scaled(tmp_path: Path) -> None:
     path = formats.save(tmp_path / "photo.heic", heic_files.portrait(*scene(), xmp=xmp("relative")))
     photo = read_photo(path, options=PhotoOptions(world_up="y"))
