@@ -124,6 +124,9 @@ def read_heic(data: bytes, name: str) -> HeicPhoto:
     if has_gain_map or any(_GAIN_MAP in str(kind) or "21496" in str(kind) for kind in aux):
         text = "highlights end at the photo's white"
         notes = (*notes, Note(f"{name}: its HDR gain map", text, "give a linear EXR for the full range"))
+    if (others := len(photo) - 1) > 0:
+        text = f"{name}: {others} more pictures"
+        notes = (*notes, Note(text, "the primary picture alone is read", "save them apart if one is depth"))
     turn = exif_camera_of(_exif(photo)).orientation
     if turn != 1 and not any(box in data for box in (b"irot", b"imir")):
         text = f"{name}: EXIF orientation {turn}, and the HEIC itself is not rotated"

@@ -121,6 +121,15 @@ def test_a_gain_map_that_an_item_states_is_said() -> None:
         assert "gain map" in note.left_out
 
 
+def test_other_pictures_in_a_heic_are_said(tmp_path: Path) -> None:
+    """Of spatial photos and bursts."""
+    heif = heic_files.pillow_heif.from_pillow(Image.fromarray(scene()[0]))
+    heif.add_from_pillow(Image.fromarray(255 - scene()[0]))
+    heif.save(tmp_path / "p.heic")
+    (note,) = decode_picture((tmp_path / "p.heic").read_bytes(), "x").notes
+    assert "x: 1 more pictures" in str(note)
+
+
 def test_an_avif_that_begins_as_any_picture_is_refused_by_name(tmp_path: Path) -> None:
     data = other_file(tmp_path / "a.avif", BLACK).read_bytes()
     with pytest.raises(ImageError, match="AVIF is not read"):
