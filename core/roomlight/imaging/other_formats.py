@@ -48,14 +48,14 @@ def as_png(data: bytes, name: str, *, max_pixels: int) -> bytes:
             size, mode, pictures = image.size, image.mode, getattr(image, "n_frames", 1)
             if size[0] * size[1] > max_pixels:
                 raise ImageError(f"{name}: its header says {size[0]} x {size[1]} pixels; up to {max_pixels} are read")
-            if pictures != 1:
-                raise ImageError(f"{name}: the {kind} holds {pictures} pictures; save one of them")
-            if mode not in _KEPT and mode not in _MODES:
-                raise ImageError(f"{name}: the {kind} has values of the kind {mode}; save it as EXR, or with 8 bits")
             if kind == "TIFF" and (
                 _DNG in image.getexif() or image.getexif().get(_SUBFILE, 0) & 1 or data[8:10] == b"CR"
             ):
                 raise ImageError(f"{name}: is a raw photo, of which only a preview is here; develop it to TIFF or PNG")
+            if pictures != 1:
+                raise ImageError(f"{name}: the {kind} holds {pictures} pictures; save one of them")
+            if mode not in _KEPT and mode not in _MODES:
+                raise ImageError(f"{name}: the {kind} has values of the kind {mode}; save it as EXR, or with 8 bits")
             check_pinhole(data, name)
             tags, profile = _photo_tags(image.getexif()), image.info.get("icc_profile")
             picture = image.convert(mode if mode in _KEPT else _MODES[mode])

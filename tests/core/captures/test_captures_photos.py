@@ -222,6 +222,7 @@ def test_captures_hold_webp_pictures(tmp_path: Path) -> None:
 
 
 BLACK = np.zeros((24, 32, 3), np.uint8)
+TWO = {"save_all": True, "append_images": [Image.fromarray(BLACK)]}
 PANORAMA = b'<x GPano:ProjectionType="equirectangular"/>'
 WIDE = "3000 x 10 pixels with a field of view of 64 degrees are no photo"
 
@@ -234,6 +235,8 @@ WIDE = "3000 x 10 pixels with a field of view of 64 degrees are no photo"
         ("png", np.zeros((10, 3000, 3), np.uint8), {}, WIDE),
         ("tif", BLACK, {"tiffinfo": {254: 1}}, "a raw photo, of which only a preview"),
         ("tif", BLACK, {"tiffinfo": {50706: b"\1\4\0\0"}}, "a raw photo, of which only a preview"),
+        ("tif", BLACK, {"tiffinfo": {50706: b"\1\4\0\0"}, **TWO}, "a raw photo, of which only a preview"),
+        ("tif", BLACK, TWO, "the TIFF holds 2 pictures"),
         ("webp", BLACK, {"xmp": PANORAMA}, r"panorama \(GPano\)"),
         ("gif", BLACK, {}, "is GIF, which is not read"),
         ("jp2", BLACK, {}, "is JPEG 2000, which is not read"),
