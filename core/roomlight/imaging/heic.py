@@ -23,6 +23,7 @@ from roomlight.depth import clean_depth
 from roomlight.errors import ImageError
 from roomlight.imaging.colour_spaces import ColourSpace
 from roomlight.imaging.exif import ExifCamera, exif_camera_of
+from roomlight.imaging.tags import space_of_profile
 from roomlight.notes import Note
 
 _LIBRARY: Final = "pillow_heif"
@@ -47,7 +48,7 @@ class HeicPhoto:
     Attributes:
         pixels: Encoded colour, uint8 or uint16 [h, w, 3 or 4], upright.
         space: The colour space, unless a profile decides.
-        profile: The ICC profile; None without one.
+        profile: The ICC profile; None without one, and where `space` is the profile's.
         depth_m: The depth map in metres, upright, 0 = unknown; None without one.
         focal: Focal length relative to the longer side, by the depth's calibration; None without one.
         depth_notes: What is uncertain about the depth.
@@ -109,6 +110,8 @@ def read_heic(data: bytes, name: str) -> HeicPhoto:
         codes = info.get("nclx_profile") or {}
         primaries, transfer = int(codes.get("color_primaries", 2)), int(codes.get("transfer_characteristics", 2))
         space = ColourSpace.of_codes(primaries, transfer)
+        if profile := info.get("icc_profile") or None:
+            space, profile = space_of_profile(profile)
     except ImageError:
         raise
     except Exception as error:  # libheif raises whatever the damaged bytes lead to
@@ -134,7 +137,7 @@ def read_heic(data: bytes, name: str) -> HeicPhoto:
     return HeicPhoto(
         pixels=pixels,
         space=space,
-        profile=info.get("icc_profile") or None,
+        profile=profile,
         depth_m=depth,
         focal=_focal(data),
         depth_notes=depth_notes,

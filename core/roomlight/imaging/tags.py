@@ -1,7 +1,7 @@
 """Colour tags of JPEG and PNG files: ICC profiles, PNG's cICP, gAMA and cHRM, EXIF, gain maps, alpha.
 
 The first of these that a file has decides: cICP, ICC profile, PNG's sRGB, gAMA with cHRM, EXIF's Adobe RGB; a file
-without any is sRGB. ICC profiles are applied by LittleCMS (Pillow).
+without any is sRGB. ICC profiles of other than three primaries and a usual curve are applied by LittleCMS (Pillow).
 """
 
 import io
@@ -9,6 +9,7 @@ import re
 import struct
 import warnings
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
@@ -17,6 +18,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageCms
 
+from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import ImageError
 from roomlight.imaging.colour_spaces import ADOBE_RGB, REC709, Chromaticities, ColourSpace
 from roomlight.imaging.exif import ExifCamera, read_exif
@@ -42,7 +44,13 @@ _TURNED: Final = b"tiff:Orientation"
 _EXIF_AS_TEXT: Final = b"Raw profile type exif"
 _MP_ENTRIES: Final = 0xB002
 _SRGB: Final = ColourSpace()
+_GAMMAS: Final = (None, 563 / 256, 1.8, 1.0)
+"""Curves of ICC profiles that are recognised: sRGB's, Adobe RGB's, ProPhoto's, and linear."""
+_D50: Final = (0.3457, 0.3585)
+"""The white to which ICC profiles are adapted."""
 _NO_EXIF: Final = ExifCamera()
+_PROBE: Final = np.stack(np.meshgrid(*3 * [np.arange(0, 256, 51, np.uint8)]), axis=-1).reshape(36, 6, 3)
+"""Colours all over the cube, on which profiles are compared."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,7 @@ class ImageTags:
 
     Attributes:
         space: The colour space, unless a profile decides.
-        profile: The ICC profile; None without one.
+        profile: The ICC profile; None without one, and where `space` is the profile's.
         exif: Camera and orientation.
         alpha: Whether the file has alpha.
         notes: What is stated and not used.
@@ -100,6 +108,8 @@ def _jpeg_tags(data: bytes, name: str) -> ImageTags:
     if is_cmyk and profile is None:
         stated = f"{name}: its pixels are CMYK, and no profile says what ink they are of"
         notes.append(Note(stated, "they are converted by a plain formula", "save it as sRGB, or with its profile"))
+    elif profile is not None and not is_cmyk:
+        space, profile = space_of_profile(profile)
     return ImageTags(space, profile, exif, notes=tuple(notes))
 
 
@@ -142,6 +152,7 @@ def _png_tags(data: bytes, name: str) -> ImageTags:
         space = ColourSpace.of_codes(chunks[b"cICP"][0], chunks[b"cICP"][1])
     elif b"iCCP" in chunks:
         profile = _inflated(chunks[b"iCCP"].partition(b"\0")[2][1:])
+        space, profile = (space, None) if profile is None else space_of_profile(profile)
     elif b"sRGB" not in chunks and (len(chunks.get(b"gAMA", b"")) == 4 or b"cHRM" in chunks):
         space = _measured(chunks.get(b"gAMA", struct.pack(">I", 45455)), chunks.get(b"cHRM", b""))
     elif b"sRGB" not in chunks:
@@ -190,6 +201,27 @@ def _measured(gamma_chunk: bytes, chromaticity_chunk: bytes) -> ColourSpace:
     return ColourSpace(primaries, gamma=min(max(100_000 / gamma, 0.2), 5.0))
 
 
+@lru_cache(maxsize=8)
+def space_of_profile(profile: bytes) -> tuple[ColourSpace, bytes | None]:
+    """Return the colour space of an ICC profile of three primaries and a usual curve, and None; else sRGB and it.
+
+    A colour space keeps colours beyond sRGB, and 16 bits; LittleCMS through Pillow does not.
+    """
+    converted, notes = profile_to_srgb8(_PROBE, profile, "")
+    if converted is None:
+        return _SRGB, profile if notes else None
+    read: Any = ImageCms.ImageCmsProfile(io.BytesIO(profile)).profile
+    if read.is_matrix_shaper:
+        colours = (read.red_colorant, read.green_colorant, read.blue_colorant)
+        primaries: Any = (*(part for _, xyz in colours for part in xyz[:2]), *_D50)
+        for gamma in _GAMMAS:
+            space = ColourSpace(primaries, gamma=gamma)
+            with suppress(ValueError):  # impossible primaries
+                if np.abs(linear_to_srgb8(space.to_linear(_PROBE)).astype(int) - converted).max() <= 1:
+                    return space, None
+    return _SRGB, profile
+
+
 def profile_to_srgb8(
     image: Image.Image | UInt8[np.ndarray, "h w 3"], profile: bytes, name: str
 ) -> tuple[UInt8[np.ndarray, "h w 3"] | None, tuple[Note, ...]]:
@@ -223,9 +255,7 @@ def _transform(profile: bytes) -> tuple[str, ImageCms.ImageCmsTransform | None]:
         read, ImageCms.createProfile("sRGB"), mode, "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC
     )
     if mode == "RGB":
-        steps = np.linspace(0, 255, 6).astype(np.uint8)
-        probe = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(36, 6, 3)
-        result = ImageCms.applyTransform(Image.fromarray(probe), transform)
-        if result is not None and np.abs(np.asarray(result).astype(int) - probe).max() <= 1:
+        result = ImageCms.applyTransform(Image.fromarray(_PROBE), transform)
+        if result is not None and np.abs(np.asarray(result).astype(int) - _PROBE).max() <= 1:
             return space, None
     return space, transform

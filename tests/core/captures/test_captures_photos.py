@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image, ImageCms
 
+from colour_profiles import matrix_profile
 from roomlight.captures import open_capture
 from roomlight.captures.bare_video import panorama_like
 from roomlight.captures.notes import round_picture
@@ -19,6 +20,7 @@ from roomlight.captures.photo import PhotoOptions, read_photo
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import ImageError, RoomLightError
 from roomlight.images import decode_picture
+from roomlight.imaging.colour_spaces import DISPLAY_P3
 from roomlight.imaging.other_formats import as_png
 
 LOW, HIGH = 0.25, 2.25
@@ -103,13 +105,15 @@ def test_depth_stored_like_the_pixels_of_a_heic_is_turned_with_them(
     assert np.mean((frame.image[..., 1] > 0.3) == (frame.depth_m < 2)) > 0.98
 
 
-def test_the_colour_space_of_heic_is_converted() -> None:
-    colour, _ = scene()
-    p3 = heic_files.box(b"colr", b"nclx", struct.pack(">HHHB", 12, 13, 6, 0x80))
-    data = heic_files.portrait(colour, None, more=(p3,))
+@pytest.mark.parametrize(
+    "stated", [b"nclx" + struct.pack(">HHHB", 12, 13, 6, 0x80), b"prof" + matrix_profile(DISPLAY_P3)]
+)
+def test_the_colour_space_of_heic_is_converted(stated: bytes) -> None:
+    colour = scene()[0] + np.uint8(55)
+    data = heic_files.portrait(colour, None, more=(heic_files.box(b"colr", stated),))
     image = decode_picture(data, "photo.heic").image
     plain = srgb8_to_linear(colour)[40, 20]
-    assert image[40, 20, 0] > 1.15 * plain[0]  # red of Display P3 lies outside sRGB
+    assert image[40, 20, 0] > 1.15 * plain[0] > 1.1  # red of Display P3 lies outside sRGB
 
 
 def test_a_gain_map_that_an_item_states_is_said() -> None:

@@ -2,6 +2,7 @@
 
 import io
 import struct
+import zlib
 from collections.abc import Callable
 
 import cv2
@@ -82,6 +83,21 @@ def test_icc_profiles_are_applied(kind: str) -> None:
     assert wide[1] < plain[1] / 2
     own = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     np.testing.assert_array_equal(linear_of(saved(kind, icc_profile=own)), plain)
+
+
+@pytest.mark.parametrize(("gamma", "beyond"), [(2.2, True), (1.8, True), (1.5, False)])
+def test_colours_beyond_srgb_of_a_profile_with_a_usual_curve_are_kept(gamma: float, beyond: bool) -> None:
+    data = saved("PNG", np.full((8, 8, 3), (255, 20, 20), np.uint8), icc_profile=matrix_profile(DISPLAY_P3, gamma))
+    picture = decode_picture(data, "x")
+    assert picture.image[4, 4] == pytest.approx([1.22 if beyond else 1, 0, 0], abs=0.01)
+    assert picture.clipped.all()
+
+
+def test_a_png_of_16_bits_with_a_profile_keeps_its_levels() -> None:
+    pixels = np.full((8, 8, 3), (2_000, 1_999, 1_998), np.uint16)
+    profile = chunk(b"iCCP", b"P3\0\0" + zlib.compress(matrix_profile(DISPLAY_P3, 1.0)))
+    expected = to_rec709(DISPLAY_P3) @ pixels[0, 0] / 65535
+    np.testing.assert_allclose(linear_of(png(pixels, profile)), expected, rtol=1e-5)
 
 
 def test_a_damaged_profile_is_said_and_read_as_srgb() -> None:
