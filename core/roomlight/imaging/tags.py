@@ -49,7 +49,7 @@ _GAMMAS: Final = (None, 563 / 256, 1.8, 1.0)
 _D50: Final = (0.3457, 0.3585)
 """The white to which ICC profiles are adapted."""
 _NO_EXIF: Final = ExifCamera()
-_PROBE: Final = np.stack(np.meshgrid(*3 * [np.arange(0, 256, 51, np.uint8)]), axis=-1).reshape(36, 6, 3)
+_PROBE: Final = np.stack(np.meshgrid(*3 * [np.arange(0, 256, 51).astype(np.uint8)]), axis=-1).reshape(36, 6, 3)
 """Colours all over the cube, on which profiles are compared."""
 
 
