@@ -132,3 +132,7 @@ def test_the_package_has_a_target_for_each_folder():
     for name, text in SOURCES.items():
         assert text.count("{") == text.count("}"), name
         assert text.count("#if") == text.count("#endif"), name
+
+
+def test_swift_averages_pixels_when_it_scales_an_image_down():
+    assert ".highQualityDownsample: true" in find(r"CIContext\(options: \[.*\]\)", SOURCES["ARFrame.swift"])

@@ -136,7 +136,12 @@ export function cameraImage(
 
 type Size = { readonly width: number; readonly height: number };
 
-/** RGBA of a texture, scaled on the GPU, top row first. Restores the framebuffers in use. */
+/**
+ * RGBA of a texture, top row first, scaled on the GPU. Restores the framebuffers in use.
+ *
+ * A linear blit averages 2 x 2 pixels, so none scales by more than 2: the first to the size times a power of two, the
+ * others by exact halves.
+ */
 function readTexture(
   gl: WebGL2RenderingContext,
   texture: WebGLTexture,
@@ -149,22 +154,30 @@ function readTexture(
   ];
   const renderbuffer = gl.getParameter(gl.RENDERBUFFER_BINDING);
   const scissorTest = gl.isEnabled(gl.SCISSOR_TEST); // it would clip the copy
-  const [source, target, small] = [gl.createFramebuffer(), gl.createFramebuffer(), gl.createRenderbuffer()];
+  let [source, target] = [gl.createFramebuffer(), gl.createFramebuffer()];
+  let [sourcePixels, targetPixels] = [gl.createRenderbuffer(), gl.createRenderbuffer()];
   const rgba = new Uint8ClampedArray(to.width * to.height * 4);
   try {
     gl.disable(gl.SCISSOR_TEST);
-    gl.bindRenderbuffer(gl.RENDERBUFFER, small);
-    gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA8, to.width, to.height);
-    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, target);
-    gl.framebufferRenderbuffer(gl.DRAW_FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, small);
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, source);
     gl.framebufferTexture2D(gl.READ_FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
     if (gl.checkFramebufferStatus(gl.READ_FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE) {
       throw new RangeError(`the camera texture cannot be read: ${gl.checkFramebufferStatus(gl.READ_FRAMEBUFFER)}`);
     }
-    // Flipped: rows of GL go up, rows of an image go down.
-    gl.blitFramebuffer(0, 0, from.width, from.height, 0, to.height, to.width, 0, gl.COLOR_BUFFER_BIT, gl.LINEAR);
-    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, target);
+    let { width, height } = from;
+    const ratio = Math.max(width / to.width, height / to.height);
+    for (let factor = 2 ** Math.max(Math.ceil(Math.log2(ratio)) - 1, 0); factor >= 1; factor /= 2) {
+      const [toWidth, toHeight] = [to.width * factor, to.height * factor];
+      const [bottom, top] = factor === 1 ? [toHeight, 0] : [0, toHeight]; // GL's rows go up, an image's rows go down
+      gl.bindRenderbuffer(gl.RENDERBUFFER, targetPixels);
+      gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA8, toWidth, toHeight);
+      gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, target);
+      gl.framebufferRenderbuffer(gl.DRAW_FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, targetPixels);
+      gl.blitFramebuffer(0, 0, width, height, 0, bottom, toWidth, top, gl.COLOR_BUFFER_BIT, gl.LINEAR);
+      gl.bindFramebuffer(gl.READ_FRAMEBUFFER, target);
+      [source, target, sourcePixels, targetPixels] = [target, source, targetPixels, sourcePixels];
+      [width, height] = [toWidth, toHeight];
+    }
     gl.readPixels(0, 0, to.width, to.height, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
   } finally {
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, readFramebuffer);
@@ -173,9 +186,8 @@ function readTexture(
     if (scissorTest) {
       gl.enable(gl.SCISSOR_TEST);
     }
-    gl.deleteFramebuffer(source);
-    gl.deleteFramebuffer(target);
-    gl.deleteRenderbuffer(small);
+    [source, target].forEach((framebuffer) => gl.deleteFramebuffer(framebuffer));
+    [sourcePixels, targetPixels].forEach((pixels) => gl.deleteRenderbuffer(pixels));
   }
   return rgba;
 }

@@ -140,6 +140,12 @@ test("a camera's texture becomes an upright JPEG", async () => {
   assert.ok(isNear(bottomLeft, [240, 0, 0]) && isNear(bottomRight, [0, 240, 0]), `${pixels}`);
 });
 
+test("a camera's image is averaged when it is scaled down", async () => {
+  for (const value of await call("stripes")) {
+    assert.ok(Math.abs(value - 255 / 8) < 4, `${value} is not the mean of seven black columns and a white one`);
+  }
+});
+
 test("the page streams frames and shows the server's light", async () => {
   const [url, token] = [process.env["ROOMLIGHT_SERVER"]!, process.env["ROOMLIGHT_TOKEN"]!];
   const plain = vectors().map(({ frame }) => frame);

@@ -154,14 +154,17 @@ function shadows(): number[][] {
   });
 }
 
-/** A texture with an image of a room, lowest row first as in WebGL: left red, right green, top dark. */
-function paintedTexture(gl: WebGL2RenderingContext, width: number, height: number): WebGLTexture {
+/** A texture of an image, lowest row first as in WebGL. */
+function paintedTexture(
+  gl: WebGL2RenderingContext,
+  width: number,
+  height: number,
+  colourAt: (column: number, row: number) => readonly number[],
+): WebGLTexture {
   const texture = gl.createTexture();
   const rgba = new Uint8Array(width * height * 4);
   for (let at = 0; at < width * height; at++) {
-    const [column, row] = [at % width, Math.floor(at / width)];
-    const gain = row < height / 2 ? 1 : 0.25;
-    rgba.set([column < width / 2 ? 240 * gain : 0, column < width / 2 ? 0 : 240 * gain, 0, 255], 4 * at);
+    rgba.set([...colourAt(at % width, Math.floor(at / width)), 255], 4 * at);
   }
   gl.bindTexture(gl.TEXTURE_2D, texture);
   gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
@@ -170,13 +173,17 @@ function paintedTexture(gl: WebGL2RenderingContext, width: number, height: numbe
   return texture;
 }
 
-/** A WebXR view of the painted room, 1.5 m away. */
+/** A WebXR view of a room, left red, right green, top dark, 1.5 m away. */
 function xrFrame(): Frame {
   const gl = renderer.getContext() as WebGL2RenderingContext;
   const [width, height] = [960, 720];
+  const room = paintedTexture(gl, width, height, (column, row) => {
+    const value = row < height / 2 ? 240 : 60;
+    return column < width / 2 ? [value, 0, 0] : [0, value, 0];
+  });
   gl.enable(gl.SCISSOR_TEST);
   gl.scissor(0, 0, 1, 1);
-  const image = cameraImage(gl, paintedTexture(gl, width, height), { width, height }, { longest: 320 });
+  const image = cameraImage(gl, room, { width, height }, { longest: 320 });
   gl.disable(gl.SCISSOR_TEST);
   renderer.resetState();
   const view = new THREE.PerspectiveCamera(50, 4 / 3, 0.1, 10);
@@ -194,17 +201,34 @@ function xrFrame(): Frame {
   return frameOfView({ view: pose, depth, image, time_ms: performance.now() });
 }
 
-/** The middle pixels of the image's quarters: top left, top right, bottom left, bottom right. */
-async function quarters(): Promise<{ size: number[]; pixels: number[][] }> {
-  const { data } = xrFrame().colour;
-  const bitmap = await createImageBitmap(await (data as Promise<Blob>));
+/** An image of `cameraImage`, decoded. */
+async function drawn(image: Promise<Blob>): Promise<OffscreenCanvasRenderingContext2D> {
+  const bitmap = await createImageBitmap(await image);
   const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d")!;
   context.drawImage(bitmap, 0, 0);
-  const pixel = (x: number, y: number) => [
-    ...context.getImageData(x * bitmap.width, y * bitmap.height, 1, 1).data.subarray(0, 3),
-  ];
+  return context;
+}
+
+/** The middle pixel of an eighth of the size, where one column in eight is white: the first, the second, and so on. */
+function stripes(): Promise<number[]> {
+  const gl = renderer.getContext() as WebGL2RenderingContext;
+  const [width, height] = [256, 192];
+  const shown = Array.from({ length: 8 }, async (_, white) => {
+    const texture = paintedTexture(gl, width, height, (column) => Array(3).fill(column % 8 === white ? 255 : 0));
+    const context = await drawn(cameraImage(gl, texture, { width, height }, { longest: width / 8 }).data);
+    return context.getImageData(16, 12, 1, 1).data[0]!;
+  });
+  renderer.resetState();
+  return Promise.all(shown);
+}
+
+/** The middle pixels of the image's quarters: top left, top right, bottom left, bottom right. */
+async function quarters(): Promise<{ size: number[]; pixels: number[][] }> {
+  const context = await drawn(xrFrame().colour.data as Promise<Blob>);
+  const { width, height } = context.canvas;
+  const pixel = (x: number, y: number) => [...context.getImageData(x * width, y * height, 1, 1).data.subarray(0, 3)];
   return {
-    size: [bitmap.width, bitmap.height],
+    size: [width, height],
     pixels: [pixel(0.25, 0.25), pixel(0.75, 0.25), pixel(0.25, 0.75), pixel(0.75, 0.75)],
   };
 }
@@ -255,7 +279,7 @@ const withBytes = <Part extends { data: unknown }>(part: Part) => ({
 });
 
 const calls = {
-  ...{ mirrored, panorama, diffuse, sphere, specular, shadows, quarters, session },
+  ...{ mirrored, panorama, diffuse, sphere, specular, shadows, stripes, quarters, session },
   harmonicsForm: field.harmonicsForm,
 };
 export type Calls = typeof calls;

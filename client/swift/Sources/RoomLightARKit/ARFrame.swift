@@ -7,8 +7,8 @@
     import RoomLightWire
 
     extension RoomLightFrame {
-        /// Shared by all frames, because it is slow to create.
-        static let imageContext = CIContext(options: [.cacheIntermediates: false])
+        /// Shared by all frames, because it is slow to create. Without `highQualityDownsample` iOS skips pixels.
+        static let imageContext = CIContext(options: [.cacheIntermediates: false, .highQualityDownsample: true])
 
         /// Copies what it needs from an ARFrame. On a device with LiDAR the configuration should have the
         /// `frameSemantics` `.sceneDepth` or `.smoothedSceneDepth`, and a video format of 4:3, the aspect of the depth
