@@ -195,7 +195,7 @@ def test_radiance_is_relative_to_the_reference_exposure():
 @pytest.mark.parametrize(
     ("depth", "rule"),
     [
-        (("float32_m", "raw", bytes(4 * WIDTH * HEIGHT)), "must have a known depth"),
+        (("float32_m", "raw", (-DEPTH_M).tobytes()), "above 0 and up to 100 km"),
         (("float32_m", "raw", (1000 * DEPTH_M / 2).tobytes()), "unit is that of float32_m"),
         (("uint16_mm", "raw", np.full((HEIGHT, WIDTH), 3, "<u2").tobytes()), "unit is that of uint16_mm"),
         (("uint16_mm", "png", png(np.ones((HEIGHT, WIDTH), np.uint8))), "16-bit grey"),
@@ -210,6 +210,28 @@ def test_unusable_depth_is_rejected(depth, rule):
     with pytest.raises(WireError, match=rule) as caught:
         decode_frame(message(depth=depth), 0)
     assert caught.value.field == "depth"
+
+
+ZEROS = np.zeros((HEIGHT, WIDTH), "<u2")
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"depth": ("float32_m", "raw", bytes(4 * WIDTH * HEIGHT))},
+        {"depth": ("float16_m", "raw", np.full((HEIGHT, WIDTH), np.nan, "<f2").tobytes())},
+        {"depth": ("uint16_mm", "zstd", compress((ZEROS + 65535).tobytes()))},
+        {"depth": ("uint16_mm", "png", png(ZEROS)), "confidence": ("raw", bytes(WIDTH * HEIGHT))},
+        {"confidence": ("raw", bytes(WIDTH * HEIGHT))},
+    ],
+)
+def test_a_depth_map_without_a_usable_pixel_is_no_depth(parts):
+    sent = message(**parts)
+    frame = decode_frame(sent, 0)
+    assert (frame.depth_m.shape, frame.depth_m.any()) == ((HEIGHT, WIDTH), False)
+    bare = sent.without_depth()
+    assert (bare.header.depth, bare.header.confidence, bare.depth, bare.confidence) == (None,) * 4
+    np.testing.assert_array_equal(decode_frame(bare, 0).image, frame.image)
 
 
 @pytest.mark.parametrize(("far", "accepted"), [(49, True), (50, False), (51, False)])

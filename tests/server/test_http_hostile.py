@@ -72,7 +72,6 @@ HOSTILE = {
         with_parts(depth=({"encoding": "zstd"}, zstandard.ZstdCompressor().compress(parts_of(box_shot(0))[1])[:-9])),
         422, "depth",
     ),
-    "no confidence at all": (with_parts(confidence=({}, bytes(48 * 36))), 422, "confidence"),
     "confidence of 16 bits": (with_parts(confidence=({"encoding": "png"}, depth_png(2))), 422, "confidence"),
     "another index in the header": (frame(index=77), 422, "index"),
 }  # fmt: skip

@@ -22,16 +22,22 @@ def server(model):
         yield running
 
 
-def test_a_frame_without_depth_gives_light(server):
+UNTRUSTED = {"confidence": ({}, bytes(48 * 36))}
+"""Depth whose confidence is low everywhere, as a phone's is that has just started."""
+
+
+@pytest.mark.parametrize("parts", [{"depth": False}, UNTRUSTED], ids=["no depth", "untrusted depth"])
+def test_a_frame_without_depth_gives_light(server, parts):
     server.open("bare")
     assert server.call("PUT", "/v1/sessions/bare/probes/lamp", {"position": [0.2, 1.2, 0]}).status in (200, 201)
     for index in range(2):
-        answer = server.push(index, with_parts(depth=False, timestamp_s=0.1 * index), name="bare")
+        answer = server.push(index, with_parts(**parts, timestamp_s=0.1 * index), name="bare")
         assert (answer.status, answer.json["status"]) == (200, "processed")
         assert answer.json["depth_estimated"] is True
     measured = server.push(2, name="bare")
     assert measured.json["depth_estimated"] is False
     assert server.state("bare")["coverage"]["lamp"] > 0
+    server.call("DELETE", "/v1/sessions/bare")
 
 
 @pytest.mark.slow
@@ -39,7 +45,7 @@ def test_an_object_stands_on_estimated_depth_which_a_restart_restores(model, tmp
     """What draws into the last frame needs its depth again, and so does late light from keyframes."""
     settings = {"depth_model": model, "state_dir": tmp_path, "state_interval_s": 0.1}
     body = {"objects": [{"shape": "sphere", "size_m": 0.2, "pixel": [24, 24]}], "quality": "preview"}
-    bare, depths_m = with_parts(depth=False), []
+    frames, depths_m = (with_parts(depth=False), with_parts(**UNTRUSTED), with_parts(**UNTRUSTED)), []
 
     def answers():
         light = server.call("GET", "/v1/sessions/room/probe?x=0.1&y=1.1&z=-0.2&format=npy")
@@ -54,7 +60,7 @@ def test_an_object_stands_on_estimated_depth_which_a_restart_restores(model, tmp
             live = dict(server.registry.items())["anyone", "room"]
             assert before is None or answers() == before
             for index in indices:
-                assert server.push(index, bare).json["keyframe"] == (index < 2)
+                assert server.push(index, frames[index]).json["keyframe"] == (index < 2)
                 depths_m.append(live.latest.depth_m)
                 live._depth.state.per_metre, live._depth.state.unmoved = 0.5, False  # as if features had told it
             before = answers()

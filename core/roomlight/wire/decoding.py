@@ -22,7 +22,8 @@ def decode_frame(
 ) -> Frame:
     """Decode the message to a frame; a radiance of 1 is white at the reference exposure.
 
-    Depth whose confidence is below `min_confidence` becomes unknown; a message without depth gives a frame without.
+    Depth whose confidence is below `min_confidence` becomes unknown. A message without depth gives a frame without, and
+    so does one whose depth is 0 or NaN everywhere, or nowhere of that confidence.
 
     Raises:
         WireError: A part does not decode or has unusable values; `field` names it.
@@ -34,8 +35,9 @@ def decode_frame(
         image = image / np.float32(ratio)
     depth_m = _depth(message, min_confidence)
     if picture.seen is not None and message.header.colour.encoding != "linear_f32":
+        known = depth_m.any()
         image, depth_m = hidden(image, depth_m, picture.seen)
-        if message.depth is not None and not depth_m.any():
+        if known and not depth_m.any():
             raise bad_frame("depth", "0 pixels", "at least one pixel that is opaque must have a known depth")
     try:
         return Frame(
@@ -111,6 +113,8 @@ def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh 
             depth_m[millimetres == 65535] = 0.0
         else:
             depth_m = np.frombuffer(raw, "<f2" if part.format == "float16_m" else "<f4").astype(np.float32)
+    if not (np.abs(depth_m) > 0).any():  # the sensor measured nothing: NaN, too, compares as False
+        return np.zeros((part.height, part.width), np.float32)
     depth_m = clean_depth(depth_m.reshape(part.height, part.width))
     _check_median(depth_m, part.format)
     if message.confidence is None or message.header.confidence is None:
@@ -118,17 +122,13 @@ def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh 
     confidence = _confidence(message.header.confidence, message.confidence)
     if (highest := confidence.max()) > 2:
         raise bad_frame("confidence", f"a pixel of {highest}", "each pixel must be 0 (low), 1 (medium) or 2 (high)")
-    trusted = np.where(confidence >= min_confidence, depth_m, np.float32(0))
-    if not trusted.any():
-        rule = f"at least one pixel with known depth must have a confidence of {min_confidence} or more"
-        raise bad_frame("confidence", f"at most {confidence.max()}", rule)
-    return trusted
+    return np.where(confidence >= min_confidence, depth_m, np.float32(0))
 
 
 def _check_median(depth_m: Float32[np.ndarray, "h w"], unit: str) -> None:
     known, (low, high) = np.count_nonzero(depth_m), DEPTH_MEDIAN_M
     if not known:
-        raise bad_frame("depth", "0 known pixels", "at least one pixel must have a known depth")
+        raise bad_frame("depth", "0 known pixels", "at least one must be above 0 and up to 100 km, or all be 0 or NaN")
     if 2 * np.count_nonzero((depth_m >= low) & (depth_m <= high)) > known:
         return  # the median is between these, and takes 1 ms
     median_m = float(np.median(depth_m[depth_m > 0]))

@@ -142,7 +142,7 @@ def _pack_exact(frame: Frame, index: int | None) -> bytes:
 
 
 def _known_depth(small: Frame, frame: Frame) -> Float[np.ndarray, "dh dw"] | None:
-    """Return the depth of the reduced frame; of the frame itself if no known pixel is left, which servers refuse."""
+    """Return the depth of the reduced frame; of the frame itself if no known pixel is left."""
     return small.depth_m if small.depth_m.any() else frame.depth_m if frame.depth_m.any() else None
 
 

@@ -65,6 +65,13 @@ class FrameMessage:
         """Whether the message has depth that a network made."""
         return bool(self.header.depth and self.header.depth.estimated)
 
+    def without_depth(self) -> "FrameMessage":
+        """Return the message without depth and confidence, its bytes too."""
+        if self.depth is None:
+            return self
+        header = self.header.model_copy(update={"depth": None, "confidence": None})
+        return parse(pack(header, bytes(self.colour)), UNLIMITED)
+
 
 def pack(header: FrameHeader, colour: bytes, depth: bytes | None = None, confidence: bytes | None = None) -> bytes:
     """Build the bytes of a message.

@@ -189,7 +189,7 @@ class FrameResult(WireModel):
             and waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
         replay: the same index and bytes were sent before; the frame was not processed again.
         keyframe: whether the frame was kept for probes that are requested later.
-        depth_estimated: whether the frame came without depth, which the server then estimated.
+        depth_estimated: whether the server estimated the frame's depth.
         stage_ms: processing time of each stage.
         coverage: coverage of each named probe after the last processed frame.
         durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.

@@ -194,7 +194,7 @@ class LiveSession(EngineAccess):
         try:
             if frame is None:
                 frame = await self._decoded_late(entry)
-            estimated = entry.message is not None and entry.message.header.depth is None
+            estimated = not frame.depth_m.any()
             if estimated:
                 frame = await self._workers.run_in_engine_pool(self._with_depth, frame)
             shown = self.history.next_handles(self.lighting.handles)
@@ -218,10 +218,11 @@ class LiveSession(EngineAccess):
         else:
             if entry.message is None:  # the session has ended meanwhile, and with it the frame
                 return
+            message = entry.message.without_depth() if estimated else entry.message
             self.lighting.frame = entry.index
-            self.latest = LatestFrame(entry.index, entry.message, frame.depth_m if estimated else None)
+            self.latest = LatestFrame(entry.index, message, frame.depth_m if estimated else None)
             if self.journal is not None:
-                self.journal.processed(entry.index, entry.message, keyframe=report.keyframe)
+                self.journal.processed(entry.index, message, keyframe=report.keyframe)
             self._metrics.observe_frame(report)
             self.history.add(frame, report, self._queue.counts(), lights)
             self._queue.processed(entry, result)
