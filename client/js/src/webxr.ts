@@ -21,6 +21,11 @@ export interface CpuDepthLike {
   readonly normDepthBufferFromNormView: { readonly matrix: Matrix };
 }
 
+/** `XRFrame`, of which only the depth is read. */
+export interface FrameLike {
+  getDepthInformation?(view: ViewLike): CpuDepthLike | null | undefined;
+}
+
 /** An encoded image of the view: a JPEG from `cameraImage`, or from any canvas that shows exactly the view. */
 export interface ViewImage {
   readonly data: Blob | ArrayBuffer | Uint8Array | Promise<Blob>;
@@ -31,8 +36,10 @@ export interface ViewImage {
 
 export interface ViewFrame {
   view: ViewLike;
-  /** The view's depth, or a map that already has the image's view; without it the server estimates depth. */
-  depth?: CpuDepthLike | Frame["depth"] | undefined;
+  /** Gives the view's depth, if the session has depth-sensing and the phone measures any. */
+  xrFrame?: FrameLike | undefined;
+  /** Instead of `xrFrame`: the view's depth, or a map of the image's view. Without depth the server estimates it. */
+  depth?: CpuDepthLike | Frame["depth"];
   image: ViewImage;
   /** `XRFrame.predictedDisplayTime`, or the callback's time, in milliseconds. */
   time_ms?: number | undefined;
@@ -42,7 +49,15 @@ export interface ViewFrame {
 }
 
 /** The frame to push for one animation frame of WebXR. Everything is copied before this returns. */
-export function frameOfView({ view, depth, image, time_ms, emulatedPosition = false, exposure }: ViewFrame): Frame {
+export function frameOfView({
+  view,
+  xrFrame,
+  depth = measuredDepth(xrFrame, view),
+  image,
+  time_ms,
+  emulatedPosition = false,
+  exposure,
+}: ViewFrame): Frame {
   return {
     colour: { encoding: image.encoding ?? "jpeg", data: image.data },
     ...(depth ? { depth: "rawValueToMeters" in depth ? depthOfView(depth, image) : depth } : {}),
@@ -52,6 +67,14 @@ export function frameOfView({ view, depth, image, time_ms, emulatedPosition = fa
     ...(time_ms === undefined ? {} : { timestamp_s: time_ms / 1000 }),
     ...(exposure === undefined ? {} : { exposure }),
   };
+}
+
+function measuredDepth(xrFrame: FrameLike | undefined, view: ViewLike): CpuDepthLike | null | undefined {
+  try {
+    return xrFrame?.getDepthInformation?.(view);
+  } catch {
+    return null; // the session has no depth-sensing, or only the GPU's
+  }
 }
 
 /**

@@ -8,13 +8,18 @@ import {
   frameOfView,
   intrinsicsOfView,
   type CpuDepthLike,
+  type FrameLike,
   type ViewFrame,
   type ViewLike,
 } from "roomlight/webxr";
 import { Matrix4, PerspectiveCamera, Vector3 } from "three";
 
 /** Compiles only if WebXR's own types satisfy the interfaces. */
-export const fits = (view: XRView, depth: XRCPUDepthInformation): [ViewLike, CpuDepthLike] => [view, depth];
+export const fits = (
+  view: XRView,
+  depth: XRCPUDepthInformation,
+  frame: XRFrame,
+): [ViewLike, CpuDepthLike, FrameLike] => [view, depth, frame];
 
 const IDENTITY = new Matrix4();
 const image = { data: new Uint8Array([255, 216, 255]), width: 40, height: 30 };
@@ -128,6 +133,14 @@ test("a frame of a view can be packed", async () => {
     [2.5, 0.25, "normal", "jpeg"],
   );
   assert.equal(frameOfView({ ...whole, emulatedPosition: true }).tracking_state, "limited");
+  const { depth, ...bare } = whole;
+  assert.deepEqual(frameOfView({ ...bare, xrFrame: { getDepthInformation: () => depth as CpuDepthLike } }), frame);
+  const refuse = () => {
+    throw new Error("NotSupportedError: no depth-sensing");
+  };
+  for (const xrFrame of [undefined, {}, { getDepthInformation: () => null }, { getDepthInformation: refuse }]) {
+    assert.ok(!("depth" in frameOfView({ ...bare, xrFrame })));
+  }
   const packed = Buffer.from(await packFrame(frame));
   const header = JSON.parse(packed.subarray(8, 8 + packed.readUInt32LE(4)).toString());
   assert.deepEqual(header.camera_to_world.slice(12), [1, 2, 3, 1]);

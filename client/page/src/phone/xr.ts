@@ -1,6 +1,6 @@
 // The sender with WebXR: camera image, depth and pose of each view, in metres, y up.
 
-import { cameraImage, frameOfView, type CpuDepthLike } from "roomlight/webxr";
+import { cameraImage, frameOfView } from "roomlight/webxr";
 import type { StreamLink } from "./link";
 
 const SPACING_MS = 150; // more than six frames a second show the same room
@@ -9,7 +9,6 @@ const AHEAD_M = 0.6; // in free space even where the phone is held in front of a
 /** A view with the camera-access module's member. */
 type CameraView = XRView & { readonly camera?: { readonly width: number; readonly height: number } };
 type CameraBinding = XRWebGLBinding & { getCameraImage(camera: object): WebGLTexture | null };
-type DepthFrame = { getDepthInformation?(view: XRView): CpuDepthLike | null | undefined };
 
 /** Whether this browser offers AR sessions at all; camera access shows only when one starts. */
 export async function hasAugmentedReality(): Promise<boolean> {
@@ -60,20 +59,21 @@ export async function sendViews(session: XRSession, link: StreamLink, noDepth: (
       return;
     }
     last_ms = time_ms;
-    const depth = depthOf(frame, view);
-    if (measured === null && !depth) {
+    const image = cameraImage(gl, texture, view.camera);
+    const { emulatedPosition } = pose;
+    const message = frameOfView({ view, xrFrame: frame, image, time_ms, emulatedPosition });
+    if (measured === null && !message.depth) {
       noDepth();
     }
-    measured ??= depth !== null;
-    if (!depth && measured) {
+    measured ??= Boolean(message.depth);
+    if (!message.depth && measured) {
       return; // a gap of the sensor: the next frame has depth again
     }
-    const image = cameraImage(gl, texture, view.camera);
     if (!placed) {
       link.follow(pointAhead(view.transform.matrix));
       placed = true;
     }
-    void link.send(frameOfView({ view, image, time_ms, emulatedPosition: pose.emulatedPosition, depth }));
+    void link.send(message);
   };
   await new Promise<void>((resolve, reject) => {
     const next = (time_ms: number, frame: XRFrame) => {
@@ -87,14 +87,6 @@ export async function sendViews(session: XRSession, link: StreamLink, noDepth: (
     session.addEventListener("end", () => resolve(), { once: true });
     session.requestAnimationFrame(next);
   });
-}
-
-function depthOf(frame: XRFrame, view: XRView): CpuDepthLike | null {
-  try {
-    return (frame as DepthFrame).getDepthInformation?.(view) ?? null;
-  } catch {
-    return null; // the session has no depth-sensing
-  }
 }
 
 /** The point in front of the first view: the camera looks along its negative z axis. */
