@@ -8,9 +8,11 @@ import re
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 
+import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from roomlight.light.spherical_harmonics import SphericalHarmonics
 from roomlight.wire import frame_header, frame_message
 from roomlight.wire.frame_header import FrameHeader
 
@@ -136,3 +138,9 @@ def test_the_package_has_a_target_for_each_folder():
 
 def test_swift_averages_pixels_when_it_scales_an_image_down():
     assert ".highQualityDownsample: true" in find(r"CIContext\(options: \[.*\]\)", SOURCES["ARFrame.swift"])
+
+
+def test_swift_decodes_harmonics_with_their_signs():
+    body = find(r"struct Harmonics: Decodable \{\n(.*?)\n    \}", SOURCES["RoomLightClient.swift"], re.S)
+    sent = SphericalHarmonics(np.zeros((9, 3))).to_json("planar")
+    assert {"coefficients", "phase"} <= set(re.findall(r"public let (\w+)", body)) <= {*sent, "coverage"}

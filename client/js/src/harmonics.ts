@@ -1,5 +1,5 @@
 // L2 spherical harmonics of radiance with the signs of three.js: Y00 Y1-1 Y10 Y11 Y2-2 Y2-1 Y20 Y21 Y22 over 1, y, z,
-// x, xy, yz, 3z2-1, xz, x2-y2, all positive. The bases of ARCore and ARKit include the Condon-Shortley phase: their terms
+// x, xy, yz, 3z2-1, xz, x2-y2, all positive. The bases `arcore` and `arkit` include the Condon-Shortley phase: their terms
 // of odd m (y, x, yz, xz) have the opposite sign.
 
 import type { LightData } from "./light.js";

@@ -93,7 +93,8 @@ class LightForm(WireModel):
             face width of cube, ktx2, specular and glb, 16, 32, 64, 128 or 256 (default 32).
         kind: for sh: total, or ambient (without the main light).
         basis: for sh: arcore (27 interleaved, Condon-Shortley phase, for code with -0.325735 at C1-1), arkit (27
-            planar, the same phase), threejs (27 interleaved, all signs positive; also for ARCore's SDK for Unity).
+            planar, the same phase: Apple documents 27 non-interleaved numbers without signs, these are RoomLight's),
+            threejs (27 interleaved, all signs positive; also for ARCore's SDK for Unity).
         exposure_ev: for png: radiance 2^-exposure_ev is white.
         use: lighting, what lights a thing, or reflection, what is seen in a mirror and behind things; default:
             reflection for png, lighting for all others.

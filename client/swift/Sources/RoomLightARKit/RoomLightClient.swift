@@ -45,9 +45,13 @@ public final class RoomLightClient: @unchecked Sendable {
         public let coverage: Double
     }
 
-    /// 27 radiance coefficients, R0..R8 G0..G8 B0..B8, in the layout of ARDirectionalLightEstimate.
+    /// 27 radiance coefficients, R0..R8 G0..G8 B0..B8, in the layout of ARDirectionalLightEstimate, of the orthonormal
+    /// functions of 1, -y, z, -x, xy, -yz, 3z2-1, -xz, x2-y2 in world axes. The signs are RoomLight's: Apple documents
+    /// none.
     public struct Harmonics: Decodable {
         public let coefficients: [Float]
+        /// condon-shortley: the functions of y, x, yz and xz are negative, as above.
+        public let phase: String
         public let coverage: Double
     }
 

@@ -48,6 +48,7 @@ final class ClientTests: XCTestCase {
         let total = try await client.harmonics(at: point)
         let ambient = try await client.harmonics(at: point, kind: "ambient")
         XCTAssertEqual(total.coefficients.count, 27)
+        XCTAssertEqual(total.phase, "condon-shortley")
         XCTAssertGreaterThan(total.coefficients[0], ambient.coefficients[0])
         let map = try await client.probe(point, ["format": "ktx2", "size": "16"])
         XCTAssertEqual(map.prefix(6).dropFirst(), Data("KTX 2".utf8))
