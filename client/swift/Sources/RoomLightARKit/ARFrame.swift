@@ -50,7 +50,7 @@
         }
 
         /// Shutter seconds x ISO / 100. The ISO is only in the EXIF data, from iOS 16 on. Without it the exposure is 1,
-        /// and light is relative to each frame. (`exposureOffset` is the meter's distance from its target, not the
+        /// and the session estimates it. (`exposureOffset` is the meter's distance from its target, not the
         /// exposure.)
         static func exposure(of frame: ARFrame) -> Double {
             if #available(iOS 16.0, *) {
