@@ -144,3 +144,10 @@ def test_swift_decodes_harmonics_with_their_signs():
     body = find(r"struct Harmonics: Decodable \{\n(.*?)\n    \}", SOURCES["RoomLightClient.swift"], re.S)
     sent = SphericalHarmonics(np.zeros((9, 3))).to_json("planar")
     assert {"coefficients", "phase"} <= set(re.findall(r"public let (\w+)", body)) <= {*sent, "coverage"}
+
+
+def test_swift_names_the_plane_that_it_refuses():
+    source = SOURCES["ARFrame.swift"]
+    types = dict(re.findall(r'field: "(\w+)", type: kCVPixelFormatType_(\w+)', source))
+    assert types == {"depth": "DepthFloat32", "confidence": "OneComponent8"}
+    assert "RoomLightRefusal(field: field," in source

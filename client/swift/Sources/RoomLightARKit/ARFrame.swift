@@ -29,12 +29,13 @@
             let pose = frame.camera.transform
             let columns = [pose.columns.0, pose.columns.1, pose.columns.2, pose.columns.3]
             let depth = try (sceneDepth?.depthMap).map {
-                try RoomLightFrame.plane($0, type: kCVPixelFormatType_DepthFloat32, pixelBytes: 4)
+                try RoomLightFrame.plane($0, field: "depth", type: kCVPixelFormatType_DepthFloat32, pixelBytes: 4)
             }
             var confidence: Plane?
             if let map = sceneDepth?.confidenceMap {
                 // ARConfidenceLevel: low 0, medium 1, high 2, as on the wire
-                confidence = try RoomLightFrame.plane(map, type: kCVPixelFormatType_OneComponent8, pixelBytes: 1)
+                confidence = try RoomLightFrame.plane(
+                    map, field: "confidence", type: kCVPixelFormatType_OneComponent8, pixelBytes: 1)
             }
             self.init(
                 index: index, colour: image, colourEncoding: .jpeg, depth: depth, depthFormat: .float32Metres,
@@ -81,11 +82,11 @@
         }
 
         /// Copies the rows of a pixel buffer without their padding.
-        static func plane(_ buffer: CVPixelBuffer, type: OSType, pixelBytes: Int) throws -> Plane {
+        static func plane(_ buffer: CVPixelBuffer, field: String, type: OSType, pixelBytes: Int) throws -> Plane {
             CVPixelBufferLockBaseAddress(buffer, .readOnly)
             defer { CVPixelBufferUnlockBaseAddress(buffer, .readOnly) }
             guard CVPixelBufferGetPixelFormatType(buffer) == type, let base = CVPixelBufferGetBaseAddress(buffer) else {
-                throw RoomLightRefusal(field: "depth", rule: "must be a pixel buffer of type \(type)")
+                throw RoomLightRefusal(field: field, rule: "must be a pixel buffer of type \(type)")
             }
             let (width, height) = (CVPixelBufferGetWidth(buffer), CVPixelBufferGetHeight(buffer))
             let rowBytes = CVPixelBufferGetBytesPerRow(buffer)
