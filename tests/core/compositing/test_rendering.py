@@ -266,11 +266,13 @@ def test_a_furnace_of_glowing_walls_is_as_bright_as_one_of_the_panorama(material
     np.testing.assert_allclose(inside.mean(axis=0), 100 - 99 * (1 - opacity) ** 3, rtol=0.015)
 
 
-def test_cut_out_shows_what_is_behind() -> None:
+@pytest.mark.parametrize("quality", ["preview", paths(64, 3)])
+def test_cut_out_shows_what_is_behind(quality) -> None:
     hole = Material(specular=0.0, opacity=0.3, alpha_cutoff=0.5)
     behind = sphere(0.4, diffuse())
-    alone, covered = (rendered(some, panorama(), paths(64, 3)) for some in ([behind], [behind, wall(hole, 1)]))
+    alone, covered = (rendered(some, panorama(), quality) for some in ([behind], [behind, wall(hole, 1)]))
     assert covered.alpha[0, 0] == 0
+    assert covered.object_id[24, 32] == 0
     np.testing.assert_allclose(covered.alpha, alone.alpha, atol=0.05)
     # shadow rays take the wall for solid
     assert covered.depth_m[24, 32] == pytest.approx(alone.depth_m[24, 32], rel=1e-3)
@@ -381,7 +383,8 @@ def test_rays_meet_and_miss_objects() -> None:
 
 
 @pytest.mark.parametrize(("one_sided", "share"), [(True, 0.4), (False, 0.64)])
-def test_opacity_covers_evenly_and_once_where_backs_are_not_there(one_sided: bool, share: float) -> None:
+@pytest.mark.parametrize("quality", ["preview", paths(64, 3)])
+def test_opacity_covers_evenly_and_once_where_backs_are_not_there(quality, one_sided: bool, share: float) -> None:
     ball = sphere(0.5, Material(opacity=0.4, one_sided=one_sided))
-    alpha = rendered([ball], 1.0, paths(64, 3)).alpha[20:28, 28:36]
+    alpha = rendered([ball], 1.0, quality).alpha[20:28, 28:36]
     np.testing.assert_allclose(alpha, share, atol=1 / 64 + 1e-6)

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""Shading of first hits by prefiltered panoramas, without random numbers: Karis's split sum (2013).
+"""Shading of hits of camera rays by prefiltered panoramas, without random numbers: Karis's split sum (2013).
 
 `shade_hits` is the kernel.
 """
@@ -102,7 +102,7 @@ def _shade(world, mips, weights, at, base, shares, normal, place, d, side, behin
 
 @njit(**KERNEL)
 def shade_hits(world, mips, view, paths, hits, behind, film, begin, end):
-    """Fill the film of the slots begin .. end from their camera rays' first hits, but for albedo and normal.
+    """Add hits of the slots begin .. end to their film, behind what that has, but for albedo and normal.
 
     Args:
         behind: [end - begin, 3] radiance that glass shows straight behind it, NaN: the panorama's; or no rows.
@@ -118,6 +118,9 @@ def shade_hits(world, mips, view, paths, hits, behind, film, begin, end):
         flat = geometric_normal(world.surfaces, face)
         side = 1.0 if flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] < 0 else -1.0
         base, shares, emitted = colours(world, face, b, c, side)
+        there = (1 - film.alpha[i]) * shares[2]
+        if there <= 0:
+            continue
         place = points(world.surfaces, face, b, c, side)[0]
         normal = shading_normal(world, face, b, c, d, side, True)
         probe_weights(world.light.position, place[0], place[1], place[2], weights)
@@ -126,13 +129,13 @@ def shade_hits(world, mips, view, paths, hits, behind, film, begin, end):
             row = i - begin
             through = (behind[row, 0] * 1.0, behind[row, 1] * 1.0, behind[row, 2] * 1.0)
         red, green, blue = _shade(world, mips, weights, (face, b, c), base, shares, normal, place, d, side, through)
-        there = shares[2]
-        film.radiance[i, 0] = there * (red + emitted[0])
-        film.radiance[i, 1] = there * (green + emitted[1])
-        film.radiance[i, 2] = there * (blue + emitted[2])
-        film.alpha[i] = there
-        film.object_id[i] = world.surfaces.object_id[face]
+        film.radiance[i, 0] += there * (red + emitted[0])
+        film.radiance[i, 1] += there * (green + emitted[1])
+        film.radiance[i, 2] += there * (blue + emitted[2])
+        film.alpha[i] += there
+        if film.object_id[i] < 0:
+            film.object_id[i] = world.surfaces.object_id[face]
         depth = 0.0
         for axis in range(3):
             depth -= (place[axis] - m[axis, 3]) * m[axis, 2]
-        film.depth_m[i] = depth
+        film.depth_m[i] += (depth - film.depth_m[i]) * there / film.alpha[i]

@@ -58,6 +58,10 @@ PRESETS: Final[dict[str, RenderSettings]] = {
 }
 _EDGE_SAMPLES: Final = 8
 """Rays in a pixel on an outline of a preview."""
+_MOST_LAYERS: Final = 16
+"""Surfaces of cut-outs and of partly transparent things that a ray of a preview may meet, the last one included."""
+_COVERED: Final = np.float32(0.99)
+"""Alpha from which a preview shows nothing behind."""
 _COVERAGE_SAMPLES: Final = 4
 """Rays that decide whether a pixel and its neighbours are worth paths."""
 _BRIGHTEST_CAUSTIC: Final = 10.0
@@ -336,16 +340,27 @@ def _preview(stage: _Stage, lights: ProbeSet, view: _View, film: _Film, camera: 
 
 
 def _shaded(stage: _Stage, lights: ProbeSet, view: _View, paths: _Paths, hits: RayHits) -> _Film:
+    """Shade hits, and what is behind those that leave a part of their pixel uncovered; changes paths and hits."""
     film = _film(len(paths.slot), extra=False)
-    mips, world, background = lights.prefiltered, stage.world, stage.background
+    mips, world, background, scene = lights.prefiltered, stage.world, stage.background, stage.scene
+    ahead_m = np.float32(scene.offset_m())
 
     def work(begin: int, end: int) -> None:
         behind = np.empty((0 if background is None else end - begin, 3), np.float32)
-        if background is not None:
+        for _ in range(_MOST_LAYERS):
             face = hits.face[begin:end]
-            glass = (face >= 0) & (world.materials.transmission[world.surfaces.material[face]] > 0)
-            behind[glass] = background(paths.direction[begin:end][glass])
-        shade_hits(world, mips, view, paths, hits, behind, film, begin, end)
+            if background is not None:
+                glass = (face >= 0) & (world.materials.transmission[world.surfaces.material[face]] > 0)
+                behind[glass] = background(paths.direction[begin:end][glass])
+            shade_hits(world, mips, view, paths, hits, behind, film, begin, end)
+            onward = begin + np.flatnonzero((face >= 0) & (film.alpha[begin:end] < _COVERED))
+            if len(onward) == 0:
+                break
+            face[:] = -1
+            directions = paths.direction[onward]
+            paths.origin[onward] += (hits.distance_m[onward] + ahead_m)[:, None] * directions
+            for column, part in zip(hits, scene.trace(paths.origin[onward], directions), strict=True):
+                column[onward] = part
 
     parallel_for(work, len(paths.slot), most=_BLOCK_RAYS)
     return film
