@@ -170,6 +170,16 @@ def test_contact_has_no_bright_outline():
     assert (coarse - fine).max() < 0.04
 
 
+@pytest.mark.parametrize("step", [1, 2, 4])
+def test_the_edges_of_real_things_are_as_dark_as_the_shadow_around_them(step):
+    low = ball(lit(60, [((0.0, 1.0, 0.0), 3.0, 100.0)], level=0.0), radius=0.5, height=0.8)
+    depth_m = floor_depth()
+    middle = np.s_[48:70, 68:92]
+    depth_m[middle][4:-4, 5:-5] *= 0.9  # a board 16 cm above the floor
+    ratio = shadow_ratio([low], depth_m, CAMERA, POSE, ShadowQuality(step, 32, 0))
+    assert ratio[middle].max() < 0.15
+
+
 @pytest.mark.parametrize("rim", [np.s_[:, 70:71], np.s_[80:81, :]])
 def test_a_rim_of_one_pixel_has_no_normals_and_stays_unchanged(rim):
     held = ball(lit(60, [((0.35, 1.0, 0.2), 15.0, 10.0)], level=0.5), height=0.2)

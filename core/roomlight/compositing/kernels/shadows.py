@@ -112,6 +112,34 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
             out[i, j, 2] = blue + dim * glow_blue
 
 
+@njit(**KERNEL)
+def extend_ratio(ratio, known, depth, reach, edge, out, is_extended):
+    """Give pixels that are not known the mean of the known ones around them, at most `reach` away, of their depth.
+
+    Args:
+        ratio, known, depth: [h, w, 3], [h, w], [h, w].
+        edge: relative difference of depth from which a pixel shows another surface.
+        out, is_extended: copies of `ratio` and `known`, which are changed.
+    """
+    height, width = depth.shape
+    for i in range(height):
+        for j in range(width):
+            if known[i, j] or depth[i, j] <= 0:
+                continue
+            total, red, green, blue = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+            for y in range(max(0, i - reach), min(height, i + reach + 1)):
+                for x in range(max(0, j - reach), min(width, j + reach + 1)):
+                    if known[y, x] and abs(depth[y, x] - depth[i, j]) < edge * depth[i, j]:
+                        weight = np.float32(1) / np.float32((y - i) * (y - i) + (x - j) * (x - j))
+                        total += weight
+                        red += weight * ratio[y, x, 0]
+                        green += weight * ratio[y, x, 1]
+                        blue += weight * ratio[y, x, 2]
+            if total > 0:
+                out[i, j, 0], out[i, j, 1], out[i, j, 2] = red / total, green / total, blue / total
+                is_extended[i, j] = True
+
+
 @njit(**JIT)
 def _is_unity(ratio, known, row, near, far):
     """Return whether two neighbours change nothing."""

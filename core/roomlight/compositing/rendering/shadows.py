@@ -34,7 +34,14 @@ from roomlight.compositing.kernels.shadow_rays import (
     light_rays,
     object_rays,
 )
-from roomlight.compositing.kernels.shadows import Change, SurfaceGrid, fade_ratio, filter_change, upsample_ratio
+from roomlight.compositing.kernels.shadows import (
+    Change,
+    SurfaceGrid,
+    extend_ratio,
+    fade_ratio,
+    filter_change,
+    upsample_ratio,
+)
 from roomlight.compositing.kernels.surfaces import BASE_COLOUR, EMISSIVE, METALLIC_ROUGHNESS
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.picture.crop import CropCamera
@@ -56,6 +63,8 @@ SNAP_SHARE: Final = 0.01
 LIFT_M: Final = 5e-4
 RATIO_RANGE: Final = (0.02, 4.0)
 _EDGE: Final = 0.04
+_EDGE_PIXELS: Final = 2
+"""Computed pixels this far from a depth edge may have no normal."""
 _CONTACT_PIXELS: Final = 3.0
 """Where what takes the light is nearer than this many computed pixels, the shadow has detail between them."""
 _CONTACT_RATIO: Final = 0.93
@@ -327,9 +336,15 @@ def spread_ratio(
     fine_depth_m: Float[np.ndarray, "fh fw"],
     step: int,
 ) -> Float32[np.ndarray, "fh fw 3"]:
-    """Interpolate a ratio known on every `step`-th pixel to all pixels, across no depth edge."""
+    """Interpolate a ratio known on every `step`-th pixel to all pixels, across no depth edge.
+
+    Pixels beside depth edges, which are not known, have the ratio of their surface.
+    """
     if step == 1 and known.all():
         return ratio.astype(np.float32)
+    extended, is_extended = ratio.copy(), known.copy()
+    extend_ratio(ratio, known, depth_m, _EDGE_PIXELS, np.float32(2 * _EDGE), extended, is_extended)
+    ratio, known = extended, is_extended
     out = np.empty((*fine_depth_m.shape, 3), np.float32)
     arguments = (ratio, known, depth_m, fine_depth_m, step, np.float32(_EDGE), out)
     parallel_for(lambda start, stop: upsample_ratio(*arguments, start, stop), len(fine_depth_m))
