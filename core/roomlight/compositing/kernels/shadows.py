@@ -121,6 +121,7 @@ def extend_ratio(ratio, known, depth, reach, edge, out, is_extended):
         edge: relative difference of depth from which a pixel shows another surface.
         out, is_extended: copies of `ratio` and `known`, which are changed.
     """
+    one = np.float32(1)
     height, width = depth.shape
     for i in range(height):
         for j in range(width):
@@ -130,13 +131,13 @@ def extend_ratio(ratio, known, depth, reach, edge, out, is_extended):
             for y in range(max(0, i - reach), min(height, i + reach + 1)):
                 for x in range(max(0, j - reach), min(width, j + reach + 1)):
                     if known[y, x] and abs(depth[y, x] - depth[i, j]) < edge * depth[i, j]:
-                        weight = np.float32(1) / np.float32((y - i) * (y - i) + (x - j) * (x - j))
+                        weight = one / np.float32((y - i) * (y - i) + (x - j) * (x - j))
                         total += weight
-                        red += weight * ratio[y, x, 0]
-                        green += weight * ratio[y, x, 1]
-                        blue += weight * ratio[y, x, 2]
+                        red += weight * (ratio[y, x, 0] - one)  # exactly 1 where all are 1
+                        green += weight * (ratio[y, x, 1] - one)
+                        blue += weight * (ratio[y, x, 2] - one)
             if total > 0:
-                out[i, j, 0], out[i, j, 1], out[i, j, 2] = red / total, green / total, blue / total
+                out[i, j, 0], out[i, j, 1], out[i, j, 2] = one + red / total, one + green / total, one + blue / total
                 is_extended[i, j] = True
 
 
