@@ -22,7 +22,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from roomlight.camera import transform_points
 from roomlight.compositing.kernels.ground import Supports
-from roomlight.compositing.kernels.shadows import fill_clipped_share
+from roomlight.compositing.kernels.shadows import fill_clipped_share, restore_clipped
 from roomlight.compositing.light.probes import GivenLight, ObjectProbes, given_light
 from roomlight.compositing.light.temporal import (
     SHADOW_S,
@@ -78,20 +78,30 @@ LIGHT_EVERY_S: Final[dict[Quality, float]] = {"preview": 0.13, "good": 0.0, "fin
 DEPTH_COLUMNS: Final[dict[Quality, int]] = {"preview": 256, "good": 640, "final": 640}
 SAME_MOVE: Final = 1e-6
 """Objects whose transforms differ by less have moved together: a micrometre."""
-NEAR_WHITE: Final = 235
-"""8-bit sRGB value from which a window's pixels keep their light, ever more up to `CLIPPED_SRGB8`."""
+NEAR_WHITE, SATURATED = (float(value) for value in srgb8_to_linear(np.array([235, CLIPPED_SRGB8], np.uint8)))
+"""Shares of white between which a window's pixels keep their light ever more."""
+MAYBE_BRIGHTER: Final = 0.6
+"""Share of white from which a channel may be brighter than it shows, ever more up to `SATURATED`: cameras compress
+light near white."""
+BRIGHTER: Final = np.float32(0.4)
+"""Mean excess over white of a pixel with all channels clipped, as a share of white."""
 SHADOW_COLUMNS: Final = 640
 """Shadows of wider frames are computed as for frames of about this width, and interpolated."""
 
 
-def clipped_share(frame: Frame, crop: Crop) -> Float32[np.ndarray, "ch cw"]:
-    """Return how far all channels of the pixels of a crop are clipped: 0 below `NEAR_WHITE`, 1 at white."""
-    share = np.zeros(crop.shape, np.float32)
-    if frame.clipped[crop.slices].any():
-        sampled = frame.image[::4, ::4][frame.clipped[::4, ::4]]  # enough to know the white
-        white = np.median(sampled.max(axis=1)) if len(sampled) else white_of(frame)
-        low, high = srgb8_to_linear(np.array([NEAR_WHITE, CLIPPED_SRGB8], np.uint8)) * np.float32(white)
-        fill_clipped_share(frame.image[crop.slices], low, high, share)
+def white_in(frame: Frame, crop: Crop) -> np.float32:
+    """Return the radiance at which a frame saturates; 0 where no pixel of the crop does."""
+    if not frame.clipped[crop.slices].any():
+        return np.float32(0)
+    sampled = frame.image[::4, ::4][frame.clipped[::4, ::4]]  # enough to know the white
+    return np.float32(np.median(sampled.max(axis=1)) if len(sampled) else white_of(frame))
+
+
+def clipped_share(image: Float32[np.ndarray, "ch cw 3"], white: np.float32) -> Float32[np.ndarray, "ch cw"]:
+    """Return how far all channels are clipped: 0 below `NEAR_WHITE`, 1 at white."""
+    share = np.zeros(image.shape[:2], np.float32)
+    low, high = np.array([NEAR_WHITE, SATURATED], np.float32) * white
+    fill_clipped_share(image, low, high, share)
     return share
 
 
@@ -396,8 +406,8 @@ class Compositor:
         self, frame: Frame, crop: Crop, depth_m: Float32[np.ndarray, "ch cw"], posed: PosedObjects, share: float
     ) -> Float32[np.ndarray, "ch cw 3"]:
         """Return light with objects / without them on the real surfaces of a crop, eased over time by a share."""
-        pose = frame.camera_to_world
-        return shadows.shadow_ratio(
+        pose, image, white = frame.camera_to_world, frame.image[crop.slices], white_in(frame, crop)
+        ratio = shadows.shadow_ratio(
             [self._caster(members, posed) for members in clusters(posed.spheres)],
             depth_m,
             CropCamera.of(frame.intrinsics, crop),
@@ -405,8 +415,12 @@ class Compositor:
             replace(shadows.QUALITIES[self.quality], step=shadow_step(self.quality, frame.intrinsics.width)),
             supports=posed.planes,
             smooth=partial(self._shadow.blend, camera_to_world=pose, share=share if share > 0 else 1.0),
-            white=clipped_share(frame, crop),
+            white=clipped_share(image, white) if white > 0 else None,
         )
+        if white > 0:
+            low, high = np.array([MAYBE_BRIGHTER, SATURATED], np.float32) * white
+            restore_clipped(ratio, image, low, high, BRIGHTER)
+        return ratio
 
     def _caster(self, members: list[int], posed: PosedObjects) -> shadows.Caster:
         """Return objects that cast their shadows together, under the light of the first, which is the largest."""

@@ -353,6 +353,23 @@ def test_clipped_light_on_objects_is_white(session):
     assert (made.image[made.radiance.min(axis=-1) > 1] == 255).all()
 
 
+def test_clipped_light_hides_weak_shadows_and_takes_deep_ones(session):
+    clipped = np.zeros(view().clipped.shape, bool)
+    clipped[:, 160:] = True
+    image = np.where(clipped[..., None], np.float32([1.0, 0.99, 0.98]), np.float32(0.5))
+    plain, kept = (
+        composite(session, frame, [BALL], quality="preview").shadow
+        for frame in (view(), replace(view(), image=image, clipped=clipped))
+    )
+    assert (kept[~clipped] == plain[~clipped]).all()
+    before, after = plain[clipped], kept[clipped]
+    weak, deep = (before > 0.88) & (before < 1), before < 0.5
+    assert weak.sum() > 100
+    assert deep.sum() > 100
+    assert ((1 - after)[weak] < 0.3 * (1 - before)[weak]).all()
+    assert (after[deep] < 1.45 * before[deep]).all()
+
+
 def test_encoding_agrees_with_the_reference():
     linear = np.random.default_rng(1).uniform(-0.1, 1.2, (40, 30, 3)).astype(np.float32) ** 2
     assert np.abs(encode_srgb8(linear).astype(int) - linear_to_srgb8(linear)).max() <= 1

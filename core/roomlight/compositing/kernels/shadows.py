@@ -221,3 +221,33 @@ def fade_ratio(ratio, emits, clipped):
             if share > 0:
                 for axis in range(3):
                     ratio[i, j, axis] += share * (one - ratio[i, j, axis])
+
+
+@njit(**KERNEL)
+def restore_clipped(ratio, image, low, high, excess):
+    """Raise a ratio [h, w, 3] below 1 where channels are clipped: light above white hides a weak shadow.
+
+    A clipped value v is a lower bound. Its excess x counts as exponentially distributed, and the ratio r becomes the
+    expected min(1, r (1 + x)) = r + r m (1 - exp((1 - 1 / r) / m)), where m is the mean of x. All channels have one m:
+    each with its own, white floors would turn yellow.
+
+    Args:
+        image: [h, w, 3] linear.
+        low, high: values where a channel begins to be clipped, and where it is.
+        excess: mean of x, as a share of white, where all channels are clipped.
+    """
+    one = np.float32(1)
+    for i in range(ratio.shape[0]):
+        for j in range(ratio.shape[1]):
+            if min(ratio[i, j, 0], ratio[i, j, 1], ratio[i, j, 2]) >= one:
+                continue
+            mean = np.float32(0)
+            for axis in range(3):
+                share = min(max((image[i, j, axis] - low) / (high - low), np.float32(0)), one)
+                mean += excess * share / np.float32(3)
+            if mean < np.float32(1e-3):
+                continue
+            for axis in range(3):
+                r = ratio[i, j, axis]
+                if r < one:
+                    ratio[i, j, axis] += r * mean * (one - math.exp((one - one / r) / mean))
