@@ -9,7 +9,7 @@ from shading_reference import moved
 
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.objects.materials import diffuse, glass
-from roomlight.compositing.objects.primitives import cube, sphere
+from roomlight.compositing.objects.primitives import cube, plane, sphere
 from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.picture.crop import CropCamera
 from roomlight.compositing.placement.places import Plane
@@ -131,6 +131,19 @@ def test_light_passes_both_walls_of_a_clear_ball_but_nothing_opaque_in_it(materi
     core = moved(sphere(0.19), 0, 0.5)
     filled, _ = ratio_of(replace(shell, scene=TracedObjects([*shell.scene.objects, core])))
     assert np.median(filled[umbra]) < 0.03
+
+
+@pytest.mark.parametrize("cutoff", [None, 0.5])
+def test_a_cut_out_casts_a_shadow_where_it_is_there(cutoff):
+    image = np.full((1, 64, 4), 255, np.uint8)
+    image[:, :32, 3] = 0
+    right = replace(diffuse(), base_colour_texture=Texture.from_srgb8(image), alpha_cutoff=cutoff)
+    panorama = lit(240, [((0.0, 1.0, 0.0), 3.0, 100.0)], level=0.0)
+    ratio, grid = ratio_of(caster(moved(plane(0.6, 0.6, right), 0, 0.3), panorama, (0, 0.3, 0), 0.43))
+    x, z = grid.points[..., 0], grid.points[..., 2]
+    there, gone = (np.maximum(np.abs(x - middle), np.abs(z)) < 0.1 for middle in (0.15, -0.15))
+    assert ratio[there].max() < 0.04
+    assert ratio[gone].min() > 0.98
 
 
 def test_samples_estimate_the_irradiance():

@@ -2,14 +2,15 @@
 """Rays from points of real surfaces to the light and to objects, and the sums of what they find."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from roomlight.compositing.kernels.environment import place_of
 from roomlight.compositing.kernels.ground import light_left
-from roomlight.kernels.common import CACHED, JIT
+from roomlight.compositing.kernels.surfaces import colours
+from roomlight.kernels.common import CACHED, JIT, KERNEL
 
 
 class Receivers(NamedTuple):
@@ -102,6 +103,22 @@ class Ground(NamedTuple):
     spheres: np.ndarray
 
 
+class Opacities(NamedTuple):
+    """What surfaces of the objects take of the light that passes them.
+
+    Attributes:
+        surfaces, materials, textures: tables of the scene.
+        share: [m] of light that a material takes; of a cut-out, where it is there.
+        is_cut: [m] whether a texture or a cutoff says where it is.
+    """
+
+    surfaces: Any
+    materials: Any
+    textures: Any
+    share: np.ndarray
+    is_cut: np.ndarray
+
+
 _MOST_NEARER = np.float32(4.0)
 """Light of a near surface counts at most this much more than from the panorama's position."""
 
@@ -184,6 +201,20 @@ def light_rays(receivers, light, places, of_lamp, spheres, lift_m, matte, unbloc
                     break
         unblocked[i, 0], unblocked[i, 1], unblocked[i, 2] = red, green, blue
     return count
+
+
+@njit(**KERNEL)
+def fill_taken(opacities, hits, out):
+    """Fill [n] with the share of light that the surfaces take that rays meet; 0 where a ray meets none."""
+    for i in range(len(out)):
+        face = hits.face[i]
+        if face < 0:
+            out[i] = 0
+            continue
+        m = opacities.surfaces.material[face]
+        out[i] = opacities.share[m]
+        if opacities.is_cut[m]:
+            out[i] *= colours(opacities, face, hits.u[i], hits.v[i], 1.0)[1][2]
 
 
 @njit(**CACHED, fastmath=True)

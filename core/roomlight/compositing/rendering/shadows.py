@@ -27,10 +27,12 @@ from roomlight.compositing.kernels.shadow_rays import (
     LightPlaces,
     LightSamples,
     Looks,
+    Opacities,
     Rays,
     Receivers,
     add_blocked,
     add_bounced,
+    fill_taken,
     light_rays,
     object_rays,
 )
@@ -71,8 +73,8 @@ _CONTACT_RATIO: Final = 0.93
 """Lighter shadows have no contact to show."""
 _MOST_REFLECTED: Final = np.float32(12.0)
 """Of one pixel's few rays, relative to its irradiance; the mean over neighbours is limited by `RATIO_RANGE`."""
-_MOST_LAYERS: Final = 4
-"""Surfaces of glass and of partly transparent things that a ray to the light may meet, the last one included."""
+_MOST_LAYERS: Final = 8
+"""Surfaces of glass, cut-outs and partly transparent things that a ray to the light may meet, the last one included."""
 _MOST_ALBEDO: Final = 0.8
 """Of floors and tables: white paint."""
 _FACING_UP: Final = 0.7
@@ -384,13 +386,13 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     numbers = subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
     of_lamp = np.zeros(light.directions.shape[:2], bool) if lamp is None else lamp.holds(light.directions)
     places = _light_places(caster, light)
-    looks, ground, opacity = _looks(caster.scene, len(levels)), _ground(caster), _opacity(caster.scene)
+    looks, ground, opacities = _looks(caster.scene, len(levels)), _ground(caster), _opacities(caster.scene)
 
     def work(start: int, stop: int) -> None:
         rays = _rays((stop - start) * samples, 3)
         arguments = (receivers, light, places, of_lamp, spheres, lift, levels[-1], unblocked, irradiance, rays)
         met = _first(rays, light_rays(*arguments, start, stop))
-        add_blocked(met, *_taken(caster.scene, met, opacity), blocked, squares, nearness)
+        add_blocked(met, *_taken(caster.scene, met, opacities), blocked, squares, nearness)
         if quality.bounces:
             rays = _rays((stop - start) * quality.bounces * len(spheres), 1)
             met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
@@ -434,23 +436,26 @@ def _first(rays: Rays, count: int) -> Rays:
     return Rays(*(column[:count] for column in rays))
 
 
-def _opacity(scene: TracedObjects) -> Float32[np.ndarray, " f1"]:
-    """Return the share of light that each face takes, then a 0 that the face -1 reads: glass lets light through.
+def _opacities(scene: TracedObjects) -> Opacities:
+    """Return the share of light that each material takes: glass lets light through.
 
     Each of the two surfaces of solid glass takes half of its tint.
     """
     table = scene.materials
+    is_cut = (table.cutoff >= 0) | (scene.texture_means()[table.texture[:, BASE_COLOUR], 3] < 1)
     tint = table.base.mean(axis=1)
-    clear = (1 - table.transmission * np.where(table.is_thin, tint, np.sqrt(tint))) * table.opacity
-    return np.append(clear[scene.surfaces.material], 0).astype(np.float32)
+    share = 1 - table.transmission * np.where(table.is_thin, tint, np.sqrt(tint))
+    share[~is_cut] *= table.opacity[~is_cut]
+    return Opacities(scene.surfaces, table, scene.textures, share.astype(np.float32), is_cut)
 
 
 def _taken(
-    scene: TracedObjects, rays: Rays, opacity: Float32[np.ndarray, " f1"]
+    scene: TracedObjects, rays: Rays, opacities: Opacities
 ) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
     """Return the share of each ray's light that objects take, and the distance in metres of what takes most of it."""
     hits = scene.trace(rays.origin, rays.direction)
-    share, distance_m, ahead_m = opacity[hits.face], hits.distance_m, np.float32(scene.offset_m())
+    share, distance_m, ahead_m = np.empty_like(hits.distance_m), hits.distance_m, np.float32(scene.offset_m())
+    fill_taken(opacities, hits, share)
     onward = np.flatnonzero((share < 1) & (hits.face >= 0))
     far_m = distance_m[onward]
     for _ in range(_MOST_LAYERS - 1):
@@ -458,11 +463,12 @@ def _taken(
             break
         far_m, direction = far_m + ahead_m, rays.direction[onward]
         hits = scene.trace(rays.origin[onward] + far_m[:, None] * direction, direction)
-        far_m, before = far_m + hits.distance_m, share[onward]
-        lost = (1 - before) * opacity[hits.face]
+        far_m, before, taken = far_m + hits.distance_m, share[onward], np.empty_like(hits.distance_m)
+        fill_taken(opacities, hits, taken)
+        lost = (1 - before) * taken
         share[onward] += lost
         distance_m[onward] = np.where(lost > before, far_m, distance_m[onward])
-        left = (hits.face >= 0) & (opacity[hits.face] < 1)
+        left = (hits.face >= 0) & (taken < 1)
         onward, far_m = onward[left], far_m[left]
     return share, distance_m
 
@@ -487,7 +493,7 @@ def _looks(scene: TracedObjects, levels: int) -> Looks:
     table = scene.materials
     means = scene.texture_means()
     base, rough = means[table.texture[:, BASE_COLOUR]], means[table.texture[:, METALLIC_ROUGHNESS]]
-    colours = table.base * base * ((1 - table.transmission) * table.opacity)[:, None]
+    colours = table.base * base[:, :3] * ((1 - table.transmission) * table.opacity * base[:, 3])[:, None]
     metal, last = (table.metallic * rough[:, 2])[:, None], levels - 1
     level = np.rint(np.maximum(table.roughness * rough[:, 1], _LEAST_ROUGHNESS) * last)
     return Looks(
@@ -496,7 +502,7 @@ def _looks(scene: TracedObjects, levels: int) -> Looks:
         scene.surfaces.object_id,
         (colours * (1 - metal)).astype(np.float32),
         (colours * metal).astype(np.float32),
-        table.emissive * means[table.texture[:, EMISSIVE]],
+        table.emissive * means[table.texture[:, EMISSIVE], :3],
         np.clip(level, 1, last).astype(np.int32),
     )
 

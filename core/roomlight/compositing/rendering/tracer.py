@@ -138,22 +138,22 @@ class TracedObjects:
         total_m2 = np.bincount(self.surfaces.object_id, area_m2, len(self.objects))
         return np.sqrt(total_m2 / np.pi).astype(np.float32)
 
-    def texture_means(self) -> Float32[np.ndarray, "t1 3"]:
-        """Return the mean linear colour of each texture; the last row, which the index -1 reads, is white."""
+    def texture_means(self) -> Float32[np.ndarray, "t1 4"]:
+        """Return the mean linear RGBA of each texture; the last row, which the index -1 reads, is opaque white."""
         return self._base._texture_means
 
     @cached_property
-    def _texture_means(self) -> Float32[np.ndarray, "t1 3"]:
+    def _texture_means(self) -> Float32[np.ndarray, "t1 4"]:
         table = self.textures
         ends = table.first + table.width.astype(np.int64) * table.height
-        images = [table.texels[first:end, :3] for first, end in zip(table.first, ends, strict=True)]
+        images = [table.texels[first:end] for first, end in zip(table.first, ends, strict=True)]
         means = [image.mean(axis=0, dtype=np.float64) / 65535 for image in images]
-        return np.array([*means, np.ones(3)], np.float32)
+        return np.array([*means, np.ones(4)], np.float32)
 
     @cached_property
     def emitters(self) -> Emitters:
         """The triangles that emit light; a rigid motion changes nothing."""
-        means = self.texture_means()[self.materials.texture[:, EMISSIVE]]
+        means = self.texture_means()[self.materials.texture[:, EMISSIVE], :3]
         level = (self.materials.emissive * means).mean(axis=1, dtype=np.float64)
         face = np.flatnonzero(level[self.surfaces.material])
         a, b, c = self.surfaces.corners[face].astype(np.float64).swapaxes(0, 1)
