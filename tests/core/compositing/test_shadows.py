@@ -21,6 +21,7 @@ from roomlight.compositing.rendering.shadows import (
     ShadowQuality,
     coarse_ratio,
     shadow_ratio,
+    spread_ratio,
     surface_grid,
 )
 from roomlight.compositing.rendering.tracer import TracedObjects
@@ -191,6 +192,13 @@ def test_the_edges_of_real_things_are_as_dark_as_the_shadow_around_them(step):
     depth_m[middle][4:-4, 5:-5] *= 0.9  # a board 16 cm above the floor
     ratio = shadow_ratio([low], depth_m, CAMERA, POSE, ShadowQuality(step, 32, 0))
     assert ratio[middle].max() < 0.15
+
+
+@pytest.mark.parametrize("step", [1, 2, 4])
+def test_a_ratio_of_1_stays_exactly_so_beside_edges(step):
+    known = np.random.default_rng(0).random((30, 40)) < 0.5
+    ratio, depth_m = np.ones((30, 40, 3), np.float32), np.ones((30, 40), np.float32)
+    assert (spread_ratio(ratio, known, depth_m, np.ones((30 * step, 40 * step), np.float32), step) == 1).all()
 
 
 @pytest.mark.parametrize("rim", [np.s_[:, 70:71], np.s_[80:81, :]])
