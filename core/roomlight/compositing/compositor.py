@@ -79,11 +79,8 @@ DEPTH_COLUMNS: Final[dict[Quality, int]] = {"preview": 256, "good": 640, "final"
 SAME_MOVE: Final = 1e-6
 """Objects whose transforms differ by less have moved together: a micrometre."""
 NEAR_WHITE, SATURATED = (float(value) for value in srgb8_to_linear(np.array([235, CLIPPED_SRGB8], np.uint8)))
-"""Shares of white between which a window's pixels keep their light ever more."""
-MAYBE_BRIGHTER: Final = 0.6
-"""Share of white from which a channel may be brighter than it shows, ever more up to `SATURATED`: cameras compress
-light near white."""
-BRIGHTER: Final = np.float32(0.4)
+"""Shares of white between which a pixel is clipped ever more: a window's keep their light, others may be brighter."""
+BRIGHTER: Final = np.float32(0.25)
 """Mean excess over white of a pixel with all channels clipped, as a share of white."""
 SHADOW_COLUMNS: Final = 640
 """Shadows of wider frames are computed as for frames of about this width, and interpolated."""
@@ -418,7 +415,7 @@ class Compositor:
             white=clipped_share(image, white) if white > 0 else None,
         )
         if white > 0:
-            low, high = np.array([MAYBE_BRIGHTER, SATURATED], np.float32) * white
+            low, high = np.array([NEAR_WHITE, SATURATED], np.float32) * white
             restore_clipped(ratio, image, low, high, BRIGHTER)
         return ratio
 
