@@ -236,8 +236,8 @@ async def _prepare(app: FastAPI, context: Context, when_loaded: Callable[[], obj
 
     What of the latter does not load is logged: its first answer tries again.
     """
+    compile_beside("preview", "good")
     try:
-        await context.workers.run_in_encode_pool(compile_beside, "preview", "good")
         await context.workers.start()
         context.ready = True
         _log.info("ready")

@@ -125,20 +125,21 @@ def test_interpolation_and_the_default_probe_are_the_same(native, server, tmp_pa
     assert here["interpolated"] > 0
 
 
-def test_frames_without_depth_at_working_size_are_alike(native, server, tmp_path):
-    """Known depth only in a column that sampling leaves out: no session starts with it, one that runs takes it."""
+def test_frames_without_depth_at_working_size(native, server, tmp_path):
+    """Known depth only in a column that sampling leaves out: no session here starts with it; a server estimates it."""
     odd = edited_copy(native, tmp_path / "odd", lambda _: None)
     left_out = sorted(set(range(340)) - {int((column + 0.5) * 340 / 320) for column in range(320)})
-    for depth in (odd / "depth" / "000000.png", odd / "depth" / "000002.png"):
-        millimetres = present(cv2.imread(str(depth), cv2.IMREAD_UNCHANGED))
-        millimetres[:, sorted(set(range(340)) - {left_out[5]})] = 0
-        write_png(depth, millimetres)
-    reports = replay_both(odd, server, tmp_path, ReplayOptions(session=SMALL, probes=PROBES[:1]))
-    for report in reports:
-        assert [frame["index"] for frame in report["frames"]] == [1, 2]
-        skipped = {one["index"]: one for one in report["skipped"]}
-        assert skipped.keys() == {0, 3}
-        assert Path(skipped[0]["file"]).name in skipped[0]["reason"]
+    depth = odd / "depth" / "000000.png"
+    millimetres = present(cv2.imread(str(depth), cv2.IMREAD_UNCHANGED))
+    millimetres[:, sorted(set(range(340)) - {left_out[5]})] = 0
+    write_png(depth, millimetres)
+    options = ReplayOptions(session=SMALL, probes=PROBES[:1])
+    here = replay(odd, tmp_path / "here", options)
+    there = replay(odd, tmp_path / "there", replace(options, server=server))
+    assert [[frame["index"] for frame in report["frames"]] for report in (here, there)] == [[1, 2], [0, 1, 2]]
+    skipped = {one["index"]: one for one in here["skipped"]}
+    assert skipped.keys() == {0, 3}
+    assert Path(skipped[0]["file"]).name in skipped[0]["reason"]
 
 
 @pytest.mark.parametrize(

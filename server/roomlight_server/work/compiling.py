@@ -5,6 +5,7 @@ They take 27 s of one core, and numba compiles on one core at a time.
 
 import subprocess
 import sys
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -19,7 +20,8 @@ _LAST: Final = add_lit
 def compile_beside(*qualities: str) -> "subprocess.Popen[bytes] | None":
     """Start to compile the kernels of composites, once in this process, unless they are cached: returns at once.
 
-    The process goes on if the caller ends: what it compiled serves the next one.
+    The process goes on if the caller ends: what it compiled serves the next one. Where none can be started, composites
+    compile when they are made.
 
     Args:
         qualities: Of the compositor, in the order in which they will be needed.
@@ -29,4 +31,6 @@ def compile_beside(*qualities: str) -> "subprocess.Popen[bytes] | None":
         return None
     command = [sys.executable, "-m", "roomlight_server.precompile", *qualities]
     quiet = subprocess.DEVNULL
-    return subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
+    with suppress(OSError):
+        return subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
+    return None
