@@ -246,7 +246,7 @@ def composite_recording(
         remark("warning:", f"object {item.name!r}, {size_m:.3g} m long, covers no pixel of any picture")
     skipped = f", {len(capture.skipped)} skipped" if capture.skipped else ""
     kind = "film" if options.is_film else "pictures"
-    return f"{count} frames{skipped}; {kind}: {options.out}"
+    return f"{counted(count, 'frame')}{skipped}; {kind}: {options.out}"
 
 
 class _ReportedFrames:
