@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, cast, get_args, get_origin, get_type_hints
 
 import typer
-from annotated_types import Ge, Le
+from annotated_types import Ge, Gt, Le
 
 from roomlight.errors import OptionError, RoomLightError
 from roomlight.files import check_writable
@@ -216,6 +216,9 @@ class CommandOptions:
             raise ValueError(f"two options have the name {name}")
         self.flags |= {name: flag, flag.removeprefix("--").replace("-", "_"): flag}
         facts |= {"metavar": note.metavar or facts.get("metavar"), "envvar": note.env}
+        if (above := rule.bound(Gt)) is not None:  # Typer knows closed ranges alone; `check_options` refuses the values
+            below = "" if (high := facts.pop("max")) is None else f"<={high:g}"
+            facts["metavar"] = f"{note.metavar or rule.kind.__name__} [{above:g}<x{below}]"
         declared = typer.Option(
             f"{flag}/--no-{flag[2:]}" if kind is bool and default is True else flag,
             help=_text(name, text, rule),

@@ -46,6 +46,7 @@ class Options:
         quality: The quality.
         layers: Write layers.
         max_frames: At most so many.
+        size_m: Longest side.
     """
 
     reading: Annotated[Reading, Without("hidden")] = field(default_factory=Reading)
@@ -55,6 +56,7 @@ class Options:
     quality: Literal["good", "final"] = "good"
     layers: bool = False
     max_frames: Annotated[int, Ge(1)] | None = None
+    size_m: Annotated[float | None, Interval(gt=0, le=5), Flag(metavar="M")] = None
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -133,7 +135,7 @@ def test_help_is_that_of_the_docstrings():
     assert code == 0
     for words in (
         "Make something of a file. It takes long.", "The file.", "Light this point, in metres.", "A token.",
-        "0<=x<=10", "good|final", "default: 1,4", "─ How to read ─", "─ What to make ─", "env var: MAKE_TOKEN",
+        "0<=x<=10", "M [0<x<=5] Longest side.", "good|final", "default: 1,4", "─ How to read ─", "─ What to make ─", "env var: MAKE_TOKEN",
         "X,Y,Z", "Ask the network.",
     ):  # fmt: skip
         assert words in text
@@ -145,6 +147,8 @@ def test_help_is_that_of_the_docstrings():
     ("arguments", "message"),
     [
         (("--unit", "11"), "'--unit': Input should be less than or equal to 10"),
+        (("--size", "0"), "--size is 0.0; it must be above 0 to 5"),
+        (("--size", "6"), "--size is 6.0; it must be above 0 to 5"),
         (("--max-frames", "0"), "'--max-frames': Input should be greater than or equal to 1"),
         (("--quality", "best"), "'--quality': Value error, 'best' is not one of 'good', 'final'"),
         (("--probe", "1,2"), "Invalid value for '--probe': a position or direction is X,Y,Z"),
