@@ -109,7 +109,7 @@ class DepthStream:
         """Return what a capture says whose depth is estimated."""
         return Note(
             f"{source}: its depth is estimated from each picture by {self.model.name}",
-            "distances may be wrong by a tenth and more, also where poses correct them",
+            "distances may be wrong by a tenth and more, and by a factor of two where the camera only turns",
             "record with a depth sensor for exact places, or give another model as depth_model (--depth-model)",
         )
 

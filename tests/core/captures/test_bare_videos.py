@@ -71,6 +71,7 @@ def test_a_video_alone_has_poses_depth_and_a_lens(video: Path, model: Path) -> N
     said = " ".join(str(note) for note in capture.notes)
     assert "its camera poses are estimated" in said
     assert "its depth is estimated" in said
+    assert "by a factor of two where the camera only turns" in said
     assert not [told for told in ("focal length", "fit the others badly") if told in said]
 
 
