@@ -63,7 +63,8 @@ def test_object_rests_on_the_plane_behind_the_pixel(pitch, target, axis, height,
 
 
 @pytest.mark.parametrize(
-    ("tilt_degrees", "estimated", "kind"), [(8, False, "floor"), (12, False, "slope"), (30, True, "floor")]
+    ("tilt_degrees", "estimated", "kind"),
+    [(8, False, "floor"), (12, False, "slope"), (45, True, "floor"), (55, True, "wall")],
 )
 def test_object_stands_upright_on_what_is_nearly_level_and_leans_on_a_slope(tilt_degrees, estimated, kind):
     frame, _ = view(-35)
@@ -73,8 +74,18 @@ def test_object_stands_upright_on_what_is_nearly_level_and_leans_on_a_slope(tilt
     tilted = replace(frame, camera_to_world=tilt @ frame.camera_to_world, depth_estimated=estimated)
     placed = place_at_pixel(known_by(tilted), tilted, *pixel_of(frame, (0.9, 0, -0.8)), BOX)
     assert placed.kind == kind
-    up = [0, 1, 0] if kind == "floor" else tilt[:3, 1]
+    up = tilt[:3, 1] if kind == "slope" else [0, 1, 0]
     assert placed.object_to_world[:3, 1] == pytest.approx(up, abs=0.002)
+
+
+def test_a_floor_whose_estimated_depth_is_uneven_is_a_floor():
+    frame, _ = view(-35)
+    rows, columns = np.indices(frame.depth_m.shape)
+    uneven = frame.depth_m * np.exp(0.07 * np.sin(rows / 4) * np.sin(columns / 4)).astype(np.float32)
+    frame = replace(frame, depth_m=uneven, depth_estimated=True)
+    geometry, box = known_by(frame), Box(0.2 * BOX.low, 0.2 * BOX.high)
+    for x in np.linspace(-0.4, 1.2, 9):
+        assert place_at_pixel(geometry, frame, *pixel_of(frame, (x, 0, -0.8)), box).kind == "floor"
 
 
 def test_object_does_not_lean_on_the_rim_of_a_table_in_coarse_depth():

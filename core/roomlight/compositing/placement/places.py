@@ -24,12 +24,17 @@ SurfaceKind = Literal["floor", "wall", "ceiling", "slope"]
 SNAP_DEGREES: Final = 10.0
 """A surface this close to horizontal or vertical counts as exactly so: an object that leans is seen at once. In eight
 captures a tenth of the small places on level surfaces was tilted by more than 5 degrees, and 4 % by more than 10."""
-SNAP_ESTIMATED_DEGREES: Final = 40.0
-"""The same where depth is estimated: whole floors come out tilted by 30 degrees."""
+LEVEL_ESTIMATED_DEGREES: Final = 50.0
+"""Where depth is estimated whole floors come out tilted: a surface this close to horizontal is level, any other upright.
+What is level faces up below the camera, down above it. At 2,800 pixels of 12 captures 78 % of the floors and 88 %
+of the walls are told right; with the planes of sensors and `SNAP_DEGREES` of 40 they were 67 % and 84 %."""
 UP_FACING: Final = 0.5
 """World y of the normal above which a surface carries objects, and below whose negative it is a ceiling."""
 FIT_RADIUS_M: Final = (0.06, 0.25)
-"""Least and largest radius of the patch that a plane is fitted to: the object's footprint, within these."""
+"""Least and largest radius of the patch that a plane is fitted to: the object's footprint, within these. The largest
+where depth is estimated."""
+ESTIMATED_TOLERANCE: Final = 8.0
+"""Points of a plane lie within this many times a sensor's noise where depth is estimated."""
 _LEAST_POINTS: Final = 8
 _TRIPLES: Final = 96
 _MAX_FITTED: Final = 3000
@@ -169,8 +174,8 @@ def surface_at_pixel(
 ) -> tuple[Plane, SurfaceKind]:
     """Return the plane behind a pixel, fitted within `radius_m` of it; its point lies on the pixel's ray.
 
-    A plane within `SNAP_DEGREES` of horizontal or vertical (`SNAP_ESTIMATED_DEGREES` where depth is estimated) is made
-    exactly so.
+    A plane within `SNAP_DEGREES` of horizontal or vertical is made exactly so; where depth is estimated every plane
+    (`LEVEL_ESTIMATED_DEGREES`).
 
     Raises:
         SceneError: the pixel is outside the image, or no surface is known behind it.
@@ -192,15 +197,17 @@ def surface_at_pixel(
         )
     hit = origin + distance_m * direction
     low, high = FIT_RADIUS_M
-    points = _patch(geometry, frame, hit, float(np.clip(radius_m, low, high)))
-    tolerance_m = 0.006 + 0.003 * distance_m**2
+    points = _patch(geometry, frame, hit, high if frame.depth_estimated else float(np.clip(radius_m, low, high)))
+    tolerance_m = (0.006 + 0.003 * distance_m**2) * (ESTIMATED_TOLERANCE if frame.depth_estimated else 1)
     plane = fit_plane(points, hit, toward=-direction, tolerance_m=tolerance_m)
     if plane is None or abs(plane.normal @ direction) < 0.02:
         plane = Plane(hit, -direction)
-    snap_degrees = SNAP_ESTIMATED_DEGREES if frame.depth_estimated else SNAP_DEGREES
-    if _classified(plane.normal, snap_degrees)[1] is plane.normal and direction[1] < 0:
+    kind, normal = _classified(plane.normal)
+    if frame.depth_estimated:
+        kind, normal = _roughly_classified(plane.normal, is_below=bool(direction[1] < 0))
+    elif normal is plane.normal and direction[1] < 0:
         plane = _level_instead(plane, points, hit, tolerance_m)
-    kind, normal = _classified(plane.normal, snap_degrees)
+        kind, normal = _classified(plane.normal)
     through = float((plane.point - origin) @ normal) / float(direction @ normal)
     if not 0.5 * distance_m < through < 2 * distance_m:  # a plane nearly along the ray
         through = distance_m
@@ -289,17 +296,31 @@ def _level_instead(
     return Plane(np.array([hit[0], height, hit[2]], np.float64), np.array([0.0, 1, 0]))
 
 
-def _classified(normal: Float[np.ndarray, "3"], snap_degrees: float) -> tuple[SurfaceKind, Float[np.ndarray, "3"]]:
+def _classified(normal: Float[np.ndarray, "3"]) -> tuple[SurfaceKind, Float[np.ndarray, "3"]]:
     """Return the kind of surface, and its normal made exactly vertical or horizontal if it nearly is."""
-    level, near = float(normal[1]), np.radians(snap_degrees)
+    level, near = float(normal[1]), np.radians(SNAP_DEGREES)
     if abs(level) > np.cos(near):
         return ("floor" if level > 0 else "ceiling"), np.array([0.0, np.sign(level), 0.0])
     if abs(level) < np.sin(near):
-        flat = np.array([normal[0], 0.0, normal[2]])
-        return "wall", flat / np.linalg.norm(flat)
+        return "wall", _horizontal(normal)
     if level > UP_FACING:
         return "slope", normal
     return ("ceiling" if level < -UP_FACING else "wall"), normal
+
+
+def _roughly_classified(
+    normal: Float[np.ndarray, "3"], *, is_below: bool
+) -> tuple[SurfaceKind, Float[np.ndarray, "3"]]:
+    """Return kind and exact normal of a surface below or above the camera whose depth is estimated."""
+    up = 1.0 if is_below else -1.0
+    if up * float(normal[1]) > np.cos(np.radians(LEVEL_ESTIMATED_DEGREES)):
+        return ("floor" if is_below else "ceiling"), np.array([0.0, up, 0.0])
+    return "wall", _horizontal(normal)
+
+
+def _horizontal(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    flat = np.array([normal[0], 0.0, normal[2]])
+    return flat / np.linalg.norm(flat)
 
 
 def _upright(up: Float[np.ndarray, "3"], yaw_degrees: float) -> Float[np.ndarray, "3 3"]:
