@@ -19,6 +19,7 @@ from roomlight.compositing.picture.layer_files import (
     encode_picture,
 )
 from roomlight.compositing.picture.layers import Composite
+from roomlight.compositing.placement.places import Placement
 from roomlight.compositing.placement.scene import MAX_SIZE_M, AtPixel, Scene, load_scene
 from roomlight.compositing.recordings import composite_capture, scene_of_object
 from roomlight.engine.session import SessionOptions
@@ -29,7 +30,7 @@ from roomlight.imaging.exr import sequence_metadata
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.notes import distinct
 from roomlight.rules import check_options
-from roomlight_cli.console import counted, print_notes, print_skipped, remark, stopped_by_signals
+from roomlight_cli.console import counted, print_notes, print_skipped, remark, say, stopped_by_signals
 from roomlight_cli.options import Flag
 from roomlight_cli.progress import Progress, duration
 from roomlight_server.work.compiling import compile_beside
@@ -38,6 +39,12 @@ LONG_S: Final = 300.0
 """Time left of more than this is told with what makes it shorter."""
 _OBLONG: Final = 0.05
 """From this relative difference of the focal lengths on pixels are oblong; below, lenses and calibrations differ."""
+_PLACES: Final = {
+    "floor": "stands on a surface",
+    "slope": "stands on a slope",
+    "wall": "hangs on a wall,",
+    "ceiling": "hangs from a ceiling,",
+}
 _STEM: Final = "[0-9]" * 6
 _ENDINGS: Final = tuple(f".{ending}" for ending in PICTURE_ENDINGS.values())
 
@@ -198,6 +205,7 @@ def composite_recording(
     compile_beside(options.quality)
     print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
     capture, advised, unseen = open_capture(path, reading), False, dict(enumerate(scene.objects))
+    placements: dict[int, Placement] = {}
     count = following = start = height = width = 0
     last = min(options.last, capture.frame_count * reading.every - 1)
     passes = ["compositing"] if options.online else ["reading the room (pass 1 of 2)", "compositing (pass 2 of 2)"]
@@ -229,6 +237,7 @@ def composite_recording(
             count, following = count + 1, picture.frame.index + 1
             if count > 1 and options.quality != "preview":  # the first has compilation in its time
                 advised = advised or _advise(picture, (last - picture.frame.index) // reading.every)
+            placements |= picture.placements
             for number in np.unique(picture.crop_object_id[picture.crop_alpha > 0]).tolist():
                 unseen.pop(number, None)
     print_notes(capture.notes)
@@ -241,6 +250,10 @@ def composite_recording(
     if options.is_film and (height % 2 or width % 2):
         even = f"{width - width % 2} x {height - height % 2}"
         remark("note:", f"H.264 has even sides: the film shows {even} of {width} x {height} pixels, from the top left")
+    for number, placement in sorted(placements.items()):
+        if placement.kind is not None:
+            where = f"{_PLACES[placement.kind]} {placement.distance_m:.1f} m away"
+            say(f"object {scene.objects[number].name!r} {where}")
     for item in unseen.values():
         size_m = float(np.ptp(item.geometry.bounds(), axis=0).max())
         remark("warning:", f"object {item.name!r}, {size_m:.3g} m long, covers no pixel of any picture")

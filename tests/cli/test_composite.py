@@ -38,7 +38,7 @@ def picture(path):
 def test_pictures_and_layers_are_written(roomlight, capture, tmp_path):
     done = roomlight("composite", capture, *BALL, *FAST, "--layers", "--out", tmp_path / "out")
     assert (done.code, done.err) == (0, "")
-    assert "3 frames; pictures:" in done.out
+    assert re.search(r"^object 'sphere' stands on a surface 1\.\d m away\n3 frames; pictures:", done.out, re.M)
     names = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*.*")}
     layers = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr", "object_id.exr")
     folders = ("000000", "000001", "000002")
@@ -81,8 +81,9 @@ def test_the_header_of_a_frame_whose_name_is_not_utf8_has_the_rest_of_the_name(r
     copy = edited_copy(capture, tmp_path / "copy", lambda index: index["frames"][0].update(colour=name))
     (copy / "colour/000000.jpg").rename(copy / name)
     options = ("--picture", "exr", "--max-frames", "1", "--out", tmp_path / "out")
-    done = roomlight("composite", copy, *BALL, *FAST, *options)
+    done = roomlight("composite", copy, *BALL[:-1], "32,2", *FAST, *options)
     assert (done.code, done.err) == (0, "")
+    assert "object 'sphere' hangs on a wall, 3.9 m away" in done.out
     assert OpenEXR.File(str(tmp_path / "out/000000.exr")).header()["roomlight:source"] == "caf?.jpg"
 
 

@@ -232,7 +232,12 @@ class Compositor:
             image = encode_srgb8(frame.image)
         self._first, self._before = self._first or frame, frame
         bare = Composite(
-            image=image, frame=frame, stage_ms=clock.wall_ms, stage_cpu_ms=clock.cpu_ms, waiting=self.waiting
+            image=image,
+            frame=frame,
+            stage_ms=clock.wall_ms,
+            stage_cpu_ms=clock.cpu_ms,
+            waiting=self.waiting,
+            placements={placed.number: placed.placement for placed in self._placed},
         )
         if crop.empty:
             return bare

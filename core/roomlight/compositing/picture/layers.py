@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32, UInt8
 
 from roomlight.compositing.picture.crop import NO_CROP, Crop
+from roomlight.compositing.placement.places import Placement
 from roomlight.conventions import linear_to_srgb8
 from roomlight.frame import Frame
 from roomlight.images import encode_png
@@ -32,6 +33,7 @@ class Composite:
         stage_cpu_ms: processor time by stage, of the whole process.
         samples: light paths that each pixel of the objects got; 0 for a preview.
         visible: share that real things leave of each object in the picture, by its index in the scene.
+        placements: where the objects that have a place stand, before their motion, by index in the scene.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -48,6 +50,7 @@ class Composite:
     crop_object_id: Int32[np.ndarray, "oh ow"] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
     samples: int = 0
     visible: dict[int, float] = field(default_factory=dict[int, float])
+    placements: dict[int, Placement] = field(default_factory=dict[int, Placement])
 
     @cached_property
     def objects(self) -> Float32[np.ndarray, "h w 3"]:

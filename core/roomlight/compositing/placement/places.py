@@ -87,11 +87,13 @@ class Placement:
         object_to_world: rigid [4, 4], float64.
         support: plane that the object rests on or hangs at; None if there is none.
         kind: of the supporting surface.
+        distance_m: from the camera to the surface at the object's pixel; None for other places.
     """
 
     object_to_world: Float[np.ndarray, "4 4"]
     support: Plane | None = None
     kind: SurfaceKind | None = None
+    distance_m: float | None = None
 
 
 def place_by_pose(pose: Float[np.ndarray, "4 4"], box: Box, *, anchor: Anchor = "base") -> Placement:
@@ -156,7 +158,8 @@ def place_at_pixel(
         pose[:3, :3] = _upright(plane.normal, yaw_degrees)
         anchor = "base"
     pose[:3, 3] = plane.point
-    return Placement(place_by_pose(pose, box, anchor=anchor).object_to_world, plane, kind)
+    distance_m = float(np.linalg.norm(plane.point - frame.camera_to_world[:3, 3]))
+    return Placement(place_by_pose(pose, box, anchor=anchor).object_to_world, plane, kind, distance_m)
 
 
 def check_pixel(frame: Frame, u: float, v: float) -> None:
