@@ -135,7 +135,8 @@ def test_help_is_that_of_the_docstrings():
     assert code == 0
     for words in (
         "Make something of a file. It takes long.", "The file.", "Light this point, in metres.", "A token.",
-        "0<=x<=10", "M [0<x<=5] Longest side.", "good|final", "default: 1,4", "─ How to read ─", "─ What to make ─", "env var: MAKE_TOKEN",
+        "0<=x<=10", "M [0<x<=5] Longest side.", "good|final", "default: 1,4",
+        "─ How to read ─", "─ What to make ─", "env var: MAKE_TOKEN",
         "X,Y,Z", "Ask the network.",
     ):  # fmt: skip
         assert words in text

@@ -25,9 +25,9 @@ SNAP_DEGREES: Final = 10.0
 """A surface this close to horizontal or vertical counts as exactly so: an object that leans is seen at once. In eight
 captures a tenth of the small places on level surfaces was tilted by more than 5 degrees, and 4 % by more than 10."""
 LEVEL_ESTIMATED_DEGREES: Final = 50.0
-"""Where depth is estimated whole floors come out tilted: a surface this close to horizontal is level, any other upright.
-What is level faces up below the camera, down above it. At 2,800 pixels of 12 captures 78 % of the floors and 88 %
-of the walls are told right; with the planes of sensors and `SNAP_DEGREES` of 40 they were 67 % and 84 %."""
+"""Where depth is estimated whole floors come out tilted: a surface this close to horizontal is level, others upright.
+What is level faces up below the camera, down above it. At 2,800 pixels of 12 captures 78 % of the floors and 88 % of
+the walls are told right; with planes fitted as to a sensor's depth and a `SNAP_DEGREES` of 40, 67 % and 84 %."""
 UP_FACING: Final = 0.5
 """World y of the normal above which a surface carries objects, and below whose negative it is a ceiling."""
 FIT_RADIUS_M: Final = (0.06, 0.25)
