@@ -34,6 +34,7 @@ from roomlight.compositing.light.temporal import (
 )
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, blur_layer, measure_camera
 from roomlight.compositing.picture.crop import NO_CROP, Crop, CropCamera, crop_of_sphere
+from roomlight.compositing.picture.estimated_depth import fitted_to_supports
 from roomlight.compositing.picture.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8
 from roomlight.compositing.picture.occlusion import (
     RealDepth,
@@ -247,7 +248,7 @@ class Compositor:
             matrices = self._matrices
             objects = self._built(posed.matrices)
         with clock.stage("depth"):
-            real, shaded_m = self._room_depth(depth_m, frame, crop)
+            real, shaded_m = self._room_depth(depth_m, frame, crop, posed)
         with clock.stage("shadow"):
             at_once = self.quality != "preview" and self._matrices != matrices  # a moving object's would lag
             share = 1.0 if at_once else share_of(step_s, SHADOW_S)
@@ -378,12 +379,14 @@ class Compositor:
         return replace(rendered, radiance=rendered.radiance / np.array(gain, np.float32))
 
     def _room_depth(
-        self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop
+        self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop, posed: PosedObjects
     ) -> tuple[RealDepth, Float32[np.ndarray, "ch cw"]]:
         """Return depth at the pixels of a crop, with holes filled from other frames: as measured, which hides objects,
         and completed where nothing was measured: shadows fall on black and shiny tables too.
         """
         depth_m = self._filled(depth_m, frame, crop)
+        if frame.depth_estimated:
+            depth_m = fitted_to_supports(depth_m, frame, posed.supports, posed.spheres, self.geometry)
         size = frame.intrinsics.width, frame.intrinsics.height
         real = real_depth(depth_m, *size, crop)
         whole = complete_depth(depth_m)

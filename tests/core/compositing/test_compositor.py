@@ -174,6 +174,21 @@ def test_a_real_block_hides_the_ball_behind_it(session):
     assert made.visible[0] == pytest.approx(behind.sum() / (behind | in_front).sum(), abs=0.1)
 
 
+@pytest.mark.parametrize("factor", [0.75, 1.2])
+def test_objects_stand_where_they_are_though_estimated_depth_is_wrong(session, factor):
+    floating = replace(BALL, name="floating", place=AtPosition((0.9, 0.6, -0.8)))
+    balls = [BALL, replace(BALL, name="behind the block", place=AtPosition((-0.3, 0.0, -1.45))), floating]
+    frame = view()
+    rows, columns = np.indices(frame.depth_m.shape) / 100
+    smooth = np.exp(0.06 * np.sin(rows) * np.cos(columns))
+    wrong = replace(frame, depth_m=(factor * smooth * frame.depth_m).astype(np.float32), depth_estimated=True)
+    true, made = (composite(session, each, balls, quality="preview") for each in (frame, wrong))
+    assert true.visible == pytest.approx({0: 1, 1: 0.64, 2: 1}, abs=0.02)
+    assert made.visible == pytest.approx(true.visible, abs=0.04)
+    shaded = true.shadow.min(axis=-1) < 0.9
+    assert np.abs(made.shadow - true.shadow)[shaded].mean() < 0.02  # 0.3 if the floor is elsewhere
+
+
 def test_an_object_is_placed_by_a_pixel_of_its_frame(session):
     before = session.handles
     held = replace(BALL, place=AtPixel(200.0, 180.0, frame=5))
