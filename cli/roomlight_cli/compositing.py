@@ -22,7 +22,7 @@ from roomlight.compositing.picture.layers import Composite
 from roomlight.compositing.placement.places import Placement
 from roomlight.compositing.placement.scene import MAX_SIZE_M, AtPixel, Scene, load_scene
 from roomlight.compositing.recordings import composite_capture, scene_of_object
-from roomlight.engine.session import SessionOptions
+from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError, OutputError
 from roomlight.files import check_writable, remove_outputs, write_atomic
 from roomlight.frame import Frame
@@ -32,7 +32,7 @@ from roomlight.notes import distinct
 from roomlight.rules import check_options
 from roomlight_cli.console import counted, print_notes, print_skipped, remark, say, stopped_by_signals
 from roomlight_cli.options import Flag
-from roomlight_cli.progress import Progress, duration
+from roomlight_cli.progress import LOADING, Progress, duration
 from roomlight_server.work.compiling import compile_beside
 
 LONG_S: Final = 300.0
@@ -216,7 +216,9 @@ def composite_recording(
         return "no film was written" if options.is_film else "nothing was written"
 
     with stopped_by_signals(kept), ExitStack() as stack:
-        progress = stack.enter_context(Progress(passes[0]))
+        progress = stack.enter_context(Progress(LOADING))
+        warm_up()
+        progress.say(passes[0])
         film = options.out if options.is_film else None
         frames = _ReportedFrames(capture, last // reading.every + 1, passes, progress.count_of, film)
         made = composite_capture(

@@ -12,6 +12,7 @@ from rich.progress import Progress as Bars
 from roomlight_cli import console as consoles
 
 LINE_EVERY_S: Final = 10.0
+LOADING: Final = "loading kernels (the first run compiles them)"
 
 
 class Progress:

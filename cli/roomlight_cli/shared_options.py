@@ -11,7 +11,7 @@ from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
 from roomlight_cli.console import counted, err, remark
 from roomlight_cli.options import Check, Flag, Without
-from roomlight_cli.progress import Progress
+from roomlight_cli.progress import LOADING, Progress
 from roomlight_client import RecoveryEvent
 
 POINTS: Final = "Where to light"
@@ -68,7 +68,7 @@ ScoredNetworks = Annotated[SessionOptions, Without("model", "hedge", "keyframes"
 @contextmanager
 def scoring_progress() -> Generator[Progress]:
     """Show the progress of an evaluation, whose kernels are loaded first."""
-    with Progress("loading kernels (the first run compiles them)") as progress:
+    with Progress(LOADING) as progress:
         warm_up()
         yield progress
 

@@ -8,7 +8,7 @@ from roomlight.notes import Note
 from roomlight_cli.console import counted, print_notes, remark, say, stopped_by_signals
 from roomlight_cli.console import out as terminal
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
-from roomlight_cli.progress import Progress
+from roomlight_cli.progress import LOADING, Progress
 from roomlight_cli.replays.pictures import SUMMARY, VIDEO
 from roomlight_cli.replays.replay import replay as run_replay
 from roomlight_cli.replays.replay_folder import REPORT, finished_report
@@ -37,7 +37,7 @@ def replay(capture: Path, options: ReplayOptions, *, out: Path, token: Token = N
         say(f"{out} already holds this replay, finished; --overwrite makes it again")
         _print_result(out, report)
         return
-    loading = Progress("loading kernels (the first run compiles them)")
+    loading = Progress(LOADING)
     with stopped_by_signals(lambda: _next_run(out, options)), loading as progress:
         if options.server is None:
             warm_up()
