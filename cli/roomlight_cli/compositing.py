@@ -218,7 +218,6 @@ def composite_recording(
     with stopped_by_signals(kept), ExitStack() as stack:
         progress = stack.enter_context(Progress(LOADING))
         warm_up()
-        progress.say(passes[0])
         film = options.out if options.is_film else None
         frames = _ReportedFrames(capture, last // reading.every + 1, passes, progress.count_of, film)
         made = composite_capture(
