@@ -36,6 +36,8 @@ def test_a_frame_without_depth_gives_light(server, parts):
         assert answer.json["depth_estimated"] is True
     measured = server.push(2, name="bare")
     assert measured.json["depth_estimated"] is False
+    refused = server.push(3, with_parts(**UNTRUSTED), name="bare")  # an estimate would have another scale
+    assert (refused.status, "no pixel of its depth is usable" in refused.json["detail"]) == (422, True)
     assert server.state("bare")["coverage"]["lamp"] > 0
     server.call("DELETE", "/v1/sessions/bare")
 

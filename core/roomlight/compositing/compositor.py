@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, Literal, cast, get_args
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
@@ -82,7 +83,10 @@ SAME_MOVE: Final = 1e-6
 NEAR_WHITE, SATURATED = (float(value) for value in srgb8_to_linear(np.array([235, CLIPPED_SRGB8], np.uint8)))
 """Shares of white between which a pixel is clipped ever more: a window's keep their light, others may be brighter."""
 BRIGHTER: Final = np.float32(0.25)
-"""Mean excess over white of a pixel with all channels clipped, as a share of white."""
+"""Mean excess over white of a pixel with all channels clipped, as a share of white, where clipped pixels are around."""
+CLIPPED_AROUND: Final = (31, np.float32(8.0))
+"""Side of the square, in pixels, and inverse of the share of it from which on clipped pixels are around: one alone, a
+highlight or noise, changes nothing."""
 SHADOW_COLUMNS: Final = 640
 """Shadows of wider frames are computed as for frames of about this width, and interpolated."""
 
@@ -411,7 +415,8 @@ class Compositor:
         self, frame: Frame, crop: Crop, depth_m: Float32[np.ndarray, "ch cw"], posed: PosedObjects, share: float
     ) -> Float32[np.ndarray, "ch cw 3"]:
         """Return light with objects / without them on the real surfaces of a crop, eased over time by a share."""
-        pose, image, white = frame.camera_to_world, frame.image[crop.slices], white_in(frame, crop)
+        pose, image = frame.camera_to_world, np.ascontiguousarray(frame.image[crop.slices])
+        white = white_in(frame, crop)
         ratio = shadows.shadow_ratio(
             [self._caster(members, posed) for members in clusters(posed.spheres)],
             depth_m,
@@ -424,7 +429,9 @@ class Compositor:
         )
         if white > 0:
             low, high = np.array([NEAR_WHITE, SATURATED], np.float32) * white
-            restore_clipped(ratio, image, low, high, BRIGHTER)
+            side, inverse = CLIPPED_AROUND
+            around = cv2.blur(frame.clipped[crop.slices].astype(np.float32), (side, side))
+            restore_clipped(ratio, image, low, high, BRIGHTER * np.minimum(inverse * around, np.float32(1)))
         return ratio
 
     def _caster(self, members: list[int], posed: PosedObjects) -> shadows.Caster:

@@ -80,7 +80,7 @@ class LiveSession(EngineAccess):
         self._queue = FrameQueue(lambda status: metrics.frames.labels(status).inc(), lambda: self.durable_index)
         self._runner: asyncio.Task[None] | None = None
         self._reference = request.reference_exposure
-        self.latest: LatestFrame | None = None  # the last processed frame, as it was received
+        self.latest: LatestFrame | None = None  # the last processed frame, without an unusable depth
         self._depth: DepthStream | None = None
         self._depth_scale: DepthScale | None = None  # of the stream before a restart
         self.history = History(settings.history_bytes, workers)
@@ -196,6 +196,7 @@ class LiveSession(EngineAccess):
                 frame = await self._decoded_late(entry)
             estimated = not frame.depth_m.any()
             if estimated:
+                self._check_estimable(entry)
                 frame = await self._workers.run_in_engine_pool(self._with_depth, frame)
             shown = self.history.next_handles(self.lighting.handles)
             report, lights = await self._workers.run_in_engine_pool(_pushed, engine, frame, shown)
@@ -226,6 +227,13 @@ class LiveSession(EngineAccess):
             self._metrics.observe_frame(report)
             self.history.add(frame, report, self._queue.counts(), lights)
             self._queue.processed(entry, result)
+
+    def _check_estimable(self, entry: Entry) -> None:
+        """Refuse a frame whose depth map is unusable after a measured one: its estimate would have another scale."""
+        measured = self.latest is not None and self.latest.depth_m is None
+        if measured and entry.message is not None and entry.message.header.depth is not None:
+            rule = "no pixel of its depth is usable, and estimated depth would not fit the depth of the frames before"
+            raise FrameError(f"frame {entry.index}: {rule}")
 
     def _with_depth(self, frame: Frame) -> Frame:
         """Estimate the depth of the session's next frame. Raises FrameError and ModelError."""

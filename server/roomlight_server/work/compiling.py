@@ -26,8 +26,10 @@ def compile_beside(*qualities: str) -> "subprocess.Popen[bytes] | None":
     Args:
         qualities: Of the compositor, in the order in which they will be needed.
     """
-    cached = Path(_LAST.stats.cache_path or "").glob(f"*.{_LAST.py_func.__name__}-*.nbi")
-    if any(cached):
+    function = _LAST.py_func
+    written_s = Path(function.__code__.co_filename).stat().st_mtime
+    cached = Path(_LAST.stats.cache_path or "").glob(f"*.{function.__name__}-*.nbi")
+    if any(path.stat().st_mtime > written_s for path in cached):  # others are of an earlier version
         return None
     command = [sys.executable, "-m", "roomlight_server.precompile", *qualities]
     quiet = subprocess.DEVNULL

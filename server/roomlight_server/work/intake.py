@@ -19,7 +19,7 @@ from roomlight_server.work.decode_worker import decode_to_box
 
 @dataclass(frozen=True)
 class LatestFrame:
-    """The last processed frame, as it was received; `depth_m` is what was estimated if it came without depth."""
+    """The last processed frame, as received; `depth_m` is what was estimated if it came without usable depth."""
 
     index: int
     message: FrameMessage

@@ -174,7 +174,7 @@ def test_a_real_block_hides_the_ball_behind_it(session):
     assert made.visible[0] == pytest.approx(behind.sum() / (behind | in_front).sum(), abs=0.1)
 
 
-@pytest.mark.parametrize("factor", [0.75, 1.2])
+@pytest.mark.parametrize("factor", [0.55, 0.75, 1.2])
 def test_objects_stand_where_they_are_though_estimated_depth_is_wrong(session, factor):
     floating = replace(BALL, name="floating", place=AtPosition((0.9, 0.6, -0.8)))
     balls = [BALL, replace(BALL, name="behind the block", place=AtPosition((-0.3, 0.0, -1.45))), floating]
@@ -383,6 +383,15 @@ def test_clipped_light_hides_weak_shadows_and_takes_deep_ones(session):
     assert deep.sum() > 100
     assert ((1 - after)[weak] < 0.3 * (1 - before)[weak]).all()
     assert (after[deep] < 1.3 * before[deep]).all()
+
+
+def test_one_clipped_pixel_does_not_change_a_shadow_on_a_bright_table(session):
+    clipped = np.zeros(view().clipped.shape, bool)
+    clipped[90, 150] = True
+    image = np.where(clipped[..., None], np.float32([1.0, 1.0, 1.0]), np.float32(0.94))
+    bright, dot = replace(view(), image=np.full_like(image, 0.94)), replace(view(), image=image, clipped=clipped)
+    plain, kept = (composite(session, frame, [BALL], quality="preview").shadow for frame in (bright, dot))
+    np.testing.assert_allclose(kept[~clipped], plain[~clipped], atol=0.005)
 
 
 def test_encoding_agrees_with_the_reference():

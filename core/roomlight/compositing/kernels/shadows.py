@@ -234,7 +234,7 @@ def restore_clipped(ratio, image, low, high, excess):
     Args:
         image: [h, w, 3] linear.
         low, high: values where a channel begins to be clipped, and where it is.
-        excess: mean of x, as a share of white, where all channels are clipped.
+        excess: [h, w] mean of x, as a share of white, where all channels are clipped.
     """
     one = np.float32(1)
     for i in range(ratio.shape[0]):
@@ -244,7 +244,7 @@ def restore_clipped(ratio, image, low, high, excess):
             mean = np.float32(0)
             for axis in range(3):
                 share = min(max((image[i, j, axis] - low) / (high - low), np.float32(0)), one)
-                mean += excess * share / np.float32(3)
+                mean += excess[i, j] * share / np.float32(3)
             if mean < np.float32(1e-3):
                 continue
             for axis in range(3):

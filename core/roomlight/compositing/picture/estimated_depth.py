@@ -25,14 +25,15 @@ FARTHER: Final = 0.4
 front, up to `DOUBTFUL` only if other frames show it too."""
 SPREAD: Final = 0.1
 PRIOR: Final = 0.2
-"""The factor is the mode of the pixels' factors, smoothed by `SPREAD`, as things in front of the support have others;
-those beyond `PRIOR` are less likely. Logarithms too.
+"""The factor is the median around the mode of the pixels' factors, smoothed by `SPREAD`, as things in front of the
+support have others; those beyond `PRIOR` are less likely. Logarithms too.
 
 On 95 placements in 12 captures, most of them partly hidden, what is visible of objects agrees with what is visible by
 exact or a sensor's depth by an intersection over union of 0.83, the ground that takes contact shadows by 0.69; without
 the fit it was 0.80 and 0.28. What real things hide agrees by 0.32, as little as before (0.34); by 0.22 with the median
 as factor and a `NEARER` of 0.25."""
-_FACTORS: Final = np.linspace(-0.5, 0.5, 201)
+_FACTORS: Final = np.linspace(-0.8, 0.8, 321)
+"""Factors beyond 0.45 and 2.2 are other things."""
 _LEAST_PIXELS: Final = 20
 
 
@@ -75,6 +76,8 @@ def fitted_to_supports(
             continue
         log_plane = np.log(plane_m)
         factor = _likely_factor(log_plane[near] - log_depth[near])
+        if factor is None:
+            continue
         weight = 1 / (1.001 - directions @ (foot / np.linalg.norm(foot)))
         factors += weight * factor
         weights += weight
@@ -94,9 +97,12 @@ def fitted_to_supports(
     return fitted
 
 
-def _likely_factor(factors: Float32[np.ndarray, " n"]) -> np.float32:
-    """Return the logarithm of the factor that most pixels agree on, of the logarithms of their factors."""
+def _likely_factor(factors: Float32[np.ndarray, " n"]) -> np.float32 | None:
+    """Return the logarithm of the factor that most pixels agree on, of the logarithms of theirs; None: of `_FACTORS`
+    none fits."""
     step = float(_FACTORS[1] - _FACTORS[0])
     counts, _ = np.histogram(factors, bins=np.append(_FACTORS - step / 2, _FACTORS[-1] + step / 2))
     votes = np.exp(-0.5 * ((_FACTORS[:, None] - _FACTORS) / SPREAD) ** 2) @ counts
-    return np.float32(_FACTORS[int((votes * np.exp(-0.5 * (_FACTORS / PRIOR) ** 2)).argmax())])
+    mode = _FACTORS[int((votes * np.exp(-0.5 * (_FACTORS / PRIOR) ** 2)).argmax())]
+    agreeing = factors[np.abs(factors - mode) < 2 * SPREAD]
+    return np.float32(np.median(agreeing)) if len(agreeing) else None
