@@ -4,13 +4,13 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { browser, errors, noNotices, openAgain, openAgainNext, page, ROOM } from "./room.mjs";
-import { control, difference, openPage, pixelsOf, SELDOM, waitForChange, waitForLight } from "./support.mjs";
+import { control, difference, openPage, pixelsOf, waitForChange, waitForLight, waitForState } from "./support.mjs";
 
-/** Wait until the server keeps one object; until it is elsewhere than at its first pose. */
-const isKept = (tab) =>
-  tab.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects.length === 1, null, SELDOM);
-const isMoved = (tab, first) =>
-  tab.waitForFunction(async (x) => (await (await fetch("v1/sessions/room/scene")).json()).objects[0].pose[12] !== x, first[12], SELDOM);
+/** Wait until the server keeps objects as wanted; returns them. */
+const kept = async (isWanted) => (await waitForState("room", ({ objects }) => isWanted(objects), "scene")).objects;
+/** One object, and where it is; one that is elsewhere than at its first pose. */
+const poseKept = async () => (await kept(({ length }) => length === 1))[0].pose;
+const isMoved = (first) => kept(([object]) => object?.pose[12] !== first[12]);
 
 test("a click on the picture places an object there", async () => {
   const before = await pixelsOf(page, "#picture-image");
@@ -88,9 +88,7 @@ test("placed objects are kept with the session and seen by everyone, who can mov
   const { width, height } = await page.locator("#picture-image").boundingBox();
   await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.75 * height } });
   const placed = await waitForChange(page, "#picture-image", before);
-  const pose = async () => (await control("scene")).objects[0]?.pose;
-  await isKept(page);
-  const first = await pose();
+  const first = await poseKept();
 
   const { page: other } = await openPage(browser, { url: ROOM });
   await other.waitForSelector("#objects .chip");
@@ -105,7 +103,7 @@ test("placed objects are kept with the session and seen by everyone, who can mov
   assert.equal(await page.locator('#picture-outlines [data-name="sphere-1"]').count(), 1);
   await page.mouse.up();
   await waitForChange(page, "#picture-image", placed);
-  await isMoved(page, first);
+  await isMoved(first);
   assert.equal(await page.locator("#objects .chip").count(), 1);
 
   await other.click('#objects .chip button[aria-label^="Remove"]');
@@ -170,9 +168,7 @@ test("a finger drags an object, and a size has limits", async () => {
   const { x, y, width, height } = await phone.locator("#picture-image").boundingBox();
   await phone.touchscreen.tap(x + 0.5 * width, y + 0.75 * height);
   await waitForChange(phone, "#picture-image", before);
-  const placed = async () => (await control("scene")).objects[0]?.pose;
-  await isKept(phone);
-  const first = await placed();
+  const first = await poseKept();
   const devtools = await context.newCDPSession(phone);
   const touch = (type, ...touchPoints) => devtools.send("Input.dispatchTouchEvent", { type, touchPoints });
   await touch("touchStart", { x: x + 0.5 * width, y: y + 0.775 * height });
@@ -180,7 +176,7 @@ test("a finger drags an object, and a size has limits", async () => {
     await touch("touchMove", { x: x + (0.5 - 0.025 * step) * width, y: y + 0.775 * height });
   }
   await touch("touchEnd");
-  await isMoved(phone, first);
+  await isMoved(first);
   await context.close();
 });
 
@@ -245,8 +241,8 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   assert.match(await page.locator("#object-notes li").innerText(), /animations: the object stands in its pose at rest; export the pose you want/);
   await page.waitForFunction(() => globalThis.roomlightPage.litObjects.includes("corner-1"));
   assert.equal(await page.inputValue("#object-size"), "100");
-  await isKept(page);
-  assert.equal((await control("scene")).objects[0].size_m ?? null, null); // its own metres
+  const [file] = await kept(({ length }) => length === 1);
+  assert.equal(file.size_m ?? null, null); // its own metres
   await noNotices();
 
   // a server that was started again has lost the file: the page that has it sends it again
@@ -263,7 +259,7 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   await noNotices();
 
   // another page says what is missing, and places other objects
-  await page.waitForFunction(async () => (await (await fetch("v1/sessions/room/scene")).json()).objects[0]?.size_m === 0.6, null, SELDOM);
+  await kept(([object]) => object?.size_m === 0.6);
   await openAgain();
   await waitForLight(page);
   await page.waitForSelector("#objects .chip");

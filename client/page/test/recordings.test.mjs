@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
-import { launch, openPage, SELDOM, waitForLight } from "./support.mjs";
+import { launch, openPage, waitForLight, waitForState } from "./support.mjs";
 
 const { FOLDER, ARCHIVE } = process.env;
 let browser, page;
@@ -58,7 +58,7 @@ test("a film of the recording is made with the placed objects, refused beforehan
   const { width, height } = await page.locator("#picture-image").boundingBox();
   await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.8 * height } });
   const session = await page.evaluate(() => new URLSearchParams(location.hash.slice(1)).get("session"));
-  await page.waitForFunction(async (id) => (await (await fetch(`v1/sessions/${id}/scene`)).json()).objects.length === 1, session, SELDOM);
+  await waitForState(session, ({ objects }) => objects.length === 1, "scene");
 
   await page.click("#open-film");
   await page.fill("#film-from", "11");

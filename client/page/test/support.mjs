@@ -13,7 +13,7 @@ const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.mi
 
 const PATIENCE_MS = 150_000; // the first composite of a process may compile kernels
 /** For conditions that cost more than a look at an element: they are not asked with each drawing. */
-export const SELDOM = { polling: 100 };
+const SELDOM = { polling: 100 };
 
 export const PAGE_URL = process.env.PAGE_URL;
 
@@ -87,17 +87,18 @@ export const pixelsOf = (page, selector) => readPixels(page, selector, null, 0);
 /** Wait until the page draws again: a pause between two questions to the server, which works on the same processor. */
 export const nextDrawing = (page) => page.evaluate(() => new Promise(requestAnimationFrame));
 
-/** Wait until the server's state of a session is as wanted; returns it. */
-export async function waitForState(session, isWanted) {
+/** Wait until the server's state of a session, or its `scene`, is as wanted; returns it. `waitForFunction` awaits no answer. */
+export async function waitForState(session, isWanted, what = "state") {
   const end = Date.now() + PATIENCE_MS;
   for (;;) {
-    const state = await control("state", { session });
+    const state = await control(what, { session });
     if (isWanted(state)) {
       return state;
     }
     if (Date.now() > end) {
-      throw new Error(`the state of ${session} stays ${JSON.stringify(state)}`);
+      throw new Error(`the ${what} of ${session} stays ${JSON.stringify(state)}`);
     }
+    await new Promise(setImmediate);
   }
 }
 
