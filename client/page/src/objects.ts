@@ -53,6 +53,8 @@ export class PlacedObjects {
   private cleared = 0;
   /** Files that the server no longer has, nor this page. */
   private readonly lost = new Set<string | undefined>();
+  /** Where others have placed objects that have no pose so far. */
+  private readonly given = new WeakSet<PlacedObject["place"]>();
   private past: (readonly PlacedObject[])[] = [];
   private undone: (readonly PlacedObject[])[] = [];
 
@@ -73,6 +75,7 @@ export class PlacedObjects {
   adopt(base: readonly PlacedObject[], theirs: readonly PlacedObject[]): void {
     const files = new Map(this.list.value.map(({ file }) => [file?.id, file]));
     const names = new Map<string, string>();
+    theirs.forEach(({ place, pose }) => pose ?? this.given.add(place));
     const next = merged(
       base,
       this.list.value,
@@ -182,6 +185,11 @@ export class PlacedObjects {
     return this.lost.has(file?.id);
   }
 
+  /** Whether an object stays where it is though the picture does not show it: the server, or others, have placed it. */
+  private isSettled({ pose, place }: PlacedObject): boolean {
+    return pose !== null || this.given.has(place);
+  }
+
   /** Render the newest frame with the objects again. */
   readonly update = latestOnly(() => this.render(), PAUSE_MS);
 
@@ -212,7 +220,7 @@ export class PlacedObjects {
       this.showComposite({ blob: data, frame });
     } catch (error) {
       const { rule } = error instanceof RoomLightError ? error : { rule: "" };
-      const gone = shown.find(({ name, pose }) => pose !== null && rule.startsWith(`${name}: lies `));
+      const gone = shown.find((object) => this.isSettled(object) && rule.startsWith(`${object.name}: lies `));
       if (cleared === this.cleared) {
         await (gone ? this.render([...outside, gone]) : this.refused(error));
       }
@@ -231,10 +239,10 @@ export class PlacedObjects {
     }
     const isPlace = error instanceof RoomLightError && BAD_PLACES.has(error.kind);
     if (isPlace) {
-      const kept = this.list.value.filter(({ pose }) => pose !== null);
+      const kept = this.list.value.filter((object) => this.isSettled(object));
       if (kept.length < this.list.value.length) {
         const before = this.past.pop();
-        this.show(before?.every(({ pose }) => pose !== null) ? before : kept); // a moved object goes back
+        this.show(before?.every((object) => this.isSettled(object)) ? before : kept); // a moved object goes back
         this.report(error);
         this.update();
       } else {

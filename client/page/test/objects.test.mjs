@@ -154,6 +154,19 @@ test("an object behind something real has an outline, also one that is in the pi
   await noNotices();
 });
 
+test("what another program has placed outside the picture stays in the scene", async () => {
+  await page.evaluate(async () => {
+    const { camera_to_world: pose } = await (await fetch("v1/sessions/room/camera")).json();
+    const at = (ahead_m) => [0, 1, 2].map((axis) => pose[12 + axis] - ahead_m * pose[8 + axis]);
+    const objects = [["seen", 0.8], ["behind", -2]].map(([name, ahead_m]) => ({ name, shape: "sphere", size_m: 0.2, position: at(ahead_m), anchor: "centre" }));
+    const body = JSON.stringify({ objects });
+    await fetch("v1/sessions/room/scene", { method: "PUT", body, headers: { "content-type": "application/json" } });
+  });
+  const [, behind] = await kept(([first]) => first?.pose || first?.name !== "seen");
+  assert.deepEqual([behind?.name, behind?.pose ?? null], ["behind", null]);
+  await noNotices();
+});
+
 test("a finger drags an object, and a size has limits", async () => {
   const context = await browser.newContext({ viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true });
   const phone = await context.newPage();
