@@ -197,6 +197,18 @@ test("probes that another client adds and removes come and go with the next fram
   }
 });
 
+test("a probe that is dragged back to its place shows the light of new frames", async () => {
+  const from = await page.evaluate(() => globalThis.roomlightPage.probeAt("probe-1"));
+  await page.mouse.move(from.x, from.y);
+  await page.mouse.down();
+  await page.mouse.move(from.x + 2, from.y);
+  await page.mouse.move(from.x, from.y);
+  await page.mouse.up();
+  await control("push", { session: "room", count: 1 });
+  const { frames } = await control("state", { session: "room" });
+  await waitForFrame(page, "#panorama-canvas", frames.last_index);
+});
+
 test("a session without a history, as after a restart, has its counts", async () => {
   const other = await browser.newPage();
   const empty = { stride: 1, bytes: 0, limit_bytes: 1, entries: [] };

@@ -25,7 +25,7 @@ type Sphere = Mesh<SphereGeometry, MirrorMaterial>;
 export class RoomProbes {
   readonly spheres = new Map<string, Sphere>();
   private readonly geometry: SphereGeometry;
-  private drag: { sphere: Sphere; start: Vector3; grab: Vector3 } | null = null;
+  private drag: { sphere: Sphere; start: Vector3; grab: Vector3; moved: boolean } | null = null;
 
   constructor(
     private readonly view: RoomView,
@@ -96,7 +96,7 @@ export class RoomProbes {
     this.state.selectedProbe.value = sphere.name;
     const facing = new Plane().setFromNormalAndCoplanarPoint(ray.ray.direction, sphere.position);
     const grab = ray.ray.intersectPlane(facing, new Vector3()) ?? sphere.position.clone();
-    this.drag = { sphere, start: sphere.position.clone(), grab };
+    this.drag = { sphere, start: sphere.position.clone(), grab, moved: false };
     this.view.controls.enabled = false;
     this.canvas.setPointerCapture(event.pointerId);
   }
@@ -110,6 +110,7 @@ export class RoomProbes {
     const mode = event.shiftKey ? "height" : event.altKey ? "surface" : this.events.mode();
     const target = this.target(ray, mode);
     if (target) {
+      this.drag.moved = true;
       this.drag.sphere.position.copy(target);
       this.events.onDrag(this.drag.sphere.name, rounded(target));
       this.view.draw();
@@ -118,11 +119,11 @@ export class RoomProbes {
 
   private onUp(event: PointerEvent): void {
     if (this.drag) {
-      const { sphere, start } = this.drag;
+      const { sphere, moved } = this.drag;
       this.drag = null;
       this.view.controls.enabled = true;
       this.canvas.releasePointerCapture(event.pointerId);
-      if (!sphere.position.equals(start)) {
+      if (moved) {
         this.events.onDrop(sphere.name, rounded(sphere.position));
       }
     }
