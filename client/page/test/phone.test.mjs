@@ -172,6 +172,11 @@ test("a WebXR phone sends frames with poses and depth", async () => {
   await page.getByRole("button", { name: "Stop" }).dispatchEvent("click");
   await page.getByRole("button", { name: "Start" }).waitFor();
   assert.equal(await page.locator(".state").innerText(), "Ended");
+  await page.getByRole("button", { name: "Start" }).click();
+  await lit(page, 1);
+  assert.equal((await sessions()).length, 2); // of two AR sessions, whose origins differ
+  await page.getByRole("button", { name: "Stop" }).dispatchEvent("click");
+  await page.getByRole("button", { name: "Start" }).waitFor();
   assert.deepEqual(noErrors(heard), []);
 });
 

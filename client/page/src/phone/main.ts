@@ -30,7 +30,9 @@ const CAMERA_PROBLEMS: Readonly<Record<string, string>> = {
 };
 
 const api = new Api();
-const id = `phone-${Array.from(crypto.getRandomValues(new Uint8Array(3)), (byte) => byte.toString(16).padStart(2, "0")).join("")}`;
+/** The id of a new session. */
+const newId = () => `phone-${Array.from(crypto.getRandomValues(new Uint8Array(3)), (byte) => byte.toString(16).padStart(2, "0")).join("")}`;
+const photosId = newId();
 
 const page = element("main", "phone");
 const video = Object.assign(element("video", "camera"), { muted: true, playsInline: true, hidden: true });
@@ -101,12 +103,13 @@ async function start(): Promise<void> {
   await runPhotos();
 }
 
+/** Each AR session has its own origin, and so a session of the server for itself. */
 async function runAugmented(session: XRSession): Promise<void> {
   const link = new StreamLink(show);
   running(() => void session.end());
   const noDepth = () => void (note.textContent = NO_DEPTH);
   try {
-    await Promise.all([link.open(api.client(), id), sendViews(session, link, noDepth)]);
+    await Promise.all([link.open(api.client(), newId()), sendViews(session, link, noDepth)]);
   } finally {
     await session.end().catch(() => undefined); // it has ended already, if Stop was pressed
     link.close();
@@ -126,7 +129,7 @@ async function runPhotos(): Promise<void> {
     await video.play();
     video.hidden = false;
     running(() => ended.abort());
-    await sendPhotos(video, new PhotoLink(show, api, id), ended.signal);
+    await sendPhotos(video, new PhotoLink(show, api, photosId), ended.signal);
   } finally {
     camera.getTracks().forEach((track) => track.stop());
     video.srcObject = null;
