@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { browser, errors, noNotices, openAgain, openAgainNext, page, ROOM } from "./room.mjs";
-import { control, difference, openPage, pixelsOf, waitForChange, waitForLight, waitForState } from "./support.mjs";
+import { control, difference, nextDrawing, openPage, pixelsOf, waitForChange, waitForLight, waitForState } from "./support.mjs";
 
 /** Wait until the server keeps objects as wanted; returns them. */
 const kept = async (isWanted) => (await waitForState("room", ({ objects }) => isWanted(objects), "scene")).objects;
@@ -308,6 +308,24 @@ test("the 3D view shows a GLB file that meshopt has packed", async () => {
   await page.waitForFunction(() => globalThis.roomlightPage.litObjects.length === 1);
   await noNotices();
   openAgainNext();
+
+  // a lost graphics context comes back with all of the 3D view
+  const drawn = () => page.evaluate(() => globalThis.roomlightPage.frames);
+  for (let last = -1; last !== (last = await drawn()); ) {
+    await page.waitForResponse((response) => response.url().endsWith("/v1/sessions"));
+  }
+  const picture = () => page.locator("#room-canvas").screenshot();
+  const before = await picture();
+  await page.evaluate(async () => {
+    const canvas = document.getElementById("room-canvas");
+    const context = canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
+    const heard = (type) => new Promise((resolve) => canvas.addEventListener(type, () => setTimeout(resolve), { once: true }));
+    await Promise.all([heard("webglcontextlost"), context.loseContext()]);
+    await Promise.all([heard("webglcontextrestored"), context.restoreContext()]);
+  });
+  while (!before.equals(await picture())) {
+    await nextDrawing(page);
+  }
 });
 
 test("a box stands for a GLB file that only the server unpacks, and a notice says so", async () => {

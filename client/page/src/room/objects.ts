@@ -62,6 +62,12 @@ export class RoomObjects {
     }
   }
 
+  /** The graphics context was lost, and with it what `apply` has made. */
+  restore(): void {
+    this.shown.forEach((one) => (one.etag = ""));
+    this.relight();
+  }
+
   /** Apply the exposure. */
   expose(): void {
     const gain = 2 ** this.state.exposureEv.value;

@@ -142,6 +142,7 @@ export class RoomPanel {
     });
     this.view.controls.addEventListener("start", () => (this.hasView = true));
     canvas.addEventListener("keydown", () => (this.hasView = true));
+    canvas.addEventListener("webglcontextrestored", () => this.objects.restore());
     byId("view-reset").addEventListener("click", () => {
       this.hasView = false;
       this.overview();

@@ -58,6 +58,7 @@ export class RoomView {
     this.drawing = new Drawing(canvas, "3D view", (now_ms) => this.render(now_ms));
     this.paintBackground();
     onThemeChange(() => this.paintBackground());
+    canvas.addEventListener("webglcontextrestored", () => this.paintBackground()); // three.js has begun anew by then
     this.camera.position.set(3, 3, 4);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = false;
