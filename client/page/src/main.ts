@@ -224,7 +224,7 @@ async function readSessions(): Promise<void> {
       state.connection.value = { state: "live", text: "Connected" };
     }
     live?.showConnection();
-    follow(sessions);
+    await follow(sessions);
   } catch (error) {
     if (error instanceof RoomLightError && error.status === 401) {
       await askForToken(api);
@@ -241,17 +241,17 @@ async function readSessions(): Promise<void> {
 }
 
 /** Show a session where none is shown; join one again that has ended and is back. */
-function follow(sessions: NonNullable<State["sessions"]["value"]>): void {
+async function follow(sessions: NonNullable<State["sessions"]["value"]>): Promise<void> {
   const { selected, ended } = state;
   if (selected.value === null && ended.value === null && sessions[0]) {
     state.selected.value = sessions[0].id;
-  } else if (ended.value !== null && sessions.some(({ id, status }) => id === selected.value && status === "open")) {
-    const back = selected.value;
-    state.selected.value = null;
-    queueMicrotask(() => {
-      state.selected.value = back;
+  } else if (ended.value !== null && sessions.some(({ id, status }) => id === selected.value && status !== "failed")) {
+    const back = selected.value!;
+    const isBack = await api.client(0).join(back).then(() => true, () => false); // one on disk may wait for a place
+    if (isBack && back === selected.value && ended.value !== null) {
+      selected.changed();
       notify(`${back} is back`, true);
-    });
+    }
   }
   const summary = sessions.find(({ id }) => id === selected.value);
   if (live && summary && summary.frames.processed > 0 && state.history.value.at(-1)?.index !== summary.frames.last_index) {

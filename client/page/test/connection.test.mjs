@@ -34,6 +34,22 @@ test("the first session is shown by itself", async () => {
   await connection("Live");
 });
 
+test("a session on disk is shown once the server has a place for it", async () => {
+  const other = await browser.newPage();
+  await other.route("**/v1/sessions", async (route) => {
+    const { sessions } = await (await route.fetch()).json();
+    await route.fulfill({ json: { sessions: sessions.map((session) => ({ ...session, status: "saved" })) } });
+  });
+  const full = { type: "urn:roomlight:problem:server-full", title: "Server is full", status: 503, detail: "delete a session" };
+  await other.route("**/v1/sessions/room", (route) => route.fulfill({ status: 503, contentType: "application/problem+json", json: full }));
+  await other.goto(`${PAGE_URL}/#session=room`);
+  await other.waitForSelector("#ended:not([hidden])");
+  assert.match(await other.locator("#ended-text").innerText(), /tries again while the server lists it/);
+  await other.unroute("**/v1/sessions/room");
+  await waitForLight(other);
+  await other.close();
+});
+
 test("another session is a click away", async () => {
   await control("push", { session: "hall", count: 1 });
   await page.click('[data-session="hall"]');

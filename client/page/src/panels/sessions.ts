@@ -55,7 +55,12 @@ function button(session: SessionSummary, state: State): HTMLButtonElement {
       "data-session": id,
       "data-name": id,
       "aria-current": isCurrent ? "true" : null,
-      click: () => (state.selected.value = id),
+      click: () => {
+        state.selected.value = id;
+        if (state.ended.value !== null) {
+          state.selected.changed(); // joins it again
+        }
+      },
     },
     element("b", { title: `${id}, model ${model}` }, title || id),
     ...failed,
