@@ -28,6 +28,7 @@ const api = new Api();
 const wanted = new URLSearchParams(location.hash.slice(1)); // before `showAddress` writes it
 const state = new State();
 let live: LiveSession | null = null;
+let counted = ""; // the session that was shown at the last look at the list, and how many frames it had processed
 
 const objects = new PlacedObjects(state, () => live?.session ?? null, (file) => api.of(state.selected.value).uploadGlb(file), reportOwn);
 const shared = new SharedScene(api, state, objects, reportOwn);
@@ -254,9 +255,11 @@ async function follow(sessions: NonNullable<State["sessions"]["value"]>): Promis
     }
   }
   const summary = sessions.find(({ id }) => id === selected.value);
-  if (live && summary && summary.frames.processed > 0 && state.history.value.at(-1)?.index !== summary.frames.last_index) {
-    live.refresh(); // frames of a session without probes bring no light message
+  const count = `${summary?.frames.processed} ${selected.value}`;
+  if (count !== counted) {
+    live?.refresh(); // frames of a session without probes bring no light message
   }
+  counted = count;
 }
 
 /** For the tests and scripts/measure.mjs: drawings of the room, time by part, and where a probe is in the window. */

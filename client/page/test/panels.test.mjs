@@ -221,6 +221,13 @@ test("a session without a history, as after a restart, has its counts", async ()
   await other.goto(page.url());
   await other.waitForFunction(() => /^None kept/.test(document.getElementById("timeline-text").textContent));
   await other.waitForFunction(() => document.querySelectorAll("#counts dd")[2].textContent === "7");
+  const asked = [];
+  for (let poll = 0; poll < 4; poll++) {
+    asked.length = 0;
+    await other.waitForResponse((response) => response.url().endsWith("/v1/sessions"));
+    other.on("request", (request) => /camera|history/.test(request.url()) && asked.push(request.url()));
+  }
+  assert.deepEqual(asked, []); // without new frames nothing of the session
   await other.close();
 });
 
