@@ -67,7 +67,7 @@ def test_an_object_is_uploaded_once_and_listed(server):
     assert (first.status, again.status) == (201, 200)
     assert first.json == again.json
     assert first.json["id"] == hashlib.sha256(TETRAHEDRON).hexdigest()
-    assert (first.json["triangles"], first.json["size_m"]) == (4, [1, 1, 1])
+    assert (first.json["triangles"], first.json["lower_m"], first.json["size_m"]) == (4, [0, 0, 0], [1, 1, 1])
     path = f"/v1/objects/{first.json['id']}"
     assert server.call("GET", path).json == first.json
     listed = server.call("GET", "/v1/objects").json

@@ -488,6 +488,7 @@ export interface components {
          *     Attributes:
          *         id: SHA-256 of the file, hexadecimal.
          *         triangles: number of triangles.
+         *         lower_m: lower corner of its bounding box about its origin, in the file's own metres.
          *         size_m: sides of its bounding box in the file's own metres.
          *         bytes: memory that it takes on the server.
          *         notes: what its file states and was left out or changed.
@@ -496,6 +497,7 @@ export interface components {
             /** @description ^[0-9a-f]{64}$ */
             readonly id: string;
             readonly triangles: number;
+            readonly lower_m: readonly [number, number, number];
             readonly size_m: readonly [number, number, number];
             readonly bytes: number;
             /** @default [] */

@@ -1,6 +1,6 @@
 // The virtual objects that the visitor has placed, and the composite that shows them in the camera's picture.
 
-import { RoomLightError, type CameraView, type CompositeObject, type Position, type Session } from "roomlight";
+import { RoomLightError, type CameraView, type CompositeObject, type ObjectInfo, type Position, type Session } from "roomlight";
 import { latestOnly, Signal } from "./lib/signal";
 import type { Picture, State } from "./state";
 
@@ -16,8 +16,8 @@ export interface ObjectFile {
   readonly name: string;
   /** Null if another page has uploaded it: the 3D view then leaves it out. */
   readonly data: Blob | null;
-  /** Its longest side in its own metres; null if another page has uploaded it. */
-  readonly size_m: number | null;
+  /** Its box in its own metres; null if another page has uploaded it. */
+  readonly box: Pick<ObjectInfo, "lower_m" | "size_m"> | null;
 }
 
 export interface PlacedObject {
@@ -321,6 +321,17 @@ export function boxOf(shape: Shape): readonly [number, number, number] {
   return boxes[shape] ?? [0.5, -0.5, 0.5];
 }
 
+/** Lower and upper corner of the box around an object about its origin, metres. */
+function cornersAbout({ shape, file, size_m }: PlacedObject): readonly [Position, Position] {
+  if (file?.box) {
+    const { lower_m: [x, y, z], size_m: [width, height, depth] } = file.box;
+    const scale = size_m === null ? 1 : size_m / (Math.max(width, height, depth) || 1);
+    return [[scale * x, scale * y, scale * z], [scale * (x + width), scale * (y + height), scale * (z + depth)]];
+  }
+  const [half, bottom, top] = boxOf(shape).map((value) => value * (size_m ?? 1)) as [number, number, number];
+  return [[-half, bottom, -half], [half, top, half]];
+}
+
 /** The object as a composite and a scene have it. */
 export function asRequest({ name, shape, file, material, size_m, place, pose, kept }: PlacedObject): CompositeObject {
   const { yaw_degrees = 0, anchor = "base", ...rest } = kept ?? {};
@@ -352,14 +363,15 @@ function isInView(object: PlacedObject, camera: CameraView | null): boolean {
 }
 
 /** Corners of the box around an object, as `pixelOf` has them, the four of its base first; none before it is placed. */
-export function cornersOf({ shape, file, size_m, pose }: PlacedObject, camera: CameraView | null): ReturnType<typeof pixelOf>[] {
+export function cornersOf(object: PlacedObject, camera: CameraView | null): ReturnType<typeof pixelOf>[] {
+  const { pose } = object;
   if (!pose || !camera?.camera_to_world || !camera.intrinsics) {
     return [];
   }
-  const [half, bottom, top] = boxOf(shape).map((value) => value * (size_m ?? file?.size_m ?? 1)) as [number, number, number];
-  return [bottom, top].flatMap((y) =>
-    [-half, half].flatMap((z) =>
-      [-half, half].map((x) => {
+  const [lower, upper] = cornersAbout(object);
+  return [lower[1], upper[1]].flatMap((y) =>
+    [lower[2], upper[2]].flatMap((z) =>
+      [lower[0], upper[0]].map((x) => {
         const world = [0, 1, 2].map((axis) => pose[axis]! * x + pose[4 + axis]! * y + pose[8 + axis]! * z + pose[12 + axis]!);
         return pixelOf(world as unknown as Position, camera);
       }),

@@ -116,7 +116,7 @@ function placedOf(item: CompositeObject): PlacedObject {
   return {
     name: name ?? "object",
     shape: object != null ? "file" : (shape as Shape),
-    file: object != null ? { id: object, name: `${name ?? "object"}.glb`, data: null, size_m: null } : null,
+    file: object != null ? { id: object, name: `${name ?? "object"}.glb`, data: null, box: null } : null,
     material: isPlain ? (material.kind as Surface) : "own",
     size_m: size_m ?? null,
     place: { position: (position ?? [0, 0, 0]) as CompositeObject["position"] & [number, number, number] },

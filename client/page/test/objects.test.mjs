@@ -270,6 +270,15 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   await page.press("#object-size", "Tab");
   before = await waitForChange(page, "#picture-image", before);
   await noNotices();
+  const nearest_px = await page.evaluate(async () => {
+    const [{ pose }] = (await (await fetch("v1/sessions/room/scene")).json()).objects;
+    const { camera_to_world: camera, intrinsics } = await (await fetch("v1/sessions/room/camera")).json();
+    const [x, y, z] = [0, 4, 8].map((column) => [0, 1, 2].reduce((sum, axis) => sum + camera[column + axis] * (pose[12 + axis] - camera[12 + axis]), 0));
+    const origin = [intrinsics.cx - (intrinsics.fx * x) / z, intrinsics.cy + (intrinsics.fy * y) / z];
+    const corners = document.querySelector('#picture-outlines [data-name="corner-1"]').getAttribute("d").matchAll(/([-\d.e]+) ([-\d.e]+)/g);
+    return Math.min(...[...corners].map(([, u, v]) => Math.hypot(u * intrinsics.width - origin[0], v * intrinsics.height - origin[1])));
+  });
+  assert.ok(nearest_px < 0.1, `the origin is a corner of the box, ${nearest_px} pixels from the outline's nearest`);
 
   // another page says what is missing, and places other objects
   await kept(([object]) => object?.size_m === 0.6);

@@ -29,6 +29,7 @@ class ObjectInfo(WireModel):
     Attributes:
         id: SHA-256 of the file, hexadecimal.
         triangles: number of triangles.
+        lower_m: lower corner of its bounding box about its origin, in the file's own metres.
         size_m: sides of its bounding box in the file's own metres.
         bytes: memory that it takes on the server.
         notes: what its file states and was left out or changed.
@@ -36,6 +37,7 @@ class ObjectInfo(WireModel):
 
     id: ObjectId
     triangles: int
+    lower_m: Annotated[list[FiniteNumber], Field(min_length=3, max_length=3)]
     size_m: Annotated[list[FiniteNumber], Field(min_length=3, max_length=3)]
     bytes: int
     notes: tuple[str, ...] = ()

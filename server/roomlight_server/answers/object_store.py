@@ -54,7 +54,12 @@ class ObjectStore:
         size = object_bytes(virtual_object)
         notes = tuple(str(note) for note in virtual_object.notes[:_MAX_NOTES])
         info = ObjectInfo(
-            id=digest, triangles=virtual_object.triangles, size_m=(high - low).tolist(), bytes=size, notes=notes
+            id=digest,
+            triangles=virtual_object.triangles,
+            lower_m=low.tolist(),
+            size_m=(high - low).tolist(),
+            bytes=size,
+            notes=notes,
         )
         limit = self._settings.max_owner_object_bytes
         if self._bytes(owner) + size > limit:

@@ -216,8 +216,8 @@ function listenToFile(api: Api, state: State): void {
     input.value = "";
     try {
       if (file) {
-        const { id, size_m, notes = [] } = await api.of(state.selected.value).uploadGlb(file);
-        chosenFile = { id, name: file.name, data: file, size_m: Math.max(...size_m) };
+        const { id, notes = [], ...box } = await api.of(state.selected.value).uploadGlb(file);
+        chosenFile = { id, name: file.name, data: file, box };
         option.textContent = file.name;
         shape.value = "file";
         showUsual("file");
@@ -251,7 +251,7 @@ function showUsual(shape: Shape): void {
 
 /** A shape's usual size, or a file's own; null where it is unknown. */
 function usualSize_m(shape: Shape, file = chosenFile): number | null {
-  return shape === "file" ? (file?.size_m ?? null) : USUAL[shape].size_cm / 100;
+  return shape === "file" ? (file?.box ? Math.max(...file.box.size_m) : null) : USUAL[shape].size_cm / 100;
 }
 
 /** The size that the visitor has typed, within the server's limits; null without a number. */
