@@ -4,7 +4,7 @@ import { RoomLightError, type CameraView, type CompositeObject, type ObjectInfo,
 import { latestOnly, Signal } from "./lib/signal";
 import type { Picture, State } from "./state";
 
-export type Shape = "sphere" | "cube" | "plane" | "chair" | "vase" | "file";
+export type Shape = "sphere" | "cube" | "plane" | "chair" | "vase" | "teapot" | "file";
 /** `own`: what the server gives the shape, or what the file says. */
 export type Surface = "mirror" | "glossy" | "diffuse" | "own";
 export type Quality = "preview" | "good" | "final";
@@ -36,6 +36,15 @@ export interface PlacedObject {
   readonly kept?: Partial<CompositeObject>;
 }
 
+/** Size and material that a shape has where nothing else is stated; the size is the server's. */
+export const USUAL: Readonly<Record<Exclude<Shape, "file">, { readonly size_cm: number; readonly material: Surface }>> = {
+  sphere: { size_cm: 20, material: "mirror" },
+  cube: { size_cm: 20, material: "diffuse" },
+  plane: { size_cm: 50, material: "mirror" },
+  chair: { size_cm: 85, material: "own" },
+  vase: { size_cm: 30, material: "own" },
+  teapot: { size_cm: 30, material: "own" },
+};
 const PAUSE_MS = 400; // a session's frames wait while a composite is made
 const MOST_UNDONE = 50;
 const BAD_PLACES = new Set(["bad-place", "invalid"]);
@@ -317,18 +326,29 @@ function plainName(file: string): string {
 
 /** Half the width, bottom and top of a shape about its origin, relative to its size. */
 export function boxOf(shape: Shape): readonly [number, number, number] {
-  const boxes: Partial<Record<Shape, readonly [number, number, number]>> = { plane: [0.5, 0, 0], chair: [0.25, 0, 1], vase: [0.29, 0, 1] };
+  const boxes: Partial<Record<Shape, readonly [number, number, number]>> = {
+    plane: [0.5, 0, 0],
+    chair: [0.25, 0, 1],
+    vase: [0.29, 0, 1],
+    teapot: [0.53, 0, 0.49],
+  };
   return boxes[shape] ?? [0.5, -0.5, 0.5];
 }
 
+/** The size of an object whose file is not known here, metres. */
+export function sizeOf({ shape, size_m }: PlacedObject): number {
+  return size_m ?? (shape === "file" ? 1 : USUAL[shape].size_cm / 100);
+}
+
 /** Lower and upper corner of the box around an object about its origin, metres. */
-function cornersAbout({ shape, file, size_m }: PlacedObject): readonly [Position, Position] {
+function cornersAbout(object: PlacedObject): readonly [Position, Position] {
+  const { shape, file, size_m } = object;
   if (file?.box) {
     const { lower_m: [x, y, z], size_m: [width, height, depth] } = file.box;
     const scale = size_m === null ? 1 : size_m / (Math.max(width, height, depth) || 1);
     return [[scale * x, scale * y, scale * z], [scale * (x + width), scale * (y + height), scale * (z + depth)]];
   }
-  const [half, bottom, top] = boxOf(shape).map((value) => value * (size_m ?? 1)) as [number, number, number];
+  const [half, bottom, top] = boxOf(shape).map((value) => value * sizeOf(object)) as [number, number, number];
   return [[-half, bottom, -half], [half, top, half]];
 }
 

@@ -167,6 +167,24 @@ test("what another program has placed outside the picture stays in the scene", a
   await noNotices();
 });
 
+test("objects of other programs have the server's sizes, and any of its shapes is selected", async () => {
+  await page.evaluate(async () => {
+    const { camera_to_world: pose } = await (await fetch("v1/sessions/room/camera")).json();
+    const ahead = [...pose.slice(0, 12), ...[0, 1, 2].map((axis) => pose[12 + axis] - 0.8 * pose[8 + axis]), 1];
+    const body = JSON.stringify({ objects: ["sphere", "teapot", "plane"].map((shape) => ({ name: shape, shape, pose: ahead, anchor: "origin" })) });
+    await fetch("v1/sessions/room/scene", { method: "PUT", body, headers: { "content-type": "application/json" } });
+  });
+  for (const [name, size_cm] of [["sphere", "20"], ["teapot", "30"], ["plane", "50"]]) {
+    await page.click(`#objects [data-name="${name}"]`);
+    await page.waitForSelector(`#objects [data-name="${name}"][aria-pressed="true"]`);
+    assert.equal(await page.inputValue("#object-size"), size_cm);
+  }
+  const radii = () => globalThis.roomlightPage.view.scene.children.flatMap(({ children: [shape] }) => shape?.geometry?.parameters?.radius ?? []);
+  await page.waitForFunction((radii) => new Function(`return (${radii})()`)().length === 1, String(radii));
+  assert.deepEqual(await page.evaluate(radii), [0.1]);
+  assert.deepEqual(errors, []);
+});
+
 test("a finger drags an object, and a size has limits", async () => {
   const context = await browser.newContext({ viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true });
   const phone = await context.newPage();

@@ -4,7 +4,7 @@ import { byId, element, replaceKeepingFocus } from "../lib/dom";
 import { sessionPath, type Api } from "../lib/api";
 import { PictureView } from "../lib/picture";
 import { latestOnly } from "../lib/signal";
-import type { ObjectFile, PlacedObject, PlacedObjects, Quality, Shape, Surface } from "../objects";
+import { USUAL, type ObjectFile, type PlacedObject, type PlacedObjects, type Quality, type Shape, type Surface } from "../objects";
 import type { State } from "../state";
 import { objectHandles } from "./handles";
 import { showNotes } from "./notes";
@@ -17,14 +17,6 @@ const PLACES = "Click a surface to place an object there, drag one to move it. K
 /** Why nothing is placed while the timeline shows an earlier frame. */
 export const EARLIER = "This is an earlier frame: press Live to place objects.";
 const TURN_DEG = 15;
-/** Size and material that a shape usually has. */
-const USUAL: Readonly<Record<Exclude<Shape, "file">, { readonly size_cm: number; readonly material: Surface }>> = {
-  sphere: { size_cm: 20, material: "mirror" },
-  cube: { size_cm: 20, material: "diffuse" },
-  plane: { size_cm: 40, material: "mirror" },
-  chair: { size_cm: 85, material: "own" },
-  vase: { size_cm: 30, material: "own" },
-};
 const SLOW = "Rendering: the first picture of a server takes up to a minute";
 const SLOW_MS = 6000;
 const CROSS_STEP = 0.02; // of the picture, for an arrow key; with Shift five times as much

@@ -18,7 +18,7 @@ import {
 } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
-import type { PlacedObject, Shape } from "../objects";
+import { sizeOf, type PlacedObject, type Shape } from "../objects";
 import { MirrorMaterial } from "./mirror";
 
 type Box = readonly [x: number, y: number, z: number, width: number, height: number, depth: number];
@@ -46,13 +46,14 @@ const WOOD = [0.45, 0.28, 0.15] as const;
 const GLOSSY_IOR = 1.576; // reflects 5 % at normal incidence
 
 /** An object about its origin, as the server places it. Rejects if its file cannot be read; `report` says what is not shown. */
-export async function shapeOf({ shape, material, size_m, file }: PlacedObject, report: (error: unknown) => void): Promise<Group> {
+export async function shapeOf(object: PlacedObject, report: (error: unknown) => void): Promise<Group> {
+  const { shape, material, size_m, file } = object;
   const group = new Group();
   if (!file?.data) {
     if (file) {
       return group; // uploaded by another page
     }
-    group.add(new Mesh(geometryOf(shape, size_m ?? 1), materialOf(material === "own" ? "diffuse" : material, shape, material === "own")));
+    group.add(new Mesh(geometryOf(shape, sizeOf(object)), materialOf(material === "own" ? "diffuse" : material, shape, material === "own")));
     return group;
   }
   const scene = await sceneOf(file.data);
