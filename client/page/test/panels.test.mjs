@@ -209,6 +209,31 @@ test("a probe that is dragged back to its place shows the light of new frames", 
   await waitForFrame(page, "#panorama-canvas", frames.last_index);
 });
 
+test("a second finger does not move the probe that the first one holds", async () => {
+  const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, hasTouch: true });
+  const phone = await context.newPage();
+  await phone.goto(page.url());
+  await waitForLight(phone);
+  const { x, y } = await phone.evaluate(() => globalThis.roomlightPage.probeAt("probe-1"));
+  const devtools = await context.newCDPSession(phone);
+  const touch = (type, ...touchPoints) => devtools.send("Input.dispatchTouchEvent", { type, touchPoints });
+  const before = (await control("state", { session: "room" })).probes;
+  const first = { x, y, id: 1 };
+  await touch("touchStart", first);
+  await phone.waitForFunction(() => !globalThis.roomlightPage.view.controls.enabled);
+  await touch("touchStart", first, { x: x + 150, y: y + 60, id: 2 });
+  for (let step = 1; step <= 5; step++) {
+    await touch("touchMove", first, { x: x + 150 + 10 * step, y: y + 60 + 5 * step, id: 2 });
+  }
+  await touch("touchEnd");
+  await phone.waitForFunction(() => globalThis.roomlightPage.view.controls.enabled);
+  await control("push", { session: "room", count: 1 });
+  const { frames, probes } = await control("state", { session: "room" });
+  await waitForFrame(phone, "#panorama-canvas", frames.last_index);
+  assert.deepEqual(probes, before);
+  await context.close();
+});
+
 test("a session without a history, as after a restart, has its counts", async () => {
   const other = await browser.newPage();
   const empty = { stride: 1, bytes: 0, limit_bytes: 1, entries: [] };

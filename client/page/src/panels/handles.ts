@@ -20,7 +20,7 @@ interface Outline {
 /** Show outlines and move objects; `isClick` tells whether the last press in the picture did neither. */
 export function objectHandles(state: State, objects: PlacedObjects): { isClick: () => boolean } {
   const [button, image, svg] = [byId("picture-button"), byId("picture-image"), byId("picture-outlines") as unknown as SVGSVGElement];
-  let drag: { name: string; from: Point; start: Point; by: Point } | null = null;
+  let drag: { name: string; from: Point; start: Point; by: Point; pointerId: number } | null = null;
   let taken = false;
   svg.setAttribute("viewBox", "0 0 1 1");
   svg.setAttribute("preserveAspectRatio", "none");
@@ -56,17 +56,23 @@ export function objectHandles(state: State, objects: PlacedObjects): { isClick: 
   const keepFinger = (event: TouchEvent) => event.touches.length === 1 && outlineAt(pointOf(event.touches[0]!)) && event.preventDefault();
   button.addEventListener("touchstart", keepFinger, { passive: false });
   button.addEventListener("pointerdown", (event) => {
+    if (drag && event.pointerId !== drag.pointerId) {
+      return; // a second finger
+    }
     taken = false;
     const from = pointOf(event);
     const under = outlineAt(from);
     if (event.button === 0 && under) {
       const base = under.corners.slice(0, 4);
       const start = [0, 1].map((axis) => base.reduce((sum, corner) => sum + corner[axis]! / 4, 0)) as unknown as Point;
-      drag = { name: under.name, from, start, by: [0, 0] };
+      drag = { name: under.name, from, start, by: [0, 0], pointerId: event.pointerId };
       button.setPointerCapture(event.pointerId);
     }
   });
   button.addEventListener("pointermove", (event) => {
+    if (drag && event.pointerId !== drag.pointerId) {
+      return;
+    }
     if (drag) {
       const [x, y] = pointOf(event);
       drag.by = [x - drag.from[0], y - drag.from[1]];
@@ -75,7 +81,10 @@ export function objectHandles(state: State, objects: PlacedObjects): { isClick: 
       button.classList.toggle("over", outlineAt(pointOf(event)) !== undefined);
     }
   });
-  button.addEventListener("pointerup", () => {
+  button.addEventListener("pointerup", (event) => {
+    if (drag && event.pointerId !== drag.pointerId) {
+      return;
+    }
     const done = drag;
     drag = null;
     const { width, height } = image.getBoundingClientRect();

@@ -25,7 +25,7 @@ type Sphere = Mesh<SphereGeometry, MirrorMaterial>;
 export class RoomProbes {
   readonly spheres = new Map<string, Sphere>();
   private readonly geometry: SphereGeometry;
-  private drag: { sphere: Sphere; start: Vector3; grab: Vector3; moved: boolean } | null = null;
+  private drag: { sphere: Sphere; start: Vector3; grab: Vector3; moved: boolean; pointerId: number } | null = null;
 
   constructor(
     private readonly view: RoomView,
@@ -84,7 +84,8 @@ export class RoomProbes {
   }
 
   private onDown(event: PointerEvent): void {
-    if (event.button !== 0 || this.state.pastProbes.value) {
+    const isOther = this.drag !== null && event.pointerId !== this.drag.pointerId; // a second finger
+    if (event.button !== 0 || isOther || this.state.pastProbes.value) {
       return;
     }
     const ray = this.view.rayAt(event.clientX, event.clientY);
@@ -96,12 +97,15 @@ export class RoomProbes {
     this.state.selectedProbe.value = sphere.name;
     const facing = new Plane().setFromNormalAndCoplanarPoint(ray.ray.direction, sphere.position);
     const grab = ray.ray.intersectPlane(facing, new Vector3()) ?? sphere.position.clone();
-    this.drag = { sphere, start: sphere.position.clone(), grab, moved: false };
+    this.drag = { sphere, start: sphere.position.clone(), grab, moved: false, pointerId: event.pointerId };
     this.view.controls.enabled = false;
     this.canvas.setPointerCapture(event.pointerId);
   }
 
   private onMove(event: PointerEvent): void {
+    if (this.drag && event.pointerId !== this.drag.pointerId) {
+      return;
+    }
     const ray = this.view.rayAt(event.clientX, event.clientY);
     if (!this.drag) {
       this.canvas.classList.toggle("over", event.buttons === 0 && this.at(ray) !== null);
@@ -118,7 +122,7 @@ export class RoomProbes {
   }
 
   private onUp(event: PointerEvent): void {
-    if (this.drag) {
+    if (event.pointerId === this.drag?.pointerId) {
       const { sphere, moved } = this.drag;
       this.drag = null;
       this.view.controls.enabled = true;
