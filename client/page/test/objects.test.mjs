@@ -223,8 +223,8 @@ function meshoptOf(vertices, stride) {
   return Buffer.from([0xa0, ...groups.flat(), ...Array(32).fill(0)]);
 }
 
-/** A tetrahedron as a GLB file, its points packed by meshopt, or with a texture in KTX2. */
-function tetrahedron({ meshopt = false, ktx2 = false } = {}) {
+/** A tetrahedron as a GLB file, its points packed by meshopt, with a texture in KTX2, or with a lamp. */
+function tetrahedron({ meshopt = false, ktx2 = false, lamp = false } = {}) {
   const points = Buffer.from(Float32Array.of(0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1).buffer);
   const faces = Uint16Array.of(0, 2, 1, 0, 3, 2, 0, 1, 3, 1, 2, 3);
   const packed = meshopt ? meshoptOf(points, 12) : Buffer.alloc(0);
@@ -234,7 +234,7 @@ function tetrahedron({ meshopt = false, ktx2 = false } = {}) {
     Uint32Array.of(37, 1, 1, 1, 0, 0, 1, 1, 0).forEach((value, field) => picture.writeUInt32LE(value, 12 + 4 * field)); // plain RGBA
   }
   const data = Buffer.concat([points, Buffer.from(faces.buffer), picture, packed]);
-  const used = [...(meshopt ? ["EXT_meshopt_compression"] : []), ...(ktx2 ? ["KHR_texture_basisu"] : [])];
+  const used = [...(meshopt ? ["EXT_meshopt_compression"] : []), ...(ktx2 ? ["KHR_texture_basisu"] : []), ...(lamp ? ["KHR_lights_punctual"] : [])];
   const unpacked = { buffer: 0, byteOffset: 0, byteLength: 48 };
   const stored = { buffer: 0, byteOffset: 72 + picture.length, byteLength: packed.length, byteStride: 12, count: 4, mode: "ATTRIBUTES" };
   const document = JSON.stringify({
@@ -242,7 +242,8 @@ function tetrahedron({ meshopt = false, ktx2 = false } = {}) {
     scene: 0,
     scenes: [{ nodes: [0] }],
     animations: [{ channels: [], samplers: [] }],
-    nodes: [{ mesh: 0 }],
+    nodes: [{ mesh: 0, ...(lamp && { extensions: { KHR_lights_punctual: { light: 0 } } }) }],
+    ...(lamp && { extensions: { KHR_lights_punctual: { lights: [{ type: "point" }] } } }),
     extensionsUsed: used,
     extensionsRequired: used,
     materials: [{ pbrMetallicRoughness: { baseColorFactor: [0.8, 0.1, 0.1, 1], metallicFactor: 0, ...(ktx2 && { baseColorTexture: { index: 0 } }) } }],
@@ -330,9 +331,10 @@ async function placeFile(file) {
   await waitForChange(page, "#picture-image", before);
 }
 
-test("the 3D view shows a GLB file that meshopt has packed", async () => {
-  await placeFile({ name: "packed.glb", mimeType: "model/gltf-binary", buffer: tetrahedron({ meshopt: true }) });
+test("the 3D view shows a GLB file that meshopt has packed, without its lamps", async () => {
+  await placeFile({ name: "packed.glb", mimeType: "model/gltf-binary", buffer: tetrahedron({ meshopt: true, lamp: true }) });
   await page.waitForFunction(() => globalThis.roomlightPage.litObjects.length === 1);
+  assert.deepEqual(await page.evaluate(() => globalThis.roomlightPage.view.scene.getObjectsByProperty("isLight", true)), []);
   await noNotices();
   openAgainNext();
 

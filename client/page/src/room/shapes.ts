@@ -73,11 +73,12 @@ export async function shapeOf(object: PlacedObject, report: (error: unknown) => 
   return group;
 }
 
-/** Read a GLB; null if it is packed in a way that only the server unpacks. */
+/** Read a GLB without its lamps; null if it is packed in a way that only the server unpacks. */
 async function sceneOf(file: Blob): Promise<Group | null> {
   const { MeshoptDecoder } = await import("three/addons/libs/meshopt_decoder.module.js");
   try {
     const { scene } = await new GLTFLoader().setMeshoptDecoder(MeshoptDecoder).parseAsync(await file.arrayBuffer(), "");
+    scene.getObjectsByProperty("isLight", true).forEach((lamp) => lamp.removeFromParent()); // they would light the room's view
     return scene;
   } catch (error) {
     if (/DRACOLoader|KTX2Loader/.test(String(error))) {
