@@ -22,7 +22,8 @@ export class LiveSession {
   private etags = { picture: "", mesh: "" };
   private held: string | null = null;
   private pendingMove: { name: string; position: Position } | null = null;
-  private stride = 1;
+  private stride = 1; // of the history that is shown; 0: all of it is read again
+  private isAway = false;
   private received = 0; // messages with light
   private shown = 0; // the newest of them that is shown
   private readonly removed = new Set<string>(); // by this page, so that light on its way does not show them again
@@ -306,6 +307,11 @@ export class LiveSession {
     if (this.closed) {
       return;
     }
+    if (state === "open" && this.isAway) {
+      this.stride = 0; // of a server that was started again: its history is another one
+      this.refresh();
+    }
+    this.isAway = state === "reconnecting";
     const { connection } = this.state;
     if (state === "open" && connection.value.text !== "Live") {
       connection.value = { state: "live", text: "Live" }; // once: a screen reader says it each time

@@ -50,6 +50,19 @@ test("a session on disk is shown once the server has a place for it", async () =
   await other.close();
 });
 
+test("the timeline of a server that was started again with its sessions is the server's", async () => {
+  const other = await browser.newPage();
+  let socket;
+  await other.routeWebSocket(/v1/, (made) => (socket = made).connectToServer());
+  await other.goto(`${PAGE_URL}/#session=room`);
+  await waitForLight(other);
+  await other.waitForFunction(() => document.getElementById("timeline-text").textContent.startsWith("Frame 2"));
+  await other.route("**/history?*", (route) => route.fulfill({ json: { stride: 1, bytes: 0, limit_bytes: 1, entries: [] } }));
+  await socket.close({ code: 1012 });
+  await other.waitForFunction(() => document.getElementById("timeline-text").textContent.startsWith("None kept"));
+  await other.close();
+});
+
 test("another session is a click away", async () => {
   await control("push", { session: "hall", count: 1 });
   await page.click('[data-session="hall"]');
