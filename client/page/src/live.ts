@@ -26,6 +26,7 @@ export class LiveSession {
   private isAway = false;
   private received = 0; // messages with light
   private shown = 0; // the newest of them that is shown
+  private hadProbe = false; // this page shows or has removed one: it then adds none by itself
   private readonly removed = new Set<string>(); // by this page, so that light on its way does not show them again
   private readonly awaited = new Set<string>(); // new probes without light so far
   private arrived: ReadonlyMap<string, ProbeLight> | null = null; // the newest light of all probes, not shown yet
@@ -102,6 +103,7 @@ export class LiveSession {
   }
 
   untrack(name: string): void {
+    this.hadProbe = true;
     this.awaited.delete(name);
     this.removed.add(name);
     this.stream?.untrack(name);
@@ -183,6 +185,7 @@ export class LiveSession {
     this.removed.forEach((name) => arrived.has(name) || this.removed.delete(name));
     this.arrived = null;
     this.state.liveProbes.value = next;
+    this.hadProbe ||= next.size > 0;
     next.forEach((_, name) => this.awaited.delete(name));
     this.selectShown();
   }
@@ -275,10 +278,10 @@ export class LiveSession {
     this.stride = update.stride;
   }
 
-  /** A session without probes gets one in front of its camera, so that there is light to look at. */
+  /** A session that has had no probe gets one in front of its camera, so that there is light to look at. */
   private async addFirstProbe(): Promise<void> {
     const pose = this.state.camera.value?.camera_to_world;
-    if (!this.stream || !this.session || !pose || this.state.liveProbes.value.size > 0 || this.pendingMove) {
+    if (!this.stream || !this.session || !pose || this.hadProbe || this.pendingMove) {
       return;
     }
     const { probes } = await this.session.state();

@@ -292,6 +292,17 @@ test("files are downloaded", async () => {
   await noNotices();
 });
 
+test("the last probe is removed, and stays so", async () => {
+  await page.click("#probe-remove");
+  await page.waitForFunction(() => document.getElementById("probe-select").options.length === 0);
+  for (let frame = 0; frame < 2; frame++) {
+    await control("push", { session: "room", count: 1 });
+    const { frames } = await control("state", { session: "room" });
+    await waitForFrame(page, "#picture-image", frames.last_index);
+  }
+  assert.deepEqual((await control("state", { session: "room" })).probes, {});
+});
+
 test("a page without new frames draws nothing", async () => {
   const drawn = () => page.evaluate(() => globalThis.roomlightPage.frames);
   let [before, now] = [0, await drawn()];
