@@ -70,9 +70,10 @@ test("a film of the recording is made with the placed objects, refused beforehan
   await page.route("**/film", (route) => route.fulfill({ status: 503, body: "no film now" }), { times: 1 });
   await page.click("#film-make:not(:disabled)");
   await page.waitForFunction(() => document.getElementById("film-text").textContent.includes("no film now"));
-  await page.click("#film-make:not(:disabled)");
+  await page.dblclick("#film-make:not(:disabled)");
   await page.waitForSelector("#film-progress:not([hidden])");
   await page.waitForSelector("#film-save:not([hidden])");
+  assert.equal(await page.innerText("#film-text"), "The film is ready");
   const download = page.waitForEvent("download");
   await page.click("#film-save");
   const file = await download;

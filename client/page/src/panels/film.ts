@@ -31,6 +31,7 @@ export function filmPanel(api: Api, state: State, objects: PlacedObjects): void 
   const bar = byId<HTMLProgressElement>("film-progress");
   let known: Known | null = null;
   let refused = ""; // the last request of this dialog
+  let isAsking = false; // that request has no answer so far
   const own = () => api.of(state.selected.value);
   let polling = false;
 
@@ -40,7 +41,7 @@ export function filmPanel(api: Api, state: State, objects: PlacedObjects): void 
     const film = known?.recording?.film ?? null;
     const isRunning = film?.status === "reading" || film?.status === "making";
     const refusal = known === null ? "Asking the server" : refusalOf(known, objects, range(known.recording?.film_fps ?? 1));
-    make.disabled = isRunning || refusal !== null;
+    make.disabled = isAsking || isRunning || refusal !== null;
     cancel.hidden = bar.hidden = !isRunning;
     save.hidden = film?.status !== "ready";
     const done = film ? `${film.frame} of ${film.frames || "?"}` : "";
@@ -76,11 +77,15 @@ export function filmPanel(api: Api, state: State, objects: PlacedObjects): void 
   };
   const change = (ask: (recording: Recording) => Promise<unknown>) => async () => {
     refused = "";
+    isAsking = true;
+    show();
     try {
       await ask(known!.recording!);
       await read();
     } catch (error) {
       refused = messageOf(error);
+    } finally {
+      isAsking = false;
       show();
     }
   };
