@@ -63,6 +63,9 @@ state.selected.watch((id) => {
   live?.close();
   objects.clear();
   state.clearSession();
+  if (id !== (wanted.get("session") ?? id)) {
+    state.wantedProbe = null; // of the address's session
+  }
   state.ended.value = null;
   document.title = id ? `${id} · RoomLight` : "RoomLight";
   shared.join(null);
@@ -170,7 +173,8 @@ async function startRoom(): Promise<void> {
       report: reportOwn,
     });
   } catch (error) {
-    document.getElementById("room-waiting")!.textContent = "This browser has no WebGL 2, so the room is not shown.";
+    const reason = error instanceof Error ? error.message : String(error);
+    document.getElementById("room-waiting")!.textContent = `The room is not shown: ${reason}.`;
     console.warn(error);
   }
 }

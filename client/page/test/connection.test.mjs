@@ -172,13 +172,19 @@ test("an expired session leaves the page usable", async () => {
   assert.match(await page.locator("#ended-text").innerText(), /idle/);
   const asked = new Promise((resolve) => page.on("request", (request) => request.url().includes("/v1/sessions") && resolve(request.url())));
   assert.equal(await asked, `${PAGE_URL}/v1/sessions`); // nothing of the session
-  const { page: other } = await openPage(browser, { url: `${PAGE_URL}/#session=never-opened` });
+  const { page: other } = await openPage(browser, { url: `${PAGE_URL}/#session=never-opened&probe=table` });
   await other.waitForSelector("#ended:not([hidden])");
   assert.match(await other.locator("#ended").innerText(), /There is no session of this name[\s\S]*never-opened/);
-  await other.close();
+  await other.click("#ended-close");
   await page.click("#ended-close");
   await page.waitForSelector("#empty:not([hidden])");
   await control("push", { session: "next", count: 2 });
   await waitForLight(page);
   assert.match(await page.title(), /^next/);
+  await waitForLight(other);
+  assert.deepEqual(await other.locator(".notice").allInnerTexts(), []); // the probe was of the other session
+  await other.route("**/assets/room-*", (route) => route.abort());
+  await other.reload();
+  await other.waitForFunction(() => document.getElementById("room-waiting").textContent.startsWith("The room is not shown: Failed to fetch"));
+  await other.close();
 });

@@ -48,6 +48,9 @@ test("a placed object is turned and moved, and both are undone", async () => {
   const placed = await waitForChange(page, "#picture-image", before);
   await page.click("#objects .chip-name");
   before = placed;
+  const yawOf = ({ pose }) => Math.atan2(pose[8], pose[10]);
+  const yaw = yawOf({ pose: await poseKept() });
+  const turned = page.waitForRequest("**/composite");
   for (const act of [
     () => page.click("#object-right"),
     () => page.click("#picture-button", { position: { x: 0.35 * width, y: 0.8 * height } }),
@@ -56,6 +59,8 @@ test("a placed object is turned and moved, and both are undone", async () => {
     before = await waitForChange(page, "#picture-image", before);
   }
   assert.equal(await page.locator("#objects .chip").count(), 1);
+  const turn = yawOf((await turned).postDataJSON().objects[0]) - yaw;
+  assert.equal(Math.round(100 * Math.sin(turn)), -26); // 15 degrees clockwise, seen from above
   await page.click("#object-undo");
   before = await waitForChange(page, "#picture-image", before);
   let answer;

@@ -164,8 +164,8 @@ function objectTools(state: State, objects: PlacedObjects): void {
     show();
   });
   const turn = (degrees: number) => objects.selected.value && objects.turn(objects.selected.value, degrees);
-  byId("object-left").addEventListener("click", () => turn(-TURN_DEG));
-  byId("object-right").addEventListener("click", () => turn(TURN_DEG));
+  byId("object-left").addEventListener("click", () => turn(TURN_DEG));
+  byId("object-right").addEventListener("click", () => turn(-TURN_DEG));
   byId("object-undo").addEventListener("click", () => objects.undo());
   byId("object-redo").addEventListener("click", () => objects.redo());
   addEventListener("keydown", (event) => {
