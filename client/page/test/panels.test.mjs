@@ -186,6 +186,17 @@ test("a new frame appears by itself", async () => {
   const text = `Frame ${frames.last_index + 1}`;
   await page.waitForFunction((text) => document.getElementById("camera-frame").textContent === text, text);
   await page.waitForFunction((text) => document.getElementById("timeline-text").textContent.startsWith(text), text);
+  await page.evaluate(() => {
+    const link = WebGL2RenderingContext.prototype.linkProgram;
+    globalThis.linked = 0;
+    WebGL2RenderingContext.prototype.linkProgram = function (...program) {
+      globalThis.linked++;
+      link.apply(this, program);
+    };
+  });
+  await control("push", { session: "room", count: 1 });
+  await waitForFrame(page, "#panorama-canvas", frames.last_index + 2);
+  assert.equal(await page.evaluate(() => globalThis.linked), 0); // no shader is compiled again
 });
 
 test("probes that another client adds and removes come and go with the next frame", async () => {

@@ -192,6 +192,18 @@ test("what fails in AR is shown, and the phone can start again", async () => {
   await page.getByRole("button", { name: "Start" }).waitFor();
 });
 
+test("a phone whose AR fails at once closes its stream", async () => {
+  const { page } = await open({ camera: true, depth: true });
+  await page.evaluate(() => {
+    globalThis.XRWebGLBinding = function () {
+      throw new Error("there is no binding");
+    };
+  });
+  const [socket] = await Promise.all([page.waitForEvent("websocket"), page.getByRole("button", { name: "Start" }).click()]);
+  await until(() => socket.isClosed());
+  assert.equal(await page.locator(".problem").innerText(), "there is no binding");
+});
+
 test("a WebXR phone without depth says who estimates it", async () => {
   const { page, heard, own } = await open({ camera: true, depth: false });
   await depthWasEstimated(page, heard, own);

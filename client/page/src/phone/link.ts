@@ -60,21 +60,28 @@ export class StreamLink extends Link {
   async open(server: RoomLight, id: string): Promise<void> {
     this.update({ ...EMPTY, state: "Connecting", kind: "waiting" });
     this.session = await server.open({ id });
-    this.stream = await this.session.stream({
+    const stream = await this.session.stream({
       onLighting: (lights) => this.light(lights),
       onProblem: (error) => this.update({ problem: error.message }),
       onStatus: ({ state, attempt, delay_s, error, reopened }) => {
+        if (this.ending) {
+          return;
+        }
         if (state === "open") {
           this.update({ state: reopened ? "Connected again; the room starts anew" : "Connected", kind: "good" });
         } else if (state === "reconnecting") {
           const wait = delay_s < 1 ? "now" : `in ${Math.round(delay_s)} s`;
           this.update({ state: `No answer; trying again ${wait} (${attempt})`, kind: "waiting" });
         } else if (state === "closed") {
-          this.update({ state: "Ended", kind: "idle", problem: this.ending ? "" : (error?.message ?? "") });
+          this.update({ state: "Ended", kind: "idle", problem: error?.message ?? "" });
         }
       },
     });
-    this.stream.subscribe(FORMS);
+    if (this.ending) {
+      return stream.close(); // `close` was called before there was a stream
+    }
+    this.stream = stream;
+    stream.subscribe(FORMS);
   }
 
   private ending = false;
@@ -111,6 +118,7 @@ export class StreamLink extends Link {
     this.ending = true;
     this.stream?.close();
     this.stream = null;
+    this.update({ state: "Ended", kind: "idle", problem: "" });
   }
 }
 

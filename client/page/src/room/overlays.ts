@@ -4,7 +4,6 @@ import {
   BackSide,
   BoxGeometry,
   BufferGeometry,
-  Color,
   ConeGeometry,
   CylinderGeometry,
   EdgesGeometry,
@@ -31,6 +30,7 @@ const UP = new Vector3(0, 1, 0);
 const IDENTITY = new Matrix4().elements;
 const SHAFT = new CylinderGeometry(1, 1, 1, 12);
 const HEAD = new ConeGeometry(1, 1, 20);
+const OUTLINE = new MeshBasicMaterial({ color: 0x1d1c19, side: BackSide });
 
 export class RoomOverlays {
   readonly path = new Group();
@@ -39,6 +39,7 @@ export class RoomOverlays {
   private shown = { path: "", intrinsics: "", volume: "" };
   private line: Line | null = null;
   private camera: LineSegments | null = null;
+  private readonly paints: MeshBasicMaterial[] = []; // of the arrows; three.js compiles a shader for each new one
   private readonly lines = new LineBasicMaterial();
   private readonly faint = new LineBasicMaterial({ transparent: true, opacity: 0.5 });
 
@@ -107,10 +108,12 @@ export class RoomOverlays {
     clear(this.lights);
     const probe = this.state.probe;
     const strongest = Math.max(0, ...(probe?.lights ?? []).map(strengthOf));
-    for (const light of probe?.lights ?? []) {
+    for (const [at, light] of (probe?.lights ?? []).entries()) {
       const length = ARROW_M * Math.sqrt(strengthOf(light) / (strongest || 1));
       if (length > 0.12) {
-        this.lights.add(arrow(new Vector3(...probe!.position), light, length));
+        const paint = (this.paints[at] ??= new MeshBasicMaterial());
+        paint.color.setStyle(hueOf(light));
+        this.lights.add(arrow(new Vector3(...probe!.position), light, length, paint));
       }
     }
   }
@@ -140,11 +143,11 @@ export class RoomOverlays {
 }
 
 /** An arrow that ends at the probe, with a dark outline so that it shows before bright walls. */
-function arrow(probe: Vector3, light: LightSourceValues, length: number): Group {
+function arrow(probe: Vector3, light: LightSourceValues, length: number, paint: MeshBasicMaterial): Group {
   const group = new Group();
   const paints = [
-    [new MeshBasicMaterial({ color: new Color().setStyle(hueOf(light)) }), 0],
-    [new MeshBasicMaterial({ color: 0x1d1c19, side: BackSide }), 0.007],
+    [paint, 0],
+    [OUTLINE, 0.007],
   ] as const;
   for (const [material, outline] of paints) {
     const shaft = new Mesh(SHAFT, material);
@@ -173,14 +176,8 @@ function replaced<T extends Line>(group: Group, old: T | null, made: T | null): 
   return made;
 }
 
-/** Empty a group, and free its lines and the colours of its arrows. */
+/** Empty a group, and free its lines. */
 function clear(group: Group): void {
-  group.traverse((node) => {
-    if (node instanceof Line) {
-      node.geometry.dispose();
-    } else if (node instanceof Mesh) {
-      (node.material as MeshBasicMaterial).dispose();
-    }
-  });
+  group.traverse((node) => node instanceof Line && node.geometry.dispose());
   group.clear();
 }
