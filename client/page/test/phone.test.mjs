@@ -200,7 +200,7 @@ test("a phone whose AR fails at once closes its stream", async () => {
     };
   });
   const [socket] = await Promise.all([page.waitForEvent("websocket"), page.getByRole("button", { name: "Start" }).click()]);
-  await until(() => socket.isClosed());
+  await (socket.isClosed() || socket.waitForEvent("close"));
   assert.equal(await page.locator(".problem").innerText(), "there is no binding");
 });
 
