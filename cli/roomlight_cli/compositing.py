@@ -202,9 +202,9 @@ def composite_recording(
         typer.Exit: Ctrl-C or SIGTERM stopped it (code 130 or 143).
     """
     check_writable(options.out if options.is_film else options.out / "000000.png")
-    compile_beside(options.quality)
     print_notes(distinct(note for item in scene.objects for note in item.geometry.notes))
     capture, advised, unseen = open_capture(path, reading), False, dict(enumerate(scene.objects))
+    compile_beside(options.quality)
     placements: dict[int, Placement] = {}
     count = following = start = height = width = 0
     last = min(options.last, capture.frame_count * reading.every - 1)

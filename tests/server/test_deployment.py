@@ -184,15 +184,18 @@ def test_the_entry_point_starts_with_a_writable_cache(tmp_path):
         assert [path.name for path in Path(cache).iterdir()] == ["blend.nbi"]
 
 
-COMPILED_AGAIN = """
+def compiled_by(script, before, cache):
+    """What lines of Python compile, by lines on the output, after others have run."""
+    code = f"""
 from numba.core.event import install_recorder
-from roomlight_server import precompile
-
+{before}
 with install_recorder("numba:compile") as recorder:
-    precompile.main()
+    {script}
 for _, event in recorder.buffer:
     print(event.data["dispatcher"], event.data["args"])
 """
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+    return subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True)
 
 
 @pytest.mark.slow
@@ -203,32 +206,23 @@ def test_a_server_needs_no_compiler_after_precompiling(tmp_path):
     compiled = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")}
     kernels = {path.name.split(".")[0] for path in compiled}
     assert {"blend", "march", "paths", "preview", "shadow_rays", "encode"} <= kernels  # of light and of composites
-    ran = subprocess.run(
-        [sys.executable, "-c", COMPILED_AGAIN], env=environment, check=True, capture_output=True, text=True
-    )
+    ran = compiled_by("precompile.main()", "from roomlight_server import precompile", tmp_path)
     assert ran.stdout.splitlines()[1:] == []  # nor kernels without a cache, which leave no file
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")} == compiled
 
 
-COMPILED_BESIDE = """
-from numba.core.event import install_recorder
+BESIDE = """
 from roomlight_server.answers import composites
 from roomlight_server.work.compiling import compile_beside
 
 assert compile_beside("preview", "good").wait() == 0
 assert compile_beside.__wrapped__("preview", "good") is None
-with install_recorder("numba:compile") as recorder:
-    composites.warm_up()
-for _, event in recorder.buffer:
-    print(event.data["dispatcher"], event.data["args"])
 """
 
 
 @pytest.mark.slow
 def test_composites_need_no_compiler_after_it_ran_beside(tmp_path):
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", COMPILED_BESIDE]
-    assert subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout == ""
+    assert compiled_by("composites.warm_up()", BESIDE, tmp_path).stdout == ""
 
 
 def run_tool(*command, **more):

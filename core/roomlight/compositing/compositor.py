@@ -91,20 +91,13 @@ SHADOW_COLUMNS: Final = 640
 """Shadows of wider frames are computed as for frames of about this width, and interpolated."""
 
 
-def white_in(frame: Frame, crop: Crop) -> np.float32:
-    """Return the radiance at which a frame saturates; 0 where no pixel of the crop does."""
+def clipping_range(frame: Frame, crop: Crop) -> tuple[np.float32, np.float32] | None:
+    """Return the radiances between which pixels are clipped ever more; None where no pixel of the crop saturates."""
     if not frame.clipped[crop.slices].any():
-        return np.float32(0)
+        return None
     sampled = frame.image[::4, ::4][frame.clipped[::4, ::4]]  # enough to know the white
-    return np.float32(np.median(sampled.max(axis=1)) if len(sampled) else white_of(frame))
-
-
-def clipped_share(image: Float32[np.ndarray, "ch cw 3"], white: np.float32) -> Float32[np.ndarray, "ch cw"]:
-    """Return how far all channels are clipped: 0 below `NEAR_WHITE`, 1 at white."""
-    share = np.zeros(image.shape[:2], np.float32)
-    low, high = np.array([NEAR_WHITE, SATURATED], np.float32) * white
-    fill_clipped_share(image, low, high, share)
-    return share
+    white = np.float32(np.median(sampled.max(axis=1)) if len(sampled) else white_of(frame))
+    return np.float32(NEAR_WHITE) * white, np.float32(SATURATED) * white
 
 
 def shadow_step(quality: Quality, width: int) -> int:
@@ -415,8 +408,11 @@ class Compositor:
         self, frame: Frame, crop: Crop, depth_m: Float32[np.ndarray, "ch cw"], posed: PosedObjects, share: float
     ) -> Float32[np.ndarray, "ch cw 3"]:
         """Return light with objects / without them on the real surfaces of a crop, eased over time by a share."""
-        pose, image = frame.camera_to_world, np.ascontiguousarray(frame.image[crop.slices])
-        white = white_in(frame, crop)
+        pose, limits, share_clipped = frame.camera_to_world, clipping_range(frame, crop), None
+        image = frame.image[crop.slices]
+        if limits is not None:
+            image, share_clipped = np.ascontiguousarray(image), np.zeros(crop.shape, np.float32)
+            fill_clipped_share(image, *limits, share_clipped)
         ratio = shadows.shadow_ratio(
             [self._caster(members, posed) for members in clusters(posed.spheres)],
             depth_m,
@@ -425,13 +421,12 @@ class Compositor:
             replace(shadows.QUALITIES[self.quality], step=shadow_step(self.quality, frame.intrinsics.width)),
             supports=posed.planes,
             smooth=partial(self._shadow.blend, camera_to_world=pose, share=share if share > 0 else 1.0),
-            white=clipped_share(image, white) if white > 0 else None,
+            white=share_clipped,
         )
-        if white > 0:
-            low, high = np.array([NEAR_WHITE, SATURATED], np.float32) * white
+        if limits is not None:
             side, inverse = CLIPPED_AROUND
             around = cv2.blur(frame.clipped[crop.slices].astype(np.float32), (side, side))
-            restore_clipped(ratio, image, low, high, BRIGHTER * np.minimum(inverse * around, np.float32(1)))
+            restore_clipped(ratio, image, *limits, BRIGHTER * np.minimum(inverse * around, np.float32(1)))
         return ratio
 
     def _caster(self, members: list[int], posed: PosedObjects) -> shadows.Caster:

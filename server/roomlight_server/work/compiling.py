@@ -8,12 +8,8 @@ import sys
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Final
 
 from roomlight.compositing.kernels.paths import add_lit
-
-_LAST: Final = add_lit
-"""Compiled after the large ones."""
 
 
 @cache
@@ -26,9 +22,9 @@ def compile_beside(*qualities: str) -> "subprocess.Popen[bytes] | None":
     Args:
         qualities: Of the compositor, in the order in which they will be needed.
     """
-    function = _LAST.py_func
+    function = add_lit.py_func  # compiled after the large ones
     written_s = Path(function.__code__.co_filename).stat().st_mtime
-    cached = Path(_LAST.stats.cache_path or "").glob(f"*.{function.__name__}-*.nbi")
+    cached = Path(add_lit.stats.cache_path or "").glob(f"*.{function.__name__}-*.nbi")
     if any(path.stat().st_mtime > written_s for path in cached):  # others are of an earlier version
         return None
     command = [sys.executable, "-m", "roomlight_server.precompile", *qualities]

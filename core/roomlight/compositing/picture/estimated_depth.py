@@ -74,26 +74,25 @@ def fitted_to_supports(
         near = known & (away < FACTOR_RADII)
         if near.sum() < _LEAST_PIXELS:
             continue
-        log_plane = np.log(plane_m)
-        factor = _likely_factor(log_plane[near] - log_depth[near])
+        factor = _likely_factor(np.log(plane_m[near]) - log_depth[near])
         if factor is None:
             continue
         weight = 1 / (1.001 - directions @ (foot / np.linalg.norm(foot)))
         factors += weight * factor
         weights += weight
-        zones.append((log_plane, away))
+        zones.append((plane_m, away))
     if not zones:
         return depth_m
     log_depth += factors / weights
     fitted = np.where(known, np.exp(log_depth), np.float32(0))
-    for log_plane, away in zones:
-        nearer = log_plane - log_depth
+    for plane_m, away in zones:
+        nearer = np.log(plane_m) - log_depth
         near = known & (away < ON_PLANE_RADII) & (nearer > -FARTHER)
         on_plane, doubtful = near & (nearer < NEARER), near & (nearer >= NEARER) & (nearer < DOUBTFUL)
         if doubtful.any():
             others_m = geometry.depth_image(camera, frame.camera_to_world, doubtful)
-            on_plane |= doubtful & (others_m > np.exp(log_plane - np.float32(NEARER)))
-        fitted = np.where(on_plane, np.exp(log_plane), fitted)
+            on_plane |= doubtful & (others_m > plane_m * np.float32(np.exp(-NEARER)))
+        fitted = np.where(on_plane, plane_m, fitted)
     return fitted
 
 

@@ -205,11 +205,11 @@ def surface_at_pixel(
     plane = fit_plane(points, hit, toward=-direction, tolerance_m=tolerance_m)
     if plane is None or abs(plane.normal @ direction) < 0.02:
         plane = Plane(hit, -direction)
-    kind, normal = _classified(plane.normal)
     if frame.depth_estimated:
         kind, normal = _roughly_classified(plane.normal, is_below=bool(direction[1] < 0))
-    elif normal is plane.normal and direction[1] < 0:
-        plane = _level_instead(plane, points, hit, tolerance_m)
+    else:
+        if direction[1] < 0 and _classified(plane.normal)[1] is plane.normal:
+            plane = _level_instead(plane, points, hit, tolerance_m)
         kind, normal = _classified(plane.normal)
     through = float((plane.point - origin) @ normal) / float(direction @ normal)
     if not 0.5 * distance_m < through < 2 * distance_m:  # a plane nearly along the ray
