@@ -11,14 +11,16 @@ from collections.abc import Sequence
 
 from roomlight.compositing.rendering import renderer
 from roomlight.engine.models.choosing import choose_graphs
-from roomlight.engine.session import SessionOptions, warm_up
+from roomlight.engine.session import SessionOptions, warm_up, warm_up_surfaces
 from roomlight_server.answers import composites, light_forms
 
 
 def main(qualities: Sequence[str] = ()) -> None:
-    """Run the kernels once: all of them, or those of composites alone, of these qualities first, at low priority."""
-    if qualities and sys.platform != "win32":
-        os.nice(10)
+    """Run the kernels once: all of them, or meshes' and composites', of these qualities first, at low priority."""
+    if qualities:
+        if sys.platform != "win32":
+            os.nice(10)
+        warm_up_surfaces()
     for quality in qualities:
         renderer.warm_up(quality)
     if not qualities:
@@ -30,5 +32,5 @@ def main(qualities: Sequence[str] = ()) -> None:
 
 if __name__ == "__main__":
     parser = ArgumentParser(prog="python -m roomlight_server.precompile", description=__doc__)
-    parser.add_argument("quality", nargs="*", help="preview, good or final: only composites, these first")
+    parser.add_argument("quality", nargs="*", help="preview, good or final: only meshes and composites, these first")
     main(parser.parse_args().quality)

@@ -212,6 +212,8 @@ def test_a_server_needs_no_compiler_after_precompiling(tmp_path):
 
 
 BESIDE = """
+from roomlight.engine.kernels import blend, rasterise
+from roomlight.engine.session import warm_up
 from roomlight_server.answers import composites
 from roomlight_server.work.compiling import compile_beside
 
@@ -221,8 +223,11 @@ assert compile_beside.__wrapped__("preview", "good") is None
 
 
 @pytest.mark.slow
-def test_composites_need_no_compiler_after_it_ran_beside(tmp_path):
-    assert compiled_by("composites.warm_up()", BESIDE, tmp_path).stdout == ""
+def test_composites_and_meshes_need_no_compiler_after_it_ran_beside(tmp_path):
+    frames = "kernels = {str(function) for part in (blend, rasterise) for function in vars(part).values()}"
+    others = "recorder.buffer[:] = [event for event in recorder.buffer if str(event[1].data['dispatcher']) in kernels]"
+    script = f"composites.warm_up(); assert not recorder.buffer; warm_up(); {frames}; {others}"
+    assert compiled_by(script, BESIDE, tmp_path).stdout == ""
 
 
 def run_tool(*command, **more):

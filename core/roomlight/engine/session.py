@@ -28,7 +28,7 @@ from roomlight.engine.models.choosing import lighting_model
 from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.networks.graphs import LightingGraphs, part_files, part_folder
 from roomlight.engine.options import SessionOptions
-from roomlight.engine.panorama.blend import PanoramaState
+from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, accumulate, unseen_depth_m
 from roomlight.engine.preparation import at_working_size, restored
 from roomlight.engine.probe import Probe
 from roomlight.engine.room import BACK_MARGIN, MOST_LEFT, AnyRoom, Room, RoomView, room_at
@@ -47,6 +47,8 @@ from roomlight.threads import parallel_for
 
 MOST_GAINS: Final = 10_000
 """Frames whose gains are remembered: five minutes, 3 MB."""
+_WARM_HEIGHT: Final = 16
+_WARM_POSITION: Final = (0.0, 0.0, -0.5)
 
 
 @dataclass(frozen=True)
@@ -501,11 +503,21 @@ def warm_up(graphs: LightingGraphs | None = None) -> None:
 
     The first run of a graph plans its memory.
     """
-    intrinsics = Intrinsics(30.0, 30.0, 16.0, 12.0, 32, 24)
-    grey, near = np.full((24, 32, 3), 0.5, np.float32), np.ones((24, 32), np.float32)
-    session = Session(SessionOptions(model="classical", height=16), graphs=graphs)
-    session.track((0.0, 0.0, -0.5))
-    clipped = np.zeros((24, 32), bool)
+    session = Session(SessionOptions(model="classical", height=_WARM_HEIGHT), graphs=graphs)
+    session.track(_WARM_POSITION)
+    session.push(_warm_frame(0, 0.5))
+    session.push(_warm_frame(1, 2.0))  # a shorter exposure: searched
+
+
+def warm_up_surfaces() -> None:
+    """Compile (or load) what `warm_up` needs last: meshes and blending. Another process does it meanwhile."""
+    partial = FrameMesh(_warm_frame(0, 0.5)).render_panorama(np.array(_WARM_POSITION), height=_WARM_HEIGHT)
+    state, weight = PanoramaState.fresh(_WARM_HEIGHT, 1.0), partial.mask.astype(np.float32)
+    accumulate(state, partial, hdr=partial.radiance, weight=weight, unseen_m=unseen_depth_m(1.0), camera=AT_PROBE)
+
+
+def _warm_frame(index: int, level: float) -> Frame:
+    image, clipped = np.full((24, 32, 3), level, np.float32), np.zeros((24, 32), bool)
     clipped[:12] = True
-    session.push(Frame(0, grey, clipped, near, intrinsics, np.eye(4)))
-    session.push(Frame(1, 4 * grey, clipped, near, intrinsics, np.eye(4)))  # a shorter exposure: searched
+    intrinsics = Intrinsics(30.0, 30.0, 16.0, 12.0, 32, 24)
+    return Frame(index, image, clipped, np.ones((24, 32), np.float32), intrinsics, np.eye(4))

@@ -1,6 +1,6 @@
-"""The kernels of composites, compiled in a process beside where numba's cache has none yet.
+"""Kernels that are compiled in a process beside where numba's cache has none yet: of meshes, then of composites.
 
-They take 27 s of one core, and numba compiles on one core at a time.
+They take 30 s of one core, and numba compiles on one core at a time. Frames' other kernels, 7 s, compile meanwhile.
 """
 
 import subprocess
@@ -14,7 +14,7 @@ from roomlight.compositing.kernels.paths import add_lit
 
 @cache
 def compile_beside(*qualities: str) -> "subprocess.Popen[bytes] | None":
-    """Start to compile the kernels of composites, once in this process, unless they are cached: returns at once.
+    """Start to compile them, once in this process, unless composites' are cached: returns at once.
 
     The process goes on if the caller ends: what it compiled serves the next one. Where none can be started, composites
     compile when they are made.
