@@ -128,7 +128,7 @@ def read_heic(data: bytes, name: str) -> HeicPhoto:
         text = "highlights end at the photo's white"
         notes = (*notes, Note(f"{name}: its HDR gain map", text, "give a linear EXR for the full range"))
     if (others := len(photo) - 1) > 0:
-        text = f"{name}: {others} more pictures"
+        text = f"{name}: further pictures: {others}"
         notes = (*notes, Note(text, "the primary picture alone is read", "save them apart if one is depth"))
     turn = exif_camera_of(_exif(photo)).orientation
     if turn != 1 and not any(box in data for box in (b"irot", b"imir")):

@@ -177,7 +177,7 @@ def _other_pictures(data: bytes, name: str) -> list[Note]:
         kinds = ["Undefined"]
     others = sum("Thumbnail" not in kind for kind in kinds)
     effect = "the first picture alone is read"
-    return [Note(f"{name}: {others} more pictures (MPF)", effect, "save them apart if one is depth")] if others else []
+    return [Note(f"{name}: further pictures (MPF): {others}", effect, "save them apart if one is depth")] if others else []
 
 
 def _inflated(data: bytes) -> bytes | None:

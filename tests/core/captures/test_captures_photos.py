@@ -131,7 +131,7 @@ def test_other_pictures_in_a_heic_are_said(tmp_path: Path) -> None:
     heif.add_from_pillow(Image.fromarray(255 - scene()[0]))
     heif.save(tmp_path / "p.heic")
     (note,) = decode_picture((tmp_path / "p.heic").read_bytes(), "x").notes
-    assert "x: 1 more pictures" in str(note)
+    assert "x: further pictures: 1" in str(note)
 
 
 def test_an_avif_that_begins_as_any_picture_is_refused_by_name(tmp_path: Path) -> None:

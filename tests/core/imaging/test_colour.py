@@ -266,7 +266,7 @@ def test_other_pictures_in_a_jpeg_are_said(kind: str, noted: bool) -> None:
     more = {"save_all": True, "append_images": [Image.fromarray(255 - RED)]} if kind == "MPO" else {}
     picture = decode_picture(saved(kind, **more), "x")
     np.testing.assert_array_equal(picture.image, decode_picture(saved("JPEG"), "x").image)
-    assert ["1 more pictures (MPF)" in str(note) for note in picture.notes] == [True] * noted
+    assert ["further pictures (MPF): 1" in str(note) for note in picture.notes] == [True] * noted
 
 
 def test_alpha_in_every_way_of_png() -> None:
