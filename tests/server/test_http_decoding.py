@@ -138,12 +138,26 @@ def test_a_decoding_process_has_a_limit_on_memory(one_decoder):
     server, pid = one_decoder
     assert resource.prlimit(pid, resource.RLIMIT_AS) == (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES)
     status = Path(f"/proc/{pid}/status").read_text("utf-8")
+    assert re.search(r"Threads:\s+1\b", status)  # one for each core took all of its address space on 11 cores
     size = present(re.search(r"VmSize:\s+(\d+) kB", status))
     now = 1024 * int(size[1])
     resource.prlimit(pid, resource.RLIMIT_AS, (now + 2**24, MAX_MEMORY_BYTES))
     answer = server.push(1, colour_frame("jpeg", jpeg(4000, 3000), 4000, 3000))
     assert (answer.status, answer.json["rule"]) == (422, "must decode within the memory of a decoding process")
     assert server.push(1, colour_frame("jpeg", jpeg())).json["status"] == "processed"
+
+
+def test_a_decoder_that_cannot_start_is_no_fault_of_the_file(monkeypatch):
+    decoders = DecodeProcesses(ServerSettings())
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(processes, "with_few_threads", lambda _: {"PYTHONHOME": "/nowhere"})
+            with pytest.raises(RuntimeError, match="ended with exit code 1 at its start"):
+                decoders.decode_object(b"v 0 0 0\n", "obj")
+        with pytest.raises(WireError, match="face"):
+            decoders.decode_object(b"v 0 0 0\n", "obj")
+    finally:
+        decoders.stop()
 
 
 def test_the_processes_end_with_the_server():

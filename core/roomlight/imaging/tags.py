@@ -176,8 +176,8 @@ def _other_pictures(data: bytes, name: str) -> list[Note]:
     except Exception:  # Pillow raises whatever the damaged bytes lead to
         kinds = ["Undefined"]
     others = sum("Thumbnail" not in kind for kind in kinds)
-    effect = "the first picture alone is read"
-    return [Note(f"{name}: further pictures (MPF): {others}", effect, "save them apart if one is depth")] if others else []
+    text, effect = f"{name}: further pictures (MPF): {others}", "the first picture alone is read"
+    return [Note(text, effect, "save them apart if one is depth")] if others else []
 
 
 def _inflated(data: bytes) -> bytes | None:

@@ -9,10 +9,12 @@ import sys
 from asyncio.subprocess import PIPE
 from pathlib import Path
 
+from roomlight.threads import thread_count
 from roomlight.wire.recordings import Film
 from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError
 from roomlight_server.recordings.jobs import MAX_FILM_BYTES, FilmJob
 from roomlight_server.recordings.player import end_process, read_record
+from roomlight_server.work.processes import with_few_threads
 
 _log = logging.getLogger("roomlight.server")
 
@@ -34,7 +36,8 @@ class FilmMaker:
         """Make the film; a failure is in its `problem`."""
         command = [sys.executable, "-P", "-m", "roomlight_server.recordings.film_worker"]
         files = (str(self._folder), str(self.file))
-        process = await asyncio.create_subprocess_exec(*command, *files, stdin=PIPE, stdout=PIPE)
+        environment = with_few_threads(thread_count())
+        process = await asyncio.create_subprocess_exec(*command, *files, stdin=PIPE, stdout=PIPE, env=environment)
         problem: ProblemError | None = None
         try:
             assert process.stdin is not None

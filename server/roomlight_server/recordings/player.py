@@ -14,11 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from roomlight.threads import thread_count
 from roomlight.wire.messages import Problem
 from roomlight.wire.recordings import ReplayRequest
 from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError
 from roomlight_server.recordings.jobs import RECORD
 from roomlight_server.sessions.live_session import LiveSession
+from roomlight_server.work.processes import with_few_threads
 
 _log = logging.getLogger("roomlight.server")
 READ_TIMEOUT_S: Final = 60.0
@@ -67,7 +69,8 @@ class Player:
         """Play the recording to its end; a failure is in `progress.problem`."""
         rate = "-" if self._request.fps is None else repr(self._request.fps)
         command = [sys.executable, "-P", "-m", "roomlight_server.recordings.worker", str(self._folder), rate]
-        process = await asyncio.create_subprocess_exec(*command, stdin=asyncio.subprocess.DEVNULL, stdout=PIPE)
+        streams: dict[str, Any] = {"stdin": asyncio.subprocess.DEVNULL, "stdout": PIPE}
+        process = await asyncio.create_subprocess_exec(*command, **streams, env=with_few_threads(thread_count()))
         try:
             await self._play(process)
         except ProblemError as error:

@@ -36,7 +36,7 @@ READY: Final = b"ready\n"
 Result = tuple[dict[str, Any], tuple[bytes | memoryview, ...]]
 """JSON and arrays."""
 MAX_MEMORY_BYTES: Final = 2 * 2**30 + BLOCK_BYTES
-"""Address space of the process, of which libraries take 0.7 GB: a file may take 1.3 GB."""
+"""Address space of the process, of which libraries of one thread take 0.7 GB: a file may take 1.3 GB."""
 _trim: Final = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 """Returns free memory to the system: an object of 31 MiB leaves 32 MB that glibc would keep."""
 
@@ -151,7 +151,8 @@ def serve(
 
 def open_output(memory_bytes: int) -> BinaryIO:
     """Bound the address space of this process, which leaves no core dump and ignores Ctrl-C; return where it writes."""
-    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    if sys.platform == "linux":  # macOS refuses limits below what it maps for every process
+        resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends its processes
     output = os.fdopen(os.dup(1), "wb")

@@ -27,6 +27,10 @@ class _DeadlineError(Exception):
     """The process did not answer in time."""
 
 
+class _StartError(RuntimeError):
+    """The process cannot start: no request is to blame."""
+
+
 class KilledError(Exception):
     """A process was killed, has ended, or used up its memory; the message is the rule that was broken.
 
@@ -67,6 +71,14 @@ class Cancellation:
                 process.kill()
 
 
+def with_few_threads(threads: int) -> dict[str, str]:
+    """Return the environment of a process whose address space is bounded.
+
+    On many cores the threads that OpenBLAS and OpenCV begin would use it up: 140 MB each.
+    """
+    return {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": str(threads)}
+
+
 class WorkerProcess:
     """One process; used by one thread at a time."""
 
@@ -74,8 +86,9 @@ class WorkerProcess:
         self._block = SharedBlock()
         shared = self._block.descriptor
         command = [sys.executable, "-P", "-m", module, str(shared)]
+        pipe, environment = subprocess.PIPE, with_few_threads(1)
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, pass_fds=(shared,)
+            command, stdin=pipe, stdout=pipe, bufsize=0, pass_fds=(shared,), env=environment
         )
         os.set_blocking(self._pipe(self._process.stdin).fileno(), False)
         self._ready = False
@@ -102,11 +115,10 @@ class WorkerProcess:
     def request(self, head: bytes, body: bytes, timeout_s: float) -> tuple[dict[str, Any], int]:
         """Return the result's JSON and the bytes of its arrays, which `arrays` reads.
 
-        Raises: _DeadlineError, or OSError if the process has ended or answers otherwise than it may.
+        Raises: _DeadlineError, _StartError, or OSError if the process has ended or answers otherwise than it may.
         """
         if not self._ready:
-            self._read(len(READY), time.monotonic() + _START_S, len(READY))
-            self._ready = True
+            self._start()
         deadline = time.monotonic() + timeout_s
         if len(body) <= BLOCK_BYTES:
             self._block.write(body)
@@ -123,6 +135,16 @@ class WorkerProcess:
         if len(answer) != RESULT.size + text_bytes:
             raise OSError("the result is longer than stated")
         return json.loads(memoryview(answer)[RESULT.size :].tobytes()), data_bytes
+
+    def _start(self) -> None:
+        try:
+            self._read(len(READY), time.monotonic() + _START_S, len(READY))
+        except OSError as error:
+            if (code := self._process.wait()) > 0:  # it was not killed
+                text = f"a process ended with exit code {code} at its start: --log-level debug shows why"
+                raise _StartError(text) from error
+            raise
+        self._ready = True
 
     @contextmanager
     def arrays(self, size: int, sent: int) -> Generator[memoryview]:
@@ -250,7 +272,7 @@ class Processes:
         Raises:
             KilledError: The process took too long, has ended, or used up its memory.
             WireError: The process rejected the body.
-            RuntimeError: The work failed; the text is the traceback.
+            RuntimeError: The work failed; the text is the traceback. Or no process can start.
         """
         wanted = json.dumps(arguments).encode()
         head = REQUEST.pack(len(wanted), len(body), int(timeout_s) + 10) + wanted
@@ -273,6 +295,12 @@ class Processes:
                 _log.log(level, f"{self._name} process killed", extra=fields)
                 if late or last or self._stopped:
                     raise KilledError(rule, "late" if late else "crashed") from error
+            except _StartError:
+                if cancel is not None:
+                    cancel.watch(None)
+                self._replace(process)
+                if last:
+                    raise
             else:
                 if cancel is not None:
                     cancel.watch(None)
