@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol, runtime_checkable
 
@@ -81,10 +82,14 @@ def say(text: str) -> None:
 
 def run(app: typer.Typer) -> None:
     """Run an application on `sys.argv` and end the process. A missing extra is one line on standard error."""
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files that the console cannot show
     try:
         app()
     except ModuleNotFoundError as error:
         module = (error.name or "").partition(".")[0]
+        if module in ("fcntl", "resource"):
+            fail("this command needs Linux or macOS; on Windows use WSL 2")
         if module not in EXTRAS:
             raise
         fail(f"this command needs {module}: pip install 'roomlight[{EXTRAS[module]}]'")

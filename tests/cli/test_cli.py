@@ -59,12 +59,35 @@ finally:
     assert not loaded & {"numpy", "cv2", "numba", "onnxruntime", "httpx", "torch"}
 
 
-@pytest.mark.parametrize("command", [["export", "a.pt", "--out", "model"], ["train", "objects", "data"]])
-def test_a_missing_extra_is_named(command: list[str], tmp_path: Path) -> None:
-    code = "import sys; sys.modules['torch'] = None; from roomlight_cli.main import main; main()"
+EXTRA = "torch: pip install 'roomlight[train]'"
+
+
+@pytest.mark.parametrize(
+    ("module", "command", "needs"),
+    [
+        ("torch", ["export", "a.pt", "--out", "model"], EXTRA),
+        ("torch", ["train", "objects", "data"], EXTRA),
+        ("fcntl", ["dataset", "stats", "data"], "Linux or macOS; on Windows use WSL 2"),
+    ],
+)
+def test_a_missing_extra_or_system_is_named(module: str, command: list[str], needs: str, tmp_path: Path) -> None:
+    code = f"import sys; sys.modules[{module!r}] = None; from roomlight_cli.main import main; main()"
     result = python(code, *command, cwd=tmp_path)
     assert result.returncode == 1
-    assert result.stderr.strip() == "error: this command needs torch: pip install 'roomlight[train]'"
+    assert result.stderr.strip() == f"error: this command needs {needs}"
+
+
+def test_a_name_that_the_console_cannot_show_is_escaped(tmp_path: Path) -> None:
+    code = """
+import sys
+import typer
+from roomlight_cli import console
+app = typer.Typer()
+app.command()(lambda: console.say("caf\\udce9"))
+sys.stdout.reconfigure(errors="strict")
+console.run(app)
+"""
+    assert python(code, cwd=tmp_path).stdout == "caf\\udce9\n"
 
 
 def test_another_missing_module_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:

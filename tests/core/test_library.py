@@ -3,6 +3,8 @@
 import ast
 import importlib
 import re
+import subprocess
+import sys
 import textwrap
 from pathlib import Path
 
@@ -30,6 +32,17 @@ def test_type_checkers_see_every_public_name():
 def test_every_error_is_public():
     classes = {name for name, value in vars(errors).items() if isinstance(value, type)}
     assert classes <= PUBLIC
+
+
+def test_kernels_need_no_folder_that_can_be_written():
+    """A container's user without a home got a traceback of numba."""
+    code = """
+from numba.core.caching import CompileResultCacheImpl
+CompileResultCacheImpl._locator_classes = []
+from roomlight.kernels import encode
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stderr.count("set NUMBA_CACHE_DIR to a folder that can be written") == 1
 
 
 def test_an_unknown_name_is_an_attribute_error():

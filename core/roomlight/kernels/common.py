@@ -2,12 +2,25 @@
 """What the kernels share: scrambled low-discrepancy points, and frames about a normal. Directions are (x, y, z)."""
 
 import math
+import warnings
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-CACHED: dict[str, Any] = {"nogil": True, "cache": True, "no_cfunc_wrapper": True}
+
+def _can_be_kept() -> bool:
+    """Whether numba can write compiled code beside the code, to `NUMBA_CACHE_DIR` or to the user's cache."""
+    try:
+        njit(cache=True)(_can_be_kept)
+    except RuntimeError:
+        effect = "each process compiles them, for half a minute: set NUMBA_CACHE_DIR to a folder that can be written"
+        warnings.warn(f"compiled kernels cannot be kept, and {effect}", RuntimeWarning, stacklevel=2)
+        return False
+    return True
+
+
+CACHED: dict[str, Any] = {"nogil": True, "cache": _can_be_kept(), "no_cfunc_wrapper": True}
 """Options for functions that Python calls: kept on disk once compiled, without an entry for C, which nobody uses."""
 KERNEL: dict[str, Any] = CACHED | {"fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy"}
 """The same for fast arithmetic, of contraction and reciprocals only: infinities must stay infinities."""

@@ -124,13 +124,21 @@ def _least_ms(loaded: dict[RuntimeName, list[Graph]]) -> dict[RuntimeName, float
     return least_ms
 
 
+def _home() -> Path:
+    """Return the user's folder, or where nothing can be written: a container's user may have none."""
+    try:
+        return Path.home()
+    except RuntimeError:
+        return Path(os.devnull)
+
+
 def _choice_file(digest: str) -> Path:
     """Return where the choice for these graphs is kept: another processor or version has another file."""
     machine = [processor_name(), str(thread_count()), ort.__version__, str(openvino_version()), *CHOICES, digest]
     name = hashlib.sha256("\n".join(machine).encode()).hexdigest()[:16]
     numba_folder = os.environ.get("NUMBA_CACHE_DIR")
-    caches = os.environ.get("XDG_CACHE_HOME")
-    folder = Path(numba_folder) if numba_folder else (Path(caches) if caches else Path.home() / ".cache") / "roomlight"
+    caches = os.environ.get("XDG_CACHE_HOME") or f"{_home()}/.cache"
+    folder = Path(numba_folder) if numba_folder else Path(caches, "roomlight")
     return folder / f"runtime-{name}.json"
 
 
