@@ -8,7 +8,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -191,7 +191,7 @@ def generate(
         asked = manifest.sequences[options.split]
         shards, all_shards = _shards(out, options, options.sequences), _shards(out, options, asked)
         todo = deque(
-            ShardTask(tar, numbers.start, numbers.stop, replace(options, renderer=options.renderer_name))
+            ShardTask(tar, numbers.start, numbers.stop, options)
             for tar, numbers in shards.items()
             if not is_finished(tar, _names(options.split, numbers))
         )

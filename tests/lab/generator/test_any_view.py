@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 from analytic_room import free_space
+from panorama_files import folder_of
 
 from fixture_rooms import plain_catalogue
 from roomlight.dataset import sequence_files
+from roomlight.dataset.loader import Dataset
 from roomlight.errors import OptionError
-from roomlight_generator.generate import GenerateOptions
+from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.sequences import any_view
 from roomlight_generator.sequences.any_view import SIZE, draw_views
@@ -52,3 +54,13 @@ def test_single_views_have_depth_and_no_probes_also_when_stored(coarse_room, mon
     assert recording.depth_mm.shape[0] == 3
     assert (recording.depth_mm > 0).mean() > 0.9
     assert len(recording.probe_positions) == 0
+
+
+@pytest.mark.usefixtures("no_workers")
+def test_a_dataset_of_single_views_is_made(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "panoramas", height=16)
+    generate(
+        tmp_path / "out",
+        GenerateOptions(4, frames=1, any_view=True, panoramas=folder, furniture_share=0.0, shard_size=4),
+    )
+    assert [len(recording.probe_positions) for recording in Dataset(tmp_path / "out")] == [0] * 4
