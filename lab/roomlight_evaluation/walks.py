@@ -203,12 +203,16 @@ def evaluate_walks(
         progress: Called as (walks done, walks in all) after each walk.
 
     Raises:
-        DatasetError: A dataset is empty or damaged, or no walk can be used.
+        DatasetError: A dataset is empty or damaged, two have folders of one name, or no walk can be used.
     """
+    names = [dataset.folder.name for dataset in datasets]
+    for name in names:
+        if names.count(name) > 1:
+            raise DatasetError(f"two datasets are called {name}: their results would be mixed up; rename one")
     chosen = [(dataset, number) for dataset in datasets for number in evenly_spread(len(dataset), limit)]
     if not chosen:
-        names = ", ".join(str(dataset.folder) for dataset in datasets)
-        raise DatasetError(f"{names}: has no finished walk of this split; generate some first")
+        folders = ", ".join(str(dataset.folder) for dataset in datasets)
+        raise DatasetError(f"{folders}: has no finished walk of this split; generate some first")
     summaries: list[CaptureSummary] = []
     tracks: list[Track] = []
     for done, (dataset, number) in enumerate(chosen, 1):

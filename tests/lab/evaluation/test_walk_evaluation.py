@@ -193,8 +193,10 @@ def test_walks_without_depth_or_probes_are_left_out(lacking):
         evaluate_walks([Blind(1, height=HEIGHT)], models)
 
 
-def test_an_empty_dataset_and_single_view_weights_are_refused(models):
+def test_an_empty_dataset_two_of_one_name_and_single_view_weights_are_refused(models):
     with pytest.raises(DatasetError, match="boxes: has no finished walk"):
         evaluate_walks([BoxWalks(0)], models)
+    with pytest.raises(DatasetError, match="two datasets are called boxes"):
+        evaluate_walks([BoxWalks(1), BoxWalks(1)], models)
     with pytest.raises(OptionError, match="single-view weights only"):
         recurrent_models(SessionOptions(weights=Path("core/roomlight/engine/weights/single").resolve()))
