@@ -107,8 +107,8 @@ def arkit_like(
     rng: np.random.Generator,
     *,
     sensor: DepthSensor | None = None,
-) -> UInt16[np.ndarray, "f 192 256"]:
-    """Simulate phone depth of consecutive frames, 256 x 192 (about 2 ms a frame).
+) -> UInt16[np.ndarray, "f dh dw"]:
+    """Simulate phone depth of consecutive frames, 256 x 192, or 192 x 256 if they are upright (about 2 ms a frame).
 
     Args:
         depth_mm: Exact z-depth in millimetres, 0 where nothing is hit.
@@ -117,6 +117,9 @@ def arkit_like(
         rng: The generator; the same state gives the same depth.
         sensor: Error parameters; drawn from `rng` if None.
     """
+    if depth_mm.shape[1] > depth_mm.shape[2]:
+        turned = (np.rot90(maps, axes=(1, 2)) for maps in (depth_mm, surface, colour))
+        return np.ascontiguousarray(np.rot90(arkit_like(*turned, rng, sensor=sensor), -1, axes=(1, 2)))
     sensor = sensor or DepthSensor.draw(rng)
     frames = len(depth_mm)
     flicker, relief = (_slow_fields(rng, frames, sensor.persistence) for _ in range(2))

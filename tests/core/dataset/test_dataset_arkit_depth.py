@@ -46,6 +46,11 @@ def test_a_faultless_sensor_resamples():
     np.testing.assert_allclose(depth, 2.5, atol=0.001)
 
 
+def test_depth_of_upright_frames_is_upright():
+    level, upright = measured(step(), CLEAN), measured(step().transpose(0, 2, 1), CLEAN)
+    np.testing.assert_allclose(upright, level.transpose(0, 2, 1), atol=0.01)
+
+
 def test_flicker_grows_with_distance_as_measured():
     # relative deviation of simulated phone depth: 0.7 % below 4 m, 0.9 % at 5.5 m, 2.3 % at 10 m
     sensor = replace(CLEAN, noise=0.007)
