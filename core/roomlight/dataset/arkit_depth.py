@@ -118,8 +118,9 @@ def arkit_like(
         sensor: Error parameters; drawn from `rng` if None.
     """
     if depth_mm.shape[1] > depth_mm.shape[2]:
-        turned = (np.rot90(maps, axes=(1, 2)) for maps in (depth_mm, surface, colour))
-        return np.ascontiguousarray(np.rot90(arkit_like(*turned, rng, sensor=sensor), -1, axes=(1, 2)))
+        depth_mm, surface, colour = (np.rot90(maps, axes=(1, 2)) for maps in (depth_mm, surface, colour))
+        level_mm = arkit_like(depth_mm, surface, colour, rng, sensor=sensor)
+        return np.ascontiguousarray(np.rot90(level_mm, -1, axes=(1, 2)))
     sensor = sensor or DepthSensor.draw(rng)
     frames = len(depth_mm)
     flicker, relief = (_slow_fields(rng, frames, sensor.persistence) for _ in range(2))
