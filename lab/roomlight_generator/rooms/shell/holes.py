@@ -127,7 +127,6 @@ class DoorDesign:
     hinge_right: bool = False
     open_degrees: float = 0.0
     swings_in: bool = True
-    lining_m: float = 0.03
     architrave_m: float = 0.07
 
 
