@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from roomlight.kernels.common import mixed, tangents
-from roomlight.kernels.microfacets import dielectric
+from roomlight.kernels.microfacets import dielectric, visible_normal
 from roomlight_generator.transport.kernels.common import (
     COAT_INDEX,
     JIT,
@@ -71,29 +71,11 @@ def lobe_rays(points, view, rays, seed, out):
         a = alpha[i]
         x, y, z = vx * ax + vy * ay + vz * az, vx * bx + vy * by + vz * bz, vx * nx + vy * ny + vz * nz
         z = max(z, LEAST_COSINE)
-        sx, sy, sz = a * x, a * y, z
-        length = math.sqrt(sx * sx + sy * sy + sz * sz)
-        sx, sy, sz = sx / length, sy / length, sz / length
-        t1x, t1y, t1z, t2x, t2y, t2z = tangents(sx, sy, sz)
-        # The warp below needs the second tangent to point up along the surface's normal.
-        across = math.sqrt(sx * sx + sy * sy)
-        if across > 1e-6:
-            t1x, t1y, t1z = -sy / across, sx / across, 0.0
-            t2x, t2y, t2z = sy * t1z - sz * t1y, sz * t1x - sx * t1z, sx * t1y - sy * t1x
         state = mixed(np.uint64(stream[i]) ^ mixed(np.uint64(seed)))
         shift1 = unit(state)
         shift2 = unit(mixed(state))
         for k in range(rays):
-            r = math.sqrt(fraction(shift1 + PHI1 * k))
-            angle = 2 * math.pi * fraction(shift2 + PHI2 * k)
-            p, q = r * math.cos(angle), r * math.sin(angle)
-            mix = 0.5 * (1 + sz)
-            q = (1 - mix) * math.sqrt(max(1 - p * p, 0.0)) + mix * q
-            w = math.sqrt(max(1 - p * p - q * q, 0.0))
-            hx, hy, hz = p * t1x + q * t2x + w * sx, p * t1y + q * t2y + w * sy, p * t1z + q * t2z + w * sz
-            hx, hy, hz = a * hx, a * hy, max(hz, 1e-6)
-            length = math.sqrt(hx * hx + hy * hy + hz * hz)
-            hx, hy, hz = hx / length, hy / length, hz / length
+            hx, hy, hz = visible_normal(x, y, z, a, fraction(shift1 + PHI1 * k), fraction(shift2 + PHI2 * k))
             ox, oy, oz = hx * ax + hy * bx + hz * nx, hx * ay + hy * by + hz * ny, hx * az + hy * bz + hz * nz
             toward = vx * ox + vy * oy + vz * oz
             lx, ly, lz = 2 * toward * ox - vx, 2 * toward * oy - vy, 2 * toward * oz - vz
