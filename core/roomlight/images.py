@@ -252,16 +252,19 @@ def read_panorama(path: Path) -> Float[np.ndarray, "h w 3"]:
     return image
 
 
-def encode_exr(image: Float[np.ndarray, "h w c"], *, metadata: Mapping[str, object] | None = None) -> bytes:
-    """Encode linear RGB, or RGB times alpha with alpha, as a half-float, ZIP-compressed EXR with Rec. 709's primaries.
+def encode_exr(
+    image: Float[np.ndarray, "h w c"], *, metadata: Mapping[str, object] | None = None, half: bool = True
+) -> bytes:
+    """Encode linear RGB, or RGB times alpha with alpha, as a ZIP-compressed EXR with Rec. 709's primaries.
 
-    The same image and metadata give the same bytes. Values beyond half's range are clipped to 65504, the largest half,
-    so that no infinity reaches a renderer.
+    The same image and metadata give the same bytes. Half floats are clipped to 65504, the largest, so that no infinity
+    reaches a renderer; without `half` the file holds 32-bit floats.
 
     Raises:
         OutputError: The image cannot be encoded.
     """
-    return _encode_exr("RGBA"[: image.shape[2]], np.clip(image, -65504, 65504).astype(np.float16), metadata)
+    pixels = np.clip(image, -65504, 65504).astype(np.float16) if half else image.astype(np.float32)
+    return _encode_exr("RGBA"[: image.shape[2]], pixels, metadata)
 
 
 def encode_channel_exr(

@@ -11,7 +11,7 @@ import lamp_rooms
 import stub_rooms
 from roomlight.conventions import panorama_directions
 from roomlight.engine.lighting import LIGHTING_PANELS
-from roomlight.engine.panorama.panels import HEIGHT
+from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
 from roomlight.errors import ModelError
 from roomlight_evaluation.objects.lit_objects import LitObjects
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
@@ -146,6 +146,12 @@ def test_reduced_truth_keeps_the_energy(rows: int) -> None:
     reduced = reduced_truth(truth)
     assert reduced.shape == (3, 60, 120)
     assert reduced.astype(np.float32).mean() == pytest.approx(float(truth.mean()), rel=2e-3)  # half precision
+
+
+def test_reduced_truth_of_the_sun_keeps_its_hue() -> None:
+    truth = np.zeros((120, 240, 3), np.float32)
+    truth[:2, :2] = (4e5, 2e5, 1e5)
+    assert reduced_truth(truth)[:, 0, 0].tolist() == [BRIGHTEST, BRIGHTEST / 2, BRIGHTEST / 4]
 
 
 def test_a_batch_has_a_random_stream_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,10 +27,10 @@ FORMAT: Final = "roomlight-dataset"
 VERSION: Final = 1
 FRAMES: Final = 31
 """Default number of frames in a sequence."""
-GENERATOR: Final = f"{__version__}+5"
+GENERATOR: Final = f"{__version__}+6"
 """RoomLight's version and the generator's: the latter rises when the same seed gives other rooms, so that a dataset is
 not continued with them. 2: flat colours, and furniture of the library. 4: lamps with sharp edges.
-5: mirrors and coats without bias."""
+5: mirrors and coats without bias. 6: probes see all of the sun; coats in rooms lit by panoramas as in others."""
 
 _OPTIONAL: Final = ("panoramas", "furniture_share", "scenes", "samples")
 """Settings that are written only where they apply: earlier versions read manifests without them."""

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float16, Shaped
+from jaxtyping import Float16, Shaped
 
 from roomlight.camera import Intrinsics, check_rigid
 from roomlight.dataset.recording import Recording
@@ -36,7 +36,8 @@ coloured lamps bleed over 4 pixels and removes most of the noise that the networ
 PNG_LEVEL: Final = 3
 """31 exact depth maps of 320 x 240: 0.95 MB in 0.05 s at level 1, 0.83 MB in 0.08 s at 3, 0.69 MB in 0.17 s at 6."""
 HALF_MAX: Final = 65504.0
-"""Largest half float. The sun's disc, a tenth of a probe's pixel, can exceed it in units of a dim room's white."""
+"""Largest half float. The sun's disc, a tenth of a probe's pixel, can exceed it in units of a dim room's white: such
+panoramas are stored as 32-bit floats."""
 
 
 def encode(recording: Recording) -> dict[str, bytes]:
@@ -69,7 +70,7 @@ def encode(recording: Recording) -> dict[str, bytes]:
     index = {"format": _FORMAT, "version": _VERSION, "name": recording.name, "frames": frames, "probes": probes}
     files = {CAPTURE: _json(index), FACTS: _json(recording.facts)}
     for k, panorama in enumerate(recording.probe_panoramas):
-        files[_probe_name(k)] = _exr(panorama)
+        files[_probe_name(k)] = encode_exr(panorama, half=bool(panorama.max() <= HALF_MAX))
     for k in range(count):
         files[_frame_name("colour", k)] = _jpeg(recording.colour[k])
         files[_frame_name("depth", k)] = _png(recording.depth_mm[k])
@@ -203,13 +204,6 @@ def _png(image: Shaped[np.ndarray, "h w"]) -> bytes:
     if not ok:
         raise ValueError(f"a map of {image.shape} {image.dtype} does not encode as PNG")
     return data.tobytes()
-
-
-def _exr(panorama: Float[np.ndarray, "h w 3"]) -> bytes:
-    """Encode a panorama; pixels brighter than a half float are dimmed without changing their hue."""
-    brightest = panorama.max(axis=-1, keepdims=True)
-    panorama = panorama * np.minimum(1, HALF_MAX / np.maximum(brightest, 1)).astype(panorama.dtype)
-    return encode_exr(panorama)
 
 
 def _file(files: Mapping[str, bytes | memoryview], name: str) -> bytes | memoryview:

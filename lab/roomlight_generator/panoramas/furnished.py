@@ -22,6 +22,7 @@ from roomlight_generator.panoramas.kernels.shell_views import PanoramaArrays
 from roomlight_generator.panoramas.shell import PanoramaShell
 from roomlight_generator.rooms.scene import Scene, Sky
 from roomlight_generator.transport.kernels.structs import RayEnds, allocated
+from roomlight_generator.transport.lights.coat import ROUGHEST, coat_table
 from roomlight_generator.transport.paths import Surfaces, surfaces_of
 from roomlight_generator.transport.tracer import Tracer
 
@@ -126,7 +127,11 @@ class FurnishedLight:
         foot = distance * np.float32(pixel_angle)
         ends = RayEnds(hits.face[on], hits.u[on], hits.v[on], directions[on])
         points = surfaces_of(self.tracer, ends, foot)
-        light = points.reflected(self._received(points, cell_m), points.alpha > 0)
+        received, through = self._received(points, cell_m), coat_table().mean_through
+        coated = points.alpha > 0
+        share = np.interp(points.alpha[coated], np.linspace(0, ROUGHEST, len(through)), through)
+        received[coated] *= share[:, None].astype(np.float32)
+        light = points.reflected(received, coated)
         return on, light + points.emission, distance
 
     def _received(self, points: Surfaces, cell_m: float) -> Float32[np.ndarray, "n 3"]:

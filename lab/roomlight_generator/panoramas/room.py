@@ -21,6 +21,7 @@ from roomlight_generator.panoramas.kernels.shell_views import CameraArrays, Pano
 from roomlight_generator.panoramas.shell import CELL_M, PanoramaShell
 from roomlight_generator.sequences.walk import FreeSpace
 from roomlight_generator.transport import FrameView, z_depth
+from roomlight_generator.transport.paths import follow_view
 
 FINER: Final = 2
 """Frames are rendered at this many times their height and averaged."""
@@ -84,9 +85,9 @@ class PanoramaRoom:
         kinds = np.empty((camera.height, camera.width), np.uint8)
         shell_views.centres(self.shell.arrays, self._panorama, camera, distance, kinds)
         if self._furniture is not None:
-            origins, directions = _rays(camera)
-            reach = self._furniture.tracer.distances(origins, directions).reshape(distance.shape)
-            kinds[reach < distance] = ORDINARY
+            seen = follow_view(self._furniture.tracer, *_rays(camera))
+            reach, surface = (part.reshape(distance.shape) for part in (seen.distance_m, seen.surface))
+            kinds = np.where(reach < distance, surface, kinds)
             distance = np.minimum(distance, reach)
         return FrameView(radiance, z_depth(intrinsics, distance.ravel()), kinds)
 

@@ -38,8 +38,6 @@ _TRIES: Final = 12
 The first that has is taken: the first view looks anywhere, as a phone's does. Choosing the walk whose first view is
 brightest, of four or twelve, leaves a third of real rooms' light around the frame (`stats --against`).
 """
-_HALF_MAX: Final = 60_000.0
-"""Panoramas are stored as half floats, whose largest is 65,504."""
 
 
 @runtime_checkable  # so that annotations can be checked in the test run
@@ -194,7 +192,7 @@ def record(
         exposure=exposure.relative,
         timestamp_s=np.arange(len(path.poses)) * FRAME_INTERVAL_S,
         probe_positions=path.probes @ rotation[:3, :3].T,
-        probe_panoramas=np.roll(np.minimum(exposure.panorama(panoramas), _HALF_MAX), columns, 2).astype(np.float32),
+        probe_panoramas=np.roll(exposure.panorama(panoramas), columns, 2).astype(np.float32),
         facts={
             **facts,
             "white_kcd_m2": round(float(1 / exposure.multiplier[0]), 6),

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from roomlight.dataset.arkit_depth import arkit_like
 from roomlight.dataset.recording import GLASS, Recording
 from roomlight.depth import complete_depth
+from roomlight.engine.panorama.panels import BRIGHTEST
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.frame import Frame
 
@@ -27,8 +28,6 @@ without depth are windows."""
 _CONTRASTS = (0.85, 1.7)
 """Range of exponents of radiance. Generated rooms are lit more evenly than many real ones: the ratio of a frame's mean
 to its median has a median of 1.4 in the data, and is 2.2 to 4 in some artists' scenes and real rooms."""
-_BRIGHTEST = 60_000.0
-"""Largest radiance after that, in units of white."""
 
 
 @runtime_checkable
@@ -174,5 +173,9 @@ def _contrasted(
     """
     others = [image ** np.float32(power) for image in images]
     gain = np.float32(np.clip(images[0].mean() / max(float(others[0].mean()), 1e-4), 1, 2.5))
-    lit = np.minimum(truth ** np.float32(power) * gain, np.float32(_BRIGHTEST))
-    return [other * gain for other in others], lit
+    return [other * gain for other in others], limited(truth ** np.float32(power) * gain)
+
+
+def limited(light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Dim what is brighter than `BRIGHTEST` in any channel, such as the sun, without changing its hue."""
+    return light * np.minimum(1, np.float32(BRIGHTEST) / np.maximum(light.max(axis=-1, keepdims=True), 1))

@@ -22,14 +22,14 @@ from roomlight.dataset.loader import Dataset
 from roomlight.engine.lighting import LIGHTING_PANELS, lighting_panels
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.options import ModelName
-from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
+from roomlight.engine.panorama.panels import HEIGHT
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError, FrameError
 from roomlight.spheres import DIFFUSE_ALBEDO, GLOSSY_ALBEDO
 from roomlight_model.accumulate import luminance
 from roomlight_model.object_light_network import ObjectLightNetwork
 from roomlight_model.training.batches import Tensors
-from roomlight_model.training.examples import example_of
+from roomlight_model.training.examples import example_of, limited
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.small_stage import SmallOptions, SmallStage
 from roomlight_model.training.subsets import ProgressCallback, Subset, each_sequence
@@ -252,7 +252,6 @@ def _stream(
 
 
 def reduced_truth(truth: Float32[np.ndarray, "h w 3"]) -> Float16[np.ndarray, "3 ph pw"]:
-    """Reduce a panorama to the network's resolution; its energy stays."""
-    limited = np.minimum(truth, np.float32(BRIGHTEST))
-    means = cv2.resize(limited, (2 * HEIGHT, HEIGHT), interpolation=cv2.INTER_AREA)
-    return np.moveaxis(means, -1, 0).astype(np.float16)
+    """Reduce a panorama to the network's resolution; its energy stays, up to `BRIGHTEST` in a pixel."""
+    means = cv2.resize(truth, (2 * HEIGHT, HEIGHT), interpolation=cv2.INTER_AREA)
+    return np.moveaxis(limited(means), -1, 0).astype(np.float16)

@@ -5,9 +5,9 @@ import pytest
 from panorama_files import panorama
 
 from fixture_rooms import plain_catalogue
-from roomlight.camera import Intrinsics
+from roomlight.camera import Intrinsics, transform_points
 from roomlight.conventions import panorama_directions, panorama_solid_angles
-from roomlight.dataset.recording import ORDINARY
+from roomlight.dataset.recording import GLASS, ORDINARY
 from roomlight_generator.panoramas import furniture as furniture_module
 from roomlight_generator.panoramas.furnished import FurnishedLight
 from roomlight_generator.panoramas.furniture import Footprint, Furniture, furnish_shell
@@ -19,6 +19,10 @@ from roomlight_generator.rooms.furniture import fallback_models
 from roomlight_generator.rooms.scene import Item, Material
 
 GREY = Material("grey", albedo=(0.5, 0.5, 0.5))
+BLACK_COATED = Material("black", albedo=(0.0, 0.0, 0.0), roughness=0.02)
+LENS = Intrinsics(50.0, 50.0, 32.0, 24.0, 64, 48)
+POSE = np.eye(4)  # looks along -z
+POSE[:3, 3] = (0, 1.0, 0.2)
 
 
 def box_shell(shape="box"):
@@ -29,9 +33,9 @@ def box_shell(shape="box"):
     )
 
 
-def table_at(x, z, *, size=0.8, height=0.5):
+def table_at(x, z, *, size=0.8, height=0.5, material=GREY):
     """A level square plate without legs, its lower side at `height`."""
-    mesh = shapes.with_material(shapes.block(size, 0.04, size), GREY).placed(x, height, z)
+    mesh = shapes.with_material(shapes.block(size, 0.04, size), material).placed(x, height, z)
     return Item("plate", "coffee_table", mesh)
 
 
@@ -58,17 +62,19 @@ def test_irradiance_is_the_panoramas_integral(shape):
     np.testing.assert_allclose(irradiance, expected, rtol=0.08)  # 96 light samples and 64 rays
 
 
-def test_an_even_room_lights_every_side_alike():
-    """In a furnace of radiance 1 every surface receives pi, and a plate of albedo 1/2 shines with 1/2."""
+@pytest.mark.parametrize(("material", "expected"), [(GREY, 0.5), (BLACK_COATED, 0.04)])
+def test_an_even_room_lights_every_side_alike(material, expected):
+    """In a furnace of radiance 1 every surface receives pi: a plate shines with its albedo, a coat of 1.5 with 4 %."""
     shell = box_shell()
     image = np.ones((64, 128, 3), np.float32)
-    light = FurnishedLight(shell, image, bright_parts(image), only(table_at(0.0, 0.0, size=0.3, height=0.7)))
+    plate = table_at(0.0, 0.0, size=0.3, height=0.7, material=material)
+    light = FurnishedLight(shell, image, bright_parts(image), only(plate))
     origin = np.array([[0.0, 1.2, 0.01]], np.float32)
     on, radiance, distance = light.shaded(
         origin, np.array([[0.0, -1.0, 0.0]], np.float32), np.array([9.0], np.float32), 0.002, cell_m=0.05
     )
     assert on.tolist() == [0]
-    np.testing.assert_allclose(radiance, 0.5, rtol=0.02)
+    np.testing.assert_allclose(radiance, expected, rtol=0.02)
     assert distance[0] == pytest.approx(0.46, abs=0.03)
 
 
@@ -105,20 +111,28 @@ def test_frames_and_probes_show_the_furniture():
     plate = table_at(0.0, -1.0, size=0.6, height=0.6)
     room = PanoramaRoom(shell, image, kinds, only(plate))
     bare = PanoramaRoom(shell, image, kinds)
-    lens = Intrinsics(50.0, 50.0, 32.0, 24.0, 64, 48)
-    pose = np.eye(4)  # looks along -z
-    pose[:3, 3] = (0, 1.0, 0.2)
-    view, empty = room.frame(lens, pose, seed=0), bare.frame(lens, pose, seed=0)
+    view, empty = room.frame(LENS, POSE, seed=0), bare.frame(LENS, POSE, seed=0)
     nearer = view.depth_m < empty.depth_m - 0.01
     assert 50 < nearer.sum() < 1500
     assert (view.surface[nearer] == ORDINARY).all()
     assert (view.surface[~nearer] == 3).all()
     np.testing.assert_array_equal(view.depth_m[~nearer], empty.depth_m[~nearer])
-    np.testing.assert_allclose(room.depth(lens, pose), view.depth_m, rtol=1e-5)
+    np.testing.assert_allclose(room.depth(LENS, POSE), view.depth_m, rtol=1e-5)
     above = room.panorama(np.array([0.0, 1.0, -1.0]), height=32, seed=0)
     assert above.shape == (32, 64, 3)
     assert above[-3:].mean() < 0.3  # the grey plate below: half of what it receives
     np.testing.assert_allclose(above[:8], 0.4, rtol=0.1)
+
+
+def test_panes_of_furniture_are_glass():
+    image = np.full((64, 128, 3), 0.4, np.float32)
+    pane = table_at(0.0, -1.0, size=0.6, height=0.6, material=Material("pane", glass=True))
+    room = PanoramaRoom(box_shell(), image, np.zeros(image.shape[:2], np.uint8), only(pane, table_at(0.0, -1.0)))
+    view = room.frame(LENS, POSE, seed=0)
+    points = transform_points(POSE, LENS.rays() * view.depth_m[..., None])
+    on_pane = (np.abs(points - (0, 0.62, -1)) < (0.301, 0.021, 0.301)).all(axis=-1)
+    assert on_pane.sum() > 50
+    np.testing.assert_array_equal(view.surface, np.where(on_pane, GLASS, ORDINARY))
 
 
 @pytest.mark.parametrize("seed", range(6))

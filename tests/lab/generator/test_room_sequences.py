@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
+from roomlight.dataset import sequence_files
 from roomlight_generator.room_request import RoomRequest
 from roomlight_generator.sequences import render as room_sequences
-from roomlight_generator.sequences.render import plan_camera_path, render_walks
+from roomlight_generator.sequences.exposure import expose
+from roomlight_generator.sequences.render import CameraPath, plan_camera_path, record, render_walks
+from roomlight_generator.sequences.walk import phone_intrinsics
+from roomlight_generator.transport import FrameView
 
 
 def drawn(monkeypatch, paths):
@@ -38,3 +42,27 @@ def test_a_single_view_is_a_sequence_of_one_frame(coarse_room):
         assert view.probe_panoramas.shape == (3, 16, 32, 3)
         assert view.exposure.tolist() == [1.0]
     assert (views[0].camera_to_world != views[1].camera_to_world).any()
+
+
+@pytest.mark.usefixtures("small_views")
+def test_the_sun_in_a_probe_keeps_its_light_and_hue():
+    sun_kcd_m2 = np.float32([1e6, 8e5, 5e5])
+
+    class Sunny:
+        def frame(self, intrinsics, camera_to_world, *, seed):
+            del intrinsics, camera_to_world, seed
+            grey = np.full((48, 64, 3), np.float32(0.4))
+            return FrameView(grey, grey[..., 0], np.zeros((48, 64), np.uint8))
+
+        def panorama(self, position, height=120, *, seed):
+            del position, seed
+            return np.tile(sun_kcd_m2, (height, 2 * height, 1))
+
+        depth = frame
+
+    rng = np.random.default_rng(0)
+    path = CameraPath(phone_intrinsics(rng, 64, 48), np.eye(4)[None], np.zeros((1, 3)))
+    made = record(Sunny(), path, rng, name="sunny", facts={}, expose=expose)
+    stored = sequence_files.decode(sequence_files.encode(made), "here").probe_panoramas
+    expected = sun_kcd_m2 * made.facts["white_balance"] / made.facts["white_kcd_m2"]
+    np.testing.assert_allclose(stored, np.broadcast_to(expected, stored.shape), rtol=1e-3)
