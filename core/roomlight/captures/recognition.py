@@ -12,7 +12,7 @@ from roomlight.captures.formats import native, nerfstudio, record3d, scannetpp, 
 from roomlight.captures.formats.arkit_scenes import TRAJECTORY
 from roomlight.captures.formats.colmap import model_folder
 from roomlight.captures.formats.polycam import is_polycam
-from roomlight.captures.formats.ros.bag import is_bag
+from roomlight.captures.formats.ros.container import is_bag
 from roomlight.captures.formats.rtabmap import export_name
 from roomlight.captures.formats.scanner_app import is_scanner_app
 from roomlight.captures.formats.scannet import intrinsics_file

@@ -14,12 +14,9 @@ metres.
 
 import importlib
 import importlib.util
-import re
-from collections import deque
-from collections.abc import Collection, Generator, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Generator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,16 +28,25 @@ from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import registered
+from roomlight.captures.formats.ros.container import (
+    IMAGES,
+    INFO,
+    POSES,
+    TREES,
+    TopicImages,
+    first_image,
+    has_index,
+    opened_bag,
+)
 from roomlight.captures.formats.ros.images import (
     camera_of,
     decode_colour_image,
     decode_depth_image,
-    is_colour,
-    is_range,
     lens_of_raw,
     pose_values,
     seconds,
 )
+from roomlight.captures.formats.ros.topics import colour_topic, depth_topic, is_raw, space_of
 from roomlight.captures.formats.ros.transform_tree import TransformTree
 from roomlight.captures.lenses import Lens, straightened, undistorted
 from roomlight.captures.options import CaptureOptions
@@ -49,28 +55,7 @@ from roomlight.captures.times import nearest
 from roomlight.errors import CaptureError, FrameError, RoomLightError
 from roomlight.notes import Note
 
-_SUFFIXES: Final = (".bag", ".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
 MAX_GAP_S: Final = 0.025
-_IMAGES: Final = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-_COLOUR: Final = ("color", "rgb", "image")
-_NO_COLOUR: Final = ("depth", "infra", "fisheye", "mask", "conf")
-_NO_DEPTH: Final = re.compile("conf|disparity")
-_NO_RANGE: Final = re.compile(
-    r"conf|disparity|infra|mask|label|therm|intens|ampli|noise|gr[ae]y|mono|signal|reflec|range_|(^|[/_])ir([/_]|$)"
-)
-"""Names of 16-bit and float images that are no depth, where `depth` is not in the name."""
-_INFO: Final = "sensor_msgs/msg/CameraInfo"
-_POSES: Final = (
-    "nav_msgs/msg/Odometry",
-    *(f"geometry_msgs/msg/{name}Stamped" for name in ("Pose", "PoseWithCovariance", "Transform")),
-)
-_RECTIFIED: Final = re.compile("(^|[/_])rect")
-_TREES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-_READ: Final = re.compile(
-    "/(Time|Duration|Header|Image|CompressedImage|CameraInfo|RegionOfInterest|TFMessage|Transform|TransformStamped|"
-    "Odometry|PoseStamped|PoseWithCovariance(Stamped)?|Pose|TwistWithCovariance|Twist|Point|Vector3|Quaternion)$"
-)
-"""The types of messages that are read, and of their fields: to prepare all 150 takes ten times as long."""
 
 
 @dataclass(frozen=True)
@@ -92,39 +77,6 @@ class _Pose:
     time_s: float
 
 
-class _Images:
-    """Images of a topic; those of a bag without an index are read in the order of their recording, once in a pass.
-
-    The latest stay, because several colours may have the same depth.
-    """
-
-    def __init__(self, bag: Any, topic: str | None) -> None:
-        self._bag, self._chosen = bag, [c for c in bag.connections if c.topic == topic]
-        self._indexed = _has_index(bag)
-        self._latest = deque[tuple[Any, int, bytes]](maxlen=8)
-        self._ahead: Iterator[tuple[Any, int, bytes]] = iter(())
-
-    def at(self, logged: int) -> Iterator[Any]:
-        """Yield the images of this time: without an index among the latest and the next ones, then by a search."""
-        if not self._indexed and (not self._latest or logged <= self._latest[0][1]):
-            self._latest.clear()
-            self._ahead = self._bag.messages(connections=self._chosen, start=logged)
-        with suppress(Exception):  # of damaged bytes on the way, which the search leaves out
-            for connection, time, raw in chain([*self._latest], self._next()):
-                if time == logged:
-                    yield self._bag.deserialize(raw, connection.msgtype)
-                if time > logged:
-                    break
-        self._latest.clear()
-        for connection, _, raw in self._bag.messages(connections=self._chosen, start=logged, stop=logged + 1):
-            yield self._bag.deserialize(raw, connection.msgtype)
-
-    def _next(self) -> Iterator[tuple[Any, int, bytes]]:
-        for message in self._ahead:
-            self._latest.append(message)
-            yield message
-
-
 class RosBagReader:
     """Reads a bag."""
 
@@ -143,13 +95,15 @@ class RosBagReader:
         self._cameras: dict[str, Any] = {}
         self._frames: dict[str, str] = {}
         self._entries: dict[str, list[_Entry]] = {}
+        self._depth: str | None = None
         self._frame_id = ""  # of colour
-        with self._opened() as bag:
+        with opened_bag(path) as bag:
             topics = {connection.topic: connection.msgtype for connection in bag.connections}
-            self._infos = {_space(topic) for topic, kind in topics.items() if kind == _INFO}
-            firsts = {topic: _first(bag, topic) for topic, kind in topics.items() if kind in _IMAGES}
-            self._colour = self._colour_topic(topics, firsts)
-            self._depth = None if options.depth == "network" else self._depth_topic(firsts)
+            self._infos = {space_of(topic) for topic, kind in topics.items() if kind == INFO}
+            firsts = {topic: first_image(bag, topic) for topic, kind in topics.items() if kind in IMAGES}
+            self._colour = colour_topic(path, topics, firsts, self._infos, self.notes)
+            if options.depth != "network":
+                self._depth = depth_topic(path, self._colour, firsts, self.notes)
             self._index(bag, topics)
         self.count = len(self._entries.get(self._colour, []))
         if self.count > MAX_FRAMES:
@@ -179,85 +133,13 @@ class RosBagReader:
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
         """Hold the bag open for one pass; without an index for each topic, because depth may be recorded later."""
-        with self._opened() as bag, nullcontext(bag) if _has_index(bag) else self._opened() as other:
-            images = {self._depth: _Images(other, self._depth), self._colour: _Images(bag, self._colour)}
+        with opened_bag(self._path) as bag, nullcontext(bag) if has_index(bag) else opened_bag(self._path) as other:
+            images = {self._depth: TopicImages(other, self._depth), self._colour: TopicImages(bag, self._colour)}
             yield lambda index: self._read(index, images)
-
-    @contextmanager
-    def _opened(self) -> Generator[Any]:
-        highlevel: Any = importlib.import_module("rosbags.highlevel")
-        typesys: Any = importlib.import_module("rosbags.typesys")
-        humble = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE).fielddefs  # for bags that hold no definitions
-        store = typesys.get_typestore(typesys.Stores.EMPTY)
-        store.fielddefs.update({name: parts for name, parts in humble.items() if _READ.search(name)})
-        try:
-            bag = highlevel.AnyReader([self._path], default_typestore=store)
-            bag.open()
-        except Exception as error:  # of the container, the index or the storage plugin
-            way = "copy it again; rosbag reindex (ros2 bag reindex) repairs one that was not closed"
-            if self._path.is_file() and self._path.suffix != (small := self._path.suffix.lower()):
-                way = f"rename it to end in {small}"
-            elif "Profile is not ros2" in str(error):
-                file = [self._path, *self._path.glob("*.mcap")][-1]
-                way = f"its profile is {_mcap_profile(file)!r}; record it with ROS 2, or convert it to a bag of ROS 2"
-            raise CaptureError(f"{self._path}: is not a readable ROS bag ({error}); {way}") from error
-        try:
-            names = [name for connection in bag.connections for name in (connection.topic, connection.msgtype)]
-            if not all(isinstance(name, str) for name in names):
-                raise CaptureError(f"{self._path}: its topics are damaged")
-            yield bag
-        finally:
-            bag.close()
-
-    def _colour_topic(self, topics: dict[str, str], firsts: dict[str, Any]) -> str:
-        """Return the topic of colour whose name fits best; others are noted. Raises CaptureError with what there is."""
-        images = [topic for topic in firsts if _rank(topic, _COLOUR) < len(_COLOUR) and not is_range(firsts[topic])]
-        images = [topic for topic in images if _rank(topic, _NO_COLOUR) == len(_NO_COLOUR)]
-        if not images:
-            listed = ", ".join(sorted(topics)[:12]) or "nothing"
-            raise CaptureError(f"{self._path}: has no topic of colour images; its topics are {listed}")
-        spaces = {topic: _space(topic, self._infos) for topic in images}
-
-        def order(topic: str) -> tuple[bool, bool, int, bool, str]:
-            guessed = _space(topic) not in self._infos
-            return spaces[topic] not in self._infos, guessed, _rank(topic, _COLOUR), "compressed" in topic, topic
-
-        images.sort(key=order)
-        known = dict.fromkeys(spaces[topic] for topic in images if spaces[topic] in self._infos)
-        if others := [space or "/" for space in known if space != spaces[images[0]]]:
-            left = f"{self._path}: the cameras {', '.join(others[:4])}"
-            self.notes.append(Note(left, f"{images[0]} alone is read", "leave it out of the bag to read another"))
-        return images[0]
-
-    def _depth_topic(self, firsts: dict[str, Any]) -> str | None:
-        """Return the topic of depth of the colour's frame, or nearest to its name; None without one.
-
-        Noted are colours that are called depth, and depth that is not.
-        """
-        named = sorted(topic for topic in firsts if "depth" in topic.lower() and not _NO_DEPTH.search(topic.lower()))
-        depths = [topic for topic in named if firsts[topic] is None or not is_colour(firsts[topic])]
-        if not depths:
-            depths = [topic for topic in firsts if is_range(firsts[topic]) and not _NO_RANGE.search(topic.lower())]
-            if named and not depths:
-                left, text = f"{self._path}: {', '.join(named[:4])}", "holds colours, so that no depth is read"
-                self.notes.append(Note(left, text, "record depth (16UC1 or 32FC1)"))
-        own, frame = self._colour.split("/"), _frame_of(firsts[self._colour])
-
-        def order(topic: str) -> tuple[bool, int, int, bool, str]:
-            parts = enumerate(zip(topic.split("/"), own, strict=False))
-            shared = next((at for at, (part, other) in parts if part != other), len(own))
-            other = _frame_of(firsts[topic]) != frame
-            return other, -shared, _rank(topic, ("aligned", "registered")), "compressed" in topic, topic
-
-        best = min(depths, key=order, default=None)
-        if best is not None and best not in named:
-            text = f"{self._path}: {best}, of {firsts[best].encoding}"
-            self.notes.append(Note(text, "taken for depth, which its name does not say", "leave it out if it is not"))
-        return best
 
     def _index(self, bag: Any, topics: dict[str, str]) -> None:
         """Take the poses and cameras, and the times of the images."""
-        wanted = (*_TREES, *_POSES, _INFO)
+        wanted = (*TREES, *POSES, INFO)
         images = {self._colour} if self._depth is None else {self._colour, self._depth}
         chosen = [c for c in bag.connections if topics[c.topic] in wanted or c.topic in images]
         loose: dict[str, list[_Pose]] = {}
@@ -268,12 +150,12 @@ class RosBagReader:
                     self._add_image(bag, topic, kind, raw, logged)
                     continue
                 message = bag.deserialize(raw, kind)
-                if kind in _TREES:
+                if kind in TREES:
                     for stamped in message.transforms:
                         self._add(stamped, fixed="static" in topic)
-                elif kind == _INFO:
+                elif kind == INFO:
                     for image in images:
-                        if _space(image, self._infos) == _space(topic):
+                        if space_of(image, self._infos) == space_of(topic):
                             self._cameras.setdefault(image, message)
                 elif kind.endswith("TransformStamped"):
                     self._add(message, fixed=False)
@@ -350,14 +232,14 @@ class RosBagReader:
             stamped.header.frame_id, stamped.child_frame_id, values, time_s=seconds(stamped.header), fixed=fixed
         )
 
-    def _read(self, index: int, images: dict[str | None, _Images]) -> RawFrame:
+    def _read(self, index: int, images: dict[str | None, TopicImages]) -> RawFrame:
         label = self.name_of(index)
         entry = self._entries[self._colour][index]
         with fields.naming(label, FrameError):
             pose = self._tree.pose(self._frame_id, entry.time_s)
             picture = decode_colour_image(self._message(images, self._colour, entry), label)
             height, width = picture.image.shape[:2]
-            camera = camera_of(self._cameras[self._colour], (width, height), raw=_is_raw(self._colour))
+            camera = camera_of(self._cameras[self._colour], (width, height), raw=is_raw(self._colour))
             depth_m, between = np.zeros((height, width), np.float32), None
             if self._depth is not None:
                 depth_m = self._depth_near(entry.time_s, self._depth, images, label)
@@ -369,7 +251,7 @@ class RosBagReader:
         return RawFrame(label, picture, straight_m, depth_name, camera, pose, stated=stated)
 
     def _depth_near(
-        self, time_s: float, topic: str, images: dict[str | None, _Images], label: str
+        self, time_s: float, topic: str, images: dict[str | None, TopicImages], label: str
     ) -> Float[np.ndarray, "h w"]:
         """Return the depth image nearest in time. Raises ValueError if it is too far."""
         depths = self._entries.get(topic, [])
@@ -380,7 +262,7 @@ class RosBagReader:
             raise ValueError(f"the nearest depth is {abs(entry.time_s - time_s):.3f} s away")
         return decode_depth_image(self._message(images, topic, entry), label, self._unit_m)
 
-    def _message(self, images: dict[str | None, _Images], topic: str, entry: _Entry) -> Any:
+    def _message(self, images: dict[str | None, TopicImages], topic: str, entry: _Entry) -> Any:
         """Read an image again, by the time at which it was recorded."""
         try:
             for message in images[topic].at(entry.logged):
@@ -395,7 +277,7 @@ class RosBagReader:
         frame, own = self._frames.get(topic, ""), self._cameras[self._colour]
         if frame.lstrip("/") == self._frame_id.lstrip("/"):
             is_lent = self._cameras.setdefault(topic, own) is own
-            alike = _is_raw(topic) == _is_raw(self._colour) or (is_lent and not _is_raw(self._colour))
+            alike = is_raw(topic) == is_raw(self._colour) or (is_lent and not is_raw(self._colour))
             if alike or (self._lens.straight and self._lens_of(topic).straight):
                 return None
             return np.eye(4)
@@ -415,70 +297,11 @@ class RosBagReader:
     ) -> Float[np.ndarray, "dh dw"]:
         """Project depth of another camera into the colour image, without the distortion of either."""
         height, width = depth_m.shape
-        camera, lens = camera_of(self._cameras[topic], (width, height), raw=_is_raw(topic)), self._lens_of(topic)
+        camera, lens = camera_of(self._cameras[topic], (width, height), raw=is_raw(topic)), self._lens_of(topic)
         if not lens.straight:
             (depth_m,), camera = undistorted([(depth_m, cv2.INTER_NEAREST)], camera, lens)
         return registered(depth_m, camera, colour, between)
 
     def _lens_of(self, topic: str) -> Lens:
         """Return the lens of a topic's camera. Raises ValueError."""
-        return lens_of_raw(self._cameras[topic]) if _is_raw(topic) else Lens()
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path is a bag: a file of its endings, or ROS 2's folder."""
-    if path.is_file():
-        return path.name.lower().endswith(_SUFFIXES)
-    return (path / "metadata.yaml").is_file() and any(file.name.endswith(_SUFFIXES) for file in path.iterdir())
-
-
-def _has_index(bag: Any) -> bool:
-    """Whether images are read by their place; an MCAP without chunks is read from its start by each call."""
-    stores = [getattr(reader, "storage", reader) for reader in bag.readers]  # of a folder or a file
-    files = [file for store in stores for file in getattr(store, "storages", [store])]
-    return all(getattr(file, "chunks", True) for file in files)
-
-
-def _first(bag: Any, topic: str) -> Any:
-    """Return the first image of a topic; None for an empty or a damaged one, which is found when it is read."""
-    try:
-        connection, _, raw = next(bag.messages(connections=[c for c in bag.connections if c.topic == topic]))
-        return bag.deserialize(raw, connection.msgtype)
-    except Exception:  # rosbags raises whatever the damaged bytes lead to
-        return None
-
-
-def _mcap_profile(path: Path) -> str:
-    """Return the profile that an MCAP's header states first."""
-    with path.open("rb") as file:
-        head = file.read(100)
-    return head[21 : 21 + int.from_bytes(head[17:21], "little")].decode(errors="replace")
-
-
-def _frame_of(message: Any) -> str | None:
-    """Return the frame of an image; None without one."""
-    return None if message is None else message.header.frame_id.lstrip("/")
-
-
-def _is_raw(topic: str) -> bool:
-    """Whether images are as the lens shows them."""
-    return _RECTIFIED.search(topic) is None
-
-
-def _rank(topic: str, words: tuple[str, ...]) -> int:
-    """Return the place of the first of these words that a topic has; their number without one."""
-    return next((at for at, word in enumerate(words) if word in topic.lower()), len(words))
-
-
-def _space(topic: str, infos: Collection[str] = ()) -> str:
-    """Return the namespace of a camera: of `camera/color/image_raw/compressed` it is `camera/color`.
-
-    Of `sim/rgb` it is `sim` where `sim/rgb` is not among the namespaces that have a CameraInfo (Isaac Sim).
-    """
-    parts = topic.split("/")
-    for end in ("image", "info", "camera_info"):
-        for at, part in enumerate(parts):
-            if at and (part == end or part.startswith("image")):
-                return "/".join(parts[:at])
-    own = re.sub("/compressed(Depth)?$", "", topic)
-    return own.rpartition("/")[0] if infos and own not in infos else own
+        return lens_of_raw(self._cameras[topic]) if is_raw(topic) else Lens()

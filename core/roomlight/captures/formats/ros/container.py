@@ -1,0 +1,117 @@
+"""The container of a bag: its files, the definitions of its messages, and its images by the time of their recording."""
+
+import importlib
+import re
+from collections import deque
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager, suppress
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final
+
+from roomlight.errors import CaptureError
+
+_SUFFIXES: Final = (".bag", ".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
+IMAGES: Final = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+INFO: Final = "sensor_msgs/msg/CameraInfo"
+POSES: Final = (
+    "nav_msgs/msg/Odometry",
+    *(f"geometry_msgs/msg/{name}Stamped" for name in ("Pose", "PoseWithCovariance", "Transform")),
+)
+TREES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_READ: Final = re.compile(
+    "/(Time|Duration|Header|Image|CompressedImage|CameraInfo|RegionOfInterest|TFMessage|Transform|TransformStamped|"
+    "Odometry|PoseStamped|PoseWithCovariance(Stamped)?|Pose|TwistWithCovariance|Twist|Point|Vector3|Quaternion)$"
+)
+"""The types of messages that are read, and of their fields: to prepare all 150 takes ten times as long."""
+
+
+class TopicImages:
+    """Images of a topic; those of a bag without an index are read in the order of their recording, once in a pass.
+
+    The latest stay, because several colours may have the same depth.
+    """
+
+    def __init__(self, bag: Any, topic: str | None) -> None:
+        self._bag, self._chosen = bag, [c for c in bag.connections if c.topic == topic]
+        self._indexed = has_index(bag)
+        self._latest = deque[tuple[Any, int, bytes]](maxlen=8)
+        self._ahead: Iterator[tuple[Any, int, bytes]] = iter(())
+
+    def at(self, logged: int) -> Iterator[Any]:
+        """Yield the images of this time: without an index among the latest and the next ones, then by a search."""
+        if not self._indexed and (not self._latest or logged <= self._latest[0][1]):
+            self._latest.clear()
+            self._ahead = self._bag.messages(connections=self._chosen, start=logged)
+        with suppress(Exception):  # of damaged bytes on the way, which the search leaves out
+            for connection, time, raw in chain([*self._latest], self._next()):
+                if time == logged:
+                    yield self._bag.deserialize(raw, connection.msgtype)
+                if time > logged:
+                    break
+        self._latest.clear()
+        for connection, _, raw in self._bag.messages(connections=self._chosen, start=logged, stop=logged + 1):
+            yield self._bag.deserialize(raw, connection.msgtype)
+
+    def _next(self) -> Iterator[tuple[Any, int, bytes]]:
+        for message in self._ahead:
+            self._latest.append(message)
+            yield message
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag: a file of its endings, or ROS 2's folder."""
+    if path.is_file():
+        return path.name.lower().endswith(_SUFFIXES)
+    return (path / "metadata.yaml").is_file() and any(file.name.endswith(_SUFFIXES) for file in path.iterdir())
+
+
+@contextmanager
+def opened_bag(path: Path) -> Generator[Any]:
+    """Open a bag for reading. Raises CaptureError, with what to do."""
+    highlevel: Any = importlib.import_module("rosbags.highlevel")
+    typesys: Any = importlib.import_module("rosbags.typesys")
+    humble = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE).fielddefs  # for bags that hold no definitions
+    store = typesys.get_typestore(typesys.Stores.EMPTY)
+    store.fielddefs.update({name: parts for name, parts in humble.items() if _READ.search(name)})
+    try:
+        bag = highlevel.AnyReader([path], default_typestore=store)
+        bag.open()
+    except Exception as error:  # of the container, the index or the storage plugin
+        way = "copy it again; rosbag reindex (ros2 bag reindex) repairs one that was not closed"
+        if path.is_file() and path.suffix != (small := path.suffix.lower()):
+            way = f"rename it to end in {small}"
+        elif "Profile is not ros2" in str(error):
+            file = [path, *path.glob("*.mcap")][-1]
+            way = f"its profile is {_mcap_profile(file)!r}; record it with ROS 2, or convert it to a bag of ROS 2"
+        raise CaptureError(f"{path}: is not a readable ROS bag ({error}); {way}") from error
+    try:
+        names = [name for connection in bag.connections for name in (connection.topic, connection.msgtype)]
+        if not all(isinstance(name, str) for name in names):
+            raise CaptureError(f"{path}: its topics are damaged")
+        yield bag
+    finally:
+        bag.close()
+
+
+def has_index(bag: Any) -> bool:
+    """Whether images are read by their place; an MCAP without chunks is read from its start by each call."""
+    stores = [getattr(reader, "storage", reader) for reader in bag.readers]  # of a folder or a file
+    files = [file for store in stores for file in getattr(store, "storages", [store])]
+    return all(getattr(file, "chunks", True) for file in files)
+
+
+def first_image(bag: Any, topic: str) -> Any:
+    """Return the first image of a topic; None for an empty or a damaged one, which is found when it is read."""
+    try:
+        connection, _, raw = next(bag.messages(connections=[c for c in bag.connections if c.topic == topic]))
+        return bag.deserialize(raw, connection.msgtype)
+    except Exception:  # rosbags raises whatever the damaged bytes lead to
+        return None
+
+
+def _mcap_profile(path: Path) -> str:
+    """Return the profile that an MCAP's header states first."""
+    with path.open("rb") as file:
+        head = file.read(100)
+    return head[21 : 21 + int.from_bytes(head[17:21], "little")].decode(errors="replace")
