@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sqlite3
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -457,6 +458,23 @@ MCAP = b"\x89MCAP0\r\n\1" + struct.pack("<QI", 12, 4) + b"ros1\0\0\0\0"
 def test_a_file_that_is_no_readable_bag_says_so(tmp_path: Path, name: str, data: bytes, says: str) -> None:
     (tmp_path / name).write_bytes(data)
     refused(tmp_path / name, says)
+
+
+def test_definitions_of_types_that_are_not_read_do_not_count(tmp_path: Path) -> None:
+    """Drivers write none, or the wrong hash; rosbridge cuts them off."""
+    others = ("rslidar_msgs/msg/Scan", ""), ("std_msgs/msg/Int8", "int8 data"), ("a/msg/B", "sensor_msgs/Imu i\na/C")
+    path = tool_formats.ros1_bag(tmp_path / "walk.bag", tool_formats.ros_messages(VIEWS), *others)
+    same_views(open_capture(path), VIEWS, depth_atol=6e-4)
+    path = tool_formats.ros1_bag(tmp_path / "other.bag", [], *others)
+    refused(path, r"no topic of colour images; its topics are /a/msg/B, /rslidar")
+
+
+def test_a_type_without_a_definition_is_named(tmp_path: Path) -> None:
+    path = tool_formats.ros2_bag(tmp_path / "bag", tool_formats.ros_messages(VIEWS))
+    with sqlite3.connect(path / "bag.db3") as base:
+        base.execute("INSERT INTO message_definitions SELECT id, type, 'unknown', '', '' FROM topics")
+    base.close()
+    refused(path, r"of one of its topics has no definition; copy the others \(mcap filter IN -o OUT -n '\.\*/_action")
 
 
 def test_a_bag_of_compressed_files_and_a_file_alone(tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ from typing import Any
 import cv2
 import numpy as np
 from formats import CX, CY, FLIP, FX, FY, HEIGHT, WIDTH, Y_UP_TO_Z_UP, View, image, millimetres, quaternion, save
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 
 def scannet_frames(path: Path, views: list[View]) -> Path:
@@ -118,7 +119,8 @@ def opencv_yaml(name: object, extra: str = "") -> str:
     )
 
 
-TYPES = get_typestore(Stores.ROS2_HUMBLE)
+TYPES, ROS1_TYPES = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
+ROS1_TYPES.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
 Message = tuple[str, str, float, bytes]
 """Topic, type, time and bytes."""
 
@@ -231,6 +233,19 @@ def ros2_bag(path: Path, messages: list[Message], *, compressed: bool = False) -
         with sqlite3.connect(path / f"{path.name}.db3") as base:
             base.execute("DELETE FROM message_definitions")
         base.close()
+    return path
+
+
+def ros1_bag(path: Path, messages: list[Message], *others: tuple[str, str]) -> Path:
+    """A bag of ROS 1; `others` are types, and their definitions, of topics that no reader knows."""
+    connections: dict[str, Any] = {}
+    with Ros1Writer(path) as bag:
+        for kind, definition in others:
+            bag.write(bag.add_connection(f"/{kind}", kind, msgdef=definition, md5sum="0" * 32), 0, bytes(9))
+        for topic, kind, time_s, data in messages:
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, typestore=ROS1_TYPES)
+            bag.write(connections[topic], round(time_s * 1e9), bytes(TYPES.cdr_to_ros1(data, kind)))
     return path
 
 

@@ -66,6 +66,30 @@ def is_bag(path: Path) -> bool:
     return (path / "metadata.yaml").is_file() and any(file.name.endswith(_SUFFIXES) for file in path.iterdir())
 
 
+class _FilteredReader:
+    """A reader of `rosbags` that leaves out definitions of types that are never read; a damaged one would stop it."""
+
+    def __init__(self, reader: Any) -> None:
+        self._reader = reader
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
+
+    def __enter__(self) -> Any:
+        return self._reader.__enter__()
+
+    def __exit__(self, *raised: object) -> None:
+        self._reader.__exit__(*raised)
+
+    @property
+    def connections(self) -> list[Any]:
+        """The connections, those of other types without a definition."""
+        interfaces: Any = importlib.import_module("rosbags.interfaces")
+        none = interfaces.MessageDefinition(interfaces.MessageDefinitionFormat.NONE, "")
+        wanted, stated = (*IMAGES, *TREES, *POSES, INFO), self._reader.connections
+        return [c if c.msgtype in wanted else c._replace(msgdef=none) for c in stated]
+
+
 @contextmanager
 def opened_bag(path: Path) -> Generator[Any]:
     """Open a bag for reading. Raises CaptureError, with what to do."""
@@ -76,6 +100,7 @@ def opened_bag(path: Path) -> Generator[Any]:
     store.fielddefs.update({name: parts for name, parts in humble.items() if _READ.search(name)})
     try:
         bag = highlevel.AnyReader([path], default_typestore=store)
+        bag.readers = [_FilteredReader(reader) for reader in bag.readers]
         bag.open()
     except Exception as error:  # of the container, the index or the storage plugin
         way = "copy it again; rosbag reindex (ros2 bag reindex) repairs one that was not closed"
@@ -84,6 +109,11 @@ def opened_bag(path: Path) -> Generator[Any]:
         elif "Profile is not ros2" in str(error):
             file = [path, *path.glob("*.mcap")][-1]
             way = f"its profile is {_mcap_profile(file)!r}; record it with ROS 2, or convert it to a bag of ROS 2"
+        elif error.args == ("unknown",):  # as rosbag2 writes for types of actions
+            way = (
+                "the type of one of its topics has no definition; copy the others (mcap filter IN -o OUT -n "
+                "'.*/_action/.*', or ros2 bag convert with exclude_regex)"
+            )
         raise CaptureError(f"{path}: is not a readable ROS bag ({error}); {way}") from error
     try:
         names = [name for connection in bag.connections for name in (connection.topic, connection.msgtype)]
