@@ -616,6 +616,17 @@ def test_a_second_parent_in_tf_is_noted(tmp_path: Path) -> None:
     same_views(capture, VIEWS)
 
 
+@pytest.mark.parametrize("static", ["/tf_static", "/r1/tf_static"])
+def test_tf_of_another_robot_is_not_read(tmp_path: Path, static: str) -> None:
+    others = [replace(view, pose=VIEWS[0].pose) for view in VIEWS]
+    names = {topic: f"/r1{topic}" for topic in (COLOUR, DEPTH, "/camera/color/camera_info", "/tf")}
+    messages = renamed({"/tf": "/r2/tf"}, [tool_formats.robot(view) for view in others])
+    messages += renamed(names | {"/tf_static": static}, tool_formats.ros_messages(VIEWS))
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS)
+    alone = renamed({"/tf": "/vicon/tf"}, tool_formats.ros_messages(VIEWS))
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "alone", alone)), VIEWS)
+
+
 def test_poses_between_two_of_tf_are_interpolated(tmp_path: Path) -> None:
     """Those above the moving robot also where they are further apart."""
     messages = [message for message in tool_formats.ros_messages(VIEWS) if message[0] != "/tf"]

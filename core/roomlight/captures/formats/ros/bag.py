@@ -46,7 +46,7 @@ from roomlight.captures.formats.ros.images import (
     pose_values,
     seconds,
 )
-from roomlight.captures.formats.ros.topics import colour_topic, depth_topic, is_raw, space_of
+from roomlight.captures.formats.ros.topics import colour_topic, depth_topic, is_raw, other_trees, space_of
 from roomlight.captures.formats.ros.transform_tree import TransformTree
 from roomlight.captures.lenses import Lens, straightened, undistorted
 from roomlight.captures.options import CaptureOptions
@@ -139,9 +139,10 @@ class RosBagReader:
 
     def _index(self, bag: Any, topics: dict[str, str]) -> None:
         """Take the poses and cameras, and the times of the images."""
-        wanted = (*TREES, *POSES, INFO)
+        others = other_trees([topic for topic, kind in topics.items() if kind in TREES], self._colour)
+        wanted = {topic for topic, kind in topics.items() if kind in (*TREES, *POSES, INFO)}.difference(others)
         images = {self._colour} if self._depth is None else {self._colour, self._depth}
-        chosen = [c for c in bag.connections if topics[c.topic] in wanted or c.topic in images]
+        chosen = [c for c in bag.connections if c.topic in wanted | images]
         loose: dict[str, list[_Pose]] = {}
         try:
             for connection, logged, raw in bag.messages(connections=chosen):

@@ -85,6 +85,13 @@ def _frame_of(message: Any) -> str | None:
     return None if message is None else message.header.frame_id.lstrip("/")
 
 
+def other_trees(trees: Iterable[str], colour: str) -> list[str]:
+    """Return the topics of tf of other robots than that of colour, which is known by its namespace."""
+    spaces = {topic: topic.rpartition("/")[0] for topic in trees}
+    own = {"", *(space for space in spaces.values() if colour.startswith(f"{space}/"))}
+    return [topic for topic, space in spaces.items() if len(own) > 1 and space not in own]
+
+
 def is_raw(topic: str) -> bool:
     """Whether images are as the lens shows them."""
     return _RECTIFIED.search(topic) is None
