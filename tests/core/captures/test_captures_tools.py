@@ -608,6 +608,16 @@ def test_one_of_several_pose_topics_is_read(tmp_path: Path, poses: list[Message]
     assert f"the poses of {others}: those of {poses[0][0]} are read" in str(capture.notes[0])
 
 
+def test_odometry_of_the_base_of_a_head_that_moves_is_read(tmp_path: Path) -> None:
+    messages = [*without_tf(), tool_formats.transform(0.0, "head", OPTICAL, tool_formats.MOUNT, fixed=True)]
+    for at, view in enumerate(VIEWS):
+        head = np.eye(4)
+        head[:3, :3] = cv2.Rodrigues(np.array([0.0, 0.0, 0.1 * at]))[0]
+        messages.append(tool_formats.transform(view.time_s, "base_link", "head", head))
+        messages += poses_of("/odom", "base_link", mount=head @ tool_formats.MOUNT, views=[view])
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS)
+
+
 def test_a_second_parent_in_tf_is_noted(tmp_path: Path) -> None:
     second = tool_formats.transform(VIEWS[1].time_s, "odom", "base_link", np.eye(4))
     capture = open_capture(tool_formats.ros2_bag(tmp_path / "bag", [*tool_formats.ros_messages(VIEWS), second]))

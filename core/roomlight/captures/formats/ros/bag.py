@@ -174,7 +174,9 @@ class RosBagReader:
             raise CaptureError(f"{self._path}: is damaged ({error})") from error
         self._frame_id = self._frames.get(self._colour, "")
         settled = self._tree.settle()
-        if loose and not self._tree.moves(self._frame_id):
+        root = self._tree.root(self._frame_id)
+        carried = any(poses[0].child == root for poses in loose.values())  # as a head that moves on tf
+        if carried or (loose and not self._tree.moves(self._frame_id)):
             self._add_poses(loose)
         stands = not self._tree.moves(self._frame_id) and not (loose and self._tree.moving())
         if settled and stands:  # nothing says that it moved
