@@ -616,6 +616,22 @@ def test_odometry_of_the_base_of_a_head_that_moves_is_read(tmp_path: Path) -> No
         messages.append(tool_formats.transform(view.time_s, "base_link", "head", head))
         messages += poses_of("/odom", "base_link", mount=head @ tool_formats.MOUNT, views=[view])
     same_views(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS)
+    messages.append(tool_formats.transform(0.0, "foot", "base_link", tool_formats.MOUNT, fixed=True))
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "foot", messages)), VIEWS)
+
+
+@pytest.mark.parametrize(
+    ("child", "mount"),
+    [("base_link", tool_formats.MOUNT), (OPTICAL, np.eye(4)), ("imu", np.linalg.inv(tool_formats.MOUNT))],
+)
+def test_odometry_of_any_link_that_is_fixed_to_the_camera_is_read(
+    tmp_path: Path, child: str, mount: np.ndarray
+) -> None:
+    """Also of one below the root of the fixed links, and of one beside the camera."""
+    messages = without_tf() + poses_of("/odom", child, mount=mount) + poses_of("/other", "gps", beside=5)
+    for parent, link in (("foot", "base_link"), ("base_link", OPTICAL), (OPTICAL, "imu")):
+        messages.append(tool_formats.transform(0.0, parent, link, tool_formats.MOUNT, fixed=True))
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS)
 
 
 def test_a_second_parent_in_tf_is_noted(tmp_path: Path) -> None:

@@ -175,7 +175,7 @@ class RosBagReader:
         self._frame_id = self._frames.get(self._colour, "")
         settled = self._tree.settle()
         root = self._tree.root(self._frame_id)
-        carried = any(poses[0].child == root for poses in loose.values())  # as a head that moves on tf
+        carried = any(self._carries(root, poses[0]) for poses in loose.values())  # as a head that moves on tf
         if carried or (loose and not self._tree.moves(self._frame_id)):
             self._add_poses(loose)
         stands = not self._tree.moves(self._frame_id) and not (loose and self._tree.moving())
@@ -189,23 +189,30 @@ class RosBagReader:
                 Note(left, f"those in {kept}, which come first, are read", "record one of them to be sure")
             )
 
+    def _carries(self, root: str, pose: _Pose) -> bool:
+        """Whether a pose is one of a root, or of what is fixed to it, in a frame that is not."""
+        return self._tree.between(root, pose.child) is not None and self._tree.between(root, pose.parent) is None
+
     def _add_poses(self, topics: dict[str, list[_Pose]]) -> None:
         """Take the poses of the topic that fits best; others are noted.
 
-        It is one whose child is the camera's, else one without a child that is called after a camera; Odometry before
-        PoseStamped, then the one with most messages while images were taken.
+        It is one whose child is the root of the camera's frame, or fixed to it, else one without a child that is called
+        after a camera; Odometry before PoseStamped, then the one with most messages while images were taken.
         """
         top = self._tree.root(self._frame_id)
         times = [entry.time_s for entry in self._entries.get(self._colour, [])] or [0.0]
         start, stop = min(times) - MAX_GAP_S, max(times) + MAX_GAP_S
 
-        def order(topic: str) -> tuple[bool, bool, bool, bool, bool, int, str]:
+        def order(topic: str) -> tuple[bool, bool, bool, bool, bool, bool, int, str]:
             first, count = topics[topic][0], sum(start <= pose.time_s <= stop for pose in topics[topic])
-            other, named = first.child not in ("", top), bool(first.child)
+            named, below = bool(first.child), first.child != top
+            other = named and not self._carries(top, first)
             unlike = not named and "cam" not in topic.lower()
-            return other, not count, not named, unlike, first.kind != "Odometry", -count, topic
+            return other, not count, not named, below, unlike, first.kind != "Odometry", -count, topic
 
         best, *others = sorted(topics, key=order)
+        if self._carries(top, topics[best][0]):
+            self._tree.turn_above(topics[best][0].child)
         for pose in topics[best]:
             self._tree.add(pose.parent or "world", pose.child or top, pose.values, time_s=pose.time_s)
         if others:

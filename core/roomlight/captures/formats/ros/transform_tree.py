@@ -1,6 +1,7 @@
 """Frames of reference that move against each other over time, as ROS's tf has them."""
 
 import bisect
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -53,6 +54,16 @@ class TransformTree:
         """Let frames move again."""
         self._fixed -= names
 
+    def turn_above(self, frame: str) -> None:
+        """Turn the links above a frame, all of them fixed, round, so that it is the root."""
+        for child, parent in reversed(list(pairwise(self._chain(frame)))):
+            del self._parents[child], self._times[child]
+            self._others.pop(child, None)
+            self._fixed.discard(child)
+            pose = self._poses.pop(child)[-1]
+            turned = np.concatenate([rigid_inverse(_matrix(pose))[:3, 3], -pose[3:6], pose[6:]])
+            self.add(child, parent, turned, time_s=0.0, fixed=True)
+
     def root(self, frame: str) -> str:
         """Return the frame above all others."""
         return self._chain(frame)[-1]
@@ -87,13 +98,13 @@ class TransformTree:
         poses: list[Float[np.ndarray, "4 4"]] = []
         ends: list[str] = []
         for frame in (target, source):
-            total = np.eye(4)
-            chain = self._chain(frame)
-            for name in chain:
+            total, (*links, end) = np.eye(4), self._chain(frame)
+            for name in links:
                 if name not in self._fixed:
-                    ends.append(name)
+                    end = name
                     break
                 total = self._at(name, self._times[name][-1]) @ total
+            ends.append(end)
             poses.append(total)
         return rigid_inverse(poses[0]) @ poses[1] if ends[0] == ends[1] else None
 
