@@ -469,6 +469,28 @@ def test_definitions_of_types_that_are_not_read_do_not_count(tmp_path: Path) -> 
     refused(path, r"no topic of colour images; its topics are /a/msg/B, /rslidar")
 
 
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("walk_0.bag", "walk_1.bag"),
+        ("2026-11-30-18-00-00_0.bag", "2026-11-30-18-05-00_1.bag"),
+        ("walk_2026-11-30-18-00-00_0.bag", "walk_2026-11-30-18-05-00_1.bag"),
+    ],
+)
+def test_parts_of_a_split_recording_are_read_as_one(tmp_path: Path, first: str, second: str) -> None:
+    """Only the first has what is fixed."""
+    tool_formats.ros1_bag(tmp_path / first, tool_formats.ros_messages(VIEWS[:2]))
+    tool_formats.ros1_bag(tmp_path / second, tool_formats.ros_messages(VIEWS[2:], without="/tf_static"))
+    capture = open_capture(tmp_path)
+    same_views(capture, VIEWS, depth_atol=6e-4)
+    assert f"2 bags, {first}, {second}: read as parts of one recording" in str(capture.notes[0])
+    refused(tmp_path / second, "no tf from there to camera_color_optical_frame; it may be in an earlier part: open the")
+    for name in ("other_2.bag", "walk.bag"):
+        shutil.copy(tmp_path / first, tmp_path / name)
+        refused(tmp_path, "captures.*open one of them", error=UnknownFormatError)
+        (tmp_path / name).unlink()
+
+
 def test_a_type_without_a_definition_is_named(tmp_path: Path) -> None:
     path = tool_formats.ros2_bag(tmp_path / "bag", tool_formats.ros_messages(VIEWS))
     with sqlite3.connect(path / "bag.db3") as base:

@@ -36,7 +36,9 @@ from roomlight.captures.formats.ros.container import (
     TopicImages,
     first_image,
     has_index,
+    is_later_part,
     opened_bag,
+    parts_of,
 )
 from roomlight.captures.formats.ros.images import (
     camera_of,
@@ -91,6 +93,9 @@ class RosBagReader:
         self._path, self._unit_m = path, options.depth_unit_m
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []
+        if parts := [file.name for file in parts_of(path)]:
+            left = f"{path}: {len(parts)} bags, {', '.join(parts[:4])}"
+            self.notes.append(Note(left, "read as parts of one recording", "open one of them to read it alone"))
         self._tree = TransformTree()
         self._cameras: dict[str, Any] = {}
         self._frames: dict[str, str] = {}
@@ -115,8 +120,9 @@ class RosBagReader:
         if self.count and not self._tree.moves(self._frame_id):
             camera = self._frame_id or "the camera"
             if moving := ", ".join(self._tree.moving()[:4]):
-                text = f"has poses of {moving}, and no tf from there to {camera}; record tf_static too"
-                raise CaptureError(f"{path}: {text}")
+                later = "it may be in an earlier part: open the folder of all, or "
+                text = f"has poses of {moving}, and no tf from there to {camera}; "
+                raise CaptureError(f"{path}: {text}{later if is_later_part(path) else ''}record tf_static too")
             raise CaptureError(
                 f"{path}: has no poses of {camera} (tf, Odometry, PoseStamped); recordings of RealSense alone hold "
                 "none: run a SLAM such as RTAB-Map on it, and export that"

@@ -12,6 +12,8 @@ from typing import Any, Final
 from roomlight.errors import CaptureError
 
 _SUFFIXES: Final = (".bag", ".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
+_PART: Final = re.compile(r"(.*?)_?(?:\d{4}(?:-\d\d){5})?_(\d+)\.(?:bag|db3|mcap)")
+"""Names of parts of a recording: its name, for ROS 1 the time of the part's start, and a number."""
 IMAGES: Final = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO: Final = "sensor_msgs/msg/CameraInfo"
 POSES: Final = (
@@ -60,10 +62,25 @@ class TopicImages:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a bag: a file of its endings, or ROS 2's folder."""
+    """Whether a path is a bag: a file of its endings, ROS 2's folder, or one of all parts of ROS 1's."""
     if path.is_file():
         return path.name.lower().endswith(_SUFFIXES)
-    return (path / "metadata.yaml").is_file() and any(file.name.endswith(_SUFFIXES) for file in path.iterdir())
+    has_metadata = (path / "metadata.yaml").is_file()
+    return (has_metadata and any(file.name.endswith(_SUFFIXES) for file in path.iterdir())) or bool(parts_of(path))
+
+
+def parts_of(folder: Path) -> list[Path]:
+    """Return the parts of a split recording of ROS 1 by their number; none if a folder has other bags too."""
+    files = [file for file in folder.glob("*.bag") if file.name[0] != "."]
+    parts = sorted((int(name[2]), name[1], file) for file in files if (name := _PART.fullmatch(file.name)))
+    numbers, names = [number for number, _, _ in parts], {name for _, name, _ in parts}
+    is_whole = numbers == list(range(len(files))) and len(names) == 1 < len(parts)
+    return [file for _, _, file in parts] if is_whole else []
+
+
+def is_later_part(path: Path) -> bool:
+    """Whether a file has the name of a part of a split recording after its first."""
+    return (name := _PART.fullmatch(path.name)) is not None and int(name[2]) > 0
 
 
 class _FilteredReader:
@@ -99,7 +116,7 @@ def opened_bag(path: Path) -> Generator[Any]:
     store = typesys.get_typestore(typesys.Stores.EMPTY)
     store.fielddefs.update({name: parts for name, parts in humble.items() if _READ.search(name)})
     try:
-        bag = highlevel.AnyReader([path], default_typestore=store)
+        bag = highlevel.AnyReader(parts_of(path) or [path], default_typestore=store)
         bag.readers = [_FilteredReader(reader) for reader in bag.readers]
         bag.open()
     except Exception as error:  # of the container, the index or the storage plugin
