@@ -202,6 +202,8 @@ def _known_otherwise(path: Path) -> str:
         return f"holds the cameras that {program} found; export them from there as COLMAP, beside the pictures"
     if recording := next((file.name for file in files if file.suffix.lower() in _RECORDINGS), ""):
         return f"{recording} is a recording that is not read; export a ROS bag of it, or pictures with poses"
+    if active := next((file.name for file in files if file.name.endswith(".bag.active")), ""):
+        return f"{active} is a ROS bag that was not closed; rosbag reindex it, and rename it to {active[:-7]}"
     archives = [*path.glob("*.zip"), *path.glob("*/*.zip")]
     if archives and not ends & {*_IMAGES}:
         return f"holds the archive {archives[0].relative_to(path)}; unpack it, and open what it holds"

@@ -25,7 +25,7 @@ from roomlight.captures.formats.packed_depth import lz4_block
 from roomlight.captures.formats.ros.bag import RosBagReader
 from roomlight.captures.formats.ros.images import decode_colour_image, decode_depth_image
 from roomlight.conventions import srgb8_to_linear
-from roomlight.errors import UnknownFormatError
+from roomlight.errors import RoomLightError, UnknownFormatError
 
 VIEWS = formats.scene()
 
@@ -446,18 +446,30 @@ def test_compressed_depth_may_be_a_tiff() -> None:
 BAG = b"#ROSBAG V2.0\n" + bytes(99)
 MCAP = b"\x89MCAP0\r\n\1" + struct.pack("<QI", 12, 4) + b"ros1\0\0\0\0"
 
+REINDEXED = b"""
+rosbag2_bagfile_information:
+  version: 5
+  relative_file_paths: [d.mcap]
+  storage_identifier: ''
+"""
+
 
 @pytest.mark.parametrize(
     ("name", "data", "says"),
     [
         ("d.bag", BAG, r"d\.bag: is not a readable ROS bag .*; copy it again; rosbag reindex"),
         ("d.BAG", BAG, r"; rename it to end in \.bag"),
+        ("d.mcap", MCAP[:9], "; copy it again; mcap recover IN -o OUT repairs"),
+        ("d.bag.active", BAG, r"d\.bag\.active is a ROS bag that was not closed; rosbag reindex it, .* to d\.bag"),
+        ("d/metadata.yaml", REINDEXED, r"names no storage; delete that file, or open the \.db3 or \.mcap itself"),
         ("d.mcap", MCAP, "its profile is 'ros1'; record it with ROS 2"),
     ],
 )
 def test_a_file_that_is_no_readable_bag_says_so(tmp_path: Path, name: str, data: bytes, says: str) -> None:
-    (tmp_path / name).write_bytes(data)
-    refused(tmp_path / name, says)
+    formats.save(tmp_path / name, data)
+    if "/" in name:
+        formats.save(tmp_path / "d/d.mcap", MCAP)
+    refused(tmp_path / name.split("/")[0], says, error=RoomLightError)
 
 
 def test_definitions_of_types_that_are_not_read_do_not_count(tmp_path: Path) -> None:

@@ -120,18 +120,7 @@ def opened_bag(path: Path) -> Generator[Any]:
         bag.readers = [_FilteredReader(reader) for reader in bag.readers]
         bag.open()
     except Exception as error:  # of the container, the index or the storage plugin
-        way = "copy it again; rosbag reindex (ros2 bag reindex) repairs one that was not closed"
-        if path.is_file() and path.suffix != (small := path.suffix.lower()):
-            way = f"rename it to end in {small}"
-        elif "Profile is not ros2" in str(error):
-            file = [path, *path.glob("*.mcap")][-1]
-            way = f"its profile is {_mcap_profile(file)!r}; record it with ROS 2, or convert it to a bag of ROS 2"
-        elif error.args == ("unknown",):  # as rosbag2 writes for types of actions
-            way = (
-                "the type of one of its topics has no definition; copy the others (mcap filter IN -o OUT -n "
-                "'.*/_action/.*', or ros2 bag convert with exclude_regex)"
-            )
-        raise CaptureError(f"{path}: is not a readable ROS bag ({error}); {way}") from error
+        raise CaptureError(f"{path}: is not a readable ROS bag ({error}); {_way_out(path, error)}") from error
     try:
         names = [name for connection in bag.connections for name in (connection.topic, connection.msgtype)]
         if not all(isinstance(name, str) for name in names):
@@ -139,6 +128,24 @@ def opened_bag(path: Path) -> Generator[Any]:
         yield bag
     finally:
         bag.close()
+
+
+def _way_out(path: Path, error: Exception) -> str:
+    """Say what to do about a bag that does not open."""
+    if path.is_file() and path.suffix != (small := path.suffix.lower()):
+        return f"rename it to end in {small}"
+    mcaps = [file for file in (path, *path.glob("*.mcap")) if file.suffix == ".mcap"]
+    if mcaps and "Profile is not ros2" in str(error):
+        return f"its profile is {_mcap_profile(mcaps[-1])!r}; record it with ROS 2, or convert it to a bag of ROS 2"
+    if "Storage plugin ''" in str(error):  # as ros2 bag reindex writes
+        return "its metadata.yaml names no storage; delete that file, or open the .db3 or .mcap itself"
+    if error.args == ("unknown",):  # as rosbag2 writes for types of actions
+        return (
+            "the type of one of its topics has no definition; copy the others (mcap filter IN -o OUT -n "
+            "'.*/_action/.*', or ros2 bag convert with exclude_regex)"
+        )
+    tool = "mcap recover IN -o OUT" if mcaps else "rosbag reindex (ros2 bag reindex)"
+    return f"copy it again; {tool} repairs one that was not closed"
 
 
 def has_index(bag: Any) -> bool:
