@@ -874,6 +874,15 @@ def test_depth_that_is_not_called_so(tmp_path: Path) -> None:
     assert "/oak/stereo/image_raw, of 16UC1: taken for depth" in str(note)
 
 
+def test_depth_that_is_recorded_out_of_its_order_is_that_of_the_same_time(tmp_path: Path) -> None:
+    messages = [message for message in tool_formats.ros_messages(VIEWS) if message[0] != DEPTH]
+    for view, other in zip(VIEWS, VIEWS[::-1], strict=True):
+        later_s = other.time_s - view.time_s
+        pixels = formats.millimetres(view)
+        messages.append(tool_formats.image_message(DEPTH, view.time_s, OPTICAL, "16UC1", pixels, later_s=later_s))
+    same_views(open_capture(tool_formats.ros2_bag(tmp_path / "bag", messages)), VIEWS, depth_atol=6e-4)
+
+
 def test_depth_of_the_colours_frame_comes_before_the_nearest_name(tmp_path: Path) -> None:
     messages = renamed({DEPTH: "/depth_to_rgb/image_raw"}, tool_formats.ros_messages(VIEWS))
     messages += [other_image(view, "/camera/color/depth/image_raw", "tof", "16UC1", 9000) for view in VIEWS]

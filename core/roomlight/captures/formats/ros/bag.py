@@ -178,6 +178,8 @@ class RosBagReader:
                 text = "its messages are not in the order of their time, and it has no index; run mcap sort on it"
                 raise CaptureError(f"{self._path}: {text}") from error
             raise CaptureError(f"{self._path}: is damaged ({error})") from error
+        self._depths = sorted(self._entries.get(self._depth or "", []), key=lambda entry: entry.time_s)
+        self._depth_times = [entry.time_s for entry in self._depths]
         self._frame_id = self._frames.get(self._colour, "")
         settled = self._tree.settle()
         root = self._tree.root(self._frame_id)
@@ -270,10 +272,9 @@ class RosBagReader:
         self, time_s: float, topic: str, images: dict[str | None, TopicImages], label: str
     ) -> Float[np.ndarray, "h w"]:
         """Return the depth image nearest in time. Raises ValueError if it is too far."""
-        depths = self._entries.get(topic, [])
-        if not depths:
+        if not self._depths:
             raise ValueError(f"{topic} has no image")
-        entry = depths[nearest([depth.time_s for depth in depths], time_s)]
+        entry = self._depths[nearest(self._depth_times, time_s)]
         if abs(entry.time_s - time_s) > MAX_GAP_S:
             raise ValueError(f"the nearest depth is {abs(entry.time_s - time_s):.3f} s away")
         return decode_depth_image(self._message(images, topic, entry), label, self._unit_m)
