@@ -739,6 +739,8 @@ def test_arkitscenes_in_another_size(tmp_path: Path, folder: str) -> None:
         (path / f"lowres_wide{kind}").rename(path / f"{folder}{kind}")
     if folder == "wide":
         (path / "lowres_depth").rename(path / "highres_depth")
+        for file in list((path / "confidence").iterdir()):
+            file.write_bytes(formats.image(".png", np.full((6, 8), 2, np.uint8)))
     same_views(open_capture(path, CaptureOptions(depth="file")), VIEWS)
 
 

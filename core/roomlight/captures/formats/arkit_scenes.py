@@ -6,8 +6,8 @@ Each image takes the pose at its time, interpolated between those at most 0.5 s 
 time: their names differ by a millisecond.
 
 Conventions: a line of the trajectory is `time, axis-angle, translation` of the world-to-camera transform, OpenCV axes,
-world z-up. A `.pincam` holds `width height fx fy cx cy`, used unchanged. Depth is in uint16 millimetres, confidence is
-0, 1 or 2.
+world z-up. A `.pincam` holds `width height fx fy cx cy`, used unchanged. Depth is in uint16 millimetres; confidence,
+of `lowres_depth`, is 0, 1 or 2.
 """
 
 from pathlib import Path
@@ -69,8 +69,8 @@ class ArkitScenesReader(ListedReader):
             inverse = pose_at(self._times, lambda at: rigid_inverse(_transform(self._poses[at][1])), time_s, "the pose")
         intrinsics = self._intrinsics(time_s, label)
         picture, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
-        pose, confidence = rigid_inverse(inverse), self._confidence(f"confidence/{file}")
-        return self._raw_frame(index, picture, depth_m, depth_name, intrinsics, pose, confidence)
+        confidence = self._confidence(f"confidence/{file}") if self._depth == "lowres_depth" else None
+        return self._raw_frame(index, picture, depth_m, depth_name, intrinsics, rigid_inverse(inverse), confidence)
 
     def _intrinsics(self, time_s: float, label: str) -> Intrinsics:
         if not self._pincams:
