@@ -198,7 +198,7 @@ class RosBagReader:
             )
 
     def _carries(self, root: str, pose: _Pose) -> bool:
-        """Whether a pose is one of a root, or of what is fixed to it, in a frame that is not."""
+        """Whether a pose is that of a root, or of a frame fixed to it, in a frame that is not fixed to it."""
         return self._tree.between(root, pose.child) is not None and self._tree.between(root, pose.parent) is None
 
     def _add_poses(self, topics: dict[str, list[_Pose]]) -> None:
