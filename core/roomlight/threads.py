@@ -33,7 +33,12 @@ def thread_count() -> int:
     if setting:
         rule = "must be a whole number from 1 on; without it, the cores of this process count"
         raise OptionError(f"ROOMLIGHT_THREADS: {ascii(setting)[:100]}: {rule}")
-    return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    return min(8, core_count())
+
+
+def core_count() -> int:
+    """Return the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache

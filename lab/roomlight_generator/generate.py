@@ -4,7 +4,6 @@ The bytes of a dataset depend on its settings alone: not on how many workers the
 or in how many runs it grew. Each worker writes its shard itself; only counts pass through this process.
 """
 
-import os
 import time
 from collections import deque
 from collections.abc import Callable
@@ -27,6 +26,7 @@ from roomlight.dataset.recording import Split
 from roomlight.dataset.shards import is_finished, read_index, shard_path
 from roomlight.errors import DatasetError, OptionError
 from roomlight.rules import check_options
+from roomlight.threads import core_count
 from roomlight_generator.furniture_digest import furniture_digest
 from roomlight_generator.panoramas.library import files_digest, panoramas_digest, split_files
 from roomlight_generator.worker import ShardTask
@@ -197,7 +197,7 @@ def generate(
         )
         counts = _RunCounts(options.sequences, *_count(shards, options.split), progress or (lambda _: None))
         counts.report()
-        WorkerPool(workers or len(os.sched_getaffinity(0)), on_message=counts.add).run(todo)
+        WorkerPool(workers or core_count(), on_message=counts.add).run(todo)
         finished, size = _count(all_shards, options.split)
     return GenerateReport(finished, asked, len(counts.core_s), size, counts.elapsed_s, tuple(counts.core_s))
 
