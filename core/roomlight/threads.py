@@ -4,6 +4,7 @@ Kernels release the GIL and run serially; rows are split here. numba's own threa
 threads enter a parallel region at once, as in a server.
 """
 
+import math
 import os
 import platform
 import threading
@@ -13,12 +14,14 @@ from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Final, TypeVar, cast
 
 from roomlight.errors import OptionError
 
 _Item = TypeVar("_Item")
 _pauses = threading.local()
+_CPU_LIMIT: Final = Path("/sys/fs/cgroup/cpu.max")
+"""Microseconds of all cores that a container may use in each period (Linux, control groups 2), or \"max\"."""
 
 
 def thread_count() -> int:
@@ -36,9 +39,15 @@ def thread_count() -> int:
     return min(8, core_count())
 
 
+@cache
 def core_count() -> int:
-    """Return the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Return the cores that this process may use, whose time a container may limit."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        quota, period = _CPU_LIMIT.read_text(encoding="ascii").split()
+        return min(cores, math.ceil(int(quota) / int(period)))
+    except (OSError, ValueError):  # no control group, or "max"
+        return cores
 
 
 @cache

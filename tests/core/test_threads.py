@@ -1,5 +1,6 @@
 """`parallel_for` covers the range once, raises errors, and takes the number of threads from the environment."""
 
+import os
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -198,3 +199,12 @@ def test_closing_waits_for_the_item_that_is_made() -> None:
     threading.Timer(0.05, go_on.set).start()
     ahead.close()
     assert ended.is_set()
+
+
+@pytest.mark.parametrize(("limit", "cores"), [("200000 100000", 2), ("150000 100000", 2), ("max 100000", 4), ("", 4)])
+def test_a_containers_limit_of_cpu_time_counts(monkeypatch, tmp_path, limit, cores):
+    """Eight threads that share the time of two cores stand still for most of each tenth of a second."""
+    (tmp_path / "cpu.max").write_text(limit)
+    monkeypatch.setattr(threads, "_CPU_LIMIT", tmp_path / "cpu.max")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(4))
+    assert threads.core_count.__wrapped__() == cores
