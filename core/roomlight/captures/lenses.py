@@ -140,8 +140,8 @@ def undistorted(
 ) -> tuple[list[np.ndarray], Intrinsics]:
     """Remove lens distortion from images of one view, each given with its OpenCV interpolation.
 
-    The new camera is cropped to pixels that the old one saw: black padding would count as measured darkness.
-    Images may differ in size; each uses K scaled to its own size.
+    The new camera is cropped to pixels that the old one saw: black padding would count as measured darkness. Width and
+    aspect of pixels stay, the height follows the view. Images may differ in size; each uses K scaled to its own size.
 
     Raises:
         ValueError: The lens bends back on itself within the image, or sees too little to be straightened.
@@ -150,16 +150,17 @@ def undistorted(
     results: list[np.ndarray] = []
     for image, interpolation in images:
         height, width = image.shape[:2]
-        old_k, new_k = (_opencv_matrix(camera.resized(width, height)) for camera in (intrinsics, straight))
+        size = width, max(2, round(height * straight.height / intrinsics.height))
+        old_k, new_k = _opencv_matrix(intrinsics.resized(width, height)), _opencv_matrix(straight.resized(*size))
         build = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
-        columns, rows = build(old_k, np.array(lens.coefficients), np.eye(3), new_k, (width, height), cv2.CV_32FC1)
+        columns, rows = build(old_k, np.array(lens.coefficients), np.eye(3), new_k, size, cv2.CV_32FC1)
         results.append(cv2.remap(image, columns, rows, interpolation, borderMode=cv2.BORDER_REPLICATE))
     return results, straight
 
 
 def straightened(
     picture: ColourImage, depth_m: Float[np.ndarray, "dh dw"], intrinsics: Intrinsics, lens: Lens, name: str
-) -> tuple[ColourImage, Float[np.ndarray, "dh dw"], Intrinsics, Intrinsics]:
+) -> tuple[ColourImage, Float[np.ndarray, "rows dw"], Intrinsics, Intrinsics]:
     """Remove lens distortion from a picture and its depth; returns them with the pinhole camera, and `fitted`'s.
 
     Raises:
@@ -182,7 +183,7 @@ def straightened(
 
 
 def _straight_camera(intrinsics: Intrinsics, lens: Lens) -> Intrinsics:
-    """Return the pinhole camera whose view lies within the lens's, checked by the way back.
+    """Return the pinhole camera whose view lies within the lens's, checked by the way back; of the same pixel aspect.
 
     Corners that the lens model cannot reach are left out.
     """
@@ -204,12 +205,14 @@ def _straight_camera(intrinsics: Intrinsics, lens: Lens) -> Intrinsics:
         x0, y0, x1, y1 = bounds
         if not (x0 < 0 < x1 and y0 < 0 < y1):
             break
-        fx, fy = width / (x1 - x0), height / (y1 - y0)
+        fx = width / (x1 - x0)
+        fy = fx * intrinsics.fy / intrinsics.fx
+        rows = 2 * max(1, round(fy * (y1 - y0) / 2))  # even, as films need
         grid = np.stack(np.meshgrid(np.linspace(x0, x1, 17), np.linspace(y0, y1, 17)), axis=-1).reshape(-1, 2)
         pixels = _pixels(grid, intrinsics, lens)
         error_px = np.abs((_tangents(pixels, intrinsics, lens) - grid) * [fx, fy]).max()
         if error_px < _MAX_ERROR_PX and (pixels > -1).all() and (pixels < [width + 1, height + 1]).all():
-            return Intrinsics(fx, fy, -x0 * fx, -y0 * fy, width, height)
+            return Intrinsics(fx, fy, -x0 * fx, (rows - (y0 + y1) * fy) / 2, width, rows)
         bounds = [0.95 * bound for bound in bounds]
     raise ValueError("the lens distortion cannot be undone; undistort the images to a pinhole camera first")
 

@@ -82,6 +82,7 @@ def unread_depth(path: Path) -> Note | None:
 def removed_lens(name: str, camera: Intrinsics) -> Note:
     """Make the note for a lens whose distortion was removed."""
     pinhole = f"fx {camera.fx:.6g}, fy {camera.fy:.6g}, cx {camera.cx:.6g}, cy {camera.cy:.6g}"
+    pinhole += f" of {camera.width} x {camera.height} pixels"
     text, effect = f"{name}: the distortion of its lens", f"pictures and pixels are those of a pinhole with {pinhole}"
     return Note(text, effect, "use this camera with what is written; other frames may have their own")
 

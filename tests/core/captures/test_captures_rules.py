@@ -58,7 +58,11 @@ def test_pixels_look_where_the_lens_model_says(bent: Lens, radius: Callable[[np.
     """An image that stores each pixel's own coordinates shows, straightened, which pixel each ray came from."""
     columns, rows = np.meshgrid(np.arange(96) + 0.5, np.arange(72) + 0.5)
     coordinates = np.stack([columns, rows, rows], axis=-1).astype(np.float32)
-    (image,), straight = undistorted([(coordinates, cv2.INTER_LINEAR)], CAMERA, bent)
+    images = [(coordinates, cv2.INTER_LINEAR), (np.zeros((36, 48), np.float32), cv2.INTER_NEAREST)]
+    (image, half), straight = undistorted(images, CAMERA, bent)
+    assert straight.fy == pytest.approx(straight.fx)  # pixels stay square, the height follows the view
+    assert image.shape[:2] == (straight.height, straight.width)
+    assert (straight.width, half.shape) == (96, (round(straight.height / 2), 48))
     rays = straight.rays()
     r = np.hypot(rays[..., 0], rays[..., 1])
     scale = radius(r) / np.maximum(r, 1e-9)
